@@ -69,35 +69,15 @@ def make(
 
     Raises InputError for too few campaigns, a folder that is in use, or a key within the campaigns' folder.
 
-    Parameters
-    ----------
-    folder : str | Path
-        of the campaigns; made
-    key : str | Path
-        folder of the key; made
-    n : int
-        number of campaigns
-    seed : int, optional
-        of everything drawn, kept in the key; by default a random one, which a real test needs
-    poses : Sequence[int], default POSES
-        numbers of poses of a campaign, one of these; each has 50 more whose positions are only in the key
-    project : str | Path, default "."
-        folder with problems/ and data/
-    executor : Executor, optional
-        any of `concurrent.futures`' kind; by default a process for each core
-    show : Callable[[str, int, int], None], optional
-        called with a campaign's name, how many are done, and how many there are
-    also : Callable[[Manifest], Mapping[Path, str]], optional
-        further files that appear with them or not at all
-
-    Examples
-    --------
-    >>> from casadical.blind_check.generation import make
-    >>> from concurrent.futures import ThreadPoolExecutor
-    >>> with ThreadPoolExecutor(1) as pool:
-    ...     published = make("campaigns", "key", 4, seed=1, poses=(20,), executor=pool)
-    >>> len(published.campaigns)
-    4
+    folder : of the campaigns; made
+    key : folder of the key; made
+    n : number of campaigns
+    seed : of everything drawn, kept in the key; by default a random one, which a real test needs
+    poses : numbers of poses of a campaign, one of these; each has 50 more whose positions are only in the key
+    project : folder with problems/ and data/
+    executor : any of `concurrent.futures`' kind; by default a process for each core
+    show : called with a campaign's name, how many are done, and how many there are
+    also : further files that appear with them or not at all
     """
     folder, key_folder = Path(folder), Path(key)
     _check(folder, key_folder, n, poses)

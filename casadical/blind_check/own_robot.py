@@ -153,18 +153,10 @@ class RobotCheck:
     assumed : what the file does not say; not_drawn : effects that it cannot have, and why
     outcomes : of the campaigns that were answered; failed : name of each other one, and why
 
-    Parameters
-    ----------
-    robot : str
-        name
-    poses : int
-        of a campaign
-    noise : float
-        one sigma of a measured coordinate [m]
-    seed : int
-        what everything drawn follows from
-    not_logged : tuple[str, ...]
-        columns that the campaigns lack
+    poses : of a campaign
+    noise : one sigma of a measured coordinate [m]
+    seed : what everything drawn follows from
+    not_logged : columns that the campaigns lack
     """
 
     robot: str

@@ -30,27 +30,10 @@ def predict(
 
     Raises InputError for no such folder or method, tables that cannot be read, or a file that answers another check.
 
-    Parameters
-    ----------
-    folder : str | Path
-        that `make` wrote
-    out : str | Path, optional
-        file of answers, a line each; by default answers.METHOD.jsonl in the folder
-    by : str, default "diagnosis"
-        diagnosis; or a method to compare it with: f-test, bic, ebic or gp
-    executor : Executor, optional
-        any of `concurrent.futures`' kind, a cluster's among them; by default a process for each core
-    show : Callable[[str, int, int], None], optional
-        called with a campaign's name, how many are done, and how many there are
-
-    Examples
-    --------
-    >>> from casadical.blind_check.prediction import predict
-    >>> try:
-    ...     predict("nowhere")
-    ... except casadical.InputError as error:
-    ...     print(error)
-    nowhere: holds no withheld.json; name the folder that `casadical withheld make` wrote
+    out : file of answers, a line each; by default answers.METHOD.jsonl in the folder
+    by : diagnosis; or a method to compare it with: f-test, bic, ebic or gp
+    executor : any of `concurrent.futures`' kind, a cluster's among them; by default a process for each core
+    show : called with a campaign's name, how many are done, and how many there are
     """
     folder = Path(folder)
     if by not in METHODS:

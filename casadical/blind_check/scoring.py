@@ -72,13 +72,6 @@ def score(folder: str | Path, key: str | Path, answers: str | Path) -> Score:
     """Answers against the key of the campaigns in a folder.
 
     Raises InputError where the key is not the one that was published, or the answers are to another check.
-
-    Examples
-    --------
-    >>> from casadical.blind_check.scoring import score
-    >>> judged = score("data/withheld", "data/withheld", "data/withheld/answers.f-test.jsonl")
-    >>> len(judged.outcomes), judged.head.by
-    (55, 'f-test')
     """
     folder, path = Path(folder), Path(answers)
     manifest = read_manifest(folder)

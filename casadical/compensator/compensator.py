@@ -218,16 +218,9 @@ class Compensator:
     def correction_mm(self, q: ArrayLike) -> Array:
         """What is to be added to computed positions; zeros of the null compensator.
 
-        Parameters
-        ----------
-        q : ArrayLike
-            joint readings, shape (n, joints) or (joints,) [rad]; outside of ``trained_box`` it is extrapolated, see
+        q : joint readings, shape (n, joints) or (joints,) [rad]; outside of ``trained_box`` it is extrapolated, see
             `inside`
-
-        Returns
-        -------
-        Array, shape (n, outputs)
-            or (outputs,) [mm]
+        Returns an array, shape (n, outputs): or (outputs,) [mm]
         """
         if self.network is not None:
             return self.network.output_mm(np.asarray(q))
@@ -237,15 +230,8 @@ class Compensator:
     def inside(self, q: ArrayLike) -> Array:
         """Tell for every row of q, shape (n, joints) [rad], whether training saw such angles, joint by joint.
 
-        Parameters
-        ----------
-        q : ArrayLike, shape (n, joints) [rad]
-            joint readings
-
-        Returns
-        -------
-        Array, shape (n, joints)
-            boolean
+        q : ArrayLike, shape (n, joints) [rad]: joint readings
+        Returns an array, shape (n, joints): boolean
         """
         return self.trained_box.contains(joint_angles(q, self.layout.joints))
 

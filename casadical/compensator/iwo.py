@@ -37,16 +37,10 @@ def seed_counts(losses: Array, seeds_min: int, seeds_max: int) -> Array:
 class IwoHistory:
     """Course of a search, one entry a generation.
 
-    Parameters
-    ----------
-    evaluations : tuple[int, ...], default ()
-        so far
-    best : tuple[float, ...], default ()
-        loss of the best member
-    worst : tuple[float, ...], default ()
-        loss of the worst member
-    sigma : tuple[float, ...], default ()
-        step size
+    evaluations : so far
+    best : loss of the best member
+    worst : loss of the worst member
+    sigma : step size
     """
 
     evaluations: tuple[int, ...] = ()
@@ -59,18 +53,11 @@ class IwoHistory:
 class IwoResult:
     """Outcome of a search.
 
-    Parameters
-    ----------
-    x : Array, shape (dimension,) [as of the bounds]
-        best point
-    loss : float
-        its loss
-    reasons : tuple[str, ...]
-        why it stopped
-    evaluations : int
-        how many there were
-    history : IwoHistory, optional
-        how it went
+    x : Array, shape (dimension,) [as of the bounds]: best point
+    loss : its loss
+    reasons : why it stopped
+    evaluations : how many there were
+    history : how it went
     """
 
     x: Array
@@ -133,9 +120,7 @@ class InvasiveWeeds:
     def ask(self) -> Array:
         """Return the points to evaluate next, shape (k, dimension) [as of the bounds]; the same ones until told.
 
-        Returns
-        -------
-        Array, shape (k, dimension) [as of the bounds]
+        Returns an array, shape (k, dimension) [as of the bounds]
         """
         if self._asked is None:
             self._asked = self._first_colony() if self.iteration < 0 else self._children()
@@ -174,13 +159,7 @@ class InvasiveWeeds:
         self._asked = None
 
     def stop(self) -> tuple[str, ...]:
-        """Return the reasons to stop; empty while the search should go on.
-
-        Returns
-        -------
-        tuple[str, ...]
-            in words
-        """
+        """Return the reasons to stop; empty while the search should go on."""
         reasons, s = [], self.settings
         if self.iteration >= s.iterations:
             reasons.append(f"iterations: all {s.iterations} generations done")
@@ -193,15 +172,7 @@ class InvasiveWeeds:
     def result(self) -> IwoResult:
         """Return the best point so far with the history.
 
-        Returns
-        -------
-        IwoResult
-            best point, loss and history
-
-        Raises
-        ------
-        InputError
-            nothing was evaluated yet
+        Raises InputError: nothing was evaluated yet.
         """
         if self.iteration < 0:
             raise InputError("nothing has been evaluated yet: call ask() and tell() first")
@@ -210,11 +181,6 @@ class InvasiveWeeds:
 
     def state(self) -> dict[str, Any]:
         """Return all that a search needs to go on, in JSON types.
-
-        Returns
-        -------
-        dict[str, Any]
-            JSON types
 
         Raises
         ------
@@ -244,11 +210,6 @@ class InvasiveWeeds:
             as before
         state : dict[str, Any]
             as of `state`
-
-        Returns
-        -------
-        Self
-            the search
         """
         search = cls(dimension, settings, start=unpack(state["start"]))
         search.members, search.losses = unpack(state["members"]), unpack(state["losses"])

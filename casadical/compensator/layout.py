@@ -103,19 +103,9 @@ class Layout:
     def weights(self, layers: Sequence[Array]) -> Array:
         """Join layers into weight vectors: the inverse of `layers`.
 
-        Parameters
-        ----------
-        layers : Sequence[Array]
-            as `layers` gives them, shape (..., m, k + 1) each
-
-        Returns
-        -------
-        Array, shape (..., count)
-
-        Raises
-        ------
-        InputError
-            layers of other shapes
+        layers : as `layers` gives them, shape (..., m, k + 1) each
+        Returns an array, shape (..., count)
+        Raises InputError: layers of other shapes.
         """
         got = [np.shape(layer)[-2:] for layer in layers]
         if got != list(self.shapes):
@@ -125,10 +115,7 @@ class Layout:
     def output_biases(self) -> Array:
         """Mark the biases of the output layer in a weight vector.
 
-        Returns
-        -------
-        Array, shape (count,)
-            boolean
+        Returns an array, shape (count,): boolean
         """
         marks = [np.zeros(shape, dtype=bool) for shape in self.shapes]
         marks[-1][:, -1] = True
@@ -180,14 +167,8 @@ class JointBox:
     def contains(self, q: Array) -> Array:
         """Tell for every row of joint readings whether it lies in the box.
 
-        Parameters
-        ----------
         q : Array, shape (n, joints) [rad]
-
-        Returns
-        -------
-        Array, shape (n,)
-            boolean
+        Returns an array, shape (n,): boolean
         """
         within: Array = (q >= self.lower) & (q <= self.upper)
         return np.asarray(within.all(axis=1), dtype=np.bool_)

@@ -62,20 +62,9 @@ class Network:
     def output_mm(self, q: Array) -> Array:
         """The correction for every row of q.
 
-        Parameters
-        ----------
-        q : Array
-            joint readings, shape (n, joints) or (joints,) [rad]
-
-        Returns
-        -------
-        Array, shape (n, outputs)
-            or (outputs,) [mm]
-
-        Raises
-        ------
-        InputError
-            another shape, or an angle that is not finite
+        q : joint readings, shape (n, joints) or (joints,) [rad]
+        Returns an array, shape (n, outputs): or (outputs,) [mm]
+        Raises InputError: another shape, or an angle that is not finite.
         """
         rows = joint_angles(q, self.layout.joints)
         inputs = network_inputs(self.layout, self.box, rows)
@@ -83,13 +72,7 @@ class Network:
         return np.asarray(out if np.ndim(q) == 2 else out[0], dtype=np.float64)
 
     def function(self) -> "casadi.Function":
-        """Return the CasADi function ``network:(q[joints])->(dp[outputs])``: q in radians, dp in millimetres.
-
-        Returns
-        -------
-        Function
-            CasADi function network:(q[joints] rad)->(dp[outputs] mm)
-        """
+        """Return the CasADi function ``network:(q[joints])->(dp[outputs])``: q in radians, dp in millimetres."""
         import casadi
 
         q = casadi.SX.sym("q", self.layout.joints)

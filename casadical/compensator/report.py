@@ -12,16 +12,10 @@ from casadical.core.arrays import Array
 class Errors:
     """Figures of the error lengths of a set of poses.
 
-    Parameters
-    ----------
-    poses : int
-        how many
-    mean_mm : float
-        mean [mm]
-    max_mm : float
-        maximum [mm]
-    std_mm : float
-        standard deviation of the sample, n - 1 [mm]
+    poses : how many
+    mean_mm : mean [mm]
+    max_mm : maximum [mm]
+    std_mm : standard deviation of the sample, n - 1 [mm]
     """
 
     poses: int
@@ -33,14 +27,7 @@ class Errors:
     def summarise(cls, errors_mm: Array) -> Self:
         """Summarise error vectors.
 
-        Parameters
-        ----------
         errors_mm : Array, shape (n, outputs) [mm]
-
-        Returns
-        -------
-        Self
-            figures of their lengths
         """
         length = np.linalg.norm(errors_mm, axis=1)
         spread = float(length.std(ddof=1)) if len(length) > 1 else 0.0
@@ -51,16 +38,8 @@ class Errors:
 class BeforeAfter:
     """Errors of one set of poses without and with the network, and the relative gain in the mean.
 
-    Parameters
-    ----------
-    before : Errors
-        without the network
-    after : Errors
-        with the network
-    gain : float
-        1 - mean after / mean before
-    gain_error : float
-        its standard error over the poses
+    gain : 1 - mean after / mean before
+    gain_error : its standard error over the poses
     """
 
     before: Errors
@@ -72,17 +51,9 @@ class BeforeAfter:
     def compare(cls, before_mm: Array, after_mm: Array) -> Self:
         """Compare error vectors of the same poses.
 
-        Parameters
-        ----------
-        before_mm : Array, shape (n, outputs) [mm]
-            error vectors
-        after_mm : Array, shape (n, outputs) [mm]
-            of the same poses
-
-        Returns
-        -------
-        Self
-            figures of both, and the gain
+        before_mm : Array, shape (n, outputs) [mm]: error vectors
+        after_mm : Array, shape (n, outputs) [mm]: of the same poses
+        Returns figures of both, and the gain
         """
         was, now = np.linalg.norm(before_mm, axis=1), np.linalg.norm(after_mm, axis=1)
         mean = float(was.mean())

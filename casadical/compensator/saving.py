@@ -40,18 +40,7 @@ def save_compensator(compensator: Compensator, path: str | os.PathLike[str]) -> 
 
 
 def compensator_text(compensator: Compensator) -> str:
-    """Return the text that `save_compensator` writes, for those who write several files together.
-
-    Parameters
-    ----------
-    compensator : Compensator
-        of a fit, or read
-
-    Returns
-    -------
-    str
-        JSON
-    """
+    """Return the text that `save_compensator` writes, for those who write several files together."""
     return checksummed(KIND, VERSION, _body(compensator))
 
 

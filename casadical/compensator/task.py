@@ -15,12 +15,8 @@ from casadical.core.errors import InputError
 class Loss:
     """The paper's loss l1 * mean(E) + l2 * max(E), E the mean square error of a pose's outputs [mm^2] (eqs. 12, 14).
 
-    Parameters
-    ----------
-    mean : float, default 1.0
-        l1, 1 in the paper
-    max : float, default 0.7
-        l2, 0.7 in the paper
+    mean : l1, 1 in the paper
+    max : l2, 0.7 in the paper
     """
 
     mean: float = 1.0
@@ -33,13 +29,8 @@ class Loss:
     def value(self, errors: Array) -> Array:
         """The loss of every network.
 
-        Parameters
-        ----------
         errors : Array, shape (P, outputs, N) [mm]
-
-        Returns
-        -------
-        Array, shape (P,) [mm^2]
+        Returns an array, shape (P,) [mm^2]
         """
         _, outputs, samples = errors.shape
         totals = np.einsum("pon,pon->pn", errors, errors)
@@ -49,13 +40,8 @@ class Loss:
     def slope(self, errors: Array) -> Array:
         """A (sub)gradient of the loss by the errors.
 
-        Parameters
-        ----------
         errors : Array, shape (P, outputs, N) [mm]
-
-        Returns
-        -------
-        Array, shape (P, outputs, N) [mm]
+        Returns an array, shape (P, outputs, N) [mm]
         """
         networks, outputs, samples = errors.shape
         weight = np.full((networks, samples), self.mean / samples)
@@ -68,18 +54,11 @@ class Loss:
 class Task:
     """A training problem.
 
-    Parameters
-    ----------
-    layout : Layout
-        sizes of the network
-    inputs : Array, shape (features + 1, N)
-        as of `network_inputs`
-    targets : Array, shape (outputs, N) [units of the output layer]
-        residuals divided by ``scale_mm``
-    scale_mm : float, default 1.0
-        millimetres of one unit of the output layer [mm]
-    loss : Loss, optional
-        what is minimised
+    layout : sizes of the network
+    inputs : Array, shape (features + 1, N): as of `network_inputs`
+    targets : Array, shape (outputs, N) [units of the output layer]: residuals divided by ``scale_mm``
+    scale_mm : millimetres of one unit of the output layer [mm]
+    loss : what is minimised
     """
 
     layout: Layout
@@ -91,14 +70,8 @@ class Task:
     def losses(self, weights: Array) -> Array:
         """The loss of every row of weights.
 
-        Parameters
-        ----------
-        weights : Array, shape (P, count)
-            one network a row
-
-        Returns
-        -------
-        Array, shape (P,) [mm^2]
+        weights : Array, shape (P, count): one network a row
+        Returns an array, shape (P,) [mm^2]
         """
         try:  # another thread takes memory of its own
             memory = self._idle.pop()
@@ -117,14 +90,8 @@ class Task:
     def errors_mm(self, weights: Array) -> Array:
         """Target minus output of one network (eq. 11).
 
-        Parameters
-        ----------
-        weights : Array, shape (count,)
-            of one network
-
-        Returns
-        -------
-        Array, shape (N, outputs) [mm]
+        weights : Array, shape (count,): of one network
+        Returns an array, shape (N, outputs) [mm]
         """
         outputs = forward(self.layout, weights[None], self.inputs)[0]
         return np.asarray(self.scale_mm * (self.targets - outputs).T, dtype=np.float64)
@@ -149,11 +116,6 @@ def make_task(
         millimetres of one unit of the output layer [mm]
     loss : Loss, optional
         what is minimised; None: the paper's
-
-    Returns
-    -------
-    Task
-        the training problem
 
     Raises
     ------

@@ -20,16 +20,10 @@ _KIND, _VERSION = "casadical-training-checkpoint", 1
 class Progress:
     """Where a job of several trainings stands.
 
-    Parameters
-    ----------
-    training : int
-        which one, from 1
-    trainings : int
-        how many there are
-    step : int
-        of this training
-    loss_mm2 : float
-        the paper's loss of the best weights so far [mm^2]
+    training : which one, from 1
+    trainings : how many there are
+    step : of this training
+    loss_mm2 : the paper's loss of the best weights so far [mm^2]
     """
 
     training: int
@@ -42,19 +36,12 @@ class Progress:
 class Training:
     """Outcome of one training.
 
-    Parameters
-    ----------
-    weights : Array, shape (count,), optional
-    loss_mm2 : float
-        the paper's loss (eq. 14) on the training poses [mm^2]
-    steps : int
-        how many there were
-    reasons : tuple[str, ...]
-        why it stopped
-    note : str
-        what the trainer chose
-    history : tuple[tuple[int, float], ...], optional
-        (step, loss [mm^2]) now and then
+    weights : Array, shape (count,)
+    loss_mm2 : the paper's loss (eq. 14) on the training poses [mm^2]
+    steps : how many there were
+    reasons : why it stopped
+    note : what the trainer chose
+    history : (step, loss [mm^2]) now and then
     """
 
     weights: Array = field(repr=False)
@@ -91,11 +78,6 @@ def train(
     progress : Callable[[Progress], None], optional
         as of `train_all`
 
-    Returns
-    -------
-    Training
-        weights, loss and history
-
     Examples
     --------
     >>> from casadical.compensator import JointBox, Layout, make_task, train
@@ -118,31 +100,14 @@ def train_all(
 ) -> list[Training]:
     """Train one network for each task, one after the other.
 
-    Parameters
-    ----------
-    tasks : Sequence[Task]
-        training problems
-    trainer : Trainer
-        with its settings
-    seed : int, default 0
-        of everything random
-    checkpoint : str | Path, optional
-        file to write the state to. If it exists, the job continues from it and ends with exactly the weights of an
-        uninterrupted one (on the same machine and libraries). It is kept when the job is done
-    every : int, default 50
-        steps between two calls of ``progress``, two checkpoints and two entries of the history
-    progress : Callable[[Progress], None], optional
-        called with where the job stands
-
-    Returns
-    -------
-    list[Training]
-        one outcome a task
-
-    Raises
-    ------
-    InputError
-        the checkpoint is damaged or belongs to other data, settings or seed
+    tasks : training problems
+    trainer : with its settings
+    seed : of everything random
+    checkpoint : file to write the state to. If it exists, the job continues from it and ends with exactly the weights
+        of an uninterrupted one (on the same machine and libraries). It is kept when the job is done
+    every : steps between two calls of ``progress``, two checkpoints and two entries of the history
+    progress : called with where the job stands
+    Raises InputError: the checkpoint is damaged or belongs to other data, settings or seed.
     """
     if every < 1:
         raise InputError(f"every must be at least 1 step; got {every}")

@@ -22,24 +22,14 @@ _UNIONS = {"kinematic": ("base", "geometry", "loop", "tool"), "placement": ("bas
 class Parameter:
     """One number of the model.
 
-    Parameters
-    ----------
-    name : str
-        as in the paper's tables: alpha2, a2, beta2, d3, theta3, L4, tool_x, base_rx, c3
-    group : str
-        base, geometry, loop, tool, compliance, or the name of an effect
-    unit : str
-        SI unit
-    value : float
-        nominal value [unit]
-    scale : float
-        unit of the solver's variable: 1 mm, 1 mrad [unit]
-    lower, upper : float
-        bound [unit]
-    prior : float
-        one sigma of the deviation from nominal [unit]
-    held : str, default ""
-        why it is never identified; empty if it can be
+    name : as in the paper's tables: alpha2, a2, beta2, d3, theta3, L4, tool_x, base_rx, c3
+    group : base, geometry, loop, tool, compliance, or the name of an effect
+    unit : SI unit
+    value : nominal value [unit]
+    scale : unit of the solver's variable: 1 mm, 1 mrad [unit]
+    lower, upper : bound [unit]
+    prior : one sigma of the deviation from nominal [unit]
+    held : why it is never identified; empty if it can be
     """
 
     name: str
@@ -58,33 +48,15 @@ class Parameter:
         return _READABLE.get(self.unit, (self.unit, 1.0))[0]
 
     def readable(self, value: float) -> float:
-        """A value [SI] in the unit of reports (mm, deg, urad/(N m)).
-
-        Parameters
-        ----------
-        value : float
-            in the SI unit
-
-        Returns
-        -------
-        float
-            in `readable_unit`
-        """
+        """A value [SI] in the unit of reports (mm, deg, urad/(N m))."""
         return value * _READABLE.get(self.unit, (self.unit, 1.0))[1]
 
 
 class Parameters(Sequence[Parameter]):
     """An ordered, immutable set of parameters with unique names.
 
-    Parameters
-    ----------
-    items : Iterable[Parameter]
-        in model order
-
-    Raises
-    ------
-    InputError
-        two of one name
+    items : in model order
+    Raises InputError: two of one name.
     """
 
     def __init__(self, items: Iterable[Parameter]) -> None:
@@ -106,20 +78,7 @@ class Parameters(Sequence[Parameter]):
     def index_of(self, name: str) -> int:
         """Place of a parameter in the list.
 
-        Parameters
-        ----------
-        name : str
-            of the parameter
-
-        Returns
-        -------
-        int
-            from 0
-
-        Raises
-        ------
-        InputError
-            no such name; those that there are
+        Raises InputError: no such name; those that there are.
         """
         if name not in self._index:
             raise InputError(f"no parameter {name!r}; there are {', '.join(self.names)}")
@@ -143,20 +102,8 @@ class Parameters(Sequence[Parameter]):
     def select(self, wanted: Iterable[str]) -> tuple[str, ...]:
         """Names chosen by group, union of groups (kinematic, placement), name, or pattern with * - in model order.
 
-        Parameters
-        ----------
-        wanted : Iterable[str]
-            groups, unions, names or patterns
-
-        Returns
-        -------
-        tuple[str, ...]
-            names, in model order
-
-        Raises
-        ------
-        InputError
-            a word that chooses nothing
+        wanted : groups, unions, names or patterns
+        Raises InputError: a word that chooses nothing.
         """
         chosen: set[str] = set()
         for word in [wanted] if isinstance(wanted, str) else wanted:
@@ -173,20 +120,8 @@ class Parameters(Sequence[Parameter]):
     def with_values(self, values: dict[str, float]) -> Parameters:
         """The same parameters with other nominal values.
 
-        Parameters
-        ----------
-        values : dict[str, float]
-            parameter name -> value [SI]
-
-        Returns
-        -------
-        Parameters
-            with these values
-
-        Raises
-        ------
-        InputError
-            no such name, or a value that is not finite
+        values : parameter name -> value [SI]
+        Raises InputError: no such name, or a value that is not finite.
         """
         for name in values:
             self.index_of(name)

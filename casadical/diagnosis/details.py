@@ -26,28 +26,16 @@ NEXT = 15
 class Details:
     """What a report of a diagnosis shows besides the diagnosis; None for what was not computed.
 
-    Parameters
-    ----------
-    where : Localisation, optional
-        see `localise`
-    isolability : Isolability, optional
-        see `isolability`
-    unlisted : Unlisted, optional
-        see `describe_unlisted`
-    check : Check, optional
-        see `check_refit`
-    networks : tuple[NetworkGap, NetworkGap], optional
-        see `network_gaps`
-    curves : Spectrum, optional
-        see `spectrum`
-    laws : Discovery, optional
-        see `casadical.discover`; where the verdict is unknown, or it was asked for
-    poses : DataFrame, optional
-        see `next_poses`
-    file : str, default ""
-        name of the file that they are written to, if they are
-    ruled_out : Mapping[str, Sequence[str]], optional
-        causes that are not there: multiple of their usual size -> labels (see `casadical.diagnosis.limits`)
+    where : see `localise`
+    isolability : see `isolability`
+    unlisted : see `describe_unlisted`
+    check : see `check_refit`
+    networks : see `network_gaps`
+    curves : see `spectrum`
+    laws : see `casadical.discover`; where the verdict is unknown, or it was asked for
+    poses : see `next_poses`
+    file : name of the file that they are written to, if they are
+    ruled_out : causes that are not there: multiple of their usual size -> labels (see `casadical.diagnosis.limits`)
     """
 
     where: Localisation | None = None
@@ -93,11 +81,6 @@ def analyse(
         name of the file that the next poses are written to, for the page
     show : Show, optional
         called with a line of progress
-
-    Returns
-    -------
-    Details
-        what was computed
 
     Raises
     ------

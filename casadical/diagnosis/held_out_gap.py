@@ -93,13 +93,6 @@ def _rooted(square: Array, pick: Array) -> tuple[float, float, float]:
 class Check:
     """Held-out gap of the refit, each fifth of the poses predicted by a refit to the others, and that of the linearised
     model on the same fifths, mean [m].
-
-    Parameters
-    ----------
-    refit : float
-        held-out gap of the refit, mean [m]
-    linearised : float
-        that of the linearised model on the same fifths, mean [m]
     """
 
     refit: float
@@ -114,22 +107,9 @@ class Check:
 def check_refit(found: Diagnosis, show: Show = silent) -> Check:
     """Held-out gap of the nonlinear refit beside that of the linearised model.
 
-    Parameters
-    ----------
-    found : Diagnosis
-        a diagnosis
-    show : Show, optional
-        called with a line of progress
-
-    Returns
-    -------
-    Check
-        both gaps
-
-    Raises
-    ------
-    ConvergenceError
-        Ipopt finds no optimum
+    found : a diagnosis
+    show : called with a line of progress
+    Raises ConvergenceError: Ipopt finds no optimum.
     """
     case, effects = found.case, found.effects()
     folds = random_folds(int(case.kept.sum()), found.seed, alike=case.evidence.alike)
@@ -151,16 +131,10 @@ def check_refit(found: Diagnosis, show: Show = silent) -> Check:
 class NetworkGap:
     """Mean held-out error [m] of a model, and of the model with a network trained on what it leaves of the same poses.
 
-    Parameters
-    ----------
-    before : float
-        of the model alone, on the same fifths, mean [m]
-    used : float
-        with the network where the training poses said that it helps, mean [m]
-    forced : float
-        with the network in any case, mean [m]
-    refused : int
-        in how many of the five trainings it was refused
+    before : of the model alone, on the same fifths, mean [m]
+    used : with the network where the training poses said that it helps, mean [m]
+    forced : with the network in any case, mean [m]
+    refused : in how many of the five trainings it was refused
     """
 
     before: float
@@ -172,19 +146,9 @@ class NetworkGap:
 def network_gaps(found: Diagnosis, trainer: Trainer | str = "lm", show: Show = silent) -> tuple[NetworkGap, NetworkGap]:
     """The gap when the paper's network is used instead of the causes, and on what the causes leave.
 
-    Parameters
-    ----------
-    found : Diagnosis
-        a diagnosis
-    trainer : Trainer | str, default "lm"
-        one of `known_trainers` by its name, or one with its settings
-    show : Show, optional
-        called with a line of progress
-
-    Returns
-    -------
-    tuple[NetworkGap, NetworkGap]
-        instead of the causes, and on what they leave
+    found : a diagnosis
+    trainer : one of `known_trainers` by its name, or one with its settings
+    show : called with a line of progress
     """
     none = np.zeros(0, dtype=np.int64), found.rankings[0].noise[""]
     first, second = (

@@ -57,16 +57,11 @@ NOTES = (
 class Isolability:
     """What a design can tell, at the effects' realistic sizes.
 
-    Parameters
-    ----------
-    effects : DataFrame
-        a row per candidate (index: label): size_mm, its rms over the poses; absorbed, the share of that signal's
+    effects : a row per candidate (index: label): size_mm, its rms over the poses; absorbed, the share of that signal's
         energy that the base model takes over; visible_mm, the rms of the rest; visible_to_noise, per coordinate in
         units of the noise; findable_from, the multiple of its realistic size from which it is found nine times in ten
-    alike : DataFrame
-        share of the visible signal of each candidate (row) that another one (column) reproduces, 0 to 1
-    missing : dict[str, tuple[str, ...]]
-        label -> columns that would have to be logged
+    alike : share of the visible signal of each candidate (row) that another one (column) reproduces, 0 to 1
+    missing : label -> columns that would have to be logged
     """
 
     effects: pd.DataFrame
@@ -74,20 +69,7 @@ class Isolability:
     missing: dict[str, tuple[str, ...]]
 
     def rivals(self, label: str, above: float = 0.5) -> dict[str, float]:
-        """Candidates that reproduce more than a share of a candidate's visible signal, the worst first.
-
-        Parameters
-        ----------
-        label : str
-            of the candidate
-        above : float, default 0.5
-            least share of its visible signal
-
-        Returns
-        -------
-        dict[str, float]
-            label -> share, the largest first
-        """
+        """Candidates that reproduce more than a share of a candidate's visible signal, the worst first."""
         shares = zip(self.alike.columns, self.alike.loc[label].to_numpy(), strict=True)
         found = [(str(k), float(v)) for k, v in shares if k != label and v > above]
         return dict(sorted(found, key=lambda rival: -rival[1]))

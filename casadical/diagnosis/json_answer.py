@@ -23,19 +23,9 @@ from casadical.robot.robot_file import to_toml
 def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[str, Any]:
     """The answer in the campaigns' format; lengths in mm, readable by any tool.
 
-    Parameters
-    ----------
-    d : Diagnosis
-        a diagnosis
-    campaign : str
-        its name
-    more : Details, optional
-        what `analyse` computed; what was not computed is left out
-
-    Returns
-    -------
-    dict[str, Any]
-        plain data; lengths in mm
+    d : a diagnosis
+    campaign : its name
+    more : what `analyse` computed; what was not computed is left out
     """
     more = more or Details()
     poses = pd.DataFrame() if more.poses is None else more.poses
@@ -80,28 +70,12 @@ def diagnosis_files(
 ) -> dict[Path, str]:
     """What `casadical diagnose --out` writes, by file: the robot with its causes, all figures, and the page.
 
-    Parameters
-    ----------
-    folder : str | Path
-        where they are to be
-    found : Diagnosis
-        a diagnosis
-    more : Details
-        what `analyse` computed
-    name : str
-        of the campaign
-    unlisted : bool, default False
-        whether the description of the unknown, where there is one, is in the robot's model, too
-
-    Returns
-    -------
-    dict[Path, str]
-        path -> text
-
-    Raises
-    ------
-    ConvergenceError
-        Ipopt finds no optimum of the refit
+    folder : where they are to be
+    found : a diagnosis
+    more : what `analyse` computed
+    name : of the campaign
+    unlisted : whether the description of the unknown, where there is one, is in the robot's model, too
+    Raises ConvergenceError: Ipopt finds no optimum of the refit.
     """
     folder = Path(folder)
     refit = found.refit(unlisted=more.unlisted if unlisted else None)

@@ -28,27 +28,17 @@ BINS = ("by", "part", "poses", "share", "low", "high", "rms_mm", "rms_low_mm", "
 class Localisation:
     """Where the gap that the base model leaves lies; a table each, empty where a column was not logged.
 
-    Parameters
-    ----------
-    joints : DataFrame
-        columns part, share, low, high, rms_mm: joints whose smooth errors would account for the gap, the rest as
+    joints : columns part, share, low, high, rms_mm: joints whose smooth errors would account for the gap, the rest as
         "elsewhere"; shares sum to one, intervals are those of the fit
-    links : DataFrame
-        the same of base, links and tool, and of the instrument where a cause is in it
-    directions : DataFrame
-        the same with column frame: base (x, y, z), axis (radial, tangential, vertical about joint 1), tool (x, y, z);
-        each frame sums to one, noise included; intervals by bootstrap over poses, as in all that follow
-    regions : DataFrame
-        columns by, part, poses, share (of the squared error), low, high, rms_mm (of the distance), rms_low_mm,
+    links : the same of base, links and tool, and of the instrument where a cause is in it
+    directions : the same with column frame: base (x, y, z), axis (radial, tangential, vertical about joint 1), tool (x,
+        y, z); each frame sums to one, noise included; intervals by bootstrap over poses, as in all that follow
+    regions : columns by, part, poses, share (of the squared error), low, high, rms_mm (of the distance), rms_low_mm,
         rms_high_mm, of the poses that fall in each part of the ranges
-    payload : DataFrame
-        the same by payload
-    temperature : DataFrame
-        the same by temperature
-    time : DataFrame
-        the same by time
-    approach : DataFrame
-        the same by the direction from which a joint came
+    payload : the same by payload
+    temperature : the same by temperature
+    time : the same by time
+    approach : the same by the direction from which a joint came
     """
 
     joints: pd.DataFrame
@@ -61,13 +51,7 @@ class Localisation:
     approach: pd.DataFrame
 
     def tables(self) -> Iterator[tuple[str, pd.DataFrame]]:
-        """Name and table of each that is not empty.
-
-        Returns
-        -------
-        Iterator[tuple[str, DataFrame]]
-            (name, table) of each
-        """
+        """Name and table of each that is not empty."""
         for f in fields(self):
             table = getattr(self, f.name)
             if len(table):
@@ -83,18 +67,7 @@ class Localisation:
 
 
 def localise(found: Diagnosis) -> Localisation:
-    """Where the gap of a diagnosis' base model lies: by joint, link, direction, region and circumstances.
-
-    Parameters
-    ----------
-    found : Diagnosis
-        a diagnosis
-
-    Returns
-    -------
-    Localisation
-        shares of the gap
-    """
+    """Where the gap of a diagnosis' base model lies: by joint, link, direction, region and circumstances."""
     faults = [e for c in found.causes if c.of_instrument for e in c.effects]
     return localise_residual(found.case, found.noise, found.seed, faults)
 

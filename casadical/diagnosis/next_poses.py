@@ -73,11 +73,6 @@ def next_poses(
     pool : int, default POOL
         how many poses are drawn to choose from; the campaign's own are added
 
-    Returns
-    -------
-    DataFrame
-        one row a pose
-
     Raises
     ------
     InputError

@@ -38,16 +38,10 @@ class Gap:
 
     A page shows kept, after and floor.
 
-    Parameters
-    ----------
-    before : float
-        of the base model, the outliers counted where they are named as a cause; else the same as kept
-    after : float
-        with the causes, of the same poses
-    floor : float
-        what noise alone would leave
-    kept : float
-        of the base model, outliers left out, over the same partitions into fifths
+    before : of the base model, the outliers counted where they are named as a cause; else the same as kept
+    after : with the causes, of the same poses
+    floor : what noise alone would leave
+    kept : of the base model, outliers left out, over the same partitions into fifths
     """
 
     before: float
@@ -145,22 +139,13 @@ class Change:
 class Unlisted:
     """Forms that describe the unknown (see `describe_unlisted`); they name no cause.
 
-    Parameters
-    ----------
-    labels : tuple[str, ...]
-        what the forms are, of listed effects too
-    effects : tuple[Effect, ...]
-        the same as effects of the model
-    before : float
-        mean held-out gap with the named causes [m]
-    after : float
-        the same with these forms too [m]
-    shrink : float
-        share by which it falls
-    shrink_interval : tuple[float, float]
-        of `shrink`, 95 %
-    beside : Ranking, optional
-        what is most probable beside these forms
+    labels : what the forms are, of listed effects too
+    effects : the same as effects of the model
+    before : mean held-out gap with the named causes [m]
+    after : the same with these forms too [m]
+    shrink : share by which it falls
+    shrink_interval : of `shrink`, 95 %
+    beside : what is most probable beside these forms
     """
 
     labels: tuple[str, ...]
@@ -283,42 +268,14 @@ class Diagnosis:
         return tuple(order[:2]) if self.verdict in ("ambiguous", "unknown") and not certain else ()
 
     def effects(self, top: int | None = None, unlisted: Unlisted | None = None) -> tuple[Effect, ...]:
-        """Effects of the first `top` causes (all by default), with their most likely settings.
-
-        Parameters
-        ----------
-        top : int, optional
-            number of causes, the first ones; None: all
-        unlisted : Unlisted, optional
-            a description of the unknown, whose forms are added
-
-        Returns
-        -------
-        tuple[Effect, ...]
-            effects, as a robot's model takes them
-        """
+        """Effects of the first `top` causes (all by default), with their most likely settings."""
         named = tuple(e for c in self.causes[:top] for e in c.effects)
         return (*named, *unlisted.effects) if unlisted else named
 
     def refit(self, top: int | None = None, unlisted: Unlisted | None = None) -> Identification:
         """Base model and these effects identified together by Ipopt, with standard errors.
 
-        Parameters
-        ----------
-        top : int, optional
-            as of `effects`
-        unlisted : Unlisted, optional
-            as of `effects`
-
-        Returns
-        -------
-        Identification
-            values of the effects among the parameters, with standard errors
-
-        Raises
-        ------
-        ConvergenceError
-            Ipopt finds no optimum
+        Raises ConvergenceError: Ipopt finds no optimum.
         """
         from casadical.diagnosis.refit import refit
 
@@ -327,22 +284,7 @@ class Diagnosis:
     def apply(self, top: int | None = None, unlisted: Unlisted | None = None) -> Robot:
         """The calibrated robot with these effects in its model (see `refit`): it predicts, and is exported, as any.
 
-        Parameters
-        ----------
-        top : int, optional
-            as of `effects`
-        unlisted : Unlisted, optional
-            as of `effects`
-
-        Returns
-        -------
-        Robot
-            a robot that predicts, and can be written and exported
-
-        Raises
-        ------
-        ConvergenceError
-            Ipopt finds no optimum
+        Raises ConvergenceError: Ipopt finds no optimum.
         """
         return self.refit(top, unlisted).robot
 

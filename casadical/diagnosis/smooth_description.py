@@ -23,15 +23,8 @@ def describe_unlisted(found: Diagnosis) -> Unlisted | None:
 
     Forms are added one by one, the first of them on no list, each compared again with the others; None without one.
 
-    Parameters
-    ----------
-    found : Diagnosis
-        a diagnosis
-
-    Returns
-    -------
-    Unlisted | None
-        forms, with the gap before and after; None where there is nothing to describe
+    found : a diagnosis
+    Returns forms, with the gap before and after; None where there is nothing to describe
     """
     if found.verdict != "unknown":
         return None

@@ -61,12 +61,7 @@ class JointCurve:
 class Spectrum:
     """Curves and lines of all joints in their order; orders : highest harmonic of the curves.
 
-    Parameters
-    ----------
-    joints : tuple[JointCurve, ...]
-        curve and lines of each
-    orders : int
-        highest harmonic of the curves
+    joints : curve and lines of each
     """
 
     joints: tuple[JointCurve, ...]
@@ -82,23 +77,9 @@ class Spectrum:
 def spectrum(found: Diagnosis, highest: float | None = None) -> Spectrum:
     """The curves and lines of a diagnosis that names joint_error_curve.
 
-    Parameters
-    ----------
-    found : Diagnosis
-        a diagnosis
-    highest : float, optional
-        up to which frequency lines are looked for [cycles a turn]; the curves' highest harmonic by default. Beyond
-        that, a line need not stand out of the curve, only of the noise
-
-    Returns
-    -------
-    Spectrum
-        curve and lines of each joint
-
-    Raises
-    ------
-    InputError
-        where no joint_error_curve is among the causes, and for a frequency that cannot be
+    highest : up to which frequency lines are looked for [cycles a turn]; the curves' highest harmonic by default.
+        Beyond that, a line need not stand out of the curve, only of the noise
+    Raises InputError: where no joint_error_curve is among the causes, and for a frequency that cannot be.
     """
     effect = curve_of(found.causes)
     if highest is not None and not 1 <= highest <= MOST:

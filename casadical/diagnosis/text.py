@@ -55,11 +55,6 @@ def page_of(d: Diagnosis, more: Details | None = None) -> str:
     more : Details, optional
         what `analyse` computed; None: what the diagnosis alone tells
 
-    Returns
-    -------
-    str
-        lines of text
-
     Examples
     --------
     >>> print(casadical.diagnosis.page_of(diagnosis).splitlines()[0])

@@ -101,11 +101,6 @@ class Effect:
         ----------
         arm : Arm
             rows, loops, loads and limits of a robot; a `Robot` is one
-
-        Returns
-        -------
-        Iterable[Effect]
-            candidates of the diagnosis
         """
         place = cls.acts_at or ("arm" if cls.angle is Effect.angle else "joints")
         rigid = [j for j in arm.numbers if not arm.joints[j - 1].compliance]
@@ -124,64 +119,27 @@ class Effect:
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterable[tuple[Effect, ...]]:
-        """The candidates, those together that act together; by default each alone.
-
-        Parameters
-        ----------
-        arm : Arm
-            rows, loops, loads and limits of a robot; a `Robot` is one
-
-        Returns
-        -------
-        Iterable[tuple[Effect, ...]]
-            groups that are judged as one candidate
-        """
+        """The candidates, those together that act together; by default each alone."""
         return ((effect,) for effect in cls.candidates(arm))
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Effect:
         """The effect that `to_dict` wrote; settings that are not given have their defaults.
 
-        Parameters
-        ----------
-        data : Mapping[str, Any]
-            as of `to_dict`
-
-        Returns
-        -------
-        Effect
-            the effect
-
-        Raises
-        ------
-        InputError
-            a setting that does not exist, or is no number
+        Raises InputError: a setting that does not exist, or is no number.
         """
         return cls(data.get("joint"), **checked_settings(cls, data.get("settings", {})))
 
     def to_dict(self) -> dict[str, Any]:
-        """Name, joint where it has one, and settings where there are any, as plain data.
-
-        Returns
-        -------
-        dict[str, Any]
-            plain data, to be written as JSON or TOML
-        """
+        """Name, joint where it has one, and settings where there are any, as plain data."""
         whole = {"name": self.name, "joint": self.joint, "settings": settings_of(self)}
         return {key: value for key, value in whole.items() if value not in (None, {})}
 
     def refuse_joints(self, arm: Arm) -> None:
         """Refuse the number of a joint that the arm does not have.
 
-        Parameters
-        ----------
-        arm : Arm
-            rows, loops, loads and limits of a robot; a `Robot` is one
-
-        Raises
-        ------
-        InputError
-            the arm has no joint of this number
+        arm : rows, loops, loads and limits of a robot; a `Robot` is one
+        Raises InputError: the arm has no joint of this number.
         """
         for f in fields(self):
             number = getattr(self, f.name)
@@ -204,23 +162,11 @@ class Effect:
         return ()
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Its parameters: name -> (realistic size, one sigma; unit), by default `size`. Zero must mean: no effect.
-
-        Returns
-        -------
-        Mapping[str, tuple[float, str]]
-            name -> (one sigma, unit)
-        """
+        """Its parameters: name -> (realistic size, one sigma; unit), by default `size`. Zero must mean: no effect."""
         return self.size
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Its parameters, named label.name, without bounds that matter and with a prior that hardly holds them back.
-
-        Returns
-        -------
-        tuple[Parameter, ...]
-            one for each of `sizes`
-        """
+        """Its parameters, named label.name, without bounds that matter and with a prior that hardly holds them back."""
         return tuple(
             Parameter(f"{self.label}.{name}", self.label, unit, 0.0, size, -1e3 * size, 1e3 * size, self.held * size)
             for name, (size, unit) in self.sizes().items()
@@ -229,31 +175,12 @@ class Effect:
     def own_values(self, values: Mapping[str, float]) -> dict[str, float]:
         """Values of its parameters [SI] by their short names, out of those of a model; zero where there is none.
 
-        Parameters
-        ----------
-        values : Mapping[str, float]
-            parameter name -> value [SI], of the whole model
-
-        Returns
-        -------
-        dict[str, float]
-            short name -> value [SI]
+        values : parameter name -> value [SI], of the whole model
         """
         return {name: values.get(f"{self.label}.{name}", 0.0) for name in self.sizes()}
 
     def for_poses(self, count: int) -> Self:
-        """The effect as it is judged in a campaign of so many poses.
-
-        Parameters
-        ----------
-        count : int
-            number of poses
-
-        Returns
-        -------
-        Self
-            by default the effect itself
-        """
+        """The effect as it is judged in a campaign of so many poses."""
         return self
 
     @property
@@ -262,18 +189,7 @@ class Effect:
         return {}
 
     def with_sizes(self, factors: Mapping[int, float]) -> Self:
-        """The effect with the prior size of each part times a factor; factors : by part.
-
-        Parameters
-        ----------
-        factors : Mapping[int, float]
-            part -> factor on its prior size
-
-        Returns
-        -------
-        Self
-            by default the effect itself
-        """
+        """The effect with the prior size of each part times a factor; factors : by part."""
         if factors:
             raise NotImplementedError(f"{self.label} has no parts whose size is learnt")
         return self
@@ -284,49 +200,18 @@ class Effect:
         return ()
 
     def value(self, context: Context, name: str) -> Symbolic:
-        """The symbol of one of its parameters.
-
-        Parameters
-        ----------
-        context : Context
-            what the model gives
-        name : str
-            short name, as of `sizes`
-
-        Returns
-        -------
-        Symbolic
-            a CasADi symbol [unit of the parameter]
-        """
+        """The symbol of one of its parameters."""
         return context.values[f"{self.label}.{name}"]
 
     def energy(self, context: Context) -> Symbolic:
-        """Potential energy that it adds [J].
-
-        Parameters
-        ----------
-        context : Context
-            what the model gives
-
-        Returns
-        -------
-        Symbolic
-            potential energy [J]; zero by default
-        """
+        """Potential energy that it adds [J]."""
         return 0.0
 
     def joint_angle(self, context: Context) -> Symbolic:
         """What it adds to the joint variables, shape (n,) [rad or m]; by default `angle`, at its own joint.
 
-        Parameters
-        ----------
-        context : Context
-            what the model gives
-
-        Returns
-        -------
-        Symbolic, shape (n,) [rad or m]
-            added to the joint variables
+        context : what the model gives
+        Returns Symbolic, shape (n,) [rad or m]: added to the joint variables
         """
         moved = ca.SX.zeros(context.arm.n)
         if self.joint is not None:
@@ -336,98 +221,43 @@ class Effect:
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
         """What it adds to its own joint, whose reading is q [rad or m].
 
-        Parameters
-        ----------
-        context : Context
-            what the model gives
-        q : Symbolic
-            the joint's own reading [rad or m]
-
-        Returns
-        -------
-        Symbolic
-            added to this joint's variable [rad or m]; zero by default
+        q : the joint's own reading [rad or m]
         """
         return 0.0
 
     def link(self, number: int, context: Context) -> Symbolic:
         """Transform (4, 4) behind link `number` (1-based), in that link's frame.
 
-        Parameters
-        ----------
-        number : int
-            of the link, 1-based
-        context : Context
-            what the model gives
-
-        Returns
-        -------
-        Symbolic, shape (4, 4) [m]
-            the identity by default
+        Returns Symbolic, shape (4, 4) [m]: the identity by default
         """
         return ca.SX.eye(4)
 
     def base(self, context: Context) -> Symbolic:
         """Transform (4, 4) of the robot's foot, in the base frame.
 
-        Parameters
-        ----------
-        context : Context
-            what the model gives
-
-        Returns
-        -------
-        Symbolic, shape (4, 4) [m]
-            the identity by default
+        Returns Symbolic, shape (4, 4) [m]: the identity by default
         """
         return ca.SX.eye(4)
 
     def tool(self, context: Context) -> Symbolic:
         """Transform (4, 4) in front of the tool, in the flange frame.
 
-        Parameters
-        ----------
-        context : Context
-            what the model gives
-
-        Returns
-        -------
-        Symbolic, shape (4, 4) [m]
-            the identity by default
+        Returns Symbolic, shape (4, 4) [m]: the identity by default
         """
         return ca.SX.eye(4)
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
         """The measured point, shape (3,) [m], as the instrument reports it.
 
-        Parameters
-        ----------
-        point : Symbolic, shape (3,) [m]
-            measured point
-        context : Context
-            what the model gives
-
-        Returns
-        -------
-        Symbolic, shape (3,) [m]
-            the point as reported
+        point : Symbolic, shape (3,) [m]: measured point
+        Returns Symbolic, shape (3,) [m]: the point as reported
         """
         return point
 
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
         """What a simulator has in its place, besides what it has for others; v : its values (see `own_values`).
 
-        Parameters
-        ----------
-        simulator : Counterparts
-            what was collected of other effects
-        v : Mapping[str, float]
-            its values by short name [SI], see `own_values`
-
-        Returns
-        -------
-        Counterparts
-            the same with its own part
+        v : its values by short name [SI], see `own_values`
         """
         why = "an effect of the measurement, not of the robot" if self.of_measurement else "no counterpart in MuJoCo"
         return simulator.without(self.label, why)

@@ -60,18 +60,7 @@ class Context:
     torque: Symbolic = None
 
     def load(self, joint: int | None) -> Symbolic:
-        """Gravity torque on a joint (1-based) as a share of its great torques.
-
-        Parameters
-        ----------
-        joint : int | None
-            1-based
-
-        Returns
-        -------
-        Symbolic
-            one number, without unit
-        """
+        """Gravity torque on a joint (1-based) as a share of its great torques."""
         assert joint is not None
         return self.torque[joint - 1] / self.torque_scale[joint - 1]
 
@@ -108,16 +97,6 @@ class Context:
         """The greatest great torque of the turning joints (1-based) from the first to the last [N m].
 
         Where none of them turns, of all of them [N]: moments and forces are not compared.
-
-        Parameters
-        ----------
-        first, last : int
-            joint, 1-based
-
-        Returns
-        -------
-        Symbolic
-            one number [N m or N]
         """
         there = range(first, last + 1)
         turning = [j for j in there if j in self.arm.revolute] or there

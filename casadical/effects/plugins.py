@@ -27,22 +27,9 @@ def known_effects() -> Mapping[str, type[Effect]]:
 def find_effect(name: str, own: Iterable[type[Effect]] = ()) -> type[Effect]:
     """The effect of a name.
 
-    Parameters
-    ----------
-    name : str
-        as in the table of docs/diagnosis.md
-    own : Iterable[type[Effect]], default ()
-        classes that count besides
-
-    Returns
-    -------
-    type[Effect]
-        its class
-
-    Raises
-    ------
-    InputError
-        no such effect; those that there are
+    name : as in the table of docs/diagnosis.md
+    own : classes that count besides
+    Raises InputError: no such effect; those that there are.
     """
     known = {**known_effects(), **{kind.name: kind for kind in own}}
     if name not in known:

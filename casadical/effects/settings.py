@@ -44,11 +44,6 @@ def setting(
     joint : bool, default False
         whether it is the number of a joint
 
-    Returns
-    -------
-    Any
-        a field of a dataclass
-
     Examples
     --------
     >>> @dataclass(frozen=True)

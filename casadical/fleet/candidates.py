@@ -41,20 +41,12 @@ SEASONAL = frozenset({"lengths"})
 class Candidate:
     """One thing that may change in a robot.
 
-    Parameters
-    ----------
-    kind : str
-        joint_zero, joint_stiffness, joint_curve, gear, link, loop, lengths, tool, foot, effect or another_robot
-    joint : int | None
-        of a joint or four-bar, 1-based
-    names : tuple[str, ...]
-        parameters that change
-    columns : Array, shape (p, m)
-        how they move the p shared parameters, in units of their scale
-    sizes : Array, shape (m,)
-        usual sizes of the columns
-    effect : str, default ""
-        label of an effect of the robot file
+    kind : joint_zero, joint_stiffness, joint_curve, gear, link, loop, lengths, tool, foot, effect or another_robot
+    joint : of a joint or four-bar, 1-based
+    names : parameters that change
+    columns : Array, shape (p, m): how they move the p shared parameters, in units of their scale
+    sizes : Array, shape (m,): usual sizes of the columns
+    effect : label of an effect of the robot file
     """
 
     kind: str

@@ -49,16 +49,9 @@ NOT_SEEN = "not below 30 times its usual size"
 class Amount:
     """How far one parameter moved.
 
-    Parameters
-    ----------
-    name : str
-        of the parameter
-    value : float
-        change; of a drift, in a year or in 12 campaigns [unit]
-    std_error : float
-        of the change [unit]
-    unit : str
-        of reports: mm, deg, urad/(N m)
+    value : change; of a drift, in a year or in 12 campaigns [unit]
+    std_error : of the change [unit]
+    unit : of reports: mm, deg, urad/(N m)
     """
 
     name: str
@@ -71,16 +64,10 @@ class Amount:
 class Rival:
     """One cause that explains a change.
 
-    Parameters
-    ----------
-    label : str
-        of the cause, as joint_zero@2
-    course : {"jump", "drift", "season", "once"}
-        how it goes on, the most probable
-    since : int
-        first campaign that shows it, from 0
-    probability : float
-        of the cause, if something changed
+    label : of the cause, as joint_zero@2
+    course : how it goes on, the most probable
+    since : first campaign that shows it, from 0
+    probability : of the cause, if something changed
     """
 
     label: str
@@ -93,28 +80,17 @@ class Rival:
 class Change:
     """One change between campaigns.
 
-    Parameters
-    ----------
-    cause : Candidate
-        the most probable one
-    course : {"jump", "drift", "season", "once"}
-        how it goes on
-    since : int
-        first campaign that shows it, from 0
-    between : tuple[int, int]
-        first and last campaign at which it may have begun, with 95 % probability
-    probability : float
-        of the cause, if something changed
-    p_course : float
-        of the course, given the cause
-    log_odds : float
-        of the data with some change against none
-    rivals : tuple[Rival, ...]
-        causes in the order of their probability, the first one included
-    amounts : tuple[Amount, ...]
-        how far each parameter moved
-    course_of : Array, shape (n, 2)
-        what each campaign alone says of the size, in units of the whole change, with standard error
+    cause : the most probable one
+    course : how it goes on
+    since : first campaign that shows it, from 0
+    between : first and last campaign at which it may have begun, with 95 % probability
+    probability : of the cause, if something changed
+    p_course : of the course, given the cause
+    log_odds : of the data with some change against none
+    rivals : causes in the order of their probability, the first one included
+    amounts : how far each parameter moved
+    course_of : Array, shape (n, 2): what each campaign alone says of the size, in units of the whole change, with
+        standard error
     """
 
     cause: Candidate

@@ -74,26 +74,12 @@ def compare(
 ) -> Comparison:
     """What changed in a robot over two or more campaigns.
 
-    Parameters
-    ----------
-    campaigns : Sequence[Estimate]
-        in the order of time
-    same_tool : bool, default False
-        whether the same point of the same tool was measured, so that a moved one is a change
-    same_frame : bool, default False
-        whether all positions are in one frame, so that a moved foot is a change
-    notes : Iterable[str], optional
-        what a reader must know of the campaigns
-
-    Returns
-    -------
-    Comparison
-        changes, each with its cause, time, size and probability
-
-    Raises
-    ------
-    InputError
-        fewer than two campaigns, or of robots that cannot be the same one
+    campaigns : in the order of time
+    same_tool : whether the same point of the same tool was measured, so that a moved one is a change
+    same_frame : whether all positions are in one frame, so that a moved foot is a change
+    notes : what a reader must know of the campaigns
+    Returns changes, each with its cause, time, size and probability
+    Raises InputError: fewer than two campaigns, or of robots that cannot be the same one.
     """
     if len(campaigns) < 2:
         raise InputError(f"{len(campaigns)} campaign; a comparison needs two or more")

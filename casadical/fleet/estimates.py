@@ -38,38 +38,22 @@ MANY = 1000
 class Estimate:
     """What one campaign tells of a robot's parameters.
 
-    Parameters
-    ----------
-    robot : Robot
-        as the campaign found it, with harmonics of zero size
-    names : tuple[str, ...]
-        parameters that are not known exactly, base and tool among them, k of them
-    values : Array, shape (k,) [SI]
-        about which it is a parabola
-    information : Array, shape (k, k)
-        in units of each parameter's scale
-    score : Array, shape (k,)
-        slope of the log likelihood at the values
-    spread : Array, shape (k,)
-        one sigma before the data, in units of the scale; of the harmonics as the residuals show it
-    label : str
-        of the campaign
-    day : float, optional
-        when it was measured [d]
-    poses : int, default 0
-        how many were used
-    sigma : float, optional
-        of a coordinate that nothing explains [m]; None of a robot file
-    misfit : float, default 1.0
-        how many times wider than independent noise says
-    notes : tuple[str, ...], default ()
-        what was assumed
-    readings : Array, shape (n, 2), optional
-        range of each joint in which nine of ten poses lie; of a robot file, in which all do [rad or m]
-    fit : WideFit, optional
-        by which other campaigns may tell of its noise; None of a robot file, and of more poses than `MANY`
-    freedom : float, optional
-        degrees of freedom of sigma
+    robot : as the campaign found it, with harmonics of zero size
+    names : parameters that are not known exactly, base and tool among them, k of them
+    values : Array, shape (k,) [SI]: about which it is a parabola
+    information : Array, shape (k, k): in units of each parameter's scale
+    score : Array, shape (k,): slope of the log likelihood at the values
+    spread : Array, shape (k,): one sigma before the data, in units of the scale; of the harmonics as the residuals show
+        it
+    day : when it was measured [d]
+    poses : how many were used
+    sigma : of a coordinate that nothing explains [m]; None of a robot file
+    misfit : how many times wider than independent noise says
+    notes : what was assumed
+    readings : Array, shape (n, 2): range of each joint in which nine of ten poses lie; of a robot file, in which all do
+        [rad or m]
+    fit : by which other campaigns may tell of its noise; None of a robot file, and of more poses than `MANY`
+    freedom : degrees of freedom of sigma
     """
 
     robot: Robot
@@ -105,17 +89,9 @@ class Estimate:
     def about(self, names: tuple[str, ...], values: Array) -> tuple[Array, Array]:
         """Information and score of some parameters at other values, all others fitted again with wide priors.
 
-        Parameters
-        ----------
-        names : tuple[str, ...]
-            the parameters, p of them
-        values : Array, shape (p,) [SI]
-            at which the score is taken
-
-        Returns
-        -------
-        tuple[Array, Array]
-            information, shape (p, p), and score, shape (p,), in units of the scale
+        names : the parameters, p of them
+        values : Array, shape (p,) [SI]: at which the score is taken
+        Returns information, shape (p, p), and score, shape (p,), in units of the scale
         """
         place = {name: k for k, name in enumerate(self.names)}
         kept = np.array([place[n] for n in names])
@@ -140,26 +116,11 @@ def estimate(
 ) -> Estimate:
     """What measurements of any kind tell of all parameters.
 
-    Parameters
-    ----------
-    campaign : Identification | tuple[Robot, Measurements | Sequence[Measurements]]
-        an identification, or a nominal robot and measurements, by which it is identified first
-    label : str, default ""
-        of the campaign; empty: the source of its measurements
-    day : float, optional
-        when it was measured [d]
-
-    Returns
-    -------
-    Estimate
-        information on all parameters
-
-    Raises
-    ------
-    InputError
-        known distances between touched points, which cannot be compared
-    ConvergenceError
-        Ipopt finds no optimum
+    campaign : an identification, or a nominal robot and measurements, by which it is identified first
+    label : of the campaign; empty: the source of its measurements
+    day : when it was measured [d]
+    Raises InputError: known distances between touched points, which cannot be compared; ConvergenceError: Ipopt finds
+        no optimum.
     """
     found = campaign if isinstance(campaign, Identification) else identify(*campaign, loss="huber")
     fit = wide_fit(found)
@@ -215,24 +176,10 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
     The file does not say which poses were measured. How parameters that were not identified bend those that were is
     therefore computed at poses drawn from the readings on which it was learnt.
 
-    Parameters
-    ----------
-    robot : Robot
-        calibrated robot with a covariance of its geometry, as `casadical calibrate --out` writes it
-    label : str, default ""
-        of the campaign; empty: that of the file
-    day : float, optional
-        when it was measured [d]
-
-    Returns
-    -------
-    Estimate
-        information on all parameters
-
-    Raises
-    ------
-    InputError
-        a robot without a covariance of its geometry
+    robot : calibrated robot with a covariance of its geometry, as `casadical calibrate --out` writes it
+    label : of the campaign; empty: that of the file
+    day : when it was measured [d]
+    Raises InputError: a robot without a covariance of its geometry.
     """
     known = robot.knowledge
     geometry = {p.name for p in robot.parameters if p.group in ("geometry", "loop")}

@@ -43,26 +43,14 @@ NARROWEST = 1e-3
 class Common:
     """What robots of one type share.
 
-    Parameters
-    ----------
-    type : str
-        word for the drawing
-    name : str
-        of the robots' type
-    count : int
-        robots it was learnt from
-    names : tuple[str, ...]
-        parameters, k of them
-    mean : Array, shape (k,)
-        common departure from the drawing, in units of the scale
-    std_error : Array, shape (k,)
-        of the mean
-    spread : Array, shape (k,)
-        one sigma of single robots about the mean
-    scale : Array, shape (k,) [SI]
-        unit of each parameter
-    covariance : Array, shape (k, k)
-        of the mean
+    type : word for the drawing
+    count : robots it was learnt from
+    names : parameters, k of them
+    mean : Array, shape (k,): common departure from the drawing, in units of the scale
+    std_error : Array, shape (k,): of the mean
+    spread : Array, shape (k,): one sigma of single robots about the mean
+    scale : Array, shape (k,) [SI]: unit of each parameter
+    covariance : Array, shape (k, k): of the mean
     """
 
     type: str
@@ -84,17 +72,7 @@ class Common:
     def readable(self, name: str, *values: float) -> tuple[Any, ...]:
         """Values of a parameter from units of the scale to those of reports, with the unit.
 
-        Parameters
-        ----------
-        name : str
-            of the parameter
-        *values : float
-            in units of its scale
-
-        Returns
-        -------
-        tuple[Any, ...]
-            the values, and their unit
+        *values : in units of its scale
         """
         unit = "deg" if name.startswith(("alpha", "beta", "theta")) or "." in name else "mm"
         factor = {"deg": np.rad2deg(1.0), "mm": 1e3}[unit]
@@ -106,10 +84,7 @@ class Common:
     def to_json(self) -> dict[str, Any]:
         """What robots of the type share, as plain data.
 
-        Returns
-        -------
-        dict[str, Any]
-            mean, standard error and spread of each parameter, in units of reports
+        Returns mean, standard error and spread of each parameter, in units of reports
         """
         listed = []
         for k, name in enumerate(self.names):
@@ -123,15 +98,8 @@ class Common:
     def prior_of(self, robot: Robot) -> Robot:
         """A robot of this type as the fleet knows it: the common departures in it, and the spread as covariance.
 
-        Parameters
-        ----------
-        robot : Robot
-            as drawn
-
-        Returns
-        -------
-        Robot
-            to be the prior of `identify` or of `casadical calibrate --prior FILE --prior-effects all`
+        robot : as drawn
+        Returns to be the prior of `identify` or of `casadical calibrate --prior FILE --prior-effects all`
         """
         own = [k for k, n in enumerate(self.names) if n in robot.parameters.names]
         names = tuple(self.names[k] for k in own)

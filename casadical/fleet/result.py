@@ -164,11 +164,6 @@ class Fleet:
         ----------
         folder : str | Path
             where they are to be
-
-        Returns
-        -------
-        dict[Path, str]
-            path -> text
         """
         texts = {}
         for c in self.commons:

@@ -18,20 +18,7 @@ from casadical.robot.robot import Robot
 class Accuracy:
     """Error figures of one set of poses [m]: mean, maximum, standard deviation, root mean square, 95th percentile.
 
-    Parameters
-    ----------
-    n : int
-        number of poses
-    mean : float
-        mean [m]
-    max : float
-        maximum [m]
-    std : float
-        standard deviation [m]
-    rms : float
-        root mean square [m]
-    p95 : float
-        95th percentile [m]
+    n : number of poses
     """
 
     n: int
@@ -74,11 +61,6 @@ def predicted(robot: Robot, m: Measurements, values: Mapping[str, float] | None 
         poses and their conditions
     values : Mapping[str, float], optional
         instead of its own, by parameter name [SI]
-
-    Returns
-    -------
-    tuple[Array, Array]
-        positions, and orientations
 
     Examples
     --------

@@ -31,14 +31,7 @@ NO_EFFECT = "it has no effect on what was measured"
 class Unidentifiable:
     """A parameter that stays at its nominal value, why, and which parameters move the measurement as it does.
 
-    Parameters
-    ----------
-    name : str
-        of the parameter
-    reason : str
-        in words
-    confounded_with : tuple[str, ...], default ()
-        parameters that move the measurement as it does
+    reason : in words
     """
 
     name: str
@@ -50,14 +43,9 @@ class Unidentifiable:
 class Identifiability:
     """Which parameters the data determine.
 
-    Parameters
-    ----------
-    independent : tuple[str, ...]
-        names, in model order
-    held : tuple[Unidentifiable, ...]
-        the others, each with its reason
-    condition : float
-        condition number of the scaled Jacobian of the independent ones
+    independent : names, in model order
+    held : the others, each with its reason
+    condition : condition number of the scaled Jacobian of the independent ones
     """
 
     independent: tuple[str, ...]

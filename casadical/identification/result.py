@@ -301,11 +301,6 @@ class Identification:
             joint readings
         conditions : Mapping[str, Array], optional
             logged columns by name, each of shape (n,)
-
-        Returns
-        -------
-        tuple[Array, Array]
-            positions, and the covariance of each
         """
         q = np.atleast_2d(q)
         m = unmeasured(q, conditions)
@@ -321,18 +316,7 @@ class Identification:
         return covariance_of_all(self.problem, self.solution.v, self.variance)
 
     def accuracy(self, *m: Measurements) -> dict[str, Accuracy]:
-        """Errors on any measurements: "nominal", "placed" (base and tool fitted) and "calibrated".
-
-        Parameters
-        ----------
-        *m : Measurements
-            poses, those of the identification or others; of several tables, the figures are over all of them
-
-        Returns
-        -------
-        dict[str, Accuracy]
-            state -> error figures [m]
-        """
+        """Errors on any measurements: "nominal", "placed" (base and tool fitted) and "calibrated"."""
         robots = {"nominal": self.given, "placed": self.placed, "calibrated": self.robot}
         return {state: summarise(np.concatenate([errors(r, part) for part in m])) for state, r in robots.items()}
 
@@ -351,29 +335,12 @@ class Identification:
             return self.start
 
     def is_optimal(self, tolerance: float = 1e-4) -> bool:
-        """Whether no step inside the bounds lowers the cost; recomputed from the data, not by the solver.
-
-        Parameters
-        ----------
-        tolerance : float, default 0.0001
-            what one more Gauss-Newton step may gain in chi-squared; 1e-4 is about 1 % of a standard error
-
-        Returns
-        -------
-        bool
-            true at an optimum
-        """
+        """Whether no step inside the bounds lowers the cost; recomputed from the data, not by the solver."""
         round_off = 1e-12 * self.problem.cost(np.zeros(self.problem.size))
         return self.problem.decrement(self.solution.v) < tolerance * self.variance + round_off
 
     def to_toml(self) -> str:
-        """The calibrated robot as the text of a robot file that `read_robot` reads again.
-
-        Returns
-        -------
-        str
-            text of the file
-        """
+        """The calibrated robot as the text of a robot file that `read_robot` reads again."""
         return to_toml(self.robot, f"Calibrated by casadical.\n{self.verdict}")
 
     @property

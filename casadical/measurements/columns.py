@@ -78,20 +78,7 @@ class Columns:
     def of_file(raw: RawTable) -> Columns:
         """Columns of a file.
 
-        Parameters
-        ----------
-        raw : RawTable
-            the file's text in cells, as of `casadical.measurements.raw_table.read_table`
-
-        Returns
-        -------
-        Columns
-            its columns
-
-        Raises
-        ------
-        InputError
-            a header occurs twice, or a row has another number of cells
+        Raises InputError: a header occurs twice, or a row has another number of cells.
         """
         parts = [(raw.frame(), np.array(raw.line)), *raw.rest]
         frames, lines = zip(*parts, strict=True)
@@ -101,22 +88,7 @@ class Columns:
     def of_frame(table: pd.DataFrame, source: str) -> Columns:
         """Columns of a pandas table; its rows count as in a file, from 2 on.
 
-        Parameters
-        ----------
-        table : DataFrame
-            with the columns of docs/measurements.md
-        source : str
-            what messages call it
-
-        Returns
-        -------
-        Columns
-            its columns
-
-        Raises
-        ------
-        InputError
-            a header occurs twice
+        Raises InputError: a header occurs twice.
         """
         return _columns(table, source, np.arange(len(table)) + 2)
 
@@ -131,11 +103,6 @@ class Columns:
             our name -> name in the table, or how it is made of the table's columns
         point_from : Sequence[str], default ()
             columns whose words, joined by "/", name the touched point
-
-        Returns
-        -------
-        Columns
-            columns under our names
 
         Raises
         ------
@@ -160,11 +127,6 @@ class Columns:
         why : str
             where they are named, for messages
 
-        Returns
-        -------
-        Columns
-            the other rows
-
         Raises
         ------
         InputError
@@ -183,11 +145,6 @@ class Columns:
         ----------
         rows : Mapping[str, Sequence[int]]
             name of a target -> rows of the file
-
-        Returns
-        -------
-        Columns
-            with one more column
 
         Raises
         ------
@@ -228,18 +185,7 @@ class Columns:
         return ", ".join(map(str, self.table))
 
     def at(self, k: int) -> str:
-        """Source and row of the table's k-th row, for messages.
-
-        Parameters
-        ----------
-        k : int
-            row of the table, from 0
-
-        Returns
-        -------
-        str
-            as "poses.csv, row 7"
-        """
+        """Source and row of the table's k-th row, for messages."""
         return f"{self.source}: row {self.row[k]}"
 
     def column(self, name: str) -> Array:
@@ -335,21 +281,8 @@ class Columns:
     def vector(self, prefix: str, units: Sequence[str] = ("_mm", "_m")) -> Array:
         """Columns PREFIXx_mm, PREFIXy_mm and PREFIXz_mm, shape (n, 3) [m or rad].
 
-        Parameters
-        ----------
-        prefix : str
-            of the names
-        units : Sequence[str], optional
-            suffixes that are allowed
-
-        Returns
-        -------
-        Array, shape (n, 3) [m or rad]
-
-        Raises
-        ------
-        InputError
-            one is missing, or a cell is no finite number
+        Returns an array, shape (n, 3) [m or rad]
+        Raises InputError: one is missing, or a cell is no finite number.
         """
         return np.stack([self.si(f"{prefix}{c}", units) for c in "xyz"], axis=1)
 
@@ -387,30 +320,14 @@ class Columns:
     def tools(self) -> dict[str, Array]:
         """Of the column `tool`, for each name in it whether that point was measured, [1 or 0], shape (n,).
 
-        Returns
-        -------
-        dict[str, Array]
-            condition -> array, shape (n,), of 0 and 1
-
-        Raises
-        ------
-        InputError
-            an empty cell
+        Raises InputError: an empty cell.
         """
         return self._named("tool", "name the measured point, there or in `tools` of problem.toml")
 
     def sessions(self) -> dict[str, Array]:
         """Of the column `session`, for each name in it whether a pose was measured in it, [1 or 0], shape (n,).
 
-        Returns
-        -------
-        dict[str, Array]
-            condition -> array, shape (n,), of 0 and 1
-
-        Raises
-        ------
-        InputError
-            an empty cell
+        Raises InputError: an empty cell.
         """
         return self._named("session", "name the session in every row")
 
@@ -423,20 +340,7 @@ class Columns:
         return {f"{column}_{name}": (names == name).to_numpy(dtype=float) for name in dict.fromkeys(names)}
 
     def unused(self, conditions: Collection[str], observations: Iterable[str]) -> tuple[str, ...]:
-        """Columns that are neither readings, observations nor conditions: those of words, and those without a cell.
-
-        Parameters
-        ----------
-        conditions : Collection[str]
-            names of those that are conditions
-        observations : Iterable[str]
-            patterns of the columns that the kinds of measurement read
-
-        Returns
-        -------
-        tuple[str, ...]
-            headers
-        """
+        """Columns that are neither readings, observations nor conditions: those of words, and those without a cell."""
         used = re.compile("|".join([_NO_CONDITIONS, *observations]))
         left = (n for n in map(str, self.table) if n not in (*conditions, *self.taken) and not used.fullmatch(n))
         return (*left, *self.empty)

@@ -31,11 +31,6 @@ def derive(m: Measurements, names: Iterable[str]) -> tuple[Measurements, tuple[s
     names : Iterable[str]
         columns to derive: progress, warmth_600s, approach2, move2, memory2_300mrad and their like
 
-    Returns
-    -------
-    tuple[Measurements, tuple[str, ...]]
-        measurements, and the names that cannot be derived
-
     Examples
     --------
     >>> more, without = casadical.measurements.derive(poses, ["progress", "warmth_600s"])

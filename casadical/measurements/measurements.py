@@ -152,15 +152,7 @@ class Measurements:
     def positions_alone(self) -> Measurements:
         """The same poses as kind position, whatever else was observed left out.
 
-        Returns
-        -------
-        Measurements
-            kind position, same order
-
-        Raises
-        ------
-        InputError
-            no positions
+        Raises InputError: no positions.
         """
         none = dict.fromkeys(("orientation", "distance", "target", "other", "label"))
         return replace(self, kind="position", extra={}, separations=(), **none)  # type: ignore[arg-type]
@@ -197,17 +189,8 @@ class Measurements:
     def condition_matrix(self, names: Sequence[str], declared: Array) -> Array:
         """Logged columns, shape (n, len(names)), SI; a column that was not logged takes its declared value.
 
-        Parameters
-        ----------
-        names : Sequence[str]
-            columns, in the order of the result, k of them
-        declared : Array, shape (k,) [SI]
-            value of each where it was not logged
-
-        Returns
-        -------
-        Array, shape (n, k) [SI]
-            a row per pose
+        declared : Array, shape (k,) [SI]: value of each where it was not logged
+        Returns an array, shape (n, k) [SI]: a row per pose
         """
         columns = [self.conditions.get(n, np.full(len(self), declared[k])) for k, n in enumerate(names)]
         return np.stack(columns, axis=1) if columns else np.zeros((len(self), 0))
@@ -225,11 +208,6 @@ class Measurements:
             set name -> number of poses, or share of them
         seed : int, default 0
             of the drawing
-
-        Returns
-        -------
-        dict[str, Measurements]
-            set name -> its poses
 
         Raises
         ------
@@ -257,17 +235,8 @@ class Measurements:
     def with_separations(self, known: Iterable[tuple[str, str, float]], sigma: float = 2e-5) -> Measurements:
         """Contact poses with known distances (label, label, distance [m]) between touched points, sigma [m] each.
 
-        Parameters
-        ----------
-        known : Iterable[tuple[str, str, float]]
-            (label, label, distance [m]) of pairs of touched points
-        sigma : float, default 2e-05
-            one sigma of each distance [m]
-
-        Returns
-        -------
-        Measurements
-            the same poses, with the scale that the distances give
+        known : (label, label, distance [m]) of pairs of touched points
+        sigma : one sigma of each distance [m]
         """
         return replace(self, separations=tuple(known), separation_sigma=sigma)
 

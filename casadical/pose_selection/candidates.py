@@ -68,36 +68,14 @@ class Circumstances:
     warmup_minutes: float = 35.0
 
     def states(self, robot: Robot) -> tuple[float, ...]:
-        """Payloads [kg] of the campaign.
-
-        Parameters
-        ----------
-        robot : Robot
-            the robot
-
-        Returns
-        -------
-        tuple[float, ...]
-            masses [kg]
-        """
+        """Payloads [kg] of the campaign."""
         declared = robot.payload.mass if robot.payload else 0.0
         if self.payloads:
             return self.payloads
         return (0.0, declared) if any("payload_kg" in e.needs for e in robot.effects) else (declared,)
 
     def size(self, robot: Robot) -> int:
-        """How many measurements are made at one reading.
-
-        Parameters
-        ----------
-        robot : Robot
-            the robot
-
-        Returns
-        -------
-        int
-            approaches, repeats and payloads multiplied
-        """
+        """How many measurements are made at one reading."""
         return self.repeats * (1 + self.both_approaches) * (len(self.states(robot)) if self.every_payload else 1)
 
 

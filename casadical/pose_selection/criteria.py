@@ -27,17 +27,8 @@ def observability(J: Array, n: int) -> dict[str, float]:
     O1: root of the product of the singular values over the root of n; O2: smallest over greatest; O3: smallest;
     O4: square of the smallest over the greatest; O5: inverse of the sum of inverses.
 
-    Parameters
-    ----------
-    J : Array, shape (rows, p) [sigma per scaled unit]
-        scaled Jacobian
-    n : int
-        number of poses
-
-    Returns
-    -------
-    dict[str, float]
-        name -> index
+    J : Array, shape (rows, p) [sigma per scaled unit]: scaled Jacobian
+    n : number of poses
     """
     s = np.linalg.svd(J, compute_uv=False)
     if len(J) < J.shape[1] or s[-1] <= 1e-14 * s[0]:

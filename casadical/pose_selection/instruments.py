@@ -37,14 +37,9 @@ REACHING = 2000
 class Instrument:
     """What is read at every pose, in place of a position.
 
-    Parameters
-    ----------
-    kind : {"wires", "sockets"}
-        distances to every place at each pose, or the ball of the tool in one of the places
-    places : Array, shape (k, 3) [m]
-        anchors or sockets, in the measuring frame, about where they are to be
-    known : bool, default False
-        whether the places are measured too, so that they are no unknowns
+    kind : distances to every place at each pose, or the ball of the tool in one of the places
+    places : Array, shape (k, 3) [m]: anchors or sockets, in the measuring frame, about where they are to be
+    known : whether the places are measured too, so that they are no unknowns
     """
 
     kind: Literal["wires", "sockets"]
@@ -64,15 +59,8 @@ class Instrument:
     def sets(self, m: Measurements) -> tuple[Measurements, ...]:
         """The same poses as a measurement of this kind would give them, without noise.
 
-        Parameters
-        ----------
-        m : Measurements
-            poses at the positions that the model gives
-
-        Returns
-        -------
-        tuple[Measurements, ...]
-            a set for each wire, or one of all sockets
+        m : poses at the positions that the model gives
+        Returns a set for each wire, or one of all sockets
         """
         assert m.position is not None
         if self.kind == "sockets":
@@ -98,20 +86,11 @@ class Instrument:
     def rows(self, robot: Robot, names: Sequence[str], m: Measurements, noise: Noise) -> Array:
         """Scaled Jacobian in units of sigma, shape (n, numbers, len(names) + extra).
 
-        Parameters
-        ----------
-        robot : Robot
-            at whose values
-        names : Sequence[str]
-            parameters
-        m : Measurements
-            poses at the positions that the model gives
-        noise : Noise
-            of a distance, or of a coordinate in a socket, and of the joints
-
-        Returns
-        -------
-        Array, shape (n, numbers, p)
+        robot : at whose values
+        names : parameters
+        m : poses at the positions that the model gives
+        noise : of a distance, or of a coordinate in a socket, and of the joints
+        Returns an array, shape (n, numbers, p)
         """
         J, covariance = scaled_jacobian(robot, names, m), noise_covariance(robot, m, Noise(1e-12, noise.repeatability))
         n, k = len(m), len(self.places)
@@ -133,15 +112,7 @@ class Instrument:
     def table(self, m: Measurements) -> pd.DataFrame:
         """Columns for who measures: which socket, or about how long each wire will be [mm].
 
-        Parameters
-        ----------
-        m : Measurements
-            poses at the positions that the model gives
-
-        Returns
-        -------
-        pd.DataFrame
-            a row for each pose
+        m : poses at the positions that the model gives
         """
         if self.kind == "sockets":
             return pd.DataFrame({"point": [f"S{int(k) + 1}" for k in m.conditions[SOCKET]]})
@@ -152,14 +123,7 @@ class Instrument:
     def beams(self, m: Measurements) -> Array:
         """Directions from the anchors to the tool, shape (n, k, 3).
 
-        Parameters
-        ----------
-        m : Measurements
-            poses at the positions that the model gives
-
-        Returns
-        -------
-        Array, shape (n, k, 3) [m/m]
+        Returns an array, shape (n, k, 3) [m/m]
         """
         assert m.position is not None
         line = m.position[:, None] - self.places
@@ -168,16 +132,9 @@ class Instrument:
     def before(self, size: int, noise: Noise) -> Array:
         """Information from what is known without poses, shape (size, size): one distance between two sockets.
 
-        Parameters
-        ----------
-        size : int
-            number of all columns
-        noise : Noise
-            with its sigma the distance is known
-
-        Returns
-        -------
-        Array, shape (size, size) [1]
+        size : number of all columns
+        noise : with its sigma the distance is known
+        Returns an array, shape (size, size) [1]
         """
         fixed = np.zeros((size, size))
         if self.kind == "wires" or self.known or len(self.places) < 2:

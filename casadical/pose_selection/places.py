@@ -62,11 +62,6 @@ def place_instrument(
     seed : int, default 0
         of the random generator
 
-    Returns
-    -------
-    Instrument
-        with the chosen places
-
     Raises
     ------
     InputError

@@ -86,15 +86,7 @@ class Selection:
     def ordered(self) -> Selection:
         """The same poses in an order of short travel.
 
-        Returns
-        -------
-        Selection
-            another order
-
-        Raises
-        ------
-        InputError
-            networkx is missing
+        Raises InputError: networkx is missing.
         """
         return replace(self, m=arranged(self.robot, self.chosen, self.circumstances, travel=True))
 

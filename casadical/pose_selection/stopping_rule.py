@@ -25,12 +25,8 @@ from casadical.robot.robot import Robot
 class Forecast:
     """Expected accuracy against the number of poses, if the best ones are measured next.
 
-    Parameters
-    ----------
-    poses : Array, shape (k,)
-        numbers of poses, measured ones included
-    error : Array, shape (k,)
-        expected root mean square position error over the task [m]
+    poses : Array, shape (k,): numbers of poses, measured ones included
+    error : Array, shape (k,): expected root mean square position error over the task [m]
     """
 
     poses: Array
@@ -39,34 +35,13 @@ class Forecast:
     def enough(self, target: float) -> int | None:
         """The least number of poses whose expected error is at most target [m]; None where none of these is.
 
-        Parameters
-        ----------
-        target : float
-            largest expected error that will do [m]
-
-        Returns
-        -------
-        int | None
-            number of poses
+        target : largest expected error that will do [m]
         """
         good = np.flatnonzero(self.error <= target)
         return int(self.poses[good[0]]) if len(good) else None
 
     def stop(self, gain: float = 0.1, ahead: int = 10) -> int | None:
-        """The number of poses from which on `ahead` more would reduce the error by less than the share `gain`.
-
-        Parameters
-        ----------
-        gain : float, default 0.1
-            share of the error
-        ahead : int, default 10
-            number of further poses
-
-        Returns
-        -------
-        int | None
-            number of poses; None where that many always help
-        """
+        """The number of poses from which on `ahead` more would reduce the error by less than the share `gain`."""
         shares = 1 - self.error[ahead:] / self.error[:-ahead]
         small = np.flatnonzero(shares < gain)
         return int(self.poses[small[0]]) if len(small) else None
@@ -122,11 +97,6 @@ def forecast(
         as of `select_poses`
     prior : Prior, optional
         as of `select_poses`
-
-    Returns
-    -------
-    Forecast
-        errors by number of poses
 
     Raises
     ------

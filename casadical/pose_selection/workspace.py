@@ -19,17 +19,9 @@ from casadical.robot.robot import Robot
 class Box:
     """A box as an obstacle, parallel to the measuring frame's axes.
 
-    Parameters
-    ----------
-    low : Array, shape (3,) [m]
-        one corner
-    high : Array, shape (3,) [m]
-        the opposite one
-
-    Raises
-    ------
-    InputError
-        a coordinate of low that is not below that of high
+    low : Array, shape (3,) [m]: one corner
+    high : Array, shape (3,) [m]: the opposite one
+    Raises InputError: a coordinate of low that is not below that of high.
     """
 
     low: Array
@@ -44,16 +36,9 @@ class Box:
     def holds(self, points: Array, clearance: float = 0.0) -> Array:
         """Which points are in the box, or closer than the clearance to it.
 
-        Parameters
-        ----------
         points : Array, shape (..., 3) [m]
-        clearance : float, default 0.0
-            distance that counts as in the box [m]
-
-        Returns
-        -------
-        Array, shape (...)
-            boolean
+        clearance : distance that counts as in the box [m]
+        Returns an array, shape (...): boolean
         """
         inside = (points > np.asarray(self.low) - clearance) & (points < np.asarray(self.high) + clearance)
         return np.asarray(inside.all(axis=-1))
@@ -61,15 +46,9 @@ class Box:
     def hides(self, points: Array, station: Array) -> Array:
         """Whether the straight lines from the station to points pass through the box.
 
-        Parameters
-        ----------
         points : Array, shape (n, 3) [m]
         station : Array, shape (3,) [m]
-
-        Returns
-        -------
-        Array, shape (n,)
-            boolean
+        Returns an array, shape (n,): boolean
         """
         along = points - station
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -86,22 +65,14 @@ class Box:
 class Tracker:
     """A laser tracker in the measuring frame and the cone in which it sees.
 
-    Parameters
-    ----------
-    station : Array, shape (3,) [m]
-        position of its head
-    towards : Array, shape (3,) [m], optional
-        a point on the axis of its cone; None: it sees all around
-    half_angle : float, optional
-        half of the cone's angle [rad]
-    nearest : float, default 0.3
-        least distance [m]
-    farthest : float, default 30.0
-        greatest distance [m]
-    opening : Array, shape (3,), optional
-        direction of the reflector's opening in the tool frame; None: it is visible from all sides
-    acceptance : float, optional
-        largest angle between the beam and that direction [rad]
+    station : Array, shape (3,) [m]: position of its head
+    towards : Array, shape (3,) [m]: a point on the axis of its cone; None: it sees all around
+    half_angle : half of the cone's angle [rad]
+    nearest : least distance [m]
+    farthest : greatest distance [m]
+    opening : Array, shape (3,): direction of the reflector's opening in the tool frame; None: it is visible from all
+        sides
+    acceptance : largest angle between the beam and that direction [rad]
     """
 
     station: Array
@@ -115,16 +86,9 @@ class Tracker:
     def sees(self, points: Array, R: Array) -> Array:
         """Whether it sees reflectors at points.
 
-        Parameters
-        ----------
         points : Array, shape (n, 3) [m]
-        R : Array, shape (n, 3, 3)
-            orientations of the tool frame
-
-        Returns
-        -------
-        Array, shape (n,)
-            boolean
+        R : Array, shape (n, 3, 3): orientations of the tool frame
+        Returns an array, shape (n,): boolean
         """
         beam = points - self.station
         distance = np.linalg.norm(beam, axis=1)
@@ -242,17 +206,7 @@ class Workspace:
     def as_open_as(self, robot: Robot, q: Array) -> Workspace:
         """The workspace with four-bars no less open than at any of the readings.
 
-        Parameters
-        ----------
-        robot : Robot
-            the robot
-        q : Array, shape (n, joints) [rad or m]
-            joint readings
-
-        Returns
-        -------
-        Workspace
-            another workspace
+        q : Array, shape (n, joints) [rad or m]: joint readings
         """
         if not robot.loops:
             return self
@@ -261,17 +215,8 @@ class Workspace:
     def allows(self, robot: Robot, q: Array) -> Array:
         """Which of the readings may be measured.
 
-        Parameters
-        ----------
-        robot : Robot
-            the robot
-        q : Array, shape (n, joints) [rad or m]
-            joint readings
-
-        Returns
-        -------
-        Array, shape (n,)
-            boolean
+        q : Array, shape (n, joints) [rad or m]: joint readings
+        Returns an array, shape (n,): boolean
         """
         return np.asarray(~np.any(list(self.refusals(robot, q).values()), axis=0))
 

@@ -211,11 +211,6 @@ class Calibration:
         ----------
         folder : str | Path
             where they are to be
-
-        Returns
-        -------
-        dict[Path, str]
-            path -> text
         """
         folder, problem = Path(folder), self.problem
         texts = {folder / "result.json": json_text(self.to_json())}
@@ -236,15 +231,7 @@ class Calibration:
     def write(self, folder: str | Path) -> None:
         """Write `files`: all of them or none.
 
-        Parameters
-        ----------
-        folder : str | Path
-            where to; made when missing
-
-        Raises
-        ------
-        InputError
-            where one cannot be written
+        Raises InputError: where one cannot be written.
         """
         with claimed([folder]):
             write_together(self.files(folder))
@@ -290,11 +277,6 @@ def calibrate(
         measured poses, in place of the folder's own or beside a robot file (see `read_problem`)
     show : Show, optional
         called with a line of progress
-
-    Returns
-    -------
-    Calibration
-        results of all methods and networks
 
     Raises
     ------

@@ -29,17 +29,11 @@ TOO_FEW = 10
 class NetworkResult:
     """One network method on one problem.
 
-    Parameters
-    ----------
-    method : str
-        as in problem.toml
-    compensator : Compensator | None
-        trained or refused; None where there was nothing to train on, and `why` says so
-    why : str
-        why there is no compensator; empty where there is one
-    errors : Mapping[str, Accuracy]
-        by set, of the corrected positions; those of SKCM where the network was refused, for then nothing is corrected
-        (what it would have done: `compensator.training`, `.choice`, `.validation`)
+    method : as in problem.toml
+    compensator : trained or refused; None where there was nothing to train on, and `why` says so
+    why : why there is no compensator; empty where there is one
+    errors : by set, of the corrected positions; those of SKCM where the network was refused, for then nothing is
+        corrected (what it would have done: `compensator.training`, `.choice`, `.validation`)
     """
 
     method: str
@@ -78,12 +72,8 @@ class NetworkResult:
 class Networks:
     """All network methods of a problem.
 
-    Parameters
-    ----------
-    results : Mapping[str, NetworkResult]
-        by method
-    trained_on : str
-        which poses, or why none
+    results : by method
+    trained_on : which poses, or why none
     """
 
     results: Mapping[str, NetworkResult]
@@ -111,30 +101,14 @@ def train_networks(
 
     The set train is learnt from, the set choose decides, all others have no part in either.
 
-    Parameters
-    ----------
-    problem : Problem
-        of whose sets the networks learn
-    result : Identification
-        identification by SKCM
-    methods : Sequence[str], optional
-        network methods; None: all that there are
-    seed : int, default 0
-        of everything random
-    show : Show, optional
-        called with a line of progress that holds the loss
-    judged : Mapping[str, Measurements], optional
-        poses whose errors are told, by set; None: all of the problem's
-
-    Returns
-    -------
-    Networks
-        one result a method
-
-    Raises
-    ------
-    InputError
-        a method that is no network, or data without positions
+    problem : of whose sets the networks learn
+    result : identification by SKCM
+    methods : network methods; None: all that there are
+    seed : of everything random
+    show : called with a line of progress that holds the loss
+    judged : poses whose errors are told, by set; None: all of the problem's
+    Returns one result a method
+    Raises InputError: a method that is no network, or data without positions.
     """
     judged = dict(problem.parts()) if judged is None else judged
     trainers = network_methods()

@@ -119,33 +119,14 @@ class Problem:
         return f"{self.data} data" if self.data else "data of unstated origin"
 
     def parts(self) -> Iterator[tuple[str, Measurements]]:
-        """Every table's share of every set by name: SET; of several tables SET/KIND, of several of one kind with /FILE.
-
-        Returns
-        -------
-        Iterator[tuple[str, Measurements]]
-            (name, poses), no name twice
-        """
+        """Every table's share of every set: SET; of several tables SET/KIND, of several of one kind with /FILE."""
         for name, parts in self.sets.items():
             yield from zip(_part_names(name, parts), parts, strict=True)
 
     def calibrated_urdf(self, robot: Robot) -> str:
         """The problem's URDF with the geometry of a calibrated robot, the measured point as a link of its own.
 
-        Parameters
-        ----------
-        robot : Robot
-            calibrated robot
-
-        Returns
-        -------
-        str
-            text of the URDF
-
-        Raises
-        ------
-        InputError
-            where the problem's robot is not from a URDF
+        Raises InputError: where the problem's robot is not from a URDF.
         """
         from casadical.robot.urdf import calibrated_urdf_text
 
@@ -257,11 +238,6 @@ def read_campaign_robot(folder: str | Path) -> Robot:
     ----------
     folder : str | Path
         problem folder, or a robot file (TOML or URDF)
-
-    Returns
-    -------
-    Robot
-        the nominal robot of a campaign
 
     Raises
     ------

@@ -204,18 +204,7 @@ class Robot(Arm):
         return self.model.at_declared("torque", ("tau",))
 
     def with_effect(self, *effects: Effect) -> Robot:
-        """A robot whose model holds these effects too.
-
-        Parameters
-        ----------
-        *effects : Effect
-            effects that are added
-
-        Returns
-        -------
-        Robot
-            a robot with further parameters, by default zero
-        """
+        """A robot whose model holds these effects too."""
         return replace(self, effects=(*self.effects, *effects))
 
     @property
@@ -235,11 +224,6 @@ class Robot(Arm):
         ----------
         effects : Iterable[Effect]
             those of this robot's effects that stay
-
-        Returns
-        -------
-        Robot
-            a robot without the others
         """
         kept = tuple(effects)
         gone = {p.name for e in self.effects if e not in kept for p in e.parameters()}
@@ -255,11 +239,6 @@ class Robot(Arm):
         ----------
         values : Mapping[str, float]
             parameter name -> nominal value [SI]
-
-        Returns
-        -------
-        Robot
-            a robot with these values
 
         Raises
         ------

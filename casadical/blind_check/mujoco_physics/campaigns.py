@@ -32,12 +32,6 @@ def campaign(
     repeatability_urad and options (noise_mm, payload_states, warmup, approach, q_deg, ...) are those of `simulate` in
     `casadical.blind_check.mujoco_physics.table`. Raises InputError for an argument that is not
     usable, and without MuJoCo.
-
-    Examples
-    --------
-    >>> from casadical.blind_check.mujoco_physics import campaign
-    >>> len(campaign(plant, (), 3, seed=1))
-    3
     """
     return simulate(_machine(plant, hidden), n, seed, repeatability_urad=repeatability_urad, **options)
 
@@ -56,13 +50,6 @@ def measure(
 
     One sigma of a coordinate is noise_mm, of a joint repeatability_urad; truth adds true positions. What `readings`
     does not have (time, temperature, payload, approach) is constant. Raises InputError where a reading is missing.
-
-    Examples
-    --------
-    >>> from casadical.blind_check.mujoco_physics import campaign, measure
-    >>> readings = campaign(plant, (), 3, seed=1).drop(columns=["x_mm", "y_mm", "z_mm"])
-    >>> measure(plant, (), readings, seed=2).shape
-    (3, 19)
     """
     machine = _machine(plant, hidden)
     return simulate_readings(
@@ -74,14 +61,6 @@ def positions(plant: Plant, hidden: Sequence[Hidden], stops: Stops, jitter: Arra
     """Where the tracker sees the reflector without noise, (n, 3) [m]; ``jitter`` (n, joints) adds to the readings.
 
     Raises ConvergenceError where the engine finds no rest.
-
-    Examples
-    --------
-    >>> from casadical.blind_check.mujoco_physics import positions
-    >>> from casadical.blind_check.mujoco_physics.stops import Stops
-    >>> stops = Stops(np.full((1, 6), 0.3), np.zeros(1), np.zeros(1), np.zeros(1), np.ones((1, 6)))
-    >>> positions(plant, (), stops).shape
-    (1, 3)
     """
     acting = causes(hidden, plant.n)
     built, factor = mechanism(plant), 1.0

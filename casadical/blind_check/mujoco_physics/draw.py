@@ -24,12 +24,6 @@ def draw_effect(plant: Plant, effect: str, rng: np.random.Generator, *, poses: i
     """One effect by its name, its joint and sizes at random.
 
     Raises InputError for an unknown name.
-
-    Examples
-    --------
-    >>> from casadical.blind_check.mujoco_physics import draw_effect
-    >>> draw_effect(plant, "payload_error", np.random.default_rng(1)).label
-    'payload_error'
     """
     if effect not in {**LISTED, **UNLISTED}:
         raise InputError(f"effect {effect!r} is unknown; there are {', '.join([*LISTED, *UNLISTED])}")

@@ -28,20 +28,8 @@ class Setting:
 
     Bodies are shifted and turned in their parent's frame, before their joints; marks in their body's frame.
 
-    Parameters
-    ----------
-    kind : {"shift", "turn", "mark"}
-        what is set
-    name : str
-        of the body or mark
-    value : Array
-        shift (3,) [m], turn (3,) [rad] or place (3,) [m]
-
-    Examples
-    --------
-    >>> from casadical.blind_check.mujoco_physics import Setting
-    >>> Setting("shift", "link2", np.zeros(3)).kind
-    'shift'
+    kind : what is set
+    value : shift (3,) [m], turn (3,) [rad] or place (3,) [m]
     """
 
     kind: Literal["shift", "turn", "mark"]
@@ -70,32 +58,11 @@ class Stop:
 class Engine:
     """A mechanism compiled by MuJoCo, that can be brought to rest at one pose after the other.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        the robot as built, effects included
-    travels : bool, default False
-        whether it moves to every pose from the side it is approached from, which only friction and play need
-    factor : float, default 1.0
-        true over declared mass of the payload
-    gravity : Sequence[float], optional
-        in the measuring frame [m/s^2]
-
-    Raises
-    ------
-    InputError
-        MuJoCo is missing
-
-    Examples
-    --------
-    >>> from casadical.blind_check.mujoco_physics import Engine, Stop, mechanism
-    >>> from casadical.blind_check.mujoco_physics.robot import start
-    >>> engine = Engine(mechanism(plant))
-    >>> q = np.full(6, 0.3)
-    >>> engine.rest(Stop(q, np.ones(6), start(plant, q), 5.0)).shape
-    (3,)
-    >>> abs(engine.coordinate("joint1") - 0.3) < 1e-2
-    True
+    mechanism : the robot as built, effects included
+    travels : whether it moves to every pose from the side it is approached from, which only friction and play need
+    factor : true over declared mass of the payload
+    gravity : in the measuring frame [m/s^2]
+    Raises InputError: MuJoCo is missing.
     """
 
     def __init__(

@@ -51,20 +51,9 @@ UNLISTED: Mapping[str, type[Cause]] = {
 class Hidden:
     """One hidden effect.
 
-    Parameters
-    ----------
-    effect : str
-        its name
-    joint : int | None
-        the joint it sits in, 1-based; None: none
-    size : Mapping[str, Any]
-        everything else about it [SI]
-
-    Examples
-    --------
-    >>> from casadical.blind_check.mujoco_physics import Hidden
-    >>> Hidden("backlash", 5, {"gap_rad": 1e-4}).label
-    'backlash@5'
+    effect : its name
+    joint : the joint it sits in, 1-based; None: none
+    size : everything else about it [SI]
     """
 
     effect: str

@@ -100,31 +100,10 @@ class Shaft:
 class Mechanism:
     """Bodies, and what connects them besides their joints.
 
-    Parameters
-    ----------
-    bodies : tuple[Body, ...]
-        parents before their children
-    loops : tuple[Loop, ...], default ()
-        ball joints that close them
-    cords : tuple[Cord, ...], default ()
-        springs between two bodies
-    shafts : tuple[Shaft, ...], default ()
-        couplings between joints
-
-    Examples
-    --------
-    >>> from dataclasses import replace
-    >>> from casadical.blind_check.mujoco_physics import Body, mechanism
-    >>> arm = mechanism(plant)
-    >>> arm.body("link2").mass == arm.holder("joint2").mass, arm.joint("joint2").motor
-    (np.True_, 2)
-    >>> heavier = arm.with_body(replace(arm.body("link2"), mass=20.0))
-    >>> softer = arm.with_joint(replace(arm.joint("joint2"), stiffness=1e5))
-    >>> hinge = replace(arm.joint("joint2"), name="play", motor=0)
-    >>> [j.name for j in arm.with_more("joint2", after=(hinge,)).holder("play").joints]
-    ['joint2', 'play']
-    >>> len(arm.with_body_after("link2", Body("tip", "link2", np.eye(4))).bodies) - len(arm.bodies)
-    1
+    bodies : parents before their children
+    loops : ball joints that close them
+    cords : springs between two bodies
+    shafts : couplings between joints
     """
 
     bodies: tuple[Body, ...]

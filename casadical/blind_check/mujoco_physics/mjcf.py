@@ -18,12 +18,6 @@ def mjcf(mechanism: Mechanism, gravity: Sequence[float] = (0.0, 0.0, -9.81)) -> 
     Loops are equality constraints between sites, motors the rests of joint springs (``qpos_spring`` and
     ``tendon_lengthspring``, which the model keeps at ``ref``). The body ``tracker`` stands at the world's origin, and
     a sensor gives the site ``reflector`` in its frame.
-
-    Examples
-    --------
-    >>> from casadical.blind_check.mujoco_physics import mechanism, mjcf
-    >>> mjcf(mechanism(plant))[:7]
-    '<mujoco'
     """
     stiff = f"{2 * STEP!r} 1"
     # The solver's tolerance is in units of the mean inertia, which is large here: any but 0 would end it too early.

@@ -22,22 +22,11 @@ _KEYS = ("name", "modified_dh", "tool_m", "mass_kg", "com_m", "payload", "stiffn
 class FourBar:
     """A planar loop that drives a joint: ground bar = the link before it, crank on that link's axis, coupler, rocker.
 
-    Parameters
-    ----------
-    crank_m, coupler_m, rocker_m : float
-        length [m]
-    crank_zero_rad : float, default 0.0
-        added to the reading of the driven joint [rad]
-    passive_offset_rad : float, default -pi/2
-        added to the rocker's direction in the link before, which gives the angle of the driven link [rad]
-    driven : int, default 3
-        joint that it drives, 1-based; its crank turns about the axis of the joint before
-
-    Examples
-    --------
-    >>> from casadical.blind_check.mujoco_physics import FourBar
-    >>> FourBar(crank_m=0.4, coupler_m=1.2, rocker_m=0.4).crank_m
-    0.4
+    crank_m, coupler_m, rocker_m : length [m]
+    crank_zero_rad : added to the reading of the driven joint [rad]
+    passive_offset_rad : added to the rocker's direction in the link before, which gives the angle of the driven link
+        [rad]
+    driven : joint that it drives, 1-based; its crank turns about the axis of the joint before
     """
 
     crank_m: float
@@ -52,41 +41,20 @@ class FourBar:
 class Plant:
     """A robot of n axes at zero readings, in SI units.
 
-    Parameters
-    ----------
-    name : str
-        of the robot
-    home : Array, shape (n, 4, 4) [m]
-        frame of every link in the robot's base at zero readings; joint i turns about its z axis, or slides along it
-    reflector : Array, shape (3,) [m]
-        in the last frame
-    mass : Array, shape (n,) [kg]
-        of the links
-    com : Array, shape (n, 3) [m]
-        mass centres in the link frames
-    payload_kg : float
-        declared payload [kg]
-    payload_com : Array, shape (3,) [m]
-        its mass centre in the last frame
-    stiffness : Array, shape (n,) [N m/rad or N/m]
-        of the actuated joints (a joint driven by a four-bar: of the crank)
-    ranges : Array, shape (n, 2) [rad or m]
-        joint ranges
-    base : Array, shape (4, 4) [m]
-        the robot's base in the measuring frame
-    four_bar : FourBar, optional
-        loop that drives a joint
-    payload_factor : float, default 1.0
-        true mass of the payload over the declared one
-    slides : frozenset[int], default frozenset()
-        prismatic joints, 1-based
-    gravity : Array, shape (3,) [m/s^2]
-        in the measuring frame
-
-    Examples
-    --------
-    >>> plant.at_home(plant.n, plant.reflector).shape, plant.payload_kg, plant.turning
-    ((3,), 10.0, [1, 2, 3, 4, 5, 6])
+    home : Array, shape (n, 4, 4) [m]: frame of every link in the robot's base at zero readings; joint i turns about its
+        z axis, or slides along it
+    reflector : Array, shape (3,) [m]: in the last frame
+    mass : Array, shape (n,) [kg]: of the links
+    com : Array, shape (n, 3) [m]: mass centres in the link frames
+    payload_kg : declared payload [kg]
+    payload_com : Array, shape (3,) [m]: its mass centre in the last frame
+    stiffness : Array, shape (n,) [N m/rad or N/m]: of the actuated joints (a joint driven by a four-bar: of the crank)
+    ranges : Array, shape (n, 2) [rad or m]: joint ranges
+    base : Array, shape (4, 4) [m]: the robot's base in the measuring frame
+    four_bar : loop that drives a joint
+    payload_factor : true mass of the payload over the declared one
+    slides : prismatic joints, 1-based
+    gravity : Array, shape (3,) [m/s^2]: in the measuring frame
     """
 
     name: str
@@ -239,30 +207,14 @@ def perturb(
 ) -> Plant:
     """The robot with generic errors: all six of every link, not only those that DH rows name.
 
-    Parameters
-    ----------
-    plant : Plant
-        the nominal robot
-    seed : int
-        everything drawn follows from it
-    length_mm : float, default 0.3
-        one sigma of each coordinate of a link's error, of the bars and the crank too [mm]
-    angle_mrad : float, default 0.3
-        one sigma of each angle of a link's error [mrad]
-    base : tuple[float, float], optional
-        greatest shift [m] and turn [deg] of the robot's base against the measuring frame
-    tool_mm : float, default 1.0
-        one sigma of each coordinate of the reflector's error [mm]
-    stiffness_spread : float, default 0.4
-        standard deviation of the logarithm of the joint stiffnesses
-    building : Building, optional
-        which errors it has; by default all but those of the masses
-
-    Examples
-    --------
-    >>> from casadical.blind_check.mujoco_physics import perturb
-    >>> perturb(plant, seed=1).name
-    'ur10e'
+    plant : the nominal robot
+    seed : everything drawn follows from it
+    length_mm : one sigma of each coordinate of a link's error, of the bars and the crank too [mm]
+    angle_mrad : one sigma of each angle of a link's error [mrad]
+    base : greatest shift [m] and turn [deg] of the robot's base against the measuring frame
+    tool_mm : one sigma of each coordinate of the reflector's error [mm]
+    stiffness_spread : standard deviation of the logarithm of the joint stiffnesses
+    building : which errors it has; by default all but those of the masses
     """
     links, bars, place, tool, spring = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(5))
     turns, shifts = links.normal(0, angle_mrad * 1e-3, (plant.n, 3)), links.normal(0, length_mm * 1e-3, (plant.n, 3))

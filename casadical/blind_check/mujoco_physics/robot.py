@@ -21,12 +21,6 @@ def mechanism(plant: Plant) -> Mechanism:
     A four-bar that drives joint 3 adds the bodies ``crank`` (turned by ``joint3`` on the axis of joint 2) and
     ``coupler``, and the free hinge ``elbow`` between links 2 and 3; the coupler ends in a ball joint on link 3. It is
     drawn in the middle of the joint ranges.
-
-    Examples
-    --------
-    >>> from casadical.blind_check.mujoco_physics import mechanism
-    >>> len(mechanism(plant).bodies)
-    9
     """
     middle = np.mean(plant.ranges, 1)
     bodies = [Body("pedestal", "world", plant.base)]

@@ -52,22 +52,10 @@ class Stops:
 class Warmup:
     """The arm's temperature while it works.
 
-    Parameters
-    ----------
-    start_degC : float, default 20.0
-        at the start [degC]
-    rise_K : float, default 7.0
-        how much it rises in the end [K]
-    minutes : float, default 35.0
-        time constant [min]
-    sensor_K : float, default 0.05
-        noise of the sensor, one sigma [K]
-
-    Examples
-    --------
-    >>> from casadical.blind_check.mujoco_physics import Warmup
-    >>> Warmup().course(np.array([0.0, 35 * 60.0])).round(2)
-    array([0.  , 4.42])
+    start_degC : at the start [degC]
+    rise_K : how much it rises in the end [K]
+    minutes : time constant [min]
+    sensor_K : noise of the sensor, one sigma [K]
     """
 
     start_degC: float = 20.0

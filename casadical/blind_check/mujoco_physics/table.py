@@ -130,39 +130,18 @@ def simulate(
 
     Raises InputError where an argument is not usable, or no pose keeps the loop's limits.
 
-    Parameters
-    ----------
-    machine : Machine
-        the robot as built, with its effects
-    n : int
-        number of poses
-    seed : int
-        what everything drawn follows from
-    repeatability_urad : float
-        one sigma of each joint about its reading [urad, or um of a prismatic joint]
-    noise_mm : float, default 0.02
-        one sigma of each measured coordinate [mm]
-    payload_states : Sequence[float], optional
-        declared payloads [kg], in alternating blocks; by default none and the plant's
-    warmup : Warmup, optional
-        the arm's temperature; by default 7 K in some 35 minutes
-    approach : {"chance", "motion"}, default "chance"
-        direction of each joint's last motion, random or (``"motion"``) as it follows from the order of the poses
-    q_deg : Array, shape (n, joints) [deg, or mm of a prismatic joint], optional
-        readings to take instead of drawing them
-    ranges_deg : Array, shape (joints, 2) [deg or mm], optional
-        between which readings are drawn; None: the plant's
-    crank_distance_m : tuple[float, float], optional
-        limits of the loop's crank distance [m]; None: a quarter of the rocker away from the folds
-    truth : bool, default False
-        add x_true_mm, y_true_mm, z_true_mm: no noise, joints exactly repeated, and the instrument right
-
-    Examples
-    --------
-    >>> from casadical.blind_check.mujoco_physics.table import Machine, simulate
-    >>> still = Machine(plant, lambda stops, errors: np.zeros((len(stops), 3)), ())
-    >>> simulate(still, 4, 1, repeatability_urad=8.0).shape
-    (4, 19)
+    machine : the robot as built, with its effects
+    n : number of poses
+    seed : what everything drawn follows from
+    repeatability_urad : one sigma of each joint about its reading [urad, or um of a prismatic joint]
+    noise_mm : one sigma of each measured coordinate [mm]
+    payload_states : declared payloads [kg], in alternating blocks; by default none and the plant's
+    warmup : the arm's temperature; by default 7 K in some 35 minutes
+    approach : direction of each joint's last motion, random or (``"motion"``) as it follows from the order of the poses
+    q_deg : Array, shape (n, joints) [deg, or mm of a prismatic joint]: readings to take instead of drawing them
+    ranges_deg : Array, shape (joints, 2) [deg or mm]: between which readings are drawn; None: the plant's
+    crank_distance_m : limits of the loop's crank distance [m]; None: a quarter of the rocker away from the folds
+    truth : add x_true_mm, y_true_mm, z_true_mm: no noise, joints exactly repeated, and the instrument right
     """
     plant, warmup = machine.plant, warmup or Warmup()
     if n < 1:

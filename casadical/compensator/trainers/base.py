@@ -65,47 +65,13 @@ class Trainer(ABC):
 
     @classmethod
     def for_method(cls) -> Self:
-        """The trainer with the settings that its method has; by default those it has anyway.
-
-        Returns
-        -------
-        Self
-            with those settings
-        """
+        """The trainer with the settings that its method has; by default those it has anyway."""
         return cls()
 
     @abstractmethod
     def begin(self, task: Task, seed: int) -> Run:
-        """Start a training.
-
-        Parameters
-        ----------
-        task : Task
-            the training problem
-        seed : int
-            of everything random
-
-        Returns
-        -------
-        Run
-            one training, step by step
-        """
+        """Start a training."""
 
     @abstractmethod
     def resume(self, task: Task, seed: int, state: dict[str, Any]) -> Run:
-        """Take a training up again from its `Run.state`; it goes on bit for bit as it would have.
-
-        Parameters
-        ----------
-        task : Task
-            the training problem
-        seed : int
-            of everything random
-        state : dict[str, Any]
-            as of `Run.state`
-
-        Returns
-        -------
-        Run
-            the training
-        """
+        """Take a training up again from its `Run.state`; it goes on bit for bit as it would have."""

@@ -21,15 +21,7 @@ GROUP = "casadical.trainers"
 def known_trainers() -> Mapping[str, type[Trainer]]:
     """Every trainer by its name, those of plug-ins last.
 
-    Returns
-    -------
-    Mapping[str, type[Trainer]]
-        name -> class
-
-    Raises
-    ------
-    InputError
-        a faulty plug-in
+    Raises InputError: a faulty plug-in.
     """
     own = (kind for kind in vars(registry).values() if isinstance(kind, type))
     found = members(GROUP, Trainer, own)  # type: ignore[type-abstract]
@@ -42,15 +34,7 @@ def known_trainers() -> Mapping[str, type[Trainer]]:
 def network_methods() -> Mapping[str, type[Trainer]]:
     """Trainers by the method of problem.toml that each stands for.
 
-    Returns
-    -------
-    Mapping[str, type[Trainer]]
-        method -> class
-
-    Raises
-    ------
-    InputError
-        a faulty plug-in
+    Raises InputError: a faulty plug-in.
     """
     return {kind.method: kind for kind in known_trainers().values() if kind.method}
 

@@ -114,15 +114,7 @@ class Discovery:
     def refit(self) -> Identification:
         """Base model and the effects that are kept identified together.
 
-        Returns
-        -------
-        Identification
-            values of the laws' factors among the parameters
-
-        Raises
-        ------
-        ConvergenceError
-            Ipopt finds no optimum
+        Raises ConvergenceError: Ipopt finds no optimum.
         """
         noise = self.noise if self.kept == "law" else self.diagnosis.noise
         return refit(self.case.with_kept(self.diagnosis.case.kept), self.effects, noise)

@@ -34,12 +34,7 @@ class Kernel:
 
     Calls are re-entrant, as the C is; a row costs a microsecond or less.
 
-    Parameters
-    ----------
-    shape : Shape
-        name, real type, joints and outputs
-    library : Path
-        compiled
+    shape : name, real type, joints and outputs
     """
 
     def __init__(self, shape: Shape, library: Path) -> None:
@@ -141,11 +136,6 @@ def load(export: str | Path, *, trust: bool = False) -> Kernel:
         folder that ``write_c`` wrote
     trust : bool, default False
         whether the C of a folder that this user did not export on this machine is compiled and run too
-
-    Returns
-    -------
-    Kernel
-        its functions
 
     Raises
     ------

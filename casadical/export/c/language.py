@@ -15,14 +15,9 @@ NAME = "^[a-z][a-z0-9_]{0,23}$"
 class Label:
     """What the files say about themselves.
 
-    Parameters
-    ----------
-    name : str
-        a C identifier
-    model_sha256 : str, optional
-        hash of the model
-    data_sha256 : str, optional
-        hash of the data it came from
+    name : a C identifier
+    model_sha256 : hash of the model
+    data_sha256 : hash of the data it came from
     """
 
     name: str
@@ -55,17 +50,4 @@ class Language(ABC):
 
     @abstractmethod
     def files(self, program: TapeProgram, label: Label) -> Mapping[str, str | bytes]:
-        """Contents by file name, relative to the export's folder; the same ones for the same arguments.
-
-        Parameters
-        ----------
-        program : TapeProgram
-            its tapes by name: `network`, or `forward`, `prepare`, `advance` and perhaps `network` of a command
-        label : Label
-            name and hashes; label.name begins each file's name
-
-        Returns
-        -------
-        Mapping[str, str | bytes]
-            file name -> contents
-        """
+        """Contents by file name, relative to the export's folder; the same ones for the same arguments."""

@@ -14,31 +14,17 @@ from casadical.core.errors import InputError
 class Limits:
     """Limits of the correction, and when a result is reported as not reached.
 
-    Parameters
-    ----------
-    delta_rad : float, default 0.15
-        of each joint's correction [rad, of a linear joint m]
-    step_rad : float, default 0.1
-        of each of its least-squares steps [rad or m]
-    rate_rad_s : float, default 0.5
-        rate at which a correction may change [rad/s or m/s]
-    cycle_s : float, default 0.004
-        of the controller [s]
-    ramp_s : float, default 1.0
-        time from none to all of it [s]
-    damping : float, default 0.01
-        lambda of the least squares [m/rad]
-    singular_m_per_rad : float, default 0.07
-        a pose whose weakest direction moves the tool by less than about this is reported [m/rad]
-    tolerance_mm : float, default 0.02
-        a larger remaining error is reported [mm]
-
-    Raises
-    ------
-    InputError
-        a limit that is not positive, a cycle outside of 0.01 ms to 1 s, a ramp of less than one cycle or more than
-        100,000 (in float a gain of smaller steps goes wrong), or a rate that in a cycle changes a joint by less than
-        1e-6 rad or by more than the largest correction
+    delta_rad : of each joint's correction [rad, of a linear joint m]
+    step_rad : of each of its least-squares steps [rad or m]
+    rate_rad_s : rate at which a correction may change [rad/s or m/s]
+    cycle_s : of the controller [s]
+    ramp_s : time from none to all of it [s]
+    damping : lambda of the least squares [m/rad]
+    singular_m_per_rad : a pose whose weakest direction moves the tool by less than about this is reported [m/rad]
+    tolerance_mm : a larger remaining error is reported [mm]
+    Raises InputError: a limit that is not positive, a cycle outside of 0.01 ms to 1 s, a ramp of less than one cycle or
+        more than 100,000 (in float a gain of smaller steps goes wrong), or a rate that in a cycle changes a joint by
+        less than 1e-6 rad or by more than the largest correction.
     """
 
     delta_rad: float = 0.15
@@ -73,26 +59,12 @@ class Limits:
 class NetworkFunction:
     """A network as a function of the joints, and the box of joint angles it was trained in.
 
-    Parameters
-    ----------
-    function : Function
-        q[n] [rad] -> dp[m] [mm]
-    lower : Array, shape (n,) [rad or m]
-        box of joint readings it was trained in
-    upper : Array, shape (n,) [rad or m]
-        its other end
-    units : tuple[str, ...], optional
-        "rad" or "m" of each joint's reading; default: all rad
-
-    Attributes
-    ----------
-    key, out, unit, title
-        the names of the exported function and of its result, its unit, and what it is, in words
-
-    Raises
-    ------
-    InputError
-        a function of other shapes
+    function : q[n] [rad] -> dp[m] [mm]
+    lower : Array, shape (n,) [rad or m]: box of joint readings it was trained in
+    upper : Array, shape (n,) [rad or m]: its other end
+    units : "rad" or "m" of each joint's reading; default: all rad
+    key, out, unit, title : the names of the exported function and of its result, its unit, and what it is, in words
+    Raises InputError: a function of other shapes.
     """
 
     function: casadi.Function
@@ -114,21 +86,10 @@ class NetworkFunction:
 class CurveFunction(NetworkFunction):
     """The joints' error curves, q[n] -> dq[n]: each joint stands at its reading plus dq [rad].
 
-    Parameters
-    ----------
-    function : Function
-        q[n] [rad] -> dq[n] [rad]
-    lower : Array, shape (n,) [rad or m]
-        box of joint readings
-    upper : Array, shape (n,) [rad or m]
-        its other end
-    units : tuple[str, ...], optional
-        "rad" or "m" of each joint's reading; default: all rad
-
-    Raises
-    ------
-    InputError
-        a function of other shapes
+    lower : Array, shape (n,) [rad or m]: box of joint readings
+    upper : Array, shape (n,) [rad or m]: its other end
+    units : "rad" or "m" of each joint's reading; default: all rad
+    Raises InputError: a function of other shapes.
     """
 
     key: ClassVar[str] = "curves"
@@ -145,48 +106,28 @@ class CurveFunction(NetworkFunction):
 class Command:
     """The correction of joint commands: it moves the real tool to the position of the nominal robot's tool.
 
-    Parameters
-    ----------
-    nominal, calibrated : Function
-        q[n] -> p[3] [m], or q[n] -> (p[3], R[3x3]) for position and orientation; the calibrated one is the whole
-        model of the real robot (loop, compliance, network)
-    lower : Array, shape (n,) [rad or m]
-        box of joint readings that are corrected; of `command_of` the robot's limits, not the range that was measured
-    upper : Array, shape (n,) [rad or m]
-        its other end
-    jacobian_of : Function, optional
-        robot whose Jacobian the chord steps take, a function like ``calibrated``; None: that one. The chain without
-        compliance and network costs a third
-    jacobian_at : Function, optional
-        joints at which it is taken, as a function of q; None: q
-    network : NetworkFunction, optional
-        exported with the correction if given
-    limits : Limits, optional
-        of the correction, and of what is reported
-    steps : int, default 2
-        least-squares steps, 1 to 10. The robot is evaluated again after them: NOT_CONVERGED says that the tolerance is
-        passed there. One more step follows where the last one left a third or less of its error
-    length_m : float, default 0.3
-        for poses, the length by which an orientation error [rad] is weighted [m]
-    bound : Function, optional
-        q[n] -> b[1] [mm], below which 95 % of the errors of the calibrated robot are; None: not known
-    limit_mm : float, optional
-        the greatest bound, with what the steps may leave, at which a correction is OK [mm]; None: any
-    units : tuple[str, ...], optional
-        "rad" or "m" of each joint's reading; default: all rad
-    freedom : tuple[int, int], default (3, 3)
-        in how many directions the joints move the tool, and in how many they turn it beside that. Fewer than six of a
-        pose: the position goes first, and of the orientation the joints do what they can
-    notes : tuple[str, ...], default ()
-        sentences for the reader of the header
-    difference : Function, optional
-        (q[n], dq[n]) -> the calibrated position or pose at q + dq less the nominal one at q, in which nothing cancels:
-        for float, at about twice the operations; None: the two are subtracted
-
-    Raises
-    ------
-    InputError
-        functions of other shapes, or a number of steps that is not allowed
+    nominal, calibrated : q[n] -> p[3] [m], or q[n] -> (p[3], R[3x3]) for position and orientation; the calibrated one
+        is the whole model of the real robot (loop, compliance, network)
+    lower : Array, shape (n,) [rad or m]: box of joint readings that are corrected; of `command_of` the robot's limits,
+        not the range that was measured
+    upper : Array, shape (n,) [rad or m]: its other end
+    jacobian_of : robot whose Jacobian the chord steps take, a function like ``calibrated``; None: that one. The chain
+        without compliance and network costs a third
+    jacobian_at : joints at which it is taken, as a function of q; None: q
+    network : exported with the correction if given
+    limits : of the correction, and of what is reported
+    steps : least-squares steps, 1 to 10. The robot is evaluated again after them: NOT_CONVERGED says that the tolerance
+        is passed there. One more step follows where the last one left a third or less of its error
+    length_m : for poses, the length by which an orientation error [rad] is weighted [m]
+    bound : q[n] -> b[1] [mm], below which 95 % of the errors of the calibrated robot are; None: not known
+    limit_mm : the greatest bound, with what the steps may leave, at which a correction is OK [mm]; None: any
+    units : "rad" or "m" of each joint's reading; default: all rad
+    freedom : in how many directions the joints move the tool, and in how many they turn it beside that. Fewer than six
+        of a pose: the position goes first, and of the orientation the joints do what they can
+    notes : sentences for the reader of the header
+    difference : (q[n], dq[n]) -> the calibrated position or pose at q + dq less the nominal one at q, in which nothing
+        cancels: for float, at about twice the operations; None: the two are subtracted
+    Raises InputError: functions of other shapes, or a number of steps that is not allowed.
     """
 
     nominal: casadi.Function

@@ -47,14 +47,9 @@ class Node:
 class Tape:
     """A function as a list of plain real operations.
 
-    Parameters
-    ----------
-    nodes : tuple[Node, ...]
-        operations in order of evaluation
-    n_in : int
-        number of inputs
-    outputs : tuple[int, ...]
-        which nodes are the results
+    nodes : operations in order of evaluation
+    n_in : number of inputs
+    outputs : which nodes are the results
     """
 
     nodes: tuple[Node, ...]

@@ -16,16 +16,10 @@ from casadical.export.c.tape import Tape, tape_of
 class TapeProgram:
     """A product ready to be written.
 
-    Parameters
-    ----------
-    product : Product
-        what is exported
-    real : Real
-        type of its numbers
-    tapes : dict[str, Tape]
-        by name
-    network_bounds : tuple[tuple[float, float], ...]
-        least and greatest value of each of the network's outputs
+    product : what is exported
+    real : type of its numbers
+    tapes : by name
+    network_bounds : least and greatest value of each of the network's outputs
     """
 
     product: Product

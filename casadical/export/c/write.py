@@ -28,18 +28,11 @@ LEAST_CONVERGED = 0.9
 class Export:
     """A written export: its files, the comparisons of the compiled C, figures of this model, operations of a call.
 
-    Parameters
-    ----------
-    folder : Path
-        where it lies
-    files : tuple[str, ...]
-        their names
-    comparisons : tuple[Comparison, ...]
-        of the compiled C with the reference, one for each compiler
-    figures : dict[str, float]
-        of this model, by name
-    operations : Operations
-        additions, products and so on of a call, by function
+    folder : where it lies
+    files : their names
+    comparisons : of the compiled C with the reference, one for each compiler
+    figures : of this model, by name
+    operations : additions, products and so on of a call, by function
     """
 
     folder: Path
@@ -59,13 +52,7 @@ class Export:
         return self.figures.get("share_converged", 1.0) >= LEAST_CONVERGED
 
     def report(self) -> str:
-        """Whether it is verified, every comparison, the figures of this model, and the operations of a call.
-
-        Returns
-        -------
-        str
-            lines of text
-        """
+        """Whether it is verified, every comparison, the figures of this model, and the operations of a call."""
         head = "verified: compiled, and the same bits as the reference"
         if not self.converges:
             share = 100 * self.figures["share_converged"]
@@ -81,13 +68,7 @@ class Export:
         return "\n".join([*lines, f"{len(self.files)} files in {self.folder}"])
 
     def to_json(self) -> dict[str, Any]:
-        """The same as plain data.
-
-        Returns
-        -------
-        dict[str, Any]
-            plain data
-        """
+        """The same as plain data."""
         return {
             "folder": str(self.folder), "files": list(self.files), "verified": self.verified, "figures": self.figures,
             "operations": self.operations.count,
@@ -131,11 +112,6 @@ def write_c(
         replace files that this function did not write, or that were changed since
     also : Callable[[Export], Mapping[Path, str]], optional
         further files that appear with them or not at all, from what this function gives back
-
-    Returns
-    -------
-    Export
-        files, comparisons and figures
 
     Raises
     ------

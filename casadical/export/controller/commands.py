@@ -108,11 +108,6 @@ def command_of(
     precise : bool, default False
         whether nominal and real robot are compared so that nothing cancels: for float
 
-    Returns
-    -------
-    Command
-        what `write_c` exports
-
     Raises
     ------
     InputError
@@ -189,20 +184,8 @@ def bound_of(sources: Sources) -> tuple[ca.Function | None, str]:
 def network_of(sources: Sources) -> NetworkFunction:
     """The compensator alone: joints [rad] -> what to add to the computed position [mm], in the measuring frame.
 
-    Parameters
-    ----------
-    sources : Sources
-        robots, network and payload
-
-    Returns
-    -------
-    NetworkFunction
-        what `write_c` exports
-
-    Raises
-    ------
-    InputError
-        where `sources` names no compensator, or one that was refused when it was trained
+    sources : robots, network and payload
+    Raises InputError: where `sources` names no compensator, or one that was refused when it was trained.
     """
     if sources.compensator is None:
         raise InputError("a network needs its file: give --compensator NET.json, as calibrate --out wrote it")
@@ -221,20 +204,8 @@ def curves_of(sources: Sources) -> CurveFunction:
 
     For a controller that has the rest of the calibration in its own kinematics. The box is the robot's joint limits.
 
-    Parameters
-    ----------
-    sources : Sources
-        robots, network and payload
-
-    Returns
-    -------
-    CurveFunction
-        what `write_c` exports
-
-    Raises
-    ------
-    InputError
-        where the robot has no `joint_error_curve`
+    sources : robots, network and payload
+    Raises InputError: where the robot has no `joint_error_curve`.
     """
     robot = robot_of(sources.robot)
     curves = joint_curves(robot)

@@ -40,22 +40,13 @@ MEANINGS = {
 class Corrector:
     """A way to correct joint targets: the compiled C of an export, or a model.
 
-    Parameters
-    ----------
-    joints : int
-        number of joints
-    correct : Callable[[Array], tuple[Array, Array]]
-        q, shape (k, joints) [rad or m] -> corrections of the same shape, and status, shape (k,)
-    position : Callable[[Array], Array]
-        q -> calibrated tool positions [m], shape (k, 3)
-    target : Callable[[Array], Array], optional
-        q -> nominal tool positions [m], shape (k, 3); None where it is not known
-    bound : Callable[[Array], Array], optional
-        q -> below it 95 % of the errors are that remain [mm], shape (k,); None where it is not known
-    fallback : Corrector, optional
-        of the position alone, for targets whose pose cannot be corrected; None: they are refused
-    units : tuple[str, ...], default ()
-        "rad" or "m" of each joint's reading; none: all rad
+    joints : number of joints
+    correct : q, shape (k, joints) [rad or m] -> corrections of the same shape, and status, shape (k,)
+    position : q -> calibrated tool positions [m], shape (k, 3)
+    target : q -> nominal tool positions [m], shape (k, 3); None where it is not known
+    bound : q -> below it 95 % of the errors are that remain [mm], shape (k,); None where it is not known
+    fallback : of the position alone, for targets whose pose cannot be corrected; None: they are refused
+    units : "rad" or "m" of each joint's reading; none: all rad
     """
 
     joints: int
@@ -71,20 +62,13 @@ class Corrector:
 class Corrected:
     r"""A corrected program.
 
-    Parameters
-    ----------
-    program : Program
-        as it was read
-    q : Array, shape (rows, joints) [rad or m]
-        corrected targets; refused rows keep theirs
-    status : tuple[str, ...]
-        name of each row's status
-    moved_mm : Array, shape (rows,)
-        how far the correction moves the real tool
-    rest_mm : Array | None, shape (rows, 2)
-        distance of the real tool from the nominal one, before and after; None: not known
-    bound_mm : Array | None, shape (rows,)
-        below it 95 % of the errors are that remain; None: not known
+    program : as it was read
+    q : Array, shape (rows, joints) [rad or m]: corrected targets; refused rows keep theirs
+    status : name of each row's status
+    moved_mm : Array, shape (rows,): how far the correction moves the real tool
+    rest_mm : Array | None, shape (rows, 2): distance of the real tool from the nominal one, before and after; None: not
+        known
+    bound_mm : Array | None, shape (rows,): below it 95 % of the errors are that remain; None: not known
     """
 
     program: Program
@@ -100,33 +84,15 @@ class Corrected:
         return np.array([s in FINE for s in self.status])
 
     def to_csv(self) -> str:
-        """The program's table with the new targets and a status for each row.
-
-        Returns
-        -------
-        str
-            CSV
-        """
+        """The program's table with the new targets and a status for each row."""
         return self.program.text(self.q, self.fine, self.status, self.bound_mm)
 
     def report(self) -> str:
-        """The number of corrected rows, refused rows with their reasons, and how far joints and tool move.
-
-        Returns
-        -------
-        str
-            lines of text
-        """
+        """The number of corrected rows, refused rows with their reasons, and how far joints and tool move."""
         return "\n".join([*_refused(self), *_moved(self)])
 
     def to_json(self) -> dict[str, Any]:
-        """The summary as plain data: rows, refused ones by line of the file, how far the tool moves [mm].
-
-        Returns
-        -------
-        dict[str, Any]
-            plain data
-        """
+        """The summary as plain data: rows, refused ones by line of the file, how far the tool moves [mm]."""
         refused = {str(self.program.line[k]): self.status[k] for k in np.flatnonzero(~self.fine)}
         moved = self.moved_mm[self.fine]
         found: dict[str, Any] = {"rows": len(self.status), "corrected": int(self.fine.sum()), "refused": refused}
@@ -144,22 +110,10 @@ class Corrected:
 def kernel_corrector(folder: Path, *, trust: bool = False) -> Corrector:
     """Correction by the C in an export folder, compiled here.
 
-    Parameters
-    ----------
-    folder : Path
-        that `write_c` wrote
-    trust : bool, default False
-        as of `casadical.export.c.kernel.load`
-
-    Returns
-    -------
-    Corrector
-        callable on arrays
-
-    Raises
-    ------
-    InputError
-        no such export, or there is no compiler
+    folder : that `write_c` wrote
+    trust : as of `casadical.export.c.kernel.load`
+    Returns callable on arrays
+    Raises InputError: no such export, or there is no compiler.
     """
     try:
         kernel = load(folder, trust=trust)
@@ -196,11 +150,6 @@ def model_corrector(command: Command, fallback: Corrector | None = None) -> Corr
     fallback : Corrector, optional
         as of `Corrector`
 
-    Returns
-    -------
-    Corrector
-        callable on arrays
-
     Examples
     --------
     >>> command = casadical.export.command_of(casadical.export.Sources(found.robot, robot))
@@ -224,17 +173,9 @@ def model_corrector(command: Command, fallback: Corrector | None = None) -> Corr
 def corrected(corrector: Corrector, program: Program) -> Corrected:
     r"""Correct every row of a program independently.
 
-    Parameters
-    ----------
-    corrector : Corrector
-        model or compiled C
-    program : Program
-        joint targets
-
-    Returns
-    -------
-    Corrected
-        targets, status and what moves
+    corrector : model or compiled C
+    program : joint targets
+    Returns targets, status and what moves
     """
     q, names = corrected_joints(corrector, program.q)
     before, after = corrector.position(program.q), corrector.position(q)

@@ -25,17 +25,12 @@ _STEPS, _LARGEST_STEP, _DAMPING, _DONE = 60, 0.4, 0.1, 1e-13
 class Inverse:
     """Joints that reach poses.
 
-    Parameters
-    ----------
     q : Array, shape (k, n) [rad or m]
-    rest_m : Array, shape (k,) [m]
-        what remains of the position
-    rest_rad : Array, shape (k,) [rad]
-        what remains of the orientation
-    singular : Array, shape (k,)
-        whether the pose is nearly singular: the weakest direction moves the tool by less than 0.02 m/rad
-    inside : Array, shape (k,)
-        whether every joint is in its range
+    rest_m : Array, shape (k,) [m]: what remains of the position
+    rest_rad : Array, shape (k,) [rad]: what remains of the orientation
+    singular : Array, shape (k,): whether the pose is nearly singular: the weakest direction moves the tool by less than
+        0.02 m/rad
+    inside : Array, shape (k,): whether every joint is in its range
     """
 
     q: Array
@@ -67,11 +62,6 @@ def inverse_kinematics(robot: Robot, p: Array, R: Array | None, start: Array) ->
         orientations of the tool frame; None: only the position is to be reached
     start : Array
         joints to start from, shape (k, n) or (n,) [rad or m]; the solution nearest to them, as a rule, is found
-
-    Returns
-    -------
-    Inverse
-        joints, and what is left; a pose that cannot be reached has a rest
 
     Raises
     ------

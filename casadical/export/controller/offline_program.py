@@ -23,22 +23,13 @@ _DIGITS = {"_deg": 7, "_rad": 9, "_mm": 6, "_m": 9}  # decimals: some nanometres
 class Program:
     r"""Joint targets and the table that contains them.
 
-    Parameters
-    ----------
-    source : str
-        name of the file
-    q : Array, shape (rows, joints) [rad or m]
-        joint targets
-    header : tuple[str, ...]
-        headers of the columns
-    rows : tuple[tuple[str, ...], ...]
-        cells as text
-    line : tuple[int, ...]
-        of each row in the file
-    columns : tuple[int, ...]
-        indices of the joints' columns
-    units : tuple[str, ...]
-        "_deg" or "_rad" of each, "_mm" or "_m" of a linear joint
+    source : name of the file
+    q : Array, shape (rows, joints) [rad or m]: joint targets
+    header : headers of the columns
+    rows : cells as text
+    line : of each row in the file
+    columns : indices of the joints' columns
+    units : "_deg" or "_rad" of each, "_mm" or "_m" of a linear joint
     """
 
     source: str
@@ -52,21 +43,10 @@ class Program:
     def text(self, q: Array, moved: Array, status: Sequence[str], bound_mm: Array | None = None) -> str:
         """The table as CSV with new targets in some rows, and a column with each row's status.
 
-        Parameters
-        ----------
-        q : Array, shape (rows, joints) [rad or m]
-            joint targets
-        moved : Array, shape (rows,)
-            which rows take them, boolean
-        status : Sequence[str]
-            of each row
-        bound_mm : Array | None, shape (rows,)
-            of the error that remains, a further column; empty where a row was not moved
-
-        Returns
-        -------
-        str
-            CSV
+        q : Array, shape (rows, joints) [rad or m]: joint targets
+        moved : Array, shape (rows,): which rows take them, boolean
+        bound_mm : Array | None, shape (rows,): of the error that remains, a further column; empty where a row was not
+            moved
         """
         table = [[*self.header, STATUS, *([] if bound_mm is None else [BOUND])]]
         for k, row in enumerate(self.rows):
@@ -82,24 +62,9 @@ class Program:
 def read_program(path: str | Path, joints: int, units: Sequence[str] = ()) -> Program:
     r"""Joint targets q1_deg .. (or q1_rad ..) from a CSV file with commas and a header.
 
-    Parameters
-    ----------
-    path : str | Path
-        CSV file with commas and a header
-    joints : int
-        number of joints
-    units : Sequence[str], default ()
-        "rad" or "m" of each joint's reading: of a linear joint the column is q1_mm or q1_m; default: all rad
-
-    Returns
-    -------
-    Program
-        targets and table
-
-    Raises
-    ------
-    InputError
-        a cell or column that cannot be used; it names file, row and column
+    joints : number of joints
+    units : "rad" or "m" of each joint's reading: of a linear joint the column is q1_mm or q1_m; default: all rad
+    Raises InputError: a cell or column that cannot be used; it names file, row and column.
     """
     table = read_table(path)
     header, rows, line = table.header, table.cells, table.line

@@ -21,25 +21,11 @@ AT_MOST = 100
 def positions(xml: str, m: Measurements, payload_factor: float = 1.0) -> Array:
     """Equilibrium position of the site `measured` at readings and conditions.
 
-    Parameters
-    ----------
-    xml : str
-        as `mjcf` writes it
-    m : Measurements
-        readings and conditions: payload_kg and approach1 .. where they were logged
-    payload_factor : float, default 1.0
-        true mass of the payload over the declared one
-
-    Returns
-    -------
-    Array, shape (n, 3) [m]
-
-    Raises
-    ------
-    InputError
-        MuJoCo is not installed, or readings of another robot
-    ConvergenceError
-        a loop cannot close
+    xml : as `mjcf` writes it
+    m : readings and conditions: payload_kg and approach1 .. where they were logged
+    payload_factor : true mass of the payload over the declared one
+    Returns an array, shape (n, 3) [m]
+    Raises InputError: MuJoCo is not installed, or readings of another robot; ConvergenceError: a loop cannot close.
     """
     model = _Model(xml)
     if model.arm != m.q.shape[1]:

@@ -30,28 +30,11 @@ def into_mjcf(nominal: Robot, calibrated: Robot, path: Path, joints: Sequence[st
 
     The base stays where it is; the site `casadical_measured` is the measured point. Relative paths of meshes stay too.
 
-    Parameters
-    ----------
-    nominal : Robot
-        the robot before
-    calibrated : Robot
-        the robot after
-    path : Path
-        of the user's model
-    joints : Sequence[str]
-        names of the arm's joints in the model, from the base on
-    springs : bool, default False
-        whether each compliant joint also gets a hinge `NAME_spring` beside it, in the same body
-
-    Returns
-    -------
-    str
-        XML
-
-    Raises
-    ------
-    InputError
-        a closed loop, no such joint, or a joint whose axis is not the nominal robot's
+    nominal : the robot before
+    calibrated : the robot after
+    joints : names of the arm's joints in the model, from the base on
+    springs : whether each compliant joint also gets a hinge `NAME_spring` beside it, in the same body
+    Raises InputError: a closed loop, no such joint, or a joint whose axis is not the nominal robot's.
     """
     if nominal.loops:
         raise InputError(f"{nominal.name!r} has a closed loop; write a new model (without --into)")

@@ -40,16 +40,10 @@ POINT = "measured"
 class MjcfExport:
     """A MuJoCo model.
 
-    Parameters
-    ----------
-    text : str
-        XML
-    written : tuple[str, ...]
-        how each effect was written, in words
-    omitted : tuple[Omission, ...]
-        what has no counterpart, and why
-    notes : tuple[str, ...], default ()
-        what a reader must know
+    text : XML
+    written : how each effect was written, in words
+    omitted : what has no counterpart, and why
+    notes : what a reader must know
     """
 
     text: str
@@ -69,15 +63,7 @@ def mjcf(robot: Robot) -> MjcfExport:
     Bodies base, link1 .. linkN, payload; joints joint1 .. (of a four-bar joint3 is the crank, joint3_driven the link),
     actuators drive1 .. which take the reading as `ctrl`; the site and sensor `measured` are the measured point.
 
-    Parameters
-    ----------
-    robot : Robot
-        the robot
-
-    Returns
-    -------
-    MjcfExport
-        its text, and what is not in it
+    Returns its text, and what is not in it
     """
     found = counterparts(robot)
     root = ET.Element("mujoco", model=robot.name)

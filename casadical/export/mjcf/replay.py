@@ -52,16 +52,10 @@ class ReplayedModel:
 class Replay:
     """A campaign replayed on poses that were held out.
 
-    Parameters
-    ----------
-    source : str
-        name of the campaign
-    robot : str
-        its name
-    stages : tuple[ReplayedModel, ...]
-        nominal, geometry, effect (if there is one)
-    diagnosis : Diagnosis, optional
-        whose causes are in the last model
+    source : name of the campaign
+    robot : its name
+    stages : nominal, geometry, effect (if there is one)
+    diagnosis : whose causes are in the last model
     """
 
     source: str
@@ -98,26 +92,10 @@ def replay(robot: Robot, m: Measurements, name: str = "model") -> ReplayedModel:
     Effects of the measurement (a frame that drifts, a reflector's offset) are not in the model: they are added to the
     point that MuJoCo finds.
 
-    Parameters
-    ----------
-    robot : Robot
-        whose model is replayed
-    m : Measurements
-        measured poses
-    name : str, default "model"
-        of the stage
-
-    Returns
-    -------
-    ReplayedModel
-        errors in the simulator
-
-    Raises
-    ------
-    InputError
-        MuJoCo is not installed, or readings of another robot
-    ConvergenceError
-        the simulator finds no equilibrium
+    robot : whose model is replayed
+    name : of the stage
+    Raises InputError: MuJoCo is not installed, or readings of another robot; ConvergenceError: the simulator finds no
+        equilibrium.
     """
     if m.position is None:
         raise InputError(f"{m.source}: of kind {m.kind}; positions are needed to replay")
@@ -159,11 +137,6 @@ def replay_campaign(
     show : Show, optional
         called with a line of progress
 
-    Returns
-    -------
-    Replay
-        errors of each stage
-
     Raises
     ------
     InputError
@@ -191,22 +164,9 @@ def replay_diagnosis(found: Diagnosis) -> Replay:
     The outliers are left out, and the other poses replayed: no value has seen them, though they had a part in which
     causes are named; `replay_campaign` keeps them from that, too.
 
-    Parameters
-    ----------
-    found : Diagnosis
-        a diagnosis
-
-    Returns
-    -------
-    Replay
-        errors of each stage
-
-    Raises
-    ------
-    InputError
-        MuJoCo is not installed
-    ConvergenceError
-        Ipopt finds no optimum, or the simulator no equilibrium
+    found : a diagnosis
+    Raises InputError: MuJoCo is not installed; ConvergenceError: Ipopt finds no optimum, or the simulator no
+        equilibrium.
     """
     case, robot = found.case, found.case.given
     m, _ = derive(case.m, ["progress", *(f"approach{i}" for i in range(1, robot.n + 1))])

@@ -60,49 +60,21 @@ class PoseExpression:
         self.observed: dict[str, Symbolic] = {}
 
     def take(self, name: str, size: int) -> Symbolic:
-        """An observed array at this pose, as a column of numbers, a matrix row by row.
-
-        Parameters
-        ----------
-        name : str
-            of the array, as of `MeasurementKind.arrays`
-        size : int
-            how many numbers it has at a pose
-
-        Returns
-        -------
-        Symbolic
-            CasADi symbols, a matrix row by row
-        """
+        """An observed array at this pose, as a column of numbers, a matrix row by row."""
         self.observed[name] = ca.SX.sym(name, size)
         return self.observed[name]
 
     def position_at(self, q: Symbolic) -> Symbolic:
         """The measured point at other readings, under the same conditions.
 
-        Parameters
-        ----------
-        q : Symbolic
-            joint readings
-
-        Returns
-        -------
-        Symbolic, shape (3,) [m]
+        Returns Symbolic, shape (3,) [m]
         """
         return self.pose_at(q)[0]
 
     def pose_at(self, q: Symbolic) -> tuple[Symbolic, Symbolic]:
         """The measured point and its orientation at other readings, under the same conditions.
 
-        Parameters
-        ----------
-        q : Symbolic
-            joint readings
-
-        Returns
-        -------
-        tuple[Symbolic, Symbolic], shapes (3,) [m] and (3, 3)
-            position and orientation
+        Returns tuple[Symbolic, Symbolic], shapes (3,) [m] and (3, 3): position and orientation
         """
         p, R = self._model(q)
         return p, R
@@ -110,18 +82,14 @@ class PoseExpression:
     def from_point(self) -> Symbolic:
         """The measured point less the unknown point that is identified too, for kinds with one.
 
-        Returns
-        -------
-        Symbolic, shape (3,) [m]
+        Returns Symbolic, shape (3,) [m]
         """
         return self.p - self.unknown_point()
 
     def unknown_point(self) -> Symbolic:
         """The unknown point that is identified too, for kinds with one; of a plane see `planes`.
 
-        Returns
-        -------
-        Symbolic, shape (3,) [m]
+        Returns Symbolic, shape (3,) [m]
         """
         assert self.point is not None
         return self.take("point", 3) + self.point
@@ -194,154 +162,58 @@ class MeasurementKind(ABC):
 
     @abstractmethod
     def matches(self, names: Set[str]) -> bool:
-        """Whether a table with these columns is of this kind, where problem.toml does not say.
-
-        Parameters
-        ----------
-        names : Set[str]
-            headers of the table
-
-        Returns
-        -------
-        bool
-            true where they are its columns
-        """
+        """Whether a table with these columns is of this kind, where problem.toml does not say."""
 
     @abstractmethod
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
         """The arrays of a table, optional ones too.
 
-        Parameters
-        ----------
-        columns : Columns
-            of the table
-        q : Array, shape (n, joints) [rad or m]
-            joint readings
-
-        Returns
-        -------
-        dict[str, Array]
-            name -> array [SI], a row per pose; under `counted` 0 for rows at which nothing was measured, else 1
-
-        Raises
-        ------
-        InputError
-            a column is missing, or holds what cannot be measured
+        q : Array, shape (n, joints) [rad or m]: joint readings
+        Raises InputError: a column is missing, or holds what cannot be measured.
         """
 
     @abstractmethod
     def residual(self, pose: PoseExpression) -> Symbolic:
-        """Model less measurement at a pose: `lengths` numbers [m], then `angles` numbers [rad].
-
-        Parameters
-        ----------
-        pose : PoseExpression
-            what it may use
-
-        Returns
-        -------
-        Symbolic
-            a column of CasADi expressions
-        """
+        """Model less measurement at a pose: `lengths` numbers [m], then `angles` numbers [rad]."""
 
     @abstractmethod
     def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
         """Error of each pose that reports tell.
 
-        Parameters
-        ----------
-        arrays : Arrays
-            as of `read`
-        p : Array, shape (n, 3) [m]
-            positions of the model
-        positions_at : PositionsAt
-            positions of the model at other readings, shape (n, joints) -> shape (n, 3) [m]
-
-        Returns
-        -------
-        Array, shape (n,) [m]
+        p : Array, shape (n, 3) [m]: positions of the model
+        positions_at : positions of the model at other readings, shape (n, joints) -> shape (n, 3) [m]
+        Returns an array, shape (n,) [m]
         """
 
     def at_rest(self, arrays: Arrays) -> bool:
-        """Whether something at rest was measured (see `read`); without it the base's pose is not identifiable.
-
-        Parameters
-        ----------
-        arrays : Arrays
-            as of `read`
-
-        Returns
-        -------
-        bool
-            true by default
-        """
+        """Whether something at rest was measured (see `read`); without it the base's pose is not identifiable."""
         return True
 
     def point_names(self, arrays: Arrays) -> Sequence[str]:
-        """Name of the unknown point that each pose refers to (see `read`); none where the kind has no such points.
-
-        Parameters
-        ----------
-        arrays : Arrays
-            as of `read`
-
-        Returns
-        -------
-        Sequence[str]
-            one name per pose, or none
-        """
+        """Name of the unknown point that each pose refers to (see `read`); none where the kind has no such points."""
         return ()
 
     def point_starts(self, arrays: Arrays, p: Array) -> Array:
         """A first estimate of each pose's unknown point.
 
-        Parameters
-        ----------
-        arrays : Arrays
-            as of `read`
-        p : Array, shape (n, 3) [m]
-            positions of the model
-
-        Returns
-        -------
-        Array, shape (n, 3) [m]
+        p : Array, shape (n, 3) [m]: positions of the model
+        Returns an array, shape (n, 3) [m]
         """
         raise NotImplementedError(f"kind {self.name!r} names unknown points but does not estimate them")
 
     def grown(self, points: Array, origin: Array) -> Array:
         """How unknown points move where everything grows about a place, for kinds without scale.
 
-        Parameters
-        ----------
-        points : Array, shape (K, 3) [m]
-            unknown points
-        origin : Array, shape (3,) [m]
-            the place that stays
-
-        Returns
-        -------
-        Array, shape (K, 3) [m]
-            by their own distance from it, by default
+        points : Array, shape (K, 3) [m]: unknown points
+        origin : Array, shape (3,) [m]: the place that stays
+        Returns an array, shape (K, 3) [m]: by their own distance from it, by default
         """
         return points - origin
 
     def unit_fault(self, arrays: Arrays, p: Array, positions_at: PositionsAt, reach: float) -> str:
         """What is wrong with the lengths, in words, where they must be in another unit; else nothing.
 
-        Parameters
-        ----------
-        arrays : Arrays
-            as of `read`
-        p : Array, shape (n, 3) [m]
-            positions of the nominal model
-        positions_at : PositionsAt
-            as of `errors`
-        reach : float
-            of the robot [m]
-
-        Returns
-        -------
-        str
-            a sentence; empty where nothing is wrong
+        p : Array, shape (n, 3) [m]: positions of the nominal model
+        reach : of the robot [m]
         """
         return ""

@@ -61,11 +61,6 @@ def read_urdf(
         joints (1-based, counted from the base link) whose drives give under load; their compliance, of which a URDF
         says nothing, starts at zero
 
-    Returns
-    -------
-    Robot
-        the nominal robot, base and tool to be identified
-
     Raises
     ------
     InputError

@@ -42,43 +42,8 @@ def calibrated_urdf(
     deflections does better with a robot identified as rigid (method KM), whose geometry takes up part of them. Meshes,
     inertias and limits stay as they are; every link keeps its place against its own joint's axis.
 
-    Parameters
-    ----------
-    robot_before : Robot
-        as `read_urdf(path_in, base_link, tip_link)` gave it
-    robot_calibrated : Robot
-        the same one, identified
-    path_in : str | Path
-        URDF file that was read
-    path_out : str | Path
-        URDF file to write; one that is there is replaced
-    base_link, tip_link : str, optional
-        as of `read_urdf`
-    base : {"robot", "measuring"}, default "robot"
-        what the base link is in the new file. "robot": the foot it was, with frame 0 where it was in it; the
-        identified base frame then only tells where the instrument stood. "measuring": the measuring frame itself, the
-        first joint's origin takes the identified base frame (and the base link's z axis is no longer up)
-    measured_link : str, optional
-        name of a new link, fixed to the tip link, for the measured point (a reflector, say), and of one for each
-        further target (NAME_target); the tip link then stays where it was on the last link. None: the tip link itself
-        is the measured point and its fixed joint takes the identified tool
-
-    Raises
-    ------
-    InputError
-        another robot than that of the file, a closed loop, a tool that has moved where no fixed joint can take it, a
-        taken name; and what `read_urdf` raises
-
-    Examples
-    --------
-    >>> from casadical.robot.urdf import new_urdf
-    >>> size = Path("maker.urdf").write_text(new_urdf(robot))
-    >>> before = casadical.read_urdf("maker.urdf")
-    >>> after = before.with_values({"a1": before.parameters["a1"].value + 1e-3})
-    >>> casadical.calibrated_urdf(before, after, "maker.urdf", "calibrated.urdf")
-    >>> again = casadical.read_urdf("calibrated.urdf")
-    >>> round(again.parameters["a1"].value - before.parameters["a1"].value, 6)
-    0.001
+    Raises InputError: another robot than that of the file, a closed loop, a tool that has moved where no fixed joint
+        can take it, a taken name; and what `read_urdf` raises.
     """
     text = calibrated_urdf_text(robot_before, robot_calibrated, path_in, base_link, tip_link, base, measured_link)
     write_whole(Path(path_out), text)
@@ -236,25 +201,8 @@ def new_urdf(robot: Robot) -> str:
 
     Where the base stands in the measuring frame, compliances and effects have no place in a URDF: a comment says so.
 
-    Parameters
-    ----------
-    robot : Robot
-        calibrated or nominal
-
-    Returns
-    -------
-    str
-        XML
-
-    Raises
-    ------
-    InputError
-        a robot with a closed loop
-
-    Examples
-    --------
-    >>> casadical.robot.urdf.new_urdf(found.robot)[:21]
-    '<?xml version="1.0" e'
+    robot : calibrated or nominal
+    Raises InputError: a robot with a closed loop.
     """
     if robot.loops:
         raise InputError(
