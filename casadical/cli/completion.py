@@ -20,16 +20,16 @@ def methods(incomplete: str) -> list[str]:
 
 def losses(incomplete: str) -> list[str]:
     """Words for `--loss`."""
-    from casadical.identification.residuals import ALL_LOSSES
+    from casadical.project.problem_file import all_losses
 
-    return _begun(ALL_LOSSES, incomplete)
+    return _begun(all_losses(), incomplete)
 
 
 def criteria(incomplete: str) -> list[str]:
     """Words for `--criterion`."""
-    from casadical.pose_selection.criteria import CRITERIA
+    from casadical.project.planning import all_criteria
 
-    return _begun(CRITERIA, incomplete)
+    return _begun(all_criteria(), incomplete)
 
 
 def languages(incomplete: str) -> list[str]:
@@ -48,7 +48,6 @@ def forms(incomplete: str) -> list[str]:
 
 def effects(incomplete: str) -> list[str]:
     """Names of effects; after a comma, of the next one."""
-    from casadical.effects.plugins import known_effects
+    from casadical.project.diagnosis import all_effects
 
-    names = sorted(kind.name for kind in known_effects().values() if kind.on_list != "unknown")
-    return _listed(tuple(names), incomplete)
+    return _listed(all_effects(), incomplete)

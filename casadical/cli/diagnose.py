@@ -30,7 +30,6 @@ from casadical.core.errors import InputError, shown
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from casadical.diagnosis.diagnose import Masses
     from casadical.project.diagnosis import CampaignDiagnosis
 
 Out = Annotated[
@@ -133,7 +132,6 @@ def diagnose(
 
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug in casadical.
     """
-    from casadical.pose_selection.workspace_file import read_workspace
     from casadical.project.diagnosis import Options, diagnose_campaign, read_campaigns
 
     if room and measure_next is None:
@@ -144,9 +142,11 @@ def diagnose(
     given = read_campaigns(problem, campaigns, carried(prior, prior_effects, frozen), together=together)
     if given[0].own_effects:
         console.print(f"Effects of the robot file are in the model, held at their values: {given[0].own_effects}.")
-    workspace = read_workspace(room, given[0].robot) if room else None
-    masses: Masses = "nuisance" if nuisance_masses else "candidate"
-    options = Options(effects_of(effects), seed, bootstrap, masses, rival_laws, laws is not False, laws is True)
+    workspace = given[0].workspace(room)
+    options = Options(
+        effects_of(effects), seed, bootstrap, "nuisance" if nuisance_masses else "candidate", rival_laws,
+        laws is not False, laws is True,
+    )  # fmt: skip
     file = measure_next if len(given) == 1 else None
     name = file.name if file else ""
     answers: list[CampaignDiagnosis] = []
@@ -173,10 +173,9 @@ def diagnose(
 def _printed(found: CampaignDiagnosis, details: bool, file: Path | None, console: Console) -> dict[Path, str]:
     """Print a diagnosis; the file of its next poses, where there are any to measure."""
     from casadical.core.telling.terminal import terminal
-    from casadical.diagnosis.text import titled
 
     if details:
-        console.print(titled(found.campaign.title, found.text()), soft_wrap=True)
+        console.print(found.titled_text(), soft_wrap=True)
     else:
         console.print(terminal(found.brief()))
     if found.law_blocks():

@@ -10,7 +10,7 @@ from casadical.cli import completion as words
 from casadical.core.errors import InputError, shown
 
 if TYPE_CHECKING:
-    from casadical.effects import Effect
+    from casadical.project.diagnosis import EffectChoice
     from casadical.project.problem import Carried
 
 Nominal = Annotated[
@@ -170,29 +170,19 @@ def problems_of(paths: Sequence[Path]) -> dict[str, tuple[Path, list[Path]]]:
     return found
 
 
-def effects_of(text: str | None) -> "str | list[str | Effect | type[Effect]]":
+def effects_of(text: str | None) -> "EffectChoice":
     """What `--effects` names: a list's name, or names, labels and the effects of files. Raises InputError."""
-    from casadical.robot.effect_file import read_effects
+    from casadical.project.diagnosis import effects_named
 
-    named: list[str | Effect | type[Effect]] = []
-    for word in text.split(",") if text else ():
-        if not word.strip().endswith(".toml"):
-            named.append(word)
-            continue
-        file = read_effects(word.strip())
-        named += file.effects or file.kinds
-    return named or "standard"
+    return effects_named(text.split(",") if text else ())
 
 
 def carried(prior: Path | None, parts: str | None, frozen: bool) -> "Carried":
     """What puts the prior of these options into a robot. Raises InputError."""
-    from casadical.identification.prior import carry_over
-    from casadical.robot.robot_file import read_robot
+    from casadical.project.problem import carried_from, nothing_carried
 
     if prior is None:
         if parts is not None or frozen:
             raise InputError(f"--{'frozen' if frozen else 'prior-effects'}: needs the robot file that --prior names")
-        return lambda robot: (robot, None)
-    other = read_robot(prior)
-    wanted = tuple(name.strip() for name in (parts or "effects").split(","))
-    return lambda robot: carry_over(robot, other, wanted, frozen=frozen)
+        return nothing_carried
+    return carried_from(prior, [name.strip() for name in (parts or "effects").split(",")], frozen)

@@ -136,8 +136,7 @@ def plan(
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
     from casadical.core.telling.terminal import terminal
-    from casadical.pose_selection.candidates import Circumstances
-    from casadical.project.planning import Wanted, plan_problem, planned_with
+    from casadical.project.planning import Wanted, circumstances_of, plan_problem, planned_with
 
     if isolability:
         _isolability(problem, poses, effects, json_file, quiet)
@@ -148,7 +147,7 @@ def plan(
         tuple(effects.split(",")) if effects else (),
         criterion,
         room,
-        Circumstances(_numbers(payloads), every_payload, both_approaches, repeats),
+        circumstances_of(payloads, every_payload, both_approaches, repeats),
         noise_mm,
         joint_noise_urad,
         min_distance,
@@ -171,17 +170,14 @@ def _isolability(
     problem: Path, poses: list[Path] | None, effects: str | None, json_file: Path | None, quiet: bool
 ) -> None:
     """What poses can show, before any data."""
-    from casadical.diagnosis.isolability import isolability
-    from casadical.diagnosis.text import titled
-    from casadical.project.diagnosis import read_campaigns
+    from casadical.project.diagnosis import isolability_of, read_campaigns
 
     console = wrapped(quiet)
     answers = []
     for campaign in read_campaigns(problem, poses, readings_only=True):
-        (m,) = campaign.sets
-        found = isolability(campaign.robot, m, effects_of(effects))
-        answers.append(found.to_json(campaign.name))
-        console.print(titled(f"{campaign.title}, {len(m)} poses", found.text()), soft_wrap=True)
+        text, answer = isolability_of(campaign, effects_of(effects))
+        answers.append(answer)
+        console.print(text, soft_wrap=True)
         console.print()
     keep_json(json_file, answers, console)
 
@@ -198,18 +194,3 @@ def _places(wires: int | None, sockets: int | None, candidates: Path | None, kno
         return None
     where = read_places(candidates) if candidates else None
     return Places("wires", wires, where, known) if wires else Places("sockets", sockets or 1, where, known)
-
-
-def _numbers(text: str | None) -> tuple[float, ...]:
-    """Payloads by commas. Raises InputError."""
-    from casadical.measurements.columns import POSSIBLE
-
-    try:
-        numbers = tuple(float(word) for word in text.split(",")) if text else ()
-    except ValueError:
-        raise InputError(f"--payloads {text}: allowed: numbers by commas, such as 0,120") from None
-    least, most = POSSIBLE["payload_kg"]
-    for number in numbers:
-        if not least <= number <= most:
-            raise InputError(f"--payloads {text}: {number:g} kg is not possible; allowed: {least:g} to {most:g}")
-    return numbers

@@ -7,27 +7,53 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from rich.console import RenderableType
+
 from casadical.core.progress import Show, silent
 from casadical.core.telling.blocks import Block, Page, Table, Words
 from casadical.core.telling.figure import Figure
 from casadical.diagnosis.details import NEXT, Details, analyse
 from casadical.diagnosis.diagnose import Masses, diagnose
 from casadical.diagnosis.figures import diagnosis_figures
+from casadical.diagnosis.isolability import isolability
 from casadical.diagnosis.json_answer import as_json, diagnosis_files
 from casadical.diagnosis.laws.answer import Discovery
 from casadical.diagnosis.laws.rivals import law_rivals
 from casadical.diagnosis.page import diagnosis_page
 from casadical.diagnosis.posterior import no_rivals
 from casadical.diagnosis.result import Diagnosis
-from casadical.diagnosis.text import brief, page_of
+from casadical.diagnosis.text import brief, page_of, titled
 from casadical.effects import Effect
+from casadical.effects.plugins import known_effects
 from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.workspace import Workspace
+from casadical.pose_selection.workspace_file import read_workspace
 from casadical.project.problem import Carried, nothing_carried, read_campaign, read_campaign_robot
 from casadical.project.problem_file import own_tables
 from casadical.project.sources import campaign_files
+from casadical.robot.effect_file import read_effects
 from casadical.robot.robot import Robot
+
+# What is asked for as causes: the name of a list, or names, labels, effects and classes of effects.
+EffectChoice = Literal["standard", "extended"] | Sequence[str | Effect | type[Effect]]
+
+
+def all_effects() -> tuple[str, ...]:
+    """Names of all effects that may be asked for, in the order of the alphabet."""
+    return tuple(sorted(kind.name for kind in known_effects().values() if kind.on_list != "unknown"))
+
+
+def effects_named(words: Sequence[str]) -> EffectChoice:
+    """Effects of these words: names, labels, and effect files (`.toml`); without any "standard". Raises InputError."""
+    named: list[str | Effect | type[Effect]] = []
+    for word in words:
+        if not word.strip().endswith(".toml"):
+            named.append(word)
+            continue
+        file = read_effects(word.strip())
+        named += file.effects or file.kinds
+    return named or "standard"
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +81,10 @@ class Campaign:
     def title(self) -> str:
         """Of what is printed: all tables, and the robot."""
         return f"{', '.join(path.stem for path in self.tables) or self.name} ({self.robot.name})"
+
+    def workspace(self, room: Path | None) -> Workspace | None:
+        """Where poses may lie, of a file; None without one. Raises InputError."""
+        return read_workspace(room, self.robot) if room else None
 
 
 def read_campaigns(
@@ -90,7 +120,7 @@ class Options:
     verdict is not unknown, too, and told in full
     """
 
-    effects: Sequence[str | Effect | type[Effect]] | Literal["standard", "extended"] = "standard"
+    effects: EffectChoice = "standard"
     seed: int = 0
     bootstrap: int = 0
     masses: Masses = "candidate"
@@ -152,6 +182,10 @@ class CampaignDiagnosis:
         """All that was found, as plain text."""
         return page_of(self.diagnosis, self.details)
 
+    def titled_text(self) -> RenderableType:
+        """The same beneath the title of the campaign."""
+        return titled(self.campaign.title, self.text())
+
     def figures(self) -> dict[str, Figure]:
         """Every figure, by name (see `diagnosis_figures`)."""
         return {figure.name: figure for figure in diagnosis_figures(self.diagnosis, self.details)}
@@ -192,3 +226,10 @@ def diagnose_campaign(campaign: Campaign, options: Options | None = None, show: 
         show=show,
     )
     return CampaignDiagnosis(campaign, asked, found)
+
+
+def isolability_of(campaign: Campaign, effects: EffectChoice) -> tuple[RenderableType, dict[str, Any]]:
+    """What the poses of a campaign could show of each effect, before any data, as text and as JSON."""
+    (m,) = campaign.sets
+    shown = isolability(campaign.robot, m, effects)
+    return titled(f"{campaign.title}, {len(m)} poses", shown.text()), shown.to_json(campaign.name)

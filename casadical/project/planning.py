@@ -16,14 +16,14 @@ from casadical.diagnosis.candidates import named
 from casadical.effects import Effect, Session
 from casadical.identification.identification import identify
 from casadical.identification.prior import Prior
-from casadical.measurements.columns import Columns
+from casadical.measurements.columns import POSSIBLE, Columns
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 from casadical.measurements.raw_table import read_table
 from casadical.pose_selection.candidates import Circumstances
-from casadical.pose_selection.criteria import Criterion, checked
+from casadical.pose_selection.criteria import CRITERIA, Criterion, checked
 from casadical.pose_selection.instruments import usual_places
 from casadical.pose_selection.places import place_instrument, select_with_places
 from casadical.pose_selection.plan import MeasurementPlan
@@ -53,6 +53,24 @@ def robot_of(path: Path) -> Robot:
             raise InputError(f"{path}: {len(written)} calibrated robots; give the one to plan with: {names}")
         return read_robot(written[0])
     return read_campaign_robot(path)
+
+
+def all_criteria() -> tuple[str, ...]:
+    """Every criterion of a choice of poses."""
+    return CRITERIA
+
+
+def circumstances_of(payloads: str | None, every_payload: bool, both_approaches: bool, repeats: int) -> Circumstances:
+    """What is mounted and how poses are approached; payloads [kg] by commas. Raises InputError."""
+    try:
+        numbers = tuple(float(word) for word in payloads.split(",")) if payloads else ()
+    except ValueError:
+        raise InputError(f"--payloads {payloads}: allowed: numbers by commas, such as 0,120") from None
+    least, most = POSSIBLE["payload_kg"]
+    for number in numbers:
+        if not least <= number <= most:
+            raise InputError(f"--payloads {payloads}: {number:g} kg is not possible; allowed: {least:g} to {most:g}")
+    return Circumstances(numbers, every_payload, both_approaches, repeats)
 
 
 @dataclass(frozen=True, eq=False)

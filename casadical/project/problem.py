@@ -13,7 +13,7 @@ import numpy as np
 from casadical.compensator.trainers.known import network_methods
 from casadical.core.arm import GRAVITY
 from casadical.core.errors import InputError
-from casadical.identification.prior import Prior
+from casadical.identification.prior import Prior, carry_over
 from casadical.identification.residuals import AnyLoss
 from casadical.measurements.columns import Columns
 from casadical.measurements.derived_columns import derive
@@ -44,6 +44,12 @@ Carried = Callable[[Robot], tuple[Robot, Prior | None]]
 def nothing_carried(robot: Robot) -> tuple[Robot, Prior | None]:
     """The robot without anything from another campaign."""
     return robot, None
+
+
+def carried_from(path: Path, parts: Sequence[str], frozen: bool) -> Carried:
+    """What puts a robot file's effects, or other parts, into a robot (see `carry_over`). Raises InputError."""
+    other = read_robot(path)
+    return lambda robot: carry_over(robot, other, parts, frozen=frozen)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from casadical.compensator.trainers.known import network_methods
 from casadical.core.errors import InputError, shown
 from casadical.core.parts import Sessions
 from casadical.core.schema import FaultError, check, load_toml
-from casadical.identification.residuals import AnyLoss
+from casadical.identification.residuals import ALL_LOSSES, AnyLoss
 from casadical.measurements.column_map import Source
 from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.measurements import SETS
@@ -152,6 +152,11 @@ class UrdfTable(_Strict):
 def all_methods() -> tuple[str, ...]:
     """Every method of a calibration: identifications, then the networks of all trainers."""
     return (*BASE_METHODS, *network_methods())
+
+
+def all_losses() -> tuple[str, ...]:
+    """Every word for how far poses are weighted."""
+    return ALL_LOSSES
 
 
 def _known_method(name: str) -> str:
