@@ -22,10 +22,12 @@ if TYPE_CHECKING:
 class _RobotFirst(TyperGroup):
     """A group whose first word may be a robot instead of one of its commands."""
 
+    default = "robot"
+
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """What to run: a command, or the check of the robot that is named."""
         own = bool(args) and args[0] not in (*self.commands, "--help", "-h")
-        return super().parse_args(ctx, ["robot", *args] if own else args)
+        return super().parse_args(ctx, [self.default, *args] if own else args)
 
 
 withheld_app = typer.Typer(

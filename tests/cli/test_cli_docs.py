@@ -67,10 +67,10 @@ def test_the_help_of_every_command_has_an_example_that_parses() -> None:
 
 
 def commands(command: Any, name: str) -> Iterator[tuple[str, Any]]:
-    """Every command by its whole name."""
+    """Every command by its whole name; that of a group's default is the group's."""
     if hasattr(command, "commands"):
         for word, below in command.commands.items():
-            yield from commands(below, f"{name} {word}")
+            yield from commands(below, name if word == getattr(command, "default", "") else f"{name} {word}")
     else:
         yield name, command
 

@@ -38,7 +38,7 @@ class Site:
 def built(folder: Path) -> Site:
     """The documented command, on a copy of docs/ beside the files that the pages link to and the tutorials read."""
     shutil.copytree(ROOT / "docs", folder / "docs", ignore=shutil.ignore_patterns("gallery", "api", "__pycache__"))
-    for name in ("data", "problems", "casadical"):
+    for name in ("data", "problems", "casadical", "tests"):
         (folder / name).symlink_to(ROOT / name)
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", "docs", "build/docs"]
     environment = {**os.environ, "MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"}
