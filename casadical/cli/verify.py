@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from casadical.cli.options import Effects, Json, Quiet
+from casadical.cli.options import Effects, Json, Quiet, effects_of
 from casadical.cli.progress import DIAGNOSIS, working
 from casadical.cli.terminal import NOT_VALID, keep, keep_json, plain, with_json, wrapped
 from casadical.core.errors import InputError
@@ -115,9 +115,7 @@ def _replay(
     texts: dict[Path, str] = {}
     for campaign in read_campaigns(problem, tables):
         with working(quiet, "diagnosing", campaign.name, DIAGNOSIS) as show:
-            found = replay_campaign(
-                campaign.robot, campaign.sets[0], effects.split(",") if effects else "standard", seed=seed, show=show
-            )
+            found = replay_campaign(campaign.robot, campaign.sets[0], effects_of(effects), seed=seed, show=show)
         console.print(f"{campaign.title}, held-out poses replayed in MuJoCo")
         console.print(found.table.to_string(index=False, float_format=lambda v: f"{v:.4f}"))
         for text in found.stages[-1].export.left_out:

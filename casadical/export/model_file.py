@@ -14,7 +14,7 @@ from casadical.export.mjcf.into_mjcf import into_mjcf
 from casadical.export.mjcf.mjcf import MjcfExport, mjcf
 from casadical.export.omission import geometry_alone, left_out, rest_of_rigid
 from casadical.project.calibration import Calibration, calibrate
-from casadical.project.diagnosis import Options, diagnose_campaign, read_campaigns
+from casadical.project.diagnosis import Options, diagnose_campaign, effects_named, read_campaigns
 from casadical.project.problem import read_campaign_robot, read_problem, read_problem_robot
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
@@ -142,7 +142,8 @@ def robot_to_write(
     if campaign is None:
         return read_campaign_robot(source) if source.is_file() else calibrated(source).robot
     (given,) = read_campaigns(source, [campaign])
-    return diagnose_campaign(given, Options(effects.split(",") if effects else "standard"), show).diagnosis.apply()
+    asked = Options(effects_named(effects.split(",") if effects else ()))
+    return diagnose_campaign(given, asked, show).diagnosis.apply()
 
 
 def _mjcf(source: Path, asked: OfMjcf, nominal: Path | None, leave_out: bool, show: Show) -> RobotModel:

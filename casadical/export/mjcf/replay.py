@@ -4,7 +4,7 @@ Three models: the nominal robot with fitted base and tool, the calibrated one, a
 causes. All are identified from one part of the poses and replayed at the others.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,7 +23,7 @@ from casadical.identification.identification import base_calibrated, calibrated
 from casadical.identification.prepared import prepare
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
-from casadical.project.diagnosis import Campaign, Options, diagnose_campaign
+from casadical.project.diagnosis import Campaign, EffectChoice, Options, diagnose_campaign
 from casadical.robot.robot import Robot
 
 # Shares of the poses that are fitted, and of those that are replayed.
@@ -117,7 +117,7 @@ def _of_the_measurement(robot: Robot, m: Measurements) -> Array:
 def replay_campaign(
     robot: Robot,
     m: Measurements,
-    effects: Sequence[str] | str = "standard",
+    effects: EffectChoice = "standard",
     *,
     seed: int = 0,
     show: Show = silent,
@@ -130,7 +130,7 @@ def replay_campaign(
         as `diagnose` takes it
     m : Measurements
         the campaign
-    effects : Sequence[str] | str, default "standard"
+    effects : EffectChoice, default "standard"
         as of `diagnose`
     seed : int, default 0
         of the poses that are held out
