@@ -194,6 +194,12 @@ def _prepared(
 ) -> Prepared:
     """What is diagnosed: a robot and its measurements, made ready here unless they are. Raises InputError."""
     if isinstance(robot, Prepared):
+        given = {"m": m is not None, "prior": prior is not None, "masses": masses != "candidate"}
+        if any(given.values()):
+            what = " and ".join(name for name, is_given in given.items() if is_given)
+            raise InputError(
+                f"{what}: robot and measurements are prepared already; give what is to change to prepare(...)"
+            )
         return robot
     sets = () if m is None else (m,) if isinstance(m, Measurements) else tuple(m)
     if isinstance(robot, Identification):

@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose
 from scipy.special import logsumexp
 from scipy.stats import chi2, multivariate_normal
 
-from casadical import Joint, Measurements
+from casadical import InputError, Joint, Measurements, diagnose
 from casadical.core import private_folder
 from casadical.core.linear_gaussian.grid import NEGLIGIBLE, log_gain
 from casadical.core.transforms import frame, from_rpy
@@ -197,6 +197,15 @@ def test_candidates_of_one_setting_and_of_several_are_named_by_their_effect() ->
 def test_kept_formulas_are_known_to_who_clears_the_folder() -> None:
     path = KeptFormulas(seams_of(robot("ur10e"))).path
     assert path is None or private_folder._KEPT.fullmatch(path.name)
+
+
+def test_what_is_prepared_is_not_given_again() -> None:
+    planar = read_problem(ROOT / "problems" / "planar")
+    (m,) = planar.sets["identify"]
+    prepared = prepare(planar.robot, (m,))
+    for what, more in (("m", {"m": m}), ("masses", {"masses": "nuisance"})):
+        with pytest.raises(InputError, match=f"{what}: robot and measurements are prepared already"):
+            diagnose(prepared, **more)
 
 
 def test_the_base_model_keeps_all_parameters_by_their_priors() -> None:
