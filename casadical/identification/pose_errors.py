@@ -13,7 +13,6 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.telling.drawing import EYE
 from casadical.core.telling.figure import Axis, Figure, Note, Rule, Series
-from casadical.identification.accuracy import summarise
 from casadical.identification.result import LeftOut
 from casadical.robot.kinematics import link_frames
 from casadical.robot.model import base_frame
@@ -209,12 +208,6 @@ def error_distribution(poses: PoseErrors, name: str = "distribution", caption: s
         Axis("share of poses [%]", (0, 101)), 340, caption,
         marks=[Rule("y", percent, "grid", "solid") for percent in (50, 95)], over="%{y:.0f} % of the poses are below",
     )  # fmt: skip
-
-
-def error_statistics(length: Array) -> tuple[float, ...]:
-    """Mean, largest, standard deviation, rms and 95th percentile of errors, shape (n,) [m]."""
-    a = summarise(length)
-    return a.mean, a.max, a.std, a.rms, a.p95
 
 
 def workspace(poses: PoseErrors, robot: Robot | None = None, caption: str = "") -> Figure:

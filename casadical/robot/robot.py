@@ -20,7 +20,7 @@ from casadical.core.parameters import Parameters
 from casadical.core.parts import FourBar, Joint
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.notebook import html
-from casadical.core.transforms import frame, from_xyz, to_rpy, to_xyz
+from casadical.core.transforms import frame, from_xyz, to_xyz
 from casadical.effects import Effect
 from casadical.robot.knowledge import ErrorBound, Knowledge
 from casadical.robot.model import Model, Structure, constants_of, expressions
@@ -330,10 +330,3 @@ def modified_dh(robot: Robot) -> list[dict[str, float | str | None]]:
         }
         for i, j in enumerate(robot.joints, 1)
     ]
-
-
-def describe_frame(T: Array) -> str:
-    """A transform in words: position in mm, roll-pitch-yaw in degrees."""
-    x, y, z = 1e3 * T[:3, 3]
-    roll, pitch, yaw = np.rad2deg(to_rpy(T[:3, :3]))
-    return f"xyz ({x:.3f}, {y:.3f}, {z:.3f}) mm, rpy ({roll:.4f}, {pitch:.4f}, {yaw:.4f}) deg"
