@@ -220,7 +220,7 @@ class Compensator:
 
         q : joint readings, shape (n, joints) or (joints,) [rad]; outside of ``trained_box`` it is extrapolated, see
             `inside`
-        Returns an array, shape (n, outputs): or (outputs,) [mm]
+        Returns an array, shape (n, outputs) or (outputs,) [mm]
         """
         if self.network is not None:
             return self.network.output_mm(np.asarray(q))

@@ -77,6 +77,6 @@ class IwoSettings:
             raise InputError(f"iterations and patience must be at least 1; got {self.iterations}, {self.patience}")
 
     def sigma(self, iteration: int) -> float:
-        """Return the standard deviation of generation ``iteration`` = 0 .. iterations (eq. 13)."""
+        """Return the standard deviation of generation ``iteration`` = 0 .. iterations [as of the bounds] (eq. 13)."""
         left = (self.iterations - iteration) / self.iterations
         return float(left**self.exponent * (self.sigma_initial - self.sigma_final) + self.sigma_final)

@@ -63,7 +63,7 @@ class Network:
         """The correction for every row of q.
 
         q : joint readings, shape (n, joints) or (joints,) [rad]
-        Returns an array, shape (n, outputs): or (outputs,) [mm]
+        Returns an array, shape (n, outputs) or (outputs,) [mm]
         Raises InputError: another shape, or an angle that is not finite.
         """
         rows = joint_angles(q, self.layout.joints)

@@ -200,7 +200,7 @@ class Effect:
         return ()
 
     def value(self, context: Context, name: str) -> Symbolic:
-        """The symbol of one of its parameters."""
+        """The symbol of one of its parameters [unit of the parameter]."""
         return context.values[f"{self.label}.{name}"]
 
     def energy(self, context: Context) -> Symbolic:
@@ -255,7 +255,7 @@ class Effect:
         return point
 
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-        """What a simulator has in its place, besides what it has for others; v : its values (see `own_values`).
+        """What a simulator has in its place, besides what it has for others.
 
         v : its values by short name [SI], see `own_values`
         """

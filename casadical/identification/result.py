@@ -316,7 +316,10 @@ class Identification:
         return covariance_of_all(self.problem, self.solution.v, self.variance)
 
     def accuracy(self, *m: Measurements) -> dict[str, Accuracy]:
-        """Errors on any measurements: "nominal", "placed" (base and tool fitted) and "calibrated"."""
+        """Errors on any measurements [m]: "nominal", "placed" (base and tool fitted) and "calibrated".
+
+        *m : those of the identification or others; of several tables, the figures are over all of them
+        """
         robots = {"nominal": self.given, "placed": self.placed, "calibrated": self.robot}
         return {state: summarise(np.concatenate([errors(r, part) for part in m])) for state, r in robots.items()}
 
@@ -335,7 +338,10 @@ class Identification:
             return self.start
 
     def is_optimal(self, tolerance: float = 1e-4) -> bool:
-        """Whether no step inside the bounds lowers the cost; recomputed from the data, not by the solver."""
+        """Whether no step inside the bounds lowers the cost; recomputed from the data, not by the solver.
+
+        tolerance : what one more Gauss-Newton step may gain in chi-squared; 1e-4 is about 1 % of a standard error
+        """
         round_off = 1e-12 * self.problem.cost(np.zeros(self.problem.size))
         return self.problem.decrement(self.solution.v) < tolerance * self.variance + round_off
 

@@ -166,7 +166,9 @@ class MeasurementKind(ABC):
 
     @abstractmethod
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
-        """The arrays of a table, optional ones too.
+        """The arrays of a table by name, optional ones too, a row per pose [SI].
+
+        Under `counted` is 0 for rows at which nothing was measured, else 1.
 
         q : Array, shape (n, joints) [rad or m]: joint readings
         Raises InputError: a column is missing, or holds what cannot be measured.
