@@ -85,7 +85,7 @@ def report(results: Sequence[WithPage | Page], command: Sequence[str] = ()) -> s
     Parameters
     ----------
     results : Sequence[Calibration | Comparison | Fleet | Page]
-        or the pages of them, as `casadical.diagnosis.diagnosis_page` makes one of a diagnosis
+        or the pages of them, as `casadical.diagnosis.page.diagnosis_page` makes one of a diagnosis
     command : Sequence[str], default ()
         as it was typed, for the provenance
 
