@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, make_dataclass
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
@@ -208,7 +208,7 @@ def _made(definition: str, module: str, name: str) -> type[DefinedEffect]:
         "acts_at": d.acts_at or ("joints" if numbered else "arm"),
         "definition": d,
         "places": places,
-        "texts_with": staticmethod(cache(partial(_texts_of, d, places))),
+        "texts_with": staticmethod(lru_cache(maxsize=1024)(partial(_texts_of, d, places))),
         "__doc__": "\n\n".join([d.summary or d.physics or d.signature, *(["\n".join(about)] if about else [])]),
         "__module__": module,
     }
