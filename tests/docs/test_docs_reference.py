@@ -121,6 +121,11 @@ def test_every_public_name_has_its_reason() -> None:
     assert [f"casadical.{name}" for name, _ in rows] == list(documented())
 
 
+def test_every_name_has_an_example() -> None:
+    without = [name for name, thing in documented().items() if ">>> " not in sections(thing).get("Examples", "")]
+    assert without == ["casadical.export.ProgramLanguage"]  # controllers' programs are its examples
+
+
 def test_an_argument_that_is_described_exists() -> None:
     strange = {
         name: sorted(described(sections(thing).get("Parameters", "")) - arguments(thing))
