@@ -200,6 +200,10 @@ def _prepared(
             raise InputError(
                 f"{what}: robot and measurements are prepared already; give what is to change to prepare(...)"
             )
+        if robot.method is not None:
+            raise InputError(
+                f"method={robot.method!r}: a diagnosis has its own base model; call prepare without a method"
+            )
         return robot
     sets = () if m is None else (m,) if isinstance(m, Measurements) else tuple(m)
     if isinstance(robot, Identification):

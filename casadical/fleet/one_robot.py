@@ -22,7 +22,7 @@ from casadical.fleet.estimates import Estimate, estimate
 from casadical.project.calibration import calibrate
 from casadical.project.diagnosis import CampaignDiagnosis, diagnose_campaign, read_campaigns
 from casadical.project.problem import Problem, read_campaign, read_problem
-from casadical.project.problem_file import problem_file
+from casadical.project.problem_file import own_tables, problem_file
 from casadical.project.tables import judged_on
 from casadical.robot.robot import Robot
 
@@ -118,9 +118,11 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
 
 def first_diagnosis(place: Path) -> CampaignDiagnosis | None:
     """Of a folder's first table of positions, all its poses, as the command diagnoses it; None without positions."""
-    campaigns = (c for c in read_campaigns(place) if c.sets[0].position is not None)
-    first = next(campaigns, None)
-    return None if first is None else diagnose_campaign(first)
+    for table in own_tables(place):
+        (campaign,) = read_campaigns(place, [table])
+        if campaign.sets[0].position is not None:
+            return diagnose_campaign(campaign)
+    return None
 
 
 def _later(place: Path, problem: Problem, estimates: list[Estimate]) -> list[str]:

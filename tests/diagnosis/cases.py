@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy_physics import Disturbance, campaign
 
-from casadical import diagnose as diagnose_whole
+from casadical import diagnose
 from casadical.blind_check.mujoco_physics import perturb
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.evidence import Evidence
@@ -40,15 +40,9 @@ def practice(name: str) -> Measurements:
     return read_measurements(PRACTICE / f"{name}.csv", 6)
 
 
-def diagnose(*arguments, laws: bool = False, **options) -> Diagnosis:
-    """Without the contest of the causes with laws, which takes half of the time and has tests of its own."""
-    return diagnose_whole(*arguments, laws=laws, **options)
-
-
 @cache
 def diagnosed(name: str) -> Diagnosis:
-    """A practice campaign, with the contest."""
-    return diagnose_whole(robot(name.split("-")[0]), practice(name))
+    return diagnose(robot(name.split("-")[0]), practice(name))
 
 
 @cache

@@ -206,6 +206,8 @@ def test_what_is_prepared_is_not_given_again() -> None:
     for what, more in (("m", {"m": m}), ("masses", {"masses": "nuisance"})):
         with pytest.raises(InputError, match=f"{what}: robot and measurements are prepared already"):
             diagnose(prepared, **more)
+    with pytest.raises(InputError, match="method='KM': a diagnosis has its own base model"):
+        diagnose(prepare(planar.robot, (m,), method="KM"))
 
 
 def test_the_base_model_keeps_all_parameters_by_their_priors() -> None:
