@@ -69,6 +69,7 @@ def new(
 
     Exit codes: 0 written, 2 bad input (then nothing was written), 70 a bug in casadical.
     """
+    from casadical.core.telling.terminal import terminal
     from casadical.project.new import new_problem
 
     if example and (urdf or dh or data):
@@ -92,7 +93,7 @@ def new(
         convention=convention or "modified",
         data=data,
         ask=None if yes else _ask,
-        show=console.print,
+        show=lambda block: console.print(terminal([block])),
         also=answer,
     )
     files = sorted(str(p) for p in folder.iterdir() if p.is_file())

@@ -162,5 +162,6 @@ def _short(s: Statement) -> str:
 
 def _sentence(text: str) -> str:
     text = text.replace(TIED, " ")
-    text = text[:1].upper() + text[1:]
+    if text.split()[0].strip(":,").isalpha():  # no name of a column
+        text = text[:1].upper() + text[1:]
     return text if text.endswith((".", ")")) else f"{text}."

@@ -113,6 +113,17 @@ def test_the_integrators_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert float(np.median(errors(robot, m))) < 2e-4
 
 
+def test_what_was_understood_of_a_table_is_printed_as_a_table(tmp_path, monkeypatch, capfd):
+    q, p = first_hour.measured(40)
+    (tmp_path / "dh.csv").write_text(first_hour.DH)
+    table = first_hour.write(tmp_path, "messung.csv", q, p)
+    assert main(monkeypatch, "new", tmp_path / "arm", "--dh", tmp_path / "dh.csv", "--data", table, "--yes") == 0
+    shown = capfd.readouterr().out
+    assert "Table(" not in shown
+    assert "Words(" not in shown
+    assert [line for line in shown.splitlines() if line.startswith("q4_deg") and "Achse 4" in line], shown
+
+
 def test_a_question_is_asked_and_nobody_answers(tmp_path, monkeypatch, capfd):
     q, p = first_hour.measured(40)
     names = [f"{w}{k} [deg]" for w in "AJ" for k in range(1, 7)] + ["X mm", "Y mm", "Z mm"]
