@@ -148,14 +148,13 @@ def diagnose(
         laws is not False, laws is True,
     )  # fmt: skip
     file = measure_next if len(given) == 1 else None
-    name = file.name if file else ""
     answers: list[CampaignDiagnosis] = []
     texts: dict[Path, str] = {}
     for campaign in given:
         with working(quiet, "diagnosing", campaign.name, DIAGNOSIS) as show:
             found = diagnose_campaign(campaign, options, show).analysed(
                 poses=next_n, workspace=workspace, networks=network, highest_line=highest_line,
-                file=name, show=show,
+                file=file.name if file else "", show=show,
             )  # fmt: skip
             if out:
                 show("the robot with its causes")

@@ -139,6 +139,8 @@ def plan(
     from casadical.project.planning import Wanted, circumstances_of, plan_problem, planned_with
 
     if isolability:
+        _refuse_given({"-n": n, "--out": out, "--measured": measured, "--room": room, "--payloads": payloads})
+        _refuse_given({"--wires": wires, "--sockets": sockets, "--places": places, "--target-mm": target_mm})
         _isolability(problem, poses, effects, json_file, quiet)
         return
     if poses:
@@ -164,6 +166,13 @@ def plan(
     console.print(terminal(found.blocks()))
     console.print(planned_with(problem, measured, prior))
     keep(with_json(found.files(place) if place else {}, json_file, found.to_json()), console)
+
+
+def _refuse_given(options: dict[str, object]) -> None:
+    """Refuse what a look at given poses has no use for. Raises InputError."""
+    for name, value in options.items():
+        if value is not None:
+            raise InputError(f"{name}: has no effect with --isolability, which looks at given poses; leave it out")
 
 
 def _isolability(

@@ -142,30 +142,39 @@ def prepare(
         return A.T @ A * share + before(kept)
 
     names, held = independent(robot, wanted, instrument.sets(some) if instrument else (some,), information, prior)
-    if prior is None and numbers * total < len(names) + extra:
-        raise InputError(
-            f"{total} poses give {numbers * total} numbers, but {len(names)} parameters are to be identified"
-            f"{f' and {extra} coordinates of places' if extra else ''}; "
-            f"at least {-(-(len(names) + extra) // numbers)} poses are needed, and some more to estimate their accuracy"
-        )
+    if prior is None:
+        _refuse_few(total, numbers, len(names), extra)
     task_q = draw(robot, TASK_POSES, workspace, rng) if task is None else np.atleast_2d(task)
     one = replace(circumstances, every_payload=False, both_approaches=False, repeats=1)
     goal = candidates_at(robot, task_q, one, n, rng).measurements(robot, "task")
-    p = len(names)
-    fixed = before(names)
+    p, fixed = len(names), before(names)
     if measured is not None:
         A = _rows(robot, names, measured, noise).reshape(-1, p)
         fixed = fixed + A.T @ A
-    chosen = _chosen(robot, interest, names)
-    J = scaled_jacobian(robot, names, goal)
-    if instrument is not None and not instrument.known:
-        J = without_base(robot, J, goal)
     weight = np.zeros((p + extra, p + extra))
-    weight[:p, :p] = _weight(criterion, J, chosen, inverse(information(names))[:p, :p])
+    J = _without_open_base(robot, names, goal, instrument)
+    weight[:p, :p] = _weight(criterion, J, _chosen(robot, interest, names), inverse(information(names))[:p, :p])
     return DesignProblem(
         robot, workspace, circumstances, noise, names, held, measured, goal, ready,
         candidates is None and SOCKET not in ready.conditions, fixed, weight, instrument, prior,
     )  # fmt: skip
+
+
+def _refuse_few(poses: int, numbers: int, parameters: int, places: int) -> None:
+    """Refuse fewer numbers than unknowns. numbers : of a pose; places : coordinates that are unknown, too."""
+    unknowns = parameters + places
+    if numbers * poses < unknowns:
+        raise InputError(
+            f"{poses} poses give {numbers * poses} numbers, but {parameters} parameters are to be identified"
+            f"{f' and {places} coordinates of places' if places else ''}; "
+            f"at least {-(-unknowns // numbers)} poses are needed, and some more to estimate their accuracy"
+        )
+
+
+def _without_open_base(robot: Robot, names: Sequence[str], goal: Measurements, instrument: Instrument | None) -> Array:
+    """Scaled Jacobian at the task's poses, shape (n, 3, p), the base placed anew where an instrument leaves it open."""
+    J = scaled_jacobian(robot, names, goal)
+    return J if instrument is None or instrument.known else without_base(robot, J, goal)
 
 
 def _refuse(

@@ -68,6 +68,12 @@ def test_isolability_needs_no_positions(tmp_path: Path) -> None:
     assert 0 < design["effects"]["hose_drag"]["absorbed"] < 1
 
 
+def test_isolability_refuses_options_of_a_choice_of_poses() -> None:
+    done = run("plan", PROBLEM, "--isolability", "--measured", "poses.csv")
+    assert done.returncode == 2
+    assert "--measured: has no effect with --isolability" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

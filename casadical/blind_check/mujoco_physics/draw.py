@@ -12,6 +12,8 @@ from casadical.blind_check.mujoco_physics.statics import largest_torque, rated_t
 from casadical.core.errors import InputError
 
 NEARLY_RIGID = 1e-5  # rad at the rated torque
+# Cycles a turn of a hidden ripple.
+RIPPLES = (2, 3, 4, 6, 8, 16, 32)
 _LOADED = ("backlash", "nonlinear_stiffness", "rubber_coupling")  # visible only where there is torque
 _ANY = (
     *("gear_eccentricity", "transmission_ripple", "joint_scale", "joint_zero_step", "thermal_zero_drift"),
@@ -100,16 +102,9 @@ def _size(
             "oval": _between(rng, 0.2, 0.8) * 40e-6 * usual,
             "oval_towards": _between(rng, 0, 2 * np.pi),
         },
-        "transmission_ripple": {
-            "size": 20e-6 * usual,
-            "cycles": int(rng.choice([2, 3, 4, 6, 8, 16, 32])),
-            "phase": angle,
-        },
+        "transmission_ripple": {"size": 20e-6 * usual, "cycles": int(rng.choice(RIPPLES)), "phase": angle},
         "joint_scale": {"size": 60e-6 * usual * sign},
-        "joint_coupling": {
-            "source": plant.n - 1 if joint == plant.n - 2 else (joint or 5) - 1,
-            "size": 80e-6 * usual * sign,
-        },
+        "joint_coupling": {"source": _source(plant, joint), "size": 80e-6 * usual * sign},
         "joint_zero_step": {"size": 40e-6 * usual * sign, "at_s": middle},
         "thermal_growth": {"size": 11.5e-6 * float(np.clip(usual, 0.8, 2.0)), "lag_minutes": _between(rng, 4, 12)},
         "thermal_zero_drift": {"size": 5e-6 * usual * sign, "lag_minutes": _between(rng, 4, 15)},
@@ -122,11 +117,7 @@ def _size(
             "phase": angle,
         },
         "gravity_compensator": {"size": 0.2 * usual, "lean": _between(rng, -0.4, 0.4), "post": _between(rng, 1.5, 4)},
-        "nonlinear_stiffness": {
-            "size": 90e-6 * usual,
-            "knee": float(rng.choice([0.0, rng.uniform(0.1, 0.3)])),
-            "linear": _between(rng, 0.1, 0.3),
-        },
+        "nonlinear_stiffness": {"size": 90e-6 * usual, "knee": _knee(rng), "linear": _between(rng, 0.1, 0.3)},
         "backlash": {"size": 60e-6 * usual, "friction": rub * _between(rng, 0.01, 0.05)},
         "friction_windup": {"size": 40e-6 * usual, "load_share": _between(rng, 0, 0.8)},
         "link_flexure": {"link": int(rng.choice(links)), "size": 60e-6 * usual, "torsion": _between(rng, 0.6, 1.0)},
@@ -149,6 +140,15 @@ def _size(
     }
     # These are drawn separately, so that the sizes of the others stay the same for the same seed.
     return sizes[effect] if effect in sizes else _added_later(plant, usual, sign, angle, inside, rng)[effect]
+
+
+def _source(plant: Plant, joint: int | None) -> int:
+    """The joint, 1-based, whose reading moves this one."""
+    return plant.n - 1 if joint == plant.n - 2 else (joint or 5) - 1
+
+
+def _knee(rng: np.random.Generator) -> float:
+    return float(rng.choice([0.0, rng.uniform(0.1, 0.3)]))
 
 
 def _between(rng: np.random.Generator, low: float, high: float) -> float:
