@@ -172,7 +172,7 @@ def _refuse_few(poses: int, numbers: int, parameters: int, places: int) -> None:
 
 
 def _without_open_base(robot: Robot, names: Sequence[str], goal: Measurements, instrument: Instrument | None) -> Array:
-    """Scaled Jacobian at the task's poses, shape (n, 3, p), the base placed anew where an instrument leaves it open."""
+    """Scaled Jacobian of the task, shape (n, 3, p), the base placed again where an instrument leaves it open."""
     J = scaled_jacobian(robot, names, goal)
     return J if instrument is None or instrument.known else without_base(robot, J, goal)
 
