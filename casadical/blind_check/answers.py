@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from casadical.blind_check.protocol import content, label, stored
 from casadical.core.errors import InputError
+from casadical.core.reading import json_of, read_bytes
 
 _CHECKED = re.compile(rb'(.*),"sha256":"([0-9a-f]{64})"\}')
 Rows = tuple[tuple[float, float, float], ...]
@@ -103,17 +104,14 @@ def _intact(line: bytes) -> bool:
     if found:
         return _sum(found[1] + b"}") == found[2].decode()
     try:
-        return isinstance(json.loads(line), dict)
-    except ValueError:
+        return json_of(line, "a line") is not None
+    except InputError:
         return False
 
 
 def whole_lines(path: Path) -> int:
     """Bytes of the lines that were written to their end; 0 where there is no file. Raises InputError."""
-    try:
-        return path.read_bytes().rfind(b"\n") + 1 if path.exists() else 0
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    return read_bytes(path).rfind(b"\n") + 1 if path.exists() else 0
 
 
 def read_answers(path: Path) -> tuple[Header, dict[str, Answer]]:
@@ -123,12 +121,9 @@ def read_answers(path: Path) -> tuple[Header, dict[str, Answer]]:
     Where a file is missing, the one packed by xz beside it is read.
     """
     path = stored(path)
-    try:
-        *lines, _cut = content(path).split(b"\n")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; make it with `casadical withheld predict`") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    if not path.exists():
+        raise InputError(f"{path}: no such file; make it with `casadical withheld predict`")
+    *lines, _cut = content(path).split(b"\n")
     if not lines:
         raise InputError(f"{path}: holds no answers; its first line must say which check they answer")
     head = _read(Header, lines[0], f"{path}: line 1", "predict into another file (--out)")

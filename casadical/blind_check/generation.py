@@ -1,7 +1,6 @@
 """Make a blind check: public campaigns, and in another folder the key, whose hash is published with them."""
 
 import hashlib
-import json
 import secrets
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
@@ -33,6 +32,7 @@ from casadical.blind_check.worker_pool import completed, workers
 from casadical.core.arrays import Array
 from casadical.core.errors import ConvergenceError, InputError
 from casadical.core.files import claimed, write_together
+from casadical.core.reading import load_json
 from casadical.measurements.reading import from_table
 from casadical.project.problem import read_campaign_robot
 from casadical.robot.robot_file import to_toml
@@ -137,7 +137,7 @@ def _subject(project: Path, robot: str) -> Subject:
     path = project / "data" / "campaigns" / "robots" / f"{robot}.json"
     if not path.is_file():
         raise InputError(f"{path}: no such robot; name the project's folder (with problems/ and data/) by --project")
-    drawing = Plant.from_dict(json.loads(path.read_text(encoding="utf-8")))
+    drawing = Plant.from_dict(load_json(path))
     return Subject(drawing, to_toml(read_campaign_robot(project / "problems" / robot)))
 
 

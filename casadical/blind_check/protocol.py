@@ -9,7 +9,6 @@ may be packed by xz; what is hashed and read is their content.
 import hashlib
 import json
 import lzma
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
@@ -17,6 +16,7 @@ import pandas as pd
 from pydantic import BaseModel, ConfigDict, Field
 
 from casadical.core.errors import InputError
+from casadical.core.reading import MOST_UNPACKED, foreign, json_of, load_json, read_bytes
 from casadical.core.schema import check
 from casadical.measurements.raw_table import read_table as read_csv
 
@@ -123,13 +123,15 @@ def stored(path: Path) -> Path:
 
 def content(path: Path) -> bytes:
     """What a file holds, unpacked where its name ends in .xz. Raises InputError: not a whole xz file; and OSError."""
-    data = path.read_bytes()
+    data = read_bytes(path)
     if path.suffix != XZ:
         return data
-    try:
-        return lzma.decompress(data)
-    except lzma.LZMAError as error:
-        raise InputError(f"{path}: not a whole xz file: {error}; fetch it again") from None
+    reader = lzma.LZMADecompressor()
+    with foreign(f"{path}: not a whole xz file", "fetch it again"):
+        unpacked = reader.decompress(data, MOST_UNPACKED)
+        if not reader.eof:
+            raise ValueError(f"it ends too early, or holds more than {MOST_UNPACKED} bytes")
+    return unpacked
 
 
 def read_manifest(folder: Path) -> Manifest:
@@ -137,7 +139,7 @@ def read_manifest(folder: Path) -> Manifest:
     path = folder / MANIFEST
     if not path.is_file():
         raise InputError(f"{folder}: holds no {MANIFEST}; name the folder that `casadical withheld make` wrote")
-    return check(Manifest, _json(path, path.read_text(encoding="utf-8")), str(path))
+    return check(Manifest, load_json(path), str(path))
 
 
 def read_key(folder: Path, manifest: Manifest) -> Key:
@@ -152,7 +154,7 @@ def read_key(folder: Path, manifest: Manifest) -> Key:
             f"{path}: its SHA-256 is {found}, but {manifest.key_sha256} was published with the campaigns; "
             "the key was changed after it was made, or belongs to other campaigns: nothing is scored"
         )
-    key = check(Key, _json(path, data.decode()), str(path))
+    key = check(Key, json_of(data, str(path)), str(path))
     if key.campaigns.keys() != manifest.campaigns.keys():
         raise InputError(f"{path}: its campaigns are not those of {MANIFEST}")
     return key
@@ -164,13 +166,3 @@ def read_table(folder: Path, name: str) -> pd.DataFrame:
     if not path.is_file():
         raise InputError(f"{path}: is missing, though {MANIFEST} names it; take the folder whole")
     return read_csv(path).frame()
-
-
-def _json(path: Path, text: str) -> Mapping[str, object]:
-    try:
-        data = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise InputError(f"{path}: not valid JSON: {error}") from None
-    if not isinstance(data, dict):
-        raise InputError(f"{path}: holds {type(data).__name__}; a JSON object is expected")
-    return data

@@ -2,7 +2,6 @@
 
 import inspect
 import json
-import tomllib
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from fnmatch import fnmatch
@@ -12,7 +11,7 @@ from typing import Any, get_type_hints
 
 from casadical.core.errors import InputError, shown
 from casadical.core.files import claimed, own_stream, real_path
-from casadical.core.plain_values import number_fault, text_fault
+from casadical.core.reading import load_toml, number_fault, read_bytes, text_fault
 
 # Parameters of commands that name outputs; every other path is an input.
 _OUTPUTS = ("out", "json_file", "report_file", "measure_next", "figure", "priors")
@@ -129,7 +128,7 @@ def _inputs(path: Path) -> Iterator[Path]:
         problem = real / "problem.toml"
         if problem.is_file():
             yield problem
-            named = [real / text for text in _texts(tomllib.loads(problem.read_text(encoding="utf-8")))]
+            named = [real / text for text in _texts(load_toml(problem))]
             yield from (p.resolve() for p in (*named, *real.glob("campaigns/*")) if p.is_file())
         else:
             for folder in real.glob("*/problem.toml"):
@@ -148,7 +147,7 @@ def _texts(value: Any) -> Iterator[str]:
 def _refuse_foreign(path: Path) -> None:
     """Raises InputError for a file that is there and is no earlier output of casadical."""
     try:
-        text = path.read_bytes().decode("utf-8", "replace")
+        text = read_bytes(path).decode("utf-8", "replace")
     except OSError as error:
         raise InputError(f"{shown(path)}: is there and cannot be read: {error.strerror}; name another file") from None
     if text.strip() and not _ours(path, text):

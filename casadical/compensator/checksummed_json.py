@@ -15,7 +15,8 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.files import json_text, read_bytes, write_whole
+from casadical.core.files import json_text, write_whole
+from casadical.core.reading import MOST_JSON, json_of, read_text
 
 
 def digest(body: dict[str, Any]) -> str:
@@ -41,11 +42,9 @@ def read_checksummed(path: str | os.PathLike[str], kind: str, version: int) -> d
     Raises InputError when it is not there, truncated, changed, of another kind, or of a later version.
     """
     try:
-        text = read_bytes(Path(path)).decode()
-        document = json.loads(text)
-    except InputError:
-        raise
-    except (UnicodeDecodeError, ValueError, RecursionError) as error:
+        text = read_text(Path(path), MOST_JSON)
+        document = json_of(text, str(path), object)
+    except InputError as error:
         raise InputError(f"{path} is truncated or not JSON ({error}); take an undamaged copy") from None
     if not isinstance(document, dict) or document.get("format") != kind:
         raise InputError(f"{path} is not a {kind} file")

@@ -26,7 +26,7 @@ class Lock:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._handle = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0))
+        self._handle = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
 
     def __enter__(self) -> Self:
         return self

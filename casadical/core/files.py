@@ -28,8 +28,6 @@ from casadical.core.file_locks import Lock, exchange, exchange_works
 
 PREFIX = ".casadical-"
 _FILE, _FOLDER, _JOURNAL = ".part", ".folder", ".journal"
-# Of a file that is read.
-MOST_BYTES = 500_000_000
 # A folder with more entries than these is not built again; its files are renamed one by one.
 _MOST_LINKS = 1000
 
@@ -131,34 +129,13 @@ def appending(path: Path, start: int) -> Iterator[Callable[[str], None]]:
         yield add
 
 
-def read_bytes(path: Path) -> bytes:
-    """Content of a file, after what a killed process left to rename beside it was renamed.
-
-    Raises InputError: no such file, a folder, a device, too large, or not to be read.
-    """
-    try:
-        settle(path.parent)
-        about = path.stat()
-        if stat.S_ISCHR(about.st_mode) or stat.S_ISBLK(about.st_mode):
-            raise InputError(f"{shown(path)}: is a device; name a file")
-        if about.st_size > MOST_BYTES:
-            raise InputError(f"{shown(path)}: has {about.st_size} bytes; at most {MOST_BYTES} are read: split it")
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(f"{shown(path)}: no such file") from None
-    except InputError:
-        raise
-    except (OSError, ValueError) as error:  # the latter: a NUL in its name
-        raise InputError(f"{shown(path)}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
-
-
 def settle(folder: Path) -> None:
     """Finish the renames that a killed process left undone in a folder. Raises OSError where that is not permitted."""
     for journal in sorted(folder.glob(f"{PREFIX}*{_JOURNAL}")):
         with suppress(FileNotFoundError), Lock(journal) as lock:
             lock.wait()  # for a process that is not killed but at work
-            with suppress(ValueError):
-                _redo(folder, json.loads(journal.read_bytes()))
+            with suppress(ValueError, TypeError, RecursionError):  # no journal that casadical wrote
+                _redo(folder, json.loads(journal.read_bytes() if journal.is_file() else "[]"))
             journal.unlink()
 
 
@@ -183,8 +160,8 @@ def _sort(path: Path, blob: bytes, files: dict[Path, bytes], streams: dict[Path,
 
 def own_stream(path: Path) -> int | None:
     """The descriptor that a name such as /dev/stdout stands for, which may be a file that a shell opened; else None."""
-    found = re.fullmatch(r"/dev/(stdout|stderr)|/(?:dev|proc/self)/fd/(\d+)", os.path.abspath(path))
-    return (int(found[2]) if found[2] else 1 + (found[1] == "stderr")) if found else None
+    found = re.fullmatch(r"/dev/(std(?:in|out|err))|/(?:dev|proc/self)/fd/(\d+)", os.path.abspath(path))
+    return (int(found[2]) if found[2] else ("stdin", "stdout", "stderr").index(found[1])) if found else None
 
 
 def _into(path: Path, blob: bytes) -> None:
@@ -273,7 +250,7 @@ class _Renames:
 def _redo(folder: Path, listed: Any) -> None:
     """The renames that a journal lists, as far as they were not done."""
     for hidden, name in listed:
-        if hidden.startswith(PREFIX) and Path(name).name == name:
+        if str(hidden).startswith(PREFIX) and all(Path(one).name == one for one in (hidden, name)):
             with suppress(FileNotFoundError):
                 (folder / hidden).replace(folder / name)
 

@@ -1,18 +1,15 @@
 """TOML tables checked key by key: units in the keys, and messages that name file, key, value and what is allowed."""
 
 import difflib
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from casadical.core.errors import InputError, shown
-from casadical.core.files import read_bytes
-from casadical.core.plain_values import unusable
+from casadical.core.errors import InputError
+from casadical.core.reading import unusable
 
 
 class FaultError(ValueError):
@@ -99,18 +96,6 @@ def _size(value: Any) -> float:
     if isinstance(value, list):
         return max(map(_size, value), default=0.0)
     return abs(value) if isinstance(value, int | float) and not isinstance(value, bool) else 0.0
-
-
-def load_toml(path: Path) -> dict[str, Any]:
-    """Tables of a TOML file. Raises InputError."""
-    try:
-        return tomllib.loads(read_bytes(path).decode())
-    except InputError:  # no such file, a folder, a device
-        raise
-    except ValueError as error:  # of TOML, of its encoding, or an integer of thousands of digits
-        raise InputError(f"{shown(path)}: not valid TOML: {error}") from None
-    except RecursionError:
-        raise InputError(f"{shown(path)}: not valid TOML: nested too deeply") from None
 
 
 def check(schema: type[Schema], data: Mapping[str, Any], source: str) -> Schema:

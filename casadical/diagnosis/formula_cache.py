@@ -17,6 +17,7 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.files import write_whole
 from casadical.core.private_folder import private_folder
+from casadical.core.reading import MOST_JSON, read_text
 from casadical.core.sx_instructions import Instruction, SxInstructions
 from casadical.diagnosis.seams import Seams
 from casadical.effects import Effect
@@ -71,7 +72,7 @@ class KeptFormulas:
         self._new = False
         if self.path is not None:
             with suppress(OSError, ValueError):
-                digest, _, text = self.path.read_text(encoding="utf-8").partition("\n")
+                digest, _, text = read_text(self.path, MOST_JSON).partition("\n")
                 if digest == hashlib.sha256(text.encode()).hexdigest():  # else it was damaged, and is made again
                     self._known = json.loads(text)
 

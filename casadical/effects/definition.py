@@ -17,7 +17,8 @@ from pydantic import Field, Strict, model_validator
 
 from casadical.core.arm import Arm
 from casadical.core.errors import InputError
-from casadical.core.schema import FaultError, TomlTable, Triple, check, load_toml
+from casadical.core.reading import load_toml
+from casadical.core.schema import FaultError, TomlTable, Triple, check
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Effect
 from casadical.effects.counterparts import Counterparts

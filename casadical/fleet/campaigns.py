@@ -15,6 +15,7 @@ import numpy as np
 
 from casadical.core.errors import CasadicalError, InputError, shown
 from casadical.core.progress import Show, silent
+from casadical.core.reading import read_bytes
 from casadical.fleet.changes import Comparison
 from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate, estimate, estimate_of_file
@@ -80,8 +81,8 @@ def compare_files(
     begun = None
     if len(paths) == 1 and (Path(paths[0]) / CAMPAIGNS).is_dir():
         robot = begun = Path(paths[0])
-        own = {table.read_bytes() for table in own_tables(begun)}
-        paths = [begun, *(t for t in sorted((begun / CAMPAIGNS).glob("*.csv")) if t.read_bytes() not in own)]
+        own = {read_bytes(table) for table in own_tables(begun)}
+        paths = [begun, *(t for t in sorted((begun / CAMPAIGNS).glob("*.csv")) if read_bytes(t) not in own)]
     for k, path in enumerate(map(Path, paths), 1):
         show(f"campaign {k} of {len(paths)}")
         try:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -14,8 +13,8 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.errors import CasadicalError
-from casadical.core.files import read_bytes
 from casadical.core.parameters import Parameter
+from casadical.core.reading import load_toml
 from casadical.fleet.hierarchy import COUNTS, SURE, Common
 from casadical.project.problem import read_problem_robot
 from casadical.project.problem_file import problem_file
@@ -86,7 +85,7 @@ def drawings_of(good: pd.DataFrame) -> dict[str, Drawing]:
         row = good[good["type"] == kind].iloc[0]
         with suppress(CasadicalError, OSError):
             path = Path(row["folder"]) / problem_file(Path(row["folder"])).robot
-            rows = None if path.suffix == ".urdf" else tomllib.loads(read_bytes(path).decode())
+            rows = None if path.suffix == ".urdf" else load_toml(path)
             standard = None if rows is None else rows.get("convention") == "standard"
             robot = read_problem_robot(row["folder"])
             found[str(kind)] = Drawing(str(row["type_name"]), int(count), robot, standard)

@@ -15,6 +15,7 @@ import numpy as np
 from casadical import __version__
 from casadical.core.errors import CasadicalError, InputError
 from casadical.core.files import json_text
+from casadical.core.reading import read_bytes
 from casadical.fleet.campaigns import CAMPAIGNS, day_of, day_of_problem, in_order, other_regions
 from casadical.fleet.changes import in_words
 from casadical.fleet.comparison import compare
@@ -46,7 +47,7 @@ def fingerprint(folder: Path) -> str:
         files |= {name: folder / name for name in others if (folder / name).is_file()}
     for name, path in sorted(files.items()):
         found.update(name.encode())
-        found.update(path.read_bytes())
+        found.update(read_bytes(path))
     return found.hexdigest()[:32]
 
 
@@ -128,10 +129,10 @@ def first_diagnosis(place: Path) -> CampaignDiagnosis | None:
 def _later(place: Path, problem: Problem, estimates: list[Estimate]) -> list[str]:
     """Adds what later campaigns tell; says which could not be used. A copy of the first one only has its day."""
     faults = []
-    own = {(place / str(table["file"])).read_bytes() for table in problem.tables}
+    own = {read_bytes(place / str(table["file"])) for table in problem.tables}
     for path in sorted((place / CAMPAIGNS).glob("*.csv")):
         try:
-            if path.is_file() and path.read_bytes() in own:
+            if path.is_file() and read_bytes(path) in own:
                 estimates[0] = replace(estimates[0], day=day_of(path))
                 continue
             m = read_campaign(place, path, problem.robot, later=True)

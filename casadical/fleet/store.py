@@ -14,7 +14,8 @@ import pandas as pd
 
 from casadical.core.errors import InputError, optional, shown
 from casadical.core.file_locks import Lock
-from casadical.core.files import read_bytes, write_together
+from casadical.core.files import write_together
+from casadical.core.reading import read_bytes
 from casadical.fleet.one_robot import NOTHING
 
 VERSION = 1

@@ -11,7 +11,7 @@ import pandas as pd
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.plain_values import LARGEST
+from casadical.core.reading import LARGEST
 from casadical.measurements.column_map import Source, made, named
 from casadical.measurements.raw_table import RawTable, refuse_repeated_names
 

@@ -3,15 +3,16 @@
 import csv
 import io
 import re
-import zipfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError, optional
+from casadical.core.reading import MOST_CELLS, archive_of, foreign, read_bytes
 from casadical.measurements.table_form import (
     Form,
     Record,
@@ -26,6 +27,9 @@ from casadical.measurements.table_form import (
     separator_of,
     unit_word,
 )
+
+# What a workbook has in a cell whose formula failed.
+_FAILED = ("#NULL!", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#N/A")
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,16 +71,12 @@ def read_table(path: str | Path) -> RawTable:
     """
     path = Path(path)
     try:
-        if path.is_char_device() or path.is_block_device():
-            raise InputError(f"{path}: is a device; name a file")
-        data = path.read_bytes()
+        data = read_bytes(path)
         text, encoding, sheet = _text(path, data)
         separator = "," if sheet else separator_of(text)
         records = records_of(text, separator)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: not a readable CSV table: {getattr(error, 'strerror', None) or error}") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: not a readable CSV table: {error}") from None
     if not records:
         raise InputError(f"{path}: not a readable CSV table: it is empty; a header and at least one row are needed")
     return table_of(path, records, encoding, separator, sheet=sheet)
@@ -85,26 +85,37 @@ def read_table(path: str | Path) -> RawTable:
 def _text(path: Path, data: bytes) -> tuple[str, str, str]:
     """Text, its encoding, and the sheet that it is from. Raises UnicodeDecodeError, InputError."""
     if data.startswith(b"PK\x03\x04"):
-        return _sheet(path)
+        return _sheet(path, data)
     if data.startswith(b"\xd0\xcf\x11\xe0"):
         raise InputError(f"{path}: a workbook of the old format; save it as .xlsx or as CSV")
     return (*decoded(data), "")
 
 
-def _sheet(path: Path) -> tuple[str, str, str]:
+def _sheet(path: Path, data: bytes) -> tuple[str, str, str]:
     """The sheet of a workbook with the most numbers, as CSV with the sheet's rows as lines."""
-    optional("openpyxl", f"{path}: reading .xlsx needs openpyxl: pip install 'casadical[xlsx]', or save it as CSV")
-    try:
-        sheets = pd.read_excel(path, sheet_name=None, header=None, dtype=object)
-    except (ValueError, KeyError, OSError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path}: not a readable workbook: {error}") from None
-    name = max(
-        sheets, key=lambda s: int(sheets[s].map(lambda v: isinstance(v, int | float) and v == v).to_numpy().sum())
-    )
-    out = io.StringIO(newline="")
-    rows = sheets[name].map(lambda v: "" if v is None or v != v else " ".join(str(v).split()))
-    csv.writer(out).writerows(rows.to_numpy().tolist())
-    return out.getvalue(), "workbook", str(name)
+    needed = f"{path}: reading .xlsx needs openpyxl: pip install 'casadical[xlsx]', or save it as CSV"
+    openpyxl = optional("openpyxl", needed)
+    content, found, cells = archive_of(data, str(path)), ("", "", -1), 0
+    with foreign(f"{path}: not a readable workbook"):
+        for sheet in openpyxl.load_workbook(content, read_only=True, data_only=True).worksheets:
+            sheet.reset_dimensions()  # what it says of its size need not be true
+            out, numbers = io.StringIO(newline=""), 0
+            rows = csv.writer(out)
+            for row in sheet.iter_rows(values_only=True):
+                cells += 1 + len(row)
+                if cells > MOST_CELLS:
+                    raise InputError(f"{path}: has more than {MOST_CELLS} cells; save what was measured as CSV")
+                numbers += sum(isinstance(value, int | float) for value in row)
+                rows.writerow(map(_cell, row))
+            found = max(found, (out.getvalue(), str(sheet.title), numbers), key=lambda sheet: sheet[2])
+    return found[0], "workbook", found[1]
+
+
+def _cell(value: Any) -> str:
+    """As text; a formula that failed is an empty cell."""
+    if value is None or value in _FAILED:
+        return ""
+    return " ".join(str(int(value) if isinstance(value, float) and value.is_integer() else value).split())
 
 
 def table_of(

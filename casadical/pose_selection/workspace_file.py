@@ -7,7 +7,8 @@ import numpy as np
 from pydantic import Field
 
 from casadical.core.errors import InputError
-from casadical.core.schema import ANGLE, LENGTH, READING, Angle, Length, Pair, TomlTable, Triple, check, load_toml
+from casadical.core.reading import load_toml
+from casadical.core.schema import ANGLE, LENGTH, READING, Angle, Length, Pair, TomlTable, Triple, check
 from casadical.pose_selection.workspace import Box, Tracker, Workspace
 from casadical.robot.robot import Robot
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from contextlib import suppress
@@ -14,7 +13,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validat
 from casadical.compensator.trainers.known import network_methods
 from casadical.core.errors import InputError, shown
 from casadical.core.parts import Sessions
-from casadical.core.schema import FaultError, check, load_toml
+from casadical.core.reading import load_json, load_toml, read_bytes
+from casadical.core.schema import FaultError, check
 from casadical.identification.residuals import ALL_LOSSES, AnyLoss
 from casadical.measurements.column_map import Source
 from casadical.measurements.kinds.registry import kinds
@@ -260,7 +260,7 @@ def tables_of(folder: Path) -> Sequence[DataTable]:
     if (folder / "problem.toml").exists():
         return problem_file(folder).measurements
     try:
-        listed = json.loads((folder.parent / "result.json").read_text(encoding="utf-8"))["tables"]
+        listed = load_json(folder.parent / "result.json")["tables"]
         return [check(DataTable, table, "result.json") for table in listed]
     except (OSError, ValueError, KeyError, TypeError, InputError):
         return []
@@ -270,7 +270,7 @@ def table_like(folder: Path, raw: RawTable, tables: Sequence[DataTable]) -> Data
     """How a problem's tables say that this one is to be understood; a copy of one of them is that one."""
     for data in tables:
         own = folder / data.file
-        if own.resolve() == raw.path.resolve() or (own.is_file() and own.read_bytes() == raw.path.read_bytes()):
+        if own.resolve() == raw.path.resolve() or (own.is_file() and read_bytes(own) == read_bytes(raw.path)):
             return data
     for data in tables:
         found = data.named_in(raw.header)
@@ -281,8 +281,8 @@ def table_like(folder: Path, raw: RawTable, tables: Sequence[DataTable]) -> Data
 
 def result_in(folder: Path) -> Path:
     """The robot file of the method that counts in a folder of results. Raises InputError."""
-    with suppress(OSError, ValueError, KeyError, TypeError):
-        methods = list(json.loads((folder / "result.json").read_text(encoding="utf-8"))["methods"])
+    with suppress(OSError, ValueError, KeyError, TypeError, IndexError):
+        methods = list(load_json(folder / "result.json")["methods"])
         return folder / f"{methods[-1]}.robot.toml"
     files = sorted(folder.glob("*.robot.toml"))
     if len(files) == 1:

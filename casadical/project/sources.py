@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from casadical.core.schema import load_toml
+from casadical.core.reading import load_toml
 from casadical.project.problem import Problem
 
 

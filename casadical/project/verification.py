@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.core.reading import load_json
 from casadical.core.telling.blocks import Table, Words, mm
 from casadical.identification.accuracy import errors
 from casadical.identification.identification import calibrated
@@ -301,7 +301,7 @@ def promised_rms(robot: Path, kind: str = POSITION) -> float:
     path = robot.parent / "result.json"
     remedy = "give the promised rms error with --promised-mm"
     try:
-        stated = json.loads(path.read_text(encoding="utf-8"))
+        stated = load_json(path)
         methods = stated["methods"]
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError(f"{path}: no figures of a calibration; {remedy}") from None
@@ -323,7 +323,7 @@ def _alike(kind: str) -> tuple[str, ...]:
 def _mean_of(path: Path) -> float | None:
     """Mean held-out error [mm] of the model that was kept, as a diagnosis or a discovery states it."""
     try:
-        stated = json.loads(path.read_text(encoding="utf-8"))
+        stated = load_json(path)
         return float(stated["gap_mm"][stated.get("kept", "after")])
     except (OSError, ValueError, KeyError, TypeError):
         return None

@@ -9,7 +9,8 @@ from pydantic import Field
 
 from casadical import __version__
 from casadical.core.errors import InputError
-from casadical.core.schema import check, load_toml
+from casadical.core.reading import load_toml
+from casadical.core.schema import check
 from casadical.effects import Effect
 from casadical.effects.definition import DefinitionFile
 from casadical.effects.plugins import new_effects

@@ -15,7 +15,8 @@ from casadical import __version__
 from casadical.core.errors import InputError, shown
 from casadical.core.files import write_whole
 from casadical.core.parts import WIDTHS, Body, BodyWidth, FourBar, Joint, Placement, Target
-from casadical.core.schema import check, load_toml
+from casadical.core.reading import load_toml
+from casadical.core.schema import check
 from casadical.core.transforms import to_rpy
 from casadical.effects import Effect, Session
 from casadical.effects.plugins import defined_in_files, find_effect

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from casadical.core.errors import InputError
-from casadical.core.files import MOST_BYTES, appending, claimed, read_bytes, write_together, write_whole
+from casadical.core.files import appending, claimed, write_together, write_whole
+from casadical.core.reading import MOST_BYTES, read_bytes
 
 ROOT = Path(__file__).parents[2]
 

@@ -61,3 +61,36 @@ def test_the_tests_mirror_the_package() -> None:
     assert [n for n in sorted(names) if n.parts[0] not in house_and_docs and not (package / n).is_dir()] == []
     rooms = {path.parts[1] for path in tracked() if path.parts[0] == "casadical" and len(path.parts) > 2}
     assert rooms - {name.parts[0] for name in names} == set()
+
+
+# Outside of core/reading.py: what the package installs or makes itself, and what reads as it goes.
+OWN_FILES = {
+    "core/files.py": "writes them, and reads its own journals",
+    "core/compile_cache.py": "libraries of the private cache",
+    "core/lazy.py": "a stub of the package",
+    "core/version.py": "the package's own version",
+    "core/telling/page.py": "templates of the package",
+    "core/file_locks.py": "opens without waiting, to lock",
+    "diagnosis/formula_cache.py": "the package's own code, for its hash",
+    "measurements/vocabulary.py": "a list of the package",
+    "measurements/table_parts.py": "reads regular files of any size in parts",
+    "export/c/emit.py": "templates of the package",
+    "cli/terminal.py": "the null device",
+}
+READS = {"read_text", "read_bytes", "open", "parse", "read_csv", "read_excel", "ParquetFile"}
+OF_TEXTS = {"pd.read_csv", "ast.parse", "tomlkit.parse"}
+
+
+def reads_in(path: Path) -> list[str]:
+    """Calls that open a file past the gate of core/reading.py."""
+    calls = [n for n in ast.walk(ast.parse((ROOT / path).read_text(encoding="utf-8"))) if isinstance(n, ast.Call)]
+    named = [c.func.id for c in calls if isinstance(c.func, ast.Name) and c.func.id == "open"]
+    methods = [ast.unparse(c.func) for c in calls if isinstance(c.func, ast.Attribute) and c.func.attr in READS]
+    return named + [name for name in methods if name not in OF_TEXTS]
+
+
+def test_every_file_is_opened_by_the_gate() -> None:
+    modules = [p for p in tracked() if p.parts[0] == "casadical" and p.suffix == ".py"]
+    found = {str(p.relative_to("casadical")): reads for p in modules if (reads := reads_in(p))}
+    found.pop("core/reading.py")
+    assert found.keys() == OWN_FILES.keys() & found.keys(), {k: v for k, v in found.items() if k not in OWN_FILES}

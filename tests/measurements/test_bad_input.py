@@ -91,7 +91,7 @@ class Bad:
 TABLES = [
     # files
     Bad("no such file", lambda tmp: read_measurements(tmp / "none.csv", 3), ("none.csv", "no such file")),
-    Bad("a folder", lambda tmp: read_measurements(tmp, 3), ("not a readable CSV",)),
+    Bad("a folder", lambda tmp: read_measurements(tmp, 3), ("cannot be read: Is a directory",)),
     Bad("empty file", lambda tmp: file(tmp, ""), ("bad.csv", "not a readable CSV")),
     Bad("ragged rows", lambda tmp: file(tmp, "a,b\n1,2\n1,2,3,4\n"), ("bad.csv", "row 3 has 4 cells", "2")),
     Bad("not text", lambda tmp: file(tmp, b"a,b\n\xff\xfe\x00\x81,2\n"), ("bad.csv", "not a readable CSV")),

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from casadical.blind_check.answers import json_line, read_answers
 from casadical.core.errors import InputError
-from casadical.core.files import json_text, read_bytes, write_together, write_whole
-from casadical.core.schema import load_toml
+from casadical.core.files import json_text, write_together, write_whole
+from casadical.core.reading import load_toml, read_bytes
 from casadical.export.mjcf.mjcf import mjcf
 from casadical.measurements.columns import Columns
 from casadical.measurements.raw_table import read_table

@@ -79,7 +79,7 @@ def test_fault(tmp_path, fault):
 
 
 def test_no_file(tmp_path):
-    with pytest.raises(InputError, match=r"none.urdf: cannot be read: No such file"):
+    with pytest.raises(InputError, match=r"none.urdf: no such file"):
         read_urdf(tmp_path / "none.urdf")
 
 

@@ -11,8 +11,9 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import CasadicalError, InputError
-from casadical.core.files import read_bytes, write_whole
+from casadical.core.files import write_whole
 from casadical.core.private_folder import private_folder
+from casadical.core.reading import read_bytes
 from casadical.export.c.coefficients import DTYPE, Real
 from casadical.export.c.emit import filled, template
 from casadical.export.c.toolchain import Compiler, compilers, shared_library

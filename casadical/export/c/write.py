@@ -10,6 +10,7 @@ from typing import Any
 
 from casadical.core.errors import CasadicalError, InputError
 from casadical.core.files import claimed, write_together
+from casadical.core.reading import json_of, read_bytes
 from casadical.export.c.c_source import SCHEMA
 from casadical.export.c.coefficients import Real
 from casadical.export.c.kernel import remember
@@ -165,7 +166,7 @@ def _check_nothing_in_the_way(folder: Path, names: list[str], overwrite: bool) -
     ours = _written_before(folder)
     for key in names:
         path = folder / key
-        if path.exists() and ours.get(key) != _sha256(path.read_bytes()):
+        if path.exists() and ours.get(key) != _sha256(read_bytes(path)):
             raise InputError(
                 f"{path} is in the way: it was not written by this export, or was changed since; "
                 "give another folder, or overwrite=True (--overwrite)"
@@ -176,8 +177,8 @@ def _written_before(folder: Path) -> dict[str, str]:
     """Hashes of the files that an earlier export wrote into the folder; the manifest's own among them."""
     path = folder / "manifest.json"
     try:
-        blob = path.read_bytes()
-        manifest: dict[str, Any] = json.loads(blob)
+        blob = read_bytes(path)
+        manifest: dict[str, Any] = json_of(blob, str(path))
         files = dict(manifest["files"])
     except (OSError, ValueError, KeyError, TypeError):
         return {}

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import cast
 
 from casadical.core.errors import InputError
+from casadical.core.reading import read_bytes
 from casadical.export.c.coefficients import Real
 from casadical.export.c.products import Command, Product
 from casadical.export.c.write import Export, write_c
@@ -211,4 +212,4 @@ def unreached(robot: Robot) -> str:
 
 
 def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return hashlib.sha256(read_bytes(path)).hexdigest()

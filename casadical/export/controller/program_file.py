@@ -11,7 +11,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.files import read_bytes
+from casadical.core.reading import read_bytes
 from casadical.export.c.manifest import read_manifest
 from casadical.export.controller.c_export import no_bound, poses_of, unreached, wants_pose
 from casadical.export.controller.commands import Sources, Tool, command_of, followed, measured_range, robot_of

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.errors import InputError
-from casadical.core.schema import load_toml
+from casadical.core.reading import load_toml
 from casadical.measurements.headings import understand
 from casadical.measurements.raw_table import RawTable, read_table
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.schema import load_toml
+from casadical.core.reading import load_toml
 from casadical.identification.accuracy import errors, predicted
 from casadical.identification.placement import place_frames
 from casadical.measurements.measurements import Measurements

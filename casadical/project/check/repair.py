@@ -15,6 +15,7 @@ import tomlkit
 
 from casadical.core.errors import InputError
 from casadical.core.files import write_together
+from casadical.core.reading import read_text
 from casadical.measurements.column_map import Source
 from casadical.measurements.headings import understand
 from casadical.measurements.raw_table import read_table
@@ -107,7 +108,7 @@ def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
     Raises InputError where a repair cannot be written there.
     """
     path = folder / "problem.toml"
-    problem = tomlkit.parse(path.read_text(encoding="utf-8"))
+    problem = tomlkit.parse(read_text(path))
     tables: Any = problem["measurements"]
     table = tables[0]
     raw = read_table(folder / str(table["file"]))
@@ -214,7 +215,7 @@ def _repaired_robot(path: Path, fit: Fit, times: float) -> str:
     """The robot file with the repair of its rows; times : of all lengths, where they are in another unit."""
     if path.suffix != ".toml":
         raise InputError(f"{path}: the repair changes rows of the robot, which is not a robot file; change it by hand")
-    document = tomlkit.parse(path.read_text(encoding="utf-8"))
+    document = tomlkit.parse(read_text(path))
     convention = str(document.get("convention", "modified"))
     if fit.hypothesis.rows:
         convention = {"modified": "standard", "standard": "modified"}[convention]
@@ -237,7 +238,7 @@ def difference(texts: Mapping[Path, str]) -> str:
     """The files as they are and as they become, line by line."""
     found: list[str] = []
     for path, text in texts.items():
-        before = path.read_text(encoding="utf-8").splitlines()
+        before = read_text(path).splitlines()
         found += difflib.unified_diff(before, text.splitlines(), str(path), f"{path} repaired", n=0, lineterm="")
     return "\n".join(line for line in found if not line.startswith("@@"))
 

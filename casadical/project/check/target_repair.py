@@ -8,7 +8,7 @@ import tomlkit
 
 from casadical.core.arrays import Array
 from casadical.core.files import write_together
-from casadical.core.schema import load_toml
+from casadical.core.reading import load_toml, read_text
 from casadical.project.check.repair import difference, left_mm, write_repair
 from casadical.project.check.result import Precheck
 from casadical.project.problem import read_problem_robot
@@ -54,7 +54,7 @@ def files_with_targets(folder: Path, names: Sequence[str], points: Array, rows: 
         tip = read_urdf(place, urdf.get("base_link"), urdf.get("tip_link")).tool.T
         urdf["tool"] = _tools(names, points, tip, unknown)
         return {path: tomlkit.dumps(problem)}
-    document = tomlkit.parse(place.read_text(encoding="utf-8"))
+    document = tomlkit.parse(read_text(place))
     bare = {key: value for key, value in load_toml(place).items() if key != "tool"}
     document["tool"] = _tools(names, points, robot_from(bare, place.name).tool.T, unknown)
     return {path: tomlkit.dumps(problem), place: tomlkit.dumps(document)}
@@ -63,7 +63,7 @@ def files_with_targets(folder: Path, names: Sequence[str], points: Array, rows: 
 def file_with_names(folder: Path, names: Sequence[str], rows: Sequence[Array]) -> dict[Path, str]:
     """problem.toml with the rows of the file at which each target was measured."""
     path = folder / "problem.toml"
-    problem = tomlkit.parse(path.read_text(encoding="utf-8"))
+    problem = tomlkit.parse(read_text(path))
     tables: Any = problem["measurements"]
     listed = tomlkit.table()
     for name, own in zip(names, rows, strict=True):

@@ -9,6 +9,7 @@ from pathlib import Path
 from casadical.core.errors import InputError
 from casadical.core.estimated_masses import with_estimated_masses, without_masses
 from casadical.core.files import claimed, write_together
+from casadical.core.reading import read_bytes, read_text
 from casadical.core.telling.blocks import Table, Words
 from casadical.measurements.column_map import Source
 from casadical.measurements.columns import Columns
@@ -68,7 +69,7 @@ def new_problem(
     file = f"poses{data.suffix.lower() if data and data.suffix else '.csv'}"
     lines = column_lines(columns, left_out)
     texts |= {
-        file: data.read_bytes() if data else synthetic_poses(robot, seed),
+        file: read_bytes(data) if data else synthetic_poses(robot, seed),
         "problem.toml": problem_text(robot.name, bool(data), links, compliant, sets, seed, POSES, file, lines, tools),
         "README.md": readme_text(name, robot.name, file, *(p.name if p else None for p in (data, urdf, dh))),
     }
@@ -155,24 +156,13 @@ def _robot_files(
     if urdf:
         from casadical.robot.urdf import read_urdf
 
-        return {"robot.urdf": _read(urdf)}, read_urdf(urdf, base_link, tip_link)
+        return {"robot.urdf": read_text(urdf)}, read_urdf(urdf, base_link, tip_link)
     text = robot_text(dh, name, convention) if dh else EXAMPLE_ROBOT
     robot = robot_from(tomllib.loads(text), dh.name if dh else "robot.toml")
     if without_masses(robot):
         robot = with_estimated_masses(robot)
         text = with_masses(text, robot, convention == "standard")
     return {"robot.toml": text}, robot
-
-
-def _read(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not a text file in UTF-8") from None
 
 
 def _read_on_trial(folder: Path, data: Path | None, file: str) -> Problem:

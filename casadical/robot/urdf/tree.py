@@ -1,27 +1,33 @@
 """Links and joints of a URDF file as a tree; every fault is an InputError that names the file."""
 
 from collections.abc import Collection, Iterator
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 from xml.dom import minidom
-from xml.parsers.expat import ExpatError
 
 import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError, optional
+from casadical.core.reading import foreign, read_xml
+
+# Levels of elements: of links of links in a MuJoCo model, say.
+DEEPEST_XML = 200
 
 
 def parse_xml(path: Path, root: str = "robot") -> minidom.Document:
     """The file's XML. Raises InputError where it is not well-formed, or its root element is another one."""
-    try:
-        document = minidom.parse(str(path))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    except (ExpatError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: malformed XML: {error}") from None
-    element = document.documentElement
-    assert element is not None
+    data = read_xml(path)
+    with foreign(f"{path}: malformed XML"):
+        document = minidom.parseString(data)
+        element = document.documentElement
+        assert element is not None
+        row: list[minidom.Node] = [element]
+        for _ in range(DEEPEST_XML):
+            row = [child for node in row for child in node.childNodes]
+        if row:
+            raise ValueError(f"nested more than {DEEPEST_XML} levels deep")
     if element.tagName != root:
         raise InputError(f"{path}: the root element is <{element.tagName}>, not <{root}>")
     return document
@@ -33,10 +39,10 @@ def parse_urdf(path: Path) -> Any:
     Raises InputError: yourdfpy is not installed, the XML is malformed, or it is no URDF.
     """
     yourdfpy = optional("yourdfpy", "reading a URDF needs yourdfpy; pip install 'casadical[urdf]'")
-    parse_xml(path)
+    content = BytesIO(parse_xml(path).toxml(encoding="utf-8"))
     try:
-        return yourdfpy.URDF.load(str(path), build_scene_graph=False, load_meshes=False).robot
-    except (KeyError, AttributeError, ValueError, TypeError, IndexError) as error:
+        return yourdfpy.URDF.load(content, build_scene_graph=False, load_meshes=False).robot
+    except Exception as error:
         raise InputError(
             f"{path}: not a readable URDF: {type(error).__name__}: {error}; robot, links and joints need a name, "
             "joints a type, parent and child, vectors three numbers; a xacro must be expanded first"

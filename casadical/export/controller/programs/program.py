@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from casadical.core.errors import InputError
-from casadical.core.files import csv_text, read_bytes
+from casadical.core.files import csv_text
+from casadical.core.reading import read_bytes
 from casadical.export.controller.correction import FINE, MEANINGS, SHOWN, mean_and_max, position_only
 from casadical.export.controller.programs import correction as c
 from casadical.export.controller.programs.language import ProgramLanguage, text_of

@@ -1,0 +1,208 @@
+"""The one gate for what files hold: opened, decoded and parsed within stated bounds; every fault is an InputError.
+
+Only regular files are opened, and the streams that a shell handed over (/dev/stdin, /dev/fd/N): a FIFO that nobody
+writes to would be waited for without end. Sizes are checked before anything is parsed. Numbers and texts that no
+quantity or name can be are refused by their place.
+"""
+
+import codecs
+import io
+import json
+import math
+import os
+import re
+import stat
+import tomllib
+import unicodedata
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from casadical.core.errors import InputError, shown
+from casadical.core.files import own_stream, settle
+
+# Bytes of a table; of a TOML file, an XML file or a program; of a JSON file.
+MOST_BYTES, MOST_TEXT, MOST_JSON = 500_000_000, 10_000_000, 100_000_000
+# Bytes of an archive when it is unpacked, and cells of a workbook.
+MOST_UNPACKED, MOST_CELLS = 100_000_000, 300_000
+# Numbers of things in files: parameters, harmonics, joints, rows of a grid.
+MOST_COUNT = 1000
+# Sizes that arithmetic of doubles bears, squares and products included; smaller ones are taken for mistakes, too.
+LARGEST, SMALLEST = 1e100, 1e-100
+LONGEST, DEEPEST, MOST_DIGITS = 10_000, 50, 100
+
+_DECLARED = re.compile(rb"^\s*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)[\"'][^>]*\?>")
+_ENCODINGS = ("utf-8", "utf-8-sig", "utf-16", "us-ascii", "ascii", "iso-8859-1", "latin-1", "windows-1252")
+
+
+def read_bytes(path: str | Path, most: int = MOST_BYTES) -> bytes:
+    """Content of a file, after what a killed process left to rename beside it was renamed.
+
+    Raises InputError: no such file, a folder, a device, a FIFO, more than `most` bytes, or not to be read.
+    """
+    path = Path(path)
+    try:
+        if not (streamed := own_stream(path) is not None):
+            settle(path.parent)
+        _refuse_special(path, path.stat(), streamed)
+        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        with os.fdopen(handle, "rb") as file:
+            about = os.fstat(handle)
+            _refuse_special(path, about, streamed)
+            os.set_blocking(handle, True)
+            data = b"" if about.st_size > most else file.read(most + 1)
+    except FileNotFoundError:
+        raise InputError(f"{shown(path)}: no such file") from None
+    except InputError:
+        raise
+    except (OSError, ValueError, RuntimeError) as error:  # a NUL in its name, a loop of links
+        raise InputError(f"{shown(path)}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    if about.st_size > most or len(data) > most:
+        raise InputError(f"{shown(path)}: has {max(about.st_size, len(data))} bytes; at most {most} are read: split it")
+    return data
+
+
+def _refuse_special(path: Path, about: os.stat_result, streamed: bool) -> None:
+    if stat.S_ISCHR(about.st_mode) or stat.S_ISBLK(about.st_mode):
+        raise InputError(f"{shown(path)}: is a device; name a file")
+    if stat.S_ISDIR(about.st_mode):
+        raise InputError(f"{shown(path)}: cannot be read: Is a directory")
+    if not (streamed or stat.S_ISREG(about.st_mode)):
+        raise InputError(f"{shown(path)}: is a pipe or a socket; name a file, or /dev/stdin")
+
+
+def read_text(path: str | Path, most: int = MOST_TEXT) -> str:
+    """Text of a file in UTF-8. Raises InputError as `read_bytes` does, and for other bytes."""
+    try:
+        return read_bytes(path, most).decode()
+    except UnicodeDecodeError:
+        raise InputError(f"{shown(path)}: not a text file in UTF-8") from None
+
+
+def load_toml(path: str | Path) -> dict[str, Any]:
+    """Tables of a TOML file. Raises InputError."""
+    try:
+        return tomllib.loads(read_bytes(path, MOST_TEXT).decode())
+    except InputError:  # no such file, a folder, a device
+        raise
+    except ValueError as error:  # of TOML, of its encoding, or an integer of thousands of digits
+        raise InputError(f"{shown(path)}: not valid TOML: {error}") from None
+    except RecursionError:
+        raise InputError(f"{shown(path)}: not valid TOML: nested too deeply") from None
+
+
+def load_json(path: str | Path, kind: Any = dict) -> Any:
+    """What a JSON file holds, an object or, as `kind` says, a list. Raises InputError."""
+    return json_of(read_bytes(path, MOST_JSON), shown(path), kind)
+
+
+def json_of(text: bytes | str, source: str, kind: Any = dict) -> Any:
+    """What a JSON text holds; `source` names it. Raises InputError: no JSON, or out of bounds."""
+    try:
+        data = json.loads(text, parse_int=_integer, parse_float=_finite, parse_constant=_finite)
+    except (ValueError, RecursionError) as error:
+        why = "nested too deeply" if isinstance(error, RecursionError) else error
+        raise InputError(f"{source}: not valid JSON: {why}") from None
+    if not isinstance(data, kind):
+        raise InputError(
+            f"{source}: holds {type(data).__name__}; a JSON {'list' if kind is list else 'object'} is expected"
+        )
+    level, row = 0, [data] if isinstance(data, dict | list) else []
+    while row := [v for c in row for v in (c.values() if isinstance(c, dict) else c) if isinstance(v, dict | list)]:
+        level += 1
+        if level > DEEPEST:
+            raise InputError(f"{source}: not valid JSON: nested too deeply")
+    return data
+
+
+def _integer(text: str) -> int:
+    if len(text) > MOST_DIGITS:
+        raise ValueError(f"an integer of {len(text)} digits; allowed: up to {MOST_DIGITS}")
+    return int(text)
+
+
+def _finite(text: str) -> float:
+    if not math.isfinite(value := float(text)):
+        raise ValueError(f"{text[:30]} is no finite number")
+    return value
+
+
+def read_xml(path: str | Path) -> bytes:
+    """An XML file in UTF-8, whatever it declares. Raises InputError, also for a document type of its own (entities)."""
+    data = read_bytes(path, MOST_TEXT)
+    declared = _DECLARED.match(data)
+    marks = (name for mark, name in ((codecs.BOM_UTF8, "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
+             if data.startswith(mark))  # fmt: skip
+    name = next(marks, declared[1].decode("ascii", "replace").lower() if declared else "utf-8")
+    if name not in _ENCODINGS:
+        raise InputError(f"{shown(path)}: malformed XML: encoding {name[:30]!r}; allowed: {', '.join(_ENCODINGS)}")
+    with foreign(f"{shown(path)}: malformed XML"):
+        text = data.decode(name)
+        if "<!DOCTYPE" in text:
+            raise ValueError("it defines a document type, which no robot needs; take <!DOCTYPE ...> out")
+        return re.sub(r"^\s*<\?xml[^>]*\?>", "", text).encode()
+
+
+@contextmanager
+def foreign(what: str, remedy: str = "") -> Iterator[None]:
+    """What a library raises for a damaged file, of whatever class, is an InputError that begins with `what`."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        text = (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(".")
+        raise InputError(f"{what}: {shown(text)}{remedy and '; '}{remedy}") from None
+
+
+def archive_of(data: bytes, source: str) -> io.BytesIO:
+    """A zip archive that is not too large when unpacked. Raises InputError."""
+    with foreign(f"{source}: not a readable workbook"), zipfile.ZipFile(io.BytesIO(data)) as archive:
+        size = sum(entry.file_size for entry in archive.infolist())
+    if size > MOST_UNPACKED:
+        raise InputError(f"{source}: has {size} bytes when unpacked; at most {MOST_UNPACKED} are read: split it")
+    return io.BytesIO(data)
+
+
+def number_fault(value: float) -> str:
+    """What is wrong with a number; nothing for a usable one."""
+    if not -LARGEST <= value <= LARGEST:  # also an integer that is no double, and what is not a number
+        return f"allowed: finite numbers up to {LARGEST:g}"
+    return f"allowed: zero, or at least {SMALLEST:g}" if 0 < abs(value) < SMALLEST else ""
+
+
+def text_fault(text: str) -> str:
+    """What is wrong with a name or title; nothing for a usable one."""
+    if len(text) > LONGEST:
+        return f"has {len(text)} characters; allowed: up to {LONGEST}"
+    bad = next((c for c in text if unicodedata.category(c) in ("Cc", "Cs") and c not in "\n\t"), None)
+    return "" if bad is None else f"holds the control character {bad!a}; remove it"
+
+
+def unusable(value: Any, place: str = "", depth: int = 0) -> Iterator[tuple[str, str]]:
+    """Places of unusable numbers and texts in nested tables and lists, each with what is wrong."""
+    if depth > DEEPEST:
+        yield place[:60], "is nested too deeply"
+    elif isinstance(value, dict):
+        for key, inner in value.items():
+            fault = text_fault(key)
+            if fault:
+                yield f"{place} key {ascii(key)[:60]}".strip(), fault
+            yield from unusable(inner, f"{place}.{key}".lstrip("."), depth + 1)
+    elif isinstance(value, list):
+        for k, inner in enumerate(value, 1):
+            yield from unusable(inner, f"{place}[{k}]", depth + 1)
+    elif isinstance(value, str) and text_fault(value):
+        yield f"{place} = {ascii(value)[:60]}", text_fault(value)
+    elif isinstance(value, float) and not math.isfinite(value):
+        return  # the schema says so, beside what else is wrong
+    elif isinstance(value, int | float) and not isinstance(value, bool) and number_fault(value):
+        yield f"{place} = {_short(value)}", number_fault(value)
+
+
+def _short(value: float) -> str:
+    if isinstance(value, int) and abs(value) > LARGEST:
+        return f"an integer of {value.bit_length()} bits"
+    return f"{value:g}" if isinstance(value, float) and math.isfinite(value) else str(value)
