@@ -12,7 +12,8 @@ from casadical.blind_check.protocol import Kind
 SHARES: dict[Kind, float] = {"none": 0.25, "one": 0.45, "several": 0.15, "unlisted": 0.15}
 POSES = (40, 100, 200)
 ROBOTS = ("hh800", "kr210", "ur10e")
-COLUMNS = ("temperature", "payload", "approach", "time")
+# What may not be logged, and how its columns begin.
+COLUMNS = {"temperature": "temperature_degC", "payload": "payload_kg", "approach": "approach", "time": "time_s"}
 STRUCK = 1 / 3
 NOISES = (10e-6, 20e-6, 30e-6)
 REPEATABILITIES = (2e-6, 8e-6)
@@ -58,19 +59,19 @@ def draw_plans(
     rng = np.random.default_rng([seed, 1])
     kinds = shuffled(rng, in_shares(n, SHARES))
     lacking = shuffled(rng, in_shares(n, {True: struck, False: 1 - struck}))
-    names, sizes, columns = turns(rng, robots), turns(rng, poses), turns(rng, COLUMNS)
+    names, sizes, columns = turns(rng, robots), turns(rng, poses), turns(rng, tuple(COLUMNS))
     known, foreign = (turns(rng, pool) for pool in words)
     plans = []
     for k, kind in enumerate(kinds):
         count = {"none": 0, "one": 1, "unlisted": 1}.get(kind) if kind != "several" else int(rng.integers(2, 4))
-        pool = foreign if kind == "unlisted" else known
+        pool, names_of = (foreign, words[1]) if kind == "unlisted" else (known, words[0])
         robot = next(names)
         plans.append(
             Plan(
                 name=f"{robot}-{k + 1:03d}",
                 robot=robot,
                 kind=kind,
-                effects=distinct(pool, count or 0),
+                effects=distinct(pool, min(count or 0, len(set(names_of)))),
                 poses=next(sizes),
                 missing=next(columns) if lacking[k] else None,
                 noise=float(rng.choice(noises)),

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from casadical.blind_check.campaign_plans import POSES, Plan, draw_plans
+from casadical.blind_check.campaign_plans import COLUMNS, POSES, Plan, draw_plans
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, Plant
 from casadical.blind_check.mujoco_physics.table import MEASURED, TRUE
 from casadical.blind_check.predictor import nominal
@@ -40,7 +40,6 @@ from casadical.robot.robot_file import to_toml
 UNSEEN = 50
 LEAST_POSES = 20
 REDRAWN = 5
-_COLUMNS = {"temperature": "temperature_degC", "payload": "payload_kg", "approach": "approach", "time": "time_s"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,9 +146,9 @@ def campaign_of(subject: Subject, plan: Plan, simulator: Simulator = MUJOCO) -> 
     # Among the others, so that nothing has to be predicted beyond the campaign's time and temperature.
     kept = np.ones(plan.poses + UNSEEN, dtype=bool)
     kept[1 + rng.choice(len(kept) - 2, UNSEEN, replace=False)] = False
-    readings = None if subject.readings is None else with_poses_between(subject.readings, kept)
-    plan, recorded = _recorded(subject, plan, readings, simulator)
-    struck = [c for word in plan.not_logged for c in recorded.session if str(c).startswith(_COLUMNS[word])]
+    poses = None if subject.poses is None else with_poses_between(subject.poses, kept)
+    plan, recorded = _recorded(subject, plan, poses, simulator)
+    struck = [c for word in plan.not_logged for c in recorded.session if str(c).startswith(COLUMNS[word])]
     shown = recorded.session.drop(columns=[*struck, *TRUE])
     unseen = recorded.session[~kept]
     return Campaign(
@@ -160,26 +159,38 @@ def campaign_of(subject: Subject, plan: Plan, simulator: Simulator = MUJOCO) -> 
     )
 
 
-def with_poses_between(readings: Array, kept: Array) -> Array:
-    """Given poses, shape (poses, joints), where the mask says so, and between them poses on the way to the next one."""
+def with_poses_between(poses: pd.DataFrame, kept: Array) -> pd.DataFrame:
+    """Given poses where the mask says so, and between them poses on the way to the next one.
+
+    There the payload is still that of the pose before, and the joints come from where they come to the next one.
+    """
     place = np.cumsum(kept) - 1.0
     for k in np.flatnonzero(~kept):
         place[k] = (place[k - 1] + np.floor(place[k - 1]) + 1) / 2
     before = np.floor(place).astype(int)
-    share = (place - before)[:, None]
-    return np.asarray((1 - share) * readings[before] + share * readings[np.minimum(before + 1, len(readings) - 1)])
+    after = np.minimum(before + 1, len(poses) - 1)
+    share = place - before
+    columns = {}
+    for name in map(str, poses):
+        values = poses[name].to_numpy(float)
+        columns[name] = (1 - share) * values[before] + share * values[after]
+        if name.startswith("approach"):
+            columns[name] = np.where(share > 0, values[after], values[before])
+        if name == "payload_kg":
+            columns[name] = values[before]
+    return pd.DataFrame(columns)
 
 
 def _recorded(
-    subject: Subject, plan: Plan, readings: Array | None, simulator: Simulator, left: int = REDRAWN
+    subject: Subject, plan: Plan, poses: pd.DataFrame | None, simulator: Simulator, left: int = REDRAWN
 ) -> tuple[Plan, Record]:
     """The session of a plan. If it finds no equilibrium, all except the plan is drawn again, a few times."""
     try:
-        return plan, record(subject, plan, plan.poses + UNSEEN, readings, simulator)
+        return plan, record(subject, plan, plan.poses + UNSEEN, poses, simulator)
     except ConvergenceError:
         if not left:
             raise
-        return _recorded(subject, replace(plan, seed=plan.seed + 1), readings, simulator, left - 1)
+        return _recorded(subject, replace(plan, seed=plan.seed + 1), poses, simulator, left - 1)
 
 
 def _secret(plan: Plan, recorded: Record, kept: Array, model: str, unseen: pd.DataFrame) -> Secret:

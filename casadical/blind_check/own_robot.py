@@ -19,9 +19,10 @@ from casadical.blind_check.campaign_plans import COLUMNS, Plan, draw_plans
 from casadical.blind_check.generation import LEAST_POSES, campaign_of, engine_versions
 from casadical.blind_check.metrics import Estimate, claims_made, detectable, detection, false_alarms, of_kind, share
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, FourBar, Plant
-from casadical.blind_check.mujoco_physics.draw import impossible
+from casadical.blind_check.mujoco_physics.draw import SECONDS_A_POSE, impossible
 from casadical.blind_check.mujoco_physics.plant import Building, home_frames
 from casadical.blind_check.mujoco_physics.statics import rated_torque
+from casadical.blind_check.mujoco_physics.stops import Warmup
 from casadical.blind_check.outcomes import Outcome, outcome
 from casadical.blind_check.predictor import answer_campaign
 from casadical.blind_check.recording import Subject
@@ -30,6 +31,8 @@ from casadical.core.arrays import Array
 from casadical.core.errors import ConvergenceError, InputError
 from casadical.core.estimated_masses import with_estimated_masses, without_masses
 from casadical.core.telling.blocks import Block, Table, Words
+from casadical.measurements.derived_columns import derive
+from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml
 
@@ -38,13 +41,19 @@ SOFT, RIGID = 3e-4, 2e-6  # deflection at the rated torque [rad or m]: stiffness
 MASS_SPREAD = 0.3  # of the logarithm of masses that are estimated
 
 
-def subject_of(robot: Robot, readings: Array | None = None) -> tuple[Subject, tuple[str, ...]]:
+def subject_of(robot: Robot, poses: Measurements | None = None) -> tuple[Subject, tuple[str, ...]]:
     """A robot as the check uses it, and what had to be assumed. Raises InputError: what cannot be simulated.
 
-    readings : of the poses to measure, shape (poses, joints) [rad or m]; None: drawn
+    poses : to measure, with what was logged of them; None: drawn
     """
     _refuse(robot)
     assumed = []
+    table = None if poses is None else _in_order(poses, _turns(robot))
+    taken = [word for word, start in COLUMNS.items() if table is not None and any(table.columns.str.startswith(start))]
+    if taken:
+        assumed.append(f"as in the table of poses: {', '.join(taken)}")
+    if "temperature" not in taken:
+        assumed.append(f"the arm warms by {Warmup().rise_K:g} K")
     if robot.effects:
         robot = robot.with_only(())
         assumed.append("the effects of its file are left out: campaigns hide effects of their own")
@@ -60,16 +69,28 @@ def subject_of(robot: Robot, readings: Array | None = None) -> tuple[Subject, tu
     if weighed.masses == "estimated":
         building = replace(building, mass_spread=MASS_SPREAD)
         assumed.append(f"masses of the links are estimates from the reach, each off by some {MASS_SPREAD:.0%}")
-    if robot.payload is None:
+    if "payload" in taken:
+        pass
+    elif robot.payload is None:
         assumed.append("no payload, for the file has none")
     else:
         assumed.append(f"no payload and {robot.payload.mass:g} kg in turns, or the latter alone where it is not logged")
     nominal = _drawing(weighed)
     stiffness, words = _stiffness(weighed, nominal)
     nominal = replace(nominal, stiffness=stiffness)
-    shown = None if readings is None else np.where(_turns(robot), np.rad2deg(readings), 1e3 * readings)
     level = robot.gravity_frame != "base"
-    return Subject(nominal, to_toml(robot), building, level, shown), (*assumed, *words)
+    return Subject(nominal, to_toml(robot), building, level, table), (*assumed, *words)
+
+
+def _in_order(poses: Measurements, turns: Array) -> pd.DataFrame:
+    """Poses in the order in which they were taken, with what was logged of them, as columns of a campaign."""
+    logged = {k: c for k, c in poses.conditions.items() if k.startswith(tuple(COLUMNS.values()))}
+    if "time_s" in logged:
+        logged["time_s"] = logged["time_s"] - logged["time_s"].min() + SECONDS_A_POSE
+    shown = np.where(turns, np.rad2deg(poses.q), 1e3 * poses.q)
+    names = [f"q{j}_deg" if turning else f"q{j}_mm" for j, turning in enumerate(turns, 1)]
+    order = np.argsort(derive(poses, ["progress"])[0].conditions["progress"], kind="stable")
+    return pd.DataFrame(dict(zip(names, shown.T, strict=True)) | logged).iloc[order].reset_index(drop=True)
 
 
 def _refuse(robot: Robot) -> None:
@@ -209,7 +230,7 @@ class RobotCheck:
             ),
             Words(
                 f"{len(self.outcomes)} campaigns of MuJoCo{lacking}; noise {1e6 * self.noise:g} um a coordinate, "
-                f"joints repeat to {1e6 * REPEATABILITY:g} urad, the arm warms by 7 K; seed {self.seed}. Signal: what "
+                f"joints repeat to {1e6 * REPEATABILITY:g} urad; seed {self.seed}. Signal: what "
                 "the base model cannot absorb of all that is hidden, over the noise.",
                 "note",
             ),
@@ -283,8 +304,7 @@ def _row(effect: str, part: Sequence[Outcome]) -> list[str]:
 def check_robot(
     robot: Robot,
     *,
-    poses: int = 60,
-    readings: Array | None = None,
+    poses: int | Measurements = 60,
     noise_um: float = 20.0,
     n: int = 40,
     seed: int | None = None,
@@ -303,10 +323,9 @@ def check_robot(
     ----------
     robot : Robot
         nominal robot
-    poses : int, default 60
-        of a campaign, drawn within the joint ranges
-    readings : Array, shape (poses, joints) [rad or m], optional
-        poses to measure, in place of drawn ones
+    poses : int | Measurements, default 60
+        of a campaign: how many are drawn within the joint ranges; or those to measure, where what was logged of them
+        (time, temperature, payload, approach) is taken as it is, and the rest is simulated
     noise_um : float, default 20.0
         one sigma of a measured coordinate [um]
     n : int, default 40
@@ -330,11 +349,11 @@ def check_robot(
     >>> len(checked.outcomes)
     4
     """
-    _check(robot, poses if readings is None else len(readings), noise_um, n, not_logged)
+    count = poses if isinstance(poses, int) else len(poses)
+    _check(robot, count, noise_um, n, not_logged)
     engine_versions()
-    subject, assumed = subject_of(robot, readings)
+    subject, assumed = subject_of(robot, None if isinstance(poses, int) else poses)
     seed = secrets.randbits(32) if seed is None else seed
-    count = poses if readings is None else len(readings)
     not_drawn = impossible(subject.nominal)
     words = ([e for e in LISTED if e not in not_drawn], [e for e in UNLISTED if e not in not_drawn])
     plans = draw_plans(n, seed, words, (count,), robots=("campaign",), noises=(1e-6 * noise_um,), struck=0.0)

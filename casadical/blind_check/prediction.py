@@ -31,7 +31,7 @@ def predict(
     Raises InputError for no such folder or method, tables that cannot be read, or a file that answers another check.
 
     out : file of answers, a line each; by default answers.METHOD.jsonl in the folder
-    by : diagnosis; or a method to compare it with: f-test, bic, ebic or gp
+    by : diagnosis, or f-test, a textbook method to compare it with
     executor : any of `concurrent.futures`' kind, a cluster's among them; by default a process for each core
     show : called with a campaign's name, how many are done, and how many there are
     """

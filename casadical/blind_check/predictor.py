@@ -1,7 +1,7 @@
 """One answer to one campaign, from its tables and its nominal robot alone; what a worker runs."""
 
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import import_module
@@ -23,10 +23,7 @@ from casadical.robot.robot_file import robot_from
 
 METHODS = {
     "diagnosis": ("predictor", "diagnosis"),
-    "f-test": ("baselines", "f_test"),
-    "bic": ("baselines", "bic"),
-    "ebic": ("baselines", "extended_bic"),
-    "gp": ("gaussian_process", "gaussian_process"),
+    "f-test": ("f_test", "f_test"),
 }
 
 
@@ -119,7 +116,7 @@ def diagnosis(s: Session) -> dict[str, Any]:
         posterior["outliers"] = next(c.confidence for c in found.causes if c.effect == "outliers")
     out = np.array([o.row for o in found.outliers], dtype=int)
     return answer | {
-        "posterior": rounded(posterior),
+        "posterior": {text: round(float(p), 5) for text, p in posterior.items() if p >= 1e-5},
         "unseen": unseen_positions(s, found.identification.robot, found.apply(), out),
     }
 
@@ -131,13 +128,7 @@ def unseen_positions(s: Session, base: Robot, with_causes: Robot, leave_out: Arr
     """
     before = s.at_unseen(s.fitted(s.robot, leave_out) if len(leave_out) else base)
     after = s.at_unseen(with_causes) if with_causes.effects else before
-    return {"base_mm": in_mm(before), "with_causes_mm": in_mm(after)}
-
-
-def in_mm(positions: Array) -> list[list[float]]:
-    return [[round(float(x), 4) for x in row] for row in 1e3 * positions]
-
-
-def rounded(posterior: Mapping[str, float]) -> dict[str, float]:
-    """Probabilities that are not negligible."""
-    return {text: round(float(p), 5) for text, p in posterior.items() if p >= 1e-5}
+    return {
+        name: [[round(float(x), 4) for x in row] for row in 1e3 * positions]
+        for name, positions in (("base_mm", before), ("with_causes_mm", after))
+    }

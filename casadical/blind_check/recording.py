@@ -9,8 +9,10 @@ import pandas as pd
 
 from casadical.blind_check.campaign_plans import Plan
 from casadical.blind_check.mujoco_physics import Plant, campaign, draw_effect, perturb
+from casadical.blind_check.mujoco_physics.draw import SECONDS_A_POSE
 from casadical.blind_check.mujoco_physics.plant import Building
-from casadical.core.arrays import Array
+from casadical.blind_check.mujoco_physics.stops import Warmup
+from casadical.blind_check.mujoco_physics.table import readings
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,14 +21,15 @@ class Subject:
 
     nominal : its drawing, for the physics; model : text of the file of the base model that the diagnosis is given
     building : which errors the real robot has; level : whether gravity is known in the measuring frame, not in the base
-    readings : of the poses to measure, shape (poses, joints) [deg or mm]; None: drawn within the joint ranges
+    poses : of the poses to measure, in their order, the columns of a campaign: readings, and those of time_s,
+        temperature_degC, payload_kg, approach1 .. that are not to be simulated; None: drawn within the joint ranges
     """
 
     nominal: Plant
     model: str
     building: Building = Building()  # noqa: RUF009  (frozen)
     level: bool = True
-    readings: Array | None = None
+    poses: pd.DataFrame | None = None
 
     def built(self, seed: int) -> Plant:
         """A robot as built after the drawing."""
@@ -86,26 +89,37 @@ class Record:
     alone: tuple[pd.DataFrame, ...]
 
 
-def record(subject: Subject, plan: Plan, poses: int, readings: Array | None, simulator: Simulator = MUJOCO) -> Record:
-    """The session of a plan; readings as of `Subject`, of all its poses."""
+def record(subject: Subject, plan: Plan, n: int, poses: pd.DataFrame | None, simulator: Simulator = MUJOCO) -> Record:
+    """The session of a plan, of n poses; poses : of all of them, as of `Subject`."""
     rng = np.random.default_rng(plan.seed)
     plant = subject.built(int(rng.integers(1 << 30)))
-    hidden = tuple(simulator.draw(plant, effect, rng, poses) for effect in plan.effects)
+    options: dict[str, Any] = {}
+    lasting = n
+    if poses is not None:
+        options = {"q_deg": poses[readings(plant)].to_numpy(), "given": poses}
+        if "temperature_degC" in poses:
+            options["warmup"] = Warmup(start_degC=float(poses["temperature_degC"].iloc[0]))
+        if "time_s" in poses:
+            lasting = max(1, round(float(poses["time_s"].iloc[-1]) / SECONDS_A_POSE))
+    # A payload that is not logged is constant.
+    if "payload" in plan.not_logged:
+        options["payload_states"] = [plant.payload_kg]
+        if poses is not None:
+            options["given"] = poses.drop(columns="payload_kg", errors="ignore")
+    hidden = tuple(simulator.draw(plant, effect, rng, lasting) for effect in plan.effects)
     seed = int(rng.integers(1 << 30))
 
     def session(*acting: Acting) -> pd.DataFrame:
         return simulator.campaign(
             plant,
             [a.itself for a in acting],
-            poses,
+            n,
             seed,
             noise_mm=1e3 * plan.noise,
             repeatability_urad=1e6 * plan.repeatability,
-            # A payload that is not logged is constant.
-            payload_states=[plant.payload_kg] if "payload" in plan.not_logged else None,
             approach="motion",
-            q_deg=readings,
             truth=True,
+            **options,
         )
 
     return Record(

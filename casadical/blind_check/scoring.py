@@ -42,7 +42,7 @@ class Score:
         """How often what was answered first, by what was hidden."""
         return confusion(self.outcomes)
 
-    def as_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, Any]:
         """All of it as plain data."""
         return {
             "by": self.head.by,

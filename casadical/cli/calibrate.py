@@ -77,7 +77,7 @@ def calibrate(
     every parameter with its standard error, and what could not be identified and why. Results are written when all
     problems are done: all of them or none.
 
-    Example: casadical calibrate problems/ur10 --out results
+    Example: casadical calibrate arm --out results
 
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 4 held-out poses are worse than before (nothing is written
     then), 70 a bug in casadical.

@@ -128,7 +128,7 @@ def diagnose(
 
     Prints the verdict, the error before and after, and what must be known of them; with --details all that was found.
 
-    Example: casadical diagnose problems/hh800 CAMPAIGN.csv --details --report diagnosis.html
+    Example: casadical diagnose arm CAMPAIGN.csv --details --report report.html
 
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug in casadical.
     """

@@ -131,7 +131,7 @@ def plan(
     Without -n only the stopping rule: the expected accuracy against the number of poses, given the poses measured
     so far. With --isolability: what given poses can show of each effect.
 
-    Example: casadical plan problems/kr210 -n 40 --target-mm 0.03 --out next.csv
+    Example: casadical plan arm -n 40 --target-mm 0.03 --out next.csv
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """

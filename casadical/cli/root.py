@@ -1,9 +1,10 @@
 """The command line as one tree: each command from its own module."""
 
+import re
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from casadical import __version__
 from casadical.cli.calibrate import calibrate
@@ -18,7 +19,7 @@ from casadical.cli.outputs import guarded
 from casadical.cli.plan import plan
 from casadical.cli.terminal import BAD_INPUT
 from casadical.cli.verify import verify
-from casadical.cli.withheld import withheld_app
+from casadical.cli.withheld import withheld_make, withheld_predict, withheld_robot, withheld_score
 from casadical.core.errors import InputError
 
 # What commands of earlier versions are called now.
@@ -29,6 +30,26 @@ MOVED = {
     "export urdf": "export model ROBOT.toml --to urdf",
     "export driver": "export model ROBOT.toml --to ur|standard_dh|modified_dh|xacro",
 }
+
+
+_TYPE = re.compile(r" <([^>]*)>")
+
+
+def _short(found: re.Match[str]) -> str:
+    return " N" if "range" in found[1] else ""
+
+
+class Command(TyperCommand):
+    """A command whose help leaves the width to the words: without the types that click adds to what is given."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Arguments and options, each with its name as typed."""
+        records = [(p.param_type_name, p.get_help_record(ctx)) for p in self.get_params(ctx)]
+        for kind in ("argument", "option"):
+            shown = [(_TYPE.sub(_short, r[0]), r[1]) for of, r in records if r is not None and of == kind]
+            if shown:
+                with formatter.section(f"{kind.title()}s"):
+                    formatter.write_dl(shown, col_max=24)
 
 
 class Commands(TyperGroup):
@@ -55,8 +76,19 @@ class Commands(TyperGroup):
         return super().resolve_command(ctx, args)
 
 
-def _group(name: str | None = None, **settings: Any) -> typer.Typer:
-    return typer.Typer(name=name, cls=Commands, no_args_is_help=True, rich_markup_mode=None, **settings)
+class RobotFirst(Commands):
+    """A group whose first word may be a robot, for its default command."""
+
+    default = "robot"
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """What to run: a command, or the check of the robot that is named."""
+        own = bool(args) and args[0] not in (*self.commands, "--help", "-h")
+        return super().parse_args(ctx, [self.default, *args] if own else args)
+
+
+def _group(name: str | None = None, cls: type[Commands] = Commands, **settings: Any) -> typer.Typer:
+    return typer.Typer(name=name, cls=cls, no_args_is_help=True, rich_markup_mode=None, **settings)
 
 
 app = _group(
@@ -64,11 +96,17 @@ app = _group(
     help=(
         "Calibrate robots from measured poses.\n\n"
         "A PROBLEM_DIR is a folder with problem.toml, a robot file (TOML or URDF) and measurements (CSV, there or "
-        "where problem.toml says). Start with one of the folders in problems/, for example:\n\n"
-        "    casadical calibrate problems/ur10 --out results/ur10"
+        "where problem.toml says). Start with an example, or with your own robot and table:\n\n"
+        "    casadical new arm --example; casadical calibrate arm --out results\n\n"
+        "    casadical new arm --urdf robot.urdf --data measured.csv"
     ),
     pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+withheld_app = _group(
+    cls=RobotFirst,
+    help="Blind check of the diagnosis on campaigns of another physics engine, whose hidden effects are kept in a key. "
+    "`casadical withheld ROBOT.toml` checks a robot of your own.",
 )
 export_app = _group(help="Turn a calibrated robot into code for its controller, or into a model for another program.")
 
@@ -89,8 +127,11 @@ def _root(
 
 
 for command in (new, check, calibrate, verify, compare, fleet, diagnose, plan, correct):
-    app.command()(guarded(command, also=("folder",) if command is new else ()))
-export_app.command("c")(guarded(export_c))
-export_app.command("model")(guarded(export_model))
+    app.command(cls=Command)(guarded(command, also=("folder",) if command is new else ()))
+export_app.command("c", cls=Command)(guarded(export_c))
+export_app.command("model", cls=Command)(guarded(export_model))
+for of_round in (withheld_robot, withheld_make, withheld_predict, withheld_score):
+    name = of_round.__name__.removeprefix("withheld_")
+    withheld_app.command(name, cls=Command)(guarded(of_round, also=("key",) if name == "make" else ()))
 app.add_typer(export_app, name="export")
 app.add_typer(withheld_app, name="withheld")

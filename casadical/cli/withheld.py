@@ -1,15 +1,12 @@
 """The commands `casadical withheld ...`: the check of a robot of one's own, and a published round."""
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from typer.core import TyperGroup
 
 from casadical.cli.options import Json, Quiet
-from casadical.cli.outputs import guarded
 from casadical.cli.progress import working
 from casadical.cli.terminal import keep_json, print_written, with_json, wrapped
 from casadical.core.errors import InputError
@@ -19,47 +16,26 @@ if TYPE_CHECKING:
     from casadical.blind_check.protocol import Manifest
 
 
-class _RobotFirst(TyperGroup):
-    """A group whose first word may be a robot instead of one of its commands."""
-
-    default = "robot"
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """What to run: a command, or the check of the robot that is named."""
-        own = bool(args) and args[0] not in (*self.commands, "--help", "-h")
-        return super().parse_args(ctx, [self.default, *args] if own else args)
-
-
-withheld_app = typer.Typer(
-    help="Blind check of the diagnosis on campaigns of another physics engine, whose hidden effects are kept in a key. "
-    "`casadical withheld ROBOT.toml` checks a robot of your own.",
-    cls=_RobotFirst,
-    no_args_is_help=True,
-    rich_markup_mode="markdown",
-)
 INTERRUPTED = 130
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder with the campaigns.")]
 Workers = Annotated[int | None, typer.Option(min=1, max=1000, help="Processes; default: one a core.")]
 
 
-@withheld_app.callback()
-def _group() -> None:
-    pass
-
-
 def _counted(show: Show) -> Callable[[str, int, int], None]:
     return lambda name, done, count: show(f"{done} of {count} ({name})")
 
 
-@withheld_app.command("robot")
-@guarded
-def robot_command(
+def withheld_robot(
     robot: Annotated[
         Path, typer.Argument(metavar="ROBOT.toml|FOLDER", help="Robot file (TOML or URDF), or a problem folder.")
     ],
     poses: Annotated[
-        str, typer.Option(metavar="N|TABLE.csv", help="Poses of a campaign: a number, or a table with the readings.")
+        str,
+        typer.Option(
+            metavar="N|TABLE.csv",
+            help="Poses of a campaign: a number, or a table of them; what it logs is taken as it is.",
+        ),
     ] = "60",
     noise_um: Annotated[float, typer.Option(min=0.01, max=1e5, help="Noise of a measured coordinate [um].")] = 20.0,
     n: Annotated[int, typer.Option("--n", "-n", min=4, max=10_000, help="Number of campaigns.")] = 40,
@@ -86,13 +62,12 @@ def robot_command(
     from casadical.project.problem import read_campaign, read_campaign_robot
 
     subject = read_campaign_robot(robot)
-    given = None if poses.isdigit() else read_campaign(robot, Path(poses), subject, readings_only=True).q
+    given = int(poses) if poses.isdigit() else read_campaign(robot, Path(poses), subject, readings_only=True)
     lacking = [word.strip() for word in not_logged.split(",") if word.strip()]
     with working(quiet, "drawing campaigns") as step, pool(None, workers) as executor:
         checked = check_robot(
             subject,
-            poses=int(poses) if given is None else len(given),
-            readings=given,
+            poses=given,
             noise_um=noise_um,
             n=n,
             seed=seed,
@@ -105,9 +80,7 @@ def robot_command(
     keep_json(json_file, checked.to_json(), console)
 
 
-@withheld_app.command("make")
-@partial(guarded, also=("key",))
-def make_command(
+def withheld_make(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the campaigns.")],
     key: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for the key, apart; default: DIR with -key behind it.")
@@ -168,16 +141,14 @@ def _whole(text: str) -> tuple[int, ...]:
         raise InputError(f"--poses {text}: allowed: whole numbers by commas, such as 40,100") from None
 
 
-@withheld_app.command("predict")
-@guarded
-def predict_command(
+def withheld_predict(
     folder: Folder,
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="FILE", help="Answers, a line of JSON each; default: DIR/answers.METHOD.jsonl."),
     ] = None,
     by: Annotated[
-        str, typer.Option(metavar="diagnosis|f-test|bic|ebic|gp", help="The diagnosis, or a method to compare it with.")
+        str, typer.Option(metavar="diagnosis|f-test", help="The diagnosis, or a method to compare it with.")
     ] = "diagnosis",
     workers: Workers = None,
     json_file: Json = None,
@@ -206,9 +177,7 @@ def predict_command(
     keep_json(json_file, {"answers": str(path), "by": by}, console)
 
 
-@withheld_app.command("score")
-@guarded
-def score_command(
+def withheld_score(
     folder: Folder,
     key: Annotated[Path, typer.Argument(metavar="KEYDIR", help="Folder with the key.")],
     answers: Annotated[list[Path], typer.Argument(metavar="ANSWERS...", help="One or more files of answers.")],
@@ -234,7 +203,7 @@ def score_command(
     console = wrapped(quiet)
     # Wide tables are for files and wide windows; they are never folded.
     wrapped(quiet, max(console.width, 240, 90 + 40 * len(scores))).print(terminal(blocks(scores)), soft_wrap=True)
-    keep_json(json_file, [s.as_json() for s in scores], console)
+    keep_json(json_file, [s.to_json() for s in scores], console)
     if figure:
         draw_confusion(scores[0], figure)
         console.print(f"wrote {figure}", soft_wrap=True)

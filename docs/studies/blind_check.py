@@ -142,7 +142,7 @@ def main() -> None:
             text = io.StringIO()
             Console(file=text, width=260).print(terminal(blocks(found[run][:1])))
             prints.append(f"THE {run.upper()}\n\n" + re.sub(r" +$", "", text.getvalue(), flags=re.MULTILINE))
-            whole = json.dumps(found[run][0].as_json(), indent=1, allow_nan=False)
+            whole = json.dumps(found[run][0].to_json(), indent=1, allow_nan=False)
             write_whole(RUNS[run] / "score.json", whole + "\n")
             draw_confusion(found[run][0], ROOT / "docs" / "images" / "blind_check_confusion.png")
     write_whole(PRINT, "\n\n".join(prints))

@@ -23,4 +23,4 @@ def small(tmp_path_factory) -> Small:
     top = tmp_path_factory.mktemp("withheld")
     folder, key = top / "campaigns", top / "key"
     make(folder, key, N, 5, poses=[40], project=ROOT, executor=Here())
-    return Small(folder, key, predict(folder, top / "bic.jsonl", by="bic", executor=Here()))
+    return Small(folder, key, predict(folder, top / "f-test.jsonl", by="f-test", executor=Here()))

@@ -14,7 +14,7 @@ COUNTED = sorted(path.parent for path in DATA.rglob("score.json"))
 
 @pytest.mark.parametrize("run", COUNTED, ids=lambda run: run.name)
 def test_the_committed_answers_have_the_committed_figures(run: Path) -> None:
-    found = score(run, run, run / "answers.diagnosis.jsonl").as_json()
+    found = score(run, run, run / "answers.diagnosis.jsonl").to_json()
     kept = json.loads((run / "score.json").read_text())
     assert found["campaigns"] == kept["campaigns"] == (640 if run.name == "fourth" else 320)
     assert found["unanswered"] == []

@@ -3,6 +3,7 @@
 import hashlib
 import json
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,13 @@ import pytest
 from checks import ROOT, Here, N
 
 from casadical.blind_check.campaign_plans import draw_plans, in_shares
-from casadical.blind_check.generation import UNSEEN, make
+from casadical.blind_check.generation import UNSEEN, campaign_of, make
+from casadical.blind_check.own_robot import subject_of
 from casadical.blind_check.protocol import Manifest, read_key, read_manifest
-from casadical.blind_check.recording import MUJOCO
+from casadical.blind_check.recording import MUJOCO, Simulator
 from casadical.blind_check.signal_size import unabsorbed_rms
 from casadical.core.errors import ConvergenceError, InputError
+from casadical.project.problem import read_campaign_robot
 
 WORDS = (["a", "b", "c", "d"], ["x", "y"])
 
@@ -31,6 +34,10 @@ def test_the_mix_is_as_told() -> None:
     assert {len(p.effects) for p in drawn if p.kind == "several"} == {2, 3}
     assert all(len(set(p.effects)) == len(p.effects) for p in drawn)
     assert Counter(p.effects[0] for p in drawn if p.kind == "unlisted").keys() == {"x", "y"}
+
+
+def test_a_robot_that_can_have_one_effect_only_has_no_two() -> None:
+    assert {p.effects for p in draw_plans(20, 1, (["a"], ["x"])) if p.kind == "several"} == {("a",)}
 
 
 def test_shares_add_up_whatever_the_number() -> None:
@@ -73,24 +80,20 @@ def test_columns_that_depend_on_others_absorb_no_more() -> None:
     assert unabsorbed_rms(twice, shift) == pytest.approx(expected)
 
 
-def test_a_session_without_rest_is_drawn_anew(monkeypatch) -> None:
-    from importlib import import_module
-
-    module = import_module("casadical.blind_check.generation")
-
+def test_a_session_without_rest_is_drawn_again() -> None:
     seeds: list[int] = []
 
-    def restless(_subject, plan, *_rest) -> str:
-        seeds.append(plan.seed)
+    def restless(plant, hidden, poses, seed, **options) -> pd.DataFrame:
+        seeds.append(seed)
         if len(seeds) < 3:
             raise ConvergenceError("no rest")
-        return "measured"
+        return MUJOCO.campaign(plant, hidden, poses, seed, **options)
 
-    monkeypatch.setattr(module, "record", restless)
-    plan = draw_plans(4, 1, WORDS)[0]
-    found, record = module._recorded(None, plan, None, MUJOCO)
-    assert (record, seeds) == ("measured", [plan.seed, plan.seed + 1, plan.seed + 2])
-    assert (found.kind, found.effects, found.seed) == (plan.kind, plan.effects, plan.seed + 2)
+    subject, _ = subject_of(read_campaign_robot(ROOT / "problems" / "planar"))
+    plan = replace(draw_plans(4, 1, (["joint_scale"], ["encoder_pit"]), (20,))[0], kind="one", effects=("joint_scale",))
+    found = campaign_of(subject, plan, Simulator(MUJOCO.draw, restless))
+    assert len(set(seeds[:3])) == 3
+    assert [h.effect for h in found.secret.hidden] == ["joint_scale"]
 
 
 def test_the_published_hash_is_that_of_the_file(small) -> None:

@@ -41,7 +41,7 @@ except SystemExit as end:
 """
 PREDICTING = """
 from casadical.blind_check.prediction import predict
-import casadical.blind_check.predictor, casadical.blind_check.baselines, casadical.blind_check.gaussian_process
+import casadical.blind_check.predictor, casadical.blind_check.f_test
 import casadical.diagnosis.diagnose, casadical.diagnosis.json_answer
 """
 

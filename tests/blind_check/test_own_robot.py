@@ -23,9 +23,10 @@ from casadical.blind_check.own_robot import RobotCheck, check_robot, subject_of
 from casadical.cli import app
 from casadical.core.errors import InputError
 from casadical.core.parts import Coupling
-from casadical.project.problem import read_campaign_robot
+from casadical.project.problem import read_campaign, read_campaign_robot
 from casadical.robot.robot import Robot
 
+SHOWN = ["q1_mm", "q2_mm", "q3_deg", "q4_deg"]
 MUJOCO = pytest.mark.skipif(find_spec("mujoco") is None, reason="MuJoCo is not installed")
 # Two slides, then two hinges, with masses; no robot of the repository has a slide.
 GANTRY = """
@@ -188,23 +189,40 @@ def test_bad_input_is_named(gantry: Path, given: dict, message: str) -> None:
 
 
 @MUJOCO
-def test_given_poses_are_the_ones_that_are_measured(gantry: Path) -> None:
+def test_given_poses_are_measured_in_their_order_with_what_was_logged_of_them(gantry: Path, tmp_path: Path) -> None:
     robot = read_campaign_robot(gantry)
     q = draw_poses(subject_of(robot)[0].nominal, 25, np.random.default_rng(2), np.array([[0.2, 0.9]] * 4), None)
-    plan = Plan("own", "own", "none", (), 25, "approach,temperature", 1e-5, 1e-6, 3)
-    made = campaign_of(subject_of(robot, q)[0], plan)
-    table = pd.read_csv(StringIO(made.seen))
-    shown = table[["q1_mm", "q2_mm", "q3_deg", "q4_deg"]].to_numpy()
-    np.testing.assert_allclose(shown, np.hstack([1e3 * q[:, :2], np.rad2deg(q[:, 2:])]), atol=1e-5)
-    assert not {"temperature_degC", "approach1"} & set(table)
-    assert {"payload_kg", "time_s"} <= set(table)
+    given = pd.DataFrame(np.hstack([1e3 * q[:, :2], np.rad2deg(q[:, 2:])]), columns=SHOWN)
+    given["time_s"] = 1.7e9 + 60.0 * np.arange(25)
+    given["temperature_degC"] = np.linspace(28.0, 28.6, 25)
+    given["payload_kg"], given["approach3"] = np.repeat([5.0, 0.0, 5.0, 0.0, 5.0], 5), np.tile([1, 1, 1, 1, -1], 5)
+    given.sample(frac=1, random_state=0).to_csv(tmp_path / "poses.csv", index=False)
+    poses = read_campaign(gantry, tmp_path / "poses.csv", robot, readings_only=True)
+    subject, assumed = subject_of(robot, poses)
+    assert "as in the table of poses: temperature, payload, approach, time" in assumed
+    assert not any("the arm warms" in text or "in turns" in text for text in assumed)
+    plan = Plan("own", "own", "one", ("joint_zero_step",), 25, "approach", 1e-5, 1e-6, 3)
+    made = campaign_of(subject, plan)
+    table, unseen = (pd.read_csv(StringIO(text)) for text in (made.seen, made.unseen))
+    for name in (*SHOWN, "temperature_degC", "payload_kg"):
+        np.testing.assert_allclose(table[name], given[name], atol=1e-5)
+    np.testing.assert_allclose(np.diff(table["time_s"]), 60.0)
+    assert unseen["temperature_degC"].between(28.0, 28.6).all()
+    assert not [name for name in table if name.startswith("approach")]
     assert len(made.secret.measured_mm) == UNSEEN
+    at = float(made.secret.hidden[0].about.rpartition("at_s ")[2])  # within the time of the table
+    assert table["time_s"].quantile(0.25) < at < table["time_s"].quantile(0.75)
+    logged = campaign_of(subject, replace(plan, missing=None)).seen
+    np.testing.assert_array_equal(pd.read_csv(StringIO(logged))["approach3"], given["approach3"])
 
 
 def test_poses_between_lie_on_the_way() -> None:
     kept = np.array([True, False, False, True, False, True])
-    found = with_poses_between(np.array([[0.0], [8.0], [4.0]]), kept)
-    assert found.ravel().tolist() == [0, 4, 6, 8, 6, 4]
+    given = pd.DataFrame({"q1_deg": [0.0, 8, 4], "payload_kg": [5, 0, 5], "approach1": [-1, 1, -1]})
+    found = with_poses_between(given, kept)
+    assert found["q1_deg"].tolist() == [0, 4, 6, 8, 6, 4]
+    assert found["payload_kg"].tolist() == [5, 5, 5, 0, 0, 5]
+    assert found["approach1"].tolist() == [-1, 1, 1, 1, -1, -1]
 
 
 @MUJOCO

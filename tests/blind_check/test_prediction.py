@@ -47,14 +47,14 @@ def test_the_diagnosis_answers_with_the_campaigns_alone(small, tmp_path) -> None
 
 
 def test_answers_that_are_there_are_kept(small, tmp_path) -> None:
-    path = tmp_path / "bic.jsonl"
+    path = tmp_path / "f-test.jsonl"
     whole = small.answers.read_bytes().splitlines(keepends=True)
     # Cut in the middle of the third answer.
     begun(small, path, 2)
     path.write_bytes(path.read_bytes() + whole[3][:100])
     pool = Here()
     seen: list[tuple[str, int, int]] = []
-    predict(small.folder, path, by="bic", executor=pool, show=lambda *told: seen.append(told))
+    predict(small.folder, path, by="f-test", executor=pool, show=lambda *told: seen.append(told))
     assert pool.count == N - 2
     assert [done for _, done, _ in seen] == [3, 4]
     assert sorted(path.read_bytes().splitlines()) == sorted(small.answers.read_bytes().splitlines())
@@ -86,7 +86,7 @@ def trace(frame, _event, _value):
 
 path.write_bytes(answers + b'{"campaign": "cut sh')
 sys.settrace(trace)
-predict(folder, path, by="bic", executor=Here())
+predict(folder, path, by="f-test", executor=Here())
 sys.settrace(None)
 assert path.read_bytes() == answers
 print(kills)
@@ -94,7 +94,7 @@ print(kills)
 
 
 def test_a_run_killed_anywhere_loses_no_answer(small, tmp_path, request) -> None:
-    words = [sys.executable, "-c", KILLED, str(small.folder), str(small.answers), str(tmp_path / "bic.jsonl")]
+    words = [sys.executable, "-c", KILLED, str(small.folder), str(small.answers), str(tmp_path / "f-test.jsonl")]
     done = subprocess.run(words, check=False, capture_output=True, text=True, cwd=request.path.parent)
     assert done.returncode == 0, done.stderr
     assert int(done.stdout) > 100
@@ -106,7 +106,7 @@ def begun(small, path, answered: int) -> None:
 
 
 def test_an_interrupted_run_keeps_what_it_has(small, tmp_path) -> None:
-    path = tmp_path / "bic.jsonl"
+    path = tmp_path / "f-test.jsonl"
     begun(small, path, N - 2)
 
     def stop(_name: str, done: int, _count: int) -> None:
@@ -114,19 +114,19 @@ def test_an_interrupted_run_keeps_what_it_has(small, tmp_path) -> None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        predict(small.folder, path, by="bic", executor=Here(), show=stop)
+        predict(small.folder, path, by="f-test", executor=Here(), show=stop)
     assert len(read_answers(path)[1]) == N - 1
 
 
 def test_a_real_dask_cluster_gives_the_same_answers(small, tmp_path) -> None:
     distributed = pytest.importorskip("distributed", reason="distributed (Dask) is not installed")
-    path = tmp_path / "bic.jsonl"
+    path = tmp_path / "f-test.jsonl"
     begun(small, path, N - 2)
     with (
         distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=":0") as cluster,
         distributed.Client(cluster) as client,
     ):
-        predict(small.folder, path, by="bic", executor=client.get_executor())
+        predict(small.folder, path, by="f-test", executor=client.get_executor())
         assert client.submit(abs, -2).result() == 2  # the cluster is left open to whoever handed it in
     assert sorted(path.read_text().splitlines()) == sorted(small.answers.read_text().splitlines())
 
@@ -137,7 +137,7 @@ def test_a_campaign_that_cannot_be_answered_does_not_stop_the_others(small, tmp_
     name = next(iter(read_manifest(torn).campaigns))
     path = torn / f"{name}.csv"
     path.write_text(path.read_text().replace(",", ",nothing", 30))
-    answers = predict(torn, tmp_path / "bic.jsonl", by="bic", executor=Here())
+    answers = predict(torn, tmp_path / "f-test.jsonl", by="f-test", executor=Here())
     assert set(read_answers(answers)[1]) == set(read_manifest(torn).campaigns) - {name}
     assert "is not a finite number" in next(t for t in answers.read_text().splitlines() if '"failed"' in t)
 
@@ -145,15 +145,15 @@ def test_a_campaign_that_cannot_be_answered_does_not_stop_the_others(small, tmp_
 def test_bad_input_is_named(small, tmp_path) -> None:
     with pytest.raises(InputError, match=r"holds no withheld\.json"):
         predict(tmp_path)
-    with pytest.raises(InputError, match="--by tarot: not known; allowed: diagnosis, f-test, bic, ebic, gp"):
+    with pytest.raises(InputError, match="--by tarot: not known; allowed: diagnosis, f-test"):
         predict(small.folder, by="tarot")
-    with pytest.raises(InputError, match="holds answers by bic to another check"):
-        predict(small.folder, small.answers, by="gp")
+    with pytest.raises(InputError, match="holds answers by f-test to another check"):
+        predict(small.folder, small.answers, by="diagnosis")
     torn = tmp_path / "torn"
     shutil.copytree(small.folder, torn)
     next(torn.glob("*.unseen.csv")).unlink()
     with pytest.raises(InputError, match=r"is missing, though withheld\.json names it"):
-        predict(torn, tmp_path / "answers.jsonl", by="bic")
+        predict(torn, tmp_path / "answers.jsonl", by="f-test")
 
 
 def test_positions_among_the_unseen_are_refused(small, tmp_path) -> None:
@@ -163,4 +163,4 @@ def test_positions_among_the_unseen_are_refused(small, tmp_path) -> None:
     lines = path.read_text().splitlines()
     path.write_text("\n".join([lines[0] + ",x_mm,y_mm,z_mm", *(line + ",1,2,3" for line in lines[1:])]) + "\n")
     with pytest.raises(InputError, match="holds positions; they belong in the key alone"):
-        predict(leaky, tmp_path / "answers.jsonl", by="bic")
+        predict(leaky, tmp_path / "answers.jsonl", by="f-test")

@@ -1,8 +1,10 @@
-"""The key is the published one or nothing is scored; figures of cases small enough to count by hand."""
+"""The key is the published one or nothing is scored, packed or not; figures that can be counted by hand."""
 
 import json
+import lzma
 import re
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ import pytest
 from casadical.blind_check.answers import Answer
 from casadical.blind_check.metrics import SignTest, confusion, mean, metrics, part_metrics, quantile, share, sign_tests
 from casadical.blind_check.outcomes import Outcome, outcome
-from casadical.blind_check.protocol import HiddenEffect, Secret, label, read_manifest
+from casadical.blind_check.protocol import HiddenEffect, Secret, content, label, read_manifest
 from casadical.blind_check.scoring import in_common, score
 from casadical.cli import app
 from casadical.core.errors import InputError
@@ -22,6 +24,29 @@ def test_a_changed_key_is_refused(small, tmp_path) -> None:
     path.write_text(path.read_text().replace('"kind": "none"', '"kind": "unlisted"', 1))
     with pytest.raises(InputError, match="the key was changed after it was made"):
         score(small.folder, tmp_path / "key", small.answers)
+
+
+def pack(path: Path) -> Path:
+    """The file in the place of which there is then a packed one, as by `xz`."""
+    packed = path.with_name(path.name + ".xz")
+    packed.write_bytes(lzma.compress(path.read_bytes()))
+    path.unlink()
+    return packed
+
+
+def test_packed_files_score_as_the_plain_ones(small, tmp_path) -> None:
+    shutil.copytree(small.key, tmp_path / "key")
+    shutil.copy(small.answers, tmp_path / "some.jsonl")
+    plain = score(small.folder, small.key, small.answers).to_json()
+    packed = [pack(path) for path in (tmp_path / "key" / "key.json", tmp_path / "some.jsonl")]
+    assert [path.name for path in packed] == ["key.json.xz", "some.jsonl.xz"]
+    # By the plain name or by their own.
+    for key, answers in ((tmp_path / "key", tmp_path / "some.jsonl"), packed):
+        assert score(small.folder, key, answers).to_json() == plain
+    torn = packed[1]
+    torn.write_bytes(torn.read_bytes()[:-50])
+    with pytest.raises(InputError, match=r"some.jsonl.xz: not a whole xz file: .*; fetch it again"):
+        content(torn)
 
 
 def test_answers_to_another_check_are_refused(small, tmp_path) -> None:
@@ -207,13 +232,13 @@ def test_several_answers_stand_side_by_side_on_what_all_of_them_answer(small, tm
     from typer.testing import CliRunner
 
     lines = small.answers.read_text().splitlines(keepends=True)
-    head = json.dumps(json.loads(lines[0]) | {"by": "gp"}) + "\n"
+    head = json.dumps(json.loads(lines[0]) | {"by": "another"}) + "\n"
     some, none = tmp_path / "some.jsonl", tmp_path / "none.jsonl"
     some.write_text(head + "".join(lines[2:4]))
     done = CliRunner().invoke(app, ["withheld", "score", *map(str, (small.folder, small.key, small.answers, some))])
     assert done.exit_code == 0, done.output
     assert "2 campaigns" in done.output
-    assert "bic : gp" in done.output
+    assert "f-test : another" in done.output
     none.write_text(head + "".join(lines[1:2]))
     with pytest.raises(InputError, match="no campaign is answered by all of these files"):
         in_common([score(small.folder, small.key, path) for path in (some, none)])

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Unpack
+from typing import Any, Unpack
 
 import numpy as np
 import pandas as pd
@@ -12,8 +12,10 @@ from casadical.blind_check.mujoco_physics.hidden import Hidden, causes
 from casadical.blind_check.mujoco_physics.plant import Plant
 from casadical.blind_check.mujoco_physics.rigid import Array
 from casadical.blind_check.mujoco_physics.robot import mechanism, start
-from casadical.blind_check.mujoco_physics.stops import Stops
-from casadical.blind_check.mujoco_physics.table import Machine, Options, simulate, simulate_readings
+from casadical.blind_check.mujoco_physics.stops import Stops, Warmup
+from casadical.blind_check.mujoco_physics.table import Machine, Options, approaches, simulate
+from casadical.blind_check.mujoco_physics.table import readings as columns_of_readings
+from casadical.core.errors import InputError
 
 REPEATABILITY_URAD = 5.0
 
@@ -33,7 +35,8 @@ def campaign(
     `casadical.blind_check.mujoco_physics.table`. Raises InputError for an argument that is not
     usable, and without MuJoCo.
     """
-    return simulate(_machine(plant, hidden), n, seed, repeatability_urad=repeatability_urad, **options)
+    machine = Machine(plant, partial(positions, plant, hidden), causes(hidden, plant.n))
+    return simulate(machine, n, seed, repeatability_urad=repeatability_urad, **options)
 
 
 def measure(
@@ -51,9 +54,24 @@ def measure(
     One sigma of a coordinate is noise_mm, of a joint repeatability_urad; truth adds true positions. What `readings`
     does not have (time, temperature, payload, approach) is constant. Raises InputError where a reading is missing.
     """
-    machine = _machine(plant, hidden)
-    return simulate_readings(
-        machine, readings, seed, noise_mm=noise_mm, repeatability_urad=repeatability_urad, truth=truth
+    n, columns = len(readings), columns_of_readings(plant)
+    missing = [name for name in columns if name not in readings]
+    if missing or n == 0:
+        raise InputError(
+            f"readings: {n} rows, columns missing: {', '.join(missing) or 'none'}; give {columns[0]} to {columns[-1]}"
+        )
+    usual: dict[str, Any] = dict.fromkeys(approaches(plant.n), 1) | {"time_s": 30.0 * np.arange(1, n + 1)}
+    usual |= {"temperature_degC": Warmup().start_degC, "payload_kg": plant.payload_kg}
+    return campaign(
+        plant,
+        hidden,
+        n,
+        seed,
+        repeatability_urad=repeatability_urad,
+        noise_mm=noise_mm,
+        q_deg=readings[columns].to_numpy(float),
+        given=readings.assign(**{name: value for name, value in usual.items() if name not in readings}),
+        truth=truth,
     )
 
 
@@ -77,7 +95,3 @@ def positions(plant: Plant, hidden: Sequence[Hidden], stops: Stops, jitter: Arra
             Stop(motors[k], stops.approach[k], start(plant, motors[k]), float(stops.payload_kg[k]), now)
         )
     return seen
-
-
-def _machine(plant: Plant, hidden: Sequence[Hidden]) -> Machine:
-    return Machine(plant, partial(positions, plant, hidden), causes(hidden, plant.n))

@@ -11,6 +11,7 @@ from casadical.blind_check.mujoco_physics.rigid import random_vector
 from casadical.blind_check.mujoco_physics.statics import largest_torque, rated_torque, stretched_moments
 from casadical.core.errors import InputError
 
+SECONDS_A_POSE = 30.0
 NEARLY_RIGID = 1e-5  # rad at the rated torque
 # Cycles a turn of a hidden ripple.
 RIPPLES = (2, 3, 4, 6, 8, 16, 32)
@@ -31,7 +32,7 @@ def draw_effect(plant: Plant, effect: str, rng: np.random.Generator, *, poses: i
         raise InputError(f"effect {effect!r} is unknown; there are {', '.join([*LISTED, *UNLISTED])}")
     joint = _joint(plant, effect, rng)
     usual = float(np.exp(rng.normal(0.2, 0.4)))
-    return Hidden(effect, joint, _size(plant, effect, joint, usual, rng, 30.0 * poses))
+    return Hidden(effect, joint, _size(plant, effect, joint, usual, rng, SECONDS_A_POSE * poses))
 
 
 def _joint(plant: Plant, effect: str, rng: np.random.Generator) -> int | None:

@@ -233,7 +233,7 @@ def perturb(
     shifted = building.base_shift * base[0] * _in_ball(place)
     return replace(
         plant,
-        home=_home(plant, motion(turns, shifts, np.zeros(3))),
+        home=home_with_errors(plant, motion(turns, shifts, np.zeros(3))),
         base=plant.base @ motion(turned, shifted, np.zeros(3)),
         reflector=plant.reflector + building.reflector * tool.normal(0, tool_mm * 1e-3, 3),
         stiffness=plant.stiffness * np.exp(spring.normal(0, stiffness_spread, plant.n)),
@@ -242,7 +242,7 @@ def perturb(
     )
 
 
-def _home(plant: Plant, wrong: Array) -> Array:
+def home_with_errors(plant: Plant, wrong: Array) -> Array:
     """Frames at zero readings when each link ends in a frame that is ``wrong`` (n, 4, 4) in its own axes."""
     before, frame, frames = np.eye(4), np.eye(4), []
     for nominal, error in zip(plant.home, wrong, strict=True):

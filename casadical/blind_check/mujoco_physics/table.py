@@ -5,7 +5,7 @@ A physics says where the reflector is; what is drawn, rounded and written does n
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, TypedDict
+from typing import Literal, Protocol, TypedDict
 
 import numpy as np
 import pandas as pd
@@ -104,6 +104,7 @@ class Options(TypedDict, total=False):
     warmup: Warmup | None
     approach: Literal["chance", "motion"]
     q_deg: Array | None
+    given: pd.DataFrame | None
     ranges_deg: Array | None
     crank_distance_m: tuple[float, float] | None
     truth: bool
@@ -120,6 +121,7 @@ def simulate(
     warmup: Warmup | None = None,
     approach: Literal["chance", "motion"] = "chance",
     q_deg: Array | None = None,
+    given: pd.DataFrame | None = None,
     ranges_deg: Array | None = None,
     crank_distance_m: tuple[float, float] | None = None,
     truth: bool = False,
@@ -139,6 +141,7 @@ def simulate(
     warmup : the arm's temperature; by default 7 K in some 35 minutes
     approach : direction of each joint's last motion, random or (``"motion"``) as it follows from the order of the poses
     q_deg : Array, shape (n, joints) [deg, or mm of a prismatic joint]: readings to take instead of drawing them
+    given : of the columns time_s, temperature_degC, payload_kg, approach1 .., those that are not drawn but as here
     ranges_deg : Array, shape (joints, 2) [deg or mm]: between which readings are drawn; None: the plant's
     crank_distance_m : limits of the loop's crank distance [m]; None: a quarter of the rocker away from the folds
     truth : add x_true_mm, y_true_mm, z_true_mm: no noise, joints exactly repeated, and the instrument right
@@ -163,40 +166,23 @@ def simulate(
         raise InputError(f"q_deg has shape {np.shape(q_deg)}; for n = {n} it must be ({n}, {plant.n})")
     q_deg = np.round(q_deg, 6)
     states = (0.0, plant.payload_kg) if payload_states is None else payload_states
-    stops = draw_stops(in_si(plant, q_deg), times, states, warmup, approach)
+    given = pd.DataFrame() if given is None else given
+    stops = with_given(draw_stops(in_si(plant, q_deg), times, states, warmup, approach), given, warmup)
     shown = warmup.start_degC + stops.warmth_K + np.random.default_rng(thermometer).normal(0, warmup.sensor_K, n)
-    seeds = (joints, noise, instrument)
-    return machine.measured(stops, q_deg, np.round(shown, 2), seeds, noise_mm, repeatability_urad, truth)
+    shown = given["temperature_degC"].to_numpy(float) if "temperature_degC" in given else np.round(shown, 2)
+    return machine.measured(stops, q_deg, shown, (joints, noise, instrument), noise_mm, repeatability_urad, truth)
 
 
-def simulate_readings(
-    machine: Machine, given: pd.DataFrame, seed: int, *, noise_mm: float, repeatability_urad: float, truth: bool
-) -> pd.DataFrame:
-    """Measure given poses: the table ``given`` with the positions of the reflector.
+def with_given(stops: Stops, given: pd.DataFrame, warmup: Warmup) -> Stops:
+    """The stops with the circumstances that a table has; the warmth that it lacks is that of the times."""
 
-    machine, seed, noise_mm, repeatability_urad, truth : as in ``simulate``
-    given : one row a pose, with all readings; where they are missing, time_s is 30 s a pose, temperature_degC 20
-        throughout, payload_kg the robot's, approach1.. 1
+    def column(name: str, drawn: Array) -> Array:
+        return given[name].to_numpy(float) if name in given else drawn
 
-    Raises InputError when a reading is missing.
-    """
-    n, plant = len(given), machine.plant
-    sides, columns = approaches(plant.n), readings(plant)
-    usual: dict[str, Any] = {"time_s": 30.0 * np.arange(1, n + 1), "temperature_degC": 20.0}
-    usual |= {"payload_kg": plant.payload_kg, **dict.fromkeys(sides, 1)}
-    full = given.assign(**{name: value for name, value in usual.items() if name not in given})
-    missing = [name for name in columns if name not in full]
-    if missing or n == 0:
-        raise InputError(
-            f"readings: {n} rows, columns missing: {', '.join(missing) or 'none'}; give {columns[0]} to {columns[-1]}"
-        )
-    shown, temperature = full[columns].to_numpy(float), full["temperature_degC"].to_numpy(float)
-    stops = Stops(
-        in_si(plant, shown),
-        full["time_s"].to_numpy(float),
-        temperature - Warmup().start_degC,
-        full["payload_kg"].to_numpy(float),
-        np.where(full[sides].to_numpy(float) < 0, -1.0, 1.0),
-    )
-    seeds = np.random.SeedSequence(seed).spawn(3)
-    return machine.measured(stops, shown, temperature, seeds, noise_mm, repeatability_urad, truth)
+    time = column("time_s", stops.time_s)
+    warmth = warmup.course(time)
+    if "temperature_degC" in given:
+        warmth = given["temperature_degC"].to_numpy(float) - warmup.start_degC
+    sides = [column(name, stops.approach[:, k]) for k, name in enumerate(approaches(stops.q.shape[1]))]
+    came = np.where(np.column_stack(sides) < 0, -1.0, 1.0)
+    return Stops(stops.q, time, warmth, column("payload_kg", stops.payload_kg), came)

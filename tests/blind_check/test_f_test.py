@@ -1,0 +1,53 @@
+"""The method that the diagnosis is measured against does what the textbook says."""
+
+import numpy as np
+import pytest
+
+from casadical.blind_check.f_test import SIGNIFICANT, Regression
+
+
+def squares(X: np.ndarray, y: np.ndarray) -> float:
+    return float(np.sum((y - X @ np.linalg.lstsq(X, y)[0]) ** 2))
+
+
+def test_gains_are_those_of_least_squares() -> None:
+    rng = np.random.default_rng(0)
+    A, E, y = rng.normal(size=(60, 4)), rng.normal(size=(60, 7)), rng.normal(size=60)
+    A = np.column_stack([A, A[:, 0]])  # a column twice: rank 4
+    E[:, 6] = E[:, 5]
+    left = Regression(y, E, 60).with_columns(A)
+    assert left.freedom == 56
+    groups = [np.array([0]), np.array([1, 2]), np.array([5, 6])]
+    expected = [squares(A, y) - squares(np.column_stack([A, E[:, g]]), y) for g in groups]
+    assert left.gains(groups) == pytest.approx(expected)
+    more = left.with_columns(left.E[:, groups[1]])
+    assert more.freedom == 54
+    both = squares(np.column_stack([A, E[:, [1, 2]]]), y) - squares(np.column_stack([A, E[:, [0, 1, 2]]]), y)
+    assert more.gains(groups[:1]) == pytest.approx([both])
+
+
+def test_a_cause_that_shows_nothing_gains_nothing() -> None:
+    E = np.array([[1.0, 0, 0, 2], [0, 0, 0, 0], [0, 0, 1, 0]])
+    groups = [np.array(columns) for columns in ([0], [1], [0, 3], [2])]
+    np.testing.assert_allclose(Regression(np.array([3.0, 4, 5]), E, 2).gains(groups), [9, 0, 9, 25])
+
+
+def test_among_many_candidates_it_takes_what_is_there_and_no_noise() -> None:
+    rng, many = np.random.default_rng(4), 400
+    groups = [np.array([k]) for k in range(many)]
+    taken = 0
+    for _ in range(20):
+        E, noise = rng.normal(size=(100, many)), rng.normal(size=100)
+        taken += Regression(noise, E, 100).best(groups)[1] < SIGNIFICANT
+        best, p = Regression(noise + 2 * E[:, 7], E, 100).best(groups)
+        assert (best, p < SIGNIFICANT) == (7, True)
+    assert taken <= 1
+
+
+def test_the_p_value_is_that_of_the_f_distribution() -> None:
+    stats = pytest.importorskip("scipy.stats")
+    rng = np.random.default_rng(5)
+    E, y = rng.normal(size=(50, 3)), rng.normal(size=50)
+    none, one = squares(np.zeros((50, 1)), y), squares(E[:, :1], y)
+    _, p = Regression(y, E, 50).best([np.array([0])])
+    assert p == pytest.approx(stats.f.sf((none - one) / (one / 49), 1, 49))
