@@ -74,6 +74,8 @@ class Joint:
         of the link that the joint moves
     coupling : Coupling, optional
         what its reading follows from, where it is no axis of its own: a mimic joint, a passive one, a locked one
+    name : str, default ""
+        by which tables of measurements may call its readings
 
     Examples
     --------
@@ -94,6 +96,7 @@ class Joint:
     compliance: float | None = None
     body: Body | None = None
     coupling: Coupling | None = None
+    name: str = ""
 
 
 def refuse_joint(robot: str, i: int, joint: Joint) -> None:

@@ -20,7 +20,7 @@ from casadical.fleet.changes import Comparison
 from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate, estimate, estimate_of_file
 from casadical.identification.prior import refuse_another
-from casadical.project.problem import Problem, read_campaign, read_campaign_robot, read_problem
+from casadical.project.problem import Problem, read_campaign, read_campaign_robot, read_problem, tool_as_measured
 from casadical.project.problem_file import own_tables, result_in
 from casadical.robot.robot_file import read_robot
 
@@ -131,7 +131,8 @@ def campaign_estimate(path: Path, robot: str | Path | None = None) -> Estimate:
     if robot is None:
         raise InputError(f"{shown(path)}: a table needs --robot, the problem folder by which it is understood")
     arm = read_campaign_robot(robot)
-    return estimate((arm, read_campaign(robot, path, arm, later=True)), label, day)
+    m = read_campaign(robot, path, arm, later=True)
+    return estimate((tool_as_measured(arm, Path(robot), [m]), m), label, day)
 
 
 def other_regions(campaigns: Sequence[Estimate]) -> list[str]:

@@ -1,11 +1,13 @@
 """Refuse measurements that contradict the nominal robot, before a solve."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.core.transforms import nearest_rotation
 from casadical.identification.accuracy import positions_at, predicted
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
@@ -17,6 +19,11 @@ UNIT_POSES = 200
 # Parts of a table in the order of its rows, of which each may have its unit; poses of one, and share of the reach over
 # which the model moves in one, from which on its unit is seen.
 PARTS, LEAST_POSES, MOVED = 5, 6, 0.3
+# Orientations that are off by more [rad] at most poses, base and tool turned as they fit, are no measured ones; with
+# the tool as it is given they may be off by so much, and so many times as far as with another one.
+TURNED, GIVEN, TIMES = np.deg2rad(10.0), np.deg2rad(1.0), 3.0
+# Poses that tell it, and rounds in which poses that are far off do not count.
+TURNS, ROUNDS = 200, 3
 # A reading may lie so far beyond a joint's limit [rad or m], as of a pose that was commanded there.
 BEYOND = 2e-3
 
@@ -41,6 +48,8 @@ def check_against(robot: Robot, m: Measurements) -> None:
         )
     if robot.loops:
         _refuse_open_loop(robot, m)
+    if m.orientation is not None:
+        _refuse_turned(robot, m)
     if len(m) > 3:
         some = m[:: max(1, len(m) // UNIT_POSES)]
         p, _ = predicted(robot, some)
@@ -48,6 +57,52 @@ def check_against(robot: Robot, m: Measurements) -> None:
         if fault:
             raise InputError(f"{m.source}: {fault}")
         _refuse_another_unit_midway(robot, m, some, p)
+
+
+def _refuse_turned(robot: Robot, m: Measurements) -> None:
+    """Raises InputError for orientations that the robot cannot have had."""
+    off = turned_off(robot, m)
+    if off < GIVEN:
+        return
+    free = turned_off(replace(robot, tool=replace(robot.tool, unknown="pose")), m)
+    if free > TURNED:
+        raise InputError(
+            f"{m.source}: the orientations are {np.rad2deg(free):.3g} deg (median) from the nominal robot, however "
+            "base and tool are turned: are the angles of another convention, or joints counted the other way? "
+            'casadical check searches for slips; kind = "position" in problem.toml takes the positions alone'
+        )
+    if robot.tool.unknown != "pose" and off > TIMES * free:
+        raise InputError(
+            f"{m.source}: the orientations are {np.rad2deg(off):.3g} deg (median) from the nominal robot, and would be "
+            f'{np.rad2deg(free):.2g} deg with the tool turned: write unknown = "pose" in [tool] of the robot file '
+            '([[urdf.tool]] in problem.toml for a URDF), or kind = "position" to take the positions alone'
+        )
+
+
+def turned_off(robot: Robot, m: Measurements) -> float:
+    """Median angle [rad] by which measured orientations are off, what is unknown of base and tool turned to fit."""
+    assert m.orientation is not None
+    some = m[np.linspace(0, len(m) - 1, min(len(m), TURNS)).astype(int)]
+    seen, model = some.orientation, predicted(robot, some)[1]
+    assert seen is not None
+    base, tool = np.eye(3), np.eye(3)
+    if robot.base.unknown == "pose" and robot.tool.unknown == "pose":
+        # seen tool' = base model is linear in both: the least singular vector is both, but for their length.
+        A = np.concatenate([np.kron(R, np.eye(3)) for R in seen])
+        B = np.concatenate([np.kron(np.eye(3), R.T) for R in model])
+        both = np.linalg.svd(np.hstack([A, -B]), full_matrices=False)[2][-1].reshape(2, 3, 3)
+        both = both * np.sign(np.linalg.det(both[1]))
+        tool, base = nearest_rotation(both[0]).T, nearest_rotation(both[1])
+    angle = np.zeros(len(some))
+    for _ in range(ROUNDS):
+        near = angle <= 3 * np.median(angle)
+        if robot.base.unknown == "pose":
+            base = nearest_rotation(np.einsum("nij,nkj->ik", seen[near], (model @ tool)[near]))
+        if robot.tool.unknown == "pose":
+            tool = nearest_rotation(np.einsum("nji,njk->ik", (base @ model)[near], seen[near]))
+        trace = np.einsum("nij,nij->n", base @ model @ tool, seen)
+        angle = np.arccos(np.clip((trace - 1) / 2, -1, 1))
+    return float(np.median(angle))
 
 
 def _refuse_another_unit_midway(robot: Robot, m: Measurements, some: Measurements, p: Array) -> None:

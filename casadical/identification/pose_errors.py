@@ -186,8 +186,8 @@ def _limits(lengths: Sequence[Array]) -> tuple[float, float, bool]:
 
 def _error_axis(low: float, top: float, log: bool) -> Axis:
     if not log:
-        return Axis("position error [mm]", (0, 1.06e3 * top))
-    return Axis("position error [mm], logarithmic", (0.9e3 * low, 1.12e3 * top), log=True)
+        return Axis("error [mm]", (0, 1.06e3 * top))
+    return Axis("error [mm], logarithmic", (0.9e3 * low, 1.12e3 * top), log=True)
 
 
 def error_distribution(poses: PoseErrors, name: str = "distribution", caption: str = "") -> Figure:
@@ -201,10 +201,10 @@ def error_distribution(poses: PoseErrors, name: str = "distribution", caption: s
         for left in poses.models
     ]  # fmt: skip
     _, top, log = _limits([left.length for left in poses.models if left.shown and not left.note])
-    x = Axis("position error [mm]", (0, 1e3 * top))
+    x = Axis("error [mm]", (0, 1e3 * top))
     return Figure(
         name, f"{poses.words}: share below an error", series,
-        Axis("position error [mm], logarithmic", log=True, count=8) if log else x,
+        Axis("error [mm], logarithmic", log=True, count=8) if log else x,
         Axis("share of poses [%]", (0, 101)), 340, caption,
         marks=[Rule("y", percent, "grid", "solid") for percent in (50, 95)], over="%{y:.0f} % of the poses are below",
     )  # fmt: skip

@@ -25,8 +25,11 @@ POSSIBLE = {
     "weight": (-LARGEST, LARGEST),
 }
 _NUMBERS = re.compile(r"warmth_\w+|approach\d+")
-_POINT = re.compile(r"[xyz]_mm?")
+# Columns of an orientation.
+ORIENTATION = "(r[xyz]|rotvec_[xyz]|roll|pitch|yaw)_(deg|rad)|R[012]{2}|q[wxyz]"
+_MEASURED = re.compile(f"[xyz]_mm?|distance_mm?|{ORIENTATION}")
 _READING = re.compile(r"q(\d+)_(deg|rad|mm|m)")
+_TILT = "tilt_[xy]_(deg|rad)|gravity_[xyz]"
 # Readings, weights and sets.
 _NO_CONDITIONS = r"q\d+_(deg|rad|mm|m)|weight|set|tool|session"
 
@@ -173,7 +176,7 @@ class Columns:
     @property
     def _needed(self) -> pd.DataFrame:
         names = (str(name) for name in self.table)
-        return self.table[[name for name in names if _POINT.fullmatch(name) or _READING.fullmatch(name)]]
+        return self.table[[name for name in names if _MEASURED.fullmatch(name) or _READING.fullmatch(name)]]
 
     def _rows_of(self, good: pd.DataFrame) -> tuple[int, ...]:
         bad = ~good.all(axis=1).to_numpy(dtype=bool)
@@ -208,7 +211,8 @@ class Columns:
         """
         if name not in self.table:
             raise InputError(f"{self.source}: column {name!r} is missing; there are {self.names}")
-        values = pd.to_numeric(self.table[name], errors="coerce").to_numpy(dtype=float)
+        cells = self.table[name]
+        values = in_seconds(cells) if name == "time_s" else pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float)
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
             text = self.table[name].iloc[int(bad[0])]
@@ -344,6 +348,27 @@ class Columns:
         used = re.compile("|".join([_NO_CONDITIONS, *observations]))
         left = (n for n in map(str, self.table) if n not in (*conditions, *self.taken) and not used.fullmatch(n))
         return (*left, *self.empty)
+
+
+def is_ours(name: str, pattern: str) -> bool:
+    """Whether a column is used under this name; pattern : of those that the kind of measurement reads."""
+    return name in POSSIBLE or bool(re.fullmatch(f"{_NO_CONDITIONS}|{_NUMBERS.pattern}|{_TILT}|{pattern}", name))
+
+
+def in_seconds(cells: pd.Series) -> Array:
+    """Times as numbers, shape (n,) [their own unit]; dates as seconds since 1970, also of digits: 20261121143005."""
+    numbers = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float)
+    texts, form, first = cells.astype(str).str.strip(), "mixed", False
+    if np.isfinite(numbers).any():
+        if not (np.isfinite(numbers) & (numbers > 1.9e13) & (numbers < 2.1e13)).all():
+            return np.asarray(numbers)
+        texts, form = pd.Series([f"{number:.0f}" for number in numbers]), "%Y%m%d%H%M%S"
+    elif texts.str.fullmatch(r"\d{1,2}\.\d{1,2}\.\d{2,4}\b.*").any():
+        first = True
+    dates = pd.to_datetime(texts, errors="coerce", format=form, dayfirst=first, utc=True)
+    if dates.isna().any():
+        return np.asarray(numbers)
+    return np.asarray((dates - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1), dtype=float)
 
 
 def _name_of(cell: object) -> str:

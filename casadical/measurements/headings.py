@@ -1,14 +1,15 @@
-"""What a table's own headings mean: joint readings, positions and conditions, with their units.
+"""What a table's own headings mean: joint readings, what was measured, and conditions, with their units.
 
 Only what is missing under our own names is looked for. A unit comes from the heading, else from a row of units, a
-comment, or the size of the numbers; where none of these tells, a question is left, with what would be taken first.
+comment, or the size of the numbers; where none of these tells, a question is left, with the most probable answer first.
 """
 
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -16,6 +17,9 @@ import pandas as pd
 from casadical.core.arrays import Array
 from casadical.measurements.angle_unit import RADIANS
 from casadical.measurements.column_map import Source
+from casadical.measurements.columns import in_seconds
+from casadical.measurements.kinds.pose import FIRST
+from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.raw_table import RawTable
 from casadical.measurements.vocabulary import UNITS, UNSPACED, WORDS
 
@@ -28,8 +32,29 @@ MILLIMETRES, METRES = 30.0, 10.0
 FEW = 10
 # So many poses at least of each target, on average.
 FEWEST_OF_EACH = 6
+# Quaternions and matrices are rounded.
+NEARLY = 1e-2
+# Time stamps below these sizes are in seconds, milliseconds, microseconds [s]; the latest possible one.
+_STAMPS = ((1e11, 1.0), (1e14, 1e-3), (1e17, 1e-6))
+_LATEST = 1e10
 _RANK = {"measured": 0, "": 1, "nominal": 2}
-_OTHERS = {"temperature": ("temperature_degC", "degC"), "time": ("time_s", "s"), "load": ("payload_kg", "kg")}
+_OTHERS = {"temperature": ("temperature_degC", "degC"), "load": ("payload_kg", "kg")}
+# Words that say an axis: of a position, and of an orientation.
+_AXES = {f"{before}{c}": c for before in ("", "p", "t") for c in "xyz"}
+_TURNS = {f"{before}{c}": c for before in ("r", "q", "o") for c in "xyzw"} | {"w": "w"}
+# Three angles as controllers call them: KUKA's A, B, C are about z, y, x, FANUC's W, P, R about x, y, z.
+_LETTERS = {"a": "yaw", "b": "pitch", "c": "roll", "w": "roll", "p": "pitch", "r": "yaw"}
+_ROLL, _QUATERNION = ("roll", "pitch", "yaw"), ("qw", "qx", "qy", "qz")
+_MATRIX = tuple(f"R{i}{j}" for i in range(3) for j in range(3))
+_XYZ = ("x", "y", "z")
+_ENTRY = re.compile(r"[0-3]{2}|[1-4]{2}")
+_ENTRIES = tuple([f"{i}{j}" for i in range(k, k + 3) for j in range(k, k + 3)] for k in (0, 1))
+# Ways to read three angles rx, ry, rz, with our names for them.
+_TRIPLES = {
+    "a rotation vector": tuple(f"rotvec_{c}" for c in _XYZ),
+    "angles about x, then the new y, then the new z": tuple(f"r{c}" for c in _XYZ),
+    "roll, pitch, yaw: angles about the fixed x, y, z": _ROLL,
+}
 
 
 @dataclass(frozen=True)
@@ -47,95 +72,134 @@ class Question:
     """What the table does not tell.
 
     choices : in words, with the columns that each means; the first is the most probable
+    about : "orientation" or "observation", on which the robot's model may answer; else nothing
     """
 
     text: str
-    choices: Mapping[str, Mapping[str, Source]]
+    choices: Mapping[str, Sequence[Understood]]
+    about: str = ""
 
 
 @dataclass(frozen=True)
 class Understanding:
-    """What is understood of a table's columns.
-
-    columns : those with other names than ours; questions : what is unsure, the columns hold the first choices
-    left : headings of positions or joints that are there and were not taken
-    """
+    """What is understood of a table: columns with other names than ours, and questions on what is open."""
 
     columns: tuple[Understood, ...] = ()
     questions: tuple[Question, ...] = ()
-    left: tuple[str, ...] = ()
 
     @property
     def sources(self) -> dict[str, Source]:
-        """Where each of our columns comes from."""
-        return {c.ours: c.source for c in self.columns}
+        """Where each of our columns comes from, by the first choices of what is open."""
+        first = (c for question in self.questions for c in next(iter(question.choices.values())))
+        return {c.ours: c.source for c in (*self.columns, *first)}
+
+    def answered(self, question: Question, choice: str, why: str = "") -> "Understanding":
+        """With one of a question's choices; why : how that is known, where not as the columns say."""
+        chosen = (replace(c, why=why or c.why) for c in question.choices[choice])
+        return Understanding((*self.columns, *chosen), tuple(q for q in self.questions if q is not question))
 
 
 @dataclass(frozen=True)
 class _Heading:
-    """quantity : joint, x, y, z or a kind of words; number : of a joint; rest : words that say nothing to us"""
+    """quantity : what it says; slot : which part of it (number of a joint, axis); rest : words that tell us nothing"""
 
     name: str
     quantity: str
-    number: int
+    slot: str
     qualifier: str
     unit: str
     rest: frozenset[str]
     values: Array = field(compare=False)
 
 
-def understand(raw: RawTable, joints: Sequence[str], given: Collection[str] = ()) -> Understanding:
+# Columns with our names for them, and their quantity: angle, length, or nothing of a unit.
+_Parts = Sequence[tuple[Sequence[_Heading], Sequence[str], str]]
+# What may be meant, in words, and the columns of each.
+_Options = Sequence[tuple[str, _Parts]]
+
+
+def understand(
+    raw: RawTable,
+    joints: Sequence[str],
+    given: Collection[str] = (),
+    *,
+    names: Sequence[str] = (),
+    kind: str | None = None,
+) -> Understanding:
     """The columns of a table with other headings than ours.
 
-    joints : kind of each ("revolute", "prismatic"); given : our names that are known already
+    joints : kind of each ("revolute", "prismatic"); names : of them, as in a URDF; given : our names that are known
+    kind : of measurement, where it is said
     """
     ours = {*raw.header, *given}
     own = {int(m[1]) for h in ours if (m := _OURS.fullmatch(h))}
-    joints_missing = bool(set(range(1, len(joints) + 1)) - own)
-    named = not joints_missing and _has_observation(ours)
     frame = raw.frame()
-    headings = [
-        found
-        for k, name in enumerate(raw.header)
-        if name and (found := _heading(name, raw.form.units[k] if k < len(raw.form.units) else "", frame.iloc[:, k]))
-    ]
-    if named:  # beside our own names only what is said with its unit
-        return Understanding((*_conditions([h for h in headings if h.unit], ours), *_tools(raw, frame, ours)))
+    headings = _headings(raw, frame, names) if raw.form.header_line else _by_order(raw, frame, len(joints))
     stated = _stated_units([*raw.comments, *(text for _, text in raw.form.skipped)])
-    if not raw.form.header_line:
-        headings = _by_order(raw, frame, len(joints))
+    # A column "point" names points that are touched, or, beside positions, the points of a tracker.
+    seen = {each.name for each in kinds().values() if each.has_scale and each.matches(ours)}
     columns: list[Understood] = []
     questions: list[Question] = []
-    taken: list[_Heading] = []
-    if joints_missing:
-        chosen = _joints(headings, len(joints), questions)
-        if not (chosen or own):  # where some readings are named, the others are missing
-            chosen = _numbered(raw, frame, len(joints), questions)
-        taken += chosen
-        for kind in dict.fromkeys(joints):
-            members = [h for h, k in zip(chosen, joints, strict=False) if k == kind]
-            numbers = [i for i, k in enumerate(joints[: len(chosen)], 1) if k == kind]
-            names = [f"q{i}" for i in numbers]
-            angle = kind == "revolute"
-            columns += _with_units(members, names, "angle" if angle else "length", stated, questions)
-    if not _has_observation(ours):
-        chosen = _positions(headings, questions)
-        columns += _with_units(chosen, ["x", "y", "z"][: len(chosen)], "length", stated, questions)
-        taken += chosen
-    columns += [*_conditions(headings, ours), *_tools(raw, frame, ours)]
+
+    def decide(options: _Options, which: str, about: str = "", ask: bool = False) -> None:
+        choices = _choices(options, stated, which if ask else "")
+        if len(choices) == 1 and not ask:
+            columns.extend(next(iter(choices.values())))
+        elif choices:
+            unsure = _listed([h for members, _, _ in options[0][1] for h in members])
+            text = which if len(options) > 1 or ask else f"In which unit are {unsure}?"
+            questions.append(Question(text, choices, about))
+
+    without_readings = bool(set(range(1, len(joints) + 1)) - own)
+    if without_readings:
+        groups = _joints(headings, len(joints), _names_in_cells(raw, frame, names))
+        unknown = not (groups or own)  # where some readings are named, the others are missing
+        if unknown:
+            numbered = _numbered(raw, frame, len(joints))
+            groups = numbered if len(numbered) == 1 else []
+        text = "Are these the joint readings?" if unknown else "Which columns are the joint readings?"
+        decide([(_listed(group), _parts_of(group, joints)) for group in groups], text, ask=unknown)
+    if not seen:
+        positions = [] if kind == "distance" else _groups(headings, "position", _XYZ)
+        lengths = _groups(headings, "distance", ("",)) if kind in (None, "distance") else []
+        options, about = _observations(positions, lengths)
+        decide(options, "What was measured?", about)
+    turned = any(re.fullmatch(FIRST, name) for name in ours) or kind not in (None, "pose", "relative_pose")
+    if not turned and (not seen or seen & {"position", "relative_pose"}):
+        ways = (columns, *(way for q in questions for way in q.choices.values()))
+        taken = {*given, *(name for way in ways for c in way for name in (c.source.name, *c.source.add))}
+        free = [h for h in headings if h.name not in taken]
+        decide(*_orientation(free, raw, frame, taken))
+    if seen and not without_readings:  # beside our own names only what is said with its unit
+        headings = [h for h in headings if h.unit]
+    columns += [*_conditions(headings, ours), *_times(headings, ours), *_tools(raw, frame, ours)]
     if not raw.form.header_line:
         columns = [replace(c, why=f"order of the columns, {c.why}") for c in columns]
-    left = [h.name for h in headings if h not in taken and h.quantity in ("joint", "x", "y", "z")]
-    return Understanding(tuple(columns), tuple(questions), tuple(left))
+    return Understanding(tuple(columns), tuple(questions))
 
 
-def _conditions(headings: Sequence[_Heading], ours: Collection[str]) -> Iterator[Understood]:
-    """Temperature, time and payload, where exactly one heading names them."""
+def _conditions(headings: Iterable[_Heading], ours: Collection[str]) -> Iterator[Understood]:
+    """Temperature and payload, where exactly one heading names them."""
     for quantity, (name, unit) in _OTHERS.items():
         named = [h for h in headings if h.quantity == quantity and not h.rest and UNITS.get(h.unit, (unit,))[0] == unit]
         if len(named) == 1 and name not in ours and np.isfinite(named[0].values).all():
             factor = UNITS.get(named[0].unit, ("", 1.0))[1]
             yield Understood(name, Source(named[0].name, factor), named[0].unit or unit, "heading")
+
+
+def _times(headings: Iterable[_Heading], ours: Collection[str]) -> Iterator[Understood]:
+    """Time, where one heading names it, or two with its seconds and nanoseconds; dates and stamps count, too."""
+    named = [h for h in headings if h.quantity == "time" and not h.rest and UNITS.get(h.unit, ("s",))[0] == "s"]
+    named = [h for h in named if np.isfinite(h.values).all()]
+    fine = [h for h in named if UNITS.get(h.unit, ("", 1.0))[1] == 1e-9]
+    whole = [h for h in named if h not in fine] or fine
+    if "time_s" in ours or len(whole) != 1 or len(fine) > 1:
+        return
+    size = float(np.median(np.abs(whole[0].values)))
+    factor = UNITS[whole[0].unit][1] if whole[0].unit else next((f for most, f in _STAMPS if size < most), 1e-9)
+    if size * factor < _LATEST:
+        add = {h.name: 1e-9 for h in fine if h is not whole[0]}
+        yield Understood("time_s", Source(whole[0].name, factor, add=add), whole[0].unit or "s", "heading")
 
 
 def _tools(raw: RawTable, frame: pd.DataFrame, ours: Collection[str]) -> Iterator[Understood]:
@@ -165,134 +229,243 @@ def words_of(heading: str) -> tuple[list[str], str]:
     return words, unit
 
 
-def _heading(name: str, unit_below: str, cells: pd.Series) -> _Heading | None:
-    words, unit = words_of(name)
-    unit = unit or (unit_below if unit_below in UNITS else "")
-    if not words or set(words) & WORDS["about"]:
-        return None
-    values = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float)
-    qualifier = next((q for q in ("measured", "nominal") if set(words) & WORDS[q]), "")
-    said = {w for w in words if w not in WORDS["measured"] | WORDS["nominal"]}
-    numbers = [w for w in said if w.isdecimal()]
+def _headings(raw: RawTable, frame: pd.DataFrame, names: Sequence[str]) -> list[_Heading]:
+    """What each heading says that says something; names : of the joints."""
+    below = [*raw.form.units, *([""] * len(raw.header))]
+    named = [(words_of(name)[0], str(i)) for i, name in enumerate(names, 1) if name]
+    found = []
+    for k, name in enumerate(raw.header):
+        words, unit = words_of(name)
+        if not words or set(words) & WORDS["about"]:
+            continue
+        said = {w for w in words if w not in WORDS["measured"] | WORDS["nominal"]}
+        quantity, slot, rest = _meaning(words, said, named)
+        cells = frame.iloc[:, k]
+        values = in_seconds(cells) if quantity == "time" else _numbers(cells)
+        if quantity and (np.isfinite(values).mean() > 0.5 or quantity in _OTHERS):
+            qualifier = next((q for q in ("measured", "nominal") if set(words) & WORDS[q]), "")
+            unit = unit or (below[k] if below[k] in UNITS else "")
+            found.append(_Heading(name, quantity, slot, qualifier, unit, frozenset(rest), values))
+    return found
+
+
+def _numbers(cells: pd.Series) -> Array:
+    return pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float)
+
+
+def _meaning(
+    words: Sequence[str], said: set[str], named: Sequence[tuple[Sequence[str], str]]
+) -> tuple[str, str, Collection[str]]:
+    """Quantity, slot and what is left of the words; no quantity where they mean nothing here.
+
+    named : words of the joints' names, with their numbers
+    """
+    own = [(len(name), number, name) for name, number in named if _contains(words, name)]
+    if own:
+        _, number, name = max(own)
+        return "joint", number, {"by name"} | said - {*name} - WORDS["filler"] - WORDS["joint"]
+    numbers = [w for w in words if w.isdecimal()]
     joint = said & WORDS["joint"]
-    rest = said - WORDS["filler"] - WORDS["joint"] - set(numbers)
-    axis = rest & {"x", "y", "z", "px", "py", "pz"}
-    if joint and len(numbers) == 1 and not axis and np.isfinite(values).mean() > 0.5:
+    rest = said - WORDS["filler"] - WORDS["joint"] - {*numbers}
+    axis = said & {*_AXES, *_TURNS}
+    if _ENTRY.fullmatch("".join(numbers)) and said & WORDS["matrix"] and not axis:
+        return "matrix", "".join(numbers), rest - WORDS["rotation"] - WORDS["matrix"] | said & {"t"}
+    if joint and len(numbers) == 1 and not axis:
         # The word is kept apart: A1 .. A6 and J1 .. J6 in one table are two groups.
-        return _Heading(name, "joint", int(numbers[0]), qualifier, unit, frozenset(rest | joint), values)
-    if len(axis) == 1 and np.isfinite(values).mean() > 0.5:
-        letter = next(iter(axis))
-        return _Heading(name, letter[-1], 0, qualifier, unit, frozenset((rest - axis) | set(numbers)), values)
-    for kind in ("temperature", "time", "load"):
+        return "joint", str(int(numbers[0])), rest | joint
+    if len(said) == 1 and (letter := min(said)) in _LETTERS:
+        return ("abc" if letter in "abc" else "wpr"), _LETTERS[letter], ()
+    if len(axis) == 1:
+        (word,) = axis
+        if word in _TURNS or said & WORDS["rotation"]:
+            return "turn", {**_AXES, **_TURNS}[word], rest - axis - WORDS["rotation"] | {*numbers}
+        return "position", _AXES[word], (rest - axis) | {*numbers}
+    for slot in _ROLL:
+        if rest & WORDS[slot]:
+            return "roll", slot, rest - WORDS[slot] - WORDS["rotation"]
+    for kind in ("time", *_OTHERS, "distance"):
         if rest & WORDS[kind] and not numbers:
-            return _Heading(name, kind, 0, qualifier, unit, frozenset(rest - WORDS[kind]), values)
-    return None
+            return kind, "", rest - WORDS[kind]
+    return "", "", ()
 
 
-def _has_observation(names: set[str]) -> bool:
-    from casadical.measurements.kinds.registry import kinds
-
-    # A column "point" names points that are touched, or, beside positions, the points of a tracker.
-    return any(kind.matches(names) for kind in kinds().values() if kind.has_scale)
+def _contains(words: Sequence[str], part: Sequence[str]) -> bool:
+    return any(words[k : k + len(part)] == part for k in range(len(words) - len(part) + 1))
 
 
-def _joints(headings: Sequence[_Heading], n: int, questions: list[Question]) -> list[_Heading]:
-    """The readings of all joints, in their order; none where no group of headings has them all."""
+def _groups(headings: Iterable[_Heading], quantity: str, slots: Sequence[str]) -> list[list[_Heading]]:
+    """Columns of a quantity with all slots, of the words that are expected most; nominal ones are none."""
+    found: dict[tuple[str, frozenset[str]], dict[str, _Heading]] = {}
+    for h in headings:
+        if h.quantity == quantity and h.qualifier != "nominal":
+            found.setdefault((h.qualifier, h.rest), {}).setdefault(h.slot, h)
+    return _best(
+        (_RANK[qualifier] + (3 if rest else 0), [members[slot] for slot in slots])
+        for (qualifier, rest), members in found.items()
+        if all(slot in members for slot in slots)
+    )
+
+
+def _best(ranked: Iterable[tuple[int, list[_Heading]]]) -> list[list[_Heading]]:
+    groups = list(ranked)
+    return [members for rank, members in groups if rank == min(rank for rank, _ in groups)]
+
+
+def _joints(headings: Iterable[_Heading], n: int, order: Mapping[str, int]) -> list[list[_Heading]]:
+    """The readings of all joints, in their order; order : joint of each number, where a column names it."""
     groups: dict[tuple[str, frozenset[str]], dict[int, _Heading]] = {}
     for h in headings:
         if h.quantity == "joint":
-            groups.setdefault((h.qualifier, h.rest), {}).setdefault(h.number, h)
-    full = []
+            number = order.get(h.slot, -1) if order and "by name" not in h.rest else int(h.slot)
+            groups.setdefault((h.qualifier, h.rest), {}).setdefault(number, h)
+    ranked = []
     for (qualifier, rest), members in groups.items():
-        for first in (1, 0):
-            wanted = range(first, first + n)
-            if all(i in members for i in wanted) and not (first == 0 and n in members):
-                known = rest <= WORDS["joint"]
-                full.append((_RANK[qualifier] + (0 if known else 3), [members[i] for i in wanted]))
-                break
-    return _one_of(full, [f"q{i}" for i in range(1, n + 1)], "joint readings", questions)
+        # Of 0 to n one more joint than the robot has is counted, or the first column only counts.
+        first = 0 if 0 in members and not (n in members and n + 1 not in members) else 1
+        if all(i in members for i in range(first, first + n)):
+            rank = _RANK[qualifier] + (0 if rest <= WORDS["joint"] | {"by name"} else 3)
+            ranked.append((rank, [members[i] for i in range(first, first + n)]))
+    return _best(ranked)
 
 
-def _numbered(raw: RawTable, frame: pd.DataFrame, n: int, questions: list[Question]) -> list[_Heading]:
-    """Columns of numbers whose headings differ in a number only, 1 to n or 0 to n - 1, in words that are unknown."""
+def _names_in_cells(raw: RawTable, frame: pd.DataFrame, names: Sequence[str]) -> dict[str, int]:
+    """The joint of each number, where columns as `name[0]` hold the joints' names (ROS JointState)."""
+    found = {}
+    for heading in raw.header:
+        numbers = re.findall(r"\d+", heading)
+        if len(numbers) == 1 and "name" in words_of(heading)[0]:
+            cells = {str(cell) for cell in frame[heading]}
+            if len(cells) == 1 and cells <= {*names}:
+                found[str(int(numbers[0]))] = 1 + [*names].index(cells.pop())
+    return found
+
+
+def _numbered(raw: RawTable, frame: pd.DataFrame, n: int, taken: Collection[str] = ()) -> list[list[_Heading]]:
+    """Columns of numbers whose headings differ in a number only, 1 to n or 0 to n - 1."""
     groups: dict[str, dict[int, _Heading]] = {}
     for name in raw.header:
-        values = pd.to_numeric(frame[name], errors="coerce").to_numpy(dtype=float) if name else np.zeros(0)
         numbers = re.findall(r"\d+", name)
-        if len(numbers) == 1 and np.isfinite(values).mean() > 0.5:
-            text = re.sub(r"\d+", "#", name)
-            found = _Heading(name, "joint", int(numbers[0]), "", words_of(name)[1], frozenset(), values)
-            groups.setdefault(text, {})[found.number] = found
-    full = [[m[i] for i in sorted(m)] for m in groups.values() if sorted(m) in ([*range(1, n + 1)], [*range(n)])]
-    if len(full) != 1:
-        return []
-    choice = {", ".join(h.name for h in full[0]): {f"q{i}": Source(h.name) for i, h in enumerate(full[0], 1)}}
-    questions.append(Question("Are these the joint readings?", choice))
-    return full[0]
+        if len(numbers) == 1 and name not in taken and np.isfinite(values := _numbers(frame[name])).mean() > 0.5:
+            words, unit = words_of(name)
+            found = _Heading(name, "numbered", numbers[0], "", unit, frozenset(words) - {*numbers}, values)
+            groups.setdefault(re.sub(r"\d+", "#", name), {})[int(numbers[0])] = found
+    return [[m[i] for i in sorted(m)] for m in groups.values() if sorted(m) in ([*range(1, n + 1)], [*range(n)])]
 
 
-def _positions(headings: Sequence[_Heading], questions: list[Question]) -> list[_Heading]:
-    groups: dict[tuple[str, frozenset[str]], dict[str, _Heading]] = {}
-    for h in headings:
-        if h.quantity in ("x", "y", "z"):
-            groups.setdefault((h.qualifier, h.rest), {}).setdefault(h.quantity, h)
-    full = [
-        (_RANK[qualifier] + (0 if not rest else 3), [members[c] for c in "xyz"])
-        for (qualifier, rest), members in groups.items()
-        if len(members) == 3 and qualifier != "nominal"
+def _parts_of(group: Sequence[_Heading], joints: Sequence[str]) -> _Parts:
+    """The readings of turning joints, and those of sliding ones."""
+    return [
+        (
+            [h for h, kind in zip(group, joints, strict=True) if kind == each],
+            [f"q{i}" for i, kind in enumerate(joints, 1) if kind == each],
+            "angle" if each == "revolute" else "length",
+        )
+        for each in dict.fromkeys(joints)
     ]
-    return _one_of(full, ["x", "y", "z"], "measured positions", questions)
 
 
-def _one_of(
-    groups: list[tuple[int, list[_Heading]]], ours: Sequence[str], what: str, questions: list[Question]
-) -> list[_Heading]:
-    """The first group of the best rank; a question where several have it."""
-    if not groups:
-        return []
-    best = min(rank for rank, _ in groups)
-    equal = [members for rank, members in groups if rank == best]
-    if len(equal) > 1:
-        choices = {
-            ", ".join(h.name for h in members): {o: Source(h.name) for o, h in zip(ours, members, strict=True)}
-            for members in equal
-        }
-        questions.append(Question(f"Which columns are the {what}?", choices))
-    return equal[0]
+def _observations(
+    positions: Sequence[Sequence[_Heading]], lengths: Sequence[Sequence[_Heading]]
+) -> tuple[_Options, str]:
+    """What may have been measured, and what a question on it is about.
+
+    Coordinates that nobody says are measured give way to a length that is, and the reverse.
+    """
+    said = [any(g[0].qualifier == "measured" for g in groups) for groups in (positions, lengths)]
+    if positions and lengths and said[0] != said[1]:
+        positions, lengths = (positions, ()) if said[0] else ((), lengths)
+    options = [(_listed(g), [(g, _XYZ, "length")]) for g in positions]
+    options += [(_listed(g), [(g, ("distance",), "length")]) for g in lengths]
+    return options, "observation" if positions and lengths else ""
 
 
-def _with_units(
-    members: Sequence[_Heading],
-    names: Sequence[str],
-    quantity: str,
-    stated: Mapping[str, str],
-    questions: list[Question],
-) -> Iterator[Understood]:
-    """Columns with our names and units."""
-    if not members:
-        return
+def _orientation(
+    headings: Sequence[_Heading], raw: RawTable, frame: pd.DataFrame, taken: Collection[str]
+) -> tuple[_Options, str, str]:
+    """How the tool's orientation may be said, with a question, and what that is about."""
+    which = "Which columns are the orientation?"
+    triples = [*_groups(headings, "turn", _XYZ), *_numbered(raw, frame, 3, taken)]
+    sure = [
+        ([g for g in _groups(headings, "turn", ("w", *_XYZ)) if _is_unit(g)], _QUATERNION, ""),
+        *(([g for g in _groups(headings, "matrix", e) if _is_rotation(g)], _MATRIX, "") for e in _ENTRIES),
+        *((_groups(headings, quantity, _ROLL), _ROLL, "angle") for quantity in ("roll", "abc", "wpr")),
+        ([g for g in triples if g[0].rest & WORDS["vector"]], _TRIPLES["a rotation vector"], "angle"),
+    ]
+    for groups, names, quantity in sure:
+        if groups:
+            return [(_listed(g), [(g, names, quantity)]) for g in groups], which, ""
+    ways: Mapping[str, Sequence[str]] = {}
+    quantity = ""
+    if found := _groups(headings, "turn", _XYZ):
+        ways, quantity = _TRIPLES, "angle"
+    elif found := [g for g in _numbered(raw, frame, 4, taken) if _is_unit(g)]:
+        ways = {"a quaternion, w first": _QUATERNION, "a quaternion, w last": (*_QUATERNION[1:], "qw")}
+    elif found := [g for g in _numbered(raw, frame, 9, taken) if _is_rotation(g)]:
+        turned = tuple(f"R{name[2]}{name[1]}" for name in _MATRIX)
+        ways = {"a matrix, row by row": _MATRIX, "a matrix, column by column": turned}
+    options = [(way, [(found[0], names, quantity)]) for way, names in ways.items()]
+    return options, f"How is the orientation {_listed(found[0])} meant?" if found else "", "orientation"
+
+
+def _finite(group: Sequence[_Heading]) -> Array:
+    values = np.column_stack([h.values for h in group])
+    return np.asarray(values[np.isfinite(values).all(axis=1)])
+
+
+def _is_unit(group: Sequence[_Heading]) -> bool:
+    """Whether four columns are unit quaternions."""
+    return bool((np.abs(np.linalg.norm(_finite(group), axis=1) - 1) < NEARLY).all())
+
+
+def _is_rotation(group: Sequence[_Heading]) -> bool:
+    """Whether nine columns are matrices of rotations."""
+    R = _finite(group).reshape(-1, 3, 3)
+    return bool((np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)) < NEARLY).all())
+
+
+def _listed(group: Iterable[_Heading]) -> str:
+    return ", ".join(h.name for h in group)
+
+
+def _choices(options: _Options, stated: Mapping[str, str], asked: str) -> dict[str, list[Understood]]:
+    """What may be meant in which unit, in words: of one option that nobody asks about, the units alone."""
+    choices: dict[str, list[Understood]] = {}
+    for label, parts in options:
+        units = [_by_unit(members, names, quantity, stated) for members, names, quantity in parts if members]
+        for ways in product(*units):
+            unit = " and ".join(u for u, _ in ways if u)
+            words = unit if unit and len(options) == 1 and not asked else f"{label} in {unit}" if unit else label
+            choices[words] = [c for _, found in ways for c in found]
+    return choices
+
+
+def _by_unit(
+    members: Sequence[_Heading], names: Sequence[str], quantity: str, stated: Mapping[str, str]
+) -> list[tuple[str, list[Understood]]]:
+    """Columns with our names and units; where nothing tells the unit, for each of two, the most probable first."""
+    if not quantity:
+        return [("", [Understood(n, Source(h.name), "", "heading") for h, n in zip(members, names, strict=True)])]
     ours = ("deg", "rad") if quantity == "angle" else ("mm", "m")
     units = [h.unit if UNITS.get(h.unit, ("",))[0] in ours else "" for h in members]
-    why = ["heading" if unit else "" for unit in units]
     usual = Counter(u for u in units if u).most_common(1)
-    if usual and not all(units):
-        units, why = [u or usual[0][0] for u in units], [w or "the other headings" for w in why]
-    elif not usual and quantity in stated:
+    why, sure = ["heading" if unit else "the other headings" for unit in units], True
+    if usual:
+        units = [u or usual[0][0] for u in units]
+    elif quantity in stated:
         units, why = [stated[quantity]] * len(units), ["a line of units"] * len(units)
-    elif not usual:
+    else:
         unit, sure = _unit_by_size(np.column_stack([h.values for h in members]), quantity)
         units, why = [unit] * len(units), ["size of the numbers" if sure else "a guess"] * len(units)
-        if not sure:
-            questions.append(_which_unit(members, names, unit, ours))
-    for h, name, unit, reason in zip(members, names, units, why, strict=True):
-        base, factor = UNITS[unit]
-        yield Understood(f"{name}_{base}", Source(h.name, factor), unit, reason)
 
+    def columns(units: Sequence[str]) -> list[Understood]:
+        return [
+            Understood(f"{name}_{UNITS[unit][0]}", Source(h.name, UNITS[unit][1]), unit, reason)
+            for h, name, unit, reason in zip(members, names, units, why, strict=True)
+        ]
 
-def _which_unit(members: Sequence[_Heading], names: Sequence[str], first: str, ours: Sequence[str]) -> Question:
-    order = [first, *(u for u in ours if u != first)]
-    choices = {u: {f"{n}_{u}": Source(h.name) for n, h in zip(names, members, strict=True)} for u in order}
-    return Question(f"In which unit are {', '.join(h.name for h in members)}?", choices)
+    if sure:
+        return [("", columns(units))]
+    return [(u, columns([u] * len(units))) for u in (units[0], *(u for u in ours if u != units[0]))]
 
 
 def _unit_by_size(values: Array, quantity: str) -> tuple[str, bool]:
@@ -322,13 +495,15 @@ def _stated_units(lines: Sequence[str]) -> dict[str, str]:
 
 
 def _by_order(raw: RawTable, frame: pd.DataFrame, n: int) -> list[_Heading]:
-    """A table without headings: readings, then positions; a first column that counts is left aside."""
-    values = [pd.to_numeric(frame[name], errors="coerce").to_numpy(dtype=float) for name in raw.header]
-    start = len(raw.header) - n - 3
-    if start not in (0, 1) or (start == 1 and not (np.diff(values[0]) == 1).all()):
-        return []
-    kinds = [("joint", i) for i in range(1, n + 1)] + [("x", 0), ("y", 0), ("z", 0)]
-    return [
-        _Heading(raw.header[start + k], quantity, number, "", "", frozenset(), values[start + k])
-        for k, (quantity, number) in enumerate(kinds)
-    ]
+    """A table without headings: readings, positions, and perhaps a matrix; a first column that counts is left aside."""
+    values = [_numbers(frame[name]) for name in raw.header]
+    slots = [("joint", str(i)) for i in range(1, n + 1)] + [("position", c) for c in _XYZ]
+    matrix = [("matrix", f"{i}{j}") for i in range(3) for j in range(3)]
+    for what in (slots, [*slots, *matrix]):
+        start = len(raw.header) - len(what)
+        if start == 0 or (start == 1 and (np.diff(values[0]) == 1).all()):
+            return [
+                _Heading(raw.header[k], quantity, slot, "", "", frozenset(), values[k])
+                for k, (quantity, slot) in enumerate(what, start)
+            ]
+    return []

@@ -14,7 +14,7 @@ from casadical.core.errors import InputError
 from casadical.measurements.angle_unit import refuse_other_unit
 from casadical.measurements.column_map import Source
 from casadical.measurements.columns import Columns
-from casadical.measurements.headings import understand
+from casadical.measurements.headings import Understanding, understand
 from casadical.measurements.kinds.registry import find_kind, kind_of, kinds
 from casadical.measurements.measurements import FIELDS, Measurements
 from casadical.measurements.raw_table import RawTable
@@ -75,7 +75,7 @@ def read_measurements(
     """
     parts = table_parts(path)
     first = next(parts)
-    sources = _sources(first, joints, columns or {})
+    sources = _sources(first, joints, columns or {}, kind)
     named = Columns.of_file(first).mapped(sources, point_from)
     further = next(parts, None)
     if further is None:
@@ -101,28 +101,28 @@ def _row_by_row(m: Measurements, sources: Mapping[str, Source]) -> bool:
     return find_kind(m.kind).by_row and not named and not any(source.rows for source in sources.values())
 
 
-def named_columns(
-    raw: RawTable, joints: int | Sequence[str], columns: Mapping[str, str | Source], point_from: Sequence[str] = ()
-) -> Columns:
-    """The columns of a file under our names: as `columns` says, and what it leaves open as the headings say.
+def _sources(
+    raw: RawTable, joints: int | Sequence[str], columns: Mapping[str, str | Source], kind: str | None
+) -> dict[str, Source]:
+    """What each of our columns is made of: as `columns` says, and what it leaves open as the headings say.
 
     Raises InputError where the headings leave a question.
     """
-    return Columns.of_file(raw).mapped(_sources(raw, joints, columns), point_from)
+    meaning = understand(raw, _kinds(joints, raw.path.name), columns, kind=kind)
+    refuse_open(raw, meaning)
+    given = {ours: Source(name) if isinstance(name, str) else name for ours, name in columns.items()}
+    return {**meaning.sources, **given}
 
 
-def _sources(raw: RawTable, joints: int | Sequence[str], columns: Mapping[str, str | Source]) -> dict[str, Source]:
-    """What each of our columns is made of; arguments and errors as of `named_columns`."""
-    meaning = understand(raw, _kinds(joints, raw.path.name), columns)
+def refuse_open(raw: RawTable, meaning: Understanding) -> None:
+    """Raises InputError where the headings of a table leave a question."""
     for question in meaning.questions:
         first = next(iter(question.choices.values()))
-        line = ", ".join(f'{ours} = "{source.name}"' for ours, source in first.items())
+        line = ", ".join(f'{c.ours} = "{c.source.name}"' for c in first)
         raise InputError(
             f"{raw.path}: {question.text} Allowed: {'; '.join(question.choices)}. "
             f"Say it in problem.toml, for example columns = {{ {line} }}"
         )
-    given = {ours: Source(name) if isinstance(name, str) else name for ours, name in columns.items()}
-    return {**meaning.sources, **given}
 
 
 def from_table(

@@ -114,7 +114,7 @@ class Calibration:
             Words(problem.title, "title"),
             *assumptions(problem, self.accuracies, self.without_prior),
             *list(verdict(problem, self.accuracies))[:1],
-            *error_tables(self.accuracies, self.networks)[:1],
+            *error_tables(problem, self.accuracies, self.networks)[:1],
             *methods_worse(self.accuracies),
             *things_to_know(problem, self.identification, self.networks, self.accuracies),
         ]
@@ -133,7 +133,7 @@ class Calibration:
             *methods_worse(self.accuracies),
             how_sure(last),
             *left_out_table(self.identifications),
-            *error_tables(self.accuracies, self.networks),
+            *error_tables(problem, self.accuracies, self.networks),
             *(network_tables(self.networks) if self.networks else []),
             *paper_tables(problem.paper, self.accuracies, self.networks),
             *parameter_tables(last),

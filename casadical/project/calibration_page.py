@@ -24,7 +24,7 @@ def calibration_page(
 ) -> Page:
     """One problem's page; results, accuracies : by method; figures : by name."""
     last = list(results.values())[-1]
-    errors = [*left_out_table(results), *error_tables(accuracies, networks)]
+    errors = [*left_out_table(results), *error_tables(problem, accuracies, networks)]
     sections = [
         Section("Verdict", [*_verdict(problem, results, accuracies, networks)]),
         Section("Errors before and after", [*errors, *paper_tables(problem.paper, accuracies, networks)]),

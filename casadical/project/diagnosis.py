@@ -29,7 +29,7 @@ from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.workspace import Workspace
 from casadical.pose_selection.workspace_file import read_workspace
-from casadical.project.problem import Carried, nothing_carried, read_campaign, read_campaign_robot
+from casadical.project.problem import Carried, nothing_carried, read_campaign, read_campaign_robot, tool_as_measured
 from casadical.project.problem_file import own_tables
 from casadical.project.sources import campaign_files
 from casadical.robot.effect_file import read_effects
@@ -105,6 +105,7 @@ def read_campaigns(
     nominal = read_campaign_robot(folder)
     robot, prior = carried(nominal)
     sets = {path: read_campaign(folder, path, robot, readings_only=readings_only) for path in paths}
+    robot = tool_as_measured(robot, folder, sets.values())
     groups = [paths] if together else [[path] for path in sets]
     return tuple(
         Campaign(robot, tuple(sets[p] for p in group), tuple(group), folder, prior, nominal.effects_in_words)

@@ -17,14 +17,16 @@ from casadical.identification.prior import Prior, carry_over
 from casadical.identification.residuals import AnyLoss
 from casadical.measurements.columns import Columns
 from casadical.measurements.derived_columns import derive
+from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import SETS, Measurements
 from casadical.measurements.raw_table import RawTable
-from casadical.measurements.reading import from_columns, named_columns, readings_alone
+from casadical.measurements.reading import from_columns, readings_alone, refuse_open
 from casadical.measurements.table_parts import read_columns
 from casadical.project.problem_file import (
     BaseMethod,
     DataTable,
     Paper,
+    ProblemFile,
     SetsTable,
     UrdfTable,
     base_methods,
@@ -33,7 +35,7 @@ from casadical.project.problem_file import (
     table_like,
     tables_of,
 )
-from casadical.project.robot_columns import refuse_nameless, with_coupled, with_known_targets
+from casadical.project.robot_columns import refuse_nameless, understood, with_coupled, with_known_targets
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot, with_tools
 
@@ -212,6 +214,7 @@ def read_problem(
             split.setdefault(name, []).append(part)
     if "identify" not in split:
         raise InputError(f"{path}: sets: no poses are named 'identify'; there are {', '.join(split)}")
+    robot = tool_as_measured(robot, folder, [m for parts in split.values() for m in parts])
     rigid = all(j.compliance is None for j in robot.joints) and folder.is_file()
     return Problem(
         folder=folder,
@@ -272,6 +275,15 @@ def _read_robot(path: Path, urdf: UrdfTable) -> Robot:
         robot = read_urdf(path, urdf.base_link, urdf.tip_link, compliant=urdf.compliant)
         return with_tools(robot, urdf.tool) if urdf.tool else robot
     return read_robot(path)
+
+
+def tool_as_measured(robot: Robot, source: Path, sets: Iterable[Measurements]) -> Robot:
+    """The robot of a problem folder or file: where a URDF says nothing of the tool, its pose is unknown if measured."""
+    file = problem_file(source) if source.is_dir() else ProblemFile(casadical=1, title="", robot=source.name)
+    said = not file.of_campaigns.endswith(".urdf") or (file.urdf and file.urdf.tool)
+    if said or not any(find_kind(m.kind).angles for m in sets):
+        return robot
+    return replace(robot, tool=replace(robot.tool, unknown="pose"))
 
 
 def read_campaign(
@@ -345,7 +357,9 @@ def _separations(data: DataTable) -> list[tuple[str, str, float]]:
 
 
 def _columns(raw: RawTable, data: DataTable, robot: Robot) -> Columns:
-    found = named_columns(raw, [j.kind for j in robot.joints], data.sources, data.point_from)
+    meaning = understood(raw, robot, data.sources, data.kind)
+    refuse_open(raw, meaning)
+    found = Columns.of_file(raw).mapped({**meaning.sources, **data.sources}, data.point_from)
     found = found.with_tools(data.tools) if data.tools else found
     if data.session:
         found = replace(found, table=found.table.assign(session=data.session))

@@ -74,10 +74,10 @@ class DataTable(_Strict):
         return kind
 
     @property
-    def sources(self) -> dict[str, str | Source]:
+    def sources(self) -> dict[str, Source]:
         """Where each named column comes from."""
         return {
-            ours: given if isinstance(given, str) else Source(**given.model_dump())
+            ours: Source(given) if isinstance(given, str) else Source(**given.model_dump())
             for ours, given in self.columns.items()
         }
 
@@ -272,11 +272,15 @@ def table_like(folder: Path, raw: RawTable, tables: Sequence[DataTable]) -> Data
         own = folder / data.file
         if own.resolve() == raw.path.resolve() or (own.is_file() and read_bytes(own) == read_bytes(raw.path)):
             return data
-    for data in tables:
-        found = data.named_in(raw.header)
+    others = [data.named_in(raw.header) for data in tables]
+    for found in others:
         if found.columns or found.point_from:
             return found
-    return DataTable(file=raw.path.name)
+    said = {data.kind for data in tables}
+    kind = said.pop() if len(said) == 1 else None
+    shown = [k.name for k in kinds().values() if k.matches({*raw.header})]  # by names of ours; else by the headings
+    fits = kind in (shown or ("position", "pose"))
+    return DataTable(file=raw.path.name, kind=kind if fits else None)
 
 
 def result_in(folder: Path) -> Path:

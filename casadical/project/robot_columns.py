@@ -1,16 +1,76 @@
-"""What the columns of a table say against the robot file: measured targets, and readings of coupled joints."""
+"""What the columns of a table say with the robot beside them: what is meant, measured targets, coupled joints."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.identification.accuracy import errors
+from casadical.identification.placement import place_frames
+from casadical.identification.plausibility import turned_off
 from casadical.identification.sessions import sessions_in
+from casadical.measurements.column_map import Source
 from casadical.measurements.columns import Columns
+from casadical.measurements.headings import Question, Understanding, understand
 from casadical.measurements.measurements import Measurements
+from casadical.measurements.raw_table import RawTable
+from casadical.measurements.reading import from_columns
 from casadical.robot.robot import Robot
+
+# The way to read an orientation that leaves so little [rad], and so much less than each other, is the one.
+FITS, TIMES = np.deg2rad(5.0), 4.0
+# Coordinates that the nominal model gives within so much [m], or within their last digit, are computed.
+COMPUTED = 2e-6
+
+
+def understood(raw: RawTable, robot: Robot, given: Mapping[str, Source], kind: str | None = None) -> Understanding:
+    """What a table's headings mean (see `understand`), where the nominal robot may tell what they do not.
+
+    given : columns that are known; kind : of measurement, where it is said
+    """
+    found = understand(raw, [j.kind for j in robot.joints], given, names=[j.name for j in robot.joints], kind=kind)
+    for question in found.questions:
+        if question.about:
+            found = _by_model(raw, robot, given, found, question)
+    return found
+
+
+def _by_model(
+    raw: RawTable, robot: Robot, given: Mapping[str, Source], found: Understanding, question: Question
+) -> Understanding:
+    """With the answer that fits the robot; else with what fits best as the first choice."""
+    left: dict[str, float] = {}
+    for choice in question.choices:
+        with suppress(InputError, np.linalg.LinAlgError):
+            columns = Columns.of_file(raw).mapped({**found.answered(question, choice).sources, **given})
+            m = from_columns(columns.without(columns.lost_rows, ""), [j.kind for j in robot.joints])
+            if question.about == "orientation" and m.orientation is not None:
+                left[choice] = turned_off(replace(robot, tool=replace(robot.tool, unknown="pose")), m)
+            if m.kind == "position" and computed(robot, m):
+                length = next(c for c in question.choices if len(question.choices[c]) == 1)
+                return found.answered(question, length, "the coordinates are computed, as the nominal robot has them")
+    order = sorted(left, key=lambda choice: left[choice])
+    if not order:
+        return found
+    others = [left[choice] for choice in order[1:]]
+    if left[order[0]] < FITS and all(TIMES * left[order[0]] < other for other in others):
+        best, second = (np.rad2deg(v) for v in (left[order[0]], min(others, default=np.inf)))
+        return found.answered(question, order[0], f"{order[0]}: {best:.2g} deg from the robot, else {second:.2g}")
+    choices = {c: question.choices[c] for c in (*order, *(c for c in question.choices if c not in left))}
+    asked = tuple(replace(q, choices=choices) if q is question else q for q in found.questions)
+    return replace(found, questions=asked)
+
+
+def computed(robot: Robot, m: Measurements) -> bool:
+    """Whether positions are those of the nominal robot, to their last digit: computed from the readings."""
+    if m.position is None or len(m) < 6:
+        return False
+    digits = next((k for k in range(3, 9) if np.abs(m.position - m.position.round(k)).max() < 1e-12), 9)
+    free = replace(robot, base=replace(robot.base, unknown="pose"), tool=replace(robot.tool, unknown="position"))
+    return float(np.median(errors(place_frames(free, m), m))) < max(COMPUTED, 10.0**-digits)
 
 
 def with_known_targets(m: Measurements, robot: Robot) -> Measurements:

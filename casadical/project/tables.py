@@ -32,9 +32,9 @@ def verdict(problem: Problem, accuracies: Accuracies) -> Iterator[Words]:
     change = 100 * (1 - after.mean / before.mean)
     poses = f"{after.n} poses that were held out" if held_out else f"the {after.n} poses it was identified from"
     yield Words(
-        f"On {poses}, the mean {_error(name)} {'falls' if change > 0 else 'grows'} from {mm(before.mean)} mm to "
-        f"{mm(after.mean)} mm with {method} ({abs(change):.0f} % {'less' if change > 0 else 'more'}). Before means: "
-        "with only base and tool frames fitted.",
+        f"On {poses}, the mean {_error(problem, name)} {'falls' if change > 0 else 'grows'} from "
+        f"{mm(before.mean)} mm to {mm(after.mean)} mm with {method} ({abs(change):.0f} % "
+        f"{'less' if change > 0 else 'more'}). Before means: with only base and tool frames fitted.",
         "verdict",
     )
     if not held_out:
@@ -45,7 +45,7 @@ def verdict(problem: Problem, accuracies: Accuracies) -> Iterator[Words]:
         )
 
 
-def error_tables(accuracies: Accuracies, networks: Networks | None = None) -> list[Table]:
+def error_tables(problem: Problem, accuracies: Accuracies, networks: Networks | None = None) -> list[Table]:
     """A table for each set, held-out poses first: errors before, and after every method and every network in use."""
     last = list(accuracies.values())[-1]
     used = [r for r in networks.results.values() if r.helps] if networks else []
@@ -66,16 +66,17 @@ def error_tables(accuracies: Accuracies, networks: Networks | None = None) -> li
         use = _WITH_NETWORKS.get(name.split("/")[0]) if trained else None
         use = use or ("used" if name.startswith("identify") else "held out")
         cells = [(label, *(mm(v) for v in (a.mean, a.max, a.std, a.rms, a.p95))) for label, a in rows]
-        title = f"{name} ({use}), {states['nominal'].n} poses: {_error(name)} [mm]"
+        title = f"{name} ({use}), {states['nominal'].n} poses: {_error(problem, name)} [mm]"
         numbers = frozenset(range(1, 6))
         tables.append(Table(title, ("model", *_FIGURES), cells, numbers, frozenset(range(first, len(rows)))))
     return tables
 
 
-def _error(name: str) -> str:
+def _error(problem: Problem, name: str) -> str:
     """What a set's figures are errors of; name : SET or SET/KIND, as in the accuracies."""
-    kind = name.partition("/")[2].split("/")[0]
-    return "position error" if not kind or find_kind(kind).lengths == 3 else f"error of {kind.replace('_', ' ')}"
+    found = {m.kind for part, m in problem.parts() if f"{part}/".startswith(f"{name}/")}
+    kinds = {"position" if find_kind(kind).lengths == 3 else kind.replace("_", " ") for kind in found}
+    return "position error" if kinds == {"position"} else f"error of {' and '.join(sorted(kinds))}"
 
 
 def network_tables(networks: Networks) -> list[Table | Words]:

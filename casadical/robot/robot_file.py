@@ -209,7 +209,8 @@ def _body_table(body: Body) -> dict[str, Any]:
 
 def _joint_table(joint: Joint) -> dict[str, Any]:
     """A row."""
-    table: dict[str, Any] = {"alpha_deg": _deg(joint.alpha), "a_mm": _mm(joint.a)}
+    table: dict[str, Any] = {"name": joint.name} if joint.name else {}
+    table |= {"alpha_deg": _deg(joint.alpha), "a_mm": _mm(joint.a)}
     if joint.beta is not None:
         table["beta_deg"] = _deg(joint.beta)
     if joint.b is not None:

@@ -68,6 +68,7 @@ class _Joint(TomlTable):
     body: _Body | None = None
     follows: list[tuple[int, float]] = Field(default=[])
     at: Annotated[float | None, READING] = None
+    name: str = ""
 
     @model_validator(mode="before")
     @classmethod
@@ -117,7 +118,7 @@ class _Joint(TomlTable):
         return Joint(
             self.alpha, self.a, self.theta, self.d, self.beta, self.b, self.type, lower, upper, compliance,
             self.body.body() if self.body else None,
-            Coupling(tuple(self.follows), self.at or 0.0) if self.follows or self.at is not None else None,
+            Coupling(tuple(self.follows), self.at or 0.0) if self.follows or self.at is not None else None, self.name,
         )  # fmt: skip
 
 

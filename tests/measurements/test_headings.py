@@ -93,6 +93,9 @@ def test_what_the_numbers_do_not_tell_is_a_question(tmp_path: Path) -> None:
     found = understand(read_table(few(tmp_path)), ["revolute"] * 2)
     assert [q.text for q in found.questions] == ["In which unit are A1, A2?", "In which unit are X, Y, Z?"]
     assert [list(q.choices) for q in found.questions] == [["rad", "deg"], ["m", "mm"]]
+    assert list(found.sources) == ["q1_rad", "q2_rad", "x_m", "y_m", "z_m"]
+    answered = found.answered(found.questions[0], "deg")
+    assert list(answered.sources) == ["q1_deg", "q2_deg", "x_m", "y_m", "z_m"]
     with pytest.raises(InputError, match=r"few\.csv: In which unit are A1, A2\? Allowed: rad; deg\. Say it in"):
         read_measurements(few(tmp_path), 2)
     said = {"q1_deg": "A1", "q2_deg": "A2", "x_mm": "X", "y_mm": "Y", "z_mm": "Z"}
@@ -107,7 +110,7 @@ def test_two_groups_of_joints_are_a_question_and_deviations_none(tmp_path: Path)
     (question,) = understand(read_table(path), SIX).questions
     assert question.text == "Which columns are the joint readings?"
     assert len(question.choices) == 2
-    assert {s.name for c in question.choices.values() for s in c.values()} == set(names[:12])
+    assert {c.source.name for way in question.choices.values() for c in way} == set(names[:12])
 
 
 def test_our_own_names_are_never_understood_otherwise(tmp_path: Path) -> None:

@@ -11,8 +11,6 @@ import pytest
 
 from casadical import report
 from casadical.diagnosis.localisation import Localisation
-from casadical.measurements.column_map import Source
-from casadical.measurements.headings import Question
 from casadical.project import remaining_errors
 from casadical.project.calibration import _without_prior
 from casadical.project.check.check import LACKS, _outlook_findings
@@ -20,7 +18,6 @@ from casadical.project.check.information import outlook
 from casadical.project.check.result import Precheck
 from casadical.project.check.slip_fit import Hypothesis
 from casadical.project.check.slips import _outside
-from casadical.project.new.new import _answered
 from casadical.project.new.texts import with_tools
 from casadical.project.outcome import _no_better, made_readings
 from casadical.project.planning import plan
@@ -79,14 +76,6 @@ def test_readings_a_hundredth_beyond_the_limits_are_within(planar: Problem) -> N
     nothing = Hypothesis.none(robot.n)
     for q, outside in ((upper + 0.005, False), (upper + 0.02, True), (lower - 0.005, False), (lower - 0.02, True)):
         assert _outside(nothing, robot, np.tile(q, (20, 1))) is outside
-
-
-def test_an_answer_about_units_renames_its_columns() -> None:
-    columns = {"x_mm": Source("X"), "y_mm": Source("Y"), "q1_deg": Source("J1")}
-    metres = _answered(columns, Question("?", {"m": {"x_m": Source("X"), "y_m": Source("Y")}}), None)
-    assert metres == {"q1_deg": Source("J1"), "x_m": Source("X"), "y_m": Source("Y")}
-    kept = _answered(columns, Question("?", {"those": {"x": Source("V"), "y": Source("W")}}), lambda _: "those")
-    assert kept == {"x_mm": Source("V"), "y_mm": Source("W"), "q1_deg": Source("J1")}
 
 
 def test_each_measured_point_has_a_table_of_its_own() -> None:

@@ -1,5 +1,6 @@
 """Measured positions and orientations of the tool."""
 
+import re
 from collections.abc import Set
 
 import casadi as ca
@@ -7,13 +8,13 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.transforms import Symbolic, from_quaternion, from_xyz
-from casadical.measurements.columns import Columns
+from casadical.core.transforms import Symbolic, from_quaternion, from_rpy, from_xyz
+from casadical.measurements.columns import ORIENTATION, Columns
 from casadical.measurements.kinds.base import PoseExpression
 from casadical.measurements.kinds.position import Position
 
-# Columns of an orientation, as a pattern.
-ORIENTATION = "r[xyz]_(deg|rad)|R[012]{2}|q[wxyz]"
+# The first column of each way to say an orientation.
+FIRST = "(rx|rotvec_x|roll)_(deg|rad)|R00|qw"
 
 
 class Pose(Position):
@@ -21,8 +22,9 @@ class Pose(Position):
 
     name = "pose"
     columns = (
-        "those of `position` and one of `rx_deg, ry_deg, rz_deg` (rotations about x, then the new y, then the new z; "
-        "or `_rad`), `R00` .. `R22`, or `qw, qx, qy, qz`"
+        "those of `position` and one of `qw, qx, qy, qz`, `R00` .. `R22`, `rotvec_x_rad, rotvec_y_rad, rotvec_z_rad` "
+        "(axis times angle), `roll_deg, pitch_deg, yaw_deg` (about the fixed x, y, z), or `rx_deg, ry_deg, rz_deg` "
+        "(about x, then the new y, then the new z); angles in `_deg` or `_rad`"
     )
     fill = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
     pattern = f"{Position.pattern}|{ORIENTATION}"
@@ -30,7 +32,7 @@ class Pose(Position):
     angles = 3
 
     def matches(self, names: Set[str]) -> bool:
-        return super().matches(names) and bool(names & {"rx_deg", "rx_rad", "R00", "qw"})
+        return super().matches(names) and any(re.fullmatch(FIRST, name) for name in names)
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
         return {**super().read(columns, q), "orientation": orientations(columns)}
@@ -62,9 +64,7 @@ def orientations(columns: Columns) -> Array:
             )
         R = from_quaternion(quaternion)
     else:
-        angles = columns.vector("r", ("_deg", "_rad"))
-        # Rx(a) Ry(b) Rz(c) is the transpose of Rz(-c) Ry(-b) Rx(-a).
-        R = np.stack([from_xyz(xyz) for xyz in angles])
+        R = _from_angles(columns)
     off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(R) < 0)
     if off.max() > 1e-3:
         row = int(off.argmax())
@@ -73,3 +73,17 @@ def orientations(columns: Columns) -> Array:
             f"{off[row]:.3g}, mirrored ones by more than one); allowed: orthonormal matrices, right-handed"
         )
     return R
+
+
+def _from_angles(columns: Columns) -> Array:
+    """Rotation matrices, shape (n, 3, 3), of three angles as their names say. Raises InputError."""
+    units, names = ("_deg", "_rad"), {str(name).rpartition("_")[0] for name in columns.table}
+    if "rotvec_x" in names:
+        vector = columns.vector("rotvec_", units)
+        angle = np.linalg.norm(vector, axis=1, keepdims=True)
+        axis = np.divide(vector, angle, out=np.zeros_like(vector), where=angle > 0)
+        return from_quaternion(np.hstack([np.cos(angle / 2), np.sin(angle / 2) * axis]))
+    if "roll" in names:
+        angles = np.stack([columns.si(name, units) for name in ("roll", "pitch", "yaw")], axis=1)
+        return np.stack([from_rpy(each) for each in angles])
+    return np.stack([from_xyz(each) for each in columns.vector("r", units)])

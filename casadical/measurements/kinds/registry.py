@@ -48,5 +48,8 @@ def kind_of(columns: Columns) -> MeasurementKind:
     for kind in kinds().values():
         if kind.matches(names):
             return kind
-    needed = "; ".join(f"{kind.name}: {kind.columns}" for kind in kinds().values())
-    raise InputError(f"{columns.source}: no observation found; there are {columns.names}; one kind is needed: {needed}")
+    needed = "; ".join(f"{', '.join(kind.fill)} ({kind.name})" for kind in kinds().values() if kind.fill)
+    raise InputError(
+        f"{columns.source}: no observation found; there are {columns.names}; one kind is needed: {needed}; or say in "
+        "`columns` of problem.toml which columns these are (docs/measurements.md)"
+    )

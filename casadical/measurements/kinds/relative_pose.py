@@ -8,10 +8,10 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.transforms import Symbolic
-from casadical.measurements.columns import Columns
+from casadical.measurements.columns import ORIENTATION, Columns
 from casadical.measurements.kinds.base import Arrays, MeasurementKind, PoseExpression, PositionsAt
 from casadical.measurements.kinds.pair_distance import other_poses
-from casadical.measurements.kinds.pose import ORIENTATION, orientations, turned_off
+from casadical.measurements.kinds.pose import orientations, turned_off
 
 
 class RelativePose(MeasurementKind):

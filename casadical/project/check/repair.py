@@ -17,9 +17,9 @@ from casadical.core.errors import InputError
 from casadical.core.files import write_together
 from casadical.core.reading import read_text
 from casadical.measurements.column_map import Source
-from casadical.measurements.headings import understand
 from casadical.measurements.raw_table import read_table
 from casadical.project.check.slip_fit import Fit
+from casadical.project.robot_columns import understood
 from casadical.robot.robot import Robot
 
 # Robots reach so far [m].
@@ -113,7 +113,7 @@ def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
     table = tables[0]
     raw = read_table(folder / str(table["file"]))
     given = {str(ours): _source(theirs) for ours, theirs in dict(table.get("columns", {})).items()}
-    known = {**understand(raw, [j.kind for j in robot.joints], given).sources, **given}
+    known = {**understood(raw, robot, given, table.get("kind")).sources, **given}
     columns = {**known, **repaired_columns(fit, robot, {**{n: Source(n) for n in raw.header}, **known})}
     texts: dict[Path, str] = {}
     if columns != known:

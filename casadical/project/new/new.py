@@ -3,7 +3,6 @@
 import tempfile
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
 
 from casadical.core.errors import InputError
@@ -11,15 +10,16 @@ from casadical.core.estimated_masses import with_estimated_masses, without_masse
 from casadical.core.files import claimed, write_together
 from casadical.core.reading import read_bytes, read_text
 from casadical.core.telling.blocks import Table, Words
-from casadical.measurements.column_map import Source
-from casadical.measurements.columns import Columns
-from casadical.measurements.headings import Question, Understanding, understand
+from casadical.measurements.columns import Columns, is_ours
+from casadical.measurements.headings import Question, Understanding
+from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.project.check.targets import unnamed_targets
 from casadical.project.new.dh_table import robot_text
 from casadical.project.new.synthetic import POSES, synthetic_poses
-from casadical.project.new.texts import EXAMPLE_ROBOT, column_lines, problem_text, readme_text, with_masses, with_tools
+from casadical.project.new.texts import EXAMPLE_ROBOT, Given, problem_text, readme_text, with_masses, with_tools
 from casadical.project.problem import Problem, read_problem
+from casadical.project.robot_columns import understood
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
 
@@ -59,18 +59,24 @@ def new_problem(
     name = folder.resolve().name
     texts, robot = _robot_files(name, urdf, base_link, tip_link, dh, convention)
     given = read_table(data) if data else None
-    place = "problem.toml" if urdf else "robot.toml"
-    columns, left_out, tools = _understood(given, robot, place, ask, show) if given else ({}, {}, ())
-    if len(tools) > 1 and "robot.toml" in texts:
-        texts["robot.toml"] = with_tools(str(texts["robot.toml"]), tools)
-    compliant = any(j.compliance is not None for j in robot.joints)
-    links = (base_link, tip_link) if urdf else None
-    sets = given is not None and "set" in given.header
+    found = _understood(given, robot, ask, show) if given else Given()
+    if len(found.tools) > 1 and show:
+        place, listed = "problem.toml" if urdf else "robot.toml", ", ".join(found.tools)
+        show(Words(f"Column 'tool' names {len(found.tools)} measured points, {listed}: {place} has each."))
+    if "robot.toml" in texts:
+        texts["robot.toml"] = with_tools(str(texts["robot.toml"]), found.tools, found.turned)
     file = f"poses{data.suffix.lower() if data and data.suffix else '.csv'}"
-    lines = column_lines(columns, left_out)
     texts |= {
         file: read_bytes(data) if data else synthetic_poses(robot, seed),
-        "problem.toml": problem_text(robot.name, bool(data), links, compliant, sets, seed, POSES, file, lines, tools),
+        "problem.toml": problem_text(
+            robot,
+            found if data else None,
+            links=(base_link, tip_link) if urdf else None,
+            named_sets=given is not None and "set" in given.header,
+            seed=seed,
+            poses=POSES,
+            file=file,
+        ),
         "README.md": readme_text(name, robot.name, file, *(p.name if p else None for p in (data, urdf, dh))),
     }
     _refuse_taken(folder, texts)
@@ -89,65 +95,71 @@ def new_problem(
 
 
 def _understood(
-    given: RawTable,
+    raw: RawTable,
     robot: Robot,
-    place: str,
     ask: Callable[[Question], str] | None,
     show: Callable[[Words | Table], None] | None,
-) -> tuple[dict[str, Source], dict[int, str], tuple[str, ...]]:
-    """The table's columns, rows to be left out with the reason of each, and the names of the measured points.
-
-    place : the file that has these points
-    """
-    understood = understand(given, [j.kind for j in robot.joints])
-    if show and understood.columns:
-        show(table_of(given, understood))
-    columns = understood.sources
-    tools, rare = tools_in(given, columns)
-    if len(tools) > 1 and show:
-        show(Words(f"Column 'tool' names {len(tools)} measured points, {', '.join(tools)}: {place} has each."))
-    for question in understood.questions:
-        columns = _answered(columns, question, ask)
-    lost = Columns.of_file(given).mapped(columns).lost_rows
-    left_out = {**rare, **dict.fromkeys(lost, "a cell is no number")}
-    if left_out and show:
-        rows = "; ".join(f"{row}, {why}" for row, why in left_out.items())
-        show(Words(f"Rows that are left out (leave_out in problem.toml): {rows}."))
-    return columns, left_out, tools
-
-
-def _answered(
-    columns: dict[str, Source], question: Question, ask: Callable[[Question], str] | None
-) -> dict[str, Source]:
-    """The columns with one answer; a unit that an answer changes is another name of the same column."""
-    answer = question.choices[ask(question) if ask else next(iter(question.choices))]
-    stems = {name.rpartition("_")[0] or name: name for name in columns}
-    if all(name in stems for name in answer):  # which columns, their units as they were
-        return {**columns, **{stems[name]: replace(columns[stems[name]], name=s.name) for name, s in answer.items()}}
-    taken = {name.rpartition("_")[0] for name in answer}
-    return {**{name: s for name, s in columns.items() if name.rpartition("_")[0] not in taken}, **answer}
+) -> Given:
+    """What a table holds, shown, with what it does not tell as it is answered."""
+    meaning = understood(raw, robot, {})
+    if show:
+        for block in shown_columns(raw, meaning):
+            show(block)
+    for question in meaning.questions:
+        meaning = meaning.answered(question, ask(question) if ask else next(iter(question.choices)), "the answer")
+    columns = Columns.of_file(raw).mapped(meaning.sources)
+    names = {*map(str, columns.table)}
+    kind = next((kind for kind in kinds().values() if kind.matches(names)), None)
+    tools, rare = tools_in(columns)
+    lost = columns.lost_rows
+    found = Given(
+        meaning.sources, {**rare, **dict.fromkeys(lost, "a cell is no number")}, tools, kind.name if kind else "",
+        kind is not None and kind.angles > 0,
+    )  # fmt: skip
+    if show:
+        if found.left_out:
+            rows = "; ".join(f"{row}, {why}" for row, why in found.left_out.items())
+            show(Words(f"Rows that are left out (leave_out in problem.toml): {rows}."))
+        if found.turned:
+            show(Words('The table has orientations: the tool\'s is identified, too (unknown = "pose").'))
+    return found
 
 
-def tools_in(raw: RawTable, columns: Mapping[str, Source]) -> tuple[tuple[str, ...], dict[int, str]]:
+def tools_in(columns: Columns) -> tuple[tuple[str, ...], dict[int, str]]:
     """Names in the column that says which point on the flange was measured, the one measured most first.
 
     Of those measured at fewer poses than tell where they are, the rows, each with the reason to leave it out.
     """
-    table = Columns.of_file(raw).mapped({n: s for n, s in columns.items() if n == "tool"})
-    found = table.tools()
+    found = columns.tools()
     order = sorted(found, key=lambda name: -found[name].sum())
     names = {name: name.removeprefix("tool_") for name in order}
     few = [name for name in order if found[name].sum() < FEWEST and len(order) > 1]
-    rare = {int(row): f"one of few of target {names[n]}" for n in few for row in table.row[found[n] > 0]}
+    rare = {int(row): f"one of few of target {names[n]}" for n in few for row in columns.row[found[n] > 0]}
     return tuple(names[name] for name in order if name not in few), rare
 
 
-def table_of(raw: RawTable, found: Understanding) -> Table:
-    """What was understood of a table, for the terminal."""
-    frame = raw.frame()
-    rows = [(c.ours, c.source.name, c.unit, f"{frame[c.source.name].iloc[0]}", f"from {c.why}") for c in found.columns]
-    rows += [("not used", name, "", "", "") for name in found.left]
-    return Table(f"{raw.path.name}: {raw.form.words}", ("casadical", "file", "unit", "first row", "known"), rows)
+def shown_columns(raw: RawTable, found: Understanding) -> list[Words | Table]:
+    """What was understood of each column of a table, and which are not used."""
+    frame, first = raw.frame(), [c for q in found.questions for c in next(iter(q.choices.values()))]
+    made = {name: c for c in (*found.columns, *first) for name in (c.source.name, *c.source.add)}
+    columns = Columns.of_file(raw).mapped(found.sources)
+    kind = next((kind for kind in kinds().values() if kind.matches({*map(str, columns.table)})), None)
+    rows, unused = [], []
+    for name in raw.header:
+        if c := made.get(name):
+            why = "to be asked" if c in first else f"from {c.why}"
+            rows.append((c.ours, name, c.unit, _cell(frame[name].iloc[0]), why))
+        elif is_ours(name, kind.pattern if kind else ""):
+            rows.append((name, name, "", _cell(frame[name].iloc[0]), "from its name"))
+        elif name:
+            unused.append(name)
+    title = f"{raw.path.name}: {raw.form.words}{f'; kind {kind.name}' if kind else ''}"
+    table = Table(title, ("casadical", "file", "unit", "first row", "known"), rows)
+    return [table, *([Words(f"Not used: {', '.join(unused)}.", "note")] if unused else [])]
+
+
+def _cell(value: object) -> str:
+    return f"{value:.9g}" if isinstance(value, float) else str(value)
 
 
 def _robot_files(

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -126,25 +127,39 @@ file = "{file}"
 """
 
 
+@dataclass(frozen=True)
+class Given:
+    """What a table of measured poses holds.
+
+    columns : how ours are made; left_out : rows of the file, with the reason of each; tools : names of measured points
+    kind : of measurement; turned : whether that says how the tool is turned
+    """
+
+    columns: Mapping[str, Source] = field(default_factory=dict)
+    left_out: Mapping[int, str] = field(default_factory=dict)
+    tools: Sequence[str] = ()
+    kind: str = ""
+    turned: bool = False
+
+
 def problem_text(
-    robot: str,
-    given: bool,
+    robot: Robot,
+    given: Given | None,
+    *,
     links: tuple[str | None, str | None] | None,
-    compliant: bool,
     named_sets: bool,
     seed: int,
     poses: int,
-    file: str = "poses.csv",
-    columns: str = "",
-    tools: Sequence[str] = (),
+    file: str,
 ) -> str:
-    """problem.toml; given : whether poses were given; links : base and tip link of a URDF, None for a robot file.
+    """problem.toml; given : what was measured, None where poses are made up; links : base and tip link of a URDF.
 
-    columns : lines that say what the table's columns are (see `column_lines`); tools : measured points on a URDF's tip
+    named_sets : whether the table has a column `set`
     """
-    title = robot.replace('"', "'").replace("\\", "/")
+    title = robot.name.replace('"', "'").replace("\\", "/")
     mark = f"                 # poses.csv is MADE UP: {poses} poses of the model itself (seed {seed}); put yours there"
     share = "identify = 0.7                     # used in the fit\nreport = 0.3                       # held out\n"
+    compliant = any(j.compliance is not None for j in robot.joints)
     return _PROBLEM.format(
         title=title if given else f"{title}: SYNTHETIC poses, for a first run",
         data='# data = "real"                    # or "synthetic"; printed above every result'
@@ -156,25 +171,27 @@ def problem_text(
         why="             # geometry; geometry and joint compliance"
         if compliant
         else '                   # geometry; add "SKCM" once joints are compliant',
-        urdf=_urdf(links, tools if len(tools) > 1 else ()) if links else "",
+        urdf=_urdf(links, given or Given()) if links else "",
         file=file,
-        columns=columns or '# columns = { x_mm = "X" }         # our name = the file\'s name, where headers differ\n',
+        columns=_column_lines(given or Given()),
         sets='column = "set"                     # of poses.csv: names every pose\'s set' if named_sets
         else f"seed = {seed}\n{share}".rstrip(),
     )  # fmt: skip
 
 
-def column_lines(columns: Mapping[str, Source], left_out: Mapping[int, str]) -> str:
-    """The keys `columns` and `leave_out` of [[measurements]]; left_out : reason by row of the file."""
-    lines = []
-    if left_out:
+def _column_lines(given: Given) -> str:
+    """The keys `kind`, `columns` and `leave_out` of [[measurements]]."""
+    lines = [f'kind = "{given.kind}"'] if given.kind else []
+    if given.left_out:
         lines += ["leave_out = [                      # rows of the file"]
-        lines += [f"    {row}, # {why}" for row, why in left_out.items()]
+        lines += [f"    {row}, # {why}" for row, why in given.left_out.items()]
         lines += ["]"]
-    if columns:
+    if given.columns:
         lines += ["", "[measurements.columns]             # our name = the file's heading"]
-        lines += [f"{ours} = {source_text(source)}" for ours, source in columns.items()]
-    return "\n".join([*lines, ""]) if lines else ""
+        lines += [f"{ours} = {source_text(source)}" for ours, source in given.columns.items()]
+    else:
+        lines.append('# columns = { x_mm = "X" }         # our name = the file\'s name, where headers differ')
+    return "\n".join([*lines, ""])
 
 
 def source_text(source: Source) -> str:
@@ -191,14 +208,15 @@ def source_text(source: Source) -> str:
     return f"{{ {', '.join(parts)} }}"
 
 
-def _urdf(links: tuple[str | None, str | None], tools: Sequence[str]) -> str:
+def _urdf(links: tuple[str | None, str | None], given: Given) -> str:
     lines = ["", "[urdf]"]
     for key, link in zip(("base_link", "tip_link"), links, strict=True):
         lines.append(f'{key} = "{link}"' if link else f'# {key} = "..."             # default: the only one there is')
     lines.append("# compliant = [2, 3]               # joints whose compliance is identified too")
-    for name in tools:
-        lines += ["", "[[urdf.tool]]", f"name = {json.dumps(name, ensure_ascii=False)}"]
+    for name in given.tools if len(given.tools) > 1 else [""] if given.turned else ():
+        lines += ["", "[[urdf.tool]]", *([f"name = {json.dumps(name, ensure_ascii=False)}"] if name else [])]
         lines.append("xyz_mm = [0, 0, 0]                 # TO DO: roughly where it is in the frame of the tip link")
+        lines += ['unknown = "pose"                   # the table says how it is turned'] if given.turned else []
     return "\n".join([*lines, ""])
 
 
@@ -227,10 +245,16 @@ Next:
 """
 
 
-def with_tools(robot: str, names: Sequence[str]) -> str:
-    """The text of a robot file with a table [[tool]] for each measured point in place of its [tool]."""
+def with_tools(robot: str, names: Sequence[str], turned: bool = False) -> str:
+    """The text of a robot file with a table [[tool]] for each of several measured points in place of its [tool].
+
+    turned : whether it was measured how they are turned
+    """
     start, rest = robot.split("[tool]", 1)
     own, after = rest.split("\n\n", 1)
+    own = own.replace('"position"', '"pose"') if turned else own
+    if len(names) < 2:
+        return f"{start}[tool]{own}\n\n{after}"
     keys = own.split("\n", 1)[1]
     tables = [
         f"[[tool]]  # measured point {name}\nname = {json.dumps(name, ensure_ascii=False)}\n{keys}" for name in names

@@ -81,6 +81,7 @@ def read_urdf(
         replace(
             _joint(row, j, body, str(path)),
             compliance=0.0 if i in compliant else None,
+            name=j.name,
             coupling=_coupling(j, [other.name for other in chain.moving]),
         )
         for i, (row, j, body) in enumerate(zip(chain.dh.rows, chain.moving, chain.bodies, strict=True), 1)
