@@ -145,7 +145,7 @@ def diagnose(
     workspace = given[0].workspace(room)
     options = Options(
         effects_of(effects), seed, bootstrap, "nuisance" if nuisance_masses else "candidate", rival_laws,
-        laws is not False, laws is True,
+        laws,
     )  # fmt: skip
     file = measure_next if len(given) == 1 else None
     answers: list[CampaignDiagnosis] = []

@@ -10,7 +10,7 @@ from casadical.diagnosis.cross_validation import partitioned_errors, shrink_inte
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.result import CauseSet
 from casadical.diagnosis.search import End, State, Step, indistinguishable, next_cause
-from casadical.diagnosis.thresholds import DETECT_FURTHER, LEAST_ALIKE
+from casadical.diagnosis.thresholds import CLAIM, DETECT_FURTHER, LEAST_ALIKE
 from casadical.measurements.noise import Noise
 
 # Probabilities below this are not distinguished.
@@ -25,7 +25,8 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
     """The state with those causes alone that are certain beside the others, and why there is no further one.
 
     A cause is certain from `thresholds.CLAIM` on, against every other in its place and none, if the gap shrinks with it
-    on poses held out. One that is there without being certain is kept if it has more evidence than each certain one and
+    on poses held out. So is a member with two or three names, which the data do not distinguish, from the same on for
+    these together. One that is there without being certain is kept if it has more evidence than each certain one and
     is probable together with what cannot be distinguished from it; it comes first. All others in doubt are left out.
     """
     if not state.steps:
@@ -34,7 +35,7 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
     there = [s for k, s in enumerate(steps) if _shrinks(state, k, seed)]
     there = [s for s in there if s.labels[0] not in state.doubted]
     alone = len(state.steps) == 1
-    certain = [s for s in there if len(s.labels) == 1 and (alone or s.ranking.none <= DETECT_FURTHER)]
+    certain = [s for s in there if _is_certain(state, s) and (alone or s.ranking.none <= DETECT_FURTHER)]
     doubtful = [s for s in there if s not in certain and _is_listed(state, s)]
     doubtful = [s for s in doubtful if sum(s.ranking.probability[k] for k in s.labels) >= LIKELY]
     strongest = max(doubtful, key=_evidence, default=None)
@@ -65,6 +66,13 @@ def _is_listed(state: State, step: Step) -> bool:
     ranking, listed = step.ranking, state.listed(step.ranking)
     share = sum(ranking.probability[k] for k in listed)
     return listed[0] == step.labels[0] and share >= 0.5 * (1 - ranking.none)
+
+
+def _is_certain(state: State, step: Step) -> bool:
+    """Whether a step has one name, or some of which one is right for certain, its own the most probable."""
+    each = [step.ranking.probability[k] for k in step.labels]
+    names = all(state.by_label[k].name != "unknown" for k in step.labels)
+    return len(each) == 1 or (names and each[0] == max(each) and min(each) >= LEAST_ALIKE and sum(each) >= CLAIM)
 
 
 def _evidence(step: Step) -> float:
@@ -102,14 +110,17 @@ def cause_set(state: State) -> CauseSet | None:
     last, own = state.rankings[-1], tuple(s.labels[0] for s in state.steps)
     # Odds of each set against the named one.
     odds = {(*own, k): p / max(last.none, LEAST) for k, p in last.probability.items()}
-    against = {}
+    against, names = {}, {}
     for step, label in zip(state.steps, own, strict=True):
         ranking, rest = step.ranking, tuple(k for k in own if k != label)
-        p = max(ranking.probability[label], LEAST)
-        odds |= {(*rest, k): q / p for k, q in ranking.probability.items() if k != label} | {rest: ranking.none / p}
+        if len(step.labels) > 1:
+            names[label] = {k: ranking.probability[k] for k in step.labels}
+        p = max(sum(ranking.probability[k] for k in step.labels), LEAST)
+        others = {k: q / p for k, q in ranking.probability.items() if k not in step.labels}
+        odds |= {(*rest, k): q for k, q in others.items()} | {rest: ranking.none / p}
         against[label] = (1 - p) / p
     more = (1 - last.none) / max(last.none, LEAST)
     total = 1 + more + sum(against.values())
     first = sorted(odds, key=lambda k: -odds[k])[:OTHERS]
-    others = tuple((k, odds[k] / total) for k in first if odds[k] / total >= LEAST_ALIKE)
-    return CauseSet(1 / total, 1 - last.none, {k: 1 - odd / total for k, odd in against.items()}, others)
+    sets = tuple((k, odds[k] / total) for k in first if odds[k] / total >= LEAST_ALIKE)
+    return CauseSet(1 / total, 1 - last.none, {k: 1 - odd / total for k, odd in against.items()}, sets, names)

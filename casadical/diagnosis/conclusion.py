@@ -157,7 +157,7 @@ def _verdict(state: State, end: End, gap: Gap, found: bool, shrinks: pd.DataFram
         return "unknown", rest
     if end == "unknown" and _remainder(state) > MISMATCH:
         return "unknown", rest
-    if state.steps and len(state.steps[0].labels) > 1:
+    if any(len(step.labels) > 1 for step in state.steps):
         return "ambiguous", rest
     blocks = shrinks["blocks_mm"].to_numpy()
     if blocks[-1] > WORSE * blocks[0]:  # what does not hold over time explains nothing

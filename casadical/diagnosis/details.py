@@ -13,6 +13,7 @@ from casadical.diagnosis.laws.discovery import laws_beside
 from casadical.diagnosis.limits import ruled_out
 from casadical.diagnosis.localisation import Localisation, localise
 from casadical.diagnosis.next_poses import next_poses
+from casadical.diagnosis.noise_floor import noise_floor
 from casadical.diagnosis.result import Diagnosis, Unlisted
 from casadical.diagnosis.smooth_description import describe_unlisted
 from casadical.diagnosis.spectrum import Spectrum, curve_of, spectrum
@@ -35,6 +36,7 @@ class Details:
     laws : see `casadical.discover`; where the verdict is unknown, or it was asked for
     poses : see `next_poses`
     file : name of the file that they are written to, if they are
+    floor : what noise alone would leave beside the model of the page that predicts best [m]
     ruled_out : causes that are not there: multiple of their usual size -> labels (see `casadical.diagnosis.limits`)
     """
 
@@ -47,6 +49,7 @@ class Details:
     laws: Discovery | None = None
     poses: pd.DataFrame | None = None
     file: str = ""
+    floor: float | None = None
     ruled_out: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
 
@@ -57,7 +60,7 @@ def analyse(
     workspace: Workspace | None = None,
     networks: bool = False,
     highest_line: float | None = None,
-    laws: bool = False,
+    laws: bool | None = None,
     file: str = "",
     show: Show = silent,
 ) -> Details:
@@ -75,8 +78,8 @@ def analyse(
         whether to train networks, instead of the causes and after them
     highest_line : float, optional
         up to which frequency lines of joint error curves are looked for [cycles a turn], see `spectrum`
-    laws : bool, default False
-        whether the missing law is searched for where the verdict is not unknown, too
+    laws : bool, optional
+        whether the missing law is searched for; by default where the verdict is unknown
     file : str, default ""
         name of the file that the next poses are written to, for the page
     show : Show, optional
@@ -101,11 +104,22 @@ def analyse(
     if curved:
         show("joint error curves")
     curves = spectrum(found, highest_line) if curved else None
-    search = laws or (found.case.one_end and found.verdict == "unknown")
+    search = found.case.one_end and found.verdict == "unknown" if laws is None else laws
     discovery = laws_beside(found, show) if search else None
     show("poses to measure next")
     chosen = next_poses(found, poses, workspace=workspace)
     show("what these poses can show")
     unlisted = describe_unlisted(found)
     out = ruled_out(found, unlisted)
-    return Details(where, isolability(found), unlisted, check, gaps, curves, discovery, chosen, file, out)
+    floor = _floor(found, unlisted, discovery)
+    return Details(where, isolability(found), unlisted, check, gaps, curves, discovery, chosen, file, floor, out)
+
+
+def _floor(found: Diagnosis, unlisted: Unlisted | None, laws: Discovery | None) -> float:
+    """What noise alone leaves [m], by the noise beside the best of: causes, forms on no list, laws."""
+    best, noise = found.gap.after, found.noise
+    if unlisted and unlisted.beside and unlisted.after < best:
+        best, noise = unlisted.after, unlisted.beside.noise[""]
+    if laws and laws.gap.get("law", best) < best:
+        noise = laws.noise
+    return noise_floor(found.case.evidence, noise, found.replicates, found.seed)

@@ -13,7 +13,7 @@ from casadical.diagnosis.limits import cannot_tell
 from casadical.diagnosis.next_poses import discrimination_probability
 from casadical.diagnosis.result import Cause, CauseSet, Diagnosis, Unlisted
 from casadical.diagnosis.spectrum_report import as_json as curves_as_json
-from casadical.diagnosis.statements import assumptions, headline, missing_columns
+from casadical.diagnosis.statements import assumptions, floor_of, headline, missing_columns
 from casadical.diagnosis.text import page_of
 from casadical.identification.gravity import as_json as gravity_as_json
 from casadical.identification.prior import Prior
@@ -33,7 +33,7 @@ def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[st
     return {
         "campaign": campaign,
         "verdict": d.verdict,
-        "gap_mm": {"before": _mm(d.gap.before), "after": _mm(d.gap.after), "floor": _mm(d.gap.floor)},
+        "gap_mm": {"before": _mm(d.gap.before), "after": _mm(d.gap.after), "floor": _mm(floor_of(d, more))},
         **({} if d.p_nothing is None else {"p_nothing": d.p_nothing}),
         **({"prior": _prior(d, d.prior)} if d.prior else {}),
         "causes": [_cause(c) for c in d.causes],
@@ -79,7 +79,7 @@ def diagnosis_files(
     """
     folder = Path(folder)
     refit = found.refit(unlisted=more.unlisted if unlisted else None)
-    comment = f"Diagnosed by casadical from {name}.\n{headline(found)}\n{refit.verdict}"
+    comment = f"Diagnosed by casadical from {name}.\n{headline(found, more)}\n{refit.verdict}"
     kinds = [type(effect) for effect in refit.robot.effects]
     return {
         folder / "diagnosed.robot.toml": to_toml(refit.robot, comment, kinds),
@@ -120,6 +120,11 @@ def _set(s: CauseSet) -> dict[str, Any]:
         "one_more": round(s.one_more, 4),
         "members": members,
         "others": others,
+        **(
+            {"names": {k: {n: round(p, 4) for n, p in names.items()} for k, names in s.names.items()}}
+            if s.names
+            else {}
+        ),
     }
 
 

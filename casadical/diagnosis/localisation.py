@@ -2,7 +2,7 @@
 95 % interval."""
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -12,7 +12,6 @@ from casadical.core.arrays import Array
 from casadical.diagnosis.components import INSTRUMENT, Components, components
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.result import Diagnosis
-from casadical.effects import Effect
 from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.noise import Noise
@@ -28,8 +27,8 @@ BINS = ("by", "part", "poses", "share", "low", "high", "rms_mm", "rms_low_mm", "
 class Localisation:
     """Where the gap that the base model leaves lies; a table each, empty where a column was not logged.
 
-    joints : columns part, share, low, high, rms_mm: joints whose smooth errors would account for the gap, the rest as
-        "elsewhere"; shares sum to one, intervals are those of the fit
+    joints : columns part, share, low, high, rms_mm: what named causes explain through each joint, and smooth errors of
+        it beside them; the rest as "elsewhere"; shares sum to one, intervals are those of the fit
     links : the same of base, links and tool, and of the instrument where a cause is in it
     directions : the same with column frame: base (x, y, z), axis (radial, tangential, vertical about joint 1), tool (x,
         y, z); each frame sums to one, noise included; intervals by bootstrap over poses, as in all that follow
@@ -68,17 +67,19 @@ class Localisation:
 
 def localise(found: Diagnosis) -> Localisation:
     """Where the gap of a diagnosis' base model lies: by joint, link, direction, region and circumstances."""
-    faults = [e for c in found.causes if c.of_instrument for e in c.effects]
-    return localise_residual(found.case, found.noise, found.seed, faults)
+    return localise_residual(found.case, found.noise, found.columns, found.seed, noise_is_left=found.noise_is_left)
 
 
-def localise_residual(case: Case, noise: Noise, seed: int = 0, faults: Sequence[Effect] = ()) -> Localisation:
+def localise_residual(
+    case: Case, noise: Noise, causes: Array, seed: int = 0, *, noise_is_left: bool = False
+) -> Localisation:
     """Where the residual of a case lies.
 
-    noise : that is left aside in the shares of joints and links; faults : found in the instrument
+    noise : that is left aside in the shares of joints and links; causes : columns of those that were found
+    noise_is_left : whether these leave noise alone
     """
     # Between two poses no one reading is where the gap lies.
-    found = components(case, noise, seed, faults) if case.one_end else None
+    found = components(case, noise, causes, seed, noise_is_left=noise_is_left) if case.one_end else None
     split = _Split(case, seed)
     return Localisation(
         joints=_parts(found, "joint"),

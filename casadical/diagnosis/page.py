@@ -16,7 +16,7 @@ from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.spectrum import Spectrum
 from casadical.diagnosis.spectrum_report import COLUMNS as CURVE_COLUMNS
 from casadical.diagnosis.spectrum_report import curve_rows
-from casadical.diagnosis.statements import Statement, has_rest, left_over, statements
+from casadical.diagnosis.statements import Statement, floor_of, left_over, statements
 from casadical.identification.accuracy import summarise
 from casadical.identification.tables import correlated, held_table, parameter_tables
 
@@ -54,7 +54,7 @@ def diagnosis_page(d: Diagnosis, name: str, more: Details | None = None, replaye
         Section("Can the fit be trusted", shown(figures, "fit")),
         Section("What to measure next", [*_next(said, more.poses)]),
     ]  # fmt: skip
-    return Page("Diagnosis", f"Diagnosis of {name}", d.identification.given.name, sections, [*_tiles(d)])
+    return Page("Diagnosis", f"Diagnosis of {name}", d.identification.given.name, sections, [*_tiles(d, more)])
 
 
 def _said(said: Sequence[Statement], *about: str) -> Iterator[Words]:
@@ -68,15 +68,15 @@ def _said(said: Sequence[Statement], *about: str) -> Iterator[Words]:
             yield Words(f"{text}.", "verdict" if topic == "VERDICT" else "warning" if s.doubtful else "text")
 
 
-def _tiles(d: Diagnosis) -> Iterator[Tile]:
+def _tiles(d: Diagnosis, more: Details) -> Iterator[Tile]:
     yield Tile("Gap, held out", mm(d.gap.kept), "mm", f"mean of {int(d.case.kept.sum())} poses")
     if d.effects():
         yield Tile("With the causes", mm(d.gap.after), "mm", f"{100 * (1 - d.gap.after / d.gap.kept):.0f} % less")
-    yield Tile("Noise alone", mm(d.gap.floor), "mm", f"instrument {mm(d.noise.sigma)} mm a coordinate")
+    yield Tile("Noise alone", mm(floor_of(d, more)), "mm", f"instrument {mm(d.noise.sigma)} mm a coordinate")
     if d.effects():
         first = next(c for c in d.causes if c.effects)
         yield Tile("Leading cause", first.label.replace("_", f"_{BREAK}"), "", f"probability {first.confidence:.3f}")
-    if has_rest(d):
+    if d.has_rest:
         before, after, share = left_over(d)
         yield Tile(
             "Without a named cause", mm(1e-3 * after), "mm rms", f"{100 * share:.0f} % of {before:.3f}, noise off"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
@@ -17,6 +17,7 @@ from casadical.diagnosis.cross_validation import fitted_without, partitioned_err
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_floor import Replicates
 from casadical.diagnosis.posterior import Ranking
+from casadical.diagnosis.thresholds import DETECT_FURTHER
 from casadical.effects import Effect
 from casadical.identification.pose_errors import ModelErrors, PoseErrors
 from casadical.identification.prior import Prior
@@ -27,6 +28,8 @@ from casadical.robot.robot import Robot
 if TYPE_CHECKING:
     from casadical.diagnosis.laws.round import Round
 
+# From this share of the gap on, what lies above the noise floor and has no named cause is reported.
+REST = 0.05
 # Two forms are not in question where one has this share of what both have.
 CERTAIN = 0.99
 Verdict = Literal["none", "explained", "ambiguous", "unknown"]
@@ -118,12 +121,14 @@ class CauseSet:
     probability : of exactly these, among all sets that differ from it by one cause
     one_more : probability of a further cause beside them; members : of each cause, by label, whatever the others are
     others : the most probable other sets, forms on no list among them, each with its probability
+    names : of a cause that these data do not tell from one or two others: each label with its probability, by the first
     """
 
     probability: float
     one_more: float
     members: Mapping[str, float]
     others: tuple[tuple[tuple[str, ...], float], ...] = ()
+    names: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -293,6 +298,16 @@ class Diagnosis:
         """Columns of all causes in the case's evidence, shape (k,), as whole numbers without unit; see `case`."""
         effects = self.effects()
         return np.unique(self.case.group(effects)) if effects else np.zeros(0, dtype=np.int64)
+
+    @property
+    def noise_is_left(self) -> bool:
+        """Whether the causes leave noise alone: nothing further is there, and what is above the floor is little."""
+        return self.rankings[-1].none > DETECT_FURTHER and not self.has_rest
+
+    @property
+    def has_rest(self) -> bool:
+        """Whether more is left above the noise floor than can be passed over."""
+        return self.verdict != "none" and self.unknown_rest > REST
 
     @cached_property
     def held_out(self) -> PoseErrors:

@@ -182,12 +182,20 @@ def next_cause(state: State, ranking: Ranking, p_nothing: float | None = None) -
     if not _detected(state, ranking, p_nothing):
         return "none", ()
     listed = state.listed(ranking)
-    unknown = 1 - ranking.none - sum(ranking.probability[label] for label in listed)
-    if not listed or unknown > 0.5:
+    there = 1 - ranking.none
+    alike = indistinguishable(ranking, listed) if listed else ()
+    together = sum(ranking.probability[label] for label in alike)
+    if not listed:
         return "unknown", ()
-    if state.steps and ranking.probability[listed[0]] < LEAST_FURTHER * (1 - ranking.none):
+    if there - sum(ranking.probability[k] for k in listed) > 0.5:
+        # On no list, unless it has a few names, a listed one among them.
+        known = ranking.probability[listed[0]] > LEAST_ALIKE * there
+        if not known or together < SET_SHARE * there or any(state.by_label[k].name == "unknown" for k in alike):
+            return "unknown", ()
+        alike = tuple(sorted(alike, key=lambda k: -ranking.probability[k]))
+    if state.steps and ranking.probability[listed[0]] < LEAST_FURTHER * there and together < SET_SHARE * there:
         return "ambiguous", ()
-    return "claimed", indistinguishable(ranking, listed)
+    return "claimed", alike
 
 
 def _detected(state: State, ranking: Ranking, p_nothing: float | None) -> bool:

@@ -13,11 +13,11 @@ from casadical.diagnosis.held_out_gap import Check, NetworkGap, of_time
 from casadical.diagnosis.limits import cannot_tell, indistinguishable, invisible
 from casadical.diagnosis.next_poses import discrimination_probability, kinds_of_poses
 from casadical.diagnosis.result import Diagnosis
-from casadical.diagnosis.thresholds import CLAIM, SET_CLAIM
+from casadical.diagnosis.thresholds import SET_CLAIM
 from casadical.identification.gravity import in_words as gravity_in_words
 
-# From this share of the gap on, what lies above the noise floor and has no named cause is reported.
-REST = 0.05
+# Poses that raise the probability of a right choice by less tell nothing.
+LITTLE = 0.02
 # Stands between words of an item that is not broken over two lines.
 TIED = "\u00a0"
 
@@ -40,9 +40,9 @@ def statements(d: Diagnosis, more: Details | None = None) -> list[Statement]:
     """All statements in the order in which a reader wants them."""
     more = more or Details()
     parts = [
-        _verdict(d),
+        _verdict(d, more),
         _prior(d),
-        _gap(d),
+        _gap(d, more),
         _assumed(d),
         _gravity(d),
         _instrument(d),
@@ -58,8 +58,8 @@ def statements(d: Diagnosis, more: Details | None = None) -> list[Statement]:
     return [s for part in (*parts, _outliers(d), _missing(d), _next(d, more)) for s in part]
 
 
-def _verdict(d: Diagnosis) -> Iterator[Statement]:
-    yield Statement("VERDICT", headline(d))
+def _verdict(d: Diagnosis, more: Details) -> Iterator[Statement]:
+    yield Statement("VERDICT", headline(d, more))
 
 
 def _prior(d: Diagnosis) -> Iterator[Statement]:
@@ -75,33 +75,43 @@ def _prior(d: Diagnosis) -> Iterator[Statement]:
         yield Statement("PRIOR", f"{text}; taken as new, its earlier values are not used" if new else text, new)
 
 
-def headline(d: Diagnosis) -> str:
+def headline(d: Diagnosis, more: Details | None = None) -> str:
     """The verdict in a sentence: causes, and how much of the gap they leave without a cause."""
-    named = _and(c.label for c in d.causes)
+    named, floor = members(d), mm(floor_of(d, more))
     if d.verdict == "none":
         return "none: what is left is noise, no cause can be claimed"
     if d.verdict == "ambiguous" and not d.causes:
         return "ambiguous: something is there, but no cause that is certain makes the gap smaller on poses held out"
-    if d.verdict == "ambiguous" and d.cause_set and min(d.cause_set.members.values()) >= CLAIM:
-        exactly = d.cause_set.probability
-        words = f"ambiguous: {named}; each is certain, yet exactly these have a probability of {exactly:.2f} alone"
-        return f"{words}; {_rest(d)}" if has_rest(d) else words
     if d.verdict == "ambiguous":
-        words = "ambiguous: something is there that several causes explain equally well, no single one can be claimed"
-        return f"{words}; {_rest(d)}" if has_rest(d) else words
+        words, sets = f"ambiguous: {named}", d.cause_set
+        if sets and not sets.names and sets.one_more > SET_CLAIM:
+            words += f"; one more cause is there with probability {sets.one_more:.2f}, and these data do not tell which"
+        left = f"{mm(d.gap.kept)} -> {mm(d.gap.after)} mm, noise alone would leave {floor}"
+        return f"{words}; {_rest(d) if d.has_rest else left}"
     if d.verdict == "unknown":
         words = f"unknown: something is there that no listed cause explains; {_rest(d)}"
         return f"{words}; named: {named}" if named else words
-    if has_rest(d):
+    if d.has_rest:
         return f"explained in part only: {named}; yet {_rest(d)}"
-    if not d.effects():
-        return f"explained: {named}; the other poses: {mm(d.gap.kept)} mm, noise alone would leave {mm(d.gap.floor)}"
-    return f"explained: {named}; {mm(d.gap.kept)} -> {mm(d.gap.after)} mm, noise alone would leave {mm(d.gap.floor)}"
+    after = f"{mm(d.gap.kept)} -> {mm(d.gap.after)} mm" if d.effects() else f"the other poses: {mm(d.gap.kept)} mm"
+    return f"explained: {named}; {after}, noise alone would leave {floor}"
 
 
-def has_rest(d: Diagnosis) -> bool:
-    """Whether more is left above the noise floor than can be passed over."""
-    return d.verdict != "none" and d.unknown_rest > REST
+def members(d: Diagnosis) -> str:
+    """The causes; one that these data do not tell from others with all their names, each with its probability."""
+    each = [names_of(d, c.label) for c in d.causes]
+    return "; ".join(each) if d.cause_set and d.cause_set.names else _and(each)
+
+
+def names_of(d: Diagnosis, label: str) -> str:
+    """A cause's label, or all its names."""
+    names = d.cause_set.names.get(label, {}) if d.cause_set else {}
+    return " or ".join(f"{k} ({p:.2f})" for k, p in names.items()) or label
+
+
+def floor_of(d: Diagnosis, more: Details | None) -> float:
+    """What noise alone would leave beside the best model that is told [m]."""
+    return d.gap.floor if more is None or more.floor is None else more.floor
 
 
 def left_over(d: Diagnosis) -> tuple[float, float, float]:
@@ -122,7 +132,7 @@ def readings_of(d: Diagnosis) -> str:
     return f", of each the norm over up to {most} readings" if most > 1 else ""
 
 
-def _gap(d: Diagnosis) -> Iterator[Statement]:
+def _gap(d: Diagnosis, more: Details) -> Iterator[Statement]:
     r = d.replicates
     source = f"from {r.poses} repeated poses" if r.enough else "by the fit; too few poses are repeated"
     there = "nothing detected" if d.verdict == "none" else "detected"
@@ -131,8 +141,9 @@ def _gap(d: Diagnosis) -> Iterator[Statement]:
     out = f", {len(d.outliers)} outliers left out" if d.outliers else ""
     yield Statement(
         "GAP",
-        f"{mm(d.gap.kept)} mm mean on poses held out{readings_of(d)}{out}; noise floor {mm(d.gap.floor)} ({source}); "
-        f"{int(d.case.kept.sum())} poses; {there}, P(nothing) = {d.rankings[0].none:.2g}{chance}",
+        f"{mm(d.gap.kept)} mm mean on poses held out{readings_of(d)}{out}; noise floor "
+        f"{mm(floor_of(d, more))} ({source}); {int(d.case.kept.sum())} poses; {there}, "
+        f"P(nothing) = {d.rankings[0].none:.2g}{chance}",
     )
     if form := d.rankings[-1].noise_form:
         yield Statement(
@@ -221,7 +232,7 @@ def _which(d: Diagnosis) -> Iterator[Statement]:
     order = "; the largest shrink first" if len(d.causes) > 1 else ""
     yield Statement("WHICH", f"each cause alone beside the base model{order}" if d.causes else "no cause can be named")
     if d.cause_set:
-        each = ", ".join(f"{label} {p:.2f}" for label, p in d.cause_set.members.items())
+        each = ", ".join(f"{names_of(d, label)} {p:.2f}" for label, p in d.cause_set.members.items())
         yield Statement(
             "SET",
             f"exactly these causes with probability {d.cause_set.probability:.2f}; {each}; one more "
@@ -239,7 +250,7 @@ def _after(d: Diagnosis, more: Details) -> Iterator[Statement]:
         yield Statement(
             "AFTER",
             f"{last['gap_mm']:.3f} mm {added} ({last['low_mm']:.3f} to {last['high_mm']:.3f}), poses left out one by "
-            f"one {last['loo_mm']:.3f}; noise floor {mm(d.gap.floor)}",
+            f"one {last['loo_mm']:.3f}; noise floor {mm(floor_of(d, more))}",
         )
         before, after, share = left_over(d)
         yield Statement(
@@ -265,14 +276,11 @@ def _layered(d: Diagnosis) -> Iterator[Statement]:
 
 def _refitted(check: Check) -> Statement:
     """What the nonlinear refit says. It is tried on one partition into fifths, so that its own gap is not shown."""
-    off = 100 * (check.refit / check.linearised - 1)
+    ratio = check.refit / check.linearised
+    beside = "as the linearised model" if abs(ratio - 1) < 0.005 else f"{change(ratio)} than the linearised model"
     said = "they agree" if check.agree else "they DISAGREE"
-    return Statement(
-        "AFTER",
-        f"refitted by Ipopt, nonlinear, each fifth left out once more: {abs(off):.0f} % "
-        f"{'above' if off >= 0 else 'below'} the linearised model; {said}",
-        doubtful=not check.agree,
-    )
+    words = f"refitted by Ipopt, nonlinear, each fifth left out once more: {beside}; {said}"
+    return Statement("AFTER", words, doubtful=not check.agree)
 
 
 def _networks(networks: tuple[NetworkGap, NetworkGap], steps: bool) -> Iterator[Statement]:
@@ -280,13 +288,13 @@ def _networks(networks: tuple[NetworkGap, NetworkGap], steps: bool) -> Iterator[
         refused = f", refused in {net.refused} of 5 trainings" if net.refused else ""
         yield Statement(
             "AFTER",
-            f"6-5-3 network {what if steps else 'on the gap'}: {_change(net.used / net.before)}{refused}"
-            + (f" (used all the same: {_change(net.forced / net.before)})" if net.refused else ""),
+            f"6-5-3 network {what if steps else 'on the gap'}: {change(net.used / net.before)}{refused}"
+            + (f" (used all the same: {change(net.forced / net.before)})" if net.refused else ""),
         )
 
 
-def _change(ratio: float) -> str:
-    """A held-out error beside that of the same model without the network, on the same fifths."""
+def change(ratio: float) -> str:
+    """An error beside another one on the same poses."""
     return f"{abs(100 * (ratio - 1)):.0f} % {'more' if ratio > 1 else 'less'}"
 
 
@@ -309,7 +317,7 @@ def _ruled_out(more: Details) -> Iterator[Statement]:
 
 
 def _unknown(d: Diagnosis, more: Details) -> Iterator[Statement]:
-    if has_rest(d):
+    if d.has_rest:
         words = [f"{left_over(d)[1]:.3f} mm rms that no cause named here explains", _resembles(d, more)]
         if not d.replicates.enough:
             words.append(
@@ -325,7 +333,7 @@ def _unknown(d: Diagnosis, more: Details) -> Iterator[Statement]:
 def _law(more: Details) -> Iterator[Statement]:
     """The missing law, where something unknown is there."""
     if more.laws:
-        yield Statement("LAW" if more.laws.laws else "UNKNOWN", more.laws.in_words)
+        yield Statement("LAW", more.laws.in_words)
 
 
 def _resembles(d: Diagnosis, more: Details) -> str:
@@ -339,11 +347,13 @@ def _resembles(d: Diagnosis, more: Details) -> str:
     u = more.unlisted
     if u is None:
         return words
-    low, high = (100 * x for x in u.shrink_interval)
+    forms = f"{', '.join(u.labels[:-1])}{' and ' if u.labels[1:] else ''}{u.labels[-1]}"
+    low, high = u.shrink_interval
+    if low <= 0:
+        return f"{words}; with {forms} in the model the error on poses held out is not surely smaller"
     return (
-        f"{words}; with {', '.join(u.labels[:-1])}{' and ' if u.labels[1:] else ''}{u.labels[-1]} in the model, causes "
-        f"or not, {1e3 * u.before:.3f} -> {1e3 * u.after:.3f} mm on poses "
-        f"held out, {low:.0f} to {high:.0f} % less (--out DIR --unlisted writes them)"
+        f"{words}; with {forms} in the model, causes or not, {1e3 * u.before:.3f} -> {1e3 * u.after:.3f} mm on poses "
+        f"held out, {100 * low:.0f} to {100 * high:.0f} % less (--out DIR --unlisted writes them)"
     )
 
 
@@ -381,10 +391,17 @@ def _next(d: Diagnosis, more: Details) -> Iterator[Statement]:
     if poses is None or not len(poses):
         return
     before, after = discrimination_probability(d, poses)
+    asked = " from ".join(d.in_question)
+    if after - before < LITTLE:
+        yield Statement(
+            "NEXT",
+            f"{len(poses)} more poses of this robot would hardly tell {asked}: P(correct) {before:.2f} -> {after:.2f}",
+        )
+        return
     where = f" -> {more.file}" if more.file else ""
     yield Statement(
         "NEXT",
-        f"measure {len(poses)} poses{where} ({kinds_of_poses(d.case, poses)}) to tell {' from '.join(d.in_question)}: "
+        f"measure {len(poses)} poses{where} ({kinds_of_poses(d.case, poses)}) to tell {asked}: "
         f"P(correct) {before:.2f} -> {after:.2f}",
     )
 

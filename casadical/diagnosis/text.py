@@ -14,7 +14,7 @@ from casadical.diagnosis.details import Details
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.spectrum import Spectrum, curve_of
 from casadical.diagnosis.spectrum_report import COLUMNS, MOST_SUGGESTED, curve_rows
-from casadical.diagnosis.statements import TIED, Statement, readings_of, statements
+from casadical.diagnosis.statements import TIED, Statement, floor_of, readings_of, statements
 
 WIDTH = 112
 LABEL = 8
@@ -116,17 +116,19 @@ def brief(title: str, d: Diagnosis, more: Details | None = None) -> Sequence[Wor
     return [
         Words(title, "title"),
         Words(_sentence(verdict), "verdict"),
-        _errors(d),
+        _errors(d, more),
         *_causes(d),
         *(Words(_short(s), "warning" if s.doubtful else "note") for s in _things(d, told)),
     ]
 
 
-def _errors(d: Diagnosis) -> Table:
+def _errors(d: Diagnosis, more: Details | None) -> Table:
     steps = any(c.effects for c in d.causes)
-    rows = [("before: calibrated, without causes", mm(d.gap.before))]
+    rows = [("before: calibrated, without causes", mm(d.gap.kept))]
+    if d.gap.before > d.gap.kept:
+        rows = [("before, outliers in", mm(d.gap.before)), ("before: calibrated, without causes", mm(d.gap.kept))]
     rows += [("after: with the causes in the model", mm(d.gap.after))] if steps else []
-    rows += [("noise alone would leave", mm(d.gap.floor))]
+    rows += [("noise alone would leave", mm(floor_of(d, more)))]
     title = f"Mean error on poses held out, of {int(d.case.kept.sum())}{readings_of(d)} [mm]"
     return Table(title, ("model", "mean"), rows, frozenset({1}))
 

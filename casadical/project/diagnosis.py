@@ -117,8 +117,8 @@ def read_campaigns(
 class Options:
     """How a campaign is diagnosed; each as in `casadical.diagnose`.
 
-    rival_laws : whether laws compete at every ranking; search_laws : whether the missing law is searched for where the
-    verdict is not unknown, too, and told in full
+    rival_laws : whether laws compete at every ranking; laws : whether the missing law is searched for; by default
+        where the verdict is unknown, and as a rival of all causes together; asked for, it is told in full
     """
 
     effects: EffectChoice = "standard"
@@ -126,8 +126,7 @@ class Options:
     bootstrap: int = 0
     masses: Masses = "candidate"
     rival_laws: bool = False
-    laws: bool = True
-    search_laws: bool = False
+    laws: bool | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +155,7 @@ class CampaignDiagnosis:
             workspace=workspace,
             networks=networks,
             highest_line=highest_line,
-            laws=self.options.search_laws,
+            laws=self.options.laws,
             file=file,
             show=show,
         )
@@ -169,7 +168,7 @@ class CampaignDiagnosis:
     @property
     def searched(self) -> Discovery | None:
         """The search for the missing law, where it was asked for."""
-        return self.details.laws if self.options.search_laws else None
+        return self.details.laws if self.options.laws else None
 
     def law_blocks(self) -> Sequence[Words | Table]:
         """The search for the missing law, where it was asked for: laws, their rivals, and what each leaves."""
@@ -223,7 +222,7 @@ def diagnose_campaign(campaign: Campaign, options: Options | None = None, show: 
         prior=campaign.prior,
         masses=asked.masses,
         rivals=law_rivals if asked.rival_laws else no_rivals,
-        laws=asked.laws,
+        laws=asked.laws is not False,
         show=show,
     )
     return CampaignDiagnosis(campaign, asked, found)

@@ -125,7 +125,7 @@ def where_left(result: Identification) -> Localisation | None:
         m, _ = derive(m, [*(f"approach{i}" for i in range(1, result.given.n + 1)), "progress"])
         some = (m[np.sort(np.random.default_rng(0).choice(len(m), MOST_LOCATED, replace=False))],)
         result = replace(result, measurements=some, outliers=(), problem=replace(result.problem, sets=some))
-    return localise_residual(make_case(result, ()), Noise(result.sigmas[0][0], 0.0))
+    return localise_residual(make_case(result, ()), Noise(result.sigmas[0][0], 0.0), np.zeros(0, dtype=np.int64))
 
 
 def calibration_figures(problem: Problem, results: Identifications, networks: Networks | None) -> Iterator[Figure]:

@@ -9,29 +9,21 @@ from cases import case, diagnosed, robot, simulated
 from numpy_physics import Disturbance, disturbances
 
 from casadical.diagnosis.candidates import candidates_of
-from casadical.diagnosis.components import _products_of, _sizes
+from casadical.diagnosis.components import products_of_rows, sizes_of_groups
+from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.linear_problem import Case, make_case
-from casadical.diagnosis.localisation import (
-    BINS,
-    DIRECTIONS,
-    PARTS,
-    Localisation,
-    _directions,
-    _payload,
-    _Split,
-    localise,
-    localise_residual,
-)
+from casadical.diagnosis.localisation import BINS, DIRECTIONS, PARTS, Localisation, localise, localise_residual
 from casadical.identification.identification import identify
 from casadical.measurements.noise import Noise
 
 NOISE = Noise(15e-6, 6e-6)
+NONE = np.zeros(0, dtype=np.int64)
 
 
 def planted(name: str, seed: int, *causes: Disturbance) -> Localisation:
     r = robot(name)
     found = identify(r, simulated(name, seed, *causes), loss="huber", priors=True, screen=False)
-    return localise_residual(make_case(found, candidates_of(r, ["joint_scale"])), NOISE)
+    return localise_residual(make_case(found, candidates_of(r, ["joint_scale"])), NOISE, NONE)
 
 
 def share(table: pd.DataFrame, part: str) -> float:
@@ -55,6 +47,19 @@ def test_gap_is_found_where_it_was_planted(name: str, seed: int, cause: Disturba
     assert table["part"][table["share"].argmax()] == place
     row = table.set_index("part").loc[place]
     assert row["low"] <= row["share"] <= row["high"]
+
+
+def test_what_causes_explain_goes_to_their_joints_and_no_further() -> None:
+    """Error curves of all joints hid in base and links before, as 28 % of the base on a real UR10."""
+    ripples = [disturbances.TransmissionRipple(j, size=120e-6, cycles=c) for j, c in ((2, 9), (3, 17), (2, 4), (3, 6))]
+    found = diagnose(robot("ur10e"), simulated("ur10e", 3, *ripples), ["joint_error_curve"], laws=False)
+    assert [c.label for c in found.causes] == ["joint_error_curve"]
+    where = localise(found)
+    table = where.joints.set_index("part")
+    assert table.loc[["joint 2", "joint 3"], "share"].sum() > 0.9
+    assert table["low"].loc["joint 3"] > 0.1 < table["low"].loc["joint 2"]
+    assert where.links["share"][:-1].max() < 0.05
+    assert max(where.joints["rms_mm"].max(), where.links["rms_mm"].max()) < 1e3 * found.gap.before
 
 
 def test_tables_have_stable_columns_and_sum_to_one() -> None:
@@ -88,7 +93,7 @@ def any_case() -> Case:
 def test_direction_of_a_vertical_error(any_case: Case) -> None:
     up = any_case.robot.base.T[:3, 2]
     c = doctored(1e-4 * np.random.default_rng(0).standard_normal((len(any_case.m), 1)) * up)
-    shares = _directions(c, _Split(c, 0)).set_index(["frame", "part"])["share"]
+    shares = localise_residual(c, NOISE, NONE).directions.set_index(["frame", "part"])["share"]
     assert shares[("base", "z")] == pytest.approx(1)
     assert shares[("axis", "vertical")] == pytest.approx(1)
     assert shares[("tool", "z")] < 0.8
@@ -98,7 +103,7 @@ def test_part_of_the_data_that_is_worse_is_named(any_case: Case) -> None:
     """Errors twice as large with payload, and thrice as large where joint 2 rose, are the worst parts."""
     rng, m = np.random.default_rng(1), any_case.m
     factor = np.where(m.conditions["payload_kg"] > 5, 2.0, 1.0) * np.where(m.conditions["approach2"] > 0, 3.0, 1.0)
-    w = localise_residual(doctored(2e-5 * factor[:, None] * rng.standard_normal((len(m), 3))), NOISE)
+    w = localise_residual(doctored(2e-5 * factor[:, None] * rng.standard_normal((len(m), 3))), NOISE, NONE)
     assert tuple(w.worst.loc[0, ["by", "part"]]) == ("approach of joint 2", "rising")
     assert "10 kg" in set(w.worst["part"])
     rms = w.payload.set_index("part")["rms_mm"]
@@ -112,7 +117,7 @@ def test_intervals_cover(any_case: Case) -> None:
     for seed in range(40):
         rng = np.random.default_rng(seed)
         c = doctored(2e-5 * rng.standard_normal((len(any_case.m), 3)))
-        table = _Split(c, seed).table(*_payload(c)).set_index("part")
+        table = localise_residual(c, NOISE, NONE, seed, noise_is_left=True).payload.set_index("part")
         hits += table.loc["10 kg", "low"] <= even <= table.loc["10 kg", "high"]
     assert hits >= 34
 
@@ -120,7 +125,7 @@ def test_intervals_cover(any_case: Case) -> None:
 def test_columns_that_were_not_logged_leave_empty_tables() -> None:
     m = simulated("ur10e", 12, drop=("temp", "payload"))
     found = identify(robot("ur10e"), m, loss="huber", priors=True)
-    w = localise_residual(make_case(found, candidates_of(robot("ur10e"), ["joint_scale"])), NOISE)
+    w = localise_residual(make_case(found, candidates_of(robot("ur10e"), ["joint_scale"])), NOISE, NONE)
     assert len(w.payload) == len(w.temperature) == 0
     assert {name for name, _ in w.tables()} == {"joints", "links", "directions", "regions", "time", "approach"}
 
@@ -130,6 +135,7 @@ def test_sizes_of_parts_are_those_of_a_dense_inverse() -> None:
     rng, sigma = np.random.default_rng(0), 1e-3
     groups = [rng.normal(size=(700, width)) * np.geomspace(1, 1e-3, width) for width in (30, 60)]
     y = groups[0] @ rng.normal(size=30) + sigma * rng.normal(size=700)
-    size = _sizes(y, _products_of(groups), sigma)
+    size, noise = sizes_of_groups(y, products_of_rows(groups), sigma)
     assert 0.3 < size[0] < 3.0
     assert size[1] < 1e-3 * size[0]
+    assert noise == pytest.approx(sigma, rel=0.2)

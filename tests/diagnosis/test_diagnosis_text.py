@@ -64,7 +64,9 @@ def fixed(true: Diagnosis) -> Diagnosis:
         course=pd.DataFrame(rows, columns=list(COLUMNS)),
         replicates=Replicates(12e-6, 18, 6, 36),
         rankings=(one,),
-        cause_set=CauseSet(0.52, 0.04, {label: 0.53, "thermal_zero_drift@3": 0.95}),
+        cause_set=CauseSet(
+            0.52, 0.04, {label: 0.98, "thermal_zero_drift@3": 0.97}, (), {label: {label: 0.55, rival: 0.43}}
+        ),
         case=replace(true.case, m=replace(true.case.m, conditions={})),
         outliers=(Outlier(31, 1.7e-3, 80.0), Outlier(62, 0.9e-3, 40.0)),
         missing={
@@ -129,13 +131,17 @@ def test_page_is_the_golden_one(fixed: Diagnosis, details: Details) -> None:
 def test_the_short_answer_fits_a_screen_and_has_the_verdict_first(fixed: Diagnosis, details: Details) -> None:
     lines = plain_text(brief("made-up", fixed, details), 100).splitlines()
     assert lines[0].strip() == "made-up"
-    assert lines[1].startswith("Ambiguous: something is there that several causes explain equally well")
+    assert lines[1].startswith("Ambiguous: backlash@2 (0.55) or nonlinear_stiffness@2 (0.43); thermal_zero_drift@3;")
     assert len(lines) <= 25
     text = " ".join(" ".join(lines).split())
-    for words in ("before: calibrated, without causes 0.131", "after: with the causes in the model 0.0460"):
+    for words in ("before: calibrated, without causes 0.127", "after: with the causes in the model 0.0460"):
         assert words in text
     assert "backlash@2 0.55 38 to 49 %" in text
     assert "These data cannot tell backlash@2 from nonlinear_stiffness@2" in text
+    assert "before, outliers in 0.131" in text
+    assert as_json(fixed, "made-up")["set"]["names"] == {
+        "backlash@2": {"backlash@2": 0.55, "nonlinear_stiffness@2": 0.43}
+    }
 
 
 def test_the_short_answer_where_nothing_is_found(fixed: Diagnosis, seen: Details) -> None:
@@ -154,7 +160,7 @@ def test_verdicts_without_a_cause(fixed: Diagnosis, seen: Details, verdict: str)
 
 def test_an_explained_gap_of_which_much_is_left_says_so_first(fixed: Diagnosis) -> None:
     def first(**changes: object) -> str:
-        d = replace(fixed, verdict="explained", causes=fixed.causes[:2], outliers=(), **changes)
+        d = replace(fixed, verdict="explained", causes=fixed.causes[:2], outliers=(), cause_set=None, **changes)
         return " ".join(page_of(d).partition("\nGAP")[0].split())
 
     named = "backlash@2 and thermal_zero_drift@3"

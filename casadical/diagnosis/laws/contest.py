@@ -1,6 +1,7 @@
 """Laws against listed causes, smooth forms and noise: which is claimed, and whether in place of what was found.
 
-Rivals have their settings refined as the law's are. See `round` for when a law is claimed.
+Rivals have their settings refined as the law's are. See `round` for when a law is claimed. It takes the place of causes
+only where it predicts poses held out better, too.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from casadical.core.arrays import Array
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS
+from casadical.diagnosis.laws.held_out import held_out
 from casadical.diagnosis.laws.rivals import aliases
 from casadical.diagnosis.laws.round import ABOVE, Round
 from casadical.diagnosis.laws.search import search_laws
@@ -26,7 +28,14 @@ MOST_POSES = 600
 
 def replaces_causes(found: Diagnosis, first: Round) -> bool:
     """Whether the best law beside nothing is claimed in place of all causes of a diagnosis together."""
-    return first.claimed and first.best.score + np.log(PRIOR_FIRST["unknown"]) >= _set_mass(found) + ABOVE
+    if not first.claimed or first.best.score + np.log(PRIOR_FIRST["unknown"]) < _set_mass(found) + ABOVE:
+        return False
+    if not found.columns.size:
+        return True
+    case, none = thinned(found.case), np.zeros(0, dtype=np.int64)
+    by_law = held_out(case, none, [first.best], first.best.noise, found.seed)
+    by_causes = held_out(case, found.columns, (), found.noise, found.seed)
+    return bool(by_law.mean() < by_causes.mean())
 
 
 def laws_before_causes(found: Diagnosis) -> Round:
