@@ -23,7 +23,11 @@ def compare(
     ],
     robot: Annotated[
         Path | None,
-        typer.Option(metavar="PROBLEM_DIR", help="Problem folder or robot file by which tables are understood."),
+        typer.Option(
+            metavar="PROBLEM_DIR",
+            help="Problem folder or robot file by which tables are understood; default: the first "
+            "campaign that is no table.",
+        ),
     ] = None,
     same_tool: Annotated[
         bool,
@@ -44,7 +48,8 @@ def compare(
 
     Example: casadical compare results-2025/SKCM.robot.toml results-2026/SKCM.robot.toml
 
-    Exit codes: 0 nothing changed, 2 bad input, 3 no optimum found, 5 something changed, 70 a bug in casadical.
+    Exit codes: 0 nothing changed, 2 bad input, 3 no optimum found, 5 something changed, or a campaign leaves what
+    nothing explains, 70 a bug in casadical.
     """
     from casadical.fleet.campaigns import compare_files
 
@@ -56,5 +61,5 @@ def compare(
     if report_file:
         texts[report_file] = html([found.page(campaigns)])
     keep(with_json(texts, json_file, found.to_json()), console)
-    if found.changed:
+    if found.changed or found.unexplained:
         raise typer.Exit(NOT_VALID)

@@ -20,8 +20,10 @@ from casadical.fleet.changes import Comparison
 from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate, estimate, estimate_of_file
 from casadical.identification.prior import refuse_another
+from casadical.project.check.targets import unnamed_targets, with_targets_of_rows
 from casadical.project.problem import Problem, read_campaign, read_campaign_robot, read_problem, tool_as_measured
 from casadical.project.problem_file import own_tables, result_in
+from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
 # A date in a name: 2026-03-14, 2026_03_14, 20260314, 2026-03; 1970 is that of a clock that was never set.
@@ -53,7 +55,7 @@ def compare_files(
         robot files with a covariance, folders of results, problem folders, or tables of measurements; or one problem
         folder, whose later campaigns are the tables in its folder `campaigns`
     robot : str | Path, optional
-        problem folder or robot file by which tables are understood
+        problem folder or robot file by which tables are understood; None: the first of `paths` that is no table
     same_tool : bool, default False
         whether the same point of the same tool was measured
     same_frame : bool, default False
@@ -76,32 +78,63 @@ def compare_files(
     >>> casadical.compare_files(["problems/planar", "problems/planar"]).changed
     False
     """
-    found: list[Estimate] = []
-    faults: list[str] = []
-    begun = None
-    if len(paths) == 1 and (Path(paths[0]) / CAMPAIGNS).is_dir():
-        robot = begun = Path(paths[0])
-        own = {read_bytes(table) for table in own_tables(begun)}
-        paths = [begun, *(t for t in sorted((begun / CAMPAIGNS).glob("*.csv")) if read_bytes(t) not in own)]
-    for k, path in enumerate(map(Path, paths), 1):
-        show(f"campaign {k} of {len(paths)}")
-        try:
-            told = campaign_estimate(path, robot)
-            if found:
-                refuse_another(found[0].robot, told.robot, "campaign")
-            found.append(told)
-        except CasadicalError as error:
-            if len(paths) == 2:
-                raise
-            faults.append(f"{shown(path)} is left out: {error}")
+    files, begun, day = [Path(path) for path in paths], None, None
+    if len(files) == 1 and (files[0] / CAMPAIGNS).is_dir():
+        begun = files[0]
+        later, day = later_tables(begun)
+        files = [begun, *later]
+    told = estimates_of(files, robot or _understood_by(files), show)
+    found = [e for e in told if isinstance(e, Estimate)]
+    errors = [(path, e) for path, e in zip(files, told, strict=True) if isinstance(e, CasadicalError)]
+    if errors and len(files) == 2:
+        raise errors[0][1]
+    faults = [f"{shown(path)} is left out: {error}" for path, error in errors]
     if len(found) < 2:
         where = "; ".join(faults) or f"Give more, or a problem folder with later tables in its folder {CAMPAIGNS}."
-        raise InputError(f"{len(found)} of {len(paths)} campaigns can be used; two are needed. {where}")
+        raise InputError(f"{len(found)} of {len(files)} campaigns can be used; two are needed. {where}")
+    if day is not None and isinstance(told[0], Estimate):
+        found[0] = replace(found[0], day=day)
     ordered, said = in_order(found, begun=begun is not None)
     show("what changed")
     notes = (*faults, *said, *other_regions(ordered))
     compared = compare(ordered, same_tool=same_tool, same_frame=same_frame, notes=notes)
-    return replace(compared, name=name_of([Path(p) for p in paths], robot))
+    return replace(compared, name=name_of(files, begun or robot))
+
+
+def _understood_by(files: Sequence[Path]) -> Path | None:
+    """The problem folder or robot file among campaigns by which their tables are understood."""
+    for path in files:
+        if path.suffix in (".toml", ".urdf") or (path / "problem.toml").exists():
+            return path
+        if path.is_dir():
+            return result_in(path)
+    return None
+
+
+def later_tables(folder: Path) -> tuple[list[Path], float | None]:
+    """Tables in a problem's folder `campaigns`, and the day of the problem's own where a copy of that is among them."""
+    own = {read_bytes(table) for table in own_tables(folder)}
+    tables = [path for path in sorted((folder / CAMPAIGNS).glob("*.csv")) if path.is_file()]
+    copies = [path for path in tables if read_bytes(path) in own]
+    return [path for path in tables if path not in copies], next((day_of(path) for path in reversed(copies)), None)
+
+
+def estimates_of(
+    paths: Sequence[Path], robot: str | Path | None = None, show: Show = silent
+) -> list[Estimate | CasadicalError]:
+    """What each campaign in files tells, or why it cannot be used; robot : by which tables are understood."""
+    found: list[Estimate | CasadicalError] = []
+    for k, path in enumerate(paths, 1):
+        show(f"campaign {k} of {len(paths)}")
+        try:
+            first = next((e.robot for e in found if isinstance(e, Estimate)), None)
+            told = campaign_estimate(path, robot, first)
+            if first:
+                refuse_another(first, told.robot, "campaign")
+            found.append(told)
+        except CasadicalError as error:
+            found.append(error)
+    return found
 
 
 def name_of(paths: Sequence[Path], robot: str | Path | None = None) -> str:
@@ -115,8 +148,11 @@ def name_of(paths: Sequence[Path], robot: str | Path | None = None) -> str:
     return problem.name if folder == Path.cwd() or folder.is_relative_to(problem) else folder.name
 
 
-def campaign_estimate(path: Path, robot: str | Path | None = None) -> Estimate:
-    """What one campaign in files tells, as `compare_files` takes it. Raises CasadicalError."""
+def campaign_estimate(path: Path, robot: str | Path | None = None, known: Robot | None = None) -> Estimate:
+    """What one campaign in files tells, as `compare_files` takes it. Raises CasadicalError.
+
+    known : robot of another campaign, which tells where the targets are
+    """
     if not path.exists():
         raise InputError(f"{shown(path)}: no such file or folder")
     label, day = path.name.removesuffix(".robot.toml").removesuffix(".csv"), day_of(path)
@@ -125,14 +161,20 @@ def campaign_estimate(path: Path, robot: str | Path | None = None) -> Estimate:
         return estimate_of_file(read_robot(path), label or path.name, day)
     if (path / "problem.toml").exists():
         problem = read_problem(path, campaign=True)
+        if fault := unnamed_targets(problem):
+            raise InputError(fault)
         return estimate((problem.robot, [m for _, m in problem.parts()]), label, day_of_problem(problem))
     if path.is_dir():
         return estimate_of_file(read_robot(result_in(path)), label, day)
     if robot is None:
         raise InputError(f"{shown(path)}: a table needs --robot, the problem folder by which it is understood")
     arm = read_campaign_robot(robot)
+    if known and known.targets:
+        arm = replace(arm, tool=known.tool, tool_name=known.tool_name, targets=known.targets)
     m = read_campaign(robot, path, arm, later=True)
-    return estimate((tool_as_measured(arm, Path(robot), [m]), m), label, day)
+    arm, told, notes = with_targets_of_rows(tool_as_measured(arm, Path(robot), [m]), [m])
+    found = estimate((arm, told), label, day)
+    return replace(found, notes=(*found.notes, *notes))
 
 
 def other_regions(campaigns: Sequence[Estimate]) -> list[str]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.statistics import exceeded_by_chance
 from casadical.core.telling.blocks import Page, Section, Table, Tile, Words, mm, shown
 from casadical.core.telling.figure import Axis, Figure, Series, Span
 from casadical.diagnosis.changes import USUAL_CHANGE
@@ -37,6 +38,13 @@ _COURSE = (
 _LEFT = "What nothing explains, of one coordinate. A campaign that stands out was measured or prepared differently."
 # So many rivals and parameters are shown of a change.
 RIVALS, AMOUNTS = 4, 8
+# What a campaign leaves may differ so many times from day to day; more is named, by chance in so many cases at most.
+USUAL, ALARMS = 1.2, 0.01
+# Share of the reach that no calibrated robot is off by.
+GAP = 0.003
+UNKNOWN = "no cause that is known here explains it: another instrument, wrong rows, or an error that the model lacks"
+# Degrees of freedom from which on a campaign tells its own noise.
+FEWEST = 6
 # Rivals below this probability are not shown.
 SMALL = 0.005
 # Data are said to be so many times more probable, as a power of ten, at most.
@@ -168,8 +176,27 @@ class Comparison:
 
     @property
     def changed(self) -> bool:
-        """Whether anything changed."""
+        """Whether anything changed that has a name."""
         return bool(self.changes)
+
+    @property
+    def unexplained(self) -> tuple[str, ...]:
+        """Sentences of campaigns that leave more than the others, or than any calibrated robot does, or too little."""
+        left = [(c, c.sigma, c.freedom) for c in self.campaigns if c.sigma is not None and c.freedom is not None]
+        said = []
+        for k, (c, sigma, freedom) in enumerate(left):
+            others = [(s, f) for _, s, f in left[:k] + left[k + 1 :]]
+            if sigma > GAP * c.robot.reach:
+                share = f"{100 * sigma / c.robot.reach:.2g} % of the reach, which is no calibrated robot's error"
+                said.append(f"{c.label} leaves {mm(sigma)} mm a coordinate, {share}; {UNKNOWN}")
+            elif usual := leaves_more((sigma, freedom), others, ALARMS / len(left)):
+                said.append(f"{c.label} leaves {mm(sigma)} mm a coordinate, the others {mm(usual)}; {UNKNOWN}")
+            elif freedom < FEWEST and not others:
+                said.append(
+                    f"{c.label} has {c.poses} poses, too few beside a robot file; give the problem folder of the "
+                    "calibration, or measure more poses"
+                )
+        return tuple(said)
 
     @property
     def dated(self) -> bool:
@@ -187,7 +214,11 @@ class Comparison:
         blocks: list[Words | Table] = []
         for change in self.changes:
             blocks += [*_change(self, change)]
-        if not self.changes:
+        if self.unexplained:
+            text = f"{'. '.join(self.unexplained)}."
+            unclear = Words(f"NOT CLEAR whether anything changed: {text}", "verdict")
+            blocks.append(Words(text, "warning") if self.changes else unclear)
+        elif not self.changes:
             chance = 1 - usual_probability(self.log_odds)
             blocks.append(
                 Words(f"NOTHING CHANGED in the robot that {len(self.campaigns)} campaigns would show.", "verdict")
@@ -224,6 +255,7 @@ class Comparison:
             "robot": self.campaigns[0].robot.name,
             "name": self.name,
             "changed": self.changed,
+            "unexplained": list(self.unexplained),
             "log_odds_of_one_more": round(self.log_odds, 3),
             "sure_from_log_odds": round(float(np.log(SURE)), 3),
             "changes": [_change_json(c, labels) for c in self.changes],
@@ -245,6 +277,19 @@ class Comparison:
             ],
             "notes": list(self.notes),
         }
+
+
+def leaves_more(own: tuple[float, float], others: Sequence[tuple[float, float]], alarms: float) -> float:
+    """What other campaigns leave, where one leaves more than that and `USUAL` and chance explain; else 0.
+
+    own, others : scatter and its degrees of freedom; alarms : how often that is to be said of one where nothing changed
+    """
+    if not others:
+        return 0.0
+    left, free = np.array(others).T
+    usual = float(np.sqrt(np.average(left**2, weights=free)))
+    chance = exceeded_by_chance((own[0] / (USUAL * usual)) ** 2, own[1], free.sum())
+    return usual if chance <= alarms else 0.0
 
 
 def usual_probability(log_odds: float) -> float:

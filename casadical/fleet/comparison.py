@@ -108,6 +108,7 @@ def shared_information(
 ) -> tuple[tuple[str, ...], SharedInformation, tuple[Candidate, ...]]:
     """Shared parameters, what the campaigns tell of them about the values of the first one, and what may change."""
     first = campaigns[0]
+    same_tool = same_tool and len({c.robot.tool_name for c in campaigns}) == 1
     common = set.intersection(*(set(c.names) for c in campaigns))
     names = shared_names(
         first.robot, [n for n in first.names if n in common], same_tool=same_tool, same_frame=same_frame

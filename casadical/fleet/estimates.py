@@ -198,7 +198,9 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
     wide = doubted(robot, FURTHER)
     solved = [n for n in robot.parameters.names if n in known.std_errors]
     doubts = doubts_of(wide, [n for n in solved if n in wide.parameters.names])
-    J = _seen(wide, unmeasured(q), doubts.names)
+    turns = np.arange(DRAWN) % (1 + len(wide.targets))  # of several targets each pose tells one
+    measured = {t.column: (turns == k).astype(float) for k, t in enumerate(wide.targets, 1)}
+    J = _seen(wide, unmeasured(q, measured), doubts.names)
     at, rest = doubts.solved, np.setdiff1d(np.arange(len(doubts.names)), doubts.solved)
     A = scaled_inverse(J[:, at].T @ J[:, at]) @ (J[:, at].T @ J[:, rest])
     B = np.zeros((len(at), len(doubts.names)))

@@ -12,11 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from casadical.core.statistics import exceeded_by_chance
 from casadical.fleet.estimates import Estimate
 from casadical.identification.misfit import RHOS, WideFit
 
 # Instruments are others where what they leave differs more than so many times.
 OTHER = 3.0
+# So often it may look like that where it is one instrument.
+CHANCE = 0.01
 # A joint repeats otherwise than the rest where that makes the campaigns more probable by so much, as a logarithm.
 GAIN = 2.0
 
@@ -34,8 +37,19 @@ def with_common_noise(campaigns: Sequence[Estimate]) -> list[Estimate]:
 
 
 def _alike(a: Estimate, b: Estimate) -> bool:
-    s, t = a.sigma or 0.0, b.sigma or 0.0
-    return a.names == b.names and s <= OTHER * t and t <= OTHER * s
+    """Whether one instrument may have measured both: of few poses the scatter is known badly."""
+    (s, f), (t, g) = ((c.sigma or 1e-12, c.freedom or 1.0) for c in (a, b))
+    chances = exceeded_by_chance((s / t / OTHER) ** 2, f, g), exceeded_by_chance((t / s / OTHER) ** 2, g, f)
+    return min(chances) > CHANCE and _own(a).keys() == _own(b).keys()
+
+
+def _own(c: Estimate) -> dict[str, int]:
+    """Places of the robot's parameters in an estimate: those of the tools, which may be others, are not among them."""
+    return {
+        n: k
+        for k, n in enumerate(c.names)
+        if n.startswith("joint_error_curve") or c.robot.parameters[n].group != "tool"
+    }
 
 
 def _together(group: Sequence[Estimate]) -> list[Estimate]:
@@ -44,12 +58,15 @@ def _together(group: Sequence[Estimate]) -> list[Estimate]:
     fits = [w.at(rhos) for w in wide]
     weights = [len(w.poses) for w in wide]
     s2 = np.average([f.s2 for f in fits], weights=weights)
-    spread = np.sqrt(np.average([f.variance for f in fits], axis=0, weights=weights))
-    units = [s2 * c.misfit for c in group]
-    return [
-        replace(c, information=f.sums.H / unit, score=-f.sums.g / unit, spread=spread)
-        for c, f, unit in zip(group, fits, units, strict=True)
-    ]
+    names = list(_own(group[0]))
+    at = [[_own(c)[n] for n in names] for c in group]
+    mean = np.average([f.variance[k] for f, k in zip(fits, at, strict=True)], axis=0, weights=weights)
+    found = []
+    for c, f, k in zip(group, fits, at, strict=True):
+        variance, unit = f.variance.copy(), s2 * c.misfit
+        variance[k] = mean
+        found.append(replace(c, information=f.sums.H / unit, score=-f.sums.g / unit, spread=np.sqrt(variance)))
+    return found
 
 
 def repeatability(fits: Sequence[WideFit]) -> tuple[float, ...]:

@@ -16,13 +16,13 @@ from casadical import __version__
 from casadical.core.errors import CasadicalError, InputError
 from casadical.core.files import json_text
 from casadical.core.reading import read_bytes
-from casadical.fleet.campaigns import CAMPAIGNS, day_of, day_of_problem, in_order, other_regions
+from casadical.fleet.campaigns import estimates_of, in_order, later_tables, other_regions
 from casadical.fleet.changes import in_words
 from casadical.fleet.comparison import compare
-from casadical.fleet.estimates import Estimate, estimate
+from casadical.fleet.estimates import Estimate
 from casadical.project.calibration import calibrate
 from casadical.project.diagnosis import CampaignDiagnosis, diagnose_campaign, read_campaigns
-from casadical.project.problem import Problem, read_campaign, read_problem
+from casadical.project.problem import Problem, read_campaign_robot, read_problem
 from casadical.project.problem_file import own_tables, problem_file
 from casadical.project.tables import judged_on
 from casadical.robot.robot import Robot
@@ -84,10 +84,14 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
     found = calibrate(problem)
     method, before, after, _ = judged_on(found.accuracies)
     last = found.identification
-    campaign = read_problem(place, campaign=True)
-    of_first = last if campaign.robot_file == problem.robot_file else (campaign.robot, campaign.sets["identify"])
-    estimates = [estimate(of_first, place.name, day_of_problem(problem))]
-    notes = _later(place, campaign, estimates)
+    later, day = later_tables(place)
+    files = [place, *later]
+    told = estimates_of(files, place)
+    if isinstance(told[0], CasadicalError):
+        raise told[0]
+    first = told[0] if day is None else replace(told[0], day=day)
+    estimates = [first, *(e for e in told[1:] if isinstance(e, Estimate))]
+    notes = [f"{p.name} is left out: {e}" for p, e in zip(files, told, strict=True) if isinstance(e, CasadicalError)]
     notes += [f"{e.label}: {note}" for e in estimates for note in e.notes]
     row: dict[str, Any] = {
         "type": type_of(problem),
@@ -114,7 +118,7 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
     left = [float("nan") if e.sigma is None else 1e3 * e.sigma for e in estimates]
     free = [float("nan") if e.freedom is None else e.freedom for e in estimates]
     own = {"campaigns": len(estimates), "notes": "; ".join(notes), "days": days, "left_mm": left, "left_free": free}
-    return row | own | shared_columns(estimates[-1], campaign.robot)
+    return row | own | shared_columns(estimates[-1], read_campaign_robot(place))
 
 
 def first_diagnosis(place: Path) -> CampaignDiagnosis | None:
@@ -124,22 +128,6 @@ def first_diagnosis(place: Path) -> CampaignDiagnosis | None:
         if campaign.sets[0].position is not None:
             return diagnose_campaign(campaign)
     return None
-
-
-def _later(place: Path, problem: Problem, estimates: list[Estimate]) -> list[str]:
-    """Adds what later campaigns tell; says which could not be used. A copy of the first one only has its day."""
-    faults = []
-    own = {read_bytes(place / str(table["file"])) for table in problem.tables}
-    for path in sorted((place / CAMPAIGNS).glob("*.csv")):
-        try:
-            if path.is_file() and read_bytes(path) in own:
-                estimates[0] = replace(estimates[0], day=day_of(path))
-                continue
-            m = read_campaign(place, path, problem.robot, later=True)
-            estimates.append(estimate((problem.robot, m), path.stem, day_of(path)))
-        except CasadicalError as error:
-            faults.append(f"{path.name} is left out: {error}")
-    return faults
 
 
 def type_of(problem: Problem) -> str:

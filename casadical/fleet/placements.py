@@ -55,7 +55,7 @@ def _tool(
     first: Estimate, before: Estimate, after: Estimate, names: Sequence[str], model: Model
 ) -> Iterable[tuple[str, str]]:
     own = [n for n in SIX["tool"][:3] if n in before.names and n in after.names and n not in names]
-    if len(own) < 3:
+    if len(own) < 3 or before.robot.tool_name != after.robot.tool_name:
         return
     # Parameters of a campaign as the solved ones make them: theta and the changes found by then.
     X, Y = (np.hstack([np.eye(model.p), model.known.columns[k]]) for k in (-2, -1))

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from casadical.core.statistics import exceeded_by_chance
 from casadical.core.telling.blocks import Block, Page, Section, Table, Tile, Words, shown
 from casadical.core.telling.figure import Figure
+from casadical.fleet.changes import ALARMS, leaves_more
 from casadical.fleet.drawings import Drawing, drawings_of, near, nearly_one
 from casadical.fleet.figures import accuracy_map, common_departures, common_table, trends
 from casadical.fleet.hierarchy import LEAST, MOST, Common, common_of
@@ -32,8 +32,6 @@ SHARED = ("robot", "type", "type_name", "names", "score", "information", "spread
 KEPT = tuple(n for n in NOTHING if n not in (*SHARED[3:], "departure", "details"))
 # Of fewer robots the 95 % quantile is no more than the worst of them.
 MANY = 20
-# What a campaign leaves may differ so many times from day to day; more is named, by chance in so many fleets at most.
-USUAL, ALARMS = 1.2, 0.01
 # Rows that the terminal shows, and letters of an error that a table shows.
 SHOWN, LETTERS = 12, 240
 # The same of a page.
@@ -278,12 +276,9 @@ def grown(left: Sequence[float], freedom: Sequence[float] | float | None, alarms
     """
     both = np.array(np.broadcast_arrays(left, np.array(freedom, dtype=float)))
     known, free = both[:, np.isfinite(both).all(axis=0)]
-    if len(known) < 2:
-        return ""
-    before = float(np.sqrt(np.average(known[:-1] ** 2, weights=free[:-1])))
-    if exceeded_by_chance((known[-1] / (USUAL * before)) ** 2, free[-1], free[:-1].sum()) > alarms:
-        return ""
-    return f"the last campaign leaves {known[-1]:.3f} mm a coordinate, those before {before:.3f}"
+    told = [*zip(known.tolist(), free.tolist(), strict=True)]
+    before = leaves_more(told[-1], told[:-1], alarms) if told else 0.0
+    return f"the last campaign leaves {known[-1]:.3f} mm a coordinate, those before {before:.3f}" if before else ""
 
 
 def _plain(value: Any) -> Any:

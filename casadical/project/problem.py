@@ -335,7 +335,7 @@ def read_campaign(
     found = replace(readings_alone(columns, joints) if readings_only else _of_kind(columns, joints, data), lost=lost)
     if not (readings_only or later):
         refuse_nameless(found, robot)
-    return _with_conditions(found, robot)
+    return _with_conditions(found if later else with_known_targets(found, robot), robot)
 
 
 def _of_kind(columns: Columns, joints: Sequence[str], data: DataTable) -> Measurements:
@@ -375,16 +375,12 @@ def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> dict[
     found = from_columns(columns, joints, data.kind, sigma_mm=data.sigma_mm, sigma_deg=data.sigma_deg)
     refuse_nameless(found, robot)
     # Before the split: progress and the direction of approach follow from the order of all poses.
-    found = _with_conditions(found, robot).with_separations(_separations(data))
+    found = _with_conditions(with_known_targets(found, robot), robot).with_separations(_separations(data))
     return found.split(sets.sizes(), sets.seed) if sets.column is None else _by_column(found, columns, sets.column)
 
 
 def _with_conditions(m: Measurements, robot: Robot) -> Measurements:
-    """With the columns that a robot's effects follow. Raises InputError where it lacks what they are derived from.
-
-    And where its column `tool` names a point that the robot file does not have.
-    """
-    m = with_known_targets(m, robot)
+    """With the columns that a robot's effects follow. Raises InputError where it lacks what they are derived from."""
     if robot.gravity_frame == "logged" and not {*GRAVITY} <= m.conditions.keys():
         raise InputError(
             f'{m.source}: robot {robot.name!r} stands on what tilts ([gravity] frame = "logged"), and no columns say '

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,23 +13,25 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.reading import load_json
-from casadical.core.telling.blocks import Table, Words, mm
+from casadical.core.telling.blocks import Table, Words, mm, next_step
 from casadical.identification.accuracy import errors
 from casadical.identification.identification import calibrated
 from casadical.identification.prepared import Prepared, prepare
 from casadical.identification.result import LeftOut, rows_in_words
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
-from casadical.project.check.targets import recognised
+from casadical.project.check.targets import with_targets_of_rows
 from casadical.project.problem import read_campaign
 from casadical.project.problem_file import result_in
-from casadical.project.robot_columns import names_in
-from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
 POSITION = "position"
 # A robot that keeps its promise is said to break it once in a hundred checks.
 QUANTILE = 2.326
+# What nine of ten checks show.
+NINE_OF_TEN = 1.282
+# Of so large a share of the poses a few are far off; more are no bad rows.
+FEW = 0.1
 # A pose with more than so many times the promised error is named.
 FAR = 4.0
 # So many numbers must be left to judge by.
@@ -65,6 +68,12 @@ class Verification:
         what was fitted again, in words
     gone : tuple[str, ...]
         labels of effects of the instrument, left out
+    seen : float
+        error that these poses show to be too great in nine of ten cases [m]
+    files : tuple[Path, ...]
+        robot file and tables, as they were given
+    notes : tuple[str, ...]
+        what was assumed of the tables
 
     Examples
     --------
@@ -84,6 +93,9 @@ class Verification:
     tables: tuple[str, ...] = ()
     again: str = "Base and tool were"
     gone: tuple[str, ...] = ()
+    seen: float = float("nan")
+    files: tuple[Path, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def valid(self) -> bool:
@@ -100,26 +112,37 @@ class Verification:
         found = [
             Words(text, "verdict"),
             Words(
-                f"Up to {mm(self.limit)} mm would be chance. {self.again} fitted again; the share of that in the "
-                "error is made up for. Both errors are as the instrument reads them, its noise included; that of the "
-                "robot itself, which casadical plan expects, is smaller."
+                f"Up to {mm(self.limit)} mm would be chance; {self.n} poses show an error of {mm(self.seen)} mm "
+                f"or more in nine of ten cases. {self.again} fitted again; the share of that in the error is made up "
+                "for. Both errors are as the instrument reads them, its noise included; that of the robot itself, "
+                "which casadical plan expects, is smaller."
             ),
         ]
         if self.gone:
             text = f"{', '.join(self.gone)}: what the instrument of the calibration did is left out of the model."
             found.append(Words(text, "note"))
+        found += [Words(f"note: {note}.", "note") for note in self.notes]
         if self.far:
             text = f"Far off: {rows_in_words(self.far, of=self.tables)}"
             if self.without is not None:
                 text += f"; without them it is {mm(self.without)} mm{', as promised' * (self.without <= self.limit)}"
-            found.append(Words(f"{text}. Measure these poses again first.", "warning"))
+            found.append(Words(f"{text}.", "warning"))
         if self.lost:
             several = len(self.tables) > 1
             listed = ", ".join(f"{row} of {source}" if several else str(row) for source, row in self.lost)
             found.append(Words(f"Left out, a cell is no number: row {listed}.", "warning"))
-        if not self.valid and (self.without is None or self.without > self.limit):
-            found.append(Words("Calibrate again, or ask casadical diagnose what changed.", "warning"))
-        return list(found)
+        return [*found, *self.next]
+
+    @property
+    def next(self) -> tuple[Words, ...]:
+        """What to do now, where something is to be done."""
+        if self.valid:
+            return ()
+        few = len(self.far) <= max(1, FEW * self.n)
+        if few and self.without is not None and self.without <= self.limit:
+            return (next_step("when the rows that are far off are measured again", "verify", *self.files),)
+        robot, *tables = self.files
+        return (next_step("to learn what changed", "compare", _problem_of(robot) or robot, *tables),)
 
     def to_json(self) -> dict[str, Any]:
         """The same as plain data."""
@@ -129,12 +152,15 @@ class Verification:
             "promised_rms_mm": 1e3 * self.promised,
             "found_rms_mm": 1e3 * self.found,
             "limit_mm": 1e3 * self.limit,
+            "seen_from_mm": 1e3 * self.seen,
             "poses": self.n,
             "without_far_mm": None if self.without is None else 1e3 * self.without,
             "left_out": [row for _, row in self.lost],
             "far": [{"source": out.source, "row": out.row, "error_mm": 1e3 * out.error} for out in self.far],
             "tables": list(self.tables),
             "without_effects": list(self.gone),
+            "notes": list(self.notes),
+            "next": [step.code for step in self.next],
         }
 
 
@@ -174,7 +200,8 @@ def verify(
     sets = [read_campaign(place, table, arm, later=True, words=True) for table in given]
     kind = _kind_of(sets)
     promised = 1e-3 * promised_mm if promised_mm is not None else promised_rms(place, kind)
-    prepared = _of_one_tool(arm, sets)
+    arm, told, notes = with_targets_of_rows(arm, sets)
+    prepared = prepare(arm, [m.positions_alone() if m.position is not None else m for m in told])
     placing = _Placing.needed_by(prepared)
     placing.refuse_too_few(", ".join(map(str, given)))
     placed, k = prepared.robot, 0
@@ -183,7 +210,8 @@ def verify(
         placed, k = fitted.robot, len(fitted.names)  # contacts do not tell where the base is
     e = np.concatenate([errors(placed, m) for m in prepared.sets])
     at = [(m.source, int(row)) for m in prepared.sets for row in m.row]
-    found, limit = placing.scatter(e, k), _limit(promised, placing.freedom(len(e), k))
+    freedom = placing.freedom(len(e), k)
+    found, limit = placing.scatter(e, k), promised * _times(freedom, QUANTILE)
     far = [LeftOut(at[i][0], at[i][1], float(e[i])) for i in np.argsort(-e) if e[i] > FAR * promised]
     without = None
     if found > limit and placing.groups:  # a few gross errors draw base and tool, and so all others, towards themselves
@@ -203,17 +231,10 @@ def verify(
         tables=tuple(m.source for m in sets),
         again=placing.again,
         gone=gone,
+        seen=limit / _times(freedom, -NINE_OF_TEN),
+        files=(place, *map(Path, given)),
+        notes=notes,
     )
-
-
-def _of_one_tool(arm: Robot, sets: Sequence[Measurements]) -> Prepared:
-    """Positions alone of the tool that was measured, whichever it was: it is fitted again. Raises InputError."""
-    if arm.targets and not any(map(names_in, sets)):
-        arm = replace(arm, targets=(), tool_name="")
-    for m in sets:
-        if (several := recognised(arm, m)) and several.turning:
-            raise InputError(several.in_words(m.source))
-    return prepare(arm, [m.positions_alone() if m.position is not None else m for m in sets])
 
 
 @dataclass(frozen=True)
@@ -281,10 +302,10 @@ def _kind_of(sets: Sequence[Measurements]) -> str:
     return kinds[0]
 
 
-def _limit(promised: float, freedom: int) -> float:
-    """What `found` may be by chance [m]."""
-    share = 1 - 2 / (9 * freedom) + QUANTILE * np.sqrt(2 / (9 * freedom))
-    return float(promised * share**1.5)
+def _times(freedom: int, quantile: float) -> float:
+    """How many times an rms error may be greater than it is by chance, at a quantile of the normal distribution."""
+    share = 1 - 2 / (9 * freedom) + quantile * np.sqrt(2 / (9 * freedom))
+    return float(max(share, 0.1) ** 1.5)
 
 
 def promised_rms(robot: Path, kind: str = POSITION) -> float:
@@ -314,6 +335,15 @@ def promised_rms(robot: Path, kind: str = POSITION) -> float:
     if not held:
         raise InputError(f"{path}: no held-out poses of {robot.name} (kind {kind}); {remedy}")
     return 1e-3 * float(held[0].get("without_far_off", held[0])["rms_mm"])
+
+
+def _problem_of(robot: Path) -> Path | None:
+    """The problem folder of a calibration, beside its results or here: its poses tell more than its robot file."""
+    results = robot.parent
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        name = str(load_json(results / "result.json")["problem"])
+        return next((p for p in (Path(name), results.parent / name) if (p / "problem.toml").exists()), None)
+    return None
 
 
 def _alike(kind: str) -> tuple[str, ...]:

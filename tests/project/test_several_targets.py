@@ -12,7 +12,7 @@ from command_line import main
 sys.path.insert(0, str(Path(__file__).parents[1] / "cli"))
 import first_hour
 
-from casadical import InputError, calibrate, read_robot
+from casadical import InputError, calibrate, compare_files, read_robot, verify
 from casadical.identification import errors
 from casadical.project.check import precheck
 from casadical.project.new import new_problem
@@ -21,6 +21,7 @@ from casadical.robot.robot_file import to_toml
 
 POINTS = np.array([[62.0, -35.0, 148.0], [-60.0, 20.0, 150.0], [10.0, 90.0, 120.0]])
 NAMES = ["SMR1", "SMR2", "SMR3"]
+HEADINGS = [f"A{k} [deg]" for k in range(1, 7)] + [f"{c} [mm]" for c in "XYZ"]
 FOURTH = '[[tool]]\nname = "SMR4"\nunknown = "position"\n\n[gravity]'
 
 
@@ -132,8 +133,8 @@ def test_reflectors_that_nobody_named_are_recognised_from_repeats(sign, tmp_path
     robot = read_robot(tmp_path / "results" / "KM.robot.toml")
     np.testing.assert_allclose(distances([robot.tool.T[:3, 3], *(t.point for t in robot.targets)]), NEST, atol=0.15)
     capfd.readouterr()
-    assert main(monkeypatch, "verify", tmp_path / "results" / "KM.robot.toml", data) == 2
-    assert said[:43] in capfd.readouterr().err
+    assert main(monkeypatch, "verify", tmp_path / "results" / "KM.robot.toml", data) == 0
+    assert "no column names the targets; as they lie, target" in " ".join(capfd.readouterr().out.split())
 
 
 def test_a_station_that_moved_is_no_second_target(tmp_path: Path) -> None:
@@ -244,3 +245,83 @@ def test_a_target_that_is_seen_once_is_left_out_by_new(tmp_path, monkeypatch, ca
 def test_poses_are_planned_for_the_first_of_several_targets(arm, tmp_path, monkeypatch):
     assert main(monkeypatch, "plan", arm, "-n", "14", "--no-order", "--out", tmp_path / "next.csv", "-q") == 0
     assert "tool" not in (tmp_path / "next.csv").read_text().splitlines()[0]
+
+
+def later_table(path: Path, n: int = 60, *, zero: float = 0.0, named: bool = False, noise: float = 0.03) -> Path:
+    """A pose with one of the three reflectors in each row, which no column names; zero : of joint 2 [deg]"""
+    rng = np.random.default_rng(78)
+    q, which = rng.uniform(0.8 * first_hour.LIMITS[:, 0], 0.8 * first_hour.LIMITS[:, 1], (n, 6)), rng.integers(0, 3, n)
+    rows = first_hour.ROWS + np.random.default_rng(0).normal(0, 1, first_hour.ROWS.shape) * [0.03, 0.4, 0.4, 0.04]
+    rows[1, 3] += zero
+    p = first_hour.positions(q, rows, POINTS[which]) + rng.normal(0, noise, (n, 3))
+    lines = first_hour.table(HEADINGS, q, p).splitlines()
+    lines = [f"{lines[0]},tool", *(f"{line},{NAMES[k]}" for line, k in zip(lines[1:], which, strict=True))]
+    path.write_text("\n".join(lines if named else [line.rsplit(",", 1)[0] for line in lines]) + "\n")
+    return path
+
+
+@pytest.fixture(scope="module")
+def one_target(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same arm, calibrated with one reflector."""
+    folder = tmp_path_factory.mktemp("one")
+    q, p = first_hour.measured(90)
+    (folder / "dh.csv").write_text(first_hour.DH)
+    (folder / "one.csv").write_text(
+        first_hour.table([f"A{k} [deg]" for k in range(1, 7)] + [f"{c} [mm]" for c in "XYZ"], q, p)
+    )
+    new_problem(folder / "arm", dh=folder / "dh.csv", data=folder / "one.csv")
+    calibrate(folder / "arm").write(folder / "results")
+    return folder / "arm"
+
+
+@pytest.mark.parametrize("calibrated", ["arm", "one_target"])
+@pytest.mark.parametrize(("n", "named"), [(60, False), (60, True), (12, False)])
+def test_a_later_table_needs_no_names_of_its_targets(calibrated, n, named, request, tmp_path):
+    """Each row is given to a target as it lies; only twelve rows of targets that nobody knows cannot be told apart."""
+    folder: Path = request.getfixturevalue(calibrated)
+    results = folder.parent / "results"
+    if (calibrated, n) == ("one_target", 12):
+        with pytest.raises(InputError, match="the model does not fit"):
+            verify(results, later_table(tmp_path / "later.csv", n))
+        return
+    kept = verify(results, later_table(tmp_path / "later.csv", n, named=named))
+    assert kept.valid
+    assert ("no column names the targets" in " ".join(kept.notes)) != named
+    changed = later_table(tmp_path / "later.csv", n, named=named, zero=0.05)
+    broken = verify(results, changed)
+    assert not broken.valid
+    assert [step.code for step in broken.next] == [f"casadical compare {folder} {changed}"]
+    (found,) = compare_files([folder, changed]).changes
+    assert found.cause.label == "joint_zero@2"
+    assert found.amounts[0].value == pytest.approx(0.05, abs=0.003)
+    same = compare_files([folder, later_table(tmp_path / "later.csv", n, named=named)])
+    assert not same.changes
+    assert not same.unexplained
+
+
+def test_robot_files_of_three_targets_are_compared(arm: Path, tmp_path: Path) -> None:
+    results = arm.parent / "results"
+    assert not compare_files([results, results / "KM.robot.toml"]).changed
+    assert (
+        compare_files([results, later_table(tmp_path / "later.csv", zero=0.05)]).changes[0].cause.label
+        == "joint_zero@2"
+    )
+
+
+def test_nothing_changed_is_not_said_over_a_gap(arm: Path, tmp_path, monkeypatch, capfd):
+    """An instrument ten times worse; a robot file and few poses; campaigns that leave what no calibrated robot does."""
+    few, noisy = later_table(tmp_path / "few.csv", 12), later_table(tmp_path / "noisy.csv", named=True, noise=0.3)
+    for given, said in (
+        ([arm, noisy], "noisy leaves 0.29"),
+        ([arm.parent / "results", few], "few has 12 poses, too few beside a robot file"),
+    ):
+        assert main(monkeypatch, "compare", *given) == 5
+        printed = " ".join(capfd.readouterr().out.split())
+        assert printed.startswith("NOT CLEAR whether anything changed: ")
+        assert said in printed
+        assert "NOTHING CHANGED" not in printed
+    kept = compare_files([arm, later_table(tmp_path / "later.csv", named=True)])
+    assert not kept.unexplained
+    gross = replace(kept, campaigns=tuple(replace(c, sigma=0.03) for c in kept.campaigns))
+    assert len(gross.unexplained) == 2
+    assert "leaves 30.00 mm a coordinate, 1." in gross.blocks()[0].text

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,11 @@ class Words:
     kind: Literal["title", "text", "note", "warning", "error", "verdict"] = "text"
     code: str = ""
     mark: str = ""
+
+
+def next_step(purpose: str, command: str, *arguments: object) -> Words:
+    """The one command that a result suggests; purpose : "to learn what changed", or "when ..." """
+    return Words(f"Next, {purpose}:", code=shlex.join(["casadical", command, *map(str, arguments)]))
 
 
 @dataclass(frozen=True)

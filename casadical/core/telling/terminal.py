@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 _STYLES = {
     "title": "bold underline", "text": "", "note": "dim", "warning": "yellow", "error": "bold red", "verdict": "bold",
 }  # fmt: skip
+# Characters of a line of a command.
+_WIDE = 72
 
 
 def terminal(blocks: Sequence[Block]) -> RenderableType:
@@ -40,9 +42,10 @@ def _rendered(block: Words | Table) -> RenderableType:
         return _table(block)
     if block.mark:
         return Text.assemble((block.mark, _STYLES[block.kind]), f" {block.text}")
-    return Text(
-        f"{block.text}\n{indented(block.code, '    ')}" if block.code else block.text, style=_STYLES[block.kind]
-    )
+    code = block.code
+    if code.startswith("casadical "):  # a command is broken so that it can be copied
+        code = " \\\n".join(wrap(code, _WIDE, break_long_words=False, break_on_hyphens=False, subsequent_indent="  "))
+    return Text(f"{block.text}\n{indented(code, '    ')}" if code else block.text, style=_STYLES[block.kind])
 
 
 def _table(block: Table) -> RenderableType:

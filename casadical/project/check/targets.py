@@ -6,17 +6,23 @@ Distances between the targets are the same at every pose, their directions turn 
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations
+from itertools import permutations, product
 
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.core.parts import Target
+from casadical.core.transforms import frame
 from casadical.identification.accuracy import errors, predicted
 from casadical.identification.placement import place_frames
+from casadical.identification.plausibility import check_against
 from casadical.measurements.measurements import Measurements, same_readings
 from casadical.project.check.plausible import rigid
 from casadical.project.problem import Problem
+from casadical.project.robot_columns import names_in, refuse_nameless
 from casadical.robot.robot import Robot
 
 # Readings of a robot that stands still differ by less [rad or m]; targets are at least so far apart [m].
@@ -231,6 +237,8 @@ def unnamed_targets(problem: Problem) -> str:
 # So many rows begin the search; a further name must be nearer by this factor, and halve the error of the table.
 BEGIN, NEARER, WORTH = 18, 3.0, 0.5
 ROUNDS = 5
+# A row that begins a target lies so far from the others, as a share of the rows: single far ones are bad rows.
+LARGE = 0.85
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,24 +291,31 @@ def misnamed(robot: Robot, m: Measurements) -> Misnamed | None:
     return Misnamed(names, given, meant, m.row)
 
 
-def _search(robot: Robot, m: Measurements, given: Array, rows: slice) -> Array:
-    """The target of each row, where base and tools begin as these rows have them."""
-    names, placed = given, place_frames(robot, m[rows])
+def _search(robot: Robot, m: Measurements, given: Array, rows: slice, nearer: float = NEARER) -> Array:
+    """The target of each row, where base and tools begin as these rows have them.
+
+    nearer : another target must be by this factor
+    """
+    names, placed = given, place_frames(robot, _named(m, robot, given)[rows])
     for _ in range(ROUNDS):
         points = np.array([placed.tool.T[:3, 3], *(t.point for t in placed.targets)])
-        p, R = predicted(replace(placed, targets=(), tool_name=""), m)
-        assert m.position is not None
-        T = placed.tool.T
-        seen = T[:3, 3] + np.einsum("nji,nj->ni", R, m.position - p) @ T[:3, :3].T
-        far = np.linalg.norm(seen[:, None] - points, axis=2)
+        far = np.linalg.norm(_seen(placed, m)[:, None] - points, axis=2)
         nearest = np.argmin(far, axis=1)
-        own = far[np.arange(len(m)), given]
-        again = np.where(own > NEARER * far.min(axis=1), nearest, given)
+        own = far[np.arange(len(m)), given if nearer > 1 else names]
+        again = np.where(own > nearer * far.min(axis=1), nearest, given if nearer > 1 else names)
         if (again == names).all():
             break
         names = again
         placed = place_frames(robot, _named(m, robot, names))
     return names
+
+
+def _seen(placed: Robot, m: Measurements) -> Array:
+    """Where in the last link's frame each position lies, shape (n, 3) [m]."""
+    p, R = predicted(replace(placed, targets=(), tool_name=""), m)
+    assert m.position is not None
+    T = placed.tool.T
+    return np.asarray(T[:3, 3] + np.einsum("nji,nj->ni", R, m.position - p) @ T[:3, :3].T)
 
 
 def _named(m: Measurements, robot: Robot, names: Array) -> Measurements:
@@ -311,3 +326,127 @@ def _named(m: Measurements, robot: Robot, names: Array) -> Measurements:
 def _median(robot: Robot, m: Measurements) -> float:
     with np.errstate(all="ignore"):
         return float(np.median(errors(place_frames(robot, m), m)))
+
+
+def with_targets_of_rows(
+    robot: Robot, sets: Sequence[Measurements]
+) -> tuple[Robot, tuple[Measurements, ...], tuple[str, ...]]:
+    """A robot and later tables of it, each row with its target; and what was assumed, in words.
+
+    A column says which target a row is of; without one, repeats do, or where the rows lie to each other. The robot has
+    those targets that were measured: as they are known, or to be estimated. Raises InputError where repeats show
+    several, and the nominal model does not distinguish them.
+    """
+    known = {robot.tool_name: robot.tool.T[:3, 3], **{t.name: t.point for t in robot.targets}}
+    told, notes = [], []
+    for m in sets:
+        points = {} if names_in(m) or m.position is None else _by_position(robot, m)
+        if points:
+            told.append(_rows_named(m, points))
+            known |= {name: point for name, (point, _) in points.items()}
+            rows = ", ".join(f"{name} {len(own)}" for name, (_, own) in points.items())
+            notes.append(f"{m.source}: no column names the targets; as they lie, {rows} rows")
+        else:
+            told.append(m)
+    names = [*dict.fromkeys(name for m in told for name in names_in(m))]
+    one = names[0] if names else robot.tool_name
+    if len(names) < 2:
+        told = [
+            replace(m, conditions={k: v for k, v in m.conditions.items() if not k.startswith("tool_")}) for m in told
+        ]
+    T = frame(robot.tool.T[:3, :3], known.get(one, robot.tool.T[:3, 3]))
+    more = tuple(Target(name, known.get(name, T[:3, 3])) for name in names[1:])
+    arm = replace(robot, tool=replace(robot.tool, T=T), tool_name=one if more else "", targets=more)
+    for m in told:
+        refuse_nameless(m, arm)
+    return arm, tuple(told), tuple(notes)
+
+
+def _rows_named(m: Measurements, points: Mapping[str, tuple[Array, Array]]) -> Measurements:
+    logged = {f"tool_{name}": np.isin(np.arange(len(m)), own).astype(float) for name, (_, own) in points.items()}
+    return replace(m, conditions={**m.conditions, **logged})
+
+
+def _by_position(robot: Robot, m: Measurements) -> dict[str, tuple[Array, Array]]:
+    """Point in the last link's frame [m] and places of the rows of each target of a table; none of one target alone."""
+    alone = replace(robot, targets=(), tool_name="")
+    if (found := recognised(alone, m)) and found.turning:
+        if found.points is None or found.which is None:
+            raise InputError(found.in_words(m.source))
+        points, which = found.points, found.which
+    else:
+        check_against(alone, m)
+        free = rigid(alone)
+        one = _median(free, m)
+        tried = [_scattered(free, m, which) for which in _starts(robot, free, m)] if one > APART / 2 else []
+        points, which, left = min(
+            tried, key=lambda t: t[2] / WORTH ** len(t[0]), default=(np.zeros((0, 3)), m.row, one)
+        )
+        if left >= WORTH ** len(points) * one:
+            return {}
+    names = _names_of(points, robot)
+    return {name: (points[k], np.flatnonzero(which == k)) for k, name in enumerate(names)}
+
+
+def _starts(robot: Robot, free: Robot, m: Measurements) -> Iterator[Array]:
+    """Which target each row may be, shape (n,), to begin with: by those of the robot, by rows that lie far apart."""
+    placed = place_frames(free, m)
+    if robot.targets:
+        yield _by_known(placed, np.array([robot.tool.T[:3, 3], *(t.point for t in robot.targets)]), m)
+    seen = _seen(placed, m)
+    points = seen[:1]
+    for _ in range(1, MOST if len(m) >= BEGIN else 1):
+        far = np.linalg.norm(seen[:, None] - points, axis=2).min(axis=1)
+        points = np.vstack([points, seen[np.argsort(far)[int(LARGE * len(far))]]])
+        yield np.argmin(np.linalg.norm(seen[:, None] - points, axis=2), axis=1)
+
+
+def _by_known(placed: Robot, points: Array, m: Measurements) -> Array:
+    """Which of known points, shape (K, 3) [m], each row is, shape (n,): four rows tell the base for all the others."""
+    p, R = predicted(placed, m)
+    assert m.position is not None
+    away = (points - placed.tool.T[:3, 3]) @ placed.tool.T[:3, :3]
+    x = p + np.einsum("nij,kj->kni", R, away)  # where each point would be
+    four = np.linspace(0, len(m) - 1, 4).astype(int)
+    some = np.linspace(0, len(m) - 1, min(len(m), 60)).astype(int)
+    own, y = x[np.array(list(product(range(len(points)), repeat=4))), four], m.position[four]
+    middle = own.mean(axis=1, keepdims=True)
+    U, _, V = np.linalg.svd(np.swapaxes(own - middle, 1, 2) @ (y - y.mean(axis=0)))
+    U[:, :, 2] *= np.sign(np.linalg.det(U @ V))[:, None]
+    turn = U @ V  # of rows of coordinates, by Kabsch (1976)
+    far = [(x[:, some] - c) @ T + y.mean(axis=0) - m.position[some] for c, T in zip(middle, turn, strict=True)]
+    best = int(np.argmin(np.median(np.linalg.norm(far, axis=3).min(axis=1), axis=1)))
+    off = (x - middle[best]) @ turn[best] + y.mean(axis=0) - m.position
+    return np.asarray(np.argmin(np.linalg.norm(off, axis=2), axis=0))
+
+
+def _scattered(free: Robot, m: Measurements, which: Array) -> tuple[Array, Array, float]:
+    """Targets where each pose has one row: points, shape (K, 3) [m], target of each row, greatest median error [m].
+
+    which : to begin with
+    """
+    several = _several(free, which)
+    which = np.unique(_search(several, m, which, slice(None), 1.0), return_inverse=True)[1]
+    several = _several(free, which)
+    named = _named(m, several, which)
+    placed = place_frames(several, named)
+    points = np.array([placed.tool.T[:3, 3], *(t.point for t in placed.targets)])
+    apart = len(points) > 1 and _lengths(points).min() > APART
+    e = errors(placed, named)
+    return points, which, max(float(np.median(e[which == k])) for k in range(len(points))) if apart else np.inf
+
+
+def _several(free: Robot, which: Array) -> Robot:
+    """The robot with as many targets as there are, all where its tool is."""
+    return replace(
+        free, tool_name="0", targets=tuple(Target(str(k), free.tool.T[:3, 3]) for k in range(1, which.max() + 1))
+    )
+
+
+def _names_of(points: Array, robot: Robot) -> list[str]:
+    """Names of the robot's targets that lie to each other as these points do, shape (K, 3); else numbers."""
+    known = {robot.tool_name: robot.tool.T[:3, 3], **{t.name: t.point for t in robot.targets}}
+    for some in permutations(known, len(points)) if len(points) <= len(known) <= MOST else ():
+        if np.abs(_lengths(np.array([known[name] for name in some])) - _lengths(points)).max() < ALIKE:
+            return [*some]
+    return [f"target{k}" for k in range(1, len(points) + 1)]
