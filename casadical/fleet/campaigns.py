@@ -114,8 +114,8 @@ def _understood_by(files: Sequence[Path]) -> Path | None:
 def later_tables(folder: Path) -> tuple[list[Path], float | None]:
     """Tables in a problem's folder `campaigns`, and the day of the problem's own where a copy of that is among them."""
     own = {read_bytes(table) for table in own_tables(folder)}
-    tables = [path for path in sorted((folder / CAMPAIGNS).glob("*.csv")) if path.is_file()]
-    copies = [path for path in tables if read_bytes(path) in own]
+    tables = sorted((folder / CAMPAIGNS).glob("*.csv"))
+    copies = [path for path in tables if path.is_file() and read_bytes(path) in own]
     return [path for path in tables if path not in copies], next((day_of(path) for path in reversed(copies)), None)
 
 

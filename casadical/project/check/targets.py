@@ -375,12 +375,14 @@ def _by_position(robot: Robot, m: Measurements) -> dict[str, tuple[Array, Array]
             raise InputError(found.in_words(m.source))
         points, which = found.points, found.which
     else:
-        check_against(alone, m)
         free = rigid(alone)
         one = _median(free, m)
-        tried = [_scattered(free, m, which) for which in _starts(robot, free, m)] if one > APART / 2 else []
+        if one < APART / 2:
+            return {}
+        check_against(alone, m)
+        tried = [_scattered(free, m, which) for which in _starts(robot, free, m)]
         points, which, left = min(
-            tried, key=lambda t: t[2] / WORTH ** len(t[0]), default=(np.zeros((0, 3)), m.row, one)
+            tried, key=lambda t: t[2] / WORTH ** len(t[0]), default=(np.empty((0, 3)), m.row, one)
         )
         if left >= WORTH ** len(points) * one:
             return {}
