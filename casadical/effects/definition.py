@@ -5,6 +5,7 @@ The package's own list, `listed.effect.toml`, and users' effect and robot files 
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, make_dataclass
@@ -17,15 +18,15 @@ from pydantic import Field, Strict, model_validator
 
 from casadical.core.arm import Arm
 from casadical.core.errors import InputError
-from casadical.core.reading import load_toml
+from casadical.core.reading import MOST_COUNT, load_toml
 from casadical.core.schema import FaultError, TomlTable, Triple, check
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Effect
 from casadical.effects.counterparts import Counterparts
 from casadical.effects.formula import Formula, parse
-from casadical.effects.formula_effect import SEAMS, FormulaEffect, check_formula, columns_of, refuse_constant
+from casadical.effects.formula_effect import SEAMS, FormulaEffect, check_formula, check_values, columns_of
 from casadical.effects.named_counterparts import COUNTERPARTS
-from casadical.effects.settings import NEAR, setting
+from casadical.effects.settings import MOST_WHOLE, NEAR, setting
 
 LISTED = Path(__file__).with_name("listed.effect.toml")
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
@@ -72,6 +73,11 @@ class Setting(TomlTable):
         """Of its values."""
         return tuple[float, float, float] if isinstance(self.default, list) else type(self.default)
 
+    @property
+    def points(self) -> int:
+        """Values of its grid."""
+        return self.grid.count if isinstance(self.grid, Grid) else 2 if self.grid == NEAR else max(1, len(self.grid))
+
     def field(self) -> Any:
         """As a field of a dataclass."""
         grid: Any = self.grid
@@ -106,7 +112,7 @@ class DefinitionFile(TomlTable):
     """A file with definitions."""
 
     casadical: Literal[2]
-    definition: list[Definition] = []
+    definition: list[Definition] = Field(default=[], max_length=MOST_COUNT)
 
 
 @dataclass(frozen=True)
@@ -238,7 +244,7 @@ def effect_class(d: Definition, module: str = "effect file") -> type[DefinedEffe
         whole = kind.texts_with(tuple(_word({"joint": 1, **settings}[place]) for place in kind.places))
         for seam, formula in whole.formulas.items():
             check_formula(formula.text, seam, (*whole.sizes, *numbers, *whole.needs))
-            refuse_constant(formula, whole.sizes, numbers)
+            check_values(formula, whole.sizes, numbers)
     except InputError as error:
         raise InputError(f"formulas: {error}") from None
     sizes, used = whole.sizes, {name for formula in whole.formulas.values() for name in formula.names}
@@ -256,6 +262,8 @@ def _refuse_names(d: Definition) -> None:
             raise InputError("formulas.beam: it needs a setting `station`, a point")
     if d.counterpart and d.counterpart not in COUNTERPARTS:
         raise InputError(f"counterpart = {d.counterpart!r}: allowed: {', '.join(COUNTERPARTS)}")
+    if math.prod(s.points for s in d.settings.values()) > MOST_WHOLE:
+        raise InputError(f"settings: their grids have more than {MOST_WHOLE} combinations; use coarser ones")
     for name, (size, _) in d.sizes.items():
         if not 0 < size <= 1e3:
             raise InputError(f"sizes.{name}: one sigma of {size!r}; must be above 0, and 1000 at most")

@@ -1,7 +1,8 @@
 """Formulas given as text: checked against a list of names and functions, then computed; text is never executed.
 
 The text is split into a tree by Python's own parser, which runs nothing. Every node of the tree must be on the list
-here; numbers, length and depth are limited. A formula is a number, or three in brackets, `[a, b, 0] * max(0, t - 0.5)`.
+here; numbers, length and depth are limited, and by interval arithmetic every value on the way. A formula is a number,
+or three in brackets, `[a, b, 0] * max(0, t - 0.5)`.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.errors import InputError
+from casadical.core.reading import LARGEST
 
 MOST_CHARACTERS, MOST_NODES, MOST_LEVELS, MOST_POWER = 400, 120, 20, 6
 # Of numbers other than zero.
@@ -79,6 +81,74 @@ def refuse_unknown(formula: Formula, known: Callable[[str], bool], allowed: str)
     for node in _names_of(_tree(formula.text)):
         if not known(node.id):
             raise _wrong(formula.text, node, f"unknown name {node.id!r}; allowed are {allowed}")
+
+
+Interval = tuple[float, float]
+# What a value divided by nearly nothing is taken to be: times this.
+_POLE = 1e15
+
+
+def bounds(formula: Formula, ranges: Callable[[str], Interval]) -> Interval:
+    """Between which its values lie, all components together, by interval arithmetic; ranges : of its names.
+
+    Raises InputError for a value on the way that is beyond `LARGEST`, or cannot be computed.
+    """
+    return _bounds(formula.text, _tree(formula.text), ranges)
+
+
+def _bounds(text: str, node: ast.expr, ranges: Callable[[str], Interval]) -> Interval:
+    parts = [_bounds(text, each, ranges) for each in ast.iter_child_nodes(node) if isinstance(each, ast.expr)]
+    if isinstance(node, ast.Constant):
+        low = high = float(node.value)  # type: ignore[arg-type]
+    elif isinstance(node, ast.Name):
+        low, high = ranges(node.id) if node.id not in FUNCTIONS else (0.0, 0.0)
+    elif isinstance(node, ast.UnaryOp):
+        low, high = parts[0] if isinstance(node.op, ast.UAdd) else (-parts[0][1], -parts[0][0])
+    elif isinstance(node, ast.Call):
+        low, high = _bounds_of_call(text, node, parts[1:])
+    elif isinstance(node, ast.BinOp):
+        low, high = _bounds_of_operation(text, node, *parts)
+    else:
+        low, high = min(part[0] for part in parts), max(part[1] for part in parts)
+    if not -LARGEST <= low <= high <= LARGEST:
+        raise _wrong(text, node, f"may become greater than {LARGEST:g}; keep its arguments small")
+    return low, high
+
+
+def _bounds_of_call(text: str, node: ast.Call, parts: list[Interval]) -> Interval:
+    assert isinstance(node.func, ast.Name)
+    name, (low, high) = node.func.id, parts[0]
+    if name in ("sin", "cos", "tanh", "sign", "step"):
+        return (0.0 if name == "step" else -1.0), 1.0
+    if name == "abs":
+        return (0.0 if low <= 0 <= high else min(abs(low), abs(high))), max(abs(low), abs(high))
+    if name == "exp":
+        return math.exp(max(min(low, 700.0), -700.0)), math.exp(max(min(high, 700.0), -700.0))
+    if name == "sqrt":
+        if high < 0:
+            raise _wrong(text, node, "is the root of a negative number")
+        return math.sqrt(max(low, 0.0)), math.sqrt(high)
+    choose = min if name == "min" else max
+    return choose(low, parts[1][0]), choose(high, parts[1][1])
+
+
+def _bounds_of_operation(text: str, node: ast.BinOp, left: Interval, right: Interval) -> Interval:
+    if isinstance(node.op, ast.Add):
+        return left[0] + right[0], left[1] + right[1]
+    if isinstance(node.op, ast.Sub):
+        return left[0] - right[1], left[1] - right[0]
+    if isinstance(node.op, ast.Div):
+        if right == (0.0, 0.0):
+            raise _wrong(text, node.right, "is zero; nothing can be divided by it")
+        pole = right[0] <= 0 <= right[1]
+        right = (-_POLE, _POLE) if pole else (1 / right[1], 1 / right[0])
+    square = isinstance(node.op, ast.Mult) and ast.dump(node.left) == ast.dump(node.right)
+    if square or isinstance(node.op, ast.Pow):
+        power = 2 if square else int(right[0])
+        ends = [math.prod([end] * power) for end in left]
+        return (0.0 if power % 2 == 0 and left[0] <= 0 <= left[1] else min(ends)), max(ends)
+    products = [a * b for a in left for b in right]
+    return min(products), max(products)
 
 
 def _wrong(text: str, node: ast.expr | int, why: str) -> InputError:
@@ -148,7 +218,7 @@ def _refuse_number(text: str, node: ast.Constant) -> None:
     value = node.value
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise _wrong(text, node, f"{value!r} is no number")
-    if not math.isfinite(value) or (value and not LEAST <= abs(value) <= GREATEST):
+    if value and not LEAST <= abs(value) <= GREATEST:  # also an integer that is no double
         raise _wrong(text, node, f"number out of range; allowed are 0 and {LEAST:g} to {GREATEST:g}")
 
 

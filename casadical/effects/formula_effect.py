@@ -17,7 +17,7 @@ from casadical.core.arm import Arm
 from casadical.core.errors import InputError
 from casadical.core.transforms import Symbolic, small_frame, translate
 from casadical.effects.base import Context, Effect
-from casadical.effects.formula import NUMERIC, Formula, parse, refuse_unknown
+from casadical.effects.formula import NUMERIC, Formula, Interval, bounds, parse, refuse_unknown
 
 
 class Seam(NamedTuple):
@@ -168,14 +168,36 @@ def check_formula(text: str, seam: str, own: Collection[str]) -> Formula:
     return formula
 
 
-def refuse_constant(formula: Formula, parameters: Collection[str], settings: Mapping[str, Any]) -> None:
-    """Raises InputError for a formula that is not zero without its parameters; settings : values that it has."""
+def check_values(formula: Formula, parameters: Collection[str], settings: Mapping[str, Any]) -> None:
+    """Raises InputError for a formula that is not zero without its parameters, or not a number with them, or too great.
+
+    settings : values that it has
+    """
+    ranges = {name: _range_of(name) for name in formula.names} | {n: (float(v), float(v)) for n, v in settings.items()}
+    bounds(formula, lambda name: ranges[name])
     rng = np.random.default_rng(0)
-    at = {n: np.zeros(200) if n in parameters else rng.uniform(-4, 4, 200) for n in formula.names}
+    at: dict[str, Any] = {n: rng.uniform(*ranges[n], 200) for n in formula.names if n not in settings} | dict(settings)
     with np.errstate(all="ignore"):
-        values = np.broadcast_arrays(*formula.values({**at, **settings}, NUMERIC))
-    if any(np.nan_to_num(v).any() for v in values):
+        without = formula.values(at | dict.fromkeys(parameters, np.zeros(200)), NUMERIC)
+        whole = formula.values(at, NUMERIC)
+    if any(np.nan_to_num(v).any() for v in without):
         raise InputError(f"formula {formula.text!r}: it must be zero where {', '.join(parameters)} are zero")
+    wrong = np.broadcast_to(~np.isfinite(sum(whole)), 200)
+    if wrong.any():
+        there = ", ".join(f"{name} = {values[wrong][0]:.3g}" for name, values in at.items() if name not in settings)
+        raise InputError(f"formula {formula.text!r}: it is no number where {there}")
+
+
+# Of names in formulas [SI]; of others, which are angles, lengths and parameters: _USUAL.
+_RANGES = {
+    "t": (0.0, 1.0), "payload": (0.0, 100.0), "warmth": (-100.0, 100.0), "r": (0.1, 100.0), "g": (-1.0, 1.0),
+    "approach": (-1.0, 1.0), "memory": (-1.0, 1.0),
+}  # fmt: skip
+_USUAL = (-4.0, 4.0)
+
+
+def _range_of(name: str) -> Interval:
+    return _RANGES.get("g" if re.fullmatch("g[xyz]", name) else re.sub(r"\d.*", "", name).rstrip("_"), _USUAL)
 
 
 def _known(name: str, seam: str) -> bool:

@@ -21,8 +21,8 @@ from casadical.effects.formula_effect import (
     SEAMS,
     FormulaEffect,
     check_formula,
+    check_values,
     columns_of,
-    refuse_constant,
     variable,
 )
 
@@ -63,7 +63,7 @@ class Law(FormulaEffect):
         formula = check_formula(self.formula, self.seam, names)
         if unused := [name for name in names if name not in formula.names]:
             raise InputError(f"formula {self.formula!r}: factor {unused[0]!r} is not in it")
-        refuse_constant(formula, names, {})
+        check_values(formula, names, {})
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:

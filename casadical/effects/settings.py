@@ -13,6 +13,8 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from casadical.core.errors import InputError
 
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False)
+# Of a setting that counts, and of combinations of settings on their grids.
+MOST_WHOLE = 10_000
 # In place of a grid: the joints whose motors can move the effect's own one (see `Arm.near`).
 NEAR = "near"
 
@@ -89,4 +91,13 @@ def checked_settings(kind: Any, given: Mapping[str, Any]) -> dict[str, Any]:
         except ValidationError as error:
             wrong = error.errors()[0]["msg"].replace("Input should be", "must be")
             raise InputError(f"settings.{key} = {value!r}: {wrong}") from None
+        if any(not 0 <= n <= MOST_WHOLE for n in _whole_numbers(checked[key])):
+            raise InputError(f"settings.{key} = {value!r}: allowed: whole numbers from 0 to {MOST_WHOLE}")
     return checked
+
+
+def _whole_numbers(value: Any) -> Iterator[int]:
+    if isinstance(value, tuple | list):
+        yield from (number for each in value for number in _whole_numbers(each))
+    elif isinstance(value, int):
+        yield int(value)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -323,18 +323,18 @@ def promised_rms(robot: Path, kind: str = POSITION) -> float:
     remedy = "give the promised rms error with --promised-mm"
     try:
         stated = load_json(path)
-        methods = stated["methods"]
-    except (OSError, ValueError, KeyError, TypeError):
+        sets = dict(stated["methods"]).get(robot.name.removesuffix(".robot.toml"), {}).get("sets", {})
+        kinds = stated.get("kinds", {})
+        held = [
+            1e-3 * float(figures.get("without_far_off", figures)["rms_mm"])
+            for name, figures in sets.items()
+            if name.split("/")[0] == "report" and kinds.get(name, kind) in _alike(kind)
+        ]
+    except (ValueError, KeyError, TypeError, AttributeError):  # no such file; figures of other kinds
         raise InputError(f"{path}: no figures of a calibration; {remedy}") from None
-    sets: Mapping[str, Any] = methods.get(robot.name.removesuffix(".robot.toml"), {}).get("sets", {})
-    held = [
-        figures
-        for name, figures in sets.items()
-        if name.split("/")[0] == "report" and stated.get("kinds", {}).get(name, kind) in _alike(kind)
-    ]
     if not held:
         raise InputError(f"{path}: no held-out poses of {robot.name} (kind {kind}); {remedy}")
-    return 1e-3 * float(held[0].get("without_far_off", held[0])["rms_mm"])
+    return held[0]
 
 
 def _problem_of(robot: Path) -> Path | None:

@@ -1,5 +1,6 @@
 """Tables of a robot file of version 2: [[effect]], [learnt], [[covariance]] and [bound]; all in SI."""
 
+import math
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
@@ -22,6 +23,9 @@ SAME = 1e-6
 # Of a covariance: enough for correlations of 1 - 1e-9, and a quarter less text than all.
 DIGITS = 12
 
+# Of one effect: a curve of each joint, and more.
+MOST_PARAMETERS = 3000
+
 
 class Value(TomlTable):
     """A parameter of an effect."""
@@ -43,6 +47,10 @@ class EffectTable(TomlTable):
         """Raises InputError: no such effect or setting, a value that it does not have, or in another unit."""
         effect = find_effect(self.name, own).from_dict({"joint": self.joint, "settings": self.settings})
         sizes = effect.sizes()
+        if len(sizes) > MOST_PARAMETERS:
+            raise InputError(f"settings: {len(sizes)} parameters; allowed: up to {MOST_PARAMETERS}")
+        if wrong := [name for name, (size, _) in sizes.items() if not (size > 0 and math.isfinite(size))]:
+            raise InputError(f"settings: one sigma of {wrong[0]} is {sizes[wrong[0]][0]:g}; it must be above 0")
         for name, given in self.values.items():
             if name not in sizes:
                 raise InputError(f"values.{name}: no parameter of {effect.label}; there are {', '.join(sizes)}")

@@ -15,7 +15,9 @@ from pydantic import AfterValidator, Field, model_validator
 
 from casadical.core.arm import STANDARD_GRAVITY
 from casadical.core.arrays import Array
+from casadical.core.errors import InputError
 from casadical.core.parts import WIDTHS, Body, BodyWidth, Coupling, FourBar, Joint, Placement, Target, Width
+from casadical.core.reading import MOST_COUNT
 from casadical.core.schema import ANGLE, LENGTH, READING, Angle, FaultError, Length, Pair, TomlTable, Triple
 from casadical.core.transforms import frame, from_rpy
 from casadical.effects import Effect
@@ -30,6 +32,9 @@ from casadical.robot.effect_tables import (
 )
 from casadical.robot.error_bound import refuse_other
 from casadical.robot.robot import Robot
+
+# Rows of a robot file.
+MOST_JOINTS = 100
 
 Bar = Annotated[float, LENGTH, Field(gt=0)]
 
@@ -186,14 +191,14 @@ class RobotFile(TomlTable):
     base: _Frame = _Frame()
     tool: _Frame = _Frame()
     tool_name: str = ""
-    further_tool: list[ToolTable] = Field(default=[])
+    further_tool: list[ToolTable] = Field(default=[], max_length=MOST_COUNT)
     gravity: _Gravity = _Gravity()
     payload: _Body | None = None
-    joint: list[_Joint] = Field(min_length=1)
-    four_bar: list[_FourBar] = Field(default=[])
+    joint: list[_Joint] = Field(min_length=1, max_length=MOST_JOINTS)
+    four_bar: list[_FourBar] = Field(default=[], max_length=MOST_JOINTS)
     width: _Widths = _Widths()
-    definition: list[Definition] = Field(default=[])
-    effect: list[EffectTable] = Field(default=[])
+    definition: list[Definition] = Field(default=[], max_length=MOST_COUNT)
+    effect: list[EffectTable] = Field(default=[], max_length=MOST_COUNT)
     learnt: LearntTable = LearntTable()
     covariance: list[CovarianceTable] = Field(default=[])
     bound: BoundTable | None = None
@@ -246,7 +251,24 @@ class RobotFile(TomlTable):
         bound = self.bound.bound() if self.bound else None
         if bound:
             refuse_other(robot, bound)
-        return replace(robot, knowledge=known, bound=bound)
+        robot = replace(robot, knowledge=known, bound=bound)
+        if effects:
+            _refuse_undefined(robot)
+        return robot
+
+
+def _refuse_undefined(robot: Robot) -> None:
+    """Raises InputError for effects whose settings and values give no position at some readings."""
+    lower, upper = np.array([(j.lower, j.upper) for j in robot.joints]).T
+    for share in (0.37, 0.71):
+        q = lower + share * (upper - lower)
+        try:
+            point = np.array(robot.position(q, robot.parameters.values))
+        except (ArithmeticError, RuntimeError, IndexError) as error:
+            why = str(error).splitlines()[-1]
+            raise InputError(f"effect: {robot.effects_in_words}: the model cannot be computed: {why}") from None
+        if not np.isfinite(point).all():
+            raise InputError(f"effect: {robot.effects_in_words}: no finite position at readings {q.round(3).tolist()}")
 
 
 def _from_standard(rows: list[Joint]) -> tuple[list[Joint], Array]:

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from casadical.core.errors import InputError
-from casadical.effects.formula import NUMERIC, parse
+from casadical.effects.formula import NUMERIC, bounds, parse
+from casadical.effects.law import Law
 
 X = np.linspace(-2.0, 2.0, 9)
 
@@ -79,3 +80,60 @@ def test_what_is_no_formula_is_refused(text: str, message: str) -> None:
         return
     with pytest.raises(InputError, match=message.replace("(", r"\(").replace("*", r"\*")):
         parse(text)
+
+
+RANGES = {"a": (-4.0, 4.0), "x": (-2.0, 3.0), "y": (1.0, 2.0)}
+
+
+@pytest.mark.parametrize(
+    ("text", "low", "high"),
+    [
+        ("x*x", 0, 9),
+        ("x**3", -8, 27),
+        ("x*y - 1", -5, 5),
+        ("x/y", -2, 3),
+        ("-x + abs(x)", -3, 5),
+        ("exp(x) * step(a)", 0, np.exp(3)),
+        ("sqrt(x*x + 1)", 1, np.sqrt(10)),
+        ("min(x, y) + max(x, y)", -1, 5),
+        ("[sin(x), 2*cos(a), tanh(x) * sign(a)]", -2, 2),
+    ],
+)
+def test_bounds_hold_every_value(text: str, low: float, high: float) -> None:
+    formula = parse(text)
+    assert bounds(formula, RANGES.__getitem__) == pytest.approx((low, high))
+    rng = np.random.default_rng(0)
+    values = formula.values({name: rng.uniform(*ends, 1000) for name, ends in RANGES.items()}, NUMERIC)
+    assert low <= np.min(values) <= np.max(values) <= high
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a / 0", "column 5: is zero"),
+        ("a / (1 - 1)", "column 6: is zero"),
+        ("a * exp(exp(exp(x)))", "column 5: may become greater than 1e\\+100"),
+        ("a * ((((x)**6)**6)**6)**6", "may become greater"),
+        ("a * sqrt(0 - y)", "column 5: is the root of a negative number"),
+        ("a * exp(1 / x)", "may become greater"),
+        ("a * 1" + "0" * 310, "number out of range"),
+    ],
+)
+def test_values_on_the_way_have_bounds(text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        bounds(parse(text), RANGES.__getitem__)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a*(x1-x1)", "unknown name"),
+        ("a/(q1-q1)", "it is no number where a = .*, q1 ="),
+        ("a*sqrt(q1)", "it is no number where"),
+        ("a + 1", "it must be zero where a are zero"),
+    ],
+)
+def test_a_law_is_a_number_everywhere(text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Law(joint=1, formula=text)
+    assert Law(joint=1, formula="a*sqrt(t)*exp(0-payload)/(1+q1**2)").drivers == ("t", "payload", "q1")

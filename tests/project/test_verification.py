@@ -96,6 +96,11 @@ def test_what_cannot_be_checked_is_refused(calibrated_arm: Path, tmp_path: Path)
     with pytest.raises(InputError, match="no figures of a calibration; give the promised rms error with --promised-mm"):
         verify(alone, later(tmp_path))
     assert verify(alone, later(tmp_path), promised_mm=1.0).valid
+    figures = ("[]", "7", "1e999", '"x"', '{"rms_mm": []}', '{"rms_mm": 1e999}', '{"without_far_off": []}')
+    for text in (*(f'{{"methods": {{"alone.toml": {{"sets": {{"report": {f}}}}}}}}}' for f in figures), "[" * 9000):
+        (tmp_path / "result.json").write_text(text)
+        with pytest.raises(InputError, match="no figures of a calibration"):
+            verify(alone, later(tmp_path))
 
 
 def test_a_later_table_is_understood_as_the_tables_of_the_calibration(tmp_path, monkeypatch):

@@ -1,5 +1,6 @@
 """Robots with effects as files: the same positions, the same knowledge, and every fault by its key."""
 
+import re
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
@@ -250,6 +251,29 @@ FAULTS = {
         ["casadical = 3", "written by casadical 0.7.0", "reads files up to version 2", "install"],
     ),
 }
+
+
+BEYOND = [
+    ('name="law"\nsettings={seam="joints", formula="a*q", count=1000000000}', "settings.count = 1000000000: allowed"),
+    ('name="joint_error_curve"\nsettings={orders=1000000000}', "settings.orders = 1000000000: allowed"),
+    ('name="joint_error_curve"\nsettings={orders=9000}', "108000 parameters; allowed: up to 3000"),
+    ('name="joint_error_curve"\nsettings={knee=0}', "one sigma of s1_q1 is 0; it must be above 0"),
+    ('name="joint_error_curve"\nsettings={orders=-1}', "settings.orders = -1: allowed"),
+    ('name="session"\nsettings={which="b", zeros=1000000000}', "settings.zeros = 1000000000: allowed"),
+    ('name="session"\nsettings={which="b", zeros=3}', "the model cannot be computed"),
+    ('name="bearing_play"\njoint=1\nsettings={soft=0.0}', "the model cannot be computed"),
+    ('name="frame_settling"\nsettings={settles=0.0}', "no finite position at readings"),
+    ('name="load_hysteresis"\njoint=1\nsettings={power=1e9}', "settings.power = 1000000000.0: must be a valid integer"),
+    ('name="load_hysteresis"\njoint=1\nsettings={power=1000}', "a power must be a whole number from 1 to 6"),
+    ('name="law"\njoint=1\nsettings={seam="joint", formula="a/0"}', "column 3: is zero"),
+]
+
+
+@pytest.mark.parametrize(("effect", "why"), BEYOND)
+def test_settings_beyond_what_a_model_bears(effect: str, why: str, tmp_path: Path) -> None:
+    (tmp_path / "arm.toml").write_text(f"{GOOD}\n[[effect]]\n{effect}\n")
+    with pytest.raises(InputError, match=re.escape(why)):
+        read_robot(tmp_path / "arm.toml")
 
 
 def test_the_file_without_a_fault_is_read(tmp_path: Path) -> None:

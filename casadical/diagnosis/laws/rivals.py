@@ -41,6 +41,8 @@ def aliases(case: Case, chosen: Array, law: Scored, variant: Mapping[str, int]) 
     rho = float(RHOS[int(np.argmin(np.abs(RHOS - law.noise.repeatability / law.noise.sigma)))])
     listed = [c for c in case.candidates if c.listed and c.label in variant and not c.variants[0][0].parts]
     groups = [case.group(c.variants[variant[c.label]]) for c in listed]
+    if not groups:
+        return ()
     projection = base.projection(rho)
     E = projection.columns(np.concatenate([law.columns, case.evidence.take(np.concatenate(groups))], axis=2))
     w = law.columns.shape[2]

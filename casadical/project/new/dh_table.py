@@ -37,6 +37,7 @@ def robot_text(path: Path, name: str, convention: str) -> str:
     if convention not in ("modified", "standard"):
         raise InputError(f"--convention {convention}: not known; allowed: modified, standard")
     table = read_table(path)
+    _refuse_no_numbers(table)
     frame, said = with_our_names(table, _KNOWN)
     if not set(frame) & set(_ROW):
         raise InputError(f"{path.name}: no DH number found; columns are a_mm, alpha_deg, d_mm, theta_deg")
@@ -47,6 +48,15 @@ def robot_text(path: Path, name: str, convention: str) -> str:
     head = ROBOT_HEAD.format(name=name.replace('"', "'"), convention=convention, table=path.name.replace('"', "'"))
     understood = "".join(f"# {words}\n" for words in said)
     return head + understood + "\n" + "\n".join(rows)
+
+
+def _refuse_no_numbers(table: RawTable) -> None:
+    """Raises InputError for a cell that says it is no number (nan, NA, inf); an empty one is left out."""
+    frame = table.frame().replace([math.inf, -math.inf], math.nan)
+    for k, (line, cells) in enumerate(zip(table.line, table.cells, strict=True)):
+        for name, cell in zip(table.header, cells, strict=False):
+            if cell.strip() and pd.isna(frame[name].iloc[k]):
+                raise InputError(f"{table.path.name}: row {line}, column {name!r}: {cell!r} is not a finite number")
 
 
 def _row(row: Mapping[str, Any], where: str) -> str:
@@ -83,8 +93,6 @@ def _number(row: Mapping[str, Any], key: str, where: str) -> float | None:
         value = float(row[key])
     except (TypeError, ValueError):
         raise InputError(f"{where}, column {key!r}: {row[key]!r} is not a number") from None
-    if math.isinf(value):
-        raise InputError(f"{where}, column {key!r}: {row[key]!r} is not a finite number")
     return None if math.isnan(value) else value
 
 
