@@ -15,6 +15,7 @@ from casadical.cli.options import (
     Payload,
     Quiet,
     Steps,
+    TcpError,
     What,
 )
 from casadical.cli.terminal import keep, plain, refuse_taken, with_json
@@ -63,6 +64,13 @@ Nearest = Annotated[
     ),
 ]
 Still = Annotated[bool, typer.Option("--external-still", help="External axes carry neither the robot nor its bases.")]
+Unreached = Annotated[
+    bool,
+    typer.Option(
+        "--leave-unreached",
+        help="Leave poses that the nominal robot does not reach, and correct the others; for right frames only.",
+    ),
+]
 AccuracyOff = Annotated[
     bool, typer.Option("--accuracy-off", help="The controller's own absolute accuracy has been switched off.")
 ]
@@ -79,6 +87,7 @@ def correct(
     limit: Limit = None,
     payload: Payload = None,
     tool: Tool = None,
+    tcp_error: TcpError = None,
     leave_out: LeaveOut = False,
     trust: Trust = False,
     tcp: Frames = None,
@@ -88,6 +97,7 @@ def correct(
     data: Data = None,
     nearest: Nearest = False,
     external_still: Still = False,
+    leave_unreached: Unreached = False,
     accuracy_off: AccuracyOff = False,
     overwrite: Overwrite = False,
     json_file: Json = None,
@@ -98,16 +108,18 @@ def correct(
     Every target gets a status; one whose status is not OK keeps its numbers and is listed. A folder has
     the options of its export; with a robot file, give --nominal and the other options of `casadical export c`.
     A program in a controller's language gets a report beside it, FILE.correction.csv; every other byte stays.
+    Nothing is written while poses are not reached: then the controller's frames differ from those of the robot file.
 
     Example: casadical correct results/SKCM.robot.toml program.csv --nominal robot.toml --out corrected.csv
 
-    Exit codes: 0 written, with or without refused targets; 2 bad input; 70 a bug in casadical.
+    Exit codes: 0 written, with or without refused targets; 2 bad input, or poses that are not reached; 70 a bug in
+    casadical.
     """
     from casadical.export.controller.program_file import OfLanguage, WithRobot, correct_file
 
     refuse_taken(out, overwrite)
-    robot = WithRobot(nominal, compensator, payload, steps, what, limit, tool, leave_out)
-    language = OfLanguage(tcp, base, root, flange, data, nearest, external_still, accuracy_off)
+    robot = WithRobot(nominal, compensator, payload, steps, what, limit, tool, leave_out, tcp_error)
+    language = OfLanguage(tcp, base, root, flange, data, nearest, external_still, leave_unreached, accuracy_off)
     made = correct_file(model, program, out, robot, language, trust=trust)
     console = plain(quiet)
     for line in made.lines:

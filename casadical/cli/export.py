@@ -19,6 +19,7 @@ from casadical.cli.options import (
     Payload,
     Quiet,
     Steps,
+    TcpError,
     Tool,
     What,
 )
@@ -70,6 +71,9 @@ Languages = Annotated[
 ]
 Replaced = Annotated[
     bool, typer.Option("--overwrite", help="Replace files that casadical did not write or that were changed.")
+]
+NoBound = Annotated[
+    bool, typer.Option("--no-bound", help="Leave out the bound of the error that remains: less code and memory.")
 ]
 Source = Annotated[
     Path,
@@ -132,6 +136,8 @@ def export_c(
     limit: Limit = None,
     payload: Payload = None,
     tool: Tool = "shared",
+    tcp_error: TcpError = None,
+    no_bound: NoBound = False,
     leave_out: LeaveOut = False,
     name: Prefix = None,
     language: Languages = None,
@@ -151,7 +157,7 @@ def export_c(
     from casadical.export.controller.commands import Sources
 
     made = c_export.export_c(
-        Sources(robot, nominal, compensator, payload, tool, leave_out),  # type: ignore[arg-type]
+        Sources(robot, nominal, compensator, payload, tool, leave_out, tcp_error, not no_bound),  # type: ignore[arg-type]
         out,
         what,
         c_export.OfCommand(steps or 2, correct, limit, precise, cycle, rate, ramp),

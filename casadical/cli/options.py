@@ -63,6 +63,17 @@ Limit = Annotated[
         "robot file; default: any.",
     ),
 ]
+TcpError = Annotated[
+    float | None,
+    typer.Option(
+        "--tcp-error",
+        metavar="MM",
+        min=0,
+        help="How far the tool's centre may be from where the controller has it, the place of the flange included: the "
+        "bound is so much greater. Default: 1, and 0 where the measured point is the tool's centre (--tool own) or its "
+        "place on the flange was known.",
+    ),
+]
 Room = Annotated[
     Path | None,
     typer.Option(metavar="FILE.toml", help="Where poses may lie: limits, floor, boxes, tracker; see docs/plan.md."),

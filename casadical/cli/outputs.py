@@ -22,7 +22,7 @@ _SET = (
 )  # fmt: skip
 # Of each kind of JSON that `--json` writes, names by which it is known again.
 _OURS = (
-    {"problem", "robot"}, {"campaign"}, {"forecast"}, {"rows", "corrected"}, {"folder", "files", "verified"},
+    {"problem", "robot"}, {"campaign"}, {"forecast"}, {"targets", "corrected"}, {"folder", "files", "verified"},
     {"file", "robot", "left_out"}, {"withheld", "not_drawn"}, {"key_sha256"}, {"answers", "by"}, {"by", "figures"},
     {"changed", "changes", "campaigns"}, {"fleet", "robots", "types"},
 )  # fmt: skip
@@ -45,7 +45,7 @@ def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[.
         inputs += [p for v in given.values() if isinstance(v, list) for p in v if isinstance(p, Path)]
         into = [paths[name] for name in outputs if name in paths and name in folders]
         files = [paths[name] for name in outputs if name in paths and name not in folders]
-        _check(files, into, inputs, bool(given.get("overwrite")))
+        _check(files, into, inputs, given.get("overwrite"))
         with claimed(into):
             return command(**given)
 
@@ -75,8 +75,11 @@ def _metavars(command: Callable[..., Any]) -> Mapping[str, str]:
     return {name: getattr(option, "metavar", None) or "" for name, option in found.items()}
 
 
-def _check(files: Sequence[Path], folders: Sequence[Path], inputs: Sequence[Path], overwrite: bool) -> None:
-    """Raises InputError for an output that would replace an input, another output, or a file that is not ours."""
+def _check(files: Sequence[Path], folders: Sequence[Path], inputs: Sequence[Path], overwrite: bool | None) -> None:
+    """Raises InputError for an output that would replace an input, another output, or a file that is not ours.
+
+    overwrite : whether files that are not ours may be replaced; None: the command has no such option
+    """
     read = {real: path for path in inputs for real in _inputs(path)}
     taken: dict[Path, Path] = {}
     within = {_real(folder) for folder in folders}
@@ -93,7 +96,7 @@ def _check(files: Sequence[Path], folders: Sequence[Path], inputs: Sequence[Path
         if _real(path).parent in within and _of_a_set(path.name):
             raise InputError(f"{shown(path)}: a file of this name is among those of --out; name another one")
         if not overwrite and path.is_file() and own_stream(path) is None:
-            _refuse_foreign(path)
+            _refuse_foreign(path, "move this one away" if overwrite is None else "give --overwrite")
     for real, path in read.items():
         if real.parent in within and _of_a_set(real.name) and path.is_file():
             raise InputError(f"{shown(path)}: is an input, and --out may replace it; name another folder")
@@ -144,7 +147,7 @@ def _texts(value: Any) -> Iterator[str]:
             yield from _texts(inner)
 
 
-def _refuse_foreign(path: Path) -> None:
+def _refuse_foreign(path: Path, remedy: str = "move this one away") -> None:
     """Raises InputError for a file that is there and is no earlier output of casadical."""
     try:
         text = read_bytes(path).decode("utf-8", "replace")
@@ -153,7 +156,7 @@ def _refuse_foreign(path: Path) -> None:
     if text.strip() and not _ours(path, text):
         raise InputError(
             f"{shown(path)}: is there and was not written by casadical, or was changed since; name another file, or "
-            "move this one away"
+            f"{remedy}"
         )
 
 

@@ -24,7 +24,6 @@ import matplotlib.pyplot as plt
 
 from casadical import calibrate, write_robot
 from casadical.export import inverse_kinematics
-from casadical.export.controller.offline_program import read_program
 from casadical.export.mjcf.mjcf import mjcf
 
 ROOT = Path(__file__).parents[2]
@@ -94,9 +93,8 @@ def corrected(real, nominal, q, folder):
     command = [*run, *map(str, words), "--out", str(folder / "corrected.csv")]
     said = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     table = (folder / "corrected.csv").read_text().splitlines()
-    plain = [line.rpartition(",")[0] for line in table]
-    (folder / "again.csv").write_text("\n".join(plain) + "\n")
-    return read_program(folder / "again.csv", q.shape[1]).q, said
+    rows = [line.split(",")[: q.shape[1]] for line in table[1:]]
+    return np.deg2rad(np.array(rows, dtype=float)), said
 
 
 def draw(runs, path):

@@ -16,6 +16,7 @@ from casadical.export.c.products import Command, Product
 from casadical.export.c.write import Export, write_c
 from casadical.export.controller.commands import (
     Sources,
+    about_tool,
     bound_of,
     command_of,
     curves_of,
@@ -100,7 +101,7 @@ class CExport:
             lines += [f"LEFT OUT {line}" for line in followed(sources)[1]]
             lines += no_bound(sources)
             lines.append("readings within the joint limits of the robot file are corrected, others are CLAMPED")
-            lines += measured_range(arm := robot_of(sources.robot))
+            lines += [*measured_range(arm := robot_of(sources.robot)), *about_tool(sources)]
             if arm.gravity_frame == "logged":
                 lines.append("LEFT OUT the tilt of the base: gravity is as the robot file declares it, the base level")
             lines.append(f"payload: {mass}; tool: {sources.tool}; positions in the robot's own base frame")

@@ -36,6 +36,7 @@ from casadical.robot.robot_file import read_robot
 
 Tool = Literal["shared", "own"]
 
+TCP_MM = 1.0  # how far a tool's centre may be from where the controller has it, where nothing else is said
 SAME_ROBOT = 0.1  # m between nominal and calibrated tool, median: above it the files are not of one robot
 
 
@@ -58,11 +59,17 @@ class Sources:
         corrected too, for a measured point that is the controller's tool centre point itself
     leave_out : bool, default False
         whether effects that a controller cannot follow are left out of the robot; else they are refused
+    tcp_mm : float, optional
+        how far the tool's centre may be from where the controller has it, the place of the flange included [mm]: the
+        bound is so much greater. None: 1 mm where reflectors of unknown place were measured, which do not tell where
+        the flange is; 0 where the measured point is the tool's centre ("own") or its place is known
+    bound : bool, default True
+        whether a command has the bound of the robot file
 
     Raises
     ------
     InputError
-        another word as tool
+        another word as tool, or a length that cannot be
 
     Examples
     --------
@@ -77,10 +84,22 @@ class Sources:
     payload_kg: float | None = None
     tool: Tool = "shared"
     leave_out: bool = False
+    tcp_mm: float | None = None
+    bound: bool = True
 
     def __post_init__(self) -> None:
         if self.tool not in get_args(Tool):
             raise InputError(f"--tool {self.tool}: not known; allowed: {', '.join(get_args(Tool))}")
+        if self.tcp_mm is not None and not (np.isfinite(self.tcp_mm) and self.tcp_mm >= 0):
+            raise InputError(f"--tcp-error {self.tcp_mm}: it must be a finite length in mm, zero or more")
+
+    @property
+    def doubt_mm(self) -> float:
+        """How far the tool's centre may be from where the controller has it [mm]."""
+        if self.tcp_mm is not None:
+            return self.tcp_mm
+        measured = self.tool == "own" or robot_of(self.robot).tool.unknown == "none"
+        return 0.0 if measured else TCP_MM
 
 
 def command_of(
@@ -140,9 +159,15 @@ def command_of(
         steps=steps,
         units=real.units,
         freedom=freedom,
-        notes=(*real.notes, *measured_range(robot_of(sources.robot))),
+        notes=(*real.notes, *measured_range(robot_of(sources.robot)), *about_tool(sources)),
         difference=difference_function(real, nominal, orientation, turn, network) if precise else None,
     )
+    if limit_mm is not None and limit_mm <= (least := command.limits.tolerance_mm + sources.doubt_mm):
+        raise InputError(
+            f"a limit of {limit_mm:g} mm: must be above {least:g} mm, for the tool's centre may be "
+            f"{sources.doubt_mm:g} mm from where the controller has it: give --tcp-error with what is known of it, "
+            "or --tool own where the measured point is the tool's centre"
+        )
     _refuse_far_apart(command, sources)
     return command
 
@@ -170,15 +195,36 @@ def bound_of(sources: Sources) -> tuple[ca.Function | None, str]:
     """bound:(q[n])->(b[1] mm) of the error that remains, None where it is not known, and why it is not."""
     real = _loaded(robot_of(sources.robot), sources.payload_kg)
     lost = [e for e in real.effects if not e.of_measurement and _not_followed(e)]
-    if real.bound is None:
+    if not sources.bound:
+        why = "it was left out, as asked"
+    elif real.bound is None:
         why = f"{_word(sources.robot)} has no [bound]; calibrate --out writes it, from 30 poses with positions on"
     elif sources.compensator is not None:
         why = "the bound of the robot file is that of the model without the compensator"
     elif lost:
         why = f"the bound of the robot file is that of the model with {lost[0].label}, which is left out"
     else:
-        return bound_function(real, real.bound), ""
+        return _with_doubt(bound_function(real, real.bound), sources.doubt_mm), ""
     return None, why
+
+
+def _with_doubt(bound: ca.Function, doubt_mm: float) -> ca.Function:
+    """The bound with an error of the tool's centre, which adds up with that of the robot in the worst case."""
+    q = ca.SX.sym("q", bound.numel_in(0))
+    return ca.Function("bound", [q], [bound(q) + doubt_mm], ["q"], ["bound_mm"]) if doubt_mm else bound
+
+
+def about_tool(sources: Sources) -> tuple[str, ...]:
+    """What the bound takes for granted of the tool's centre, in a sentence; none without a bound."""
+    if bound_of(sources)[0] is None:
+        return ()
+    if not sources.doubt_mm:
+        return ("the bound holds for a tool's centre that is where the controller has it (--tcp-error)",)
+    return (
+        f"the bound holds for a tool's centre within {sources.doubt_mm:g} mm of where the controller has it "
+        "(--tcp-error): reflectors do not tell where the flange is; --tool own takes a measured point that is the "
+        "tool's centre",
+    )
 
 
 def network_of(sources: Sources) -> NetworkFunction:

@@ -81,8 +81,13 @@ def inverse_kinematics(robot: Robot, p: Array, R: Array | None, start: Array) ->
         raise InputError(
             f"inverse kinematics: p {p.shape}, R {None if R is None else np.shape(R)}; expected (k, 3) and (k, 3, 3)"
         )
+    return Newton(pose_function(robot), R is not None).solved(p, R, start, robot.limits)
+
+
+def pose_function(robot: Robot) -> ca.Function:
+    """pose:(q[n])->(p[3] m, R[3x3]) of the robot's tool."""
     q = ca.SX.sym("q", robot.n)
-    return solved(ca.Function("pose", [q], pose_of(robot, q)), p, R, start, robot.limits)
+    return ca.Function("pose", [q], pose_of(robot, q))
 
 
 def freedom_of(robot: Robot) -> tuple[int, int]:
@@ -90,10 +95,8 @@ def freedom_of(robot: Robot) -> tuple[int, int]:
 
     A direction counts where the joints move the tool in it by more than a singular pose's, somewhere in their ranges.
     """
-    q, (lower, upper) = ca.SX.sym("q", robot.n), robot.limits
-    poses = np.random.default_rng(0).uniform(lower, upper, (50, robot.n))
-    function = _residual_and_jacobian(ca.Function("pose", [q], pose_of(robot, q)), robot.n, True)
-    J = np.nan_to_num(_evaluated(function, poses, np.zeros((len(poses), 12)))[1])
+    poses = np.random.default_rng(0).uniform(*robot.limits, (50, robot.n))
+    J = np.nan_to_num(Newton(pose_function(robot)).evaluated(poses, np.zeros((len(poses), 12)))[1])
     moved, both = (int((_strengths(part) > SINGULAR_POSE).sum()) for part in (J[:, :3], J))
     return moved, both - moved
 
@@ -103,26 +106,37 @@ def _strengths(J: Array) -> Array:
     return np.asarray(np.linalg.svd(J, compute_uv=False).max(axis=0))
 
 
-def solved(pose: ca.Function, p: Array, R: Array | None, start: Array, limits: tuple[Array, Array]) -> Inverse:
-    """As `inverse_kinematics`, of a function pose:(q[n])->(p[3] m, R[3x3])."""
-    k, n = start.shape
-    function = _residual_and_jacobian(pose, n, R is not None)
-    target = np.hstack([p, np.zeros((k, 9)) if R is None else np.swapaxes(R, 1, 2).reshape(k, 9)])
-    q, r, J = np.array(start, float), np.full((k, 6), np.inf), np.zeros((k, 6, n))
-    active = np.arange(k)
-    for _ in range(_STEPS):
-        r[active], J[active] = _evaluated(function, q[active], target[active])
-        size = np.linalg.norm(np.nan_to_num(r[active], nan=np.inf), axis=1)
-        active = active[(size > _DONE) & np.isfinite(size)]
-        if not len(active):
-            break
-        q[active] += _steps(J[active], r[active])
-    r, J = _evaluated(function, q, target)
-    far = np.where(np.isfinite(r), r, np.inf)
-    weakest = np.linalg.svd(np.nan_to_num(J[:, : 3 if R is None else 6]), compute_uv=False)[:, -1]
-    inside = np.asarray(((q >= limits[0] - 1e-12) & (q <= limits[1] + 1e-12)).all(axis=1))
-    turned = np.linalg.norm(far[:, 3:], axis=1) / LENGTH
-    return Inverse(q, np.linalg.norm(far[:, :3], axis=1), turned, np.asarray(weakest < SINGULAR_POSE), inside)
+class Newton:
+    """Newton's method for a function pose:(q[n])->(p[3] m, R[3x3]); oriented : whether the orientation counts."""
+
+    def __init__(self, pose: ca.Function, oriented: bool = True) -> None:
+        self.oriented = oriented
+        self._function = _residual_and_jacobian(pose, pose.numel_in(0), oriented)
+
+    def solved(self, p: Array, R: Array | None, start: Array, limits: tuple[Array, Array]) -> Inverse:
+        """As `inverse_kinematics`; limits : of the joints."""
+        k, n = start.shape
+        target = np.hstack([p, np.zeros((k, 9)) if R is None else np.swapaxes(R, 1, 2).reshape(k, 9)])
+        q, r, J = np.array(start, float), np.full((k, 6), np.inf), np.zeros((k, 6, n))
+        active = np.arange(k)
+        for _ in range(_STEPS):
+            r[active], J[active] = self.evaluated(q[active], target[active])
+            size = np.linalg.norm(np.nan_to_num(r[active], nan=np.inf), axis=1)
+            active = active[(size > _DONE) & np.isfinite(size)]
+            if not len(active):
+                break
+            q[active] += _steps(J[active], r[active])
+        r, J = self.evaluated(q, target)
+        far = np.where(np.isfinite(r), r, np.inf)
+        weakest = np.linalg.svd(np.nan_to_num(J[:, : 6 if self.oriented else 3]), compute_uv=False)[:, -1]
+        inside = np.asarray(((q >= limits[0] - 1e-12) & (q <= limits[1] + 1e-12)).all(axis=1))
+        turned = np.linalg.norm(far[:, 3:], axis=1) / LENGTH
+        return Inverse(q, np.linalg.norm(far[:, :3], axis=1), turned, np.asarray(weakest < SINGULAR_POSE), inside)
+
+    def evaluated(self, q: Array, target: Array) -> tuple[Array, Array]:
+        """Residuals, shape (k, 6) [m], and Jacobians, shape (k, 6, n); target : position and columns of R, (k, 12)."""
+        r, J = self._function.map(len(q))(q.T, target.T)
+        return r.full().T, J.full().reshape(6, *q.shape).transpose(1, 0, 2)
 
 
 def _steps(J: Array, r: Array) -> Array:
@@ -152,9 +166,3 @@ def _turning(R: ca.SX, slope: ca.SX, i: int) -> ca.SX:
     """The rotation vector by which joint i turns the frame, per its own unit: of dR R^T."""
     W = ca.mtimes(ca.reshape(slope[:, i], 3, 3), R.T)
     return 0.5 * ca.vertcat(W[2, 1] - W[1, 2], W[0, 2] - W[2, 0], W[1, 0] - W[0, 1])
-
-
-def _evaluated(function: ca.Function, q: Array, target: Array) -> tuple[Array, Array]:
-    r, J = function.map(len(q))(q.T, target.T)
-    n = q.shape[1]
-    return r.full().T, J.full().reshape(6, len(q), n).transpose(1, 0, 2)

@@ -11,8 +11,8 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.export.controller.functions import pose_of
-from casadical.export.controller.inverse import solved
+from casadical.export.controller.inverse import Newton, pose_function
+from casadical.export.controller.programs.target import Posture
 from casadical.robot.kinematics import link_frames
 from casadical.robot.robot import Robot
 
@@ -37,10 +37,12 @@ class Postures:
     root: Array
 
     @cached_property
-    def pose(self) -> ca.Function:
-        """pose:(q[n])->(p[3] m, R[3x3]) of the flange."""
-        q = ca.SX.sym("q", self.nominal.n)
-        return ca.Function("pose", [q], pose_of(self.nominal, q))
+    def _pose(self) -> ca.Function:
+        return pose_function(self.nominal)
+
+    @cached_property
+    def _newton(self) -> Newton:
+        return Newton(self._pose)
 
     @cached_property
     def why_not(self) -> str:
@@ -99,24 +101,21 @@ class Postures:
     def _samples(self) -> tuple[Array, Array, Array]:
         """Random joints (N, n), their flange poses (N, 12), and postures (N, 3), or (N, 0) where there are none."""
         q = np.random.default_rng(1).uniform(*self._box, (_SAMPLES, self.nominal.n))
-        p, R = self.pose.map(len(q))(q.T)
+        p, R = self._pose.map(len(q))(q.T)
         T = np.hstack([p.full().T, R.full().reshape(3, len(q), 3).transpose(1, 2, 0).reshape(len(q), 9)])
         fine = np.isfinite(T).all(axis=1)
         return q[fine], T[fine], self.sides(q[fine]) if not self.why_not else np.zeros((int(fine.sum()), 0))
 
-    def solutions(
-        self, T: Array, posture: tuple[bool, bool, bool] | None, turns: Turns, wanted: tuple[int, ...] | None
-    ) -> Array:
+    def solutions(self, T: Array, posture: Posture, turns: Turns, wanted: tuple[int, ...]) -> Array:
         """All joints found that bring the flange to T (4, 4), with this posture and turns; shape (k, n) [rad].
 
-        wanted : what `turns` gives for them, up to rounding; None: whatever
+        wanted : what `turns` gives for them, up to rounding
         """
-        found = self.reached(T, self._seeds(T, posture))
-        if posture is not None:
-            found = found[(self.sides(found) == np.array(posture)).all(axis=1)] if len(found) else found
+        found = self._reached(T, self._seeds(T, posture))
+        found = found[(self.sides(found) == np.array(posture)).all(axis=1)] if len(found) else found
         return _different([c for row in found for c in self._turned(row, turns, wanted)], self.nominal.n)
 
-    def _seeds(self, T: Array, posture: tuple[bool, bool, bool] | None) -> Array:
+    def _seeds(self, T: Array, posture: Posture | None) -> Array:
         """The samples whose flange is nearest to a pose, of one posture if it is given; shape (k, n)."""
         q, flange, postures = self._samples
         target = np.concatenate([T[:3, 3], T[:3, :3].T.ravel()])
@@ -126,19 +125,25 @@ class Postures:
             far = np.where((postures == np.array(posture)).all(axis=1), far, np.inf)
         return q[np.argsort(far)[:_SEEDS]]
 
-    def reached(self, T: Array, start: Array) -> Array:
+    def _reached(self, T: Array, start: Array) -> Array:
         """Joints that Newton's method finds from several starts (k, n), those that reach the pose."""
-        k = len(start)
-        result = solved(self.pose, np.tile(T[:3, 3], (k, 1)), np.tile(T[:3, :3], (k, 1, 1)), start, self._box)
+        many = np.broadcast_to(T, (len(start), 4, 4))
+        result = self._newton.solved(many[:, :3, 3], many[:, :3, :3], start, self._box)
         return result.q[result.reached]
 
-    def nearest(self, T: Array, near: Array) -> Array | None:
-        """The solution nearest to joints (n,), in no joint outside of its range; None where there is none."""
-        direct = self._towards(self.reached(T, near[None]), near)
-        if len(direct) and np.abs(direct[0] - near).max() < _CLOSE:
-            return direct[0]
-        every = [*direct, *self._towards(self.reached(T, self._seeds(T, None)), near)]
-        return min(every, key=lambda q: float(np.linalg.norm(q - near)), default=None)
+    def nearest(self, T: Array, near: Array) -> list[Array | None]:
+        """The solutions nearest to joints (k, n) of flange poses (k, 4, 4), in no joint outside of its range.
+
+        None where there is none.
+        """
+        direct = self._newton.solved(T[:, :3, 3], T[:, :3, :3], near, self._box)
+        found: list[Array | None] = []
+        for pose, q, reached, wanted in zip(T, direct.q, direct.reached, near, strict=True):
+            first = self._towards(q[None], wanted) if reached else []
+            if not first or np.abs(first[0] - wanted).max() >= _CLOSE:
+                first += self._towards(self._reached(pose, self._seeds(pose, None)), wanted)
+            found.append(first[int(np.argmin(np.linalg.norm(np.array(first) - wanted, axis=1)))] if first else None)
+        return found
 
     def _towards(self, found: Array, near: Array) -> list[Array]:
         """The same arms, each joint with the whole turns that bring it nearest to `near` in its range."""
@@ -149,15 +154,13 @@ class Postures:
         turned, fits = np.where(self._turns, turned, found), np.where(self._turns, least <= most, inside)
         return [q for q, fine in zip(turned, np.all(fits, axis=1).tolist(), strict=True) if fine]
 
-    def _turned(self, q: Array, turns: Turns, wanted: tuple[int, ...] | None) -> list[Array]:
+    def _turned(self, q: Array, turns: Turns, wanted: tuple[int, ...]) -> list[Array]:
         """The same arm with whole turns added to joints, in their ranges, where the turns are the wanted ones."""
-        lower, upper = self.nominal.limits
         choices = []
-        for angle, low, high in zip(q, lower, upper, strict=True):
+        for angle, low, high in zip(q, *self.nominal.limits, strict=True):
             first = angle - _TURN * np.floor((angle - low + 1e-9) / _TURN)
             choices.append(np.arange(first, high + 1e-9, _TURN))
-        every = [np.array(c) for c in product(*choices)]
-        return every if wanted is None else [c for c in every if _has_turns(c, turns, wanted)]
+        return [c for c in map(np.array, product(*choices)) if _has_turns(c, turns, wanted)]
 
 
 def _has_turns(q: Array, turns: Turns, wanted: tuple[int, ...]) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
@@ -14,17 +14,12 @@ from casadical.core.errors import InputError
 from casadical.core.reading import read_bytes
 from casadical.export.c.manifest import read_manifest
 from casadical.export.controller.c_export import no_bound, poses_of, unreached, wants_pose
-from casadical.export.controller.commands import Sources, Tool, command_of, followed, measured_range, robot_of
-from casadical.export.controller.correction import Corrector, corrected, kernel_corrector, model_corrector
-from casadical.export.controller.offline_program import read_program
+from casadical.export.controller.commands import Sources, Tool, about_tool, followed, measured_range, robot_of
+from casadical.export.controller.correction import Corrector, kernel_corrector
 from casadical.export.controller.programs.correction import Cell, refuse_accuracy
+from casadical.export.controller.programs.csv_table import CsvTable
 from casadical.export.controller.programs.language import ProgramLanguage, text_of
-from casadical.export.controller.programs.program import (
-    assumptions,
-    corrected_program,
-    read_target_program,
-    report_of,
-)
+from casadical.export.controller.programs.program import assumptions, corrected_program, read_target_program, report_of
 from casadical.export.controller.programs.registry import language_of
 from casadical.export.controller.programs.target import Given
 
@@ -44,6 +39,7 @@ class WithRobot:
     limit: float | None = None
     tool: str | None = None
     leave_out: bool = False
+    tcp_mm: float | None = None
 
 
 @dataclass(frozen=True)
@@ -52,7 +48,8 @@ class OfLanguage:
 
     tcp, base : numbers of tools and bases, NAME=NUMBERS, as the controller shows them; data : files that hold more
     root, flange : the controller's frames in those of the robot file
-    nearest, external_still : as of `Cell`; accuracy_off : whether the controller's own absolute accuracy is off
+    nearest, external_still, leave_unreached : as of `Cell`
+    accuracy_off : whether the controller's own absolute accuracy is off
     """
 
     tcp: Sequence[str] | None = None
@@ -62,6 +59,7 @@ class OfLanguage:
     data: Sequence[Path] | None = None
     nearest: bool = False
     external_still: bool = False
+    leave_unreached: bool = False
     accuracy_off: bool = False
 
 
@@ -93,15 +91,33 @@ def correct_file(
     oriented = wants_pose(robot.correct)
     if not model.exists():
         raise InputError(f"{model}: no such folder or robot file")
-    corrector = _of_folder(model, robot, language, trust) if model.is_dir() else None
-    sources = None if corrector else _of_robot(model, robot, trust)
-    said = _of_sources(sources, oriented) if sources else [_stated(model)]
-    if program.suffix.lower() == ".csv":
+    folder = _of_folder(model, robot, language, trust) if model.is_dir() else None
+    sources = None if folder else _of_robot(model, robot, trust)
+    spoken = language_of(program)
+    if isinstance(spoken, CsvTable):
         _refuse_of_language(language, program)
-        made = _table(program, out, corrector or _model_corrector(sources, robot))
-    else:
-        made = _program(program, out, sources, corrector, robot, language)
-    return replace(made, lines=(*made.lines, *said))
+    cell = Cell(
+        sources,
+        robot.steps or 2,
+        oriented,
+        robot.limit,
+        root=_frame(spoken, "--root", language.root),
+        flange=_frame(spoken, "--flange", language.flange),
+        nearest=language.nearest,
+        external_still=language.external_still,
+        leave_unreached=language.leave_unreached,
+        folder=folder,
+    )
+    texts = {str(path): text_of(str(path), read_bytes(path)) for path in language.data or []}
+    tools, bases = (_transforms(spoken, f"--{k}", v) for k, v in (("tcp", language.tcp), ("base", language.base)))
+    read = read_target_program(program, Given(tools, bases, texts, cell.units), len(cell.units))
+    if not language.accuracy_off:
+        refuse_accuracy(read.source, read.targets)
+    result = corrected_program(read, cell)
+    said = _of_sources(sources, oriented) if sources else [_stated(model)]
+    lines = (result.report(), *(f"ASSUMED {line}" for line in assumptions(result, cell)), *said)
+    beside: dict[Path, str | bytes] = {report_of(out): result.to_csv()} if spoken.report_beside else {}
+    return CorrectedFile(lines, {**beside, out: result.content()}, result.to_json())
 
 
 def _of_folder(folder: Path, given: WithRobot, language: OfLanguage, trust: bool) -> Corrector:
@@ -114,6 +130,7 @@ def _of_folder(folder: Path, given: WithRobot, language: OfLanguage, trust: bool
         "--limit": given.limit,
         "--tool": given.tool,
         "--leave-out": given.leave_out or None,
+        "--tcp-error": given.tcp_mm,
         "--root": language.root,
         "--flange": language.flange,
     }
@@ -127,14 +144,7 @@ def _of_robot(model: Path, given: WithRobot, trust: bool) -> Sources:
     if trust:
         raise InputError(f"--trust: is for a folder with C; {model} is a file, and nothing is compiled")
     tool = cast(Tool, given.tool or "shared")
-    return Sources(model, given.nominal, given.compensator, given.payload, tool, given.leave_out)
-
-
-def _model_corrector(sources: Sources | None, given: WithRobot) -> Corrector:
-    assert sources is not None
-    steps, oriented = given.steps or 2, wants_pose(given.correct)
-    instead = model_corrector(command_of(sources, steps, limit_mm=given.limit)) if oriented else None
-    return model_corrector(command_of(sources, steps, orientation=oriented, limit_mm=given.limit), instead)
+    return Sources(model, given.nominal, given.compensator, given.payload, tool, given.leave_out, given.tcp_mm)
 
 
 def _of_sources(sources: Sources, oriented: bool) -> list[str]:
@@ -142,7 +152,7 @@ def _of_sources(sources: Sources, oriented: bool) -> list[str]:
     robot = robot_of(sources.robot)
     lines = [f"LEFT OUT {line}" for line in followed(sources)[1]]
     lines += filter(None, [poses_of(robot) if oriented else "", unreached(robot)])
-    return [*lines, *measured_range(robot), *no_bound(sources)]
+    return [*lines, *measured_range(robot), *about_tool(sources), *no_bound(sources)]
 
 
 def _refuse_of_language(language: OfLanguage, program: Path) -> None:
@@ -150,44 +160,6 @@ def _refuse_of_language(language: OfLanguage, program: Path) -> None:
         if value:
             option = f"--{name.replace('_', '-')}"
             raise InputError(f"{option}: is for programs in a controller's language; {program} is a CSV")
-
-
-def _table(program: Path, out: Path, corrector: Corrector) -> CorrectedFile:
-    result = corrected(corrector, read_program(program, corrector.joints, corrector.units))
-    return CorrectedFile((result.report(),), {out: result.to_csv()}, result.to_json())
-
-
-def _program(
-    program: Path,
-    out: Path,
-    sources: Sources | None,
-    corrector: Corrector | None,
-    robot: WithRobot,
-    language: OfLanguage,
-) -> CorrectedFile:
-    spoken = language_of(program)
-    units = Cell(sources, folder=corrector).units
-    texts = {str(path): text_of(str(path), read_bytes(path)) for path in language.data or []}
-    given = Given(
-        _transforms(spoken, "--tcp", language.tcp), _transforms(spoken, "--base", language.base), texts, units
-    )
-    read = read_target_program(program, given, len(units))
-    cell = Cell(
-        sources,
-        robot.steps or 2,
-        wants_pose(robot.correct),
-        robot.limit,
-        root=_frame(spoken, "--root", language.root),
-        flange=_frame(spoken, "--flange", language.flange),
-        nearest=language.nearest,
-        external_still=language.external_still,
-        folder=corrector,
-    )
-    if not language.accuracy_off:
-        refuse_accuracy(read.source, list(read.targets))
-    result = corrected_program(read, cell)
-    lines = (result.report(), *(f"ASSUMED {line}" for line in assumptions(result, cell)))
-    return CorrectedFile(lines, {report_of(out): result.to_csv(), out: result.content()}, result.to_json())
 
 
 def _transforms(language: ProgramLanguage, option: str, entries: Sequence[str] | None) -> dict[str, Array]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import main as run
-from controller_arms import nominal_path, planted, poses, positions
+from controller_arms import nominal_path, planted, poses, positions, rigid_motion
 
 from casadical import InputError, write_robot
 from casadical.compensator import Compensator
@@ -25,6 +25,7 @@ from casadical.export.controller.programs.correction import Cell, corrected_targ
 from casadical.export.controller.programs.program import read_target_program
 from casadical.export.controller.programs.target import Given
 from casadical.robot.knowledge import ErrorBound
+from casadical.robot.robot_file import read_robot
 
 sys.path.append(str(Path(__file__).parents[1] / "c"))
 from structured_text_in_c import Compiled
@@ -47,8 +48,8 @@ def file(robot, tmp_path_factory):
     return path
 
 
-def sources(source, **changes):
-    return Sources(source, nominal_path("ur10"), **changes)
+def sources(source, tcp_mm=0.0, **changes):
+    return Sources(source, nominal_path("ur10"), tcp_mm=tcp_mm, **changes)
 
 
 def by_differences(robot, q):
@@ -106,7 +107,7 @@ def test_correct_refuses_what_is_above_the_limit_and_reports_the_bound(robot, fi
     with (tmp_path / "job.csv").open("w", newline="") as stream:
         csv.writer(stream).writerows([[f"q{i}_deg" for i in range(1, 7)], *np.rad2deg(q).tolist()])
     out, facts = tmp_path / "new.csv", tmp_path / "new.json"
-    common = ("correct", file, tmp_path / "job.csv", "--nominal", nominal_path("ur10"))
+    common = ("correct", file, tmp_path / "job.csv", "--nominal", nominal_path("ur10"), "--tcp-error", 0)
     assert run(monkeypatch, *common, "--out", out, "--limit", LIMIT, "--json", facts) == 0
     printed = capfd.readouterr().out
     assert "ABOVE_LIMIT, the bound of the error that remains is above the limit that was asked for" in printed
@@ -128,11 +129,59 @@ def test_a_program_of_a_controller_has_a_bound_for_each_target_with_its_own_tool
     (tmp_path / "job.script").write_text(text)
     read = read_target_program(tmp_path / "job.script", Given({}, {}, {}), 6)
     (found,) = corrected_targets(read.language, list(read.targets), Cell(sources(robot)))
-    longer = np.array(robot.tool.T)
-    longer[:3, 3] = 0, 0, 0.5
     q = np.array([[0.4, -1.2, 1.5, -0.4, 0.6, 0.1]])
-    there = replace(robot, tool=replace(robot.tool, T=longer))
-    assert found.bound_mm == pytest.approx(by_differences(there, q)[0], rel=1e-3)
+    assert found.bound_mm == pytest.approx(by_differences(_with_tool(robot, (0, 0, 0.5)), q)[0], rel=1e-3)
+
+
+def test_what_reflectors_do_not_tell_of_the_tool_is_in_the_bound(robot, file, tmp_path, monkeypatch, capfd) -> None:
+    """Where the flange is; not where the measured point is the tool's centre, or its place was known."""
+    q = np.array([[0.4, -1.2, 1.5, -0.4, 0.6, 0.1]])
+    known = replace(robot, tool=replace(robot.tool, unknown="none"))
+
+    def mm(source, **given):
+        return float(bound_of(Sources(source, nominal_path("ur10"), **given))[0](q[0]))
+
+    bare = mm(robot, tcp_mm=0.0)
+    assert mm(robot) == pytest.approx(bare + 1)
+    assert mm(robot, tcp_mm=0.3) == pytest.approx(bare + 0.3)
+    assert mm(robot, tool="own") == mm(known) == bare
+    (tmp_path / "job.script").write_text(f"set_tcp(p[0, 0, 0.2, 0, 0, 0])\nmovej({q[0].tolist()})\n")
+    given = (
+        "correct",
+        file,
+        tmp_path / "job.script",
+        "--nominal",
+        nominal_path("ur10"),
+        "--out",
+        tmp_path / "a.script",
+    )
+    assert run(monkeypatch, *given, "--limit", LIMIT) == 2
+    assert "must be above 1.02 mm, for the tool's centre may be 1 mm from" in " ".join(capfd.readouterr().err.split())
+    assert run(monkeypatch, *given) == 0
+    assert "within 1 mm of where the controller has it (--tcp-error)" in " ".join(capfd.readouterr().out.split())
+    (row,) = csv.DictReader((tmp_path / "a.script.correction.csv").read_text().splitlines())
+    assert float(row["bound_mm"]) == pytest.approx(1 + mm(_with_tool(robot, (0, 0, 0.2)), tcp_mm=0.0), rel=1e-3)
+
+
+def _with_tool(robot, point):
+    T = np.array(robot.tool.T)
+    T[:3, 3] = point
+    return replace(robot, tool=replace(robot.tool, T=T))
+
+
+def test_a_measured_tool_centre_is_taken_in_a_program(robot) -> None:
+    """With --tool own the real tool stays where it was measured, and the nominal one is that of the program."""
+    held = np.array(robot.tool.T)
+    held[:3, 3] += (0.0008, -0.0005, 0.0006)
+    q = poses(robot, 30)
+    cell = Cell(Sources(robot, nominal_path("ur10"), tool="own"), steps=3)
+    dq, status = cell.with_tool(held).corrector.correct(q)
+    fine = status == Status.OK
+    nominal = _with_tool(read_robot(nominal_path("ur10")), held[:3, 3])
+    wanted = positions(replace(nominal, joints=tuple(replace(j, compliance=None) for j in nominal.joints)), q)
+    assert rigid_motion(wanted[fine], positions(robot, q + dq)[fine])[2].max() < 20e-6
+    shared = Cell(Sources(robot, nominal_path("ur10")), steps=3).with_tool(held).corrector
+    assert rigid_motion(wanted[fine], positions(robot, q + shared.correct(q)[0])[fine])[2].mean() > 5e-4
 
 
 @pytest.mark.parametrize("case", ["none", "network"])

@@ -147,7 +147,7 @@ def test_a_corrected_program_keeps_all_but_its_targets(unit, files, exported, tm
             assert {k: row[k] for k in old} == old
     refused = [k for k, row in enumerate(after) if row["correction_status"] != "OK"]
     assert after[7]["correction_status"] == "CLAMPED"
-    assert f"{120 - len(refused)} of 120 rows corrected, {len(refused)} REFUSED" in printed
+    assert f"{120 - len(refused)} of 120 targets corrected, {len(refused)} LEFT" in printed
     assert "row 9: CLAMPED" in printed  # line of the file
     fine = [k for k in range(120) if k not in refused]
     nominal = read_robot(nominal_path("hh800")).with_values(
@@ -174,7 +174,7 @@ def test_the_robot_file_corrects_as_its_export_does(files, exported, tmp_path, m
     model = ("correct", files / "hh800.toml", "--nominal", nominal_path("hh800"), job, "--out", tmp_path / "b.csv")
     assert run(monkeypatch, *model) == 0
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
-    assert "distance of the tool from its nominal position" in capfd.readouterr().out
+    assert "the real tool off the nominal one, by the model" in capfd.readouterr().out
     assert run(monkeypatch, *model) == 2
     assert "is there already" in capfd.readouterr().err
     assert run(monkeypatch, *model, "--overwrite") == 0

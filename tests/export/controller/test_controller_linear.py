@@ -17,11 +17,12 @@ from casadical.export import Sources, Status, command_of, inverse_kinematics, mo
 from casadical.export.c.toolchain import compilers
 from casadical.export.controller.c_export import poses_of, unreached
 from casadical.export.controller.commands import measured_range
-from casadical.export.controller.correction import corrected, kernel_corrector
+from casadical.export.controller.correction import kernel_corrector
 from casadical.export.controller.inverse import freedom_of
-from casadical.export.controller.offline_program import read_program
+from casadical.export.controller.programs.correction import Cell
 from casadical.export.controller.programs.fanuc import Fanuc
 from casadical.export.controller.programs.krl import Krl
+from casadical.export.controller.programs.program import corrected_program, read_target_program
 from casadical.export.controller.programs.target import Given
 from casadical.export.controller.programs.urscript import UrScript
 from casadical.robot.knowledge import Knowledge
@@ -188,17 +189,18 @@ def test_the_c_has_the_bits_and_says_units_freedom_and_notes(exported):
 def test_a_csv_program_has_millimetres_of_a_linear_joint(exported, tmp_path):
     text = "q1_deg,q2_deg,q3_mm,q4_deg,speed\n10,60,-120,30,5\n20,70,-100,-30,5\n"
     (tmp_path / "p.csv").write_text(text)
-    corrector = kernel_corrector(exported)
-    program = read_program(tmp_path / "p.csv", 4, corrector.units)
-    assert program.q[0, 2] == pytest.approx(-0.12)
-    done = corrected(corrector, program)
-    assert done.fine.all()
-    moved = [float(v) for v in done.to_csv().splitlines()[1].split(",")[:4]]
-    assert np.array(moved) * [np.pi / 180, np.pi / 180, 1e-3, np.pi / 180] == pytest.approx(done.q[0], abs=1e-8)
+    cell = Cell(None, folder=kernel_corrector(exported))
+    program = read_target_program(tmp_path / "p.csv", Given(units=cell.units), 4)
+    assert program.targets[0].si[2] == pytest.approx(-0.12)
+    done = corrected_program(program, cell)
+    assert all(r.fine for r in done.results)
+    moved = [float(v) for v in done.content().decode().splitlines()[1].split(",")[:4]]
+    found = np.array(moved) * [np.pi / 180, np.pi / 180, 1e-3, np.pi / 180]
+    assert found == pytest.approx(done.results[0].q[1], abs=1e-12)
     assert "joint 3 [mm]" in done.report()
     (tmp_path / "d.csv").write_text(text.replace("q3_mm", "q3_deg"))
     with pytest.raises(InputError, match="q3_mm or q3_m is missing"):
-        read_program(tmp_path / "d.csv", 4, corrector.units)
+        read_target_program(tmp_path / "d.csv", Given(units=cell.units), 4)
 
 
 def test_the_command_corrects_a_robot_file_with_a_linear_joint(tmp_path, monkeypatch, capfd):

@@ -1,4 +1,4 @@
-"""A program in a controller's language with corrected targets: what each target becomes, and how far off it was.
+"""Targets of a program corrected: what each becomes, and how far off the tool was.
 
 A pose is solved with the nominal robot in its posture, its joints are corrected like any others, and the nominal
 robot's pose at the corrected joints is written: the controller, which solves it with the nominal robot, finds them.
@@ -6,9 +6,10 @@ robot's pose at the corrected joints is written: the controller, which solves it
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from itertools import permutations, product
 
 import casadi as ca
 import numpy as np
@@ -21,15 +22,18 @@ from casadical.export.c.reference import Status
 from casadical.export.controller.commands import Sources, command_of, own_robots, robot_of
 from casadical.export.controller.correction import FINE, LEAVES_BOX, Corrector, corrected_joints, model_corrector
 from casadical.export.controller.functions import tool_function
-from casadical.export.controller.inverse import solved
+from casadical.export.controller.inverse import Newton
 from casadical.export.controller.postures import Postures
 from casadical.export.controller.programs.language import ProgramLanguage
-from casadical.export.controller.programs.target import Target
+from casadical.export.controller.programs.target import Number, Target
 
 LEFT = "LEFT"  # statuses beside those of the correction
 NO_TOOL, NO_CONFIGURATION, UNREACHABLE = "NO_TOOL", "NO_CONFIGURATION", "UNREACHABLE"
 AMBIGUOUS, CONFIGURATION_CHANGES, EXTERNAL_AXIS = "AMBIGUOUS", "CONFIGURATION_CHANGES", "EXTERNAL_AXIS"
 NEEDS_ROBOT_FILE = "NEEDS_ROBOT_FILE"
+_TRIED = 8  # unreached poses for which other frames are tried
+_NAMED = 5  # of them that a message names
+_OFFERED = 3  # frames that a message offers
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +43,12 @@ class Tooled:
     corrector: Corrector
     nominal: ca.Function | None = None
     real: ca.Function | None = None
+
+    @cached_property
+    def newton(self) -> Newton:
+        """Newton's method for the nominal robot's pose."""
+        assert self.nominal is not None
+        return Newton(self.nominal)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +60,7 @@ class Cell:
         each (4, 4) [m]
     nearest : a pose without a configuration is reached as near as possible to the target before it
     external_still : external axes carry neither the robot nor its bases
+    leave_unreached : poses that the nominal robot does not reach are left; else the program is refused
     folder : the corrector of an export folder, in place of robot files; its tool is that of the export
     """
 
@@ -61,6 +72,7 @@ class Cell:
     flange: Array = field(default_factory=lambda: np.eye(4))
     nearest: bool = False
     external_still: bool = False
+    leave_unreached: bool = False
     folder: Corrector | None = None
     _made: dict[bytes, Tooled] = field(default_factory=dict, repr=False)
 
@@ -89,30 +101,32 @@ class Cell:
             return Tooled(self.folder)
         key = b"" if tool is None else tool.tobytes()
         if key not in self._made:
-            self._made[key] = _tooled(
-                self.sources if tool is None else self._holding(tool), self.steps, self.orientation, self.limit_mm
-            )
+            self._made[key] = self._tooled(self.sources if tool is None else self._holding(tool))
         return self._made[key]
 
     def _holding(self, tool: Array) -> Sources:
-        held = self.flange @ tool
+        """The robots with a program's tool; where the measured point is its centre, the real one keeps that point."""
         files = self._files
         if files.nominal is None:
             return files
-        given = (robot_of(r) for r in (files.robot, files.nominal))
-        robots = [replace(r, tool=replace(r.tool, T=held), knowledge=None) for r in given]
-        return replace(files, robot=robots[0], nominal=robots[1], tool="shared")
+        real, nominal = robot_of(files.robot), robot_of(files.nominal)
+        held = self.flange @ tool
+        of_real = frame(held[:3, :3], real.tool.T[:3, 3]) if files.tool == "own" else held
+        robots = [replace(r, tool=replace(r.tool, T=T), knowledge=None) for r, T in ((real, of_real), (nominal, held))]
+        return replace(files, robot=robots[0], nominal=robots[1], tool="own", tcp_mm=files.doubt_mm)
 
-
-def _tooled(sources: Sources, steps: int, orientation: bool, limit_mm: float | None) -> Tooled:
-    command = command_of(sources, steps, orientation=orientation, limit_mm=limit_mm)
-    fallback = model_corrector(command_of(sources, steps, limit_mm=limit_mm)) if orientation else None
-    real, nominal, turn = own_robots(sources)
-    return Tooled(
-        model_corrector(command, fallback),
-        tool_function(nominal, "nominal", True),
-        tool_function(real, "calibrated", True, turn, command.network),
-    )
+    def _tooled(self, sources: Sources) -> Tooled:
+        plain = command_of(sources, self.steps, limit_mm=self.limit_mm)
+        corrector = model_corrector(plain)
+        if self.orientation:
+            whole = command_of(sources, self.steps, orientation=True, limit_mm=self.limit_mm)
+            corrector = model_corrector(whole, corrector)
+        real, nominal, turn = own_robots(sources)
+        return Tooled(
+            corrector,
+            tool_function(nominal, "nominal", True),
+            tool_function(real, "calibrated", True, turn, plain.network),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,132 +156,218 @@ class Result:
         """Whether the target was corrected."""
         return self.status in FINE
 
+    @property
+    def changes(self) -> Iterator[tuple[Number, str]]:
+        """Numbers and words that change, with their new texts."""
+        if self.fine:
+            for number, text in zip((*self.target.numbers, *self.target.turn_text), self.texts, strict=False):
+                if number.differs(text):
+                    yield number, text
 
-def corrected_targets(language: ProgramLanguage, targets: list[Target], cell: Cell) -> list[Result]:
-    """Each target corrected, or left with the reason."""
-    results: list[Result] = []
-    before: Array | None = None
-    for target in targets:
-        found = _joints(target, cell, language, before)
-        if isinstance(found, Result):
-            results.append(found)
-        else:
-            before = found
-            results.append(Result(target, Status.OK.name, q=(found, found)))
-    for tool in {_key(r.target): r.target.tool for r in results if r.fine}.values():
-        chosen = [k for k, r in enumerate(results) if r.fine and _key(r.target) == _key(replace(r.target, tool=tool))]
-        made = cell.with_tool(tool)
+
+def corrected_targets(language: ProgramLanguage, targets: Sequence[Target], cell: Cell) -> list[Result]:
+    """Each target corrected, or left with the reason.
+
+    Raises InputError where the nominal robot does not reach a pose: then the frames are not those of the controller,
+    and other targets would be corrected at places where the robot never is.
+    """
+    results = _solved(language, targets, cell)
+    unreached = [r.target for r in results if r.status == UNREACHABLE]
+    if unreached and not cell.leave_unreached:
+        raise InputError(_unreached(language, unreached, sum(not t.joints for t in targets), cell))
+    groups: dict[bytes, list[int]] = {}
+    for k, r in enumerate(results):
+        if r.fine:
+            groups.setdefault(b"" if r.target.tool is None else r.target.tool.tobytes(), []).append(k)
+    for chosen in groups.values():
+        made = cell.with_tool(results[chosen[0]].target.tool)
         q = np.array([results[k].q[0] for k in chosen])  # type: ignore[index]
         new, names = corrected_joints(made.corrector, q)
-        for k, old, to, name in zip(chosen, q, new, names, strict=True):
-            if name not in FINE:
-                results[k] = replace(results[k], status=name, q=None)
-            else:
-                found = _written(language, results[k].target, cell, made, old, to)
-                results[k] = replace(found, status=name) if found.fine else found
+        fine = np.array([name in FINE for name in names])
+        written = iter(
+            _written(language, [results[k].target for k in np.array(chosen)[fine]], cell, made, q[fine], new[fine])
+        )
+        for k, name in zip(chosen, names, strict=True):
+            found = next(written) if name in FINE else replace(results[k], q=None)
+            results[k] = replace(found, status=name if found.fine else found.status)
     return results
 
 
-def _key(target: Target) -> bytes:
-    return b"" if target.tool is None else target.tool.tobytes()
+def _solved(language: ProgramLanguage, targets: Sequence[Target], cell: Cell) -> list[Result]:
+    """Targets with their joints [rad or m], or why there are none."""
+    results = [Result(t, *_missing(t, cell)) for t in targets]
+    flanges = {
+        k: _flange(language, r.target, cell.root, np.eye(4))
+        for k, r in enumerate(results)
+        if r.fine and not r.target.joints
+    }
+    own = [k for k in flanges if targets[k].near is not None]
+    wanted = np.array([flanges[k] for k in own]), np.array([targets[k].near for k in own])
+    near = dict(zip(own, cell.postures.nearest(*wanted), strict=True)) if own else {}
+    before: Array | None = None
+    for k, r in enumerate(results):
+        if not r.fine:
+            continue
+        if r.target.joints:
+            results[k] = _at(r.target, r.target.si)
+        elif k in near:
+            results[k] = _at(r.target, near[k])
+        elif r.target.posture is None and cell.nearest and before is not None:
+            results[k] = _at(r.target, *cell.postures.nearest(flanges[k][None], before[None]))
+        else:
+            results[k] = _in_posture(language, r.target, flanges[k], cell.postures)
+        before = before if (q := results[k].q) is None else q[0]
+    return results
 
 
-def _joints(target: Target, cell: Cell, language: ProgramLanguage, before: Array | None) -> Array | Result:
-    """Joints [rad or m] of a target, shape (n,), or the result that says why there are none."""
+def _flange(language: ProgramLanguage, target: Target, root: Array, turned: Array) -> Array:
+    """Where a target has the flange, (4, 4) [m], with this root frame and the flange turned so."""
+    assert target.base is not None
+    assert target.tool is not None
+    return np.asarray(root @ target.base @ language.matrix(target.si) @ np.linalg.inv(turned @ target.tool))
+
+
+def _missing(target: Target, cell: Cell) -> tuple[str, str]:
+    """The status of a target that cannot be solved, and why; else OK."""
     if target.left:
-        return Result(target, LEFT, target.left)
+        return LEFT, target.left
     if target.joints:
-        return target.si
+        return Status.OK.name, ""
     if cell.sources is None:
-        return Result(target, NEEDS_ROBOT_FILE)
+        return NEEDS_ROBOT_FILE, ""
     if target.tool is None or target.base is None:
-        missing = "tool" if target.tool is None else "base"
-        return Result(target, NO_TOOL, f"its {missing} is not known ({target.about})")
-    if target.external and not cell.external_still:
-        return Result(target, EXTERNAL_AXIS)
-    T = cell.root @ target.base @ language.matrix(target.si) @ np.linalg.inv(target.tool)
-    postures = cell.postures
-    near = before if target.near is None and target.posture is None and cell.nearest else target.near
-    if near is not None:
-        found = postures.nearest(T, near)
-        return Result(target, UNREACHABLE) if found is None else found
+        return NO_TOOL, f"its {'tool' if target.tool is None else 'base'} is not known ({target.about})"
+    return (EXTERNAL_AXIS if target.external and not cell.external_still else Status.OK.name), ""
+
+
+def _at(target: Target, q: Array | None) -> Result:
+    return Result(target, UNREACHABLE) if q is None else Result(target, Status.OK.name, q=(q, q))
+
+
+def _in_posture(language: ProgramLanguage, target: Target, flange: Array, postures: Postures) -> Result:
+    """The joints in the configuration that the program says."""
     if target.posture is None or target.turns is None:
         return Result(target, NO_CONFIGURATION)
     if postures.why_not:
         return Result(target, NO_CONFIGURATION, postures.why_not)
-    every = postures.solutions(T, _sides(target), language.turns, target.turns)
-    if len(every) != 1:
-        return Result(target, AMBIGUOUS if len(every) else UNREACHABLE)
-    return np.asarray(every[0])
+    every = postures.solutions(flange, target.posture, language.turns, target.turns)
+    return _at(target, every[0] if len(every) else None) if len(every) < 2 else Result(target, AMBIGUOUS)
 
 
-def _sides(target: Target) -> tuple[bool, bool, bool]:
-    posture = target.posture
-    assert posture is not None
-    return posture.behind, posture.bent_back, posture.wrist_negative
+def _unreached(language: ProgramLanguage, targets: Sequence[Target], poses: int, cell: Cell) -> str:
+    """What is said of poses that the nominal robot does not reach."""
+    names = ", ".join(f"{language.place} {t.line}, {t.name}" for t in targets[:_NAMED])
+    more = f" and {len(targets) - _NAMED} more" if len(targets) > _NAMED else ""
+    found = _frames_that_reach(language, targets[:_TRIED], cell)
+    tried = "no quarter turns of them reach these poses either"
+    if found:
+        which = f"with {', or with '.join(found)} the nominal robot reaches"
+        these = "them" if len(targets) <= _TRIED else f"the first {_TRIED}"
+        tried = f"{which} {these}; the controller shows which is right"
+    return (
+        f"nothing is corrected: the nominal robot does not reach {len(targets)} of {poses} poses in the configuration "
+        f"that the program says ({names}{more}). Its frames must be the controller's: give --root, the controller's "
+        "root frame in the robot file's base frame, and --flange, its flange in the last link's frame "
+        f"({tried}). If the frames are right, the robot does not reach these poses either: --leave-unreached leaves "
+        "them as they are"
+    )
 
 
-def _written(language: ProgramLanguage, target: Target, cell: Cell, made: Tooled, old: Array, new: Array) -> Result:
-    """The new numbers of a target as text, and what is off with them."""
-    if target.joints:
-        values = new
-    else:
-        assert made.nominal is not None
-        assert target.base is not None
-        values = language.values(np.linalg.inv(cell.root @ target.base) @ _pose(made.nominal, new), target.si)
-    texts = tuple(n.written(v) for n, v in zip(target.numbers, values, strict=True))
-    reads = np.array([float(text) * n.unit for text, n in zip(texts, target.numbers, strict=True)])
-    if target.posture is not None:
-        if tuple(cell.postures.sides(new[None])[0]) != _sides(target):
-            return Result(target, CONFIGURATION_CHANGES)
-        if target.turns is not None and target.turn_text:
-            texts += tuple(language.turns_text(target, language.turns(new)))
-    q = reads if target.joints else _controller(language, target, cell, made, reads, new)
-    if q is None or _beyond(cell, q):
-        return Result(target, LEAVES_BOX if q is not None else UNREACHABLE)
-    bound = made.corrector.bound(old[None])[0] if made.corrector.bound else None
-    result = Result(target, Status.OK.name, "", texts, bound_mm=bound, q=(old, q))
+def _frames_that_reach(language: ProgramLanguage, targets: Sequence[Target], cell: Cell) -> list[str]:
+    """Options with which poses are reached: one of the frames turned by quarters, those that are turned least first."""
+    turns = [
+        np.diag(signs)[list(order)] for order in permutations(range(3)) for signs in product((1.0, -1.0), repeat=3)
+    ]
+    quarters = sorted((R for R in turns if np.linalg.det(R) > 0), key=lambda R: -float(np.trace(R)))
+    found: list[str] = []
+    for turn in (frame(R, np.zeros(3)) for R in quarters[1:]):
+        if all(_reaches(language, t, cell.root, turn, cell.postures) for t in targets):
+            found.append(f"--flange {language.shown(cell.flange @ turn)}")
+        if turn[2, 2] == 1:
+            root = cell.root @ turn
+            postures = replace(cell.postures, root=root)
+            if all(_reaches(language, t, root, np.eye(4), postures) for t in targets):
+                found.append(f"--root {language.shown(root)}")
+    return found[:_OFFERED]
+
+
+def _reaches(language: ProgramLanguage, target: Target, root: Array, turned: Array, postures: Postures) -> bool:
+    """Whether the nominal robot reaches a pose with another root frame, and its flange turned."""
+    T = _flange(language, target, root, turned)
+    if target.posture is None:
+        near = np.zeros(postures.nominal.n) if target.near is None else target.near
+        return postures.nearest(T[None], near[None])[0] is not None
+    return _in_posture(language, target, T, postures).status == Status.OK.name
+
+
+def _written(
+    language: ProgramLanguage, targets: Sequence[Target], cell: Cell, made: Tooled, old: Array, new: Array
+) -> Iterator[Result]:
+    """The new numbers of targets as text, and what is off with them; old, new : joints, shape (k, n)."""
+    posed = np.array([not t.joints for t in targets], dtype=bool)
+    wanted = _poses(made.nominal, new) if posed.any() else np.zeros((len(new), 4, 4))
+    texts, q, flanges = [], new.copy(), []
+    for k, t in enumerate(targets):
+        base = cell.root @ t.base if posed[k] else None
+        values = new[k] if base is None else language.values(np.linalg.inv(base) @ wanted[k], t.si)
+        texts.append(tuple(n.written(v) for n, v in zip(t.numbers, values, strict=True)))
+        q_or_pose = np.array([float(text) * n.unit for text, n in zip(texts[k], t.numbers, strict=True)])
+        if base is None:
+            q[k] = q_or_pose
+        else:
+            flanges.append(base @ language.matrix(q_or_pose))
+    reached = np.ones(len(new), dtype=bool)
+    if flanges:  # a controller, which has the nominal robot, solves the pose as it is written
+        T = np.array(flanges)
+        found = made.newton.solved(T[:, :3, 3], T[:, :3, :3], new[posed], cell.postures.nominal.limits)
+        q[posed], reached[posed] = found.q, found.reached
+    lower, upper = (-np.inf, np.inf) if cell.sources is None else cell.postures.nominal.limits
+    beyond = np.any((q < lower) | (q > upper), axis=1)
+    off = _off(made, old, q)
+    for k, t in enumerate(targets):
+        if t.posture is not None and tuple(cell.postures.sides(new[k : k + 1])[0]) != t.posture:
+            yield Result(t, CONFIGURATION_CHANGES)
+        elif beyond[k] or not reached[k]:
+            yield Result(t, LEAVES_BOX if reached[k] else Status.NOT_CONVERGED.name)
+        else:
+            turned = language.turns_text(t, language.turns(new[k])) if t.turns is not None and t.turn_text else ()
+            known = {
+                name: (float(v[k]) if v.ndim == 1 else (float(v[k, 0]), float(v[k, 1]))) for name, v in off.items()
+            }
+            yield Result(t, Status.OK.name, "", (*texts[k], *turned), q=(old[k], q[k]), **known)  # type: ignore[arg-type]
+
+
+def _off(made: Tooled, old: Array, new: Array) -> dict[str, Array]:
+    """Figures of `Result` for joints before and after, each shape (k,) or (k, 2)."""
+    found = {} if made.corrector.bound is None else {"bound_mm": made.corrector.bound(old)}
     if made.real is None or made.nominal is None:
-        return replace(result, moved_mm=_apart(*made.corrector.position(np.array([old, q]))))
-    wanted, was, now = _pose(made.nominal, old), _pose(made.real, old), _pose(made.real, q)
-    off = (_apart(was[:3, 3], wanted[:3, 3]), _apart(now[:3, 3], wanted[:3, 3]))
-    turned = (_angle(was, wanted), _angle(now, wanted))
-    return replace(result, moved_mm=_apart(was[:3, 3], now[:3, 3]), off_mm=off, off_deg=turned)
+        return found | {"moved_mm": _apart(made.corrector.position(old), made.corrector.position(new))}
+    wanted, was, now = _poses(made.nominal, old), _poses(made.real, old), _poses(made.real, new)
+    found["moved_mm"] = _apart(was[:, :3, 3], now[:, :3, 3])
+    found["off_mm"] = np.stack([_apart(T[:, :3, 3], wanted[:, :3, 3]) for T in (was, now)], axis=1)
+    found["off_deg"] = np.stack([_angle(T[:, :3, :3], wanted[:, :3, :3]) for T in (was, now)], axis=1)
+    return found
 
 
-def _controller(
-    language: ProgramLanguage, target: Target, cell: Cell, made: Tooled, reads: Array, new: Array
-) -> Array | None:
-    """Joints at which a controller, which has the nominal robot, reaches the pose as it is written."""
-    assert target.base is not None
-    assert made.nominal is not None
-    T = cell.root @ target.base @ language.matrix(reads)
-    found = solved(made.nominal, T[None, :3, 3], T[None, :3, :3], new[None], cell.postures.nominal.limits)
-    return found.q[0] if found.reached[0] else None
+def _poses(function: ca.Function | None, q: Array) -> Array:
+    """Transforms of joints, shape (k, 4, 4)."""
+    assert function is not None
+    p, R = function.map(len(q))(q.T)
+    T = np.tile(np.eye(4), (len(q), 1, 1))
+    T[:, :3, 3], T[:, :3, :3] = p.full().T, R.full().reshape(3, len(q), 3).transpose(1, 0, 2)
+    return T
 
 
-def _beyond(cell: Cell, q: Array) -> bool:
-    if cell.sources is None:
-        return False
-    lower, upper = cell.postures.nominal.limits
-    return bool((q < lower).any() or (q > upper).any())
+def _apart(a: Array, b: Array) -> Array:
+    return np.asarray(1e3 * np.linalg.norm(a - b, axis=1))
 
 
-def _pose(function: ca.Function, q: Array) -> Array:
-    p, R = function(q)
-    return frame(R.full(), p.full()[:, 0])
+def _angle(A: Array, B: Array) -> Array:
+    """Angles between orientations, shape (k, 3, 3) [deg]."""
+    return np.asarray(np.rad2deg(2 * np.arcsin(np.minimum(1.0, np.linalg.norm(A - B, axis=(1, 2)) / np.sqrt(8)))))
 
 
-def _apart(a: Array, b: Array) -> float:
-    return float(1e3 * np.linalg.norm(a - b))
-
-
-def _angle(A: Array, B: Array) -> float:
-    """Angle between two orientations [deg]."""
-    return float(np.rad2deg(2 * np.arcsin(min(1.0, float(np.linalg.norm(A[:3, :3] - B[:3, :3]) / np.sqrt(8))))))
-
-
-def refuse_accuracy(source: str, targets: list[Target]) -> None:
+def refuse_accuracy(source: str, targets: Iterable[Target]) -> None:
     """Raises InputError for targets that were taught with the controller's own absolute accuracy on."""
     for target in targets:
         if target.accurate:
@@ -275,25 +375,3 @@ def refuse_accuracy(source: str, targets: list[Target]) -> None:
                 f"{source}: line {target.line}: {target.name} was taught with the controller's absolute accuracy on "
                 "(bit 3 of S); with it on, errors are corrected twice: switch it off, and say so with --accuracy-off"
             )
-
-
-def summary(results: list[Result]) -> dict[str, Any]:
-    """The results as plain data: targets, corrected ones, refused ones by line, errors [mm, deg]."""
-    fine = [r for r in results if r.fine]
-    found: dict[str, Any] = {
-        "targets": len(results),
-        "corrected": len(fine),
-        "refused": [
-            {"line": r.target.line, "name": r.target.name, "status": r.status, "why": r.why}
-            for r in results
-            if not r.fine
-        ],
-    }
-    for key, pairs in (
-        ("off_nominal_mm_max", [r.off_mm for r in fine]),
-        ("off_nominal_deg_max", [r.off_deg for r in fine]),
-    ):
-        known = [p for p in pairs if p is not None]
-        if known:
-            found[key] = {"before": max(p[0] for p in known), "after": max(p[1] for p in known)}
-    return found

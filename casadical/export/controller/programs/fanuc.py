@@ -15,7 +15,7 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.export.controller.programs.language import ProgramLanguage, angles_of_matrix, matrix_of_angles
 from casadical.export.controller.programs.scan import islands_of, parts, tokens_of, words
-from casadical.export.controller.programs.target import DEG, MM, Given, Number, Posture, Target, line_of
+from casadical.export.controller.programs.target import DEG, MM, Given, Number, Posture, Target, line_of, whole
 
 GRAMMAR = r"""
 start: position | _other
@@ -149,4 +149,7 @@ def _configured(target: Target, items: dict[str, Tree[Token]]) -> Target:
     begin = token.start_pos or 0
     turn_text = tuple(Number(begin + match.start(k), begin + match.end(k), match[k], 1.0) for k in (4, 5, 6))
     posture = Posture(match[3] == "B", match[2] == "D", match[1] == "N")
-    return replace(target, posture=posture, turns=tuple(int(match[k]) for k in (4, 5, 6)), turn_text=turn_text)
+    turns = whole(match.group(4, 5, 6))
+    if not turns:
+        return target.leave(f"CONFIG {token[:40]} has a number that is too large")
+    return replace(target, posture=posture, turns=turns, turn_text=turn_text)

@@ -13,7 +13,7 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.export.controller.programs.language import ProgramLanguage, angles_of_matrix, matrix_of_angles
 from casadical.export.controller.programs.scan import islands_of, parts, tokens_of, words
-from casadical.export.controller.programs.target import DEG, MM, Given, Number, Posture, Target, only_one
+from casadical.export.controller.programs.target import DEG, MM, Given, Number, Posture, Target, only_one, whole
 
 GRAMMAR = r"""
 start: assign | move | pick | _other
@@ -232,7 +232,8 @@ def _bits(token: Token | Tree[Token] | None) -> int | None:
     if not isinstance(token, Token) or token.type not in ("NUMBER", "BITS"):
         return None
     text = str(token)
-    return int(text[2:-1], 2 if text[1] in "bB" else 16) if text.startswith("'") else int(float(text))
+    number = f"{int(text[2:-1][:99], 2 if text[1] in 'bB' else 16)}" if text.startswith("'") else text
+    return next(iter(whole([number])), None)
 
 
 def _moved(token: Token | Tree[Token] | None) -> bool:

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -19,12 +19,27 @@ class ProgramLanguage(ABC):
 
     name : by which messages know it; suffixes : of its files, in lower case, with their dot
     units : of the numbers of a pose, each as a factor to SI; pose : what they are, in words
+    place : what a target stands in, in words; report_beside : whether a report goes beside a corrected program
     """
 
     name: ClassVar[str]
     suffixes: ClassVar[tuple[str, ...]]
     units: ClassVar[tuple[float, ...]] = (MM, MM, MM, DEG, DEG, DEG)
     pose: ClassVar[str]
+    place: ClassVar[str] = "line"
+    report_beside: ClassVar[bool] = True
+
+    def decoded(self, source: str, content: bytes) -> str:
+        """A program's bytes as text, one character each. Raises InputError for what is not text."""
+        return text_of(source, content)
+
+    def written(self, source: str, text: str, results: Sequence[Any]) -> bytes:
+        """The program with the new texts of its targets (`Result.texts`), every other byte as it was."""
+        pieces, end = [], 0
+        for number, new in sorted(((n, t) for r in results for n, t in r.changes), key=lambda change: change[0].start):
+            pieces += [text[end : number.start], new]
+            end = number.stop
+        return "".join([*pieces, text[end:]]).encode("latin-1")
 
     @abstractmethod
     def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:
@@ -65,6 +80,11 @@ class ProgramLanguage(ABC):
         if len(numbers) != len(self.units) or not np.isfinite(numbers).all():
             raise InputError(f"{option} {text}: give {len(self.units)} numbers with commas, {self.pose}")
         return self.matrix(np.array(numbers) * self.units)
+
+    def shown(self, T: Array) -> str:
+        """The numbers of a transform as `transform` takes them."""
+        values = self.values(T, np.zeros(len(self.units)))
+        return ",".join(f"{round(v / unit, 6) + 0.0:g}" for v, unit in zip(values, self.units, strict=True))
 
 
 def matrix_of_angles(values: Array, order: Sequence[int]) -> Array:

@@ -1,21 +1,23 @@
-"""A program file in a controller's language: read, corrected, and written with a report of its targets beside it."""
+"""A program file: read, corrected, and written with a report of its targets beside it."""
 
 from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.files import csv_text
 from casadical.core.reading import read_bytes
-from casadical.export.controller.correction import FINE, MEANINGS, SHOWN, mean_and_max, position_only
+from casadical.export.controller.correction import FINE, MEANINGS, SHOWN, position_only
 from casadical.export.controller.programs import correction as c
-from casadical.export.controller.programs.language import ProgramLanguage, text_of
+from casadical.export.controller.programs.language import ProgramLanguage
 from casadical.export.controller.programs.registry import language_of
 from casadical.export.controller.programs.target import Given, Target
 
@@ -49,46 +51,57 @@ class TargetProgram:
 
 @dataclass(frozen=True, eq=False)
 class CorrectedProgram:
-    """A program and what became of its targets."""
+    """A program and what became of its targets; units : rad or m of each joint's reading."""
 
     program: TargetProgram
     results: tuple[c.Result, ...]
+    units: tuple[str, ...]
+
+    @property
+    def fine(self) -> list[c.Result]:
+        """Those that were corrected."""
+        return [r for r in self.results if r.fine]
 
     def content(self) -> bytes:
         """The program's bytes, with the new numbers in place of the old ones."""
-        new: list[tuple[int, int, str]] = []
-        for r in self.results:
-            if r.fine:
-                places = (*r.target.numbers, *r.target.turn_text)[: len(r.texts)]
-                new += [
-                    (n.start, n.stop, text) for n, text in zip(places, r.texts, strict=True) if _differs(n.text, text)
-                ]
-        pieces, end = [], 0
-        for start, stop, text in sorted(new):
-            pieces += [self.program.text[end:start], text]
-            end = stop
-        return "".join([*pieces, self.program.text[end:]]).encode("latin-1")
+        return self.program.language.written(self.program.source, self.program.text, self.results)
 
     def to_csv(self) -> str:
         """The report: a row for each target, corrected or not."""
-        return csv_text([_HEADER, *(_row(r) for r in self.results)])
+        return csv_text([_HEADER, *map(_row, self.results)])
 
     def to_json(self) -> dict[str, Any]:
-        """The summary as plain data."""
-        return {"language": self.program.language.name, **c.summary(list(self.results))}
+        """The summary as plain data: targets, corrected ones, refused ones by line, errors [mm, deg]."""
+        refused = [
+            {"line": r.target.line, "name": r.target.name, "status": r.status, "why": r.why}
+            for r in self.results
+            if not r.fine
+        ]
+        found = {"language": self.program.language.name, "targets": len(self.results), "corrected": len(self.fine)}
+        figures: dict[str, Any] = {}
+        for name, table in _figures(self.fine).items():
+            if table.ndim == 1:
+                figures[name] = {"mean": float(table.mean()), "max": float(table.max())}
+            else:
+                before, after = table.max(axis=0)
+                figures[f"off_nominal_{name[4:]}_max"] = {"before": float(before), "after": float(after)}
+        return {**found, "refused": refused, **figures}
 
     def report(self) -> str:
-        """The number of corrected targets, the others with their reasons, and how far off the tool was and is."""
-        fine, refused = [r for r in self.results if r.fine], [r for r in self.results if not r.fine]
+        """The number of corrected targets, the others with their reasons, and how far joints and tool move."""
+        fine, refused = self.fine, [r for r in self.results if not r.fine]
+        place = self.program.language.place
         lines = [f"{self.program.language.name}: {len(fine)} of {len(self.results)} targets corrected"]
+        shown = "report" if self.program.language.report_beside else "status column"
         lines[0] += position_only(tuple(r.status for r in fine))
         if refused:
             lines[0] += f", {len(refused)} LEFT as they were:"
         for r in refused[:SHOWN]:
-            lines.append(f"  line {r.target.line}, {r.target.name}: {r.status}, {r.why or _MEANINGS[r.status]}")
+            named = ", ".join(filter(None, (f"{place} {r.target.line}", r.target.name)))
+            lines.append(f"  {named}: {r.status}, {r.why or _MEANINGS[r.status]}")
         if len(refused) > SHOWN:
-            lines.append(f"  and {len(refused) - SHOWN} more; see the report")
-        return "\n".join([*lines, *_errors(fine)])
+            lines.append(f"  and {len(refused) - SHOWN} more; see the {shown}")
+        return "\n".join([*lines, *(_moved(fine, self.units) if fine else ["nothing moved"])])
 
 
 def read_target_program(path: Path, given: Given, joints: int) -> TargetProgram:
@@ -97,8 +110,11 @@ def read_target_program(path: Path, given: Given, joints: int) -> TargetProgram:
     Raises InputError that names the line: a program that cannot be corrected, or one that was corrected before.
     """
     language = language_of(path)
-    text = text_of(str(path), read_bytes(path))
-    targets = language.targets(str(path), text, given, joints)
+    text = language.decoded(str(path), read_bytes(path))
+    try:
+        targets = language.targets(str(path), text, given, joints)
+    except RecursionError:
+        raise InputError(f"{path}: brackets are nested too deeply for a {language.name} program") from None
     if not targets:
         raise InputError(f"{path}: has no target that {language.name} programs have; is it the right file?")
     targets = [t if np.isfinite(t.si).all() else t.leave("has a number that is too large") for t in targets]
@@ -108,7 +124,11 @@ def read_target_program(path: Path, given: Given, joints: int) -> TargetProgram:
 
 def corrected_program(program: TargetProgram, cell: c.Cell) -> CorrectedProgram:
     """Correct every target of a program on its own."""
-    return CorrectedProgram(program, tuple(c.corrected_targets(program.language, list(program.targets), cell)))
+    try:
+        results = tuple(c.corrected_targets(program.language, program.targets, cell))
+    except InputError as error:
+        raise InputError(f"{program.source}: {error}") from None
+    return CorrectedProgram(program, results, cell.units)
 
 
 def report_of(path: Path) -> Path:
@@ -134,12 +154,8 @@ def _numbers(target: Target) -> str:
     return " ".join(number.text for number in target.numbers)
 
 
-def _differs(old: str, new: str) -> bool:
-    return old.startswith("'") or new.startswith("'") or float(old) != float(new)
-
-
 def _row(r: c.Result) -> list[str]:
-    texts = [n.text if not _differs(n.text, t) else t for n, t in zip(r.target.numbers, r.texts, strict=False)]
+    texts = [t if n.differs(t) else n.text for n, t in zip(r.target.numbers, r.texts, strict=False)]
     figures = [r.moved_mm, *(r.off_mm or (None, None)), *(r.off_deg or (None, None)), r.bound_mm]
     return [
         str(r.target.line), r.target.name, "joints" if r.target.joints else "pose", r.status,
@@ -148,18 +164,38 @@ def _row(r: c.Result) -> list[str]:
     ]  # fmt: skip
 
 
-def _errors(fine: list[c.Result]) -> list[str]:
-    known = [(*r.off_mm, *r.off_deg) for r in fine if r.off_mm and r.off_deg]
-    if not known:
-        return []
-    table = np.array(known)
-    lines = ["the real tool off the nominal one, by the model, with the numbers as written"]
-    for label, k, factor in (
-        ("before [mm]", 0, 1.0), ("after [um]", 1, 1e3), ("before [mdeg]", 2, 1e3), ("after [mdeg]", 3, 1e3),
-    ):  # fmt: skip
-        lines.append(mean_and_max(label, factor * table[:, k]))
-    lines[0] = f"{lines[0]}: mean, max"
+def _figures(fine: Sequence[c.Result]) -> dict[str, Array]:
+    """What is known of corrected targets, each shape (k,) or (k, 2)."""
+    tables = {name: [getattr(r, name) for r in fine] for name in ("moved_mm", "off_mm", "off_deg", "bound_mm")}
+    known = {name: [v for v in values if v is not None] for name, values in tables.items()}
+    return {name: np.array(values) for name, values in known.items() if values}
+
+
+def _moved(fine: Sequence[c.Result], units: Sequence[str]) -> list[str]:
+    """Mean and greatest change of each joint and of the tool, how far it was and is off, and the bound."""
+    joints = np.array([abs(new - old) for old, new in (r.q for r in fine if r.q)])
+    known = _figures(fine)
+    lines = [f"{'moved by':<22}{'mean':>10}{'max':>10}"]
+    for i, (column, unit) in enumerate(zip(joints.T, units, strict=True), 1):
+        word, factor = ("mm", 1e3) if unit == "m" else ("deg", 180 / np.pi)
+        lines.append(_mean_and_max(f"joint {i} [{word}]", factor * column))
+    lines.append(_mean_and_max("tool [mm]", known["moved_mm"]))
+    if "off_mm" in known:
+        lines.append("the real tool off the nominal one, by the model, with the numbers as written")
+        for label, column in (
+            ("before [mm]", known["off_mm"][:, 0]), ("after [um]", 1e3 * known["off_mm"][:, 1]),
+            ("before [mdeg]", 1e3 * known["off_deg"][:, 0]), ("after [mdeg]", 1e3 * known["off_deg"][:, 1]),
+        ):  # fmt: skip
+            lines.append(_mean_and_max(label, column))
+    if "bound_mm" in known:
+        lines.append("95 % of the errors that remain are below, by what was measured (where the tool is alike)")
+        lines.append(_mean_and_max("bound [mm]", known["bound_mm"]))
     return lines
+
+
+def _mean_and_max(label: str, values: Array) -> str:
+    """A line of a table of means and greatest values."""
+    return f"  {label:<20}{values.mean():>10.4f}{values.max():>10.4f}"
 
 
 def assumptions(corrected: CorrectedProgram, cell: c.Cell) -> list[str]:

@@ -14,7 +14,7 @@ from casadical.core.errors import InputError
 from casadical.core.transforms import frame, from_quaternion, quaternion
 from casadical.export.controller.programs.language import ProgramLanguage
 from casadical.export.controller.programs.scan import islands_of, parts, tokens_of
-from casadical.export.controller.programs.target import MM, Given, Number, Posture, Target
+from casadical.export.controller.programs.target import MM, Given, Number, Posture, Target, whole
 
 GRAMMAR = r"""
 start: declaration | motion | assignment | _other
@@ -156,10 +156,13 @@ class _Module:
                 line, name, True, tuple(map(Number.from_token, flat[0], self.given.joint_units(6))), external=external
             )
         numbers = tuple(Number.from_token(t, MM) for t in flat[0]) + tuple(Number.from_token(t, 1.0) for t in flat[1])
-        *turns, cfx = (float(str(t)) for t in flat[2])
-        posture = Posture(bool(int(cfx) & 4), bool(int(cfx) & 2), bool(int(cfx) & 1))
+        configuration = whole(flat[2])
         text = tuple(Number.from_token(t, 1.0) for t in flat[2][:3])
-        made = Target(line, name, False, numbers, posture, tuple(map(int, turns)), text, external=external)
+        if not configuration:
+            return Target(line, name, False, numbers, left="its configuration has a number that is too large")
+        *turns, cfx = configuration
+        posture = Posture(bool(cfx & 4), bool(cfx & 2), bool(cfx & 1))
+        made = Target(line, name, False, numbers, posture, tuple(turns), text, external=external)
         length = float(np.linalg.norm(made.si[3:]))
         if not abs(length - 1) <= _UNIT_MISFIT:
             made = made.leave(f"its quaternion has the length {length:.4g}; it must be 1")

@@ -12,6 +12,7 @@ LANGUAGES = (
     "casadical.export.controller.programs.rapid:Rapid",
     "casadical.export.controller.programs.urscript:UrScript",
     "casadical.export.controller.programs.fanuc:Fanuc",
+    "casadical.export.controller.programs.csv_table:CsvTable",
 )
 
 
@@ -27,4 +28,4 @@ def language_of(path: Path) -> ProgramLanguage:
         if path.suffix.lower() in language.suffixes:
             return language()
     listed = ", ".join(f"{'/'.join(kind.suffixes)} ({kind.name})" for kind in known.values())
-    raise InputError(f"{path}: programs with the suffix {path.suffix!r} cannot be read; allowed: .csv, {listed}")
+    raise InputError(f"{path}: programs with the suffix {path.suffix!r} cannot be read; allowed: {listed}")

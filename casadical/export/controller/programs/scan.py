@@ -5,6 +5,7 @@ line that it does not know costs nothing.
 """
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from functools import cache
 
 from lark import Lark, Token, Tree, UnexpectedInput
@@ -42,22 +43,21 @@ def islands_of(grammar: str, tokens: Sequence[Token]) -> Iterator[Tree[Token]]:
 
 def _longest(parser: Lark, tokens: Sequence[Token], start: int) -> tuple[Tree[Token] | None, int]:
     """The longest run from a token that is a whole island, and how many tokens it has; None and 1 where none is."""
-    run, ends = parser.parse_interactive(""), []
-    for k in range(start, len(tokens)):
-        try:
-            run.feed_token(tokens[k])
-        except UnexpectedInput:
-            break
-        if "$END" in _expected(run):  # where lookaheads are merged (LALR), the end may be refused all the same
-            ends.append(k + 1)
-    for end in reversed(ends):
-        run = parser.parse_interactive("")
-        try:
-            for token in tokens[start:end]:
-                run.feed_token(token)
+    run, ends, fed = parser.parse_interactive(""), [], start
+    with suppress(UnexpectedInput):
+        for fed in range(start, len(tokens)):
+            run.feed_token(tokens[fed])
+            if "$END" in _expected(run):  # where lookaheads are merged (LALR), the end may be refused all the same
+                ends.append(fed + 1)
+        fed = len(tokens)
+    runs = ((end, again) for end in reversed(ends) for again in (False, True) if again or end == fed)
+    for end, again in runs:
+        with suppress(UnexpectedInput):
+            if again:  # the first run has taken more, or reduced for a token that it then refused
+                run = parser.parse_interactive("")
+                for token in tokens[start:end]:
+                    run.feed_token(token)
             return run.feed_eof(tokens[end - 1]), end - start  # type: ignore[no-untyped-call]
-        except UnexpectedInput:
-            continue
     return None, 1
 
 

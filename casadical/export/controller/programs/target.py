@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -44,9 +45,12 @@ class Number:
         text = f"{value / self.unit:.{decimals}f}"
         return text[1:] if float(text) == 0 and text.startswith("-") else text
 
+    def differs(self, text: str) -> bool:
+        """Whether a text means another number."""
+        return self.text.startswith("'") or text.startswith("'") or float(self.text) != float(text)
 
-@dataclass(frozen=True)
-class Posture:
+
+class Posture(NamedTuple):
     """Which of the eight arms of a six-axis robot reaches a pose.
 
     behind : the wrist is behind axis 1; bent_back : it is behind the line from axis 2 through axis 3
@@ -113,6 +117,12 @@ class Given:
     def joint_units(self, joints: int) -> tuple[float, ...]:
         """Degrees, millimetres of a linear axis, each as a factor to SI."""
         return tuple(MM if unit == "m" else DEG for unit in self.units or ("rad",) * joints)
+
+
+def whole(texts: Iterable[Any]) -> tuple[int, ...]:
+    """Numbers of a program as whole ones; none where one of them is too large for any controller."""
+    values = [float(str(text)) for text in texts]
+    return tuple(map(int, values)) if all(abs(v) < 2**31 for v in values) else ()
 
 
 def line_of(text: str, place: int) -> int:

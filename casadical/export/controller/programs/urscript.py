@@ -6,6 +6,7 @@ pose_add) is relative to something that only the controller knows, and stays.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -152,14 +153,14 @@ class _Program:
     def targets(self) -> list[Target]:
         """All targets in their order."""
         made = list(self.made)
+        named = Counter(str(t) for t in self.tokens if t.type == "NAME")
         for name, variable in self.variables.items():
             if not variable.target:
                 continue
             target = self._target(name, variable.value, variable.near)
             if len(variable.sets) > 1:
                 target = target.leave(f"line {variable.sets[1]} gives it another value")
-            lines = [t.line for t in self.tokens if t.type == "NAME" and str(t) == name]
-            if len(lines) > len(variable.sets) + variable.read:
+            if named[name] > len(variable.sets) + variable.read:
                 target = target.leave("it is also part of an expression")
             made.append((variable.value.meta.start_pos, target))
         return [target for _, target in sorted(made, key=lambda entry: entry[0])]

@@ -1,0 +1,83 @@
+"""A table of joint targets (.csv): columns q1_deg .. change, every other cell stays, further columns say what was done.
+
+Its own reader knows encodings and separators; the text of the file is not used.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NoReturn
+
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.core.files import csv_text
+from casadical.export.controller.programs.language import ProgramLanguage
+from casadical.export.controller.programs.target import DEG, MM, Given, Number, Target
+from casadical.measurements.columns import Columns
+from casadical.measurements.raw_table import RawTable, read_table
+
+STATUS, BOUND = "correction_status", "correction_bound_mm"
+
+_TO_SI = {"rad": {"_deg": DEG, "_rad": 1.0}, "m": {"_mm": MM, "_m": 1.0}}
+_DIGITS = {"_deg": 7, "_rad": 9, "_mm": 6, "_m": 9}  # decimals: some nanometres at the tool
+
+
+class CsvTable(ProgramLanguage):
+    """CSV with commas and a header. A number's place is its row and its column in the table."""
+
+    name = "CSV"
+    suffixes = (".csv",)
+    pose = "no pose: a table holds joint targets"
+    place = "row"
+    report_beside = False
+
+    def decoded(self, source: str, content: bytes) -> str:
+        return content.decode("latin-1")
+
+    def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:
+        table = _table(source)
+        header = table.header
+        if extra := [name for name in header if name.startswith(f"q{joints + 1}_")]:
+            raise InputError(f"{source}: column {extra[0]!r}: this robot has only {joints} joints")
+        columns, places = Columns.of_file(table), []
+        for i, unit in enumerate(given.units or ("rad",) * joints, 1):
+            allowed = _TO_SI[unit]
+            columns.si(f"q{i}", tuple(allowed))
+            suffix = next(u for u in allowed if f"q{i}{u}" in header)
+            places.append((header.index(f"q{i}{suffix}"), allowed[suffix], _DIGITS[suffix]))
+        return [
+            Target(line, "", True, tuple(Number(k, at, cells[at], unit, digits) for at, unit, digits in places))
+            for k, (line, cells) in enumerate(zip(table.line, table.cells, strict=True))
+        ]
+
+    def written(self, source: str, text: str, results: Sequence[Any]) -> bytes:
+        table = _table(source)
+        bounded = any(r.bound_mm is not None for r in results)
+        rows = [[*table.header, STATUS, *([BOUND] if bounded else [])]]
+        for cells, r in zip(map(list, table.cells), results, strict=True):
+            for number, new in zip(r.target.numbers, r.texts, strict=False):
+                cells[number.stop] = new
+            rows.append([*cells, r.status, *(["" if r.bound_mm is None else f"{r.bound_mm:.4f}"] if bounded else [])])
+        return csv_text(rows).encode()
+
+    def matrix(self, values: Array) -> NoReturn:
+        raise InputError(f"a CSV holds {self.pose}")
+
+    def values(self, T: Array, like: Array) -> NoReturn:
+        raise InputError(f"a CSV holds {self.pose}")
+
+
+def _table(path: str) -> RawTable:
+    """Raises InputError for a table that cannot be written again as it is, or that was corrected before."""
+    table = read_table(path)
+    if table.form.separator != "," or table.form.sheet:
+        form = "a workbook" if table.form.sheet else f"separated by {table.form.separator!r}"
+        raise InputError(f"{path}: is {form}; a program is read and written with commas and decimal points, as CSV")
+    if STATUS in table.header:
+        raise InputError(
+            f"{path}: column {STATUS!r} is there already: this program was corrected before; correct the original"
+        )
+    for number, cells in zip(table.line, table.cells, strict=True):
+        if len(cells) != len(table.header):
+            raise InputError(
+                f"{path}: row {number} has {len(cells)} cells, the header {len(table.header)}; correct the row"
+            )
+    return table
