@@ -8,6 +8,7 @@ from casadical.diagnosis.claims import cause_set, named
 from casadical.diagnosis.cross_validation import estimates, partitioned_errors, partitions, remainders, shrink_interval
 from casadical.diagnosis.held_out_gap import Stage, course
 from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.noise_account import account_of
 from casadical.diagnosis.noise_floor import noise_floor, outlier_probability, replicates
 from casadical.diagnosis.result import Cause, Diagnosis, Gap, Outlier, Verdict
 from casadical.diagnosis.search import End, State, Step
@@ -25,11 +26,13 @@ def conclude(
     before = partitioned_errors(case.evidence, columns[:0], state.rankings[0].noise[""], seed)
     repeated = replicates(case.m, case.whole.r, case.kept, case.observations.apart, case.whole.measured)
     noise = _final_noise(state, end)
-    floor = noise_floor(case.evidence, noise, repeated, seed)
+    account = account_of(case, columns, noise, repeated)
+    floor = noise_floor(case.evidence, noise, account.anchor, seed)
     richer = None if repeated.enough or end != "claimed" else _with_richer_form(state, floor, seed)
     if richer:
         state, end, noise = richer, "unknown", _final_noise(richer, "unknown")
-        floor = noise_floor(case.evidence, noise, repeated, seed)
+        account = account_of(case, columns, noise, repeated)
+        floor = noise_floor(case.evidence, noise, account.anchor, seed)
     after = partitioned_errors(case.evidence, columns, noise, seed) if state.steps else before
     left, distance = remainders(case.whole, columns, noise, case.kept)
     causes = [_cause(state, step, before, seed) for step in state.steps]
@@ -41,13 +44,16 @@ def conclude(
     exactly = cause_set(state)
     if verdict == "explained" and exactly and exactly.probability < SET_CLAIM and _remainder(state) > MISMATCH:
         verdict = "ambiguous"
-    if richer and verdict == "explained":
+    if verdict == "explained" and richer:
+        verdict = "unknown"
+    if account.is_structure and not state.steps and verdict in ("none", "explained"):
         verdict = "unknown"
     return Diagnosis(
         verdict=verdict,
         causes=tuple(causes),
         gap=gap,
         noise=noise,
+        account=account,
         unknown_rest=rest,
         course=shrinks,
         replicates=repeated,

@@ -36,6 +36,24 @@ KAPPA_WEIGHTS = np.array([0.15, 0.25, 0.3, 0.2, 0.1])
 REPEATABILITY = "repeatability"
 
 
+# A declared sigma is off by this in its logarithm, or by far more: Student's t with so many degrees of freedom, so that
+# one that is wrong by three costs 4 nats and is overruled by a few dozen numbers.
+DECLARED, DECLARED_TAIL = 0.2, 2.0
+
+
+@dataclass(frozen=True)
+class KnownNoise:
+    """What is known of the noise of a coordinate beside the fit.
+
+    declared : sigma of the instrument [m], zero for none
+    repeats : scatter over repeated poses [m]; freedom : its degrees of freedom, zero for none
+    """
+
+    declared: float = 0.0
+    repeats: float = 0.0
+    freedom: int = 0
+
+
 @dataclass(eq=False)
 class Cache:
     """What was computed of a problem: its marginal likelihoods, fits by columns and noise, rankings of a search."""
@@ -56,7 +74,7 @@ class Evidence:
     reference : sigma at which the priors of what is in the model are as given [m]; they grow with the noise
     held : one sigma of each column's parameter once it is in the model, in sizes, shape (columns,); CHOSEN by default
     near : numbers of the rhos that are looked at; all of them until an effect of many parameters is in the model
-    repeats : scatter of a coordinate over repeated poses [m], and its degrees of freedom; none without them
+    known : what is known of the noise beside these residuals
     sigmas : of the instrument, on a grid [m]
     measured : which of a pose's numbers were measured, shape (n, 3), all by default; of other kinds of measurement than
         positions there are others than three, in units in which their noise is alike
@@ -75,7 +93,7 @@ class Evidence:
     reference: float = 20e-6
     held: Array | None = None
     near: tuple[int, ...] = tuple(range(len(RHOS)))
-    repeats: tuple[float, int] = (0.0, 0)
+    known: KnownNoise = field(default_factory=lambda: KnownNoise())
     sigmas: Array = field(default_factory=lambda: SIGMAS)
     measured: Array | None = None
     size: Array | None = None
@@ -109,7 +127,7 @@ class Evidence:
             self.count,
             self.absorbed,
             self.near,
-            log_repeats(self, self.Jq),
+            log_known(self, self.Jq),
         )
 
     @property
@@ -176,10 +194,17 @@ def joint_noise(Jq: Array) -> NoiseModel:
     return NoiseModel((Jq.shape[0], Jq.shape[1]), {REPEATABILITY: Jq})
 
 
-def log_repeats(e: Evidence, Jq: Array) -> Array:
-    """Log likelihood of the scatter of repeated poses, shape (rhos, sigmas), of joints that repeat as in Jq."""
-    scatter, freedom = e.repeats
+def log_known(e: Evidence, Jq: Array) -> Array:
+    """What is known of the noise beside the residuals, as a logarithm, shape (rhos, sigmas).
+
+    A declared sigma is that of the instrument; repeated poses scatter by instrument and joints, which repeat as in Jq.
+    """
+    scatter, freedom, declared = e.known.repeats, e.known.freedom, e.known.declared
     noise = joint_noise(Jq)
     mean = np.array([noise.mean_variance({REPEATABILITY: float(rho)}, max(e.count, 1)) for rho in RHOS])
     total = mean[:, None] * e.sigmas**2
-    return np.asarray(-0.5 * freedom * (np.log(total / e.sigmas[-1] ** 2) + scatter**2 / total))
+    log = -0.5 * freedom * (np.log(total / e.sigmas[-1] ** 2) + scatter**2 / total)
+    if declared:
+        off = np.log(e.sigmas / declared) / DECLARED
+        log = log - 0.5 * (DECLARED_TAIL + 1) * np.log1p(off**2 / DECLARED_TAIL)
+    return np.asarray(log)

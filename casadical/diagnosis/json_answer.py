@@ -47,6 +47,7 @@ def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[st
         "noise": {
             "sigma_mm": _mm(d.noise.sigma),
             "repeatability_urad": round(1e6 * d.noise.repeatability, 2),
+            **d.account.to_json(),
             **({"form": form} if (form := d.rankings[-1].noise_form) else {}),
         },
         "replicates": {"sigma_mm": _mm(d.replicates.sigma), "poses": d.replicates.poses, "used": d.replicates.enough},

@@ -14,7 +14,7 @@ from casadical.core.parameters import Parameter
 from casadical.core.statistics import robust_std
 from casadical.diagnosis.candidates import Candidate, choose
 from casadical.diagnosis.cross_validation import fit_of
-from casadical.diagnosis.evidence import ALL_SIGMAS, RHOS, SIGMAS, Evidence
+from casadical.diagnosis.evidence import ALL_SIGMAS, RHOS, SIGMAS, Evidence, KnownNoise
 from casadical.diagnosis.instrument_columns import with_far_ends, with_images
 from casadical.diagnosis.linearisation import EffectColumns
 from casadical.diagnosis.noise_floor import replicates
@@ -288,7 +288,7 @@ def _problem(
         np.append(base_prior(robot, free), np.ones(len(seen.mean))),
         E,
         held=E.held,
-        repeats=(again.sigma, min(again.freedom, MOST_FREEDOM)) if again.enough else (0.0, 0),
+        known=KnownNoise(_declared(seen), again.sigma, min(again.freedom, MOST_FREEDOM)),
         measured=seen.measured,
         size=seen.size,
         alike=seen.alike,
@@ -297,6 +297,12 @@ def _problem(
         return kept, whole
     whole = replace(whole, reference=max(left, float(SIGMAS[0])))
     return kept, replace(whole, absorbed=whole.model.absorbed_by_base)
+
+
+def _declared(seen: Observations) -> float:
+    """What sets declare as the noise of a length, in units of the residuals [m]; zero where none does."""
+    # A set that declares it has this in the ratios, which make its lengths as noisy as those of the first set.
+    return seen.ratios.sigmas[0][0] if any(m.sigma for m in seen.sets) else 0.0
 
 
 def better_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:

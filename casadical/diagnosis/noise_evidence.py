@@ -16,7 +16,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.linear_gaussian.noise import Axes
 from casadical.core.linear_gaussian.normal_equations import Joined, joined
-from casadical.diagnosis.evidence import REPEATABILITY, RHOS, Evidence, joint_noise, log_repeats
+from casadical.diagnosis.evidence import REPEATABILITY, RHOS, Evidence, joint_noise, log_known
 
 # Columns that are kept, in bytes; else they are made again, so many at a time.
 MOST_BYTES, PART_BYTES = 64_000_000, 32_000_000
@@ -82,7 +82,7 @@ class Problem:
     def _judged(self, form: Form) -> Array:
         e, near = self.e, list(self.e.near)
         out = np.full((len(RHOS), len(e.sigmas)), -np.inf)
-        known = log_repeats(e, form.repeatability(self._Jq))
+        known = log_known(e, form.repeatability(self._Jq))
         for k, (fit, square) in zip(near, self._fits(form, near), strict=True):
             out[k] = e.model.log_over_sigmas(square, fit.log_norm - self._lost) + known[k]
         return out + form.log_weight

@@ -62,13 +62,13 @@ def replicates(
     return Replicates(sigma, int(several.sum()), len(several), freedom)
 
 
-def noise_floor(e: Evidence, noise: Noise, repeated: Replicates, seed: int) -> float:
+def noise_floor(e: Evidence, noise: Noise, anchor: float, seed: int) -> float:
     """Mean held-out error [m] if only noise were left: simulated through the same fit.
 
-    noise : as the fit leaves it; repeated poses say its size where there are enough of them
+    noise : as the fit leaves it; anchor : its size of a coordinate, where something else says it [m], else zero
     """
-    if repeated.enough:
-        scale = repeated.sigma / _scatter(e, noise)
+    if anchor:
+        scale = anchor / scatter_of_coordinate(e, noise)
         noise = Noise(scale * noise.sigma, scale * noise.repeatability)
     rng = np.random.default_rng(seed)
     draws = []
@@ -90,6 +90,6 @@ def outlier_probability(distance: Array) -> float:
     return float(-np.expm1(-np.logaddexp(0, odds).sum()))
 
 
-def _scatter(e: Evidence, noise: Noise) -> float:
+def scatter_of_coordinate(e: Evidence, noise: Noise) -> float:
     """Of one measured coordinate about the truth, instrument and joint repeatability together [m]."""
     return float(np.sqrt(np.trace(e.covariance(noise), axis1=1, axis2=2).mean() / e.r.shape[1]))

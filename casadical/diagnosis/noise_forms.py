@@ -23,6 +23,7 @@ from casadical.diagnosis.noise_evidence import Form, Problem
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, Rival
 from casadical.diagnosis.thresholds import detection
 from casadical.measurements.derived_columns import derive
+from casadical.measurements.noise import Noise
 
 # Of the instrument.
 FOLLOWING, TAILED = "noise that follows itself", "noise with heavy tails"
@@ -87,8 +88,7 @@ def _weighed(ranking: Ranking, none: float) -> Ranking:
 def noise_forms(case: Case, chosen: Array) -> Sequence[Rival]:
     """Each form with its log evidence over plain noise, averaged over its settings; the kinds share the prior."""
     e = case.evidence
-    progress = derive(case.m, ["progress"])[0].conditions["progress"][case.kept]
-    problem = Problem(e, chosen, np.argsort(progress, kind="stable"))
+    problem = _problem_of(case, chosen)
     plain, joints = float(log_sum(e.log_base(chosen))), range(e.Jq.shape[2])
     kinds: list[tuple[str, Sequence[Form], int]]
     kinds = [(FOLLOWING, [following(stays, len(e.r), e.count / len(e.r)) for stays in FOLLOWS], 1)]
@@ -111,6 +111,21 @@ def noise_forms(case: Case, chosen: Array) -> Sequence[Rival]:
 def following(stays: float, poses: int, numbers: float = 3.0) -> Form:
     """Noise of which so much stays from each pose to the next; numbers : measured at each."""
     return Form(stays=stays, log_weight=-0.5 * numbers * (poses - 1) * float(np.log(1 - stays**2)))
+
+
+def best_following(case: Case, chosen: Array) -> tuple[Form, Noise]:
+    """The most probable form of noise that follows itself, beside causes, and how large it is then."""
+    problem = _problem_of(case, chosen)
+    e = case.evidence
+    forms = [following(stays, len(e.r), e.count / len(e.r)) for stays in FOLLOWS]
+    grids = [problem.log_likelihood(form) for form in forms]
+    best = int(np.argmax([float(log_sum(grid)) for grid in grids]))
+    return forms[best], likely_noise(grids[best], e.sigmas)
+
+
+def _problem_of(case: Case, chosen: Array) -> Problem:
+    progress = derive(case.m, ["progress"])[0].conditions["progress"][case.kept]
+    return Problem(case.evidence, chosen, np.argsort(progress, kind="stable"))
 
 
 def tailed(problem: Problem) -> Form | None:

@@ -31,7 +31,10 @@ def diagnosis_page(d: Diagnosis, name: str, more: Details | None = None, replaye
     said = statements(d, more)
     rows = cause_rows(d)
     sections = [
-        Section("Verdict", [*_said(said, "VERDICT", "PRIOR", "GAP", "ASSUMED", "GRAVITY", "UNKNOWN", "LAW", "OUT")]),
+        Section(
+            "Verdict",
+            [*_said(said, "VERDICT", "PRIOR", "GAP", "NOISE", "ASSUMED", "GRAVITY", "UNKNOWN", "LAW", "OUT")],
+        ),
         Section("Errors before and after", [figures["gap"], *_layers(d), _errors(d), *_said(said, "AFTER")]),
         Section("Error of each pose", [figures["errors"]]),
         Section("In the workspace", [figures["workspace"]]),

@@ -15,6 +15,7 @@ from casadical.core.telling.blocks import Table, mm
 from casadical.core.telling.notebook import html
 from casadical.diagnosis.cross_validation import fitted_without, partitioned_errors
 from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.noise_account import NoiseAccount
 from casadical.diagnosis.noise_floor import Replicates
 from casadical.diagnosis.posterior import Ranking
 from casadical.diagnosis.thresholds import DETECT_FURTHER
@@ -179,6 +180,8 @@ class Diagnosis:
         held-out, before and after the causes
     noise : Noise
         instrument and joint repeatability
+    account : NoiseAccount
+        how large that is of a coordinate, beside what was declared and what repeated poses say, and what it follows
     unknown_rest : float
         share of the gap that is there to be explained and that no named cause explains
     course : DataFrame
@@ -229,6 +232,7 @@ class Diagnosis:
     causes: tuple[Cause, ...]
     gap: Gap
     noise: Noise
+    account: NoiseAccount
     unknown_rest: float
     course: pd.DataFrame
     replicates: Replicates

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+import numpy as np
 import pandas as pd
 
 from casadical.diagnosis.candidates import columns_to_log, gathered, gathered_by_columns
@@ -12,6 +13,7 @@ from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import Check, NetworkGap, of_time
 from casadical.diagnosis.limits import cannot_tell, indistinguishable, invisible
 from casadical.diagnosis.next_poses import discrimination_probability, kinds_of_poses
+from casadical.diagnosis.noise_account import Rule
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.thresholds import SET_CLAIM
 from casadical.identification.gravity import in_words as gravity_in_words
@@ -26,8 +28,8 @@ TIED = "\u00a0"
 class Statement:
     """One statement.
 
-    about : VERDICT, PRIOR, GAP, ASSUMED, GRAVITY, CHECK, WHERE, WHICH (then come the causes, see `cause_rows`), SET,
-        AFTER, LAYERS (then come these, see `layer_rows`), CANNOT, RULED, UNKNOWN, LAW, OUT, MISSING, NEXT
+    about : VERDICT, PRIOR, GAP, NOISE, ASSUMED, GRAVITY, CHECK, WHERE, WHICH (then come the causes, see `cause_rows`),
+        SET, AFTER, LAYERS (then come these, see `layer_rows`), CANNOT, RULED, UNKNOWN, LAW, OUT, MISSING, NEXT
     doubtful : whether it is a warning
     """
 
@@ -43,6 +45,7 @@ def statements(d: Diagnosis, more: Details | None = None) -> list[Statement]:
         _verdict(d, more),
         _prior(d),
         _gap(d, more),
+        _noise_taken(d),
         _assumed(d),
         _gravity(d),
         _instrument(d),
@@ -79,7 +82,7 @@ def headline(d: Diagnosis, more: Details | None = None) -> str:
     """The verdict in a sentence: causes, and how much of the gap they leave without a cause."""
     named, floor = members(d), mm(floor_of(d, more))
     if d.verdict == "none":
-        return "none: what is left is noise, no cause can be claimed"
+        return f"none: what is left is {_noise(d)}; no cause can be claimed"
     if d.verdict == "ambiguous" and not d.causes:
         return "ambiguous: something is there, but no cause that is certain makes the gap smaller on poses held out"
     if d.verdict == "ambiguous":
@@ -89,12 +92,25 @@ def headline(d: Diagnosis, more: Details | None = None) -> str:
         left = f"{mm(d.gap.kept)} -> {mm(d.gap.after)} mm, noise alone would leave {floor}"
         return f"{words}; {_rest(d) if d.has_rest else left}"
     if d.verdict == "unknown":
-        words = f"unknown: something is there that no listed cause explains; {_rest(d)}"
+        rest = f"{mm(d.account.structure)} mm a coordinate of structure without a form" if _hidden(d) else _rest(d)
+        words = f"unknown: something is there that no listed cause explains; {rest}"
         return f"{words}; named: {named}" if named else words
     if d.has_rest:
         return f"explained in part only: {named}; yet {_rest(d)}"
     after = f"{mm(d.gap.kept)} -> {mm(d.gap.after)} mm" if d.effects() else f"the other poses: {mm(d.gap.kept)} mm"
     return f"explained: {named}; {after}, noise alone would leave {floor}"
+
+
+def _noise(d: Diagnosis) -> str:
+    """What the remainder of a campaign without causes is."""
+    known = {Rule.REPEATS: ", as large as repeated poses say", Rule.DECLARED: ", as large as declared"}
+    return (d.account.form or "noise") + known.get(d.account.rules, ", or a form that was not tried")
+
+
+def _hidden(d: Diagnosis) -> bool:
+    """Whether more of the remainder is structure that was taken as noise than lies beyond the noise."""
+    beyond = 1e-3 * left_over(d)[1] / np.sqrt(3)
+    return d.account.excess > 0 or (d.account.is_structure and d.account.structure > beyond)
 
 
 def members(d: Diagnosis) -> str:
@@ -145,16 +161,23 @@ def _gap(d: Diagnosis, more: Details) -> Iterator[Statement]:
         f"{mm(floor_of(d, more))} ({source}); {int(d.case.kept.sum())} poses; {there}, "
         f"P(nothing) = {d.rankings[0].none:.2g}{chance}",
     )
-    if form := d.rankings[-1].noise_form:
-        yield Statement(
-            "GAP", f"what is left is more like {form} than like noise that is independent and alike everywhere"
-        )
     base = d.course.iloc[0]
     yield Statement(
         "GAP",
         f"without the noise the model is wrong by {base['model_mm']:.3f} mm rms "
         f"({base['model_low_mm']:.3f} to {base['model_high_mm']:.3f})",
     )
+
+
+def _noise_taken(d: Diagnosis) -> Iterator[Statement]:
+    """What was taken as noise, beside what else is known of it, and what of it is structure."""
+    yield Statement("NOISE", d.account.in_words())
+    if form := d.rankings[-1].noise_form:
+        yield Statement(
+            "NOISE", f"what is left is more like {form} than like noise that is independent and alike everywhere"
+        )
+    if structure := d.account.structure_in_words():
+        yield Statement("NOISE", structure, doubtful=True)
 
 
 def _assumed(d: Diagnosis) -> Iterator[Statement]:
@@ -211,7 +234,7 @@ def _instrument(d: Diagnosis) -> Iterator[Statement]:
 
 def _where(d: Diagnosis, more: Details) -> Iterator[Statement]:
     if d.verdict == "none":
-        yield Statement("WHERE", "nowhere in particular: what is left is noise")
+        yield Statement("WHERE", f"nowhere in particular: what is left is {_noise(d)}")
         return
     if more.where is None:
         return
@@ -318,8 +341,9 @@ def _ruled_out(more: Details) -> Iterator[Statement]:
 
 def _unknown(d: Diagnosis, more: Details) -> Iterator[Statement]:
     if d.has_rest:
-        words = [f"{left_over(d)[1]:.3f} mm rms that no cause named here explains", _resembles(d, more)]
-        if not d.replicates.enough:
+        left = f"{left_over(d)[1]:.3f} mm rms that no cause named here explains"
+        words = ["" if _hidden(d) else left, _resembles(d, more)]
+        if not d.account.anchored:
             words.append(
                 "the noise floor is the fit's own, so errors of a form that was not tried count as noise; repeated "
                 "poses would tell the instrument's"

@@ -31,8 +31,8 @@ LONGEST = 290
 _DOUBTS = ("CANNOT", "AFTER")
 # What a reader must know besides the verdict, the most important first, in words where a sentence needs its subject.
 _ABOUT = {
-    "CHECK": "", "PRIOR": "Prior: ", "CANNOT": "These data cannot ", "UNKNOWN": "Left: ", "LAW": "Law: ", "AFTER": "",
-    "OUT": "",
+    "CHECK": "", "NOISE": "", "PRIOR": "Prior: ", "CANNOT": "These data cannot ", "UNKNOWN": "Left: ", "LAW": "Law: ",
+    "AFTER": "", "OUT": "",
     "WHERE": "Where: ", "RULED": "Ruled ", "NEXT": "Next: ", "MISSING": "", "GRAVITY": "In the model: ",
     "ASSUMED": "Assumed: ",
 }  # fmt: skip

@@ -19,7 +19,7 @@ from casadical.core.errors import InputError
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.telling.blocks import Words
 from casadical.core.telling.terminal import plain_text
-from casadical.diagnosis.details import Details
+from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.evidence import RHOS
 from casadical.diagnosis.json_answer import as_json as diagnosis_json
 from casadical.diagnosis.laws import contest, drivers
@@ -248,6 +248,13 @@ def test_a_diagnosis_that_is_unknown_says_the_law() -> None:
     assert diagnosis_json(found.diagnosis, "stop", more)["laws"]["laws"][0]["driver"] == "q4"
     nothing = Details(laws=replace(found, laws=()))
     assert "no law is claimed: " in diagnosis_page(found.diagnosis, nothing)
+
+
+def test_laws_are_searched_beside_a_curve_alone_unless_they_are_declined() -> None:
+    found = diagnose(robot(NAME), from_table(table(5, STOP), 6), ["joint_error_curve"])
+    assert found.verdict == "unknown"
+    assert laws_beside(found).laws
+    assert analyse(found, laws=False).laws is None
 
 
 def test_a_cause_that_a_law_explains_better_is_not_named() -> None:

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from casadical.blind_check.mujoco_physics.stops import Stops, only
 from casadical.core.arrays import Array
-from casadical.diagnosis.evidence import RHOS, SIGMAS, Evidence
+from casadical.diagnosis.evidence import RHOS, SIGMAS, Evidence, KnownNoise
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.noise_evidence import Form, Problem
 from casadical.diagnosis.noise_forms import FOLLOWS, SCATTERS, SHARE, TIMES, following, noise_forms, tailed
@@ -26,7 +26,7 @@ def small(poses: int = 14) -> Evidence:
     e = case("kr210-P02").evidence.at(np.arange(poses))
     # Wide priors would make the covariance, by which it is checked, singular in double precision.
     prior = np.minimum(e.prior, 1e-4)
-    return replace(e, E=np.zeros((poses, 3, 1)), held=None, repeats=(0.0, 0), prior=prior, delta0=0 * prior)
+    return replace(e, E=np.zeros((poses, 3, 1)), held=None, known=KnownNoise(), prior=prior, delta0=0 * prior)
 
 
 def density(e: Evidence, rho: int, sigma: float, correlation: Array, joints: Sequence[float] | Array) -> float:

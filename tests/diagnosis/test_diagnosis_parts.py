@@ -22,7 +22,7 @@ from casadical.core.transforms import frame, from_rpy
 from casadical.diagnosis import bootstrap, conclusion
 from casadical.diagnosis.candidates import Candidate, standard_candidates
 from casadical.diagnosis.details import analyse
-from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, SIGMAS, log_repeats
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, SIGMAS, KnownNoise, log_known
 from casadical.diagnosis.formula_cache import KeptFormulas
 from casadical.diagnosis.formulas import _twist
 from casadical.diagnosis.laws.drivers import Driver
@@ -327,11 +327,11 @@ def test_rivals_of_a_cause_are_the_others_that_remain_probable(monkeypatch: pyte
 
 def test_repeated_poses_weigh_sigmas_as_their_scatter_does() -> None:
     """Sums of squares over a variance are chi-squared; the noise of joints adds to that of the instrument."""
-    e = replace(small_problem(), repeats=(4e-5, 12))
+    e = replace(small_problem(), known=KnownNoise(repeats=4e-5, freedom=12))
     for k in (0, 3):
         variance = SIGMAS**2 * (1 + RHOS[k] ** 2 * (e.Jq**2).sum(axis=2).mean())
         direct = chi2(12).logpdf(12 * 4e-5**2 / variance) - np.log(variance)
-        found = log_repeats(e, e.Jq)[k]
+        found = log_known(e, e.Jq)[k]
         assert_allclose(found - found[0], direct - direct[0], rtol=1e-9, atol=1e-9)
 
 

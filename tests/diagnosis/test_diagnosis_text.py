@@ -16,6 +16,7 @@ from casadical.diagnosis.isolability import Isolability
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.localisation import BINS, DIRECTIONS, PARTS, Localisation
 from casadical.diagnosis.next_poses import probability_after
+from casadical.diagnosis.noise_account import NoiseAccount, Rule
 from casadical.diagnosis.noise_floor import Replicates
 from casadical.diagnosis.posterior import Ranking
 from casadical.diagnosis.result import Cause, CauseSet, Gap, Outlier
@@ -53,6 +54,7 @@ def fixed(true: Diagnosis) -> Diagnosis:
         ("+ thermal_zero_drift@3", 0.046, 0.041, 0.052, 0.045, 0.055, 0.038, 0.031, 0.044),
     ]
     noise = Noise(12e-6, 5e-6)
+    account = NoiseAccount(14e-6, 12e-6, 5e-6, 20e-6, 12e-6, 36, Rule.REPEATS, 0.0, "", (), like_noise=True)
     one = Ranking(1e-9, {label: 0.55, rival: 0.45}, {}, {}, {}, {"": noise})
     return replace(
         true,
@@ -60,6 +62,7 @@ def fixed(true: Diagnosis) -> Diagnosis:
         causes=causes,
         gap=Gap(131e-6, 46e-6, 21e-6, 127e-6),
         noise=noise,
+        account=account,
         unknown_rest=0.2,
         course=pd.DataFrame(rows, columns=list(COLUMNS)),
         replicates=Replicates(12e-6, 18, 6, 36),
@@ -147,7 +150,7 @@ def test_the_short_answer_fits_a_screen_and_has_the_verdict_first(fixed: Diagnos
 def test_the_short_answer_where_nothing_is_found(fixed: Diagnosis, seen: Details) -> None:
     d = replace(fixed, verdict="none", causes=(), cause_set=None, course=fixed.course[:1], outliers=(), missing={})
     text = plain_text(brief("made-up", d, seen), 100)
-    assert "None: what is left is noise, no cause can be claimed." in text
+    assert "None: what is left is noise, as large as repeated poses say; no cause can be" in text
     assert "after" not in text
     assert "Where" not in text
 

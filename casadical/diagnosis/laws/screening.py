@@ -36,7 +36,7 @@ class Screen:
         r = float(RHOS[rho])
         projection = e.projection(r)
         y = projection.y
-        rows, (scatter, freedom) = e.r.size, e.repeats
+        rows, (scatter, freedom) = e.r.size, (e.known.repeats, e.known.freedom)
         again = freedom * scatter**2 / e.noise.mean_variance({REPEATABILITY: r}, rows)
         Q, left = projection.Q[:rows].reshape(*e.r.shape, -1), y[:rows].reshape(e.r.shape)
         return cls(projection.whitening.W, Q, left, float(y @ y) + again, e.count + freedom)

@@ -1,0 +1,190 @@
+"""What a diagnosis took as noise, beside what was declared and what repeated poses say, and which of them rules."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from math import floor, log
+from typing import Any
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.linear_gaussian.grid import log_sum
+from casadical.core.statistics import exceeded_by_chance
+from casadical.core.telling.blocks import mm
+from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.noise_floor import Replicates, scatter_of_coordinate
+from casadical.diagnosis.noise_forms import FOLLOWING, best_following
+from casadical.diagnosis.structure import BEFORE, Remainder, Structure, remainder_of
+from casadical.measurements.noise import Noise
+
+# Noise that is so many times what is known of it is not that noise, unless chance alone does it as often as this.
+FAR, BY_CHANCE = 1.4, 1e-3
+# A declared sigma is said to be wrong by that factor where it is from this probability on.
+SURELY = 0.99
+# A declared sigma is the instrument's; joints repeat to this [rad] beside it at most.
+USUAL_REPEATABILITY = 15e-6
+
+
+class Rule(StrEnum):
+    """What says how large the noise is."""
+
+    REPEATS = "repeats"
+    DECLARED = "declared"
+    FIT = "fit"
+
+
+@dataclass(frozen=True)
+class NoiseAccount:
+    """What was taken as noise, of a coordinate [m], instrument and joints together.
+
+    taken : as the fit leaves it; sigma, repeatability : what it is made of [m, rad]
+    declared : sigma of the instrument, zero for none; repeats : scatter of repeated poses, and freedom, their degrees
+        of freedom, zero for none
+    rules : which of them says how large the noise is
+    excess : of what was taken, beyond that [m]; zero where it agrees
+    form : of the noise, where it is another than the usual
+    structures : what it follows; like_noise : whether it looks like noise besides
+    """
+
+    taken: float
+    sigma: float
+    repeatability: float
+    declared: float
+    repeats: float
+    freedom: int
+    rules: Rule
+    excess: float
+    form: str
+    structures: tuple[Structure, ...]
+    like_noise: bool
+
+    @property
+    def anchored(self) -> bool:
+        """Whether anything but the fit says how large the noise is."""
+        return self.rules != Rule.FIT
+
+    @property
+    def is_structure(self) -> bool:
+        """Whether it is more than noise."""
+        return self.excess > 0 or bool(self.structures)
+
+    @property
+    def anchor(self) -> float:
+        """How large the noise of a coordinate is [m], where anything but the fit says it; else zero."""
+        if self.rules == Rule.REPEATS:
+            return self.repeats
+        return float(np.sqrt(self.taken**2 - self.excess**2)) if self.excess else 0.0
+
+    @property
+    def structure(self) -> float:
+        """Of a coordinate, what is structure: beyond the anchor, or what follows a driver [m]."""
+        share = max((s.share for s in self.structures), default=0.0)
+        return max(self.excess, self.taken * float(np.sqrt(share)))
+
+    def in_words(self) -> str:
+        """What was taken as noise, declared and repeated, and which rules."""
+        joints = f" and joints that repeat to {1e6 * self.repeatability:.3g} urad" if self.repeatability else ""
+        said = [f"taken as noise: {mm(self.taken)} mm a coordinate (instrument {mm(self.sigma)}{joints})"]
+        said += [self.form] * bool(self.form)
+        said.append(f"declared: {mm(self.declared)}" if self.declared else "nothing declared")
+        if self.freedom:
+            said.append(f"repeated poses: {mm(self.repeats)} ({self.freedom} degrees of freedom)")
+        else:
+            said.append("no repeated poses")
+        if self.rules == Rule.REPEATS:
+            said.append("the repeated poses rule")
+        elif self.rules == Rule.DECLARED:
+            said.append("the declared noise rules")
+        elif self.declared:
+            times = self.sigma / self.declared
+            how = f"{times:.1f} times too small" if times > 1 else f"{1 / times:.1f} times too large"
+            said.append(f"the fit rules, by which the declared noise is {how}")
+        else:
+            said.append("the fit rules: noise, or a form that was not tried")
+        if self.rules == Rule.FIT and not self.like_noise:
+            said.append("it has heavier tails than noise has, or is larger in some directions than in others")
+        return "; ".join(said)
+
+    def structure_in_words(self) -> str:
+        """What of it is structure, and what that follows; empty where nothing is."""
+        said = []
+        if self.excess:
+            anchor = "repeated poses say" if self.rules == Rule.REPEATS else "was declared"
+            said.append(f"{mm(self.excess)} mm a coordinate more than {anchor}: structure without a form")
+        said += [
+            f"what is left follows {s.over} along {s.along} ({100 * s.share:.0f} % of its square; in noise with a "
+            f"chance of 1e{floor(s.log_chance / log(10))})"
+            for s in self.structures
+        ]
+        return "; ".join(said)
+
+    def to_json(self) -> dict[str, Any]:
+        """Keys of the answer's `noise`, lengths in mm."""
+        found: dict[str, Any] = {"taken_mm": round(1e3 * self.taken, 5), "rules": self.rules}
+        if self.declared:
+            found["declared_mm"] = round(1e3 * self.declared, 5)
+        if self.freedom:
+            found |= {"repeats_mm": round(1e3 * self.repeats, 5), "repeats_freedom": self.freedom}
+        found |= {"form": self.form} if self.form else {}
+        found |= {"excess_mm": round(1e3 * self.excess, 5), "like_noise": self.like_noise}
+        found["structure"] = [
+            {
+                "over": s.over,
+                "along": s.along,
+                "share": round(s.share, 4),
+                "log10_chance": round(s.log_chance / log(10), 1),
+            }
+            for s in self.structures
+        ]
+        return found
+
+
+def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates) -> NoiseAccount:
+    """The account of a noise beside some causes, whose columns are given, shape (k,)."""
+    e, declared = case.evidence, case.evidence.known.declared
+    taken, left, form = scatter_of_coordinate(e, noise), remainder_of(case, columns, noise), ""
+    if any(s.over == BEFORE for s in left.structures):
+        # Noise that follows itself is noise all the same, if this is all that it follows.
+        form, (following, own) = FOLLOWING, best_following(case, columns)
+        left = remainder_of(case, columns, own, following)
+    freedom = max(e.count - e.model.absorbed_by_base, 1.0)
+    far, rules, anchor = False, Rule.FIT, taken
+    if repeated.enough:
+        rules, anchor = Rule.REPEATS, repeated.sigma
+        far = _far(taken, anchor, freedom, repeated.freedom)
+    elif declared:
+        far, rules, anchor = _by_declared(case, columns, noise, left)
+    excess = float(np.sqrt(taken**2 - anchor**2)) if far else 0.0
+    scatter = repeated.sigma if repeated.freedom else 0.0
+    return NoiseAccount(
+        taken, noise.sigma, noise.repeatability, declared, scatter, repeated.freedom, rules, excess, form,
+        left.structures, left.like_noise,
+    )  # fmt: skip
+
+
+def _by_declared(case: Case, columns: Array, noise: Noise, left: Remainder) -> tuple[bool, Rule, float]:
+    """Whether the noise is far above the declared one, which rules, and the noise that is allowed for [m].
+
+    A declaration may be wrong by as much as what is left looks like noise in every other way: alike in all directions,
+    with the tails of noise, and following nothing. Otherwise it is the model that is wrong.
+    """
+    e, declared = case.evidence, case.evidence.known.declared
+    joints = min(noise.repeatability, USUAL_REPEATABILITY)
+    taken, allowed = scatter_of_coordinate(e, noise), scatter_of_coordinate(e, Noise(declared, joints))
+    if _far(taken, allowed, max(e.count - e.model.absorbed_by_base, 1.0), np.inf) and not (
+        left.like_noise and not left.structures
+    ):
+        return True, Rule.DECLARED, allowed
+    known = e.log_base(columns)
+    share = np.exp(known - log_sum(known)).sum(axis=0)
+    wrong = max(share[e.sigmas > FAR * declared].sum(), share[e.sigmas < declared / FAR].sum())
+    return (False, Rule.FIT, taken) if wrong > SURELY else (False, Rule.DECLARED, allowed)
+
+
+def _far(larger: float, smaller: float, above: float, below: float) -> bool:
+    """Whether one noise is far above another, not by chance; above, below : their degrees of freedom."""
+    if larger <= FAR * smaller:
+        return False
+    return exceeded_by_chance((larger / smaller) ** 2, min(above, 1e6), min(below, 1e6)) < BY_CHANCE

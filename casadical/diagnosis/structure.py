@@ -1,0 +1,291 @@
+"""Whether what is left of a campaign is noise: does it follow anything that is known of the poses?
+
+Residuals, white by the noise that was found, are regressed on functions of a driver (the angle of a joint, sums of
+two, order in time, place, orientation, the sense of the last motion) along a direction (an axis of base or tool, about
+the base's vertical, the motion of a joint). No driver is a candidate cause, and no prior says how large an error is:
+each share is judged against what it is by chance among all that are tried (F test, Bonferroni), with the degrees of
+freedom that the scatter of the squares says (Satterthwaite 1946), so that heavy tails and a single noisy direction
+count for as much as they are. Close poses are compared, too: in joint space, and one after the other.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations
+from math import lgamma, log, pi, sqrt
+from statistics import NormalDist
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.linear_gaussian.grid import log_sum
+from casadical.diagnosis.evidence import REPEATABILITY, joint_noise
+from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.noise_evidence import Form
+from casadical.identification.accuracy import predicted
+from casadical.measurements.derived_columns import derive
+from casadical.measurements.measurements import Measurements
+from casadical.measurements.noise import Noise
+from casadical.robot.robot import Robot
+
+# What is left follows a driver if chance alone gives so large a share so rarely, among all that are tried.
+CHANCE = 1e-3
+# Poses that are looked at, spread over the campaign.
+MOST_POSES = 600
+# Sines of an angle up to these cycles a turn together; beyond, of a joint's own angle, each for itself up to the last.
+TOGETHER, LAST_LINE = 3, 60.0
+# Drivers that are said.
+MOST = 3
+# Cosines of the rank of what is no angle.
+COSINES = 4
+# Squares scatter like those of noise if their degrees of freedom are this share of the numbers at least; and noise is
+# alike in all directions if chance alone makes them differ as much so often.
+LIKE_NOISE, ISOTROPIC = 0.6, 1e-4
+# Of poses one after the other.
+BEFORE = "the pose before"
+# Directions of which a share of this is linear in others move nothing more.
+RANK = 1e-6
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What is left follows a driver.
+
+    along : the direction of the error; over : the driver; share : of the square of what is left
+    log_chance : logarithm of how probable so large a share is in noise, among all that were tried
+    """
+
+    along: str
+    over: str
+    share: float
+    log_chance: float
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """What is known of the remainder of a model: structures, the surest first; whether it looks like noise besides."""
+
+    structures: tuple[Structure, ...]
+    like_noise: bool
+
+
+def remainder_of(case: Case, columns: Array, noise: Noise, form: Form | None = None) -> Remainder:
+    """What is left beside columns of causes, shape (k,), at a noise of a form."""
+    return _White(case, columns, noise, form or Form()).judged()
+
+
+class _White:
+    """White residuals of some poses in the order of measuring, and what makes functions of the poses alike."""
+
+    def __init__(self, case: Case, columns: Array, noise: Noise, form: Form) -> None:
+        self.case = case
+        m, _ = derive(case.m, ["progress", *(f"approach{j}" for j in case.robot.numbers)])
+        kept = np.flatnonzero(case.kept)
+        order = np.argsort(m.conditions["progress"][kept], kind="stable")
+        n, most = len(order), min(len(order), MOST_POSES)
+        # Noise that follows itself is white only where poses follow each other.
+        self.pick = np.arange(most) if form.stays else np.linspace(0, n - 1, most).round().astype(int)
+        self._form = form if form.times is None else replace(form, times=form.times[self.pick])
+        self._m, self.at = m[kept[order]], kept[order[self.pick]]
+        self.e = e = case.evidence.at(order[self.pick])
+        repeat = joint_noise(self._form.repeatability(e.Jq))
+        self._W = repeat.whitening({REPEATABILITY: noise.repeatability / noise.sigma}).W / noise.sigma
+        prior = np.concatenate([e.prior, e.model.held[columns]]) * noise.sigma / e.reference
+        A = self.rows(np.concatenate([e.J, e.take(columns)], axis=2) if len(columns) else e.J) * prior
+        # What a fit with priors takes: each direction by how far the data determine it.
+        self._Q, square, _ = np.linalg.svd(A / noise.sigma * e.reference, full_matrices=False)
+        self._taken = square**2 / (1 + square**2)
+        y = self.rows(e.r[:, :, None])[:, 0]
+        self.y = y - self._Q @ (self._taken * (self._Q.T @ y))
+        self.squares = (self.y.reshape(len(e.r), -1) ** 2).sum(axis=1)
+
+    def rows(self, X: Array) -> Array:
+        """Numbers at the poses, shape (n, numbers, k), as white rows, shape (n numbers, k)."""
+        white = self._W @ self._form.moved(X, slice(0, len(X)))
+        return np.asarray(white.reshape(-1, X.shape[2]))
+
+    @cached_property
+    def freedom(self) -> float:
+        """Degrees of freedom of what is left, by the scatter of its squares over the poses."""
+        n, numbers = len(self.squares), self.e.count
+        scatter = n * float((self.squares**2).sum()) / float(self.squares.sum()) ** 2 - 1
+        return min(2 * n / max(scatter, 1e-9), numbers) * (1 - float(self._taken.sum()) / max(numbers, 1))
+
+    def judged(self) -> Remainder:
+        taken = float(self._taken.sum())
+        if self.e.count - taken < 2 or not self.squares.sum() > 0:
+            return Remainder((), like_noise=True)
+        found = [*self._followed(), *self._close()]
+        among = [replace(s, log_chance=s.log_chance + log(len(found))) for s in found]
+        sure = sorted((s for s in among if s.log_chance < log(CHANCE)), key=lambda s: s.log_chance)
+        each = {s.over: s for s in reversed(sure)}
+        tails = self.freedom >= LIKE_NOISE * (self.e.count - taken)
+        return Remainder(tuple([*reversed(each.values())][:MOST]), tails and self._isotropic())
+
+    def _functions(self) -> Iterator[tuple[str, Array]]:
+        kept = np.flatnonzero(self.case.kept)
+        at = kept[np.argsort(derive(self.case.m, ["progress"])[0].conditions["progress"][kept], kind="stable")]
+        for name, g in _of_poses(self.case.robot, self._m, self.case.positions[at]):
+            yield name, g[self.pick]
+
+    def _followed(self) -> Iterator[Structure]:
+        """Every driver along every direction."""
+        functions = _by_width(self._functions())
+        for along, v in self._directions():
+            own = dict(functions)
+            if hit := re.fullmatch(r"joint (\d+)", along):
+                lines = _lines(self.case.m.q[self.at, int(hit[1]) - 1], int(hit[1]))
+                own |= {2: (*own.get(2, ()), *lines)} if lines else {}
+            for width, some in own.items():
+                G = np.stack([g for _, g in some], axis=1)
+                F = self.rows(v[:, :, None] * G.reshape(len(v), 1, -1))
+                F -= self._Q @ (self._taken[:, None] * (self._Q.T @ F))
+                F = F.reshape(len(F), len(some), width).transpose(1, 0, 2)
+                for (over, _), (share, k) in zip(some, self._shares(F), strict=True):
+                    yield Structure(along, over, share, log_chance_of(share, k, self.freedom))
+
+    def _shares(self, F: Array) -> Iterator[tuple[float, int]]:
+        """Of each group of columns, shape (groups, rows, width), the share that they explain and their rank."""
+        normal, right = F.transpose(0, 2, 1) @ F, np.einsum("gri,r->gi", F, self.y)
+        scale = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-300))
+        value, vector = np.linalg.eigh(normal / scale[:, :, None] / scale[:, None])
+        turned = np.einsum("gij,gi->gj", vector, right / scale)
+        seen = value > RANK
+        part = np.where(seen, turned**2 / np.where(seen, value, 1.0), 0.0).sum(axis=1) / float(self.squares.sum())
+        yield from zip(part.tolist(), seen.sum(axis=1).tolist(), strict=True)
+
+    def _close(self) -> Iterator[Structure]:
+        """Whether close poses err alike: in joint space, and one after the other."""
+        y = self.y.reshape(len(self.squares), -1)
+        q = np.concatenate([np.sin(self.case.m.q[self.at]), np.cos(self.case.m.q[self.at])], axis=1)
+        apart = (q**2).sum(axis=1)[:, None] + (q**2).sum(axis=1) - 2 * q @ q.T
+        np.fill_diagonal(apart, np.inf)
+        n = len(y)
+        pairs = {
+            "poses that are near in joint space": np.unique(
+                np.sort(np.column_stack([np.arange(n), apart.argmin(axis=1)]), axis=1), axis=0
+            ),
+            BEFORE: np.column_stack([np.arange(n - 1), np.arange(1, n)]),
+        }
+        for over, both in pairs.items():
+            alike = float((y[both[:, 0]] * y[both[:, 1]]).sum() / (y[both] ** 2).sum() * 2)
+            z = alike * np.sqrt(len(both) * self.freedom / n)
+            yield Structure("any direction", over, max(alike, 0.0), _log_tail(z))
+
+    def _directions(self) -> Iterator[tuple[str, Array]]:
+        """Of an error at the poses, with their names, shape (n, numbers)."""
+        for name, axes in self._frames.items():
+            yield from zip(name.split(", "), axes.transpose(2, 0, 1), strict=True)
+        for j in range(self.e.Jq.shape[2]):
+            yield f"joint {j + 1}", self.e.Jq[:, :, j]
+
+    @cached_property
+    def _frames(self) -> Mapping[str, Array]:
+        """Axes as columns, shape (n, numbers, 3), of positions; of other kinds of measurement none."""
+        if self.case.vectors is None:
+            return {}
+        p, n = self.case.positions[self.at], len(self.at)
+        R = predicted(self.case.robot, self.case.m[self.at])[1]
+        frames = {
+            "x, y, z": np.tile(np.eye(3), (n, 1, 1)),
+            "the tool's x, the tool's y, the tool's z": R,
+            "radius, azimuth, height": about_vertical(p),
+        }
+        more = self.e.r.shape[1] - 3
+        return {name: np.concatenate([F, np.zeros((n, more, 3))], axis=1) for name, F in frames.items()}
+
+    def _isotropic(self) -> bool:
+        """Whether noise is alike along the axes of every frame (Mauchly's test of sphericity)."""
+        n = len(self.squares)
+        y = self.y.reshape(n, -1)[:, :3]
+        if y.shape[1] < 3 or not self._frames or self._form.stays:
+            return True
+        chances = []
+        for axes in self._frames.values():
+            turned = np.einsum("nij,ni->nj", axes[:, :3], y)
+            value = np.linalg.eigvalsh(turned.T @ turned / n)
+            square = -(n - 1 - 17 / 18) * float(np.log(max(value.prod(), 1e-300) / value.mean() ** 3))
+            # Six even degrees of freedom for five.
+            chances.append(-square / 2 + np.log1p(square / 2 + square**2 / 8))
+        return bool(min(chances) > log(ISOTROPIC / len(chances)))
+
+
+def about_vertical(p: Array) -> Array:
+    """Axes at points as columns: away from the vertical, around it, up; shape (n, 3, 3)."""
+    a = np.arctan2(p[:, 1], p[:, 0])
+    zero, one = np.zeros(len(a)), np.ones(len(a))
+    axes = [[np.cos(a), -np.sin(a), zero], [np.sin(a), np.cos(a), zero], [zero, zero, one]]
+    return np.asarray(np.array(axes).transpose(2, 0, 1))
+
+
+def log_chance_of(share: float, width: int, freedom: float) -> float:
+    """Logarithm of the chance that as many columns explain such a share of noise, of so many degrees of freedom.
+
+    An odd number of columns counts as one more (the share has a beta distribution, whose tail is a finite sum then).
+    """
+    half, rest = (width + 1) // 2, (freedom - width) / 2
+    if rest <= 0 or not half:
+        return 0.0
+    share = min(max(share, 0.0), 1 - 1e-12)
+    terms = [i * np.log(max(share, 1e-300)) + lgamma(rest + i) - lgamma(rest) - lgamma(i + 1) for i in range(half)]
+    return min(0.0, rest * float(np.log1p(-share)) + float(log_sum(np.array(terms))))
+
+
+def _log_tail(z: float) -> float:
+    """Logarithm of the chance of a normal number beyond z."""
+    return log(NormalDist().cdf(-z)) if z < 8 else -0.5 * z**2 - log(z * sqrt(2 * pi))
+
+
+def _of_poses(robot: Robot, m: Measurements, p: Array) -> Iterator[tuple[str, Array]]:
+    """Every driver's name and functions of it, shape (n, functions).
+
+    m : in the order of measuring; p : of the points, shape (n, 3) [m]
+    """
+    q, n = m.q, m.q.shape[1]
+    for j in range(n):
+        yield f"q{j + 1}", _sines(q[:, j], range(1, TOGETHER + 1))
+    for i, j in combinations(range(n), 2):
+        yield f"q{i + 1} + q{j + 1}", _sines(q[:, i] + q[:, j], range(1, TOGETHER + 1))
+        yield f"q{i + 1} - q{j + 1}", _sines(q[:, i] - q[:, j], range(1, TOGETHER + 1))
+    R, about = predicted(robot, m)[1], about_vertical(p)
+    places = {"radius": np.hypot(p[:, 0], p[:, 1]), "azimuth": np.arctan2(p[:, 1], p[:, 0]), "height": p[:, 2]}
+    yield "time", _cosines(m.conditions["progress"])
+    for name, values in places.items():
+        yield f"the {name}", _cosines(values)
+        yield f"the sense of the last change of {name}", np.sign(np.diff(values, prepend=values[0] - 1))[:, None]
+    for j in range(n):
+        yield f"approach{j + 1}", m.conditions[f"approach{j + 1}"][:, None]
+    for k, axis in enumerate("xyz"):
+        for other, direction in (("x", 0), ("y", 1), ("z", 2)):
+            yield f"the tool's {axis} against {other}", _cosines(R[:, direction, k])
+        for other, direction in (("the radius", 0), ("the azimuth", 1)):
+            yield f"the tool's {axis} against {other}", _cosines((R[:, :, k] * about[:, :, direction]).sum(axis=1))
+
+
+def _by_width(functions: Iterable[tuple[str, Array]]) -> dict[int, tuple[tuple[str, Array], ...]]:
+    """Drivers by their number of functions; without those that are alike at all poses."""
+    found: dict[int, list[tuple[str, Array]]] = {}
+    for name, g in functions:
+        if len(g) and np.ptp(g, axis=0).max() > 0:
+            found.setdefault(g.shape[1], []).append((name, g))
+    return {width: tuple(some) for width, some in found.items()}
+
+
+def _lines(angle: Array, joint: int) -> tuple[tuple[str, Array], ...]:
+    """Sines of a joint's own angle, each frequency for itself, as close as its readings tell them apart."""
+    step = max(0.5, np.pi / max(float(np.ptp(angle)), 1e-3))
+    cycles = np.arange(TOGETHER + step, LAST_LINE, step)
+    return tuple((f"q{joint} at {f:.3g} cycles a turn", _sines(angle, [f])) for f in cycles)
+
+
+def _sines(angle: Array, cycles: range | list[float]) -> Array:
+    return np.stack([f(h * angle) for h in cycles for f in (np.sin, np.cos)], axis=1)
+
+
+def _cosines(values: Array) -> Array:
+    """Of the rank of the values, from zero to one."""
+    rank = (np.argsort(np.argsort(values, kind="stable")) + 0.5) / len(values)
+    return np.stack([np.cos(np.pi * k * rank) for k in range(1, COSINES + 1)], axis=1)

@@ -1,0 +1,117 @@
+"""What is taken as noise: beside what is declared and repeated, and where it is structure instead."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from cases import robot, simulated
+from numpy_physics import Disturbance
+from scipy import stats
+
+from casadical import diagnose
+from casadical.core.arrays import Array
+from casadical.diagnosis import page_of
+from casadical.diagnosis.json_answer import as_json
+from casadical.diagnosis.noise_account import Rule
+from casadical.diagnosis.result import Diagnosis
+from casadical.diagnosis.structure import log_chance_of
+from casadical.identification.accuracy import predicted
+from casadical.measurements.measurements import Measurements
+
+NOISE = 2e-5
+STATION = np.array([3.0, -1.0, 0.8])
+
+
+def with_noise(m: Measurements, sigma: float = NOISE, follows: float = 0.0, seed: int = 1) -> Measurements:
+    """With noise of which a share stays from each pose to the next."""
+    noise = np.random.default_rng(seed).standard_normal((len(m), 3))
+    for k in range(1, len(noise)):
+        noise[k] = follows * noise[k - 1] + np.sqrt(1 - follows**2) * noise[k]
+    assert m.position is not None
+    return replace(m, position=m.position + sigma * noise)
+
+
+def clean(poses: int = 60, seed: int = 1) -> Measurements:
+    return simulated("kr210", seed, n=poses, noise_mm=0.0)
+
+
+def clipped(m: Measurements, size: float) -> Measurements:
+    """A reflector that clips at grazing incidence: the beam is longer beyond an angle, by so much a radian [m]."""
+    assert m.position is not None
+    beam = m.position - STATION
+    beam /= np.linalg.norm(beam, axis=1, keepdims=True)
+    angle = np.arccos(-(predicted(robot("kr210"), m)[1][:, :, 2] * beam).sum(axis=1))
+    beyond = np.maximum(angle - np.quantile(angle, 0.6), 0)
+    return replace(m, position=m.position + size * beyond[:, None] * beam)
+
+
+def found(m: Measurements, declared: float | None = None, name: str = "kr210") -> Diagnosis:
+    return diagnose(robot(name), replace(m, sigma=declared), laws=False)
+
+
+def words(d: Diagnosis) -> str:
+    return " ".join(page_of(d).split())
+
+
+@dataclass(frozen=True)
+class Bevels(Disturbance):
+    """An error of joint 5 that follows the sum of two angles, and neither of them."""
+
+    def misread(self, stops) -> Array:
+        error = np.zeros_like(stops.q)
+        error[:, 4] = 3e-5 * np.sin(stops.q[:, 3] + stops.q[:, 4] + 0.4)
+        return error
+
+
+def test_structure_without_a_form_is_no_noise_where_the_noise_is_declared() -> None:
+    m = with_noise(clipped(clean(), 5e-4))
+    alone, declared = found(m), found(m, NOISE)
+    assert alone.verdict == "none"
+    assert "or a form that was not tried" in words(alone)
+    assert (declared.verdict, declared.account.rules) == ("unknown", Rule.DECLARED)
+    assert "mm a coordinate of structure without a form" in words(declared)
+    answer = as_json(declared, "clipped")["noise"]
+    assert (answer["declared_mm"], answer["rules"]) == (1e3 * NOISE, "declared")
+    assert answer["excess_mm"] > 1e3 * NOISE
+
+
+@pytest.mark.parametrize("wrong", [1 / 3, 1, 3])
+def test_a_declaration_that_is_wrong_by_three_is_overruled_and_said(wrong: float) -> None:
+    d = found(with_noise(clean(100)), wrong * NOISE)
+    assert d.verdict == "none"
+    assert d.noise.sigma == pytest.approx(NOISE, rel=0.3)
+    assert d.account.rules == (Rule.DECLARED if wrong == 1 else Rule.FIT)
+    assert {1 / 3: "times too small", 1: "the declared noise rules", 3: "times too large"}[wrong] in words(d)
+
+
+def test_what_follows_the_sum_of_two_angles_is_structure() -> None:
+    m = with_noise(simulated("hh800", 3, Bevels(), n=100, noise_mm=0.0))
+    d = diagnose(robot("hh800"), m, ["backlash"], laws=False)
+    assert d.verdict == "unknown"
+    assert (d.account.structures[0].over, d.account.structures[0].along) == ("q4 + q5", "joint 5")
+    assert "follows q4 + q5 along joint 5" in words(d)
+
+
+def test_noise_that_follows_itself_is_noise() -> None:
+    d = found(with_noise(clean(100), follows=0.7, seed=4))
+    assert not d.causes
+    assert (d.account.form, d.account.structures) == ("noise that follows itself", ())
+
+
+def test_repeated_poses_rule_over_a_declaration() -> None:
+    """Structure that comes again with its pose is none of the noise, whatever was declared."""
+    m = clipped(clean(), 3e-4)
+    twice = with_noise(m[np.repeat(np.arange(len(m)), 2)])
+    again = replace(twice, conditions={**twice.conditions, "pose": np.arange(len(twice), dtype=float)})
+    d = found(again, 3 * NOISE)
+    assert d.account.repeats == pytest.approx(NOISE, rel=0.2)
+    assert (d.verdict, d.account.rules, d.causes) == ("unknown", Rule.REPEATS, ())
+    assert d.account.excess > NOISE
+
+
+@pytest.mark.parametrize(("share", "width", "freedom"), [(0.1, 2, 40.0), (0.5, 4, 30.5), (0.3, 6, 12.0)])
+def test_chances_are_those_of_the_beta_distribution(share: float, width: int, freedom: float) -> None:
+    exact = stats.beta(width / 2, (freedom - width) / 2).logsf(share)
+    assert log_chance_of(share, width, freedom) == pytest.approx(exact, rel=1e-9)
+    less = stats.beta((width - 1) / 2, (freedom - width) / 2).logsf(share)
+    assert log_chance_of(share, width - 1, freedom - 1) >= less
