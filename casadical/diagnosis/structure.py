@@ -275,7 +275,7 @@ def _by_width(functions: Iterable[tuple[str, Array]]) -> dict[int, tuple[tuple[s
 
 
 def _lines(angle: Array, joint: int) -> tuple[tuple[str, Array], ...]:
-    """Sines of a joint's own angle, each frequency for itself, as close as its readings tell them apart."""
+    """Sines of a joint's own angle, each frequency for itself, as close as its readings distinguish them."""
     step = max(0.5, np.pi / max(float(np.ptp(angle)), 1e-3))
     cycles = np.arange(TOGETHER + step, LAST_LINE, step)
     return tuple((f"q{joint} at {f:.3g} cycles a turn", _sines(angle, [f])) for f in cycles)
