@@ -122,4 +122,4 @@ def _floor(found: Diagnosis, unlisted: Unlisted | None, laws: Discovery | None) 
         best, noise = unlisted.after, unlisted.beside.noise[""]
     if laws and laws.gap.get("law", best) < best:
         noise = laws.noise
-    return noise_floor(found.case.evidence, noise, found.replicates, found.seed)
+    return noise_floor(found.case.evidence, noise, found.account.anchor, found.seed)

@@ -306,7 +306,7 @@ class Diagnosis:
     @property
     def noise_is_left(self) -> bool:
         """Whether the causes leave noise alone: nothing further is there, and what is above the floor is little."""
-        return self.rankings[-1].none > DETECT_FURTHER and not self.has_rest
+        return self.rankings[-1].none > DETECT_FURTHER and not self.has_rest and not self.account.is_structure
 
     @property
     def has_rest(self) -> bool:
