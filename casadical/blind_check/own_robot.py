@@ -31,6 +31,7 @@ from casadical.core.arrays import Array
 from casadical.core.errors import ConvergenceError, InputError
 from casadical.core.estimated_masses import with_estimated_masses, without_masses
 from casadical.core.telling.blocks import Block, Table, Words
+from casadical.core.telling.result import Result
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
@@ -168,7 +169,7 @@ def _stiffness(robot: Robot, nominal: Plant) -> tuple[Array, list[str]]:
 
 
 @dataclass(frozen=True, eq=False)
-class RobotCheck:
+class RobotCheck(Result):
     """Hidden campaigns of one robot and how they were answered.
 
     assumed : what the file does not say; not_drawn : effects that it cannot have, and why

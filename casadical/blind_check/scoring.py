@@ -1,19 +1,25 @@
-"""Score answers: open the key, check that it is the one whose hash was published, and count."""
+"""Score answers: open the key, check that it is the one whose hash was published, count, and tell."""
 
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from casadical.blind_check.answers import Header, read_answers
-from casadical.blind_check.metrics import Estimate, Metric, breakdown, confusion, metrics, part_metrics
+from casadical.blind_check.metrics import Estimate, Metric, breakdown, confusion, metrics, part_metrics, sign_tests
 from casadical.blind_check.outcomes import Outcome, outcome
 from casadical.blind_check.protocol import Key, read_key, read_manifest
-from casadical.core.errors import InputError
+from casadical.core.errors import InputError, optional
+from casadical.core.files import write_together
+from casadical.core.telling.blocks import Block, Table, Words
+from casadical.core.telling.result import Result
+
+_LAST = ("at another joint", "unknown", "none")
 
 
 @dataclass(frozen=True, eq=False)
-class Score:
+class Score(Result):
     """A file of answers against the key.
 
     head : the method that answered; key : how the campaigns were made; outcomes : of campaigns that were answered
@@ -41,6 +47,10 @@ class Score:
     def confusion(self) -> dict[str, dict[str, int]]:
         """How often what was answered first, by what was hidden."""
         return confusion(self.outcomes)
+
+    def blocks(self) -> list[Block]:
+        """Metrics beside their targets, the same by parts, the confusion matrix, and every wrong claim."""
+        return side_by_side([self])
 
     def to_json(self) -> dict[str, Any]:
         """All of it as plain data."""
@@ -93,3 +103,98 @@ def _short(value: Any) -> Any:
     if isinstance(value, float):
         return float(f"{value:.6g}")
     return [_short(v) for v in value] if isinstance(value, Sequence) and not isinstance(value, str) else value
+
+
+def side_by_side(scores: Sequence[Score]) -> list[Block]:
+    """The first score in full, the metrics of the others beside it."""
+    first, *others = scores
+    beside = []
+    if others:
+        by = [f"{first.head.by} : {s.head.by}" for s in others]
+        rows = zip(*(sign_tests(first.outcomes, s.outcomes) for s in others), strict=True)
+        title = "Right on the same campaign: the first alone : the other alone"
+        beside = [Table(title, ["", *by], [[r[0].name, *map(str, r)] for r in rows])]
+    every = zip(*(s.metrics for s in scores), strict=True)
+    return [
+        Words(_title(first)),
+        Table(
+            "",
+            ["", *(s.head.by for s in scores), "target"],
+            [[r[0].name, *(str(m.estimate) for m in r), r[0].target] for r in every],
+        ),
+        *beside,
+        _parts(first),
+        _confusion(first),
+        *map(Words, wrong_claims(first)),
+    ]
+
+
+def _title(s: Score) -> str:
+    made = ", ".join(f"{name} {number}" for name, number in s.key.versions.items())
+    missing = f"; {len(s.unanswered)} more have no answer and do not count" if s.unanswered else ""
+    return (
+        f"{len(s.outcomes)} campaigns whose effect was withheld (engine: {s.key.reality}, seed {s.key.seed}; {made})"
+        f"{missing}\nkey as published: sha256 {s.head.key_sha256}"
+    )
+
+
+def _parts(s: Score) -> Table:
+    rows = []
+    for by, parts in s.parts.items():
+        for k, (word, part) in enumerate(parts.items()):
+            found = part_metrics(part).values()
+            cells = ["-" if f.value is None else f"{f.value:.3f} [{f.low:.2f}, {f.high:.2f}]" for f in found]
+            rows.append([by if k == 0 else "", word, str(len(part)), *cells])
+    return Table("", ["by", "", "n", *part_metrics(s.outcomes)], rows)
+
+
+def ordered(s: Score) -> tuple[list[str], list[str]]:
+    """Rows and columns of the confusion matrix: listed effects on the diagonal, none and unknown last."""
+    rows = sorted(s.confusion, key=lambda w: (w == "none", w))
+    words = {w for row in s.confusion.values() for w in row}
+    effects = [w for w in rows if w in words and w not in _LAST]
+    return rows, [*effects, *sorted(words - {*rows, *_LAST}), *(w for w in _LAST if w in words)]
+
+
+def _confusion(s: Score) -> Table:
+    rows, columns = ordered(s)
+    return Table(
+        "Hidden (rows) and answered first (columns), at most one effect",
+        ["", *(w.replace("_", "\n").replace(" ", "\n") for w in columns)],
+        [[word, *(str(s.confusion[word].get(c, 0) or ".") for c in columns)] for word in rows],
+    )
+
+
+def wrong_claims(s: Score) -> list[str]:
+    """A line for each answer that claims a cause that is not there."""
+    lines = ["Wrong claims, and what was hidden:"]
+    for t in s.outcomes:
+        if t.wrong_claims:
+            hidden = ", ".join(t.truth or t.effects) or "nothing"
+            lines.append(f"  {t.name}  {t.kind:<8}  {hidden}: claimed {', '.join(t.named)}  (signal {t.signal:.2f})")
+    return lines if len(lines) > 1 else ["No wrong claims."]
+
+
+def draw_confusion(s: Score, path: Path) -> None:
+    """The confusion matrix as a picture. Raises InputError without matplotlib."""
+    rows, columns = ordered(s)
+    counts = [[s.confusion[r].get(c, 0) for c in columns] for r in rows]
+    shares = [[n / sum(row) for n in row] for row in counts]
+    figure = optional("matplotlib.figure", "--figure needs matplotlib: pip install 'casadical[plots]'")
+    canvas = figure.Figure(figsize=(1.5 + 0.36 * len(columns), 1.5 + 0.32 * len(rows)), layout="constrained")
+    axes = canvas.add_subplot()
+    axes.imshow(shares, cmap="Blues", vmin=0, vmax=1, aspect="auto")
+    for i, row in enumerate(counts):
+        for j, n in enumerate(row):
+            if n:
+                axes.text(j, i, str(n), ha="center", va="center", color="white" if shares[i][j] > 0.5 else "black")
+    axes.set_xticks(range(len(columns)), [c.replace("_", " ") for c in columns], rotation=60, ha="right")
+    axes.set_yticks(range(len(rows)), [f"{r.replace('_', ' ')} ({sum(n)})" for r, n in zip(rows, counts, strict=True)])
+    axes.set_xlabel("answered first")
+    axes.set_ylabel("hidden (campaigns)")
+    drawn = io.BytesIO()
+    try:
+        canvas.savefig(drawn, dpi=120, format=path.suffix[1:] or "png")
+    except ValueError as error:
+        raise InputError(f"{path}: no such kind of picture: {error}") from None
+    write_together({path: drawn.getvalue()})

@@ -117,9 +117,7 @@ def _replay(
         with working(quiet, "diagnosing", campaign.name, DIAGNOSIS) as show:
             found = replay_campaign(campaign.robot, campaign.sets[0], effects_of(effects), seed=seed, show=show)
         console.print(f"{campaign.title}, held-out poses replayed in MuJoCo")
-        console.print(found.table.to_string(index=False, float_format=lambda v: f"{v:.4f}"))
-        for text in found.stages[-1].export.left_out:
-            console.print(f"LEFT OUT {text}")
+        console.print(terminal(found.blocks()))
         answers.append({"campaign": campaign.name, **found.to_json()})
         if out:
             texts |= {out / f"{campaign.name}.{k}.xml": s.export.text for k, s in enumerate(found.stages)}

@@ -195,14 +195,13 @@ def withheld_score(
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
-    from casadical.blind_check.report import blocks, draw_confusion
-    from casadical.blind_check.scoring import in_common, score
+    from casadical.blind_check.scoring import draw_confusion, in_common, score, side_by_side
     from casadical.core.telling.terminal import terminal
 
     scores = in_common([score(folder, key, path) for path in answers])
     console = wrapped(quiet)
     # Wide tables are for files and wide windows; they are never folded.
-    wrapped(quiet, max(console.width, 240, 90 + 40 * len(scores))).print(terminal(blocks(scores)), soft_wrap=True)
+    wrapped(quiet, max(console.width, 240, 90 + 40 * len(scores))).print(terminal(side_by_side(scores)), soft_wrap=True)
     keep_json(json_file, [s.to_json() for s in scores], console)
     if figure:
         draw_confusion(scores[0], figure)

@@ -2,13 +2,12 @@
 
 import re
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from casadical.diagnosis.result import Cause, Diagnosis
-from casadical.effects import Effect
+from casadical.diagnosis.result import Cause, Diagnosis, settings_of
 from casadical.effects.formula_effect import FLAGS
 from casadical.effects.plugins import signature_of
 
@@ -42,7 +41,7 @@ def cause_rows(d: Diagnosis) -> list[CauseRow]:
     for c in d.causes:
         shown, mechanical = _signature(c)
         low, high = (100 * v for v in c.shrink_interval)
-        parameters = [(name, f"{value:.3g}", "", "") for e in c.effects for name, value in settings(e).items()]
+        parameters = [(name, f"{value:.3g}", "", "") for e in c.effects for name, value in settings_of(e).items()]
         parameters += [(name, value, "", unit) for e in c.effects for name, value, unit in e.summary]
         parameters += [_estimate(name, *given) for name, given in (c.estimates or {}).items()]
         if c.effect == "outliers":
@@ -96,12 +95,6 @@ def _signature(c: Cause) -> tuple[str, str]:
         causes = causes.replace("; balancer on joint 2", "")
     joint = "" if c.joint is None else f", joint {c.joint}"
     return shown + joint, causes.rstrip(")")
-
-
-def settings(effect: Effect) -> dict[str, float]:
-    """Values of an effect in which it is not linear (cycles, knee, lag, time of a step)."""
-    values = {f.name: getattr(effect, f.name) for f in fields(effect)}
-    return {name: value for name, value in values.items() if isinstance(value, float)}
 
 
 def _estimate(name: str, value: float, error: float, unit: str) -> tuple[str, str, str, str]:

@@ -17,7 +17,8 @@ import pandas as pd
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.telling.blocks import Table
+from casadical.core.telling.blocks import Table, Words
+from casadical.core.telling.result import Result
 from casadical.core.telling.terminal import table_lines
 from casadical.diagnosis.candidates import Candidate, candidates_of, choose, columns_to_log, gathered_by_columns
 from casadical.diagnosis.evidence import Evidence
@@ -54,7 +55,7 @@ NOTES = (
 
 
 @dataclass(frozen=True, eq=False)
-class Isolability:
+class Isolability(Result):
     """What a design can tell, at the effects' realistic sizes.
 
     effects : a row per candidate (index: label): size_mm, its rms over the poses; absorbed, the share of that signal's
@@ -74,8 +75,12 @@ class Isolability:
         found = [(str(k), float(v)) for k, v in shares if k != label and v > above]
         return dict(sorted(found, key=lambda rival: -rival[1]))
 
-    def to_json(self, campaign: str) -> dict[str, Any]:
-        """Isolability as plain data; a share that is nothing, and a size that is never found, are left out."""
+    def blocks(self) -> list[Words]:
+        """Its text, to be printed unwrapped."""
+        return [Words(self.text())]
+
+    def to_json(self, campaign: str = "") -> dict[str, Any]:
+        """As plain data; campaign : name of the poses. A share that is nothing, a size never found, are left out."""
         rows = {str(k): {c: _plain(v) for c, v in row.items()} for k, row in self.effects.iterrows()}
         alike = {k: {r: round(v, 4) for r, v in self.rivals(k, 0.1).items()} for k in rows}
         return {"campaign": campaign, "effects": rows, "alike": alike, "missing": self.missing}

@@ -6,12 +6,12 @@ from typing import Any
 import pandas as pd
 
 from casadical.core.files import json_text
-from casadical.diagnosis.cause_table import layers_json, settings
+from casadical.diagnosis.cause_table import layers_json
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import NetworkGap
 from casadical.diagnosis.limits import cannot_tell
 from casadical.diagnosis.next_poses import discrimination_probability
-from casadical.diagnosis.result import Cause, CauseSet, Diagnosis, Unlisted
+from casadical.diagnosis.result import CauseSet, Diagnosis, Unlisted
 from casadical.diagnosis.spectrum_report import as_json as curves_as_json
 from casadical.diagnosis.statements import assumptions, floor_of, headline, missing_columns
 from casadical.diagnosis.text import page_of
@@ -32,11 +32,10 @@ def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[st
     check, networks, unlisted = more.check, more.networks, more.unlisted
     return {
         "campaign": campaign,
-        "verdict": d.verdict,
+        **d.to_json(),
         "gap_mm": {"before": _mm(d.gap.before), "after": _mm(d.gap.after), "floor": _mm(floor_of(d, more))},
         **({} if d.p_nothing is None else {"p_nothing": d.p_nothing}),
         **({"prior": _prior(d, d.prior)} if d.prior else {}),
-        "causes": [_cause(c) for c in d.causes],
         **({} if d.cause_set is None else {"set": _set(d.cause_set)}),
         "unknown_rest": round(d.unknown_rest, 4),
         **({} if unlisted is None else {"unlisted": _unlisted(unlisted)}),
@@ -136,19 +135,3 @@ def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
 
 def _mm(value: float) -> float:
     return round(1e3 * value, 5)
-
-
-def _cause(c: Cause) -> dict[str, Any]:
-    return {
-        "effect": c.effect,
-        "joint": c.joint,
-        "confidence": round(c.confidence, 4),
-        "shrink": round(c.shrink, 4),
-        "shrink_interval": [round(v, 4) for v in c.shrink_interval],
-        "indistinguishable": list(c.indistinguishable),
-        "settings": [settings(e) for e in c.effects],
-        "parameters": {
-            name: {"value": value, "std_error": error, "unit": unit}
-            for name, (value, error, unit) in (c.estimates or {}).items()
-        },
-    }

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pandas as pd
 
 from casadical.core.arrays import Array
-from casadical.core.telling.blocks import Table, mm
-from casadical.core.telling.notebook import html
+from casadical.core.telling.blocks import Table, Words, mm
+from casadical.core.telling.result import Result
 from casadical.diagnosis.cross_validation import fitted_without, partitioned_errors
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_account import NoiseAccount
@@ -63,6 +63,12 @@ class Outlier:
     sigmas: float
 
 
+def settings_of(effect: Effect) -> dict[str, float]:
+    """Values of an effect in which it is not linear (cycles, knee, lag, time of a step)."""
+    values = {f.name: getattr(effect, f.name) for f in fields(effect)}
+    return {name: value for name, value in values.items() if isinstance(value, float)}
+
+
 @dataclass(frozen=True, eq=False)
 class Cause:
     """One cause.
@@ -103,6 +109,22 @@ class Cause:
     indistinguishable: tuple[str, ...]
     effects: tuple[Effect, ...] = ()
     estimates: dict[str, tuple[float, float, str]] | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain data; parameters in SI."""
+        return {
+            "effect": self.effect,
+            "joint": self.joint,
+            "confidence": round(self.confidence, 4),
+            "shrink": round(self.shrink, 4),
+            "shrink_interval": [round(v, 4) for v in self.shrink_interval],
+            "indistinguishable": list(self.indistinguishable),
+            "settings": [settings_of(e) for e in self.effects],
+            "parameters": {
+                name: {"value": value, "std_error": error, "unit": unit}
+                for name, (value, error, unit) in (self.estimates or {}).items()
+            },
+        }
 
     @property
     def label(self) -> str:
@@ -164,7 +186,7 @@ class Unlisted:
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosis:
+class Diagnosis(Result):
     """The answer to: why is there still a gap?
 
     What costs more is asked for by name: `refit` and `apply` below, and in `casadical.diagnosis` `analyse`, `localise`,
@@ -253,16 +275,25 @@ class Diagnosis:
         gap = f"gap {mm(self.gap.kept)} -> {mm(self.gap.after)} mm, noise alone {mm(self.gap.floor)} mm"
         return f"<Diagnosis of {self.identification.given.name!r}: {self.verdict}; {named}; {gap}>"
 
-    def _repr_html_(self) -> str:
-        """For a notebook: the causes, and the gap before and after them."""
+    def blocks(self) -> list[Words | Table]:
+        """The verdict and the causes; `casadical.diagnosis.page_of` has all that was found."""
         rows = [
             (c.label, f"{c.confidence:.3f}", " to ".join(f"{100 * v:.0f} %" for v in c.shrink_interval),
              ", ".join(c.indistinguishable))
             for c in self.causes
         ]  # fmt: skip
         head = ("cause", "probability", "gap shrinks by, 95 %", "indistinguishable from")
-        bars = [("gap, held out", self.gap.kept), ("with the causes", self.gap.after), ("noise alone", self.gap.floor)]
-        return html([Table("Causes", head, rows, frozenset({1, 2}))] if rows else [], bars, repr(self)[1:-1])
+        table = [Table("Causes", head, rows, frozenset({1, 2}))] if rows else []
+        return [Words(f"{self.verdict}: {', '.join(c.label for c in self.causes) or 'no cause named'}"), *table]
+
+    def bars(self) -> list[tuple[str, float]]:
+        """Mean errors on held-out poses."""
+        return [("gap, held out", self.gap.kept), ("with the causes", self.gap.after), ("noise alone", self.gap.floor)]
+
+    def to_json(self) -> dict[str, Any]:
+        """Verdict, errors [mm] and causes, as they stand in the answer of `casadical diagnose --json`."""
+        gap = {name: round(1e3 * getattr(self.gap, name), 5) for name in ("before", "after", "floor")}
+        return {"verdict": self.verdict, "gap_mm": gap, "causes": [c.to_json() for c in self.causes]}
 
     @property
     def in_question(self) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from casadical.core.arrays import Array
 from casadical.core.statistics import exceeded_by_chance
 from casadical.core.telling.blocks import Page, Section, Table, Tile, Words, mm, shown
 from casadical.core.telling.figure import Axis, Figure, Series, Span
+from casadical.core.telling.result import Result
 from casadical.diagnosis.changes import USUAL_CHANGE
 from casadical.fleet.candidates import ROBOT, Candidate, Course
 from casadical.fleet.estimates import Estimate
@@ -129,7 +130,7 @@ class Change:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class Comparison(Result):
     """Several campaigns of one robot, and what changed between them.
 
     Parameters

@@ -14,6 +14,7 @@ import pandas as pd
 
 from casadical.core.telling.blocks import Block, Page, Section, Table, Tile, Words, shown
 from casadical.core.telling.figure import Figure
+from casadical.core.telling.result import Result
 from casadical.fleet.changes import ALARMS, leaves_more
 from casadical.fleet.drawings import Drawing, drawings_of, near, nearly_one
 from casadical.fleet.figures import accuracy_map, common_departures, common_table, trends
@@ -39,7 +40,7 @@ LISTED, FEWER_LETTERS = 2000, 60
 
 
 @dataclass(frozen=True, eq=False)
-class Fleet:
+class Fleet(Result):
     """All robots of a fleet.
 
     Parameters

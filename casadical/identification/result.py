@@ -13,7 +13,7 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.statistics import student_t
 from casadical.core.telling.blocks import Table, Words, mm
-from casadical.core.telling.notebook import html
+from casadical.core.telling.result import Result
 from casadical.identification.accuracy import Accuracy, errors, predicted, summarise
 from casadical.identification.identifiability import Identifiability
 from casadical.identification.least_squares import LeastSquares, first_sigmas
@@ -50,7 +50,7 @@ def rows_in_words(rows: Sequence[LeftOut], most: int = 8, of: Iterable[str] = ()
 
 
 @dataclass(frozen=True, eq=False)
-class Identification:
+class Identification(Result):
     """What was identified, from what, and how sure it is.
 
     Parameters
@@ -157,13 +157,13 @@ class Identification:
                 places.append({"source": m.source, "name": name, "xyz_mm": [1e3 * float(v) for v in xyz]})
         return places
 
-    def _repr_html_(self) -> str:
-        """For a notebook: the verdict, every parameter, and the errors of what was used."""
+    def bars(self) -> list[tuple[str, float]]:
+        """Errors of what was used."""
         bars = []
         for m in self.used:
             a = summarise(errors(self.robot, m))
             bars += [(f"{m.kind}, mean", a.mean), (f"{m.kind}, 95 % below", a.p95)]
-        return html(self.blocks(), bars, repr(self)[1:-1])
+        return bars
 
     @property
     def names(self) -> tuple[str, ...]:

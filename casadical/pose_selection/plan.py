@@ -10,6 +10,7 @@ import pandas as pd
 from casadical.core.arrays import Array
 from casadical.core.files import json_text
 from casadical.core.telling.blocks import Table, Words
+from casadical.core.telling.result import Result
 from casadical.measurements.noise import Noise
 from casadical.pose_selection.instruments import Instrument
 from casadical.pose_selection.pose_order import travel
@@ -20,7 +21,7 @@ _HEIGHTS, _DISTANCES = ("low", "middle", "high"), ("near", "middle", "far")
 
 
 @dataclass(frozen=True, eq=False)
-class MeasurementPlan:
+class MeasurementPlan(Result):
     """Poses to measure, and the accuracy to expect of them and of further ones.
 
     forecast : expected error against the number of poses; selection : the poses in order, None for the forecast alone
@@ -67,13 +68,14 @@ class MeasurementPlan:
             of_poses |= {"expected_reading_mm": 1e3 * plan.reading_error}
         return of_poses | {"observability": plan.observability} | forecast
 
-    def files(self, path: Path) -> dict[Path, str]:
-        """Texts by path: the poses, and beside them expected standard errors, error map and figures.
+    def files(self, folder: str | Path) -> dict[Path, str]:
+        """Texts by path, in a folder or beside a table FILE.csv: poses, expected standard errors, error map, figures.
 
         Beside FILE.csv these are FILE.expected.csv, FILE.map.csv and FILE.json, of wires or sockets FILE.places.csv.
         Of a forecast alone: its table.
         """
-        plan = self.selection
+        plan, path = self.selection, Path(folder)
+        path = path if path.suffix else path / "plan.csv"
         if plan is None:
             return {path: self.forecast.table.to_csv(index=False, float_format="%.6g")}
         texts = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,9 @@ from casadical.core.progress import Show, silent
 from casadical.core.telling.blocks import Page, Table, Words, mm
 from casadical.core.telling.figure import Figure
 from casadical.core.telling.notebook import html
+from casadical.core.telling.result import Result
 from casadical.core.telling.terminal import plain_text
+from casadical.diagnosis.localisation import Localisation
 from casadical.identification.accuracy import Accuracy
 from casadical.identification.error_bound import learn_bound
 from casadical.identification.identification import calibrated
@@ -41,7 +44,7 @@ from casadical.project.outcome import (
 )
 from casadical.project.problem import Carried, Problem, nothing_carried, read_problem, together
 from casadical.project.problem_file import BASE_METHODS, BaseMethod, all_methods, base_methods
-from casadical.project.remaining_errors import calibration_figures, used_poses
+from casadical.project.remaining_errors import calibration_figures, used_poses, where_left
 from casadical.project.robot_columns import unfitted
 from casadical.project.tables import Accuracies, error_tables, judged_on, network_tables, paper_tables, verdict
 from casadical.robot.robot import Robot
@@ -49,7 +52,7 @@ from casadical.robot.robot_file import to_toml
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class Calibration(Result):
     """A calibrated problem.
 
     Parameters
@@ -147,18 +150,26 @@ class Calibration:
         change = f"{mm(before.mean)} -> {mm(after.mean)} mm with {method}"
         return f"<Calibration of {self.problem.robot.name!r}: {change}, mean of {poses}>"
 
+    def bars(self) -> Sequence[tuple[str, float]]:
+        """Errors before and after."""
+        method, before, after, _ = judged_on(self.accuracies)
+        return [("before, mean", before.mean), (f"{method}, mean", after.mean), (f"{method}, 95 %", after.p95)]
+
     def _repr_html_(self) -> str:
         """For a notebook: verdict, errors before and after, and what must be known of them."""
-        method, before, after, _ = judged_on(self.accuracies)
-        bars = [("before, mean", before.mean), (f"{method}, mean", after.mean), (f"{method}, 95 %", after.p95)]
-        return html(self.brief(), bars)
+        return html(self.brief(), self.bars())
 
     def __str__(self) -> str:
         return plain_text(self.blocks())
 
+    @cached_property
+    def where(self) -> Localisation | None:
+        """Where the error that is left lies; None unless it is of one set of measured positions."""
+        return where_left(self.identification)
+
     def figures(self) -> dict[str, Figure]:
         """Every figure, by name: of errors, workspace, where the gap lies, parameters, fit and training."""
-        every = calibration_figures(self.problem, self.identifications, self.networks)
+        every = calibration_figures(self.problem, self.identifications, self.networks, self.where)
         return {figure.name: figure for figure in every}
 
     def page(self) -> Page:

@@ -12,6 +12,7 @@ from rich.console import RenderableType
 from casadical.core.progress import Show, silent
 from casadical.core.telling.blocks import Block, Page, Table, Words
 from casadical.core.telling.figure import Figure
+from casadical.core.telling.result import Result
 from casadical.diagnosis.details import NEXT, Details, analyse
 from casadical.diagnosis.diagnose import Masses, diagnose
 from casadical.diagnosis.figures import diagnosis_figures
@@ -130,7 +131,7 @@ class Options:
 
 
 @dataclass(frozen=True, eq=False)
-class CampaignDiagnosis:
+class CampaignDiagnosis(Result):
     """A diagnosed campaign; details : what `analysed` adds."""
 
     campaign: Campaign

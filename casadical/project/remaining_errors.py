@@ -128,8 +128,10 @@ def where_left(result: Identification) -> Localisation | None:
     return localise_residual(make_case(result, ()), Noise(result.sigmas[0][0], 0.0), np.zeros(0, dtype=np.int64))
 
 
-def calibration_figures(problem: Problem, results: Identifications, networks: Networks | None) -> Iterator[Figure]:
-    """Every figure of a calibration: what the data do not hold is not there.
+def calibration_figures(
+    problem: Problem, results: Identifications, networks: Networks | None, where: Localisation | None
+) -> Iterator[Figure]:
+    """Every figure of a calibration: what the data do not hold is not there; where : as of `where_left`.
 
     errors/SET and distribution/SET for each set of poses; workspace; where/TABLE as `Diagnosis.where` names them (of
     measured positions); parameters/lengths, /angles, /compliance; fit/residuals, /coverage, /pairs; training.
@@ -145,8 +147,8 @@ def calibration_figures(problem: Problem, results: Identifications, networks: Ne
     spatial = next((p for p in poses.values() if p.position is not None), None)
     if spatial is not None:
         yield workspace(spatial, last.robot, _SPACE)
-    if gap := where_left(last):
-        yield from where_figures(gap)
+    if where:
+        yield from where_figures(where)
     yield from parameter_figures(last)
     yield from fit_figures(last, {SETS.get(name, name): parts for name, parts in problem.sets.items()})
     if networks and any(r.compensator for r in trained):

@@ -14,6 +14,7 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.reading import load_json
 from casadical.core.telling.blocks import Table, Words, mm, next_step
+from casadical.core.telling.result import Result
 from casadical.identification.accuracy import errors
 from casadical.identification.identification import calibrated
 from casadical.identification.prepared import Prepared, prepare
@@ -41,7 +42,7 @@ RMS_OF_MEAN = float(np.sqrt(3 * np.pi / 8))
 
 
 @dataclass(frozen=True)
-class Verification:
+class Verification(Result):
     """What a check with later poses says.
 
     Parameters

@@ -21,8 +21,7 @@ from rich.console import Console
 from casadical.blind_check import metrics
 from casadical.blind_check.metrics import Estimate, sign_tests
 from casadical.blind_check.protocol import XZ, stored
-from casadical.blind_check.report import blocks, draw_confusion
-from casadical.blind_check.scoring import Score, in_common, score
+from casadical.blind_check.scoring import Score, draw_confusion, in_common, score
 from casadical.core.files import write_whole
 from casadical.core.telling.terminal import terminal
 
@@ -140,7 +139,7 @@ def main() -> None:
     for run in LARGE:
         if run in found:
             text = io.StringIO()
-            Console(file=text, width=260).print(terminal(blocks(found[run][:1])))
+            Console(file=text, width=260).print(terminal(found[run][0].blocks()))
             prints.append(f"THE {run.upper()}\n\n" + re.sub(r" +$", "", text.getvalue(), flags=re.MULTILINE))
             whole = json.dumps(found[run][0].to_json(), indent=1, allow_nan=False)
             write_whole(RUNS[run] / "score.json", whole + "\n")

@@ -25,7 +25,7 @@ print(len(casadical.read_measurements("poses.xlsx", 6)))
 PICTURE = """
 from pathlib import Path
 from types import SimpleNamespace
-from casadical.blind_check.report import draw_confusion
+from casadical.blind_check.scoring import draw_confusion
 draw_confusion(SimpleNamespace(confusion={"backlash": {"backlash": 3}, "none": {"none": 2}}), Path("confusion.png"))
 """
 # What needs the extra: commands, or a program.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,6 +15,7 @@ from casadical.core.arrays import Array
 from casadical.core.files import json_text
 from casadical.core.telling.blocks import Page, Section, Table, Words, mm
 from casadical.core.telling.figure import Axis, Figure, Series
+from casadical.core.telling.result import Result
 from casadical.core.telling.terminal import plain_text
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.laws.problem import Scored
@@ -48,7 +50,7 @@ Kept = Literal["law", "smooth", "causes", "base"]
 
 
 @dataclass(frozen=True, eq=False)
-class Discovery:
+class Discovery(Result):
     """The answer to: which law is missing?
 
     Parameters
@@ -171,15 +173,17 @@ class Discovery:
         )
         return told
 
-    def figures(self) -> list[Figure]:
-        """A figure of each claimed law."""
-        if not self.laws:
-            return []
+    @cached_property
+    def remainder(self) -> Array:
+        """What the laws and the causes beside them leave of the readings, as of `Fit.left`."""
         columns = [self.case.columns[e] for e in self.causes] + [self.case.columns[s.law] for s in self.laws]
         fit = new_fit(self.case.evidence, np.unique(np.concatenate(columns)), self.noise)
-        left = fit.left(fit.x)
+        return fit.left(fit.x)
+
+    def figures(self) -> list[Figure]:
+        """A figure of each claimed law."""
         return [
-            _figure(self, s, line, left, f"law{k}")
+            _figure(self, s, line, self.remainder, f"law{k}")
             for k, (s, line) in enumerate(zip(self.laws, self.lines, strict=True))
         ]
 
@@ -192,12 +196,12 @@ class Discovery:
         robot = self.diagnosis.identification.given.name
         return Page("Discovery", f"Laws of {name}", robot, [self.section()], files=files)
 
-    def to_json(self, name: str) -> dict[str, Any]:
-        """All figures; name : of the campaign. Angles in rad, lengths in m, gaps in mm, scores in nats."""
+    def to_json(self, name: str = "") -> dict[str, Any]:
+        """All figures in rad, m, nats (gaps in mm); name : of the campaign, by default its table."""
         first = self.rounds[0]
         verdict = "law" if self.laws else "alias" if first.alias and first.best.score >= CLAIMED else "none"
         return {
-            "campaign": name,
+            "campaign": name or self.case.m.source,
             "verdict": verdict,
             **self.laws_json(),
             "causes": [e.label for e in (self.causes if self.laws else self.diagnosis.effects())],
@@ -216,12 +220,12 @@ class Discovery:
             **({"poses": {"searched": self.thinned[0], "all": self.thinned[1]}} if self.thinned else {}),
         }
 
-    def files(self, folder: Path, name: str) -> dict[Path, str]:
+    def files(self, folder: str | Path, name: str = "") -> dict[Path, str]:
         """What `casadical diagnose --laws --out` writes: the robot with what is kept, the laws alone, figures and text.
 
         name : of the campaign. Raises ConvergenceError.
         """
-        refit = self.refit()
+        refit, folder, name = self.refit(), Path(folder), name or self.case.m.source
         comment = "\n".join([f"Discovered by casadical from {name}.", *self.lines, refit.verdict])
         kinds = [type(e) for e in refit.robot.effects]
         texts = {folder / "discovered.robot.toml": to_toml(refit.robot, comment, kinds)}

@@ -6,6 +6,7 @@ causes. All are identified from one part of the poses and replayed at the others
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,8 @@ import pandas as pd
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.progress import Show, silent
+from casadical.core.telling.blocks import Table, Words
+from casadical.core.telling.result import Result
 from casadical.diagnosis.refit import refit
 from casadical.diagnosis.result import Diagnosis
 from casadical.export.mjcf.equilibrium import positions
@@ -27,6 +30,7 @@ from casadical.project.diagnosis import Campaign, EffectChoice, Options, diagnos
 from casadical.robot.robot import Robot
 
 # Shares of the poses that are fitted, and of those that are replayed.
+DRAWS = 1000
 PARTS = {"identify": 2 / 3, "report": round(0.999 - 2 / 3, 3)}
 
 
@@ -47,9 +51,16 @@ class ReplayedModel:
     def accuracy(self) -> Accuracy:
         return summarise(self.errors)
 
+    @cached_property
+    def interval(self) -> Array:
+        """Of the mean error, 95 % by the bootstrap over the poses, shape (2,) [m]."""
+        rng, n = np.random.default_rng([0, len(self.errors)]), len(self.errors)
+        drawn = self.errors[rng.integers(0, n, (DRAWS, n))].mean(axis=1)
+        return np.asarray(np.quantile(drawn, [0.025, 0.975]))
+
 
 @dataclass(frozen=True, eq=False)
-class Replay:
+class Replay(Result):
     """A campaign replayed on poses that were held out.
 
     source : name of the campaign
@@ -74,6 +85,14 @@ class Replay:
             for s in self.stages
         ]  # fmt: skip
         return pd.DataFrame(rows)
+
+    def blocks(self) -> list[Words | Table]:
+        """What `casadical verify --mujoco` prints: the table, and what the last model leaves out."""
+        columns = [(name, self.table[name].tolist()) for name in map(str, self.table)]
+        cells = [[f"{v:.4f}" if isinstance(v, float) else str(v) for v in values] for _, values in columns]
+        rows = list(zip(*cells, strict=True))
+        left_out = (Words(f"LEFT OUT {text}") for text in self.stages[-1].export.left_out)
+        return [Table("", [name for name, _ in columns], rows, frozenset(range(1, len(columns)))), *left_out]
 
     def to_json(self) -> dict[str, Any]:
         """The replay as plain data: its table, and what became of each effect in the last model."""

@@ -13,7 +13,6 @@ from casadical.diagnosis.result import Diagnosis
 from casadical.export.mjcf.equilibrium import load_mujoco
 from casadical.export.mjcf.replay import Replay, ReplayedModel, replay_diagnosis
 
-DRAWS = 1000
 NAMES = ("nominal, placed", "calibrated")
 _CAPTION = (
     "Nominal: the drawing, with base and tool fitted; calibrated: geometry and joint stiffness. Mean over poses that "
@@ -62,14 +61,9 @@ def _shown(replayed: Replay) -> tuple[ReplayedModel, ...]:
 
 def replay_figure(replayed: Replay, floor: float) -> Figure:
     """Mean distance of the engine's point from the measured one [mm], stage by stage; floor : of the noise [m]."""
-    rng = np.random.default_rng(0)
     stages, names = _shown(replayed), stage_names(replayed)
     mean, noise = [1e3 * s.accuracy.mean for s in stages], 1e3 * floor
-    quantiles = []
-    for s in stages:
-        drawn = s.errors[rng.integers(0, len(s.errors), (DRAWS, len(s.errors)))].mean(axis=1)
-        quantiles.append(1e3 * np.quantile(drawn, [0.025, 0.975]))
-    low, high = np.transpose(quantiles)
+    low, high = 1e3 * np.transpose([s.interval for s in stages])
     ends = (0.7 * min(noise, *low), 1.1 * max(high))
     ticks = ticks_of_decades(*ends, steps=(1,) if ends[1] > 10 * ends[0] else (1, 2, 5))
     dots = Series(

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from casadical.core.telling.blocks import Table, Words
+from casadical.core.telling.result import Result
 from casadical.project.check.coverage import JointCoverage
 from casadical.project.check.findings import Finding, Level
 from casadical.project.check.information import Outlook
@@ -20,7 +21,7 @@ _MARKS = {"error": "ERROR", "warning": "WARNING", "note": "note"}
 
 
 @dataclass(frozen=True, eq=False)
-class Precheck:
+class Precheck(Result):
     """What was found of one problem.
 
     title, robot : names, empty where they could not be read; poses : in each set
