@@ -9,7 +9,7 @@ import traceback
 from io import TextIOWrapper
 
 from casadical.cli.root import app as app
-from casadical.cli.terminal import BAD_INPUT, NO_CONVERGENCE, OUR_BUG
+from casadical.cli.terminal import BAD_INPUT, NO_CONVERGENCE, OUR_BUG, refusal
 from casadical.core.errors import ConvergenceError, InputError, shown
 from casadical.core.threads import one_thread
 
@@ -23,22 +23,22 @@ def main() -> None:
     try:
         app()
     except InputError as error:
-        print(f"casadical: {error}", file=sys.stderr)  # noqa: T201
+        refusal(error)
         sys.exit(BAD_INPUT)
     except ConvergenceError as error:
-        print(f"casadical: no optimum found, nothing was written: {error}", file=sys.stderr)  # noqa: T201
+        refusal(f"no optimum found, nothing was written: {error}")
         sys.exit(NO_CONVERGENCE)
     except KeyboardInterrupt:
-        print("casadical: interrupted, nothing was written", file=sys.stderr)  # noqa: T201
+        refusal("interrupted, nothing was written")
         sys.exit(130)
     except OSError as error:
         place = "" if error.filename is None else f"{shown(error.filename)}: "
-        print(f"casadical: {place}{error.strerror or error}", file=sys.stderr)  # noqa: T201
+        refusal(f"{place}{error.strerror or error}")
         sys.exit(BAD_INPUT)
     except MemoryError:
-        print("casadical: there is not enough memory for this; give fewer poses or a smaller number", file=sys.stderr)  # noqa: T201
+        refusal("there is not enough memory for this; give fewer poses or a smaller number")
         sys.exit(BAD_INPUT)
     except Exception:
         traceback.print_exc()
-        print("casadical: this is a bug in casadical; please report it with the lines above", file=sys.stderr)  # noqa: T201
+        refusal("this is a bug in casadical; please report it with the lines above")
         sys.exit(OUR_BUG)

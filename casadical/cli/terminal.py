@@ -1,20 +1,47 @@
 """What all commands share on a terminal: exit codes, lines and JSON."""
 
 import os
+import shutil
 import sys
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from casadical.core.errors import InputError, shown
+from casadical.core.errors import FaultsError, InputError, shown
 from casadical.core.files import json_text, write_together
 
 if TYPE_CHECKING:
     from casadical.core.telling.blocks import Page
 
+# Rows that are named of a fault, and the width of a table that no terminal shows.
+NAMED, WIDE = 6, 120
 BAD_INPUT, NO_CONVERGENCE, WORSE, NOT_VALID, OUR_BUG = 2, 3, 4, 5, 70
+
+
+def refusal(error: object) -> None:
+    """Print why a command ends, to standard error: as wide as the terminal, several faults of tables as one table."""
+    if isinstance(error, FaultsError) and len(error.faults) > 1:
+        from casadical.core.telling.blocks import Table
+        from casadical.core.telling.terminal import terminal
+
+        rows = [
+            (f.source, f"{', '.join(map(str, f.rows[:NAMED]))}{' ...' * (len(f.rows) > NAMED)}", f.column, f.value,
+             f.allowed or f.wrong, f.remedy)
+            for f in error.faults
+        ]  # fmt: skip
+        columns = ("file", "rows", "column", "value", "allowed", "what to do")
+        title = f"casadical: {len(error.faults)} faults of the input; of each the worst value and its row first"
+        width = None if sys.stderr.isatty() else WIDE
+        Console(stderr=True, width=width, markup=False, emoji=False).print(terminal([Table(title, columns, rows)]))
+        return
+    lines = f"casadical: {error}".splitlines()
+    if sys.stderr.isatty():
+        width = shutil.get_terminal_size().columns
+        lines = [part for line in lines for part in textwrap.wrap(line, width, break_long_words=False) or [""]]
+    print("\n".join(lines), file=sys.stderr)  # noqa: T201
 
 
 def as_text(figures: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> str:

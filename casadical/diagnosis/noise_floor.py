@@ -17,7 +17,7 @@ SAME_POSE = 1e-3
 ENOUGH = 12
 # Usual share of poses that the instrument gets wrong, and how many times their noise is the usual one.
 OUTLIERS, TIMES = 0.01, np.geomspace(3.0, 300.0, 9)
-_CIRCUMSTANCE = re.compile(r"payload_kg|approach\d+")
+_CIRCUMSTANCE = re.compile(r"payload_kg|approach\d+|(tool|session)_.*")
 
 
 @dataclass(frozen=True)

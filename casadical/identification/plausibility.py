@@ -1,12 +1,12 @@
 """Refuse measurements that contradict the nominal robot, before a solve."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.errors import Fault, FaultsError, InputError
 from casadical.core.transforms import nearest_rotation
 from casadical.identification.accuracy import positions_at, predicted
 from casadical.measurements.kinds.registry import find_kind
@@ -28,24 +28,36 @@ TURNS, ROUNDS = 200, 3
 BEYOND = 2e-3
 
 
-def check_against(robot: Robot, m: Measurements) -> None:
+def check_against(robot: Robot, *sets: Measurements) -> None:
     """Refuse measurements that this robot cannot have made.
 
-    Raises InputError: wrong number of joints, joints out of range, an open loop, positions in the wrong unit.
+    Raises InputError: wrong number of joints, joints out of range (all of them, FaultsError), an open loop, positions
+    in the wrong unit, orientations of another robot.
     """
-    if m.q.shape[1] != robot.n:
-        raise InputError(f"{m.source}: {m.q.shape[1]} joint columns, but {robot.name} has {robot.n} joints")
-    lower = np.array([j.lower for j in robot.joints])
-    upper = np.array([j.upper for j in robot.joints])
-    outside = (m.q < lower - BEYOND) | (m.q > upper + BEYOND)
-    if outside.any():
-        k, i = (int(v[0]) for v in np.nonzero(outside))
-        unit, factor = ("deg", 180 / np.pi) if robot.joints[i].kind == "revolute" else ("mm", 1e3)
-        raise InputError(
-            f"{m.source}: row {m.row[k]}, q{i + 1} = {m.q[k, i] * factor:.6g} {unit} is outside of the joint's range "
-            f"[{lower[i] * factor:.6g}, {upper[i] * factor:.6g}] {unit} ({outside.any(axis=1).sum()} such poses); "
-            "correct the reading or the limits in the robot file"
-        )
+    for m in sets:
+        if m.q.shape[1] != robot.n:
+            raise InputError(f"{m.source}: {m.q.shape[1]} joint columns, but {robot.name} has {robot.n} joints")
+    if faults := [fault for m in sets for fault in _out_of_range(robot, m)]:
+        raise FaultsError(faults)
+    for m in sets:
+        _refuse_implausible(robot, m)
+
+
+def _out_of_range(robot: Robot, m: Measurements) -> Iterator[Fault]:
+    """Readings beyond the limits, of each joint those on one side, with the farthest one."""
+    for i, joint in enumerate(robot.joints):
+        unit, factor = ("deg", 180 / np.pi) if joint.kind == "revolute" else ("mm", 1e3)
+        q, limits = m.q[:, i], f"[{joint.lower * factor:.6g}, {joint.upper * factor:.6g}] {unit}"
+        for far in (np.maximum(0, joint.lower - BEYOND - q), np.maximum(0, q - joint.upper - BEYOND)):
+            if far.any():
+                order = np.argsort(-far, kind="stable")[: np.count_nonzero(far)]
+                yield Fault(
+                    m.source, tuple(map(int, m.row[order])), f"q{i + 1}", f"{q[order[0]] * factor:.6g} {unit}",
+                    "is outside of the joint's range", limits, "correct the reading or the limits in the robot file",
+                )  # fmt: skip
+
+
+def _refuse_implausible(robot: Robot, m: Measurements) -> None:
     if robot.loops:
         _refuse_open_loop(robot, m)
     if m.orientation is not None:

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 
 import pandas as pd
 
+from casadical.core.errors import shown
+
 
 @dataclass(frozen=True)
 class Source:
@@ -26,6 +28,19 @@ class Source:
     def plain(self) -> bool:
         """Whether it is the column as it stands."""
         return self == Source(self.name)
+
+    @property
+    def words(self) -> str:
+        """The whole relation: 0.5 x 'A' - 'B' +90, 1 row below."""
+        terms = [(self.times, self.name), *((factor, name) for name, factor in self.add.items())]
+        texts = [
+            f"{'-' if factor < 0 else '+'} {'' if abs(factor) == 1 else f'{abs(factor):.6g} x '}'{shown(name)}'"
+            for factor, name in terms
+        ]
+        first = f"-{texts[0][2:]}" if self.times < 0 else texts[0][2:]
+        plus = f" {self.plus:+g}" if self.plus else ""
+        rows = f", {abs(self.rows)} row{'s' * (abs(self.rows) > 1)} {'below' if self.rows > 0 else 'above'}"
+        return " ".join([first, *texts[1:]]) + plus + (rows if self.rows else "")
 
 
 def named(sources: Mapping[str, Source]) -> Iterator[tuple[str, str]]:

@@ -10,11 +10,12 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.errors import Fault, FaultsError, InputError
 from casadical.core.reading import LARGEST
 from casadical.measurements.column_map import Source, made, named
 from casadical.measurements.raw_table import RawTable, refuse_repeated_names
 
+_UNITS = {"revolute": ("_deg", "_rad"), "prismatic": ("_mm", "_m")}
 _TO_SI = {"_mm": 1e-3, "_m": 1.0, "_deg": np.pi / 180, "_rad": 1.0}
 # Least and largest values of columns that the model and effects ask for [their own unit].
 POSSIBLE = {
@@ -211,23 +212,56 @@ class Columns:
         """
         if name not in self.table:
             raise InputError(f"{self.source}: column {name!r} is missing; there are {self.names}")
+        if faults := self._faults(name):
+            raise FaultsError(faults)
+        return self._values(name)
+
+    def _values(self, name: str) -> Array:
         cells = self.table[name]
-        values = in_seconds(cells) if name == "time_s" else pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float)
-        bad = np.flatnonzero(~np.isfinite(values))
-        if bad.size:
-            text = self.table[name].iloc[int(bad[0])]
-            raise InputError(
-                f"{self.at(bad[0])}, column {name!r}: {_cell(text)} is not a finite number "
-                f"({bad.size} such in this column); correct or delete the row"
-            )
+        return in_seconds(cells) if name == "time_s" else pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float)
+
+    def _faults(self, name: str) -> list[Fault]:
+        """Cells of a column that are no numbers, and those that are no possible ones."""
+        values = self._values(name)
+        found: list[Fault] = []
         least, most = POSSIBLE.get(name, (-LARGEST, LARGEST))
-        bad = np.flatnonzero((values < least) | (values > most))
-        if bad.size:
-            raise InputError(
-                f"{self.at(bad[0])}, column {name!r}: {values[bad[0]]:g} is not possible; allowed: {least:g} to "
-                f"{most:g} ({bad.size} such in this column); correct or delete the row"
-            )
-        return values
+        with np.errstate(invalid="ignore"):
+            far = (values < least) | (values > most)
+        for wrong, mask in (("is not a finite number", ~np.isfinite(values)), ("is not possible", far)):
+            if (bad := np.flatnonzero(mask)).size and not found:
+                rows, finite = tuple(map(int, self.row[bad])), np.isfinite(values[bad[0]])
+                value = f"{values[bad[0]]:g}" if finite else _cell(self.table[name].iloc[int(bad[0])])
+                allowed = f"{least:g} to {most:g}" if finite else ""
+                found.append(Fault(self.source, rows, name, value, wrong, allowed, "correct or delete the row"))
+        return found
+
+    def refuse_faults(self, kinds: Sequence[str], observations: str) -> None:
+        """Refuses missing readings, and cells that are no possible numbers, in all columns at once.
+
+        Parameters
+        ----------
+        kinds : Sequence[str]
+            revolute or prismatic, of each joint
+        observations : str
+            pattern of the columns that the kinds of measurement read
+
+        Raises
+        ------
+        FaultsError
+            with every fault
+        """
+        named = [[f"q{i}{unit}" for unit in _UNITS[kind]] for i, kind in enumerate(kinds, 1)]
+        missing = ", ".join(" or ".join(names) for names in named if not {*names} & {*self.table})
+        remedy = f"name it so, or map it by `columns` in problem.toml; there are {self.names}"
+        found = [Fault(self.source, (), missing, "", "is missing", "", remedy)] if missing else []
+        for name in map(str, self.table):
+            asked = name in POSSIBLE or re.fullmatch(f"{_NUMBERS.pattern}|{_READING.pattern}|{_TILT}", name)
+            mostly = pd.to_numeric(self.table[name], errors="coerce").notna().mean() >= 0.5
+            measured = _MEASURED.fullmatch(name) or not re.fullmatch(f"{_NO_CONDITIONS}|{observations}", name)
+            if asked or (mostly and measured and name not in self.taken):
+                found += self._faults(name)
+        if found:
+            raise FaultsError(found)
 
     def si(self, stem: str, units: Sequence[str]) -> Array:
         """Column `stem` with one of the suffixes _mm, _m, _deg, _rad, shape (n,) [m or rad].
@@ -274,8 +308,7 @@ class Columns:
         InputError
             one is missing or too many
         """
-        units = {"revolute": ("_deg", "_rad"), "prismatic": ("_mm", "_m")}
-        columns = [self.si(f"q{i}", units[kind]) for i, kind in enumerate(kinds, 1)]
+        columns = [self.si(f"q{i}", _UNITS[kind]) for i, kind in enumerate(kinds, 1)]
         for name in map(str, self.table):
             found = _READING.fullmatch(name)
             if found and not 1 <= int(found[1]) <= len(kinds):

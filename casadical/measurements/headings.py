@@ -374,7 +374,7 @@ def _observations(
     said = [any(g[0].qualifier == "measured" for g in groups) for groups in (positions, lengths)]
     if positions and lengths and said[0] != said[1]:
         positions, lengths = (positions, ()) if said[0] else ((), lengths)
-    options = [(_listed(g), [(g, _XYZ, "length")]) for g in positions]
+    options: list[tuple[str, _Parts]] = [(_listed(g), [(g, _XYZ, "length")]) for g in positions]
     options += [(_listed(g), [(g, ("distance",), "length")]) for g in lengths]
     return options, "observation" if positions and lengths else ""
 

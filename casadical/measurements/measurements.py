@@ -17,6 +17,8 @@ SETS = ("identify", "train", "choose", "report")
 
 # Readings closer than this [rad or m] in every joint count as the same pose.
 SAME_READING = 1e-6
+# Readings of a robot that stands still, while one target after another is measured, differ by less [rad or m].
+STANDS = 5e-4
 # Readings that follow each other without a gap are one reading over no more than so many gaps.
 LONGEST = 20
 
@@ -198,9 +200,9 @@ class Measurements:
     def split(self, sizes: Mapping[str, float], seed: int = 0) -> dict[str, Measurements]:
         """Disjoint, seeded, named sets; a size below 1 is a share, from 1 on a number of poses.
 
-        Poses at the same joint readings (replicates) stay together, so that no pose is ever in two sets; a set may hold
-        some more or less than its size for that. A pair distance whose ends fall in two sets is left out; poses of one
-        contact point may fall in two.
+        Poses at the same joint readings (replicates, several targets at one stop) stay together, so that no pose is
+        ever in two sets; a set may hold some more or less than its size for that. A pair distance whose ends fall in
+        two sets is left out; poses of one contact point may fall in two.
 
         Parameters
         ----------
@@ -215,7 +217,8 @@ class Measurements:
             impossible sizes
         """
         ends = np.concatenate([self.q] if self.other is None else [self.q, self.other])
-        reading = same_readings(ends)
+        several = sum(name.startswith("tool_") for name in self.conditions) > 1
+        reading = same_readings(ends, STANDS if several else SAME_READING)
         near, far = reading[: len(self)], reading[-len(self) :]
         counts = np.array([s * len(self) if s < 1 else s for s in sizes.values()])
         edges = np.cumsum([0.0, *counts]).round().astype(int)

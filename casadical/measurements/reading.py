@@ -203,12 +203,13 @@ def _measured(
     """As `from_columns`, copies included; whole : these are all rows, which tell the unit of angles."""
     source, each = columns.source, _kinds(joints, columns.source)
     observed = find_kind(kind, source) if kind else kind_of(columns)
+    patterns = [k.pattern for k in kinds().values()]
+    columns.refuse_faults(each, "|".join(patterns))
     q = columns.joints(each)
     if whole:
         refuse_other_unit(q, each, [*map(str, columns.table)], source, columns.row)
     arrays = observed.read(columns, q)
     counted = arrays.pop("counted", np.ones(len(q)))
-    patterns = [k.pattern for k in kinds().values()]
     conditions = with_gravity(columns.conditions(patterns), columns) | columns.tools() | columns.sessions()
     return Measurements(
         q=q,

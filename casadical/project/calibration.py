@@ -323,8 +323,8 @@ def calibrate(
     for fault in (*unfitted(problem.sets), unnamed_targets(problem)):
         if fault:
             raise InputError(fault)
-    for _, m in problem.parts():  # held-out poses count in the figures, so that they are checked like the others
-        check_against(problem.robot, m)
+    # Held-out poses count in the figures, so that they are checked like the others.
+    check_against(problem.robot, *(m for _, m in problem.parts()))
     results = _identified(problem, show, count := len(problem.methods) + len(problem.networks))
     used = used_poses(problem, results)
     trained = None

@@ -13,6 +13,8 @@ from casadical.core.telling.blocks import Table, Words, mm
 from casadical.identification.accuracy import Accuracy, errors, summarise
 from casadical.identification.result import AS_BEFORE, Identification, LeftOut, rows_in_words
 from casadical.identification.undetermined import undetermined
+from casadical.measurements.column_map import Source
+from casadical.measurements.vocabulary import UNITS
 from casadical.project.check.coverage import coverage
 from casadical.project.networks import Networks
 from casadical.project.problem import Problem, together
@@ -24,6 +26,8 @@ FAR = 10.0
 THINGS = 3
 # So many rows are named in the short answer.
 NAMED = 12
+# By these a unit is another; other factors turn a reading round or scale it.
+_UNIT_FACTORS = [*(factor for _, factor in UNITS.values()), np.pi / 180, 180 / np.pi, 1e3, 1e-3]
 # A mean error that falls by less, as a share, is hardly better; a joint that covers less of its range moves little.
 LITTLE, NARROW = 0.1, 0.5
 
@@ -231,17 +235,15 @@ def _payload_not_in_the_model(problem: Problem) -> list[Words]:
 
 def made_readings(problem: Problem) -> list[Words]:
     """Joint readings that problem.toml turns round or shifts: the controller's own are others than the model's."""
-    columns = {name: made for table in problem.tables for name, made in dict(table.get("columns", {})).items()}
     changed = []
-    for name, made in sorted(columns.items()):
+    for name, made in sorted(
+        dict(item for table in problem.tables for item in table.get("columns", {}).items()).items()
+    ):
         if re.fullmatch(r"q\d+(_\w+)?", name) and isinstance(made, Mapping):
-            times, plus = float(made.get("times", 1.0)), float(made.get("plus", 0.0))
-            if times < 0 or plus or made.get("add"):
-                of = f"{'-' if times < 0 else ''}'{shown(made['from'])}'"
-                more = "".join(
-                    f" {factor:+g} x '{shown(other)}'" for other, factor in dict(made.get("add", {})).items()
-                )
-                changed.append(f"{name.partition('_')[0]} = {of}{more}{f' {plus:+g}' if plus else ''}")
+            source = Source(made["from"], **{key: value for key, value in made.items() if key != "from"})
+            unit_alone = np.isclose(source.times, _UNIT_FACTORS, rtol=1e-6).any()
+            if not unit_alone or source != Source(source.name, source.times):
+                changed.append(f"{name.partition('_')[0]} = {source.words}")
     if not changed:
         return []
     text = f"The model's readings are made by problem.toml: {', '.join(changed)}. The robot file, the C and programs"

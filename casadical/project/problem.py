@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from casadical.compensator.trainers.known import network_methods
 from casadical.core.arm import GRAVITY
-from casadical.core.errors import InputError
+from casadical.core.errors import InputError, all_faults
 from casadical.identification.prior import Prior, carry_over
 from casadical.identification.residuals import AnyLoss
 from casadical.measurements.columns import Columns
@@ -209,9 +210,12 @@ def read_problem(
     robot, prior = carried(replace(_read_robot(place, urdf), sessions=file.sessions.sessions()))
     sets = file.sets if seed is None else file.sets.model_copy(update={"seed": seed})
     split: dict[str, list[Measurements]] = {}
-    for data in file.measurements:
+
+    def read(data: DataTable) -> None:
         for name, part in _read(folder, data, robot, sets).items():
             split.setdefault(name, []).append(part)
+
+    all_faults(partial(read, data) for data in file.measurements)
     if "identify" not in split:
         raise InputError(f"{path}: sets: no poses are named 'identify'; there are {', '.join(split)}")
     robot = tool_as_measured(robot, folder, [m for parts in split.values() for m in parts])

@@ -119,10 +119,10 @@ def test_completion_can_be_installed(tmp_path: Path) -> None:
     assert "casadical" in (tmp_path / ".bashrc").read_text()
 
 
-def on_terminal(*arguments: str) -> tuple[str, str]:
-    """Standard output, and what a terminal on standard error shows."""
+def on_terminal(*arguments: str | Path, **more: str) -> tuple[str, str]:
+    """Standard output, and what a terminal on standard error shows; more : of the environment."""
     main, side = pty.openpty()
-    environment = {k: v for k, v in os.environ.items() if k not in ("NO_COLOR", "CI")} | {"TERM": "xterm"}
+    environment = {k: v for k, v in os.environ.items() if k not in ("NO_COLOR", "CI")} | {"TERM": "xterm", **more}
     with subprocess.Popen(
         [BIN / "casadical", *arguments], cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=side
     ) as process:
@@ -139,6 +139,25 @@ def on_terminal(*arguments: str) -> tuple[str, str]:
         out = process.stdout.read().decode() if process.stdout else ""
     os.close(main)
     return out, shown.decode()
+
+
+def test_a_message_is_as_wide_as_the_terminal_and_all_faults_are_one_table(tmp_path: Path) -> None:
+    (tmp_path / "poses.csv").write_text("\n".join(["angle,bend", *["1,2"] * 12]))
+    robot = ROOT / "problems" / "planar" / "robot.toml"
+    _, shown = on_terminal("calibrate", str(robot), str(tmp_path / "poses.csv"), COLUMNS="60")
+    lines = shown[shown.index("casadical:") :].splitlines()
+    assert len(lines) > 3
+    assert max(map(len, lines)) <= 60
+    text = ["q1_deg,q2_deg,x_mm,y_mm,z_mm", *(f"{k},{2 * k},{k},2,3" for k in range(30)), "900,-999,1,2,3", "1,2,x,,5"]
+    (tmp_path / "poses.csv").write_text("\n".join(text))
+    (tmp_path / "other.csv").write_text("\n".join([*text[:-2], "1,2,3,4,up"]))
+    arguments = ["calibrate", robot, tmp_path / "poses.csv", tmp_path / "other.csv"]
+    done = subprocess.run([BIN / "casadical", *arguments], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    said = [line.split() for line in done.stderr.splitlines()]
+    assert [line[:3] for line in said if line[0].endswith(".csv")] == [
+        ["poses.csv", "33", "x_mm"], ["poses.csv", "33", "y_mm"], ["other.csv", "32", "z_mm"],
+    ]  # fmt: skip
 
 
 def test_progress_is_shown_on_a_terminal_and_nowhere_else() -> None:

@@ -1,5 +1,6 @@
 """A table of bad inputs: each is refused with an InputError that says where, what, and what is allowed."""
 
+import pickle
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -19,6 +20,7 @@ from casadical import (
     identify,
     read_measurements,
 )
+from casadical.core.errors import FaultsError
 from casadical.core.transforms import frame
 from casadical.identification.plausibility import check_against
 
@@ -171,7 +173,8 @@ TABLES = [
     # against the robot
     Bad("another robot's joints", lambda _: check(table(q3_deg=None), joints=2),
         ("2 joint columns", "arm has 3 joints")),
-    Bad("out of range", lambda _: check(changed("q2_deg", 8, 130.0)), ("row 8", "q2 = 130 deg", "[-114.592, 114.592]")),
+    Bad("out of range", lambda _: check(changed("q2_deg", 8, 130.0)),
+        ("row 8", "'q2': 130 deg", "[-114.592, 114.592]")),
     Bad("an open loop", lambda _: check(table(), LOOPED), ("row", "four-bar cannot close", "signs and zeros")),
     # splits
     Bad("sets too large", lambda _: GOOD.split({"identify": 20, "report": 20}), ("cannot be taken from 24 poses",)),
@@ -230,6 +233,23 @@ def test_the_good_ones_pass():
     assert len({b.what for b in TABLES}) == len(TABLES)
 
 
+def test_every_fault_of_cells_and_of_limits_is_told_at_once():
+    """Each column's faults are one, with all rows, the worst reading first."""
+    words = changed("q1_deg", 4, "lost").assign(q3_deg=lambda t: [*t.q3_deg[:-1], None], payload_kg=-1.0)
+    with pytest.raises(FaultsError) as refused:
+        read(words)
+    assert [(f.rows[0], f.column, f.value) for f in refused.value.faults] == [
+        (4, "q1_deg", "'lost'"), (N + 1, "q3_deg", "an empty cell"), (2, "payload_kg", "-1"),
+    ]  # fmt: skip
+    far = table().assign(q1_deg=[130.0, 10, 150, *[20.0] * (N - 3)], q3_deg=[*[5.0] * (N - 1), -120.0])
+    with pytest.raises(FaultsError) as refused:
+        check(far)
+    first, second = refused.value.faults
+    assert (first.rows, first.column, first.value) == ((4, 2), "q1", "150 deg")
+    assert (second.rows, second.column, second.allowed) == ((N + 1,), "q3", "[-114.592, 114.592] deg")
+    assert pickle.loads(pickle.dumps(refused.value)).faults == (first, second)
+
+
 @pytest.mark.parametrize("end", [-2.0, 2.0])
 def test_a_reading_beyond_either_end_is_refused_and_one_at_the_end_is_not(end: float) -> None:
     """A file's digits may round a reading past its limit; a robot sent to the limit stops a little beyond it."""
@@ -238,5 +258,5 @@ def test_a_reading_beyond_either_end_is_refused_and_one_at_the_end_is_not(end: f
     q[5, 1] = end * (1 + 0.8e-3)
     check_against(ARM, replace(good[5:6], q=q[5:6]))
     q[5, 1] = end * 1.0015
-    with pytest.raises(InputError, match=r"q2 = .*outside of the joint's range"):
+    with pytest.raises(InputError, match=r"'q2': .*outside of the joint's range"):
         check_against(ARM, replace(good[5:6], q=q[5:6]))

@@ -127,9 +127,12 @@ def test_readings_that_problem_toml_makes_are_said_with_the_result(planar: Probl
         "q1_deg": {"from": "Achse 1", "times": -1.0},
         "q2_deg": {"from": "Achse 2", "plus": 90.0},
         "q3_deg": {"from": "Achse 3", "times": 57.29577951},
+        "q4_mm": {"from": "column_m", "times": 0.5, "plus": -0.706},
+        "q5_deg": {"from": "Achse 5", "times": 0.5, "add": {"Achse 2": -2.0}, "rows": -1},
         "x_mm": {"from": "X", "times": -1.0},
     }
     (words,) = made_readings(replace(planar, tables=({"file": "poses.csv", "columns": made},)))
-    assert "q1 = -'Achse 1', q2 = 'Achse 2' +90. " in words.text
+    assert "q1 = -'Achse 1', q2 = 'Achse 2' +90, q4 = 0.5 x 'column_m' -0.706, " in words.text
+    assert "q5 = 0.5 x 'Achse 5' - 2 x 'Achse 2', 1 row above. " in words.text
     assert "Achse 3" not in words.text
     assert made_readings(planar) == []

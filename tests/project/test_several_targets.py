@@ -12,7 +12,7 @@ from command_line import main
 sys.path.insert(0, str(Path(__file__).parents[1] / "cli"))
 import first_hour
 
-from casadical import InputError, calibrate, compare_files, read_robot, verify
+from casadical import InputError, calibrate, compare_files, diagnose, read_robot, verify
 from casadical.identification import errors
 from casadical.project.check import precheck
 from casadical.project.new import new_problem
@@ -135,6 +135,18 @@ def test_reflectors_that_nobody_named_are_recognised_from_repeats(sign, tmp_path
     capfd.readouterr()
     assert main(monkeypatch, "verify", tmp_path / "results" / "KM.robot.toml", data) == 0
     assert "no column names the targets; as they lie, target" in " ".join(capfd.readouterr().out.split())
+
+
+def test_targets_at_one_stop_are_in_one_set_and_no_repeats(tmp_path: Path) -> None:
+    """Readings of a stop differ by thousandths of a degree, or not at all."""
+    new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=nest_table(tmp_path, named=True))
+    sets = {name: m.q for name, m in read_problem(tmp_path / "arm").parts()}
+    apart = np.abs(sets["identify"][:, None] - sets["report"][None]).max(axis=2)
+    assert np.rad2deg(apart.min()) > 0.1
+    robot = read_problem(tmp_path / "arm").robot
+    m = read_campaign(tmp_path / "arm", tmp_path / "arm" / "poses.csv", robot)
+    stops = replace(m, q=np.round(m.q, 3))
+    assert diagnose(robot, stops, effects=["backlash"]).replicates.poses == 0
 
 
 def test_a_station_that_moved_is_no_second_target(tmp_path: Path) -> None:

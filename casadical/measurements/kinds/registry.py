@@ -48,8 +48,8 @@ def kind_of(columns: Columns) -> MeasurementKind:
     for kind in kinds().values():
         if kind.matches(names):
             return kind
-    needed = "; ".join(f"{', '.join(kind.fill)} ({kind.name})" for kind in kinds().values() if kind.fill)
+    needed = "; ".join(dict.fromkeys(", ".join(kind.fill) for kind in kinds().values() if kind.fill))
     raise InputError(
-        f"{columns.source}: no observation found; there are {columns.names}; one kind is needed: {needed}; or say in "
-        "`columns` of problem.toml which columns these are (docs/measurements.md)"
+        f"{columns.source}: no observation found; there are {columns.names}; known are {needed} "
+        "(docs/measurements.md), or other names by `columns` in problem.toml"
     )

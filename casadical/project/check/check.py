@@ -1,12 +1,12 @@
 """The check of a whole problem before a solve: its files, its data, and the accuracy to expect."""
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from casadical.core.errors import InputError, shown
+from casadical.core.errors import FaultsError, InputError, shown
 from casadical.core.progress import Show, silent
 from casadical.identification.identifiability import CONFOUNDED
 from casadical.identification.plausibility import check_against
@@ -23,7 +23,7 @@ from casadical.project.check.coverage import (
     margin_findings,
     repeats,
 )
-from casadical.project.check.findings import Finding, table_faults, unknown_columns
+from casadical.project.check.findings import Finding, unknown_columns
 from casadical.project.check.information import Outlook, outlook
 from casadical.project.check.plausible import (
     UNEXPLAINED,
@@ -37,7 +37,7 @@ from casadical.project.check.repair import in_words, left_mm, other_lengths
 from casadical.project.check.result import Precheck
 from casadical.project.check.slips import Slips, search_slips
 from casadical.project.check.targets import Misnamed, Targets, middles, misnamed, recognised, whole_table
-from casadical.project.problem import Problem, read_campaign_robot, read_problem
+from casadical.project.problem import Problem, read_problem
 from casadical.project.robot_columns import unfitted, unmeasured
 from casadical.robot.robot import Robot
 
@@ -65,7 +65,7 @@ def precheck(
     try:
         problem = read_problem(folder, seed, tables=tables)
     except InputError as error:
-        return Precheck(folder, (Finding("error", "reading", str(error)), *_more_faults(folder, tables)))
+        return Precheck(folder, tuple(_faults(error, "reading")))
     show("comparing with the nominal robot")
     sets = apart(problem.sets["identify"])
     others = other_conventions(problem.robot_file)
@@ -161,15 +161,10 @@ def _slip_finding(slips: Slips, robot: Robot, standard: bool, source: str) -> Fi
     return Finding("error", "units", f"{text}. casadical check --repair writes the first")
 
 
-def _more_faults(folder: Path, tables: Sequence[str | Path]) -> list[Finding]:
-    """Of the tables of a problem that cannot be read."""
-    joints: int | None = None
-    with suppress(InputError):
-        joints = read_campaign_robot(folder).n
-    try:
-        return table_faults(folder, joints, tables)
-    except InputError:
-        return []
+def _faults(error: InputError, topic: str) -> list[Finding]:
+    """A finding of each fault."""
+    faults = error.faults if isinstance(error, FaultsError) else [error]
+    return [Finding("error", topic, str(fault)) for fault in faults]
 
 
 def _data_findings(
@@ -184,7 +179,7 @@ def _data_findings(
         try:
             check_against(robot, m)
         except InputError as error:
-            found.append(Finding("error", "data", str(error)))
+            found += _faults(error, "data")
         slips = plausible(robot, m, others)
         found += slips
         if not any(f.level == "error" for f in slips):
@@ -213,7 +208,7 @@ def _held_out_findings(problem: Problem) -> list[Finding]:
             try:
                 check_against(problem.robot, m)
             except InputError as error:
-                found.append(Finding("error", "data", f"set {name}: {error}"))
+                found += [replace(f, text=f"set {name}: {f.text}") for f in _faults(error, "data")]
     for m in problem.sets["identify"]:
         left = [column for column in m.unused if column != problem.set_column]
         if left:

@@ -19,14 +19,14 @@ from casadical.core.transforms import frame
 from casadical.identification.accuracy import errors, predicted
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against
-from casadical.measurements.measurements import Measurements, same_readings
+from casadical.measurements.measurements import STANDS, Measurements, same_readings
 from casadical.project.check.plausible import rigid
 from casadical.project.problem import Problem
 from casadical.project.robot_columns import names_in, refuse_nameless
 from casadical.robot.robot import Robot
 
-# Readings of a robot that stands still differ by less [rad or m]; targets are at least so far apart [m].
-STANDS, APART = 5e-4, 5e-3
+# Targets are at least so far apart [m].
+APART = 5e-3
 # Distances of one pair of targets differ by less [m].
 ALIKE = 3e-3
 # So many poses at least show a number of targets, at this share of those where repeats disagree; so many targets.

@@ -65,7 +65,7 @@ def read_urdf(
     ------
     InputError
         no parser installed, no file, malformed XML, no such link, a branching chain, no moving joint, a joint that
-        mimics one outside of the chain, floats, or has no axis or no range
+        floats, or has no axis or no range
 
     Examples
     --------
@@ -109,7 +109,7 @@ def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfC
         raise InputError(f"{path}: no joint moves between {base!r} and {tip!r}; name other links")
     own = {j.name for j in moving}
     for j in moving:
-        _refuse_unusable(j, own, str(path))
+        _refuse_unusable(j, str(path))
     frames, movers = tree.at_zero(base, own)
     placed = [(frames[j.child], j.axis / np.linalg.norm(j.axis)) for j in moving]
     dh = rows_from_axes([Axis(T[:3, 3], T[:3, :3] @ axis) for T, axis in placed], frames[tip])
@@ -117,6 +117,9 @@ def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfC
     notes = [f"from {path.name}: {base} to {tip}"]
     if aside := [j.name for j in urdf.joints if j.type != "fixed" and movers.get(j.child) and j.name not in own]:
         notes.append(f"masses on side branches stand as at zero reading of {', '.join(aside)}")
+    for j in moving:
+        if j.mimic is not None and j.mimic.joint not in own:
+            notes.append(f"{j.name} mimics {j.mimic.joint}, which is not between base and tip: it has its own reading")
     if not any(bodies):
         notes.append("the URDF states no masses; those of a robot with compliant joints are estimated from its reach")
     return UrdfChain(
@@ -133,13 +136,8 @@ def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfC
     )
 
 
-def _refuse_unusable(joint: Any, chain: Collection[str], source: str) -> None:
+def _refuse_unusable(joint: Any, source: str) -> None:
     name = f"{source}: joint {joint.name!r}"
-    if joint.mimic is not None and joint.mimic.joint not in chain:
-        raise InputError(
-            f"{name} mimics {joint.mimic.joint!r}, which is not between base and tip; it needs a reading of its own: "
-            "take <mimic> out"
-        )
     if joint.type not in ("revolute", "continuous", "prismatic"):
         raise InputError(f"{name} is of type {joint.type!r}; allowed: revolute, continuous, prismatic, fixed")
     if joint.axis.shape != (3,) or not 1e-9 < np.linalg.norm(joint.axis) < np.inf:
@@ -147,8 +145,8 @@ def _refuse_unusable(joint: Any, chain: Collection[str], source: str) -> None:
 
 
 def _coupling(joint: Any, names: list[str]) -> Coupling | None:
-    """Of a joint that mimics another one of the chain."""
-    if joint.mimic is None:
+    """Of a joint that mimics another one of the chain; one that mimics a joint elsewhere has a reading of its own."""
+    if joint.mimic is None or joint.mimic.joint not in names:
         return None
     times, plus = joint.mimic.multiplier, joint.mimic.offset
     factor = 1.0 if times is None else float(times)

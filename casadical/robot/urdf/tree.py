@@ -38,7 +38,8 @@ def parse_urdf(path: Path) -> Any:
 
     Raises InputError: yourdfpy is not installed, the XML is malformed, or it is no URDF.
     """
-    yourdfpy = optional("yourdfpy", "reading a URDF needs yourdfpy; pip install 'casadical[urdf]'")
+    needed = "reading a URDF needs yourdfpy: pip install 'casadical[urdf]', in a checkout pip install '.[urdf]'"
+    yourdfpy = optional("yourdfpy", needed)
     content = BytesIO(parse_xml(path).toxml(encoding="utf-8"))
     try:
         return yourdfpy.URDF.load(content, build_scene_graph=False, load_meshes=False).robot
