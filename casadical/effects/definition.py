@@ -217,9 +217,10 @@ def _made(definition: str, module: str, name: str) -> type[DefinedEffect]:
         "places": places,
         "texts_with": staticmethod(lru_cache(maxsize=1024)(partial(_texts_of, d, places))),
         "__doc__": "\n\n".join([d.summary or d.physics or d.signature, *(["\n".join(about)] if about else [])]),
-        "__module__": module,
     }
-    return make_dataclass(name, own, bases=(DefinedEffect,), namespace=attributes, frozen=True)
+    made: type[DefinedEffect] = make_dataclass(name, own, bases=(DefinedEffect,), namespace=attributes, frozen=True)
+    made.__module__ = module  # from Python 3.12 on, make_dataclass writes its caller's over one in the namespace
+    return made
 
 
 def _templates(d: Definition) -> tuple[str, ...]:
