@@ -71,7 +71,7 @@ class Verification(Result):
         labels of effects of the instrument, left out
     seen : float
         error that these poses show to be too great in nine of ten cases [m]
-    files : tuple[Path, ...]
+    sources : tuple[Path, ...]
         robot file and tables, as they were given
     notes : tuple[str, ...]
         what was assumed of the tables
@@ -95,7 +95,7 @@ class Verification(Result):
     again: str = "Base and tool were"
     gone: tuple[str, ...] = ()
     seen: float = float("nan")
-    files: tuple[Path, ...] = ()
+    sources: tuple[Path, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
@@ -141,8 +141,8 @@ class Verification(Result):
             return ()
         few = len(self.far) <= max(1, FEW * self.n)
         if few and self.without is not None and self.without <= self.limit:
-            return (next_step("when the rows that are far off are measured again", "verify", *self.files),)
-        robot, *tables = self.files
+            return (next_step("when the rows that are far off are measured again", "verify", *self.sources),)
+        robot, *tables = self.sources
         return (next_step("to learn what changed", "compare", _problem_of(robot) or robot, *tables),)
 
     def to_json(self) -> dict[str, Any]:
@@ -233,7 +233,7 @@ def verify(
         again=placing.again,
         gone=gone,
         seen=limit / _times(freedom, -NINE_OF_TEN),
-        files=(place, *map(Path, given)),
+        sources=(place, *map(Path, given)),
         notes=notes,
     )
 

@@ -37,7 +37,7 @@ def results(calibrated, diagnosis):
         precheck(PLANAR),
         casadical.isolability(robot, poses, ["backlash"]),
         MeasurementPlan(casadical.pose_selection.forecast(robot, 12, pool=100)),
-        casadical.Verification("arm", 1e-4, 1.1e-4, 1.3e-4, 10, ()),
+        casadical.Verification("arm", 1e-4, 1.1e-4, 1.3e-4, 10, (), seen=1e-3),
         RobotCheck("arm", 24, 1e-5, 2, (), (), {}, (), {}),
         score(RUN, RUN, RUN / "answers.diagnosis.jsonl"),
     ]
