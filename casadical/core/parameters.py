@@ -30,6 +30,7 @@ class Parameter:
     lower, upper : bound [unit]
     prior : one sigma of the deviation from nominal [unit]
     held : why it is never identified; empty if it can be
+    guess : whether nobody knows its value: its prior holds it back in every fit
     """
 
     name: str
@@ -41,6 +42,7 @@ class Parameter:
     upper: float
     prior: float
     held: str = ""
+    guess: bool = False
 
     @property
     def readable_unit(self) -> str:

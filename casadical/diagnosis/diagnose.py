@@ -21,7 +21,7 @@ from casadical.diagnosis.posterior import Rivals, no_rivals
 from casadical.diagnosis.result import Change, Diagnosis
 from casadical.diagnosis.search import State, search
 from casadical.effects import Effect
-from casadical.identification.identification import base_calibrated
+from casadical.identification.identification import base_calibrated, compliance_tried
 from casadical.identification.prepared import Prepared, prepare, prepared_again
 from casadical.identification.prior import Prior
 from casadical.identification.result import Identification
@@ -214,7 +214,7 @@ def _prepared(
     if not sets:
         raise InputError("measurements are missing; give diagnose(robot, measurements), or an identification alone")
     of_masses: Literal["free", "unknown"] = "free" if masses == "nuisance" else "unknown"
-    return prepare(robot, sets, prior, masses=of_masses, tool_turns=True)
+    return compliance_tried(prepare(robot, sets, prior, masses=of_masses, tool_turns=True), priors=True)
 
 
 def _held_against_laws(found: Diagnosis) -> Diagnosis:

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.result import Identification
 
-# A deflection is named from this many standard errors on.
-SURE = 3.0
-DRAWS = 64
+# A deflection is named from this many standard errors on; below, what it is at most, with 95 %.
+SURE, AT_MOST = 4.0, 1.645
 
 
 @dataclass(frozen=True)
@@ -20,56 +20,66 @@ class Deflection:
     change: float
     error: float
 
+    @property
+    def sure(self) -> bool:
+        """Whether the poses show it with certainty."""
+        return self.change > SURE * self.error > 0
+
 
 def gravity_deflections(found: Identification) -> tuple[Deflection, ...]:
-    """Joints that gravity deflects, with certainty, at the poses of an identification.
+    """Of every joint whose compliance was identified, at the poses of an identification.
 
-    What counts is the deflection's course over the poses: a constant one is a joint's zero.
+    What counts is the deflection's course over the poses: a constant one is a joint's zero. Its error follows from the
+    covariance of all that was identified, to first order: masses and compliances, that estimated masses leave open,
+    move it together. Bounds do not count, so that a joint that came out rigid has an error, too.
     """
-    robot = found.robot
-    soft = [i for i, j in enumerate(robot.joints, 1) if j.compliance]
+    robot, problem = found.robot, found.problem
+    soft = [i for i in robot.numbers if f"c{i}" in problem.names]
     if not soft:
         return ()
     q = np.concatenate([m.q for m in found.used])
     w = np.concatenate([m.condition_matrix(robot.conditions, robot.declared) for m in found.used])
-    places = [robot.parameters.index_of(f"c{i}") for i in soft]
-    at = [robot.parameters.index_of(name) for name in found.names]
+    best, place = robot.parameters.values, robot.parameters.index_of
 
-    def deflected(values: Array) -> Array:
+    def courses(values: Array) -> Array:
         tau = robot.model.evaluate(("tau",), q, w, values)[0].reshape(robot.n, len(q))
-        return np.asarray(values[places, None] * tau[[i - 1 for i in soft]])
+        bent = np.array([values[place(f"c{i}")] * tau[i - 1] for i in soft])
+        return np.asarray(bent - bent.mean(axis=1, keepdims=True))
 
-    best = robot.parameters.values
-    own, spread = deflected(best), np.nan_to_num(found.covariance)
-    drawn = np.random.default_rng(0).multivariate_normal(np.zeros(len(at)), spread, DRAWS, method="eigh")
-    course = own - own.mean(axis=1, keepdims=True)
-    size = np.linalg.norm(course, axis=1)
-    along = []
-    for step in drawn:
-        values = best.copy()
-        values[at] += step
-        along.append(((deflected(values) - own) * course).sum(axis=1) / np.maximum(size, 1e-300))
-    share = np.std(along, axis=0) / np.maximum(size, 1e-300)
-    change = np.ptp(own, axis=1)
-    named = [Deflection(i, float(g), float(g * s)) for i, g, s in zip(soft, change, share, strict=True)]
-    return tuple(d for d in named if d.change > SURE * d.error > 0)
+    p = len(problem.names)
+    C = found.variance * scaled_inverse(problem.gradient(found.solution.v)[1])[:p, :p]
+    own, slopes = courses(best), np.zeros((p, len(soft), len(q)))
+    for k, (name, step) in enumerate(zip(problem.names, problem.scale, strict=True)):
+        ends = [best.copy(), best.copy()]
+        for values, by in zip(ends, (step, -step), strict=True):
+            values[place(name)] += by
+        slopes[k] = (courses(ends[0]) - courses(ends[1])) / 2
+    deflections = []
+    for j, i in enumerate(soft):
+        # The course as it is, or of a rigid joint as it would be.
+        course = own[j] if own[j].any() else slopes[problem.names.index(f"c{i}"), j]
+        along = slopes[:, j] @ course / max(course @ course, 1e-300)
+        deflections.append(Deflection(i, float(np.ptp(own[j])), float(np.sqrt(along @ C @ along) * np.ptp(course))))
+    return tuple(deflections)
 
 
 def as_json(found: Identification) -> list[dict[str, float]]:
-    """The same as plain data, in mrad (mm of a sliding joint)."""
+    """Those that are certain as plain data, in mrad."""
     return [
         {"joint": d.joint, "deflection_mrad": round(1e3 * d.change, 5), "std_error_mrad": round(1e3 * d.error, 5)}
         for d in gravity_deflections(found)
+        if d.sure
     ]
 
 
 def in_words(found: Identification) -> str:
     """What is known of deflections where masses are not: empty for a robot with declared masses."""
-    if found.robot.masses != "estimated":
+    if found.robot.masses != "estimated" or not (every := gravity_deflections(found)):
         return ""
     why = "the masses are estimates from the reach, so that no stiffness follows"
-    if not (deflections := gravity_deflections(found)):
-        return f"no deflection under gravity that these poses show with certainty; {why}"
+    if not (deflections := [d for d in every if d.sure]):
+        most = ", ".join(f"{1e3 * (d.change + AT_MOST * d.error):.2g} at joint {d.joint}" for d in every)
+        return f"deflection under gravity between poses: at most {most} mrad (95 %), none is certain; {why}"
     joints = ", ".join(str(d.joint) for d in deflections)
     sizes = ", ".join(f"{1e3 * d.change:.2g} +- {1e3 * d.error:.1g}" for d in deflections)
     several = "s" if len(deflections) > 1 else ""

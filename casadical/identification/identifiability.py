@@ -134,10 +134,11 @@ def drop_poor(
     parameters : of the first rows of H; further rows are unknown points, which stay
     H : information of all, shape (size, size), the parameters in units of their scale; variance : of a residual
 
-    Returns the indices of the kept ones, the others with the reason, and the covariance of the kept ones, shape (p, p).
-    Bounds do not count: a parameter may sit at one just because the data do not determine it.
+    Guesses stay, held back by their priors. Returns the indices of the kept ones, the others with the reason, and the
+    covariance of the kept ones, shape (p, p). Bounds do not count: a parameter may sit at one just because the data do
+    not determine it.
     """
-    priors = np.array([p.prior for p in parameters]) / np.array([p.scale for p in parameters])
+    priors = np.array([np.inf if p.guess else p.prior / p.scale for p in parameters])
     left = list(range(len(H)))
     poor: list[Unidentifiable] = []
     while True:

@@ -1,15 +1,17 @@
 """Identify a robot's parameters from measurements by bounded least squares."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
-from casadical.core.errors import InputError
+from casadical.core.errors import ConvergenceError, InputError
 from casadical.identification.least_squares import LeastSquares, first_sigmas
 from casadical.identification.prepared import METHODS, Method, Prepared, prepare
 from casadical.identification.prior import Prior
 from casadical.identification.residuals import ALL_LOSSES, AnyLoss
-from casadical.identification.result import Identification, learnt_from
+from casadical.identification.result import Identification, Tried, learnt_from, without_poses
 from casadical.identification.screening import SCREENINGS, solve_without_outliers
 from casadical.identification.solver import Progress
 from casadical.measurements.measurements import Measurements
@@ -22,7 +24,7 @@ def identify(
     free: Iterable[str] = ("kinematic", "compliance"),
     *,
     method: Method | None = None,
-    loss: AnyLoss = "linear",
+    loss: AnyLoss = "auto",
     priors: bool | Mapping[str, tuple[float, float]] = False,
     prior: Robot | Prior | None = None,
     screen: bool = True,
@@ -39,8 +41,9 @@ def identify(
     free : Iterable[str], optional
         parameters by group (base, geometry, loop, tool, compliance), union (kinematic, placement), name or pattern
     method : {"KM", "SKCM"}, optional
-        the paper's KM (kinematics only, joints rigid) or SKCM (with compliance), instead of `free`
-    loss : {"linear", "huber", "soft_l1", "auto"}, default "linear"
+        the paper's KM (kinematics only, joints rigid) or SKCM (with compliance, also where the robot file declares
+        none, if the measurements carry it), instead of `free`
+    loss : {"auto", "linear", "huber", "soft_l1"}, default "auto"
         the robust ones, huber and soft_l1, leave poses that noise explains once in 100 000 out of a last solve; auto is
         huber where that finds such poses, else linear, as in the command `calibrate`
     priors : bool | Mapping[str, tuple[float, float]], default False
@@ -79,7 +82,62 @@ def identify(
     a1 = 400.601 mm
     """
     prepared = prepare(robot, measurements, prior, method=method)
-    return calibrated(prepared, free, loss=loss, priors=priors, screen=screen, progress=progress)
+    by = partial(calibrated, loss=loss, priors=priors, screen=screen, progress=progress)
+    if method is None:
+        return by(prepared, free)
+    tried = compliance_tried(prepared, priors=priors, progress=progress)
+    if method == "SKCM":
+        return by(tried)
+    if tried.tried is None or not tried.tried.kept or loss == "linear" or not screen:
+        return by(prepared)
+    return judged(prepared, tried.tried.outliers, loss, priors=priors, progress=progress)
+
+
+def judged(
+    prepared: Prepared, outliers: tuple[tuple[int, int], ...], loss: AnyLoss = "auto", **options: Any
+) -> Identification:
+    """Identify without rows that another model, which explains more, calls outliers.
+
+    outliers : (set, pose) indices; options : of `calibrated`
+    """
+    if loss == "auto":
+        loss = "huber" if outliers else "linear"
+    kept = replace(prepared, sets=without_poses(prepared.sets, outliers))
+    found = calibrated(kept, loss=loss, screen=False, **options)
+    return replace(found, measurements=prepared.sets, outliers=outliers)
+
+
+def compliance_tried(
+    prepared: Prepared, *, priors: bool | Mapping[str, tuple[float, float]] = False, progress: Progress | None = None
+) -> Prepared:
+    """The same, with compliance in the model where the robot file declares none and the measurements carry it.
+
+    They do where BIC prefers the compliant model (Schwarz 1978), with the degrees of freedom in the place of the
+    numbers, and the parameters counted that the data determine. Outliers are those of the compliant model: what a rigid
+    one leaves of a robot that sags is no wrong row.
+    """
+    wider = prepared.compliant
+    if wider is None:
+        return prepared
+    by = partial(calibrated, free=METHODS["SKCM"], loss="huber", priors=priors, progress=progress)
+    try:
+        full = by(replace(wider, method=None))
+        kept = without_poses(prepared.sets, full.outliers)
+        rigid = by(replace(prepared, method=None, sets=kept), screen=False)
+    except (InputError, ConvergenceError):  # too few poses for one of them
+        return prepared
+    sigmas, squares, freedom = full.problem.sigmas, [], []
+    for found in (rigid, full):
+        problem, v = replace(found.problem, sigmas=sigmas), found.solution.v
+        squares.append(problem.square(v) + problem.prior_square(v, told=True))
+        freedom.append(max(float(problem.redundancies(v).sum()), 1.0))
+    more = max(freedom[0] - freedom[1], 1.0)
+    carried = freedom[1] * math.log(max(squares[0], 1e-300) / max(squares[1], 1e-300)) > more * math.log(
+        full.problem.residual_count
+    )
+    left, least = (sigmas[0][0] * math.sqrt(square / f) for square, f in zip(squares, freedom, strict=True))
+    tried = Tried(left, least, carried, full.outliers)
+    return replace(wider if carried else prepared, tried=tried)
 
 
 def calibrated(
@@ -128,6 +186,7 @@ def calibrated(
         variance=reduced.variance(solution.v, trimmed=True),
         degrees_of_freedom=reduced.degrees_of_freedom,
         outliers=outliers,
+        tried=prepared.tried,
     )
     if not robot.effects:
         return result

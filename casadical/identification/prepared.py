@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from casadical.core.errors import InputError
 from casadical.core.estimated_masses import with_estimated_masses, with_payload, without_masses
@@ -14,13 +14,11 @@ from casadical.effects import LinkMasses, PayloadError
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against
 from casadical.identification.prior import Prior, carry_over
+from casadical.identification.result import Identification, Tried
 from casadical.identification.sessions import place_sessions, with_sessions
 from casadical.measurements.measurements import Measurements
 from casadical.robot.knowledge import Knowledge
 from casadical.robot.robot import Robot
-
-if TYPE_CHECKING:
-    from casadical.identification.result import Identification
 
 Method = Literal["KM", "SKCM"]
 METHODS: dict[str, tuple[str, ...]] = {"KM": ("kinematic",), "SKCM": ("kinematic", "compliance")}
@@ -36,6 +34,7 @@ class Prepared:
     free : labels of the effects that were added to the base model: masses, sessions
     prior : of what is known from elsewhere; method : of the paper, None for parameters of one's own
     identification : of the base model, where there is one already
+    tried : whether the data carry a compliance that is not declared, where that was tried
     """
 
     robot: Robot
@@ -45,6 +44,7 @@ class Prepared:
     knowledge: Knowledge = field(default_factory=Knowledge)
     method: Method | None = None
     identification: Identification | None = None
+    tried: Tried | None = None
 
     @cached_property
     def start(self) -> Robot:
@@ -52,6 +52,15 @@ class Prepared:
         for m in self.sets:
             check_against(self.robot, m)
         return place_sessions(self.robot, self.sets)
+
+    @property
+    def compliant(self) -> Prepared | None:
+        """The same with compliance of all turning joints in the model; None where the robot file declares some."""
+        if self.identification or any(j.compliance is not None for j in self.robot.joints) or not self.robot.revolute:
+            return None
+        joints = (replace(j, compliance=0.0 if j.kind == "revolute" else None) for j in self.robot.joints)
+        robot, free = with_unknown_masses(replace(self.robot, joints=tuple(joints)), self.sets)
+        return replace(self, robot=robot, free=(*free, *self.free))
 
 
 def prepare(

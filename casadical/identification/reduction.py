@@ -43,7 +43,7 @@ def reduce_and_solve(
     """
     found = independent_parameters(problem)
     reduced = problem.with_names(found.independent)
-    if not problem.priors and reduced.residual_count <= reduced.size:
+    if not problem.priors and reduced.degrees_of_freedom <= 0:
         raise InputError(
             f"{problem.sets[0].source}: {problem.residual_count} numbers were measured, but at least "
             f"{reduced.size} are unknown; measure more poses, free fewer parameters "

@@ -49,6 +49,30 @@ def rows_in_words(rows: Sequence[LeftOut], most: int = 8, of: Iterable[str] = ()
     return ", ".join(words) + (f" and {len(rows) - most} more" if len(rows) > most else "")
 
 
+@dataclass(frozen=True)
+class Tried:
+    """Compliance that no robot file declares, tried on measurements.
+
+    rigid, compliant : what each model leaves of the same poses [m a coordinate]; kept : whether the data carry it
+    outliers : (set, pose) indices of the poses that the compliant model calls outliers
+    """
+
+    rigid: float
+    compliant: float
+    kept: bool
+    outliers: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def in_words(self) -> str:
+        """Both figures, and which model was taken."""
+        text = f"rigid joints leave {mm(self.rigid)} mm a coordinate, compliant ones {mm(self.compliant)} mm"
+        return f"{text}: {'compliance is in the model' if self.kept else 'too little for compliance in the model'}"
+
+    def to_json(self) -> dict[str, Any]:
+        """The same as plain data."""
+        return {"rigid_mm": 1e3 * self.rigid, "compliant_mm": 1e3 * self.compliant, "kept": self.kept}
+
+
 @dataclass(frozen=True, eq=False)
 class Identification(Result):
     """What was identified, from what, and how sure it is.
@@ -79,6 +103,8 @@ class Identification(Result):
         residuals and priors less variables
     outliers : tuple[tuple[int, int], ...], default ()
         (set, pose) indices of poses that a robust loss left out
+    tried : Tried, optional
+        whether the data carry a compliance that the robot file does not declare
 
     Examples
     --------
@@ -110,6 +136,7 @@ class Identification(Result):
     variance: float
     degrees_of_freedom: int
     outliers: tuple[tuple[int, int], ...] = ()
+    tried: Tried | None = None
 
     def __repr__(self) -> str:
         used = sum(map(len, self.used))
@@ -192,9 +219,20 @@ class Identification(Result):
 
     @property
     def at_bounds(self) -> tuple[str, ...]:
-        """Identified parameters that stopped at a bound."""
+        """Identified parameters that stopped at a bound of their width; zero of a compliance is a rigid joint."""
+        return tuple(n for n in self._stopped if n not in self._rigid)
+
+    @property
+    def _stopped(self) -> tuple[str, ...]:
         mask = self.problem.at_bounds(self.solution.v)[: len(self.names)]
         return tuple(n for n, stopped in zip(self.names, mask, strict=True) if stopped)
+
+    @property
+    def _rigid(self) -> tuple[str, ...]:
+        """Compliances that stopped at zero."""
+        own = self.start.parameters
+        nearer = {n: 2 * v < own[n].upper for n, v in zip(self.names, self.estimate, strict=True)}
+        return tuple(n for n in self._stopped if own[n].group == "compliance" and nearer[n])
 
     @property
     def used(self) -> tuple[Measurements, ...]:
@@ -238,7 +276,8 @@ class Identification(Result):
         quantile = student_t(0.975, self.degrees_of_freedom)
         reasons = {u.name: u.reason for u in self.identifiability.held}
         place_of = {name: k for k, name in enumerate(self.names)}
-        before = {n: np.sqrt(v) for names, C in self.problem.known for n, v in zip(names, np.diag(C), strict=True)}
+        before = {p.name: p.prior for p in self.start.parameters if p.guess}
+        before |= {n: np.sqrt(v) for names, C in self.problem.known for n, v in zip(names, np.diag(C), strict=True)}
         rows = []
         for p in self.start.parameters:
             nominal = p.readable(p.value)
@@ -246,7 +285,9 @@ class Identification(Result):
             if p.name in place_of:
                 k = place_of[p.name]
                 value, error = p.readable(self.estimate[k]), p.readable(self.standard_errors[k])
-                status, reason = ("at bound", "its bound stops it") if p.name in self.at_bounds else ("identified", "")
+                status, reason = ("at bound", "its bound stops it") if p.name in self._stopped else ("identified", "")
+                if p.name in self._rigid:
+                    reason = "zero, the least: no compliance shows"
                 if self.standard_errors[k] >= UNTOLD * before.get(p.name, np.inf):
                     reason = AS_BEFORE
             elif p.name in reasons:
@@ -358,10 +399,15 @@ class Identification(Result):
     def verdict(self) -> str:
         """The result in one sentence."""
         used = sum(len(m) for m in self.measurements) - len(self.outliers)
+        masses = sum(p.guess and p.group != "compliance" for p in map(self.start.parameters.__getitem__, self.names))
         text = (
-            f"{self.method}: {len(self.names)} parameters identified from {used} poses, "
+            f"{self.method}: {len(self.names) - masses} parameters identified from {used} poses, "
             f"{len(self.identifiability.held)} not identifiable"
         )
+        if masses:
+            text += f", {masses} of the estimated masses as far as their priors leave open"
+        if self.tried:
+            text += f"; {self.tried.in_words}"
         if self.at_bounds:
             text += f"; AT BOUNDS: {', '.join(self.at_bounds)} - widen the bounds or doubt the model"
         if self.outliers:

@@ -9,6 +9,7 @@ from casadical.core.statistics import robust_std
 from casadical.identification.identifiability import Identifiability
 from casadical.identification.least_squares import LeastSquares
 from casadical.identification.reduction import Optima, reduce_and_solve
+from casadical.identification.residuals import POINT_SCALE
 from casadical.identification.solver import Progress, Solution
 from casadical.measurements.kinds.registry import find_kind
 
@@ -29,7 +30,7 @@ def _solve_with_sigmas(problem: LeastSquares, progress: Progress | None, optima:
     """Solve; where a sigma matters and was not given, estimate it from the residuals and solve again."""
     first = problem.sets[0]
     several = len(problem.sets) > 1 or find_kind(first.kind).angles > 0 or bool(first.separations)
-    matters = problem.loss != "linear" or problem.priors or several
+    matters = problem.loss != "linear" or problem.priors or several or problem.guesses.any()
     for _ in range(SIGMA_ROUNDS):
         solved = reduce_and_solve(problem, progress, optima)
         if not matters:
@@ -80,18 +81,27 @@ def solve_without_outliers(
 ) -> tuple[Solved, tuple[tuple[int, int], ...]]:
     """Solve; with a robust loss, leave outliers out and solve again until there are no more of them.
 
-    In rounds, because outliers widen the spread by which they are judged.
+    In rounds, because outliers widen the spread by which they are judged. A pose that the last solution explains after
+    all, because others drew an earlier one away from it, is taken back.
     """
     optima: Optima = {}
     solved = _solve_with_sigmas(problem, progress, optima)
     if problem.loss == "linear":
         return solved, ()
     kept = [np.arange(len(m)) for m in problem.sets]
+    taken_back = [np.zeros(len(m), dtype=bool) for m in problem.sets]
     for _ in range(rounds):
-        far = outlier_masks(solved[0], solved[1])
-        if not any(mask.any() for mask in far):
-            break
-        kept = [index[~mask] for index, mask in zip(kept, far, strict=True)]
+        masks = zip(outlier_masks(solved[0], solved[1]), taken_back, kept, strict=True)
+        far = [mask & ~back[index] for mask, back, index in masks]
+        if any(mask.any() for mask in far):
+            kept = [index[~mask] for index, mask in zip(kept, far, strict=True)]
+        else:
+            again = [np.setdiff1d(back, index) for back, index in zip(explained(problem, solved), kept, strict=True)]
+            if not any(map(len, again)):
+                break
+            for k, back in enumerate(again):
+                taken_back[k][back] = True
+            kept = [np.union1d(index, back) for index, back in zip(kept, again, strict=True)]
         sets = tuple(m[index] for m, index in zip(problem.sets, kept, strict=True))
         solved = _solve_with_sigmas(replace(problem, sets=sets, sigmas=solved[0].sigmas), progress, optima)
     out = [np.setdiff1d(np.arange(len(m)), index) for m, index in zip(problem.sets, kept, strict=True)]
@@ -106,3 +116,21 @@ def outlier_masks(problem: LeastSquares, solution: Solution) -> list[Array]:
         z = r / np.sqrt(np.maximum(freedom, LEAST_REDUNDANCY))
         masks.append((z**2).sum(axis=1) > OUTLIER_CHI2[r.shape[1]] * robust_std(z) ** 2)
     return masks
+
+
+def explained(problem: LeastSquares, solved: Solved) -> list[Array]:
+    """Of every set the poses, also those left out, at which a solution leaves no more than noise of its spread.
+
+    problem : with all poses. What was left out has no part in the solution, and its full error shows.
+    """
+    fitted, solution, _ = solved
+    whole = replace(fitted, sets=problem.sets)
+    x, u = fitted.separate(solution.v)
+    known = dict(zip(fitted.labels, fitted.points + POINT_SCALE * u, strict=True))
+    places = [known.get(name, start) for name, start in zip(whole.labels, whole.points, strict=True)]
+    v = np.concatenate([x, ((np.array(places).reshape(-1, 3) - whole.points) / POINT_SCALE).ravel()])
+    spread = [robust_std(r / np.sqrt(np.maximum(f, LEAST_REDUNDANCY))) for r, f in _with_freedom(fitted, solution)]
+    return [
+        np.flatnonzero((r**2).sum(axis=1) <= OUTLIER_CHI2[r.shape[1]] * own**2)
+        for r, own in zip(whole.residuals(v), spread, strict=False)
+    ]

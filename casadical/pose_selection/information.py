@@ -85,13 +85,12 @@ def independent(
 
 
 def known_before(robot: Robot, names: Sequence[str], prior: Prior | None, size: int = 0) -> Array:
-    """Information of a prior on these parameters, as `identify` takes it, in units of scale, shape (p, p).
+    """Information of priors on these parameters, as `identify` takes it, in units of scale, shape (p, p).
 
     size : of the matrix, further rows are unknown places of which nothing is known
     """
     p = len(names)
     found = np.zeros((max(size, p), max(size, p)))
-    if prior is not None:
-        problem = LeastSquares(robot, (), tuple(names), "linear", prior.means, (), known=prior.known)
-        found[:p, :p] = problem.prior_matrix
+    means, known = (prior.means, prior.known) if prior is not None else (False, ())
+    found[:p, :p] = LeastSquares(robot, (), tuple(names), "linear", means, (), known=known).prior_matrix
     return found

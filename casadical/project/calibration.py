@@ -21,19 +21,20 @@ from casadical.core.telling.terminal import plain_text
 from casadical.diagnosis.localisation import Localisation
 from casadical.identification.accuracy import Accuracy
 from casadical.identification.error_bound import learn_bound
-from casadical.identification.identification import calibrated
+from casadical.identification.identification import identify, judged
 from casadical.identification.misfit import misfit_of
 from casadical.identification.plausibility import check_against
 from casadical.identification.prepared import prepare
-from casadical.identification.residuals import ALL_LOSSES, AnyLoss
+from casadical.identification.residuals import ALL_LOSSES
 from casadical.identification.result import Identification, without_poses
+from casadical.identification.solver import Progress
 from casadical.identification.tables import correlated, held_table, how_sure, parameter_tables
-from casadical.measurements.measurements import Measurements
 from casadical.project.calibration_page import calibration_page
 from casadical.project.check.targets import unnamed_targets
 from casadical.project.networks import Networks, train_networks
 from casadical.project.outcome import (
     assumptions,
+    compliance_words,
     left_out_table,
     made_readings,
     methods_worse,
@@ -43,7 +44,7 @@ from casadical.project.outcome import (
     worse_than_before,
 )
 from casadical.project.problem import Carried, Problem, nothing_carried, read_problem, together
-from casadical.project.problem_file import BASE_METHODS, BaseMethod, all_methods, base_methods
+from casadical.project.problem_file import BASE_METHODS, all_methods, base_methods
 from casadical.project.remaining_errors import calibration_figures, used_poses, where_left
 from casadical.project.robot_columns import unfitted
 from casadical.project.tables import Accuracies, error_tables, judged_on, network_tables, paper_tables, verdict
@@ -117,6 +118,7 @@ class Calibration(Result):
             Words(problem.title, "title"),
             *assumptions(problem, self.accuracies, self.without_prior),
             *list(verdict(problem, self.accuracies))[:1],
+            *compliance_words(self.identification),
             *error_tables(problem, self.accuracies, self.networks)[:1],
             *methods_worse(self.accuracies),
             *things_to_know(problem, self.identification, self.networks, self.accuracies),
@@ -188,6 +190,8 @@ class Calibration(Result):
             "kinds": {name: kinds[names[0]] for name, names in together(kinds).items()},
             "methods": {method: self._method_json(method) for method in self.identifications},
         }
+        if self.identification.tried:
+            found["compliance_tried"] = self.identification.tried.to_json()
         if self.networks:
             found["trained_on"] = self.networks.trained_on
             found["networks"] = {name: result.to_json() for name, result in self.networks.results.items()}
@@ -342,30 +346,26 @@ def calibrate(
 
 
 def _identified(problem: Problem, show: Show, count: int) -> dict[str, Identification]:
-    """By each method; with loss auto the last, which models most, says which poses are outliers.
+    """By each method; the last, which models most, says which poses are outliers, and whether the arm sags at all.
 
-    count : of parts of the work. Without outliers the result is the least squares of all poses.
+    count : of parts of the work. A compliance that is not declared and does not show is no method of its own, unless
+    networks learn what it leaves.
     """
-    sets, (*others, last) = problem.sets["identify"], problem.methods
+    robot, sets, (*others, last) = problem.robot, problem.sets["identify"], problem.methods
     parts = iter(range(1, count + 1))
 
-    def by(
-        method: BaseMethod, loss: AnyLoss, among: Sequence[Measurements] = sets, screen: bool = True
-    ) -> Identification:
+    def progress_of(method: str) -> Progress:
         part = next(parts)
+        return lambda iteration, cost: show(f"part {part} of {count}: {method} iteration {iteration}, cost {cost:.6g}")
 
-        def progress(iteration: int, cost: float) -> None:
-            show(f"part {part} of {count}: {method} iteration {iteration}, cost {cost:.6g}")
-
-        prepared = prepare(problem.robot, among, problem.prior, method=method)
-        return calibrated(prepared, loss=loss, screen=screen, progress=progress)
-
-    found = by(last, problem.loss)
-    if problem.loss != "auto" or not found.outliers:
-        return {**{method: by(method, found.loss) for method in others}, last: found}
-    kept = without_poses(sets, found.outliers)
-    judged = {method: by(method, found.loss, kept, screen=False) for method in others}
-    return {**{m: replace(r, measurements=sets, outliers=found.outliers) for m, r in judged.items()}, last: found}
+    found = identify(robot, sets, method=last, loss=problem.loss, prior=problem.prior, progress=progress_of(last))
+    results: dict[str, Identification] = {}
+    for method in others:
+        prepared = prepare(robot, sets, problem.prior, method=method)
+        results[method] = judged(prepared, found.outliers, found.loss, progress=progress_of(method))
+    if results and found.tried and not found.tried.kept and not problem.networks:
+        return {method: replace(result, tried=found.tried) for method, result in results.items()}
+    return {**results, last: found}
 
 
 def _without_prior(plain: Problem, results: Mapping[str, Identification]) -> Accuracy | None:
@@ -379,8 +379,7 @@ def _without_prior(plain: Problem, results: Mapping[str, Identification]) -> Acc
         return None
     kept = without_poses(plain.sets["identify"], found.outliers)
     try:
-        prepared = prepare(plain.robot, kept, method="KM" if method == "KM" else "SKCM")
-        alone = calibrated(prepared, loss=found.loss, screen=False)
+        alone = identify(plain.robot, kept, method="KM" if method == "KM" else "SKCM", loss=found.loss, screen=False)
     except InputError:
         return None
     return alone.accuracy(*(parts[name] for name in next(iter(together(parts).values()))))["calibrated"]

@@ -11,6 +11,7 @@ from casadical.core.arrays import Array
 from casadical.core.errors import shown
 from casadical.core.telling.blocks import Table, Words, mm
 from casadical.identification.accuracy import Accuracy, errors, summarise
+from casadical.identification.gravity import in_words
 from casadical.identification.result import AS_BEFORE, Identification, LeftOut, rows_in_words
 from casadical.identification.undetermined import undetermined
 from casadical.measurements.column_map import Source
@@ -28,6 +29,8 @@ THINGS = 3
 NAMED = 12
 # By these a unit is another; other factors turn a reading round or scale it.
 _UNIT_FACTORS = [*(factor for _, factor in UNITS.values()), np.pi / 180, 180 / np.pi, 1e3, 1e-3]
+# Parameters are determined well if held-out poses are no worse than so many times the fitted ones.
+WELL = 1.25
 # A mean error that falls by less, as a share, is hardly better; a joint that covers less of its range moves little.
 LITTLE, NARROW = 0.1, 0.5
 
@@ -54,6 +57,14 @@ def things_to_know(
     yield from found[:THINGS]
 
 
+def compliance_words(last: Identification) -> Iterator[Words]:
+    """What trying a compliance that no file declares gave, and how far gravity deflects a robot of unknown masses."""
+    if last.tried:
+        yield Words(f"Tried with compliance: {last.tried.in_words}.", "note")
+    if text := in_words(last):
+        yield Words(f"{text.partition(';')[0].capitalize()}.", "note")
+
+
 def _doubts(problem: Problem, last: Identification) -> Iterator[Words]:
     if "DOES NOT FIT" in last.verdict:
         yield Words("The model does not fit: run casadical check, it searches for slips of the table.", "warning")
@@ -74,24 +85,24 @@ def _doubts(problem: Problem, last: Identification) -> Iterator[Words]:
 
 
 def _no_better(problem: Problem, last: Identification, accuracies: Accuracies) -> Iterator[Words]:
-    """Where calibration hardly helps: which data would."""
+    """Where calibration hardly helps: which data would, if the parameters are at fault and not what the model lacks.
+
+    They are where the error of held-out poses is clearly greater than that of the fitted ones.
+    """
     _, before, after, held_out = judged_on(accuracies)
     if not held_out or after.mean < (1 - LITTLE) * before.mean:
         return
     robot, sets = problem.robot, problem.sets["identify"]
     missing = []
+    fitted = np.concatenate([errors(last.robot, m) for m in last.used]).mean()
+    open_still = after.mean > WELL * fitted
     if last.degrees_of_freedom < 2 * len(last.names):
         missing.append(f"more poses ({len(last.names)} parameters from {sum(len(m) for m in sets)}; casadical plan)")
     narrow = [c.joint for c in coverage(robot, sets[0]) if c.share < NARROW]
-    if narrow:
+    if narrow and open_still:
         which = "all joints" if len(narrow) == robot.n else f"joint {', '.join(map(str, narrow))}"
         missing.append(f"wider ranges of {which} (less than half of the limits is covered)")
-    if not any(j.compliance is not None for j in robot.joints):
-        missing.append(
-            "compliant = true of joints in the robot file, which lets SKCM find what gravity bends (unknown masses are "
-            "estimated from the reach)"
-        )
-    if not missing:
+    if not missing or not open_still:
         missing.append("what the model lacks: casadical diagnose names it")
     text = "The calibration hardly helps. It would need"
     if after.mean > before.mean:

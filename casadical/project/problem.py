@@ -219,14 +219,13 @@ def read_problem(
     if "identify" not in split:
         raise InputError(f"{path}: sets: no poses are named 'identify'; there are {', '.join(split)}")
     robot = tool_as_measured(robot, folder, [m for parts in split.values() for m in parts])
-    rigid = all(j.compliance is None for j in robot.joints) and folder.is_file()
     return Problem(
         folder=folder,
         title=file.title or f"{robot.name}: {', '.join(Path(t).name for t in tables)}",
         data=file.data,
         robot=robot,
         sets={name: tuple(parts) for name, parts in split.items()},
-        methods=base_methods(["KM"] if rigid else file.methods),
+        methods=base_methods(file.methods),
         loss=file.loss,
         urdf=(place, urdf.base_link, urdf.tip_link) if place.suffix == ".urdf" else None,
         networks=tuple(m for m in network_methods() if m in file.methods),

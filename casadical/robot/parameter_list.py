@@ -8,7 +8,7 @@ import numpy as np
 from casadical.core.arm import Arm
 from casadical.core.parameters import Parameter
 from casadical.core.parts import FourBar, Joint, Placement, parallel
-from casadical.effects import Effect, Session
+from casadical.effects import Effect, LinkMasses, PayloadError, Session
 
 NEAR_PARALLELOGRAM = 0.02
 
@@ -34,7 +34,7 @@ def parameters_of(
     given = tuple(effects)
     # Base and tool of further sessions come before the rows, as those of the first do.
     sessions = tuple(e for e in given if isinstance(e, Session))
-    yield from _of_effects(sessions, effect_values or {})
+    yield from _of_effects(arm, sessions, effect_values or {})
     for i, joint in enumerate(arm.joints, 1):
         yield from _row(arm, i, joint)
     for k, loop in enumerate(arm.loops, 1):
@@ -42,13 +42,14 @@ def parameters_of(
     for i, joint in enumerate(arm.joints, 1):
         if joint.compliance is not None:
             yield _compliance(arm, i, joint.compliance)
-    yield from _of_effects((e for e in given if e not in sessions), effect_values or {})
+    yield from _of_effects(arm, (e for e in given if e not in sessions), effect_values or {})
 
 
-def _of_effects(effects: Iterable[Effect], values: Mapping[str, float]) -> Iterable[Parameter]:
+def _of_effects(arm: Arm, effects: Iterable[Effect], values: Mapping[str, float]) -> Iterable[Parameter]:
     for effect in effects:
+        guess = arm.masses == "estimated" and isinstance(effect, (LinkMasses, PayloadError))
         for p in effect.parameters():
-            yield replace(p, value=values.get(p.name, p.value))
+            yield replace(p, value=values.get(p.name, p.value), guess=guess)
 
 
 def _number(arm: Arm, name: str, group: str, unit: str, value: float, held: str = "") -> Parameter:
@@ -107,7 +108,11 @@ def _compliance(arm: Arm, i: int, value: float) -> Parameter:
     bound, prior = (width.angle_bound, width.angle_prior) if rotary else (width.length_bound, width.length_prior)
     load = _greatest_load(arm, i)
     unit = "rad/(N m)" if rotary else "m/N"
-    return Parameter(f"c{i}", "compliance", unit, value, 1e-3 / load, 0.0, value + bound / load, prior / load)
+    # Of estimated masses only the product with the compliance is in the data: both are held back by their priors.
+    guess = arm.masses == "estimated"
+    return Parameter(
+        f"c{i}", "compliance", unit, value, 1e-3 / load, 0.0, value + bound / load, prior / load, guess=guess
+    )
 
 
 def _greatest_load(arm: Arm, i: int) -> float:

@@ -116,7 +116,7 @@ def test_progress_counts_the_iterations_from_zero() -> None:
     told = []
     arm = arms.six_axis()
     m = arms.positions(arms.planted_in(arm, ["a2"], 2), arms.readings(arm, 20, 1), 3)
-    found = identify(arm, m, ["a2"], progress=lambda k, cost: told.append((k, cost)))
+    found = identify(arm, m, ["a2"], loss="linear", progress=lambda k, cost: told.append((k, cost)))
     assert [k for k, _ in told] == list(range(len(told)))
     assert told[-1][1] == pytest.approx(found.solution.history[-1])
 

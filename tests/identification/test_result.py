@@ -60,7 +60,7 @@ def test_where_no_parameter_is_left_because_nothing_fits_the_message_says_so(bui
     backwards = replace(m, q=m.q * [1, 1, -1, 1, 1, 1])
     with pytest.raises(InputError, match=r"^table: the model does not fit: \d+ mm .* signs and zeros"):
         identify(ARM, backwards, ["kinematic"], loss="huber")
-    assert "THE MODEL DOES NOT FIT" in identify(ARM, backwards, ["kinematic"]).verdict
+    assert "THE MODEL DOES NOT FIT" in identify(ARM, backwards, ["kinematic"], loss="linear").verdict
 
 
 def test_noise_free_data_are_fitted_to_round_off(built):
@@ -129,7 +129,10 @@ def test_outliers_are_named_and_left_out(built, loss):
     assert "left out as outliers: row " in robust.verdict
     assert "and 2 more" in robust.verdict  # eight of the ten are named there, all in `left_out`
     assert len(robust.left_out) == 10
-    assert arms.model_error(identify(ARM, replace(m, position=wrong), ["kinematic"]).robot, built) > 4 * arms.NOISE
+    linear = identify(ARM, replace(m, position=wrong), ["kinematic"], loss="linear").robot
+    assert arms.model_error(linear, built) > 4 * arms.NOISE
+    by_default = identify(ARM, replace(m, position=wrong), ["kinematic"])
+    assert (by_default.loss, by_default.outliers) == ("huber", tuple((0, i) for i in range(5, 100, 10)))
 
 
 def test_outliers_of_ten_sigma_all_one_way(built):
@@ -185,7 +188,7 @@ def test_predicted_covariance_is_the_scatter_over_repeated_campaigns(built):
 def test_progress_hears_every_iteration(built):
     heard = []
     m = arms.positions(built, arms.readings(built, 40, 18), 19)
-    identify(ARM, m, ["kinematic"], progress=lambda k, cost: heard.append((k, cost)))
+    identify(ARM, m, ["kinematic"], loss="linear", progress=lambda k, cost: heard.append((k, cost)))
     assert [k for k, _ in heard] == list(range(len(heard)))
     assert heard[-1][1] < 1e-3 * heard[0][1]
 
@@ -195,7 +198,7 @@ def test_a_start_far_off_is_told_in_words(built):
     q = arms.readings(built, 60, 20)
     m = arms.positions(built, q, 21)
     turned = replace(m, q=q * np.array([1, -1, 1, 1, 1, 1]))
-    verdict = identify(ARM, turned, ["kinematic"]).verdict
+    verdict = identify(ARM, turned, ["kinematic"], loss="linear").verdict
     assert "DOES NOT FIT" in verdict
     assert "joint signs" in verdict
 

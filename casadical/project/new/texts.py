@@ -167,10 +167,8 @@ def problem_text(
         else 'data = "synthetic"',
         mark="" if given else mark,
         robot="robot.urdf" if links else "robot.toml",
-        methods='"KM", "SKCM"' if compliant else '"KM"',
-        why="             # geometry; geometry and joint compliance"
-        if compliant
-        else '                   # geometry; add "SKCM" once joints are compliant',
+        methods='"KM", "SKCM"',
+        why=f"             # geometry; geometry and joint compliance{'' if compliant else ', where the data carry it'}",
         urdf=_urdf(links, given or Given()) if links else "",
         file=file,
         columns=_column_lines(given or Given()),
