@@ -177,7 +177,7 @@ def test_sets_that_the_data_name_are_kept(tmp_path: Path) -> None:
     (tmp_path / "dh.csv").write_text(dh)
     problem = new_problem(tmp_path / "two", dh=tmp_path / "dh.csv", data=tmp_path / "named.csv")
     assert {name: len(parts[0]) for name, parts in problem.sets.items()} == {"identify": 40, "report": 20}
-    assert read_problem(tmp_path / "two").methods == ("KM",)
+    assert read_problem(tmp_path / "two").methods == ("KM", "SKCM")
 
 
 def test_nothing_is_overwritten(tmp_path: Path) -> None:
