@@ -69,6 +69,10 @@ class Isolability(Result):
     alike: pd.DataFrame
     missing: dict[str, tuple[str, ...]]
 
+    @property
+    def _line(self) -> str:
+        return f" of {len(self.effects)} candidates"
+
     def rivals(self, label: str, above: float = 0.5) -> dict[str, float]:
         """Candidates that reproduce more than a share of a candidate's visible signal, the worst first."""
         shares = zip(self.alike.columns, self.alike.loc[label].to_numpy(), strict=True)

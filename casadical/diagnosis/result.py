@@ -270,10 +270,11 @@ class Diagnosis(Result):
     cause_set: CauseSet | None = None
     law: Round | None = None
 
-    def __repr__(self) -> str:
+    @property
+    def _line(self) -> str:
         named = ", ".join(c.label for c in self.causes) or "no cause named"
         gap = f"gap {mm(self.gap.kept)} -> {mm(self.gap.after)} mm, noise alone {mm(self.gap.floor)} mm"
-        return f"<Diagnosis of {self.identification.given.name!r}: {self.verdict}; {named}; {gap}>"
+        return f" of {self.identification.given.name!r}: {self.verdict}; {named}; {gap}"
 
     def blocks(self) -> list[Words | Table]:
         """The verdict and the causes; `casadical.diagnosis.page_of` has all that was found."""

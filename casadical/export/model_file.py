@@ -6,6 +6,7 @@ from typing import Any
 
 from casadical.core.errors import InputError
 from casadical.core.progress import Show, silent
+from casadical.core.telling.notebook import Shown
 from casadical.effects.counterparts import Omission
 from casadical.export.controller.commands import Sources
 from casadical.export.controller.drivers import FORMS as DRIVERS
@@ -26,7 +27,7 @@ ENDINGS = {".xml": "mjcf", ".urdf": "urdf", ".yaml": "ur", ".yml": "ur", ".xacro
 
 
 @dataclass(frozen=True, eq=False)
-class RobotModel:
+class RobotModel(Shown):
     """A robot as another program reads it.
 
     text : of the file; lines : what it holds beside the geometry, what it leaves out and what that costs
@@ -37,6 +38,10 @@ class RobotModel:
     lines: tuple[str, ...]
     figures: dict[str, Any]
     about: str = ""
+
+    @property
+    def _line(self) -> str:
+        return f" of {self.about or 'a robot'}, {len(self.text.splitlines())} lines"
 
 
 @dataclass(frozen=True)

@@ -171,9 +171,10 @@ class Comparison(Result):
     notes: tuple[str, ...] = ()
     name: str = ""
 
-    def __repr__(self) -> str:
+    @property
+    def _line(self) -> str:
         found = ", ".join(c.cause.label for c in self.changes) or "nothing changed"
-        return f"<Comparison of {len(self.campaigns)} campaigns of {self.campaigns[0].robot.name!r}: {found}>"
+        return f" of {len(self.campaigns)} campaigns of {self.campaigns[0].robot.name!r}: {found}"
 
     @property
     def changed(self) -> bool:

@@ -16,6 +16,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.linear_gaussian.normal_equations import without_others
+from casadical.core.telling.notebook import Shown
 from casadical.identification.error_bound import Doubts, doubts_of, evaluated
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.identification import identify
@@ -35,7 +36,7 @@ MANY = 1000
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
+class Estimate(Shown):
     """What one campaign tells of a robot's parameters.
 
     robot : as the campaign found it, with harmonics of zero size
@@ -72,9 +73,10 @@ class Estimate:
     fit: WideFit | None = None
     freedom: float | None = None
 
-    def __repr__(self) -> str:
+    @property
+    def _line(self) -> str:
         noise = "" if self.sigma is None else f", {1e3 * self.sigma:.3g} mm a coordinate left"
-        return f"<Estimate {self.label!r}: {len(self.names)} parameters from {self.poses} poses{noise}>"
+        return f" {self.label!r}: {len(self.names)} parameters from {self.poses} poses{noise}"
 
     @property
     def date(self) -> str:

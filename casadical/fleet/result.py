@@ -81,10 +81,11 @@ class Fleet(Result):
     drawings: Mapping[str, Drawing] = field(default_factory=dict)
     computed: int | None = None
 
-    def __repr__(self) -> str:
+    @property
+    def _line(self) -> str:
         good = int((self.robots["status"] == "ok").sum())
         changed = int((self.robots["changes"] != "").sum())
-        return f"<Fleet of {len(self.robots)} robots: {good} ok, {len(self.robots) - good} failed, {changed} changed>"
+        return f" of {len(self.robots)} robots: {good} ok, {len(self.robots) - good} failed, {changed} changed"
 
     @property
     def good(self) -> pd.DataFrame:

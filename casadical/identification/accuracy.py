@@ -8,6 +8,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.telling.blocks import mm
+from casadical.core.telling.notebook import Shown
 from casadical.measurements.kinds.base import PositionsAt
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
@@ -15,7 +16,7 @@ from casadical.robot.robot import Robot
 
 
 @dataclass(frozen=True)
-class Accuracy:
+class Accuracy(Shown):
     """Error figures of one set of poses [m]: mean, maximum, standard deviation, root mean square, 95th percentile.
 
     n : number of poses
@@ -28,9 +29,10 @@ class Accuracy:
     rms: float
     p95: float
 
-    def __repr__(self) -> str:
+    @property
+    def _line(self) -> str:
         mean, top, p95 = mm(self.mean), mm(self.max), mm(self.p95)
-        return f"<Accuracy of {self.n} poses: mean {mean} mm, 95 % below {p95} mm, max {top} mm>"
+        return f" of {self.n} poses: mean {mean} mm, 95 % below {p95} mm, max {top} mm"
 
     def to_json(self) -> dict[str, float | int]:
         """As plain data, lengths in mm."""

@@ -9,6 +9,7 @@ from typing import Literal
 
 from casadical.core.errors import InputError
 from casadical.core.estimated_masses import with_estimated_masses, with_payload, without_masses
+from casadical.core.telling.notebook import Shown
 from casadical.core.transforms import frame
 from casadical.effects import LinkMasses, PayloadError
 from casadical.identification.placement import place_frames
@@ -27,7 +28,7 @@ Masses = Literal["declared", "unknown", "free"]
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
+class Prepared(Shown):
     """A robot and its measurements, as identifications and diagnoses start from them (see `prepare`).
 
     robot : nominal, with all in its model that measurements and prior ask for; knowledge : of the robot as it was given
@@ -45,6 +46,10 @@ class Prepared:
     method: Method | None = None
     identification: Identification | None = None
     tried: Tried | None = None
+
+    @property
+    def _line(self) -> str:
+        return f" {self.robot.name!r} and {sum(map(len, self.sets))} poses"
 
     @cached_property
     def start(self) -> Robot:

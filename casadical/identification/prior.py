@@ -16,6 +16,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.parameters import Parameter
+from casadical.core.telling.notebook import Shown
 from casadical.effects import Effect
 from casadical.identification.least_squares import FRAMES
 from casadical.measurements.measurements import Measurements
@@ -31,7 +32,7 @@ SAME = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Prior:
+class Prior(Shown):
     """Of parameters that are known from elsewhere.
 
     free : names of all parameters that it is about, which an identification frees
@@ -46,6 +47,11 @@ class Prior:
     labels: tuple[str, ...] = ()
     knowledge: Knowledge = field(default_factory=Knowledge)
     frozen: bool = False
+
+    @property
+    def _line(self) -> str:
+        how = "frozen" if self.frozen else f"{len(self.free)} parameters"
+        return f" of {', '.join(self.labels) or 'geometry and compliance'}: {how}"
 
     def with_nothing_known(self, wide: Mapping[str, float]) -> Prior:
         """The same, nothing known of some parameters: mean zero; wide : name -> one sigma [SI]."""

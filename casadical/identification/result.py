@@ -138,12 +138,13 @@ class Identification(Result):
     outliers: tuple[tuple[int, int], ...] = ()
     tried: Tried | None = None
 
-    def __repr__(self) -> str:
+    @property
+    def _line(self) -> str:
         used = sum(map(len, self.used))
         held, left = len(self.identifiability.held), max(1e3 * sigma for sigma, _ in self.sigmas)
         return (
-            f"<Identification {self.method} of {self.given.name!r}: {len(self.names)} parameters from {used} poses, "
-            f"{held} not identifiable, {left:.3g} mm a coordinate left>"
+            f" {self.method} of {self.given.name!r}: {len(self.names)} parameters from {used} poses, "
+            f"{held} not identifiable, {left:.3g} mm a coordinate left"
         )
 
     def blocks(self) -> list[Words | Table]:
@@ -356,13 +357,14 @@ class Identification(Result):
         """Of all parameters that are not known exactly: their problem, departures from nominal, and covariance [SI]."""
         return covariance_of_all(self.problem, self.solution.v, self.variance)
 
-    def accuracy(self, *m: Measurements) -> dict[str, Accuracy]:
+    def accuracy(self, *m: Measurements | Sequence[Measurements]) -> dict[str, Accuracy]:
         """Errors on any measurements [m]: "nominal", "placed" (base and tool fitted) and "calibrated".
 
-        *m : those of the identification or others; of several tables, the figures are over all of them
+        *m : those of the identification or others; of several sets, as a problem has them, the figures are over all
         """
+        sets = [part for given in m for part in ((given,) if isinstance(given, Measurements) else given)]
         robots = {"nominal": self.given, "placed": self.placed, "calibrated": self.robot}
-        return {state: summarise(np.concatenate([errors(r, part) for part in m])) for state, r in robots.items()}
+        return {state: summarise(np.concatenate([errors(r, part) for part in sets])) for state, r in robots.items()}
 
     @cached_property
     def placed(self) -> Robot:

@@ -10,7 +10,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.telling.blocks import Table
-from casadical.core.telling.notebook import html
+from casadical.core.telling.notebook import Shown, html
 from casadical.measurements.kinds.registry import find_kind
 
 SETS = ("identify", "train", "choose", "report")
@@ -27,7 +27,7 @@ FIELDS = ("position", "orientation", "distance", "target", "other", "label")
 
 
 @dataclass(frozen=True, eq=False)
-class Measurements:
+class Measurements(Shown):
     """Poses of one robot and what was observed at them, all of one kind; SI units.
 
     Parameters
@@ -125,8 +125,9 @@ class Measurements:
             object.__setattr__(self, "row", np.arange(n))
         _refuse_malformed(self)
 
-    def __repr__(self) -> str:
-        return f"<Measurements {self.source}: {len(self)} poses of {self.q.shape[1]} joints, {self.kind}>"
+    @property
+    def _line(self) -> str:
+        return f" {self.source}: {len(self)} poses of {self.q.shape[1]} joints, {self.kind}"
 
     def _repr_html_(self) -> str:
         """For a notebook: ranges of readings, positions and logged columns."""

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.arrays import Array
+from casadical.core.telling.notebook import Shown
 from casadical.identification.identifiability import Unidentifiable
 from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements
@@ -23,7 +24,7 @@ from casadical.robot.robot import Robot
 
 
 @dataclass(frozen=True, eq=False)
-class Selection:
+class Selection(Shown):
     """Poses to measure, in order, and the accuracy to expect of them.
 
     Parameters
@@ -74,6 +75,11 @@ class Selection:
     circumstances: Circumstances
     instrument: Instrument | None = None
     prior: Prior | None = None
+
+    @property
+    def _line(self) -> str:
+        poses = f"{len(self.m)} poses of {self.robot.name!r}"
+        return f" of {poses}: {len(self.names)} parameters, criterion {self.criterion}"
 
     def __len__(self) -> int:
         return len(self.m)

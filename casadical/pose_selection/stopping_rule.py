@@ -8,6 +8,8 @@ import pandas as pd
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.core.telling.blocks import mm
+from casadical.core.telling.notebook import Shown
 from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
@@ -22,7 +24,7 @@ from casadical.robot.robot import Robot
 
 
 @dataclass(frozen=True, eq=False)
-class Forecast:
+class Forecast(Shown):
     """Expected accuracy against the number of poses, if the best ones are measured next.
 
     poses : Array, shape (k,): numbers of poses, measured ones included
@@ -31,6 +33,11 @@ class Forecast:
 
     poses: Array
     error: Array
+
+    @property
+    def _line(self) -> str:
+        first, last = (f"{mm(self.error[k])} mm from {self.poses[k]}" for k in (0, -1))
+        return f": {first} to {last} poses"
 
     def enough(self, target: float) -> int | None:
         """The least number of poses whose expected error is at most target [m]; None where none of these is.

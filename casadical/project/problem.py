@@ -14,6 +14,7 @@ import numpy as np
 from casadical.compensator.trainers.known import network_methods
 from casadical.core.arm import GRAVITY
 from casadical.core.errors import InputError, all_faults
+from casadical.core.telling.notebook import Shown
 from casadical.identification.prior import Prior, carry_over
 from casadical.identification.residuals import AnyLoss
 from casadical.measurements.columns import Columns
@@ -56,7 +57,7 @@ def carried_from(path: Path, parts: Sequence[str], frozen: bool) -> Carried:
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class Problem(Shown):
     """A robot and its measurements, split into named sets (identify, train, choose, report).
 
     Parameters
@@ -121,6 +122,11 @@ class Problem:
     set_column: str | None = None
     tables: tuple[Mapping[str, Any], ...] = ()
     robot_file: Path = Path("robot.toml")
+
+    @property
+    def _line(self) -> str:
+        sets = ", ".join(f"{name} {len(m)}" for name, m in self.parts())
+        return f" {self.folder.name}: {self.robot.name}; {sets} poses; {', '.join((*self.methods, *self.networks))}"
 
     @property
     def origin(self) -> str:

@@ -19,7 +19,7 @@ from casadical.core.arrays import Array
 from casadical.core.parameters import Parameters
 from casadical.core.parts import FourBar, Joint
 from casadical.core.telling.blocks import Table, Words
-from casadical.core.telling.notebook import html
+from casadical.core.telling.notebook import Shown, html
 from casadical.core.transforms import frame, from_xyz, to_xyz
 from casadical.effects import Effect
 from casadical.robot.knowledge import ErrorBound, Knowledge
@@ -31,7 +31,7 @@ SMALLEST_GEAR = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Robot(Arm):
+class Robot(Shown, Arm):
     """An arm with its model and its parameters.
 
     Parameters
@@ -107,10 +107,11 @@ class Robot(Arm):
         for effect in self.effects:
             effect.refuse_joints(self)
 
-    def __repr__(self) -> str:
+    @property
+    def _line(self) -> str:
         effects = f", with {', '.join(e.label for e in self.effects)}" if self.effects else ""
         what = f"{self.n} joints, reach {self.reach:.2f} m, {len(self.parameters)} parameters{effects}"
-        return f"<Robot {self.name!r}: {what}>"
+        return f" {self.name!r}: {what}"
 
     def _repr_html_(self) -> str:
         """For a notebook: the DH table with the limits of each joint."""

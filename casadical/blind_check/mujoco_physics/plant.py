@@ -13,6 +13,7 @@ import numpy as np
 
 from casadical.blind_check.mujoco_physics.rigid import Array, motion
 from casadical.core.errors import InputError
+from casadical.core.telling.notebook import Shown
 
 _X, _Y, _Z, _0 = np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), np.array([0, 0, 1.0]), np.zeros(3)
 _KEYS = ("name", "modified_dh", "tool_m", "mass_kg", "com_m", "payload", "stiffness_Nm_per_rad", "joint_range_deg")
@@ -38,7 +39,7 @@ class FourBar:
 
 
 @dataclass(frozen=True)
-class Plant:
+class Plant(Shown):
     """A robot of n axes at zero readings, in SI units.
 
     home : Array, shape (n, 4, 4) [m]: frame of every link in the robot's base at zero readings; joint i turns about its
@@ -71,6 +72,10 @@ class Plant:
     payload_factor: float = 1.0
     slides: frozenset[int] = frozenset()
     gravity: Array = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
+
+    @property
+    def _line(self) -> str:
+        return f" {self.name!r} of {len(self.home)} joints"
 
     @classmethod
     def from_dict(cls, robot: Mapping[str, Any]) -> Self:

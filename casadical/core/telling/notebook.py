@@ -1,12 +1,39 @@
-"""What a notebook shows of a result: the blocks of its report as HTML, and small bars; nothing is loaded for it."""
+"""What Python and a notebook show of a result: one line; the blocks of its report as HTML, and small bars.
+
+Nothing is loaded for it.
+"""
 
 from collections.abc import Sequence
 from html import escape
+from typing import Any
 
 from casadical.core.telling.blocks import Table, Words, mm
 
 _CELL = "padding:2px 12px 2px 0;text-align:{};white-space:nowrap"
 _BAR, _ROW, _LABEL = 260, 20, 190
+
+
+# Characters of a result's line.
+LINE = 160
+
+
+class Shown:
+    """A result that Python shows as one line: its class, and `_line`, by default the first of its blocks."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        cls.__repr__ = Shown.__repr__  # type: ignore[method-assign]  # a dataclass keeps what is there
+
+    @property
+    def _line(self) -> str:
+        """What the line says."""
+        words = [block for block in self.blocks() if isinstance(block, Words)]  # type: ignore[attr-defined]
+        first = next((block for block in words if block.kind == "verdict"), words[0])
+        return f": {first.text}"
+
+    def __repr__(self) -> str:
+        line = f"{type(self).__name__}{self._line}"
+        return f"<{line if len(line) <= LINE else line[: LINE - 3] + '...'}>"
 
 
 def html(blocks: Sequence[Words | Table], bars: Sequence[tuple[str, float]] = (), title: str = "") -> str:

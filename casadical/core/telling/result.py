@@ -9,11 +9,11 @@ from typing import Any, ClassVar
 from casadical.core.files import json_text
 from casadical.core.telling.blocks import Block
 from casadical.core.telling.figure import Figure
-from casadical.core.telling.notebook import html
+from casadical.core.telling.notebook import Shown, html
 from casadical.core.telling.terminal import plain_text
 
 
-class Result:
+class Result(Shown):
     """A result; terminal, notebook, report and JSON are made of what it has, and showing it computes nothing.
 
     ``blocks`` and ``to_json`` are its own. ``kept_as`` : name of its files, without the ending
@@ -42,4 +42,4 @@ class Result:
     def _repr_html_(self) -> str:
         """For a notebook."""
         told = [block for block in self.blocks() if not isinstance(block, Figure)]
-        return html(told, self.bars(), repr(self)[1:-1] if repr(self).startswith("<") else "")
+        return html(told, self.bars(), repr(self)[1:-1])

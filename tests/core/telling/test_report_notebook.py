@@ -5,10 +5,20 @@ from html.parser import HTMLParser
 
 import pytest
 
+import casadical
 from casadical import plot
+from casadical.blind_check.mujoco_physics import Plant
 from casadical.core.errors import InputError
 from casadical.core.telling.blocks import Table, Words
-from casadical.core.telling.notebook import html
+from casadical.core.telling.notebook import Shown, html
+from casadical.diagnosis.isolability import Isolability
+from casadical.export.model_file import RobotModel
+from casadical.fleet.estimates import Estimate
+from casadical.identification.accuracy import Accuracy
+from casadical.identification.prepared import Prepared
+from casadical.identification.prior import Prior
+from casadical.pose_selection.plan import MeasurementPlan
+from casadical.pose_selection.stopping_rule import Forecast
 
 
 class Cells(HTMLParser):
@@ -53,6 +63,32 @@ def test_results_show_themselves_in_a_line_and_in_tables(shown, name) -> None:
     assert page.open == []
     assert len(page.cells) > 4
     assert len(shown[name]._repr_html_()) < 40_000
+
+
+def test_every_public_result_has_a_line_of_its_own() -> None:
+    """None prints the fields of a dataclass, for pages; plain data without arrays may."""
+    classes = [kind for name in casadical.__all__ if isinstance(kind := getattr(casadical, name), type)]
+    assert {k.__name__ for k in classes if issubclass(k, Shown)} >= {
+        "Robot", "Measurements", "Problem", "Identification", "Calibration", "Diagnosis", "Discovery", "Selection",
+        "Verification", "Comparison", "Fleet",
+    }  # fmt: skip
+    shown = [Isolability, Forecast, RobotModel, Plant, Accuracy, Prior, Prepared, MeasurementPlan, Estimate]
+    assert all(issubclass(kind, Shown) for kind in shown)
+
+
+def test_a_line_is_made_of_the_first_block_and_is_short() -> None:
+    class Made(Shown):
+        def blocks(self):
+            return [Words("a title", "title"), Words("a verdict " + 100 * "and more ", "verdict")]
+
+    assert repr(Made()).startswith("<Made: a verdict and more")
+    assert len(repr(Made())) < 165
+
+
+def test_problems_and_sets_of_a_problem_are_told_and_taken(shown) -> None:
+    problem, found = shown["calibration"].problem, shown["identification"]
+    assert repr(problem) == "<Problem planar: Planar arm of two links; identify 25, report 15 poses; KM>"
+    assert found.accuracy(problem.sets["report"]) == found.accuracy(*problem.sets["report"])
 
 
 def test_every_length_has_its_unit(shown) -> None:
