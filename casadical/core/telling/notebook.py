@@ -28,8 +28,8 @@ class Shown:
     def _line(self) -> str:
         """What the line says."""
         words = [block for block in self.blocks() if isinstance(block, Words)]  # type: ignore[attr-defined]
-        first = next((block for block in words if block.kind == "verdict"), words[0])
-        return f": {first.text}"
+        words.sort(key=lambda block: block.kind != "verdict")
+        return f": {words[0].text}" if words else ""
 
     def __repr__(self) -> str:
         line = f"{type(self).__name__}{self._line}"
