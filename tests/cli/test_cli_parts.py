@@ -6,10 +6,9 @@ from pathlib import Path
 import pytest
 from command_line import main
 
-from casadical.cli.outputs import _check
+from casadical.cli.export import export_c
 from casadical.cli.progress import DIAGNOSIS, share
 from casadical.cli.root import MOVED
-from casadical.core.errors import InputError
 from casadical.export.mjcf.replay import replay_campaign
 
 ROOT = Path(__file__).parents[2]
@@ -37,16 +36,12 @@ def test_check_says_by_its_exit_code_whether_all_is_right(monkeypatch: pytest.Mo
     assert main(monkeypatch, "check", planar, tmp_path, "--quiet") == 2
 
 
-def test_inputs_in_the_folder_of_the_outputs_are_safe_by_their_name(tmp_path: Path) -> None:
-    mine, taken, apart = tmp_path / "mine.csv", tmp_path / "result.json", tmp_path / "other" / "result.json"
-    apart.parent.mkdir()
-    for path in (mine, apart):
-        path.write_text("1")
-    _check([], [tmp_path], [mine, apart], overwrite=True)
-    taken.write_text("1")
-    _check([], [tmp_path / "out"], [mine, taken, apart], overwrite=True)
-    with pytest.raises(InputError, match=r"is an input, and --out may replace it"):
-        _check([], [tmp_path], [taken], overwrite=True)
+@pytest.mark.parametrize(("name", "refused"), [("KM.robot.toml", True), ("result.json", True), ("prior.toml", False)])
+def test_inputs_in_the_folder_of_the_outputs_are_safe_by_their_name(name, refused, monkeypatch, capsys, tmp_path):
+    (tmp_path / name).write_text("casadical = 1\n")
+    given = ("calibrate", ROOT / "problems" / "planar", "--prior", tmp_path / name, "--out", tmp_path)
+    assert main(monkeypatch, *given) == 2
+    assert ("is an input, and --out may replace it" in capsys.readouterr().err) == refused
 
 
 def test_a_driver_file_replaces_nothing_unless_told(monkeypatch, capsys, tmp_path):
@@ -64,22 +59,9 @@ def test_an_earlier_name_of_a_command_tells_the_new_one(monkeypatch, capsys, old
     assert capsys.readouterr().err == f"casadical: {old} is now: casadical {MOVED[old]}\n"
 
 
-def test_the_split_of_a_replay_has_seed_zero() -> None:
+def test_the_split_of_a_replay_has_seed_zero_and_c_is_of_a_command_by_default() -> None:
     assert inspect.signature(replay_campaign).parameters["seed"].default == 0
-
-
-def test_a_command_is_what_is_written_by_default(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Stopped where it would be compiled."""
-    made: list[object] = []
-
-    def stop(product: object, *_: object, **__: object) -> None:
-        made.append(product)
-        raise InputError("far enough")
-
-    monkeypatch.setattr("casadical.export.controller.c_export.write_c", stop)
-    robot = ROOT / "problems" / "kr210" / "robot.toml"
-    assert main(monkeypatch, "export", "c", robot, "--nominal", robot, "--out", tmp_path / "c") == 2
-    assert [type(product).__name__ for product in made] == ["Command"]
+    assert inspect.signature(export_c).parameters["what"].default == "command"
 
 
 def test_a_check_that_finds_nothing_to_repair_says_no_more_than_without(monkeypatch, capsys):
