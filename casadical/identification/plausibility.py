@@ -99,7 +99,7 @@ def turned_off(robot: Robot, m: Measurements) -> float:
     assert seen is not None
     base, tool = np.eye(3), np.eye(3)
     if robot.base.unknown == "pose" and robot.tool.unknown == "pose":
-        # seen tool' = base model is linear in both: the least singular vector is both, but for their length.
+        # seen tool' = base model is linear in both: the least singular vector is both, times a factor.
         A = np.concatenate([np.kron(R, np.eye(3)) for R in seen])
         B = np.concatenate([np.kron(np.eye(3), R.T) for R in model])
         both = np.linalg.svd(np.hstack([A, -B]), full_matrices=False)[2][-1].reshape(2, 3, 3)

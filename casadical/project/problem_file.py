@@ -278,7 +278,7 @@ def table_like(folder: Path, raw: RawTable, tables: Sequence[DataTable]) -> Data
             return found
     said = {data.kind for data in tables}
     kind = said.pop() if len(said) == 1 else None
-    shown = [k.name for k in kinds().values() if k.matches({*raw.header})]  # by names of ours; else by the headings
+    shown = [k.name for k in kinds().values() if k.matches({*raw.header})]  # by our names; else by the headings
     fits = kind in (shown or ("position", "pose"))
     return DataTable(file=raw.path.name, kind=kind if fits else None)
 
