@@ -289,7 +289,7 @@ def best_error(user: User, q: np.ndarray, truth: np.ndarray) -> float:
 
 
 def _error(found: np.ndarray, truth: np.ndarray, user: User) -> np.ndarray:
-    """Distances [m], shape (n,), both laid on each other where lengths to unknown places do not tell where it stands."""
+    """Distances [m], shape (n,); lengths to unknown places do not tell where it stands: one is laid on the other."""
     if user.instrument == "wires":
         a, b = found - found.mean(axis=0), truth - truth.mean(axis=0)
         U, _, Vt = np.linalg.svd(a.T @ b)
