@@ -69,10 +69,14 @@ def _is_listed(state: State, step: Step) -> bool:
 
 
 def _is_certain(state: State, step: Step) -> bool:
-    """Whether a step has one name, or some of which one is right for certain, its own the most probable."""
+    """Whether a step has one name, or some that are known to look alike, of which one is right for certain.
+
+    Names that share no more than how they describe what is left are those of a flaw in another equation.
+    """
     each = [step.ranking.probability[k] for k in step.labels]
-    names = all(state.by_label[k].name != "unknown" for k in step.labels)
-    return len(each) == 1 or (names and each[0] == max(each) and min(each) >= LEAST_ALIKE and sum(each) >= CLAIM)
+    own, *others = (state.by_label[k].variants[0][0] for k in step.labels)
+    alike = all(own.name in e.confused_with or e.name in own.confused_with for e in others)
+    return len(each) == 1 or (alike and each[0] == max(each) and min(each) >= LEAST_ALIKE and sum(each) >= CLAIM)
 
 
 def _evidence(step: Step) -> float:

@@ -65,8 +65,8 @@ class Outlier:
 
 def settings_of(effect: Effect) -> dict[str, float]:
     """Values of an effect in which it is not linear (cycles, knee, lag, time of a step)."""
-    values = {f.name: getattr(effect, f.name) for f in fields(effect)}
-    return {name: value for name, value in values.items() if isinstance(value, float)}
+    own = [f for f in fields(effect) if not f.metadata.get("tried") or getattr(effect, f.name)]
+    return {f.name: value for f in own if isinstance(value := getattr(effect, f.name), float)}
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,6 +22,10 @@ from casadical.measurements.noise import Noise
 
 # Steps are halved once none of them helps, so often at most; a gain of log evidence below the second is none.
 HALVINGS, GAIN, MOST_ROUNDS = 2, 0.3, 10
+# Whole numbers are looked at within this share of a fraction; they may have so much less log evidence, and a setting
+# that is tried beside them must bring so much. Steps at which it is refined.
+AROUND, WHOLE, PRICE = 0.12, 2.0, 5.0
+FINE_STEPS = (0.0, -0.6, -0.3, 0.3, 0.6)
 # Log evidences that differ by less are equal: a step between two poses fits alike wherever it lies between them.
 TIE = 1e-6
 # Of learning sizes: rounds at most, and the change of a logarithm that is none.
@@ -43,7 +47,7 @@ def neighbours(effect: Effect, fineness: float) -> list[Effect]:
             moved = [value + step * fineness * (second - first) for step in (-0.67, -0.33, 0.33, 0.67)]
         else:
             moved = [value * float(np.exp(step * fineness)) for step in (-0.5, -0.25, 0.25, 0.5)]
-        settings: list[dict[str, Any]] = [{f.name: v} for v in moved if v > 0 or f.metadata.get("signed")]
+        settings: list[dict[str, Any]] = [{f.name: v} for v in moved if v > 0 or (v and f.metadata.get("signed"))]
         found += [replace(effect, **s) for s in settings]
     return found
 
@@ -75,7 +79,41 @@ def refined(
         variant = trial[best]
         if halved == HALVINGS:
             break
-    return case, variant
+    return _with_probable_settings(case, label, variant[0], chosen)
+
+
+def _with_probable_settings(case: Case, label: str, effect: Effect, chosen: Array) -> tuple[Case, tuple[Effect, ...]]:
+    """The case with a whole number in place of a fraction near it, where hardly less probable, and these settings.
+
+    A load that follows the joint's angle moves the cycles that are read: beside whole numbers, a phase that runs with
+    the load is tried, too (`tried` of a setting), and taken where it is worth its price.
+    """
+    whole = [f.name for f in fields(effect) if f.metadata.get("whole")]
+    tried = [(f.name, v) for f in fields(effect) for v in f.metadata.get("tried", ())]
+    if not whole:
+        return case, (effect,)
+    (name,) = whole
+    read = float(getattr(effect, name))
+
+    def moved(e: Effect, **settings: Any) -> Effect:
+        return replace(e, **settings)
+
+    near = [float(k) for k in range(1, int(2 * read)) if abs(k - read) <= max(AROUND * read, 1.0)]
+    plain = [moved(effect, **{name: k}) for k in near]
+    joined = [moved(e, **{other: v}) for e in plain for other, v in tried]
+    every = [(e,) for e in dict.fromkeys((effect, *plain, *joined))]
+    case = case.with_variants(label, every[1:])
+    log = _log_evidence(case, [case.group(v) for v in every], chosen)
+    price = {(e,): PRICE for e in joined} | {(e,): -WHOLE for e in plain}
+    log = log - np.array([price.get(v, 0.0) for v in every])
+    best = every[int(np.argmax(log))][0]
+    if best not in joined:
+        return case, (best,)
+    (other,) = {other for other, _ in tried}
+    value = float(getattr(best, other))
+    fine: list[tuple[Effect, ...]] = [(moved(best, **{other: value + step}),) for step in FINE_STEPS]
+    case = case.with_variants(label, fine)
+    return case, fine[int(np.argmax(_log_evidence(case, [case.group(v) for v in fine], chosen)))]
 
 
 def _best(case: Case, trial: list[tuple[Effect, ...]], log: Array, chosen: Array) -> int:

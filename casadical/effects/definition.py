@@ -51,6 +51,8 @@ class Setting(TomlTable):
     signed: bool = False
     given: bool = False
     joint: bool = False
+    whole: bool = False
+    tried: list[float] = []
     about: str = ""
 
     @model_validator(mode="after")
@@ -83,7 +85,7 @@ class Setting(TomlTable):
         grid: Any = self.grid
         if isinstance(grid, Grid):
             grid = [float(v) for v in np.linspace(grid.first, grid.last, grid.count)]
-        how = {"steps": self.steps, "signed": self.signed, "given": self.given, "joint": self.joint}
+        how = {key: getattr(self, key) for key in ("steps", "signed", "given", "joint", "whole", "tried")}
         return setting(self.value, NEAR if grid == "near" else tuple(grid), **how)
 
 

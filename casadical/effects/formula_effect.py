@@ -47,10 +47,12 @@ SEAMS = {
 }
 # Columns by their name in a formula, where it is another one.
 COLUMNS = {"t": "progress", "payload": "payload_kg", "warmth": "warmth_0s"}
-COLUMN = re.compile(r"t|payload|warmth|warmth_\d+s|approach\d+|move\d+|memory\d+_\d+mrad")
+COLUMN = re.compile(r"t|payload|warmth|warmth_\d+s|approach\d+|move\d+|(memory|play)\d+_\d+mrad")
 _OF_POSE = re.compile(r"(q|tau)(\d+)|m(\d+)[xyz]|[gp][xyz]")
 OF_JOINT = re.compile(r"q|tau|approach|move")
-_NUMBERED = re.compile(r"(?:q|tau|m|approach|move|memory)(\d+)(?:[xyz]|_\d+mrad)?")
+_NUMBERED = re.compile(r"(?:q|tau|m|approach|move|memory|play)(\d+)(?:[xyz]|_\d+mrad)?")
+# Of a beam from an instrument: its length, its direction about the vertical, its cosine with the flange's third axis.
+_BEAM = ("r", "azimuth", "incidence")
 # Of the measured point, at the seams behind it.
 _POINT = ("point_x", "point_y", "point_z")
 # Of instruments that read distances: where the far end is, and which one read a pose, numbered in the order of tables
@@ -64,7 +66,7 @@ ALLOWED = (
     "q1 (reading [rad or m]), tau1 (load, share of the joint's great torque), m1x (moment at a link, share), gx "
     "(gravity in the flange frame, 1 at most), px (flange [m]), t (time, 0 to 1), warmth, warmth_600s [K], payload "
     "[kg], approach1 (-1 or 1), move1 (from the pose before [rad or m]), memory1_300mrad (of motions "
-    "so far back, -1 to 1)"
+    "so far back, -1 to 1), play1_300mrad (reading of what follows joint 1 with so much play to each side)"
 )
 
 
@@ -150,7 +152,9 @@ class FormulaEffect(Effect):
             far = self.station if seam == "beam" else [context.conditions[c] for c in FAR]  # type: ignore[attr-defined]
             beam = point - ca.vertcat(*far)
             r = ca.sqrt(ca.sumsqr(beam) + 1e-12)
-            moved = moved + beam / r * self.values_at(seam, context, {**names, "r": r})[0]
+            turn = ca.atan2(beam[1], beam[0]), ca.dot(beam, context.frames[-1][:3, 2]) / r
+            of_beam = dict(zip(_BEAM, (r, *turn), strict=True))
+            moved = moved + beam / r * self.values_at(seam, context, {**names, **of_beam})[0]
         return moved
 
 
@@ -162,7 +166,7 @@ def check_formula(text: str, seam: str, own: Collection[str]) -> Formula:
     formula = parse(text, frozenset(own))
     if formula.components != SEAMS[seam].components:
         raise InputError(f"formula {text!r}: seam {seam!r} needs {SEAMS[seam].components} of its components")
-    there = {*own, *({"r"} if seam in ("beam", "distance") else ())}
+    there = {*own, *(_BEAM if seam in ("beam", "distance") else ())}
     there |= set(_POINT if seam in ("beam", "distance", "point") else ())
     refuse_unknown(formula, lambda name: name in there or _known(name, seam), f"{', '.join(own)}, {ALLOWED}")
     return formula

@@ -27,6 +27,8 @@ def setting(
     signed: bool = False,
     given: bool = False,
     joint: bool = False,
+    whole: bool = False,
+    tried: Sequence[float] = (),
 ) -> Any:
     """A field of an effect in which it is not linear.
 
@@ -45,6 +47,10 @@ def setting(
         whether only a user can know it (a gear ratio): it is not refined
     joint : bool, default False
         whether it is the number of a joint
+    whole : bool, default False
+        whether whole numbers are more probable than others
+    tried : Sequence[float], default ()
+        values that are tried once a cause is found, beside whole numbers, before it is named
 
     Examples
     --------
@@ -62,6 +68,8 @@ def setting(
         "signed": signed,
         "given": given,
         "joint": joint,
+        "whole": whole,
+        "tried": tuple(tried),
     }
     return field(default=default, metadata=how)
 

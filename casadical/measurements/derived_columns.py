@@ -13,6 +13,7 @@ _WARMTH = re.compile(r"warmth_(\d+)s")
 _APPROACH = re.compile(r"approach(\d+)")
 _MOVE = re.compile(r"move(\d+)")
 _MEMORY = re.compile(r"memory(\d+)_(\d+)mrad")
+_PLAY = re.compile(r"play(\d+)_(\d+)mrad")
 
 
 def derive(m: Measurements, names: Iterable[str]) -> tuple[Measurements, tuple[str, ...]]:
@@ -22,14 +23,15 @@ def derive(m: Measurements, names: Iterable[str]) -> tuple[Measurements, tuple[s
     warmth_600s, temperature_degC behind a first-order lag of 600 s, less its mean [K]; approach2, direction of joint
     2's last motion, -1 or 1, from the order of the poses where it was not logged; move2, joint 2's way from the pose
     before, 0 for the first [rad or m]; memory2_300mrad, a state between -1 and 1 that goes to the direction of motion
-    within 0.3 rad of it (Dahl 1968).
+    within 0.3 rad of it (Dahl 1968); play2_300mrad, joint 2's reading as what it takes along with a play of 0.3 rad to
+    each side has it (a relay with play is a step of it).
 
     Parameters
     ----------
     m : Measurements
         campaign with its logged columns
     names : Iterable[str]
-        columns to derive: progress, warmth_600s, approach2, move2, memory2_300mrad and their like
+        columns to derive: progress, warmth_600s, approach2, move2, memory2_300mrad, play2_300mrad and their like
 
     Examples
     --------
@@ -64,6 +66,8 @@ def _derived(m: Measurements, name: str) -> Array | None:
         return _moves(m, joint - 1) if 1 <= joint <= m.q.shape[1] else None
     if (found := _MEMORY.fullmatch(name)) and int(found[1]) <= m.q.shape[1]:
         return _memory(m, int(found[1]) - 1, 1e-3 * float(found[2]))
+    if (found := _PLAY.fullmatch(name)) and int(found[1]) <= m.q.shape[1]:
+        return _play(m, int(found[1]) - 1, 1e-3 * float(found[2]))
     return None
 
 
@@ -118,5 +122,15 @@ def _memory(m: Measurements, joint: int, way: float) -> Array:
     state, states = 0.0, np.empty(len(m))
     for k, move in zip(order, _moves(m, joint)[order], strict=True):
         state = float(np.sign(move) + (state - np.sign(move)) * np.exp(-abs(move) / way)) if move else state
+        states[k] = state
+    return states
+
+
+def _play(m: Measurements, joint: int, half: float) -> Array:
+    """What follows the joint with play stays where it is until it is taken along; it begins in the middle."""
+    order = np.argsort(_order(m), kind="stable")
+    state, states = float(m.q[order[0], joint]), np.empty(len(m))
+    for k in order:
+        state = float(np.clip(state, m.q[k, joint] - half, m.q[k, joint] + half))
         states[k] = state
     return states

@@ -26,7 +26,7 @@ from casadical.diagnosis.laws import contest, drivers
 from casadical.diagnosis.laws.answer import line_of
 from casadical.diagnosis.laws.discovery import laws_beside, with_law
 from casadical.diagnosis.laws.drivers import drivers_of, values_of, variables, with_columns
-from casadical.diagnosis.laws.forms import FINE_WAVE, FORMS, LINEAR, WAVE, wave_by
+from casadical.diagnosis.laws.forms import FINE_WAVE, FORMS, LINEAR, WAVE, wave_by, wave_plus
 from casadical.diagnosis.laws.problem import SCREENED, Problem, Tried, scale_of
 from casadical.diagnosis.laws.rivals import aliases, law_rivals
 from casadical.diagnosis.laws.screening import Screen
@@ -149,10 +149,30 @@ def test_memory_and_waves_by_the_load_are_written_out_as_they_were_judged(text: 
     x = known[text.removeprefix("tau2*")] * (known["tau2"] if "*" in text else 1.0)
     assert np.abs(known[text.removeprefix("tau2*")]).max() <= 1
     (seam,) = seams_with_columns(linear, [Law(2, "joint", "a")])
-    waves = Tried((seam,), drivers["q2"], wave_by("tau2", known["tau2"]), (known["q2"],))
-    for tried, settings in ((Tried((seam,), drivers[text], LINEAR, (x,)), np.zeros(0)), (waves, np.array([2.5]))):
+    waves = [Tried((seam,), drivers["q2"], f("tau2", known["tau2"]), (known["q2"],)) for f in (wave_by, wave_plus)]
+    judged = [(Tried((seam,), drivers[text], LINEAR, (x,)), []), (waves[0], [2.5]), (waves[1], [2.0, -1.5])]
+    for tried, settings in ((tried, np.array(values)) for tried, values in judged):
         law, columns = tried.column(0, settings)
         np.testing.assert_allclose(linear.columns([law]) * [s for s, _ in law.sizes().values()], columns, atol=1e-12)
+
+
+def test_what_follows_with_play_moves_when_it_is_taken_along_and_a_relay_is_a_step_of_it() -> None:
+    m = from_table(table(1), 6)
+    q = np.array([0.0, 0.2, 0.5, 0.3, -0.2, 0.0, 0.4])
+    m = replace(m[np.arange(7)], q=np.column_stack([q] * 6), conditions={})
+    played = derive(m, ["play2_300mrad"])[0].conditions["play2_300mrad"]
+    np.testing.assert_allclose(played, [0.0, 0.0, 0.2, 0.2, 0.1, 0.1, 0.1], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["azimuth", "incidence"])
+def test_the_beam_knows_its_direction_and_how_it_meets_the_flange(name: str) -> None:
+    c = case("kr210-P02")
+    linear, station = linearise(c.given, c.m, c.values), (3.0, -2.0, 1.0)
+    unit, law = (Law(None, "beam", f, station=station) for f in ("a", f"a*{name}"))
+    along, columns = linear.columns([unit])[:, :, 0], linear.columns([law])[:, :, 0]
+    _, R = predicted(c.given, c.m)
+    expected = np.arctan2(along[:, 1], along[:, 0]) if name == "azimuth" else np.einsum("ni,ni->n", along, R[:, :, 2])
+    np.testing.assert_allclose(columns, along * expected[:, None], atol=5e-3)  # flange of the rigid robot
 
 
 def test_laws_are_screened_where_few_ratios_of_noise_are_looked_at() -> None:

@@ -1,10 +1,14 @@
 """Settings between the grid's points: never less likely than where the search began."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from cases import case, robot, simulated
-from numpy_physics import disturbances
+from numpy_physics import Disturbance, disturbances
 
+from casadical.blind_check.mujoco_physics.stops import Stops, only
+from casadical.core.arrays import Array
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS
@@ -43,6 +47,34 @@ def test_a_frequency_between_the_grids_is_found() -> None:
     start = make_case(identify(r, m, priors=True), candidates_of(r, ["transmission_ripple@2"]))
     _, (found,) = refined(start, "transmission_ripple@2", (TransmissionRipple(2, 7.5),), NOTHING, Noise(2e-5, 0.0))
     assert found.cycles == pytest.approx(7, abs=0.1)
+
+
+@pytest.mark.parametrize(("run", "cycles"), [(1.5, 13.0), (0.0, 13.0)])
+def test_a_phase_that_runs_with_the_load_is_no_broken_number_of_cycles(run: float, cycles: float) -> None:
+    """A load that follows the joint's angle moved 13 cycles to 13.2: the reader looked for another gear."""
+    r, m = robot("ur10e"), simulated("ur10e", 5)
+    w = m.condition_matrix(r.conditions, r.declared)
+    torque = r.model.function("torque", ("tau",)).map(len(m))(m.q.T, w.T, r.parameters.values).full()[2]
+    ripple = LoadedRipple(3, tuple(run * torque / r.torque_scale[2]))
+    start = make_case(
+        identify(r, simulated("ur10e", 5, ripple), priors=True), candidates_of(r, ["transmission_ripple@3"])
+    )
+    ranking = rank(start, NOTHING)
+    variant = start.candidates[0].variants[ranking.variant["transmission_ripple@3"]]
+    _, (found,) = refined(start, "transmission_ripple@3", variant, NOTHING, ranking.noise["transmission_ripple@3"])
+    assert found.cycles == cycles
+    assert found.load == pytest.approx(run, abs=0.5 if run else 0.0)
+
+
+@dataclass(frozen=True)
+class LoadedRipple(Disturbance):
+    """13 cycles a turn whose phase runs by `phase` [rad] at each pose."""
+
+    joint: int
+    phase: tuple[float, ...]
+
+    def misread(self, stops: Stops) -> Array:
+        return only(self.joint, 90e-6 * np.sin(13 * stops.q[:, self.joint - 1] + np.array(self.phase)))
 
 
 def test_neighbours_move_one_setting_each() -> None:

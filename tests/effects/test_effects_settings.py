@@ -25,7 +25,7 @@ SETTINGS = {
     "joint_zero_step": {"at": 0.5},
     "load_hysteresis": {"power": 1},
     "nonlinear_stiffness": {"knee": 0.3},
-    "transmission_ripple": {"cycles": 2.0},
+    "transmission_ripple": {"cycles": 2.0, "load": 0.0},
 }
 
 

@@ -20,6 +20,8 @@ LETTERS = "abcdefghijklmnopqs"
 LAGS = (300, 600, 1200, 2400)
 # How far back motions are remembered [mrad or mm].
 WAYS = (100, 300, 1000, 3000)
+# Half of a play [mrad or mm].
+PLAYS = (100, 300, 1000)
 # A driver that varies less is none [rad, m, K, kg, or a share].
 LEAST_SPREAD = 0.02
 # One that is larger is the rounding error of a load over none.
@@ -45,6 +47,8 @@ def drivers_of(arm: Arm) -> list[Driver]:
     found = [Driver(f"q{i}", "angle", "angle") for i in arm.numbers]
     for i in arm.numbers[:-1]:
         found += [Driver(f"q{i} {sign} q{i + 1}", "angle", "angles") for sign in "+-"]
+        unequal = (f"{a}q{i} {sign} {b}q{i + 1}" for a, b in (("2*", ""), ("", "2*")) for sign in "+-")
+        found += [Driver(text, "weighted", "angles") for text in unequal]
     found += [Driver(f"tau{i}", "signed", "load") for i in arm.numbers]
     found += [Driver(f"m{i}{c}", "signed", "moment") for i in arm.numbers for c in "xy"]
     found += [Driver(f"sqrt(m{i}x**2 + m{i}y**2 + m{i}z**2)", "positive", "moment") for i in arm.numbers]
@@ -55,13 +59,16 @@ def drivers_of(arm: Arm) -> list[Driver]:
     found.append(Driver("payload", "linear", "payload"))
     for i in arm.numbers:
         found += [Driver(f"approach{i}", "linear", "approach"), Driver(f"move{i}", "signed", "move")]
+        found += [Driver(f"play{i}_{play}mrad", "play", "play") for play in PLAYS]
         memories = [f"memory{i}_{way}mrad" for way in WAYS]
         found += [Driver(f"{own}{m}", "linear", "memory") for m in memories for own in ("", f"tau{i}*")]
         found += [Driver(f"approach{i}*{other}", "linear", "approach") for other in (f"tau{i}", f"abs(tau{i})", "t")]
         parts = (f"q{i}", f"tau{i}", f"sin(q{i})", f"cos(q{i})")
         found += [Driver(f"{own}*{other}", "linear", "product") for own in parts for other in ("t", WARM)]
         found.append(Driver(f"tau{i}*payload", "linear", "product"))
-    found += [Driver(f"tau{i}*tau{j}", "linear", "product") for i in arm.numbers for j in arm.numbers if i < j]
+    pairs = [(i, j) for i in arm.numbers for j in arm.numbers if i < j]
+    found += [Driver(f"tau{i}*tau{j}", "linear", "product") for i, j in pairs]
+    found += [Driver(f"approach{i}*approach{j}", "linear", "approach") for i, j in pairs]
     return found
 
 

@@ -18,6 +18,8 @@ from casadical.effects.formula import NUMERIC, parse
 # Cycles per turn of an angle: of slow waves, and of fine ones, which need so many poses.
 SLOW, FINE = 16.0, 1100.0
 POSES_FOR_FINE = 50
+# How far a wave's phase runs with a driver [rad a unit of it].
+PHASES = (-6.0, -4.5, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.5, 6.0)
 # A fine wave's phase runs off by so much at most [rad] between two frequencies of the grid.
 STEP = 1.0
 
@@ -110,9 +112,12 @@ def _bands(x: Array) -> Array:
     return rounded(np.array([(a, b) for a in k for b in np.array([0.08, 0.16, 0.24, 0.32]) * np.ptp(x)]))
 
 
-def _between(x: Array) -> Array:
-    edges = np.quantile(x, np.linspace(0.05, 0.95, 16))
-    return rounded(np.array([(a, b) for i, a in enumerate(edges) for b in edges[i + 2 :]]))
+def _between(count: int) -> Callable[[Array], Array]:
+    def grid(x: Array) -> Array:
+        edges = np.quantile(x, np.linspace(0.05, 0.95, count))
+        return rounded(np.array([(a, b) for i, a in enumerate(edges) for b in edges[i + 2 :]]))
+
+    return grid
 
 
 def _decays(x: Array) -> Array:
@@ -144,8 +149,10 @@ DEAD_BAND = Form("dead band", ("(max(0, x - k) - max(0, -x - k))",), ("k",), _be
 BAND = Form("dead band in between", ("(max(0, x - k - w) - max(0, k - w - x))",), ("k", "w"), _bands)
 SATURATION = Form("saturation", ("tanh((x - k)/w)",), ("k", "w"), _with_widths(7, (0.03, 0.08, 0.16, 0.32)))
 STEPPED = Form("step", ("step(x - k)",), ("k",), _quantiles(30))
+RELAY = Form("relay", ("step(x - k)",), ("k",), _quantiles(10))
 BUMP = Form("bump", ("exp(-((x - k)/w)**2)",), ("k", "w"), _with_widths(9, (0.05, 0.1, 0.2, 0.35)))
-BLOCK = Form("on and off", ("step(x - k)*step(w - x)",), ("k", "w"), _between)
+LEVELS = Form("levels", ("step(x - k)", "step(x - w)"), ("k", "w"), _between(10))
+BLOCK = Form("on and off", ("step(x - k)*step(w - x)",), ("k", "w"), _between(16))
 FADE = Form("fading", ("exp(-x/w)",), ("w",), _decays)
 WAVE = Form("wave", ("sin(f*x)", "cos(f*x)"), ("f",), _turns)
 FINE_WAVE = Form("fine wave", ("sin(f*x)", "cos(f*x)"), ("f",), _fine)
@@ -156,12 +163,28 @@ FORMS = {
     "angle": (LINEAR, SQUARE, ABOVE, BELOW, BAND, SATURATION, STEPPED, BUMP, WAVE),
     "signed": (LINEAR, SQUARE, CUBE, SIZE, SIGNED_SQUARE, ABOVE, BELOW, BEYOND, DEAD_BAND, SATURATION, STEPPED, BUMP),
     "positive": (LINEAR, SQUARE, ABOVE, BELOW, SATURATION, STEPPED, BUMP),
-    "time": (LINEAR, SQUARE, ABOVE, BELOW, SATURATION, STEPPED, BUMP, BLOCK, FADE, CYCLE),
+    "time": (LINEAR, SQUARE, ABOVE, BELOW, SATURATION, STEPPED, BUMP, LEVELS, BLOCK, FADE, CYCLE),
+    "play": (LINEAR, RELAY),
+    "weighted": (WAVE,),
     "linear": (LINEAR,),
     "range": (LINEAR, SQUARE, WAVE),
+    "azimuth": (LINEAR, WAVE),
+    "incidence": (LINEAR, SQUARE, ABOVE, BELOW),
 }
+# Of time: they follow whatever varied while it was measured, and come last.
+LAST_RESORT = (BUMP, BLOCK, CYCLE)
 
 
 def wave_by(name: str, values: Array) -> Form:
     """A wave whose size follows something else, such as a load. values : of the name, shape (n,)"""
     return Form(f"wave by {name}", (f"{name}*sin(f*x)", f"{name}*cos(f*x)"), ("f",), _turns, {name: values})
+
+
+def wave_plus(name: str, values: Array) -> Form:
+    """A wave of a whole number of cycles whose phase runs with something else. values : of the name, shape (n,)"""
+    parts = f"sin(f*x + p*{name})", f"cos(f*x + p*{name})"
+    return Form(f"wave plus {name}", parts, ("f", "p"), _phases, {name: values})
+
+
+def _phases(_x: Array) -> Array:
+    return rounded(np.array([(f, p) for f in range(1, int(SLOW) + 1) for p in PHASES]))

@@ -38,8 +38,10 @@ def _moved(tried: Tried, seam: int, settings: Array, k: int, step: float) -> Arr
     """One setting moved: a width by a factor, a frequency by its share of the range, a position by a share of it."""
     moved, span = settings.copy(), float(np.ptp(tried.x[seam]))
     name = tried.form.settings[k]
-    if name == "w" and tried.form.name != "on and off":
+    if name == "w" and tried.form.name not in ("on and off", "levels"):
         moved[k] *= np.exp(10 * step)
+    elif name == "p":
+        moved[k] += 20 * step
     elif name == "f":
         moved[k] += 10 * step / span
     else:

@@ -15,6 +15,7 @@ from casadical.core.arrays import Array
 from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.laws.drivers import (
     LARGEST,
+    WARM,
     Driver,
     drivers_of,
     own_drivers,
@@ -23,7 +24,7 @@ from casadical.diagnosis.laws.drivers import (
     variables,
     with_columns,
 )
-from casadical.diagnosis.laws.forms import FINE_WAVE, FORMS, POSES_FOR_FINE, Form, wave_by
+from casadical.diagnosis.laws.forms import FINE_WAVE, FORMS, LAST_RESORT, POSES_FOR_FINE, Form, wave_by, wave_plus
 from casadical.diagnosis.laws.problem import Problem, Scored, Tried, scaled
 from casadical.diagnosis.laws.refinement import refined
 from casadical.diagnosis.laws.screening import log_mean
@@ -34,6 +35,8 @@ from casadical.diagnosis.linearisation import EffectColumns, Linearisation
 from casadical.effects.formula import parse
 from casadical.effects.law import Law
 
+# What a law pays that can follow anything that varied with time, where the driver itself may be there.
+TIME_PRICE = 5.0
 # Laws whose evidence is computed exactly, and those whose settings are refined.
 EXACT, REFINED = 24, 6
 
@@ -92,7 +95,7 @@ def _of_block(seam: Seam, block: _Block, gains: Array, keep: int) -> list[_Rough
 
 
 def _everywhere(problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequence[Seam]) -> Iterator[_Rough]:
-    for block in _blocks(drivers, FORMS):
+    for block in _blocks([d for d in drivers if d[0].kind != "weighted"], FORMS):
         for seam in seams:
             some = block
             if seam.law.seam == "payload":
@@ -115,15 +118,25 @@ def _fine(problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequ
             yield from _of_block(seam, block, problem.gains(seam, block.functions), 1)
 
 
-def _by_load(problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequence[Seam]) -> Iterator[_Rough]:
-    """Waves of each joint over its own angle whose size follows its load."""
+def _joined_waves(problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequence[Seam]) -> Iterator[_Rough]:
+    """Waves of each joint over its own angle whose size follows load, moment or warmth, or whose phase the load does,
+    and over sums of its own and a neighbour's angle with unequal weights.
+    """
     by_text = {d.text: (d, x) for d, x in drivers}
+    weighted = [d for d in drivers if d[0].kind == "weighted"]
     for seam in seams:
-        names = f"q{seam.law.joint}", f"tau{seam.law.joint}"
-        if seam.law.seam in ("joint", "tilt") and all(n in by_text for n in names):
-            (driver, x), (_, load) = (by_text[n] for n in names)
-            own = replace(driver, family="wave by load")
-            (block,) = _blocks([(own, x)], {"angle": (wave_by(names[1], load),)})
+        j = seam.law.joint
+        if seam.law.seam == "joint":
+            for block in _blocks([d for d in weighted if f"q{j}" in parse(d[0].text).names], FORMS):
+                yield from _of_block(seam, block, problem.gains(seam, block.functions), EXACT)
+        if seam.law.seam not in ("joint", "tilt") or f"q{j}" not in by_text:
+            continue
+        driver, x = by_text[f"q{j}"]
+        forms = [wave_by(n, by_text[n][1]) for n in (f"tau{j}", f"m{j}x", f"m{j}y", WARM) if n in by_text]
+        forms += [wave_plus(n, by_text[n][1]) for n in (f"tau{j}",) if n in by_text]
+        for form in forms:
+            own = replace(driver, family="wave by load" if f"tau{j}" in form.name else form.name)
+            (block,) = _blocks([(own, x)], {"angle": (form,)})
             yield from _of_block(seam, block, problem.gains(seam, block.functions), 1)
 
 
@@ -143,21 +156,23 @@ def _every_joint(problem: Problem, linear: Linearisation, known: Collection[str]
         yield from _of_block(seam, block, problem.gains(seam, block.functions), EXACT)
 
 
-def _along_the_beam(problem: Problem, beams: Sequence[Seam], point: Array) -> Iterator[_Rough]:
-    """Laws of the range, whose station is a setting like others."""
-    driver = Driver("r", "range", "range")
-    x = [np.linalg.norm(point - np.array(b.law.station), axis=1) for b in beams]
-    for form in FORMS["range"]:
-        gains = []
-        for seam, r in zip(beams, x, strict=True):
-            (block,) = _blocks([(driver, r)], {"range": (form,)})
-            gains.append(problem.gains(seam, block.functions))
-        tried = Tried(tuple(beams), driver, form, tuple(x))
-        k = int(np.argmax([g.max() for g in gains]))
-        best = int(np.argmax(gains[k]))
-        whole = np.concatenate(gains)
-        mean = float(log_mean(whole) - np.log(len(whole)))
-        yield _Rough(tried, k, tried.settings[k][best], float(gains[k][best]), mean)
+def _along_the_beam(problem: Problem, linear: Linearisation, beams: Sequence[Seam]) -> Iterator[_Rough]:
+    """Laws of the range, direction and incidence of the beam, whose station is a setting like others."""
+    for text, kind in (("r", "range"), ("azimuth", "azimuth"), ("incidence", "incidence")):
+        driver = Driver(text, kind, kind)
+        of_driver = linear.columns([replace(b.law, formula=f"a*{text}") for b in beams])
+        units = np.concatenate([b.columns for b in beams], axis=2)
+        x = list(((of_driver * units).sum(axis=1) / (units**2).sum(axis=1)).T)
+        for form in FORMS[kind]:
+            gains = []
+            for seam, values in zip(beams, x, strict=True):
+                (block,) = _blocks([(driver, values)], {kind: (form,)})
+                gains.append(problem.gains(seam, block.functions))
+            tried = Tried(tuple(beams), driver, form, tuple(x))
+            k = int(np.argmax([g.max() for g in gains]))
+            best, whole = int(np.argmax(gains[k])), np.concatenate(gains)
+            mean = float(log_mean(whole) - np.log(len(whole)))
+            yield _Rough(tried, k, tried.settings[k][best], float(gains[k][best]), mean)
 
 
 def _linear(case: Case) -> tuple[Linearisation, list[Driver]]:
@@ -166,6 +181,11 @@ def _linear(case: Case) -> tuple[Linearisation, list[Driver]]:
     m, known = with_columns(case.m, drivers_of(case.given))
     linear = replace(case.whole.E.linear, conditions=dict(m.conditions))
     return linear.at(np.flatnonzero(case.kept)), known
+
+
+def _last(tried: Tried) -> float:
+    """The price of a law that is the last resort."""
+    return TIME_PRICE if tried.driver.kind == "time" and tried.form in LAST_RESORT else 0.0
 
 
 def search_laws(case: Case, chosen: Array, without: frozenset[str] = frozenset()) -> list[Scored]:
@@ -180,11 +200,12 @@ def search_laws(case: Case, chosen: Array, without: frozenset[str] = frozenset()
     *seams, every = at_poses(linear, [*seams_at(case.given), Law(None, "joints", "a", count=case.given.n)])
     beams = at_poses(linear, stations(case.given))
     rough = [*_everywhere(problem, drivers, seams), *_fine(problem, drivers, seams)]
-    rough += _by_load(problem, drivers, seams)
+    joined = [*_joined_waves(problem, drivers, seams)]
+    rough += joined
     rough += _every_joint(problem, linear, {n for d in kept for n in parse(d.text).names}, every)
-    rough += _along_the_beam(problem, beams, linear.seen[:, :3])
-    instances = len(seams) * len(drivers) + 1
-    prices = [np.log(instances) + np.log(1 + len(FORMS[r.tried.driver.kind])) for r in rough]
+    rough += _along_the_beam(problem, linear, beams)
+    instances = len(seams) * len(drivers) + len(joined) + 1
+    prices = [np.log(instances) + np.log(1 + len(FORMS[r.tried.driver.kind])) + _last(r.tried) for r in rough]
     order = np.argsort([-(r.mean - price) for r, price in zip(rough, prices, strict=True)])
     some = [rough[k] for k in order[:EXACT]]
     made = [r.tried.column(r.seam, r.settings) for r in some]
