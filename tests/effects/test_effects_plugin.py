@@ -86,20 +86,22 @@ assert again.knowledge.std_errors["toy_cable@5.pull"] > 0
 """
 
 
-def test_a_plug_in_is_kept_in_a_robot_file_and_exported(site: Path, campaign: Path, tmp_path: Path) -> None:
+def test_a_plug_in_is_kept_in_a_robot_file_and_exported(site: Path, campaign: Path, tmp_path, monkeypatch) -> None:
     kept, model, folder = tmp_path / "kept.toml", tmp_path / "a.xml", tmp_path / "c"
     done = run(site, campaign, kept, program=KEEP)
     assert (done.returncode, done.stderr) == (0, "")
     assert 'name = "toy_cable"' in kept.read_text()
-    refused = run(site, "export", "model", kept, "--out", model)
+    refused = run_here(monkeypatch, known_effects, site, "export", "model", kept, "--out", model)
     assert refused.returncode == 2
     assert "toy_cable@5: no counterpart in MuJoCo; lost without it: 0." in " ".join(refused.stderr.split())
-    assert run(site, "export", "model", kept, "--out", model, "--leave-out").returncode == 0
-    given = ["export", "c", kept, "--nominal", f"problems/{NAME}/robot.toml", "--out", folder]
-    written = run(site, *given)
+    given = ("export", "model", kept, "--out", model, "--leave-out")
+    assert run_here(monkeypatch, known_effects, site, *given).returncode == 0
+    given = ("export", "c", kept, "--nominal", f"problems/{NAME}/robot.toml", "--out", folder)
+    written = run_here(monkeypatch, known_effects, site, *given)
     assert (written.returncode, written.stderr) == (0, "")
     assert "LEFT OUT" not in written.stdout
-    gone = run(Path("nowhere"), *given, "--overwrite")
+    monkeypatch.undo()  # the folder is no longer on the path
+    gone = run_here(monkeypatch, known_effects, tmp_path, *given, "--overwrite")
     assert gone.returncode == 2
     assert "effect[1].no effect 'toy_cable' is installed" in " ".join(gone.stderr.split())
 
