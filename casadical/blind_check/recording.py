@@ -1,8 +1,8 @@
 """Measuring sessions of planned campaigns: a robot as built in a physics, what is hidden in it, and its table."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import pandas as pd
@@ -40,18 +40,15 @@ class Subject:
         return replace(plant, gravity=now @ before.T @ plant.gravity)
 
 
-@dataclass(frozen=True, eq=False)
-class Acting:
-    """An effect that is switched on.
+class Acting(Protocol):
+    """An effect that is switched on: its name, its 1-based joint or None, and its sizes in words."""
 
-    effect, joint : its name, and its 1-based joint or None; about : its sizes in words
-    itself : the effect as the physics knows it
-    """
-
-    effect: str
-    joint: int | None
-    about: str
-    itself: Any
+    @property
+    def effect(self) -> str: ...
+    @property
+    def joint(self) -> int | None: ...
+    @property
+    def about(self) -> str: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,17 +59,7 @@ class Simulator:
     campaign: Callable[..., pd.DataFrame]
 
 
-def _drawn(plant: Plant, effect: str, rng: np.random.Generator, poses: int) -> Acting:
-    hidden = draw_effect(plant, effect, rng, poses=poses)
-    return Acting(effect, hidden.joint, sizes_in_words(hidden.size), hidden)
-
-
-def sizes_in_words(sizes: Mapping[str, Any]) -> str:
-    """Sizes of an effect by name."""
-    return ", ".join(f"{name} {np.round(value, 9).tolist()}" for name, value in sizes.items())
-
-
-MUJOCO = Simulator(_drawn, campaign)
+MUJOCO = Simulator(draw_effect, campaign)
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +99,7 @@ def record(subject: Subject, plan: Plan, n: int, poses: pd.DataFrame | None, sim
     def session(*acting: Acting) -> pd.DataFrame:
         return simulator.campaign(
             plant,
-            [a.itself for a in acting],
+            acting,
             n,
             seed,
             noise_mm=1e3 * plan.noise,

@@ -1,53 +1,24 @@
 """Values of options for the shell's completion; looked up only when the shell asks."""
 
-
-def _begun(words: tuple[str, ...], incomplete: str) -> list[str]:
-    return [word for word in words if word.lower().startswith(incomplete.lower())]
-
-
-def _listed(words: tuple[str, ...], incomplete: str) -> list[str]:
-    """Completions of the last word of a list by commas."""
-    before, comma, last = incomplete.rpartition(",")
-    return [f"{before}{comma}{word}" for word in _begun(words, last)]
+from collections.abc import Callable, Iterable
+from importlib import import_module
 
 
-def methods(incomplete: str) -> list[str]:
-    """Words for `--method`."""
-    from casadical.project.problem_file import all_methods
+def _offered(module: str, name: str, *, listed: bool = False) -> Callable[[str], list[str]]:
+    """The words that a function or a constant of a module has; listed : by commas, of which the last is completed."""
 
-    return _begun(all_methods(), incomplete)
+    def complete(incomplete: str) -> list[str]:
+        known = getattr(import_module(f"casadical.{module}"), name)
+        words: Iterable[str] = known() if callable(known) else known
+        before, comma, last = incomplete.rpartition(",") if listed else ("", "", incomplete)
+        return [f"{before}{comma}{word}" for word in words if word.lower().startswith(last.lower())]
 
-
-def losses(incomplete: str) -> list[str]:
-    """Words for `--loss`."""
-    from casadical.project.problem_file import all_losses
-
-    return _begun(all_losses(), incomplete)
+    return complete
 
 
-def criteria(incomplete: str) -> list[str]:
-    """Words for `--criterion`."""
-    from casadical.project.planning import all_criteria
-
-    return _begun(all_criteria(), incomplete)
-
-
-def languages(incomplete: str) -> list[str]:
-    """Words for `export c --language`; after a comma, of the next one."""
-    from casadical.export.c.registry import known_languages
-
-    return _listed(tuple(known_languages()), incomplete)
-
-
-def forms(incomplete: str) -> list[str]:
-    """Words for `export model --to`."""
-    from casadical.export.model_file import FORMS
-
-    return _begun(FORMS, incomplete)
-
-
-def effects(incomplete: str) -> list[str]:
-    """Names of effects; after a comma, of the next one."""
-    from casadical.project.diagnosis import all_effects
-
-    return _listed(all_effects(), incomplete)
+methods = _offered("project.problem_file", "all_methods")  # --method
+losses = _offered("project.problem_file", "all_losses")  # --loss
+criteria = _offered("project.planning", "all_criteria")  # --criterion
+languages = _offered("export.c.registry", "known_languages", listed=True)  # export c --language
+forms = _offered("export.model_file", "FORMS")  # export model --to
+effects = _offered("project.diagnosis", "all_effects", listed=True)  # --effects

@@ -23,7 +23,7 @@ _ANY = (
 )
 
 
-def draw_effect(plant: Plant, effect: str, rng: np.random.Generator, *, poses: int = 100) -> Hidden:
+def draw_effect(plant: Plant, effect: str, rng: np.random.Generator, poses: int = 100) -> Hidden:
     """One effect by its name, its joint and sizes at random.
 
     Raises InputError for an unknown name.

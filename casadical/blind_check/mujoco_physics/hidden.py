@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
+import numpy as np
+
 from casadical.blind_check.mujoco_physics import causes_drive, causes_load, causes_loose, causes_setup, causes_structure
 from casadical.blind_check.mujoco_physics.cause import Cause
 from casadical.core.errors import InputError
@@ -47,6 +49,11 @@ UNLISTED: Mapping[str, type[Cause]] = {
 }
 
 
+def sizes_in_words(sizes: Mapping[str, Any]) -> str:
+    """Sizes of an effect by name."""
+    return ", ".join(f"{name} {np.round(value, 9).tolist()}" for name, value in sizes.items())
+
+
 @dataclass(frozen=True)
 class Hidden:
     """One hidden effect.
@@ -59,6 +66,11 @@ class Hidden:
     effect: str
     joint: int | None
     size: Mapping[str, Any]
+
+    @property
+    def about(self) -> str:
+        """Its sizes in words."""
+        return sizes_in_words(self.size)
 
     @property
     def label(self) -> str:

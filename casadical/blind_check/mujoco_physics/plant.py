@@ -92,14 +92,7 @@ class Plant(Shown):
             name=str(robot["name"]),
             home=home_frames(
                 [
-                    (
-                        np.deg2rad(float(r["alpha_deg"])),
-                        r["a_m"],
-                        0.0,
-                        0.0,
-                        np.deg2rad(float(r.get("theta0_deg", 0.0))),
-                        r["d_m"],
-                    )
+                    (_radians(r["alpha_deg"]), r["a_m"], 0.0, 0.0, _radians(r.get("theta0_deg", 0.0)), r["d_m"])
                     for r in rows
                 ]
             ),
@@ -117,7 +110,7 @@ class Plant(Shown):
                 crank_m=float(bar["crank_L5_m"]),
                 coupler_m=float(bar["coupler_L4_m"]),
                 rocker_m=float(bar["rocker_L3_m"]),
-                passive_offset_rad=float(np.deg2rad(bar.get("passive_offset_deg", -90.0))),
+                passive_offset_rad=_radians(bar.get("passive_offset_deg", -90.0)),
             ),
         )
 
@@ -176,6 +169,10 @@ def home_frames(rows: Sequence[tuple[float, float, float, float, float, float]])
             T = T @ motion(alpha * _X, _0, _0) @ motion(theta * _Z, np.array([a, 0.0, d], float), _0)
         frames.append(T)
     return np.array(frames)
+
+
+def _radians(degrees: Any) -> float:
+    return float(np.deg2rad(float(degrees)))
 
 
 def _table(robot: Mapping[str, Any], key: str, shape: tuple[int, ...]) -> Array:
