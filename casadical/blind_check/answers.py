@@ -76,10 +76,10 @@ class Answer(_Loose):
     @property
     def probabilities(self) -> dict[str, float]:
         """The posterior by the labels of the key."""
-        found: dict[str, float] = {}
+        by_label: dict[str, float] = {}
         for text, p in self.posterior.items():
-            found[relabelled(text)] = found.get(relabelled(text), 0.0) + p
-        return found
+            by_label[relabelled(text)] = by_label.get(relabelled(text), 0.0) + p
+        return by_label
 
 
 def relabelled(text: str) -> str:

@@ -103,7 +103,7 @@ def turns(rng: np.random.Generator, things: Sequence[Thing]) -> Iterator[Thing]:
 
 def distinct(pool: Iterator[Thing], count: int) -> tuple[Thing, ...]:
     """The next things of a pool that differ from each other."""
-    found: dict[Thing, None] = {}
-    while len(found) < count:
-        found.update(dict.fromkeys(islice(pool, 1)))
-    return tuple(found)
+    things: dict[Thing, None] = {}
+    while len(things) < count:
+        things.update(dict.fromkeys(islice(pool, 1)))
+    return tuple(things)

@@ -361,12 +361,12 @@ def check_robot(
     if not_logged:
         plans = [replace(p, missing=",".join(not_logged)) for p in plans]
     plans = [replace(p, repeatability=REPEATABILITY) for p in plans]
-    found: dict[str, Outcome | str] = {}
+    results: dict[str, Outcome | str] = {}
     with workers(executor) as pool:
         for done, (name, result) in enumerate(completed(pool, _checked, [(subject, p) for p in plans]), 1):
-            found[name] = result
+            results[name] = result
             show(name, done, n)
-    in_order = {p.name: found[p.name] for p in plans}
+    in_order = {p.name: results[p.name] for p in plans}
     return RobotCheck(
         robot=robot.name,
         poses=count,

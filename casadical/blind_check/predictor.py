@@ -104,20 +104,20 @@ def diagnosis(s: Session) -> dict[str, Any]:
     from casadical.diagnosis.smooth_description import describe_unlisted
     from casadical.project.diagnosis import Campaign, diagnose_campaign
 
-    found = diagnose_campaign(Campaign(s.robot, (s.measured,))).diagnosis
-    answer = as_json(found, s.name, Details(where=localise(found), unlisted=describe_unlisted(found)))
-    first = found.rankings[0]
+    diagnosed = diagnose_campaign(Campaign(s.robot, (s.measured,))).diagnosis
+    answer = as_json(diagnosed, s.name, Details(where=localise(diagnosed), unlisted=describe_unlisted(diagnosed)))
+    first = diagnosed.rankings[0]
     posterior = {"none": first.none, "unknown": 0.0}
-    for candidate in found.case.candidates:
+    for candidate in diagnosed.case.candidates:
         text = candidate.label if candidate.listed else "unknown"
         posterior[text] = posterior.get(text, 0.0) + first.probability.get(candidate.label, 0.0)
-    if any(c.effect == "outliers" for c in found.causes):
+    if any(c.effect == "outliers" for c in diagnosed.causes):
         # The screening has no probability: where it finds outliers it is sure, and the ranking is of the other poses.
-        posterior["outliers"] = next(c.confidence for c in found.causes if c.effect == "outliers")
-    out = np.array([o.row for o in found.outliers], dtype=int)
+        posterior["outliers"] = next(c.confidence for c in diagnosed.causes if c.effect == "outliers")
+    out = np.array([o.row for o in diagnosed.outliers], dtype=int)
     return answer | {
         "posterior": {text: round(float(p), 5) for text, p in posterior.items() if p >= 1e-5},
-        "unseen": unseen_positions(s, found.identification.robot, found.apply(), out),
+        "unseen": unseen_positions(s, diagnosed.identification.robot, diagnosed.apply(), out),
     }
 
 

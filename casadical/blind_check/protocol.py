@@ -148,10 +148,10 @@ def read_key(folder: Path, manifest: Manifest) -> Key:
     if not path.is_file():
         raise InputError(f"{path}: no such key; name the folder that `make --key` wrote, or its {KEY}")
     data = content(path)
-    found = hashlib.sha256(data).hexdigest()
-    if found != manifest.key_sha256:
+    digest = hashlib.sha256(data).hexdigest()
+    if digest != manifest.key_sha256:
         raise InputError(
-            f"{path}: its SHA-256 is {found}, but {manifest.key_sha256} was published with the campaigns; "
+            f"{path}: its SHA-256 is {digest}, but {manifest.key_sha256} was published with the campaigns; "
             "the key was changed after it was made, or belongs to other campaigns: nothing is scored"
         )
     key = check(Key, json_of(data, str(path)), str(path))

@@ -85,11 +85,11 @@ def score(folder: str | Path, key: str | Path, answers: str | Path) -> Score:
     """
     folder, path = Path(folder), Path(answers)
     manifest = read_manifest(folder)
-    head, found = read_answers(path)
+    head, answered = read_answers(path)
     if head.key_sha256 != manifest.key_sha256:
         raise InputError(f"{path}: answers another check than the one in {folder}; predict that one first")
     opened = read_key(Path(key), manifest)
-    outcomes = tuple(outcome(name, s, found[name]) for name, s in opened.campaigns.items() if name in found)
+    outcomes = tuple(outcome(name, s, answered[name]) for name, s in opened.campaigns.items() if name in answered)
     if not outcomes:
         raise InputError(f"{path}: answers no campaign of {folder}")
     return Score(head, opened, outcomes)
@@ -142,8 +142,8 @@ def _parts(s: Score) -> Table:
     rows = []
     for by, parts in s.parts.items():
         for k, (word, part) in enumerate(parts.items()):
-            found = part_metrics(part).values()
-            cells = ["-" if f.value is None else f"{f.value:.3f} [{f.low:.2f}, {f.high:.2f}]" for f in found]
+            figures = part_metrics(part).values()
+            cells = ["-" if f.value is None else f"{f.value:.3f} [{f.low:.2f}, {f.high:.2f}]" for f in figures]
             rows.append([by if k == 0 else "", word, str(len(part)), *cells])
     return Table("", ["by", "", "n", *part_metrics(s.outcomes)], rows)
 

@@ -16,9 +16,9 @@ RANK = 1e-9
 
 def base_jacobian(robot: Robot, clean: Measurements) -> Array:
     """Columns of the base model, shape (n, 3, P), calibrated on a campaign without effects."""
-    found = base_calibrated(prepare(robot, clean))
+    fit = base_calibrated(prepare(robot, clean))
     m, _ = derive(clean, robot.conditions)
-    return signatures(robot, (), m, robot.values_of(found.robot))[1]
+    return signatures(robot, (), m, robot.values_of(fit.robot))[1]
 
 
 def unabsorbed_rms(J: Array, shift: Array) -> float:

@@ -53,26 +53,26 @@ def check(
     from casadical.project.check.target_repair import repaired
 
     console = wrapped(quiet)
-    found = []
+    checks = []
     for name, (folder, tables) in problems_of(problems).items():
         noise = None if noise_mm is None else 1e-3 * noise_mm
         if repair and tables:
             raise InputError(f"{name}: --repair writes problem.toml; make a folder of it first: casadical new --data")
         with working(quiet, "reading", name, CHECK) as show:
-            found.append(precheck(folder, noise, show=show, tables=tables))
+            checks.append(precheck(folder, noise, show=show, tables=tables))
         for _ in range(REPAIRS if repair else 0):
-            text = repaired(found[-1])
+            text = repaired(checks[-1])
             if not text:
                 break
             console.print(text, markup=False, highlight=False, soft_wrap=True)
             with working(quiet, "reading again", name, CHECK) as show:
-                found[-1] = precheck(folder, noise, show=show)
-        console.print(terminal(found[-1].blocks() if details else found[-1].brief()))
+                checks[-1] = precheck(folder, noise, show=show)
+        console.print(terminal(checks[-1].blocks() if details else checks[-1].brief()))
         console.print()
-    keep_json(json_file, [f.to_json() for f in found], console)
+    keep_json(json_file, [f.to_json() for f in checks], console)
     if quiet:
-        for f in found:
+        for f in checks:
             for finding in f.of_level("error"):
                 typer.echo(f"casadical: {shown(f.folder)}: {finding.topic}: {finding.text}", err=True)
-    if not all(f.ok and not (strict and f.of_level("warning")) for f in found):
+    if not all(f.ok and not (strict and f.of_level("warning")) for f in checks):
         raise typer.Exit(BAD_INPUT)

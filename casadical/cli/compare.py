@@ -55,11 +55,11 @@ def compare(
 
     console = wrapped(quiet)
     with working(quiet, "reading") as show:
-        found = compare_files(campaigns, robot, same_tool=same_tool, same_frame=same_frame, show=show)
-    console.print(terminal(found.blocks()))
+        comparison = compare_files(campaigns, robot, same_tool=same_tool, same_frame=same_frame, show=show)
+    console.print(terminal(comparison.blocks()))
     texts: dict[Path, str] = {}
     if report_file:
-        texts[report_file] = html([found.page(campaigns)])
-    keep(with_json(texts, json_file, found.to_json()), console)
-    if found.changed or found.unexplained:
+        texts[report_file] = html([comparison.page(campaigns)])
+    keep(with_json(texts, json_file, comparison.to_json()), console)
+    if comparison.changed or comparison.unexplained:
         raise typer.Exit(NOT_VALID)

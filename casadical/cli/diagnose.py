@@ -152,19 +152,19 @@ def diagnose(
     texts: dict[Path, str] = {}
     for campaign in given:
         with working(quiet, "diagnosing", campaign.name, DIAGNOSIS) as show:
-            found = diagnose_campaign(campaign, options, show).analysed(
+            answer = diagnose_campaign(campaign, options, show).analysed(
                 poses=next_n, workspace=workspace, networks=network, highest_line=highest_line,
                 file=file.name if file else "", show=show,
             )  # fmt: skip
             if out:
                 show("the robot with its causes")
-                texts |= found.files(out if len(given) == 1 else out / campaign.name, unlisted=unlisted)
-        answers.append(found)
-        texts |= _printed(found, details, file, console)
+                texts |= answer.files(out if len(given) == 1 else out / campaign.name, unlisted=unlisted)
+        answers.append(answer)
+        texts |= _printed(answer, details, file, console)
     if report_file:
         with working(quiet, "writing the report"):
             texts[report_file] = _report(answers)
-    keep(with_json(texts, json_file, [found.to_json() for found in answers] if json_file else []), console)
+    keep(with_json(texts, json_file, [answer.to_json() for answer in answers] if json_file else []), console)
     if not details:
         console.print("where it lies, how sure, what is left: --details, --out DIR or --report FILE.html", style="dim")
 

@@ -58,12 +58,12 @@ def fleet(
     console = wrapped(quiet)
     try:
         with working(quiet, "starting") as show:
-            found = run_fleet(folders, store, scheduler=scheduler, workers=workers, with_diagnosis=diagnose, show=show)
+            robots = run_fleet(folders, store, scheduler=scheduler, workers=workers, with_diagnosis=diagnose, show=show)
     except KeyboardInterrupt as stop:
         typer.echo(f"casadical: {stop or 'interrupted'}", err=True)
         raise typer.Exit(130) from None
-    console.print(terminal(found.blocks()))
-    texts = dict(found.prior_files(priors)) if priors else {}
+    console.print(terminal(robots.blocks()))
+    texts = dict(robots.prior_files(priors)) if priors else {}
     if priors and not texts:
         console.print("note: no prior is written: no type has five calibrated robots or more.", style="yellow")
     for path in sorted(priors.glob(12 * "[0-9a-f]" + ".robot.toml")) if priors else ():
@@ -71,5 +71,5 @@ def fleet(
             words = f"note: {shown(path)}: of no type of this fleet with five robots; not written now."
             console.print(words, style="yellow", soft_wrap=True)
     if report_file:
-        texts[report_file] = html([found.page()])
-    keep(with_json(texts, json_file, found.to_json()), console)
+        texts[report_file] = html([robots.page()])
+    keep(with_json(texts, json_file, robots.to_json()), console)

@@ -170,15 +170,15 @@ def problems_of(paths: Sequence[Path]) -> dict[str, tuple[Path, list[Path]]]:
             given[-1][1].append(path)
         else:
             raise InputError(f"{shown(path)}: whose poses? give a problem folder or a robot file before the table")
-    found: dict[str, tuple[Path, list[Path]]] = {}
+    by_name: dict[str, tuple[Path, list[Path]]] = {}
     for source, tables in given:
         if source.is_file() and not tables:
             raise InputError(f"{shown(source)}: is a robot alone; give its measured poses after it: POSES.csv")
         name = tables[0].stem if tables else source.resolve().name
-        if name in found:
+        if name in by_name:
             raise InputError(f"{shown(source)}: a second problem of the name {name!r}; give them one after the other")
-        found[name] = source, tables
-    return found
+        by_name[name] = source, tables
+    return by_name
 
 
 def effects_of(text: str | None) -> "EffectChoice":

@@ -71,8 +71,8 @@ def _refuse_unusable(given: Mapping[str, Any], outputs: Collection[str]) -> None
 def _metavars(command: Callable[..., Any]) -> Mapping[str, str]:
     """How the help of a command shows its parameters."""
     hints = get_type_hints(command, include_extras=True)
-    found = {name: getattr(hints[name], "__metadata__", (None,))[0] for name in inspect.signature(command).parameters}
-    return {name: getattr(option, "metavar", None) or "" for name, option in found.items()}
+    options = {name: getattr(hints[name], "__metadata__", (None,))[0] for name in inspect.signature(command).parameters}
+    return {name: getattr(option, "metavar", None) or "" for name, option in options.items()}
 
 
 def _check(files: Sequence[Path], folders: Sequence[Path], inputs: Sequence[Path], overwrite: bool | None) -> None:

@@ -158,14 +158,14 @@ def plan(
         _places(wires, sockets, places, known_places),
     )
     with working(quiet, "choosing poses", steps=PLAN) as show:
-        found = plan_problem(
+        planned = plan_problem(
             problem, n, wanted, measured, carried(prior, prior_effects, frozen=False), seed=seed, show=show
         )
     place = out if n is None else out or Path("plan.csv")
     console = wrapped(quiet)
-    console.print(terminal(found.blocks()))
+    console.print(terminal(planned.blocks()))
     console.print(planned_with(problem, measured, prior))
-    keep(with_json(found.files(place) if place else {}, json_file, found.to_json()), console)
+    keep(with_json(planned.files(place) if place else {}, json_file, planned.to_json()), console)
 
 
 def _refuse_given(options: dict[str, object]) -> None:

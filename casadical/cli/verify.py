@@ -89,10 +89,10 @@ def verify(
 
     console = wrapped(quiet)
     with working(quiet, "fitting base and tool", tables[0].name):
-        found = verification.verify(robot, tables, promised_mm)
-    console.print(terminal(found.blocks()))
-    keep_json(json_file, found.to_json(), console)
-    if not found.valid:
+        checked = verification.verify(robot, tables, promised_mm)
+    console.print(terminal(checked.blocks()))
+    keep_json(json_file, checked.to_json(), console)
+    if not checked.valid:
         raise typer.Exit(NOT_VALID)
 
 
@@ -115,10 +115,10 @@ def _replay(
     texts: dict[Path, str] = {}
     for campaign in read_campaigns(problem, tables):
         with working(quiet, "diagnosing", campaign.name, DIAGNOSIS) as show:
-            found = replay_campaign(campaign.robot, campaign.sets[0], effects_of(effects), seed=seed, show=show)
+            replayed = replay_campaign(campaign.robot, campaign.sets[0], effects_of(effects), seed=seed, show=show)
         console.print(f"{campaign.title}, held-out poses replayed in MuJoCo")
-        console.print(terminal(found.blocks()))
-        answers.append({"campaign": campaign.name, **found.to_json()})
+        console.print(terminal(replayed.blocks()))
+        answers.append({"campaign": campaign.name, **replayed.to_json()})
         if out:
-            texts |= {out / f"{campaign.name}.{k}.xml": s.export.text for k, s in enumerate(found.stages)}
+            texts |= {out / f"{campaign.name}.{k}.xml": s.export.text for k, s in enumerate(replayed.stages)}
     keep(with_json(texts, json_file, answers), console)

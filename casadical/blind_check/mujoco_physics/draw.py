@@ -69,10 +69,10 @@ def impossible(plant: Plant) -> dict[str, str]:
         "its links 2 and 3 have no length or carry nothing": (not _links(plant), ("link_flexure", "cracked_link")),
         "it has one link": (n < 2, ("thermal_bend",)),
     }
-    found: dict[str, str] = {}
+    excluded: dict[str, str] = {}
     for reason, (true, effects) in reasons.items():
-        found |= {effect: reason for effect in effects if true and effect not in found}
-    return found
+        excluded |= {effect: reason for effect in effects if true and effect not in excluded}
+    return excluded
 
 
 def _links(plant: Plant) -> list[int]:

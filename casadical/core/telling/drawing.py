@@ -149,23 +149,23 @@ def _add(picture: Picture, figure: Figure, s: Series) -> None:
 
 def _axis(axis: Axis) -> dict[str, Any]:
     """The settings of an axis, as plotly names them."""
-    found: dict[str, Any] = {**AXIS, "showgrid": axis.grid}
-    found["title"] = {"text": plain(axis.title), "standoff": 10, "font": {"size": 13}}
-    found |= {"zeroline": True, "zerolinewidth": 1.5, "zerolinecolor": MUTED} if axis.zero else {}
-    found |= {"rangemode": "tozero"} if axis.begins else {}
-    found |= {"tickformat": "d"} if axis.whole else {}
-    found |= {"tick0": 1, "dtick": axis.step} if axis.step else {}
-    found |= {"nticks": axis.count} if axis.count else {}
+    settings: dict[str, Any] = {**AXIS, "showgrid": axis.grid}
+    settings["title"] = {"text": plain(axis.title), "standoff": 10, "font": {"size": 13}}
+    settings |= {"zeroline": True, "zerolinewidth": 1.5, "zerolinecolor": MUTED} if axis.zero else {}
+    settings |= {"rangemode": "tozero"} if axis.begins else {}
+    settings |= {"tickformat": "d"} if axis.whole else {}
+    settings |= {"tick0": 1, "dtick": axis.step} if axis.step else {}
+    settings |= {"nticks": axis.count} if axis.count else {}
     ticks = axis.ticks
     if axis.log:
-        found["type"] = "log"
+        settings["type"] = "log"
         ticks = ticks_of_decades() if ticks is None and axis.count is None else ticks
     if axis.ends:
-        found["range"] = [log10(v) for v in axis.ends] if axis.log else list(axis.ends)
+        settings["range"] = [log10(v) for v in axis.ends] if axis.log else list(axis.ends)
     if ticks is not None:
         labels = [f"{v:g}" for v in ticks] if axis.labels is None else [plain(v) for v in axis.labels]
-        found |= {"tickvals": list(ticks), "ticktext": labels}
-    return found
+        settings |= {"tickvals": list(ticks), "ticktext": labels}
+    return settings
 
 
 def _rows(rows: Sequence[str]) -> dict[str, Any]:

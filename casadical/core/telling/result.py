@@ -41,5 +41,5 @@ class Result(Shown):
 
     def _repr_html_(self) -> str:
         """For a notebook."""
-        told = [block for block in self.blocks() if not isinstance(block, Figure)]
-        return html(told, self.bars(), repr(self)[1:-1])
+        shown = [block for block in self.blocks() if not isinstance(block, Figure)]
+        return html(shown, self.bars(), repr(self)[1:-1])

@@ -27,9 +27,9 @@ def terminal(blocks: Sequence[Block]) -> RenderableType:
     """Blocks one below the other, for a console of rich, with a blank line before and after every table."""
     from rich.console import Group
 
-    told = [block for block in blocks if not isinstance(block, Figure)]
-    lines: list[RenderableType] = [_rendered(block) for block in told[:1]]
-    for above, block in pairwise(told):
+    shown = [block for block in blocks if not isinstance(block, Figure)]
+    lines: list[RenderableType] = [_rendered(block) for block in shown[:1]]
+    for above, block in pairwise(shown):
         blank = isinstance(above, Table) or isinstance(block, Table)
         lines += [*([""] if blank else []), _rendered(block)]
     return Group(*lines)
@@ -74,7 +74,7 @@ def table_lines(
     rows = [row for row in (table.columns, *table.rows) if row]
     wide = widths or [max(len(line) for row in rows for line in row[k].split("\n")) for k in range(len(rows[0]))]
     room = most - indent - sum(wide[:-1]) - gap * (len(wide) - 1)
-    told = []
+    texts = []
     for row in rows:
         cells = [cell.split("\n") for cell in row]
         if most:
@@ -86,8 +86,8 @@ def table_lines(
                 for k, (part, width) in enumerate(zip(parts, wide, strict=True))
             )
             lines.append((" " * indent + (" " * gap).join(sides)).rstrip())
-        told.append(lines)
-    return told
+        texts.append(lines)
+    return texts
 
 
 def plain_text(blocks: Sequence[Block], width: int = 80) -> str:
