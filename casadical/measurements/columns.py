@@ -251,9 +251,10 @@ class Columns:
             with every fault
         """
         named = [[f"q{i}{unit}" for unit in _UNITS[kind]] for i, kind in enumerate(kinds, 1)]
-        missing = ", ".join(" or ".join(names) for names in named if not {*names} & {*self.table})
+        lost = [" or ".join(names) for names in named if not {*names} & {*self.table}]
         remedy = f"name it so, or map it by `columns` in problem.toml; there are {self.names}"
-        found = [Fault(self.source, (), missing, "", "is missing", "", remedy)] if missing else []
+        what = "are missing" if len(lost) > 1 else "is missing"
+        found = [Fault(self.source, (), ", ".join(lost), "", what, "", remedy)] if lost else []
         for name in map(str, self.table):
             asked = name in POSSIBLE or re.fullmatch(f"{_NUMBERS.pattern}|{_READING.pattern}|{_TILT}", name)
             mostly = pd.to_numeric(self.table[name], errors="coerce").notna().mean() >= 0.5

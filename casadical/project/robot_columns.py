@@ -69,8 +69,14 @@ def computed(robot: Robot, m: Measurements) -> bool:
     if m.position is None or len(m) < 6:
         return False
     digits = next((k for k in range(3, 9) if np.abs(m.position - m.position.round(k)).max() < 1e-12), 9)
+    return placed_by(robot, m)[1] < max(COMPUTED, 10.0**-digits)
+
+
+def placed_by(robot: Robot, m: Measurements) -> tuple[Robot, float]:
+    """The nominal robot with base and tool where positions say, and what that leaves (median) [m]."""
     free = replace(robot, base=replace(robot.base, unknown="pose"), tool=replace(robot.tool, unknown="position"))
-    return float(np.median(errors(place_frames(free, m), m))) < max(COMPUTED, 10.0**-digits)
+    placed = place_frames(free, m.positions_alone())
+    return placed, float(np.median(errors(placed, m.positions_alone())))
 
 
 def with_known_targets(m: Measurements, robot: Robot) -> Measurements:

@@ -319,7 +319,7 @@ def tried(number: int) -> tuple[str, bool, list[str]]:
         if done:
             said += _run(folder, ["check", "arm", "--repair"])[1]
         ready = _run(folder, ["check", "arm"])[0] == 0
-        failed, text = _run(folder, ["calibrate", "arm", "--out", "results", "--details"])
+        failed, text = _run(folder, ["calibrate", "arm", "--out", "results"])
         said += text
         false = _false(user, said)
         if failed:

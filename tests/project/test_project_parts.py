@@ -18,7 +18,7 @@ from casadical.project.check.information import outlook
 from casadical.project.check.result import Precheck
 from casadical.project.check.slip_fit import Hypothesis
 from casadical.project.check.slips import _outside
-from casadical.project.new.texts import with_tools
+from casadical.project.new.texts import Given, with_measured
 from casadical.project.outcome import _no_better, made_readings
 from casadical.project.planning import plan
 from casadical.project.problem import read_problem
@@ -84,7 +84,9 @@ def test_each_measured_point_has_a_table_of_its_own() -> None:
         f'[[tool]]  # measured point {n}\nname = "{n}"\nxyz_mm = [1, 2, 3]\nunknown = "position"\n\n'
         for n in ("A", "B")
     )
-    assert with_tools(text, ["A", "B"]) == f'name = "r"\n\n{tables}[base]\nrx = 1\n\n[[joint]]\na_mm = 4\n'
+    assert (
+        with_measured(text, Given(tools=["A", "B"])) == f'name = "r"\n\n{tables}[base]\nrx = 1\n\n[[joint]]\na_mm = 4\n'
+    )
 
 
 def test_the_forecast_of_a_plan_goes_twenty_poses_beyond_it(planar: Problem) -> None:

@@ -5,6 +5,8 @@ import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import numpy as np
+
 from casadical.core.errors import InputError
 from casadical.core.estimated_masses import with_estimated_masses, without_masses
 from casadical.core.files import claimed, write_together
@@ -14,17 +16,21 @@ from casadical.measurements.columns import Columns, is_ours
 from casadical.measurements.headings import Question, Understanding
 from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.raw_table import RawTable, read_table
+from casadical.measurements.reading import from_columns
 from casadical.project.check.targets import unnamed_targets
 from casadical.project.new.dh_table import robot_text
 from casadical.project.new.synthetic import POSES, synthetic_poses
-from casadical.project.new.texts import EXAMPLE_ROBOT, Given, problem_text, readme_text, with_masses, with_tools
+from casadical.project.new.texts import EXAMPLE_ROBOT, Given, problem_text, readme_text, with_masses, with_measured
 from casadical.project.problem import Problem, read_problem
-from casadical.project.robot_columns import understood
+from casadical.project.robot_columns import computed, placed_by, understood
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
 
 # A target that is measured at fewer poses is left out.
 FEWEST = 3
+# A base that is upright, on a wall or a ceiling to so many degrees was seen by a levelled instrument; that is not told
+# of a robot that is farther off than this share of its reach.
+LEVEL, GROSS = 3.0, 0.02
 
 
 def new_problem(
@@ -64,7 +70,7 @@ def new_problem(
         place, listed = "problem.toml" if urdf else "robot.toml", ", ".join(found.tools)
         show(Words(f"Column 'tool' names {len(found.tools)} measured points, {listed}: {place} has each."))
     if "robot.toml" in texts:
-        texts["robot.toml"] = with_tools(str(texts["robot.toml"]), found.tools, found.turned)
+        texts["robot.toml"] = with_measured(str(texts["robot.toml"]), found)
     file = f"poses{data.suffix.lower() if data and data.suffix else '.csv'}"
     texts |= {
         file: read_bytes(data) if data else synthetic_poses(robot, seed),
@@ -108,21 +114,37 @@ def _understood(
     for question in meaning.questions:
         meaning = meaning.answered(question, ask(question) if ask else next(iter(question.choices)), "the answer")
     columns = Columns.of_file(raw).mapped(meaning.sources)
-    names = {*map(str, columns.table)}
-    kind = next((kind for kind in kinds().values() if kind.matches(names)), None)
+    kind = next((kind for kind in kinds().values() if kind.matches({*map(str, columns.table)})), None)
     tools, rare = tools_in(columns)
-    lost = columns.lost_rows
-    found = Given(
-        meaning.sources, {**rare, **dict.fromkeys(lost, "a cell is no number")}, tools, kind.name if kind else "",
-        kind is not None and kind.angles > 0,
-    )  # fmt: skip
+    left_out = {**rare, **dict.fromkeys(columns.lost_rows, "a cell is no number")}
+    turned = kind is not None and kind.angles > 0
+    tilt, said = _tilt(columns.without(left_out, "the table"), robot)
+    level = min((abs(tilt - upright) for upright in (0, 90, 180)), default=np.inf) < LEVEL
+    given = Given(
+        meaning.sources, left_out, tools, kind.name if kind else "", turned, turned if np.isnan(tilt) else not level
+    )
+    rows = "; ".join(f"{row}, {why}" for row, why in left_out.items())
+    said += [Words(f"Rows that are left out (leave_out in problem.toml): {rows}.")] if rows else []
+    if turned:
+        said.append(Words('The table has orientations: the tool\'s is identified, too (unknown = "pose").'))
+    if given.tilted:
+        said.append(Words('The instrument is not levelled: gravity is taken in the robot\'s base (frame = "base").'))
     if show:
-        if found.left_out:
-            rows = "; ".join(f"{row}, {why}" for row, why in found.left_out.items())
-            show(Words(f"Rows that are left out (leave_out in problem.toml): {rows}."))
-        if found.turned:
-            show(Words('The table has orientations: the tool\'s is identified, too (unknown = "pose").'))
-    return found
+        for words in said:
+            show(words)
+    return given
+
+
+def _tilt(columns: Columns, robot: Robot) -> tuple[float, list[Words]]:
+    """Angle [deg] between the base's z axis and the instrument's, not a number where that is not seen; a doubt."""
+    try:
+        m = from_columns(columns, [j.kind for j in robot.joints])
+        placed, left = placed_by(robot, m)
+    except (InputError, np.linalg.LinAlgError):
+        return np.nan, []
+    doubt = "The positions are the nominal robot's own, to the last digit: they are computed, not measured."
+    tilt = float(np.rad2deg(np.arccos(np.clip(placed.base.T[2, 2], -1, 1)))) if left < GROSS * robot.reach else np.nan
+    return tilt, [Words(doubt, "warning")] if computed(robot, m) else []
 
 
 def tools_in(columns: Columns) -> tuple[tuple[str, ...], dict[int, str]]:

@@ -99,6 +99,9 @@ vector_m_per_s2 = [0, 0, -9.81]
 # Every [[joint]] may have limits_deg = [lower, upper]; without, -360 .. 360 deg (-10 .. 10 m) are taken.
 """
 
+_LEVELLED = 'frame = "measuring"                # the instrument is levelled; "base": the robot stands upright'
+_UPRIGHT = 'frame = "base"                     # the robot stands upright; "measuring": the instrument is levelled'
+
 ESTIMATED = """\
 masses = "estimated"               # TO DO: where you know them, leave this line and [width.body] out
 """
@@ -132,7 +135,7 @@ class Given:
     """What a table of measured poses holds.
 
     columns : how ours are made; left_out : rows of the file, with the reason of each; tools : names of measured points
-    kind : of measurement; turned : whether that says how the tool is turned
+    kind : of measurement; turned : whether that says how the tool is turned; tilted : whether it is not levelled
     """
 
     columns: Mapping[str, Source] = field(default_factory=dict)
@@ -140,6 +143,7 @@ class Given:
     tools: Sequence[str] = ()
     kind: str = ""
     turned: bool = False
+    tilted: bool = False
 
 
 def problem_text(
@@ -194,14 +198,14 @@ def _column_lines(given: Given) -> str:
 
 def source_text(source: Source) -> str:
     """Where a column comes from, as a value of TOML."""
-    name = json.dumps(source.name, ensure_ascii=False)
+    name = _quoted(source.name)
     if source.plain:
         return name
     parts = [f"from = {name}"]
     parts += [f"{key} = {value!r}" for key, value in (("times", source.times),) if value != 1.0]
     parts += [f"{key} = {value!r}" for key, value in (("plus", source.plus), ("rows", source.rows)) if value]
     if source.add:
-        terms = ", ".join(f"{json.dumps(n, ensure_ascii=False)} = {float(k)!r}" for n, k in source.add.items())
+        terms = ", ".join(f"{_quoted(n)} = {float(k)!r}" for n, k in source.add.items())
         parts.append(f"add = {{ {terms} }}")
     return f"{{ {', '.join(parts)} }}"
 
@@ -212,7 +216,7 @@ def _urdf(links: tuple[str | None, str | None], given: Given) -> str:
         lines.append(f'{key} = "{link}"' if link else f'# {key} = "..."             # default: the only one there is')
     lines.append("# compliant = [2, 3]               # joints whose compliance is identified too")
     for name in given.tools if len(given.tools) > 1 else [""] if given.turned else ():
-        lines += ["", "[[urdf.tool]]", *([f"name = {json.dumps(name, ensure_ascii=False)}"] if name else [])]
+        lines += ["", "[[urdf.tool]]", *([f"name = {_quoted(name)}"] if name else [])]
         lines.append("xyz_mm = [0, 0, 0]                 # TO DO: roughly where it is in the frame of the tip link")
         lines += ['unknown = "pose"                   # the table says how it is turned'] if given.turned else []
     return "\n".join([*lines, ""])
@@ -243,21 +247,20 @@ Next:
 """
 
 
-def with_tools(robot: str, names: Sequence[str], turned: bool = False) -> str:
-    """The text of a robot file with a table [[tool]] for each of several measured points in place of its [tool].
-
-    turned : whether it was measured how they are turned
-    """
+def with_measured(robot: str, given: Given) -> str:
+    """The text of a robot file for what was measured: its tool, or tables [[tool]] of several, and gravity."""
     start, rest = robot.split("[tool]", 1)
     own, after = rest.split("\n\n", 1)
-    own = own.replace('"position"', '"pose"') if turned else own
-    if len(names) < 2:
-        return f"{start}[tool]{own}\n\n{after}"
-    keys = own.split("\n", 1)[1]
-    tables = [
-        f"[[tool]]  # measured point {name}\nname = {json.dumps(name, ensure_ascii=False)}\n{keys}" for name in names
-    ]
-    return start + "\n\n".join(tables) + "\n\n" + after
+    own = own.replace('"position"', '"pose"') if given.turned else own
+    tables = [f"[tool]{own}"]
+    if len(given.tools) > 1:
+        keys = own.split("\n", 1)[1]
+        tables = [f"[[tool]]  # measured point {n}\nname = {_quoted(n)}\n{keys}" for n in given.tools]
+    return start + "\n\n".join([*tables, after.replace(_LEVELLED, _UPRIGHT) if given.tilted else after])
+
+
+def _quoted(name: str) -> str:
+    return json.dumps(name, ensure_ascii=False)
 
 
 def with_masses(text: str, robot: Robot, standard: bool) -> str:

@@ -192,3 +192,21 @@ def test_coordinates_that_the_robot_has_itself_give_way_to_a_measured_length(tmp
     blocks = "".join(str(block) for block in calibrate(tmp_path / "wire" / "arm").blocks())
     assert "error of distance" in blocks
     assert "position error" not in blocks
+
+
+@pytest.mark.parametrize("tilt", [0.0, 40.0, 180.0])
+def test_gravity_is_taken_in_the_base_where_the_instrument_is_not_levelled(tilt: float, tmp_path: Path) -> None:
+    _, p, _ = poses()
+    leaned = Rotation.from_euler("x", tilt, degrees=True).apply(p)
+    robot = (folder_of(tmp_path, table().assign(**named(XYZ, leaned))) / "robot.toml").read_text()
+    assert tomllib.loads(robot)["gravity"]["frame"] == ("base" if tilt == 40 else "measuring")
+
+
+def test_computed_positions_are_said_to_be(tmp_path: Path) -> None:
+    q, p, _ = poses()
+    said: list[str] = []
+    for name, positions in (("measured", p), ("computed", first_hour.positions(q, first_hour.ROWS, first_hour.TOOL))):
+        (tmp_path / name).mkdir()
+        data = table().assign(**named(XYZ, positions.round(3)))
+        folder_of(tmp_path / name, data, show=lambda block: said.append(str(block)))
+        assert ("they are computed, not measured" in " ".join(said)) == (name == "computed")

@@ -200,7 +200,10 @@ WRONG = {
     "not available": ({"dh": "na.csv"}, "row 3, column 'alpha_deg': 'NA' is not a finite number"),
     "infinite": ({"dh": "inf.csv"}, "row 3, column 'a_mm': '1e999' is not a finite number"),
     "half a range": ({"dh": "half.csv"}, "belong together"),
-    "data that do not read": ({"dh": "dh.csv", "data": "nothing.csv"}, "q1_deg or q1_rad is missing"),
+    "data that do not read": (
+        {"dh": "dh.csv", "data": "nothing.csv"},
+        "q1_deg or q1_rad, q2_deg or q2_rad are missing",
+    ),
 }
 
 
