@@ -85,7 +85,7 @@ def _evidence(step: Step) -> float:
 
 def _shrinks(state: State, k: int, seed: int) -> bool:
     """Whether the gap shrinks with a cause, alone beside the base model or beside all others."""
-    e, steps = state.case.evidence, state.steps
+    e, steps = state.case.judged, state.steps
     noises = [state.rankings[0].noise[""], steps[k].ranking.noise[steps[k].labels[0]]]
     models = [(), steps[k : k + 1]]
     if _lower(e, [state.columns(m) for m in models], noises, seed) > 0:

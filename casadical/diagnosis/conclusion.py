@@ -117,7 +117,7 @@ def _cause(state: State, step: Step, before: Array, seed: int) -> Cause:
 def _estimates(state: State, step: Step) -> dict[str, tuple[float, float, str]]:
     """Parameters of a cause, all causes fitted together; none of an effect that has too many to be shown."""
     case, everything = state.case, state.columns()
-    value, error = estimates(case.evidence, everything, step.ranking.noise[step.labels[0]])
+    value, error = estimates(case.judged, everything, step.ranking.noise[step.labels[0]])
     found = {}
     for effect in (e for e in step.effects if not e.summary):
         places, sizes = np.searchsorted(everything, case.columns[effect]), case.sizes(case.columns[effect])

@@ -19,7 +19,7 @@ from casadical.diagnosis.linear_problem import Case, better_ratios, make_case
 from casadical.diagnosis.observations import Ratios
 from casadical.diagnosis.posterior import Rivals, no_rivals
 from casadical.diagnosis.result import Change, Diagnosis
-from casadical.diagnosis.search import State, search
+from casadical.diagnosis.search import State, search_with_forms
 from casadical.effects import Effect
 from casadical.identification.identification import base_calibrated, compliance_tried
 from casadical.identification.prepared import Prepared, prepare, prepared_again
@@ -159,7 +159,7 @@ class _Question:
     def searched(self, case: Case) -> Diagnosis:
         """The causes in a case."""
         case = replace(case, assumed=_assumed(case, self.base, self.prepared.sets))
-        state, end, p_nothing = search(case, self.seed, self.bootstrap, self.show, self.rivals)
+        state, end, p_nothing = search_with_forms(case, self.seed, self.bootstrap, self.show, self.rivals)
         return conclude(self.base, state, end, self.seed, p_nothing)
 
     def answer(self) -> Diagnosis:
@@ -220,10 +220,11 @@ def _prepared(
 def _held_against_laws(found: Diagnosis) -> Diagnosis:
     """The diagnosis, without its causes where a law explains better what is there.
 
-    An effect whose sizes are learnt has more freedom than any law and is not compared; nor are distances between poses.
+    An effect whose sizes are learnt has more freedom than any law and is not compared; nor are distances between poses,
+    nor what was found under noise that follows itself, for laws are judged with noise that does not.
     """
     effects = found.effects()
-    if not effects or not found.case.one_end or any(e.parts for e in effects):
+    if not effects or not found.case.one_end or any(e.parts for e in effects) or found.case.form.stays:
         return found
     law = laws_before_causes(found)
     if replaces_causes(found, law):

@@ -15,13 +15,12 @@ from typing import Any
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.core.linear_gaussian.columns import EVERY, ArrayColumns
+from casadical.core.linear_gaussian.columns import EVERY, ArrayColumns, Columns
 from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.linear_gaussian.grid import Grid
 from casadical.core.linear_gaussian.marginals import NONE, Marginals
 from casadical.core.linear_gaussian.model import LinearModel, Projection
 from casadical.core.linear_gaussian.noise import NoiseModel
-from casadical.diagnosis.linearisation import EffectColumns
 from casadical.effects.base import CHOSEN
 from casadical.measurements.noise import Noise
 
@@ -89,7 +88,7 @@ class Evidence:
     Jq: Array
     delta0: Array
     prior: Array
-    E: Array | EffectColumns
+    E: Array | Columns
     reference: float = 20e-6
     held: Array | None = None
     near: tuple[int, ...] = tuple(range(len(RHOS)))

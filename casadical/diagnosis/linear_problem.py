@@ -17,6 +17,7 @@ from casadical.diagnosis.cross_validation import fit_of
 from casadical.diagnosis.evidence import ALL_SIGMAS, RHOS, SIGMAS, Evidence, KnownNoise
 from casadical.diagnosis.instrument_columns import with_far_ends, with_images
 from casadical.diagnosis.linearisation import EffectColumns
+from casadical.diagnosis.noise_evidence import PLAIN, Form, as_form_moves
 from casadical.diagnosis.noise_floor import replicates
 from casadical.diagnosis.observations import Observations, Ratios, joined, observe, stops_in
 from casadical.effects import Effect
@@ -48,6 +49,7 @@ class Selected:
     """The problem of the poses that are no outliers, once it was made."""
 
     evidence: Evidence | None = None
+    judged: Evidence | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +64,7 @@ class Case:
     prior : what is known from another campaign; units : parameters that are correlated in it, as sums of independent
         ones of size one, shape (P, P), or None
     observations : what was measured; assumed : for the user, in sentences
+    form : of the noise, by which causes are judged
     """
 
     robot: Robot
@@ -78,6 +81,7 @@ class Case:
     prior: Prior = field(default_factory=Prior)
     units: Array | None = None
     assumed: tuple[str, ...] = ()
+    form: Form = PLAIN
     selected: Selected = field(init=False, repr=False, default_factory=Selected)
 
     @property
@@ -115,6 +119,27 @@ class Case:
         if self.selected.evidence is None:
             self.selected.evidence = self.whole.at(np.flatnonzero(self.kept))
         return self.selected.evidence
+
+    @property
+    def order(self) -> Array:
+        """The kept poses in the order of measuring, shape (kept,)."""
+        progress = derive(self.m, ["progress"])[0].conditions["progress"][self.kept]
+        return np.argsort(progress, kind="stable")
+
+    @property
+    def judged(self) -> Evidence:
+        """The same as its form of noise moves it: by this causes are judged."""
+        if self.form is PLAIN:
+            return self.evidence
+        if self.selected.judged is None:
+            self.selected.judged = as_form_moves(self.evidence, self.form, self.order)
+        return self.selected.judged
+
+    def with_form(self, form: Form) -> Case:
+        """The case with another form of noise."""
+        more = replace(self, form=form)
+        more.selected.evidence = self.evidence
+        return more
 
     def prior_parts(self, prior: Prior) -> tuple[Array, Array, list[tuple[Array, Array]]]:
         """Mean less present values and one sigma of the base model's parameters, shapes (P,) [SI], with a prior.
@@ -206,6 +231,8 @@ class Case:
         whole = replace(self.whole, held=held, reference=noise.sigma, near=near)
         more = replace(self, candidates=candidates, columns={**self.columns, learnt: columns}, whole=whole)
         more.evidence.extending(self.evidence)
+        if self.form is not PLAIN:
+            more.judged.extending(self.judged)
         return more, learnt
 
     def sizes(self, columns: Array) -> Array:
@@ -232,6 +259,8 @@ class Case:
         assert isinstance(known.E, EffectColumns)
         own = known.E.plus(effects, {name: values[self.kept] for name, values in m.conditions.items()})
         more.selected.evidence = replace(known, E=own, held=held).extending(known)
+        if self.form is not PLAIN:
+            more.judged.extending(self.judged)
         return more
 
 

@@ -147,7 +147,7 @@ def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates) -
     taken, left, form = scatter_of_coordinate(e, noise), remainder_of(case, columns, noise), ""
     if any(s.over == BEFORE for s in left.structures):
         # Noise that follows itself is noise all the same, if this is all that it follows.
-        form, (following, own) = FOLLOWING, best_following(case, columns)
+        form, (following, own, _) = FOLLOWING, best_following(case, columns)
         left = remainder_of(case, columns, own, following)
     freedom = max(e.count - e.model.absorbed_by_base, 1.0)
     far, rules, anchor = False, Rule.FIT, taken

@@ -8,12 +8,13 @@ where fewer numbers were measured than there are columns, their covariance is us
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.linear_gaussian.columns import ArrayColumns, MovedColumns
 from casadical.core.linear_gaussian.noise import Axes
 from casadical.core.linear_gaussian.normal_equations import Joined, joined
 from casadical.diagnosis.evidence import REPEATABILITY, RHOS, Evidence, joint_noise, log_known
@@ -55,6 +56,32 @@ class Form:
             both = np.sqrt((1 + self.stays**2) / (1 - self.stays**2))
             return np.asarray(Jq * np.append(1.0, np.full(len(Jq) - 1, both))[:, None, None])
         return Jq if self.joint is None else Jq * np.where(np.arange(Jq.shape[2]) == self.joint, self.worse, 1.0)
+
+
+# Independent and alike everywhere.
+PLAIN = Form()
+
+
+def as_form_moves(e: Evidence, form: Form, order: Array) -> Evidence:
+    """The problem in the order of measuring, with the numbers that a form of noise makes independent.
+
+    Its likelihoods are those of the problem with this noise, less the form's weight. order : of measuring, shape (n,)
+    """
+    n, every = len(order), slice(0, len(order))
+    own, before = np.ones(n) if form.times is None else 1 / form.times, np.zeros(n)
+    if form.stays:
+        own = np.append(1.0, np.full(n - 1, 1 / np.sqrt(1 - form.stays**2)))
+        before = form.stays * own * (np.arange(n) > 0)
+    columns = ArrayColumns(e.E) if isinstance(e.E, np.ndarray) else e.E
+    masks = {name: of[order] for name in ("measured", "size", "alike") if (of := getattr(e, name)) is not None}
+    return replace(
+        e,
+        r=form.moved(e.r[order], every),
+        J=form.moved(e.J[order], every),
+        Jq=form.repeatability(e.Jq[order]),
+        E=MovedColumns(columns, order, own, before),
+        **masks,
+    )
 
 
 class Problem:

@@ -22,7 +22,6 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_evidence import Form, Problem
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, Rival
 from casadical.diagnosis.thresholds import detection
-from casadical.measurements.derived_columns import derive
 from casadical.measurements.noise import Noise
 
 # Of the instrument.
@@ -43,6 +42,8 @@ def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collec
     chosen : columns of causes that are in the model already; joints : that these are at, whose scatter is what their
         equations leave, like noise
     """
+    if case.form.stays:
+        return replace(ranking, noise_form=FOLLOWING)
     if ranking.none > (PLAIN if len(chosen) else detection(case.evidence.count // 3)):
         return ranking
     prior = PRIOR_FURTHER if len(chosen) else PRIOR_FIRST
@@ -88,7 +89,7 @@ def _weighed(ranking: Ranking, none: float) -> Ranking:
 def noise_forms(case: Case, chosen: Array) -> Sequence[Rival]:
     """Each form with its log evidence over plain noise, averaged over its settings; the kinds share the prior."""
     e = case.evidence
-    problem = _problem_of(case, chosen)
+    problem = Problem(e, chosen, case.order)
     plain, joints = float(log_sum(e.log_base(chosen))), range(e.Jq.shape[2])
     kinds: list[tuple[str, Sequence[Form], int]]
     kinds = [(FOLLOWING, [following(stays, len(e.r), e.count / len(e.r)) for stays in FOLLOWS], 1)]
@@ -113,19 +114,14 @@ def following(stays: float, poses: int, numbers: float = 3.0) -> Form:
     return Form(stays=stays, log_weight=-0.5 * numbers * (poses - 1) * float(np.log(1 - stays**2)))
 
 
-def best_following(case: Case, chosen: Array) -> tuple[Form, Noise]:
-    """The most probable form of noise that follows itself, beside causes, and how large it is then."""
-    problem = _problem_of(case, chosen)
-    e = case.evidence
+def best_following(case: Case, chosen: Array) -> tuple[Form, Noise, float]:
+    """The most probable noise that follows itself, beside causes: its form, its size, its log evidence over plain."""
+    e, problem = case.evidence, Problem(case.evidence, chosen, case.order)
     forms = [following(stays, len(e.r), e.count / len(e.r)) for stays in FOLLOWS]
     grids = [problem.log_likelihood(form) for form in forms]
-    best = int(np.argmax([float(log_sum(grid)) for grid in grids]))
-    return forms[best], likely_noise(grids[best], e.sigmas)
-
-
-def _problem_of(case: Case, chosen: Array) -> Problem:
-    progress = derive(case.m, ["progress"])[0].conditions["progress"][case.kept]
-    return Problem(case.evidence, chosen, np.argsort(progress, kind="stable"))
+    logs = [float(log_sum(grid)) for grid in grids]
+    best = int(np.argmax(logs))
+    return forms[best], likely_noise(grids[best], e.sigmas), logs[best] - float(log_sum(e.log_base(chosen)))
 
 
 def tailed(problem: Problem) -> Form | None:

@@ -94,21 +94,21 @@ def rank(
     rivals : what else competes; together they have the prior of the unknown
     """
     judged = [k for k, (c, _) in enumerate(case.variants) if case.candidates[c].label not in skip | covered]
-    grids = case.evidence.log_grids([case.groups[k] for k in judged], chosen) + np.log(KAPPA_WEIGHTS)
-    base_grid = case.evidence.log_base(chosen)
+    grids = case.judged.log_grids([case.groups[k] for k in judged], chosen) + np.log(KAPPA_WEIGHTS)
+    base_grid = case.judged.log_base(chosen)
     base = float(log_sum(base_grid))
     log_variant = log_sum(grids.reshape(len(grids), -1), axis=1) - base
     owner = np.array([case.variants[k][0] for k in judged])
     prior = PRIOR_FURTHER if len(chosen) else PRIOR_FIRST
     weights = prior_weights(case, prior, skip, covered)
-    factor, variant, noise = {}, {}, {"": likely_noise(base_grid, case.evidence.sigmas)}
+    factor, variant, noise = {}, {}, {"": likely_noise(base_grid, case.judged.sigmas)}
     for c, candidate in enumerate(case.candidates):
         if candidate.label in weights:
             own = np.flatnonzero(owner == c)
             factor[candidate.label] = float(log_sum(log_variant[own])) - float(np.log(len(own)))
             best = int(own[np.argmax(log_variant[own])])
             variant[candidate.label] = case.variants[judged[best]][1]
-            noise[candidate.label] = likely_noise(grids[best], case.evidence.sigmas)
+            noise[candidate.label] = likely_noise(grids[best], case.judged.sigmas)
     for rival in rivals(case, chosen, variant):
         weights[rival.label] = prior["unknown"]
         factor[rival.label], noise[rival.label] = rival.log_factor, rival.noise

@@ -16,9 +16,10 @@ from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cause_sets import most_probable_set
 from casadical.diagnosis.cross_validation import remainders
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.noise_forms import with_noise_forms
+from casadical.diagnosis.noise_forms import best_following, with_noise_forms
 from casadical.diagnosis.posterior import Ranking, Rivals, no_rivals, rank
 from casadical.diagnosis.settings_search import refined
+from casadical.diagnosis.structure import remainder_of
 from casadical.diagnosis.thresholds import (
     CLAIM,
     DETECT_FURTHER,
@@ -32,8 +33,11 @@ from casadical.diagnosis.thresholds import (
     SET_SIZE,
     detection,
 )
-from casadical.effects import Effect
+from casadical.effects import Effect, TransmissionRipple
 from casadical.measurements.noise import Noise
+
+# Times that causes are searched again under another form of noise; log evidence over plain noise from which it is one.
+MOST_FORMS, FORM_GAIN = 3, 10.0
 
 # Why no further cause was taken, or that the last one was.
 End = Literal["none", "ambiguous", "unknown", "claimed"]
@@ -93,7 +97,7 @@ class State:
             *(j for s in beside for e in s.effects for j in e.parts),
         )
         # A search asks for the same ranking again when it looks at its causes once more.
-        known: dict[object, Ranking] = self.case.evidence.cache.rankings
+        known: dict[object, Ranking] = self.case.judged.cache.rankings
         key = (chosen.tobytes(), skip, covered, self.rivals, not also, joints)
         if key not in known:
             ranking = rank(self.case, chosen, skip, covered, self.rivals)
@@ -145,6 +149,38 @@ class State:
                 case, step = state.refined(ranking, indistinguishable(ranking, listed), others)
                 state = replace(state, case=case, steps=(*state.steps[:k], step, *state.steps[k + 1 :]))
         return state
+
+
+def search_with_forms(
+    case: Case, seed: int, bootstrap: int, show: Show, rivals: Rivals = no_rivals
+) -> tuple[State, End, float | None]:
+    """The same as `search`, under the form of noise that is most probable beside the causes that are found under it.
+
+    Noise that follows itself is looked for beside the causes of each search, and these again where it is found, until
+    neither changes; with a noise that follows itself fitted before the causes, it would follow these.
+    """
+    state, end, p_nothing = search(case, seed, bootstrap, show, rivals)
+    for _ in range(MOST_FORMS if case.observations.plain else 0):
+        form, noise, gain = best_following(state.case, state.columns())
+        if form.stays == state.case.form.stays or gain < FORM_GAIN:
+            break
+        show(f"causes where the noise follows itself, by {form.stays:g}")
+        lines = remainder_of(state.case, state.columns(), noise, form).lines
+        other, other_end, _ = search(_with_lines(case.with_form(form), lines), seed, 0, show, rivals)
+        if not other.steps:
+            break
+        state, end = other, other_end
+    return state, end, p_nothing
+
+
+def _with_lines(case: Case, lines: Sequence[tuple[int, float]]) -> Case:
+    """The case with sines of joints' angles among the settings of their ripple: (joint, cycles a turn) each."""
+    labels = {c.label for c in case.candidates}
+    for joint, cycles in lines:
+        ripple = TransmissionRipple(joint, cycles=cycles)
+        if ripple.label in labels:
+            case = case.with_variants(ripple.label, [(ripple,)])
+    return case
 
 
 def search(

@@ -62,7 +62,7 @@ def refined(
     if len(variant) != 1:
         return case, variant
     if variant[0].parts:
-        found = learnt_sizes(case.evidence, case.group(variant), variant[0].parts, chosen, noise)
+        found = learnt_sizes(case.judged, case.group(variant), variant[0].parts, chosen, noise)
         case, effect = case.with_sizes(variant[0], *found)
         return case, (effect,)
     halved = 0
@@ -128,7 +128,7 @@ def _best(case: Case, trial: list[tuple[Effect, ...]], log: Array, chosen: Array
 
 def _log_evidence(case: Case, groups: list[Array], chosen: Array) -> Array:
     """Of each group of columns, shape (groups,)."""
-    grids = case.evidence.log_grids(groups, chosen)
+    grids = case.judged.log_grids(groups, chosen)
     return log_sum((grids + np.log(KAPPA_WEIGHTS)).reshape(len(groups), -1), axis=1)
 
 

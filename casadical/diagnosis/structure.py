@@ -36,7 +36,7 @@ CHANCE = 1e-3
 # Poses that are looked at, spread over the campaign.
 MOST_POSES = 600
 # Sines of an angle up to these cycles a turn together; beyond, of a joint's own angle, each for itself up to the last.
-TOGETHER, LAST_LINE = 3, 60.0
+TOGETHER, LAST_LINE = 3, 140.0
 # Drivers that are said.
 MOST = 3
 # Cosines of the rank of what is no angle.
@@ -56,20 +56,26 @@ class Structure:
 
     along : the direction of the error; over : the driver; share : of the square of what is left
     log_chance : logarithm of how probable so large a share is in noise, among all that were tried
+    line : cycles a turn of a sine of a joint's own angle along this joint, and the joint
     """
 
     along: str
     over: str
     share: float
     log_chance: float
+    line: tuple[int, float] | None = None
 
 
 @dataclass(frozen=True)
 class Remainder:
-    """What is known of the remainder of a model: structures, the surest first; whether it looks like noise besides."""
+    """What is known of the remainder of a model: structures, the surest first; whether it looks like noise besides.
+
+    lines : joint and cycles a turn of the surest line of each joint
+    """
 
     structures: tuple[Structure, ...]
     like_noise: bool
+    lines: tuple[tuple[int, float], ...] = ()
 
 
 def remainder_of(case: Case, columns: Array, noise: Noise, form: Form | None = None) -> Remainder:
@@ -122,8 +128,9 @@ class _White:
         among = [replace(s, log_chance=s.log_chance + log(len(found))) for s in found]
         sure = sorted((s for s in among if s.log_chance < log(CHANCE)), key=lambda s: s.log_chance)
         each = {s.over: s for s in reversed(sure)}
+        lines = {s.line[0]: s.line for s in reversed(sure) if s.line}
         tails = self.freedom >= LIKE_NOISE * (self.e.count - taken)
-        return Remainder(tuple([*reversed(each.values())][:MOST]), tails and self._isotropic())
+        return Remainder(tuple([*reversed(each.values())][:MOST]), tails and self._isotropic(), tuple(lines.values()))
 
     def _functions(self) -> Iterator[tuple[str, Array]]:
         kept = np.flatnonzero(self.case.kept)
@@ -135,9 +142,9 @@ class _White:
         """Every driver along every direction."""
         functions = _by_width(self._functions())
         for along, v in self._directions():
-            own = dict(functions)
+            own, cycles = dict(functions), dict[str, tuple[int, float]]()
             if hit := re.fullmatch(r"joint (\d+)", along):
-                lines = _lines(self.case.m.q[self.at, int(hit[1]) - 1], int(hit[1]))
+                lines, cycles = _lines(self.case.m.q[self.at, int(hit[1]) - 1], int(hit[1]))
                 own |= {2: (*own.get(2, ()), *lines)} if lines else {}
             for width, some in own.items():
                 G = np.stack([g for _, g in some], axis=1)
@@ -145,7 +152,7 @@ class _White:
                 F -= self._Q @ (self._taken[:, None] * (self._Q.T @ F))
                 F = F.reshape(len(F), len(some), width).transpose(1, 0, 2)
                 for (over, _), (share, k) in zip(some, self._shares(F), strict=True):
-                    yield Structure(along, over, share, log_chance_of(share, k, self.freedom))
+                    yield Structure(along, over, share, log_chance_of(share, k, self.freedom), cycles.get(over))
 
     def _shares(self, F: Array) -> Iterator[tuple[float, int]]:
         """Of each group of columns, shape (groups, rows, width), the share that they explain and their rank."""
@@ -274,11 +281,12 @@ def _by_width(functions: Iterable[tuple[str, Array]]) -> dict[int, tuple[tuple[s
     return {width: tuple(some) for width, some in found.items()}
 
 
-def _lines(angle: Array, joint: int) -> tuple[tuple[str, Array], ...]:
-    """Sines of a joint's own angle, each frequency for itself, as close as its readings distinguish them."""
+def _lines(angle: Array, joint: int) -> tuple[tuple[tuple[str, Array], ...], dict[str, tuple[int, float]]]:
+    """Sines of a joint's own angle, one by one, as close as its readings distinguish them; which they are."""
     step = max(0.5, np.pi / max(float(np.ptp(angle)), 1e-3))
     cycles = np.arange(TOGETHER + step, LAST_LINE, step)
-    return tuple((f"q{joint} at {f:.3g} cycles a turn", _sines(angle, [f])) for f in cycles)
+    names = {f"q{joint} at {f:.4g} cycles a turn": (joint, float(f)) for f in cycles}
+    return tuple((name, _sines(angle, [f])) for name, (_, f) in names.items()), names
 
 
 def _sines(angle: Array, cycles: range | list[float]) -> Array:

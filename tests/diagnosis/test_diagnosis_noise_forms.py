@@ -17,6 +17,7 @@ from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.noise_evidence import Form, Problem
 from casadical.diagnosis.noise_forms import FOLLOWS, SCATTERS, SHARE, TIMES, following, noise_forms, tailed
 from casadical.diagnosis.text import page_of
+from casadical.measurements.measurements import Measurements
 
 NONE = np.zeros(0, dtype=np.int64)
 
@@ -153,3 +154,29 @@ def test_beside_a_cause_noise_that_follows_itself_is_no_further_one() -> None:
     assert d.rankings[-1].none > 0.5
     assert as_json(d, "campaign")["noise"]["form"] == "noise that follows itself"
     assert "more like noise that follows itself than" in " ".join(page_of(d).split())
+
+
+def path(amplitude: float, poses: int = 300) -> Measurements:
+    """A path of poses close to each other; noise of which .75 stays; an error of joint 2 at 50 cycles a turn [rad]."""
+    arm, rng, t = robot("ur10e"), np.random.default_rng(8), np.linspace(0, 1, poses)
+    middle = np.array([(j.lower + j.upper) / 2 for j in arm.joints])
+    q = middle + np.stack([1.2 * np.sin(2 * np.pi * (f * t + p)) for f, p in rng.uniform(0.5, 2.2, (6, 2))], axis=1)
+    empty = Measurements(q, "position", np.zeros_like(q[:, :3]), conditions={"pose": np.arange(poses, dtype=float)})
+    values = arm.parameters.values + 0.5 * rng.standard_normal(len(arm.parameters)) * [p.prior for p in arm.parameters]
+    error = np.zeros_like(q)
+    error[:, 1] = amplitude * np.sin(50 * q[:, 1] + 1)
+    (p,) = arm.model.evaluate(("p",), q + error, empty.condition_matrix(arm.conditions, arm.declared), values)
+    white = rng.standard_normal((poses + 50, 3))
+    noise = 3e-5 * lfilter([np.sqrt(1 - 0.75**2)], [1, -0.75], white, axis=0)[50:]
+    return replace(empty, position=p.T + noise)
+
+
+def test_a_line_is_found_beneath_noise_that_follows_itself() -> None:
+    """The noise is thirty times as large as what the line leaves in the positions at its frequency."""
+    effects = ["transmission_ripple", "frame_drift"]
+    nothing, d = (diagnose(robot("ur10e"), path(a), effects) for a in (0.0, 3e-5))
+    assert not nothing.causes
+    assert [c.label for c in d.causes] == ["transmission_ripple@2"]
+    assert d.causes[0].effects[0].cycles == pytest.approx(50, abs=0.3)  # type: ignore[attr-defined]
+    assert d.case.form.stays == pytest.approx(0.75, abs=0.2)
+    assert d.rankings[0].none < 0.01

@@ -49,10 +49,10 @@ class Columns(Protocol):
     def take(self, columns: Array, blocks: Array | slice = EVERY, every: Combined | None = None) -> Array:
         """Some of the columns at some blocks, or combinations of them, shape (blocks, m, columns or combinations)."""
 
-    def factors(self, blocks: slice = EVERY) -> Factors:
+    def factors(self, blocks: Array | slice = EVERY) -> Factors:
         """All columns at some blocks as factors."""
 
-    def levers(self, blocks: slice = EVERY) -> Array:
+    def levers(self, blocks: Array | slice = EVERY) -> Array:
         """Derivative of the rows by the variables in between, shape (blocks, m, variables)."""
 
 
@@ -81,13 +81,71 @@ class ArrayColumns:
         taken = self.values[blocks][:, :, columns]
         return np.asarray(every.combine(taken) if every else taken)
 
-    def factors(self, blocks: slice = EVERY) -> Factors:
+    def factors(self, blocks: Array | slice = EVERY) -> Factors:
         every = np.arange(self.values.shape[2])
         return Factors(tuple((i, every, self.values[blocks, i].T) for i in range(self.values.shape[1])), len(every))
 
-    def levers(self, blocks: slice = EVERY) -> Array:
+    def levers(self, blocks: Array | slice = EVERY) -> Array:
         n, m, _ = self.values[blocks].shape
         return np.broadcast_to(np.eye(m), (n, m, m))
+
+
+@dataclass(frozen=True, eq=False)
+class MovedColumns:
+    """Columns of blocks in an order, each times a weight less a share of the block before it.
+
+    own, before : weight of each block and of the one before it, in this order, shapes (n,); the first has none before
+    """
+
+    columns: Columns
+    order: Array
+    own: Array
+    before: Array
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        return len(self.order), *self.columns.shape[1:]
+
+    @property
+    def directions(self) -> Directions:
+        return self.columns.directions
+
+    def at(self, blocks: Array) -> ArrayColumns:
+        return ArrayColumns(self.take(np.arange(self.shape[2]), blocks))
+
+    def only(self, columns: Array) -> MovedColumns:
+        return replace(self, columns=self.columns.only(columns))
+
+    def after(self, column: int) -> MovedColumns:
+        return replace(self, columns=self.columns.after(column))
+
+    def take(self, columns: Array, blocks: Array | slice = EVERY, every: Combined | None = None) -> Array:
+        here, last = self._blocks(blocks)
+        taken = self.own[here, None, None] * self.columns.take(columns, self.order[here], every)
+        if self.before.any():
+            taken = taken - self.before[here, None, None] * self.columns.take(columns, self.order[last], every)
+        return np.asarray(taken)
+
+    def factors(self, blocks: Array | slice = EVERY) -> Factors:
+        here, last = self._blocks(blocks)
+        own = self.columns.factors(self.order[here])
+        if not self.before.any():
+            return own
+        variables = self.columns.levers(self.order[:1]).shape[2]
+        before = self.columns.factors(self.order[last])
+        shifted = tuple((s + variables, columns, values) for s, columns, values in before.blocks)
+        return Factors((*own.blocks, *shifted), own.width)
+
+    def levers(self, blocks: Array | slice = EVERY) -> Array:
+        here, last = self._blocks(blocks)
+        own = self.own[here, None, None] * self.columns.levers(self.order[here])
+        if not self.before.any():
+            return np.asarray(own)
+        return np.concatenate([own, -self.before[here, None, None] * self.columns.levers(self.order[last])], axis=2)
+
+    def _blocks(self, blocks: Array | slice) -> tuple[Array, Array]:
+        here = np.arange(len(self.order))[blocks]
+        return here, np.maximum(here - 1, 0)
 
 
 def combined_of(columns: Columns, some: Array) -> Combined:

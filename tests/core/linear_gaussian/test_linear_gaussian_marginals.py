@@ -7,7 +7,7 @@ import pytest
 from models import KAPPAS, NONE, RATIOS, SIGMAS, TWO, log_density, small_model, without_last_rows
 
 from casadical.core.linear_gaussian import grid, marginals, sums
-from casadical.core.linear_gaussian.columns import ArrayColumns
+from casadical.core.linear_gaussian.columns import ArrayColumns, MovedColumns
 from casadical.core.linear_gaussian.marginals import Marginals
 from casadical.core.linear_gaussian.model import LinearModel
 
@@ -114,3 +114,20 @@ def test_known_sums_are_extended_and_moved(ratios: dict[str, np.ndarray]) -> Non
     assert moved is not None
     np.testing.assert_allclose(moved.log_grids(GROUPS, chosen), Marginals(second).log_grids(GROUPS, chosen), rtol=1e-8)
     assert extended.moved(second, first, second) is None
+
+
+def test_columns_less_a_share_of_the_block_before_are_judged_as_their_arrays() -> None:
+    """Noise that follows itself: each block is taken less a share of the one before, in the order of measuring."""
+    whole = small_model(n=30)
+    order, n = np.random.default_rng(6).permutation(30), 30
+    own, before = np.append(1.0, np.full(n - 1, 1.25)), np.append(0.0, np.full(n - 1, 0.75))
+    moved = MovedColumns(whole.columns, order, own, before)
+    every = np.arange(whole.width)
+    E = whole.columns.take(every)[order]
+    array = 1.25 * E - 0.75 * np.concatenate([E[:1], E[:-1]])
+    array[0] = E[0]
+    np.testing.assert_allclose(moved.take(every), array, rtol=1e-12)
+    np.testing.assert_allclose(moved.factors().columns_at(moved.levers()), array, rtol=1e-12, atol=1e-18)
+    groups = [np.array([0, 1]), np.array([2])]
+    a, b = (Marginals(replace(whole, columns=c)).log_grids(groups) for c in (moved, ArrayColumns(array)))
+    np.testing.assert_allclose(a, b, rtol=1e-9)
