@@ -64,11 +64,8 @@ def _said(said: Sequence[Statement], *about: str) -> Iterator[Words]:
     """The statements about something, as sentences."""
     for topic in about:
         for s in (s for s in said if s.about == topic):
-            text = f"cannot {s.text}" if topic == "CANNOT" else s.text
-            if text.split()[0].strip(":,").isalpha():  # no name of a column
-                text = text[0].upper() + text[1:]
-            text = text.replace("->", "→").replace("   ", ", ")
-            yield Words(f"{text}.", "verdict" if topic == "VERDICT" else "warning" if s.doubtful else "text")
+            text = s.sentence.replace("->", "→")
+            yield Words(text, "verdict" if topic == "VERDICT" else "warning" if s.doubtful else "text")
 
 
 def _tiles(d: Diagnosis, more: Details) -> Iterator[Tile]:

@@ -10,14 +10,22 @@ from casadical.diagnosis.spectrum import JointCurve, Spectrum
 COLUMNS = ("joint", "rms [urad]", "share", "lines: cycles a turn (amplitude in urad)")
 # Lines of a joint, and suggestions, that are shown; JSON has them all.
 MOST_SHOWN, MOST_SUGGESTED = 4, 3
+# A curve is seen from so many standard errors on; a line of which more other frequencies explain as much has none.
+CERTAIN, MOST_RIVALS = 2.0, 2
 
 
 def curve_rows(s: Spectrum) -> list[tuple[str, str, str, str]]:
     """A row for each joint under `COLUMNS`, the greatest share first."""
     return [
-        (str(c.joint), f"{1e6 * c.rms:.0f} +- {1e6 * c.rms_error:.0f}", f"{100 * c.share:.0f} %", lines_of(c))
+        (str(c.joint), _size(c), f"{100 * c.share:.0f} %", lines_of(c))
         for c in sorted(s.joints, key=lambda c: -c.share)
     ]
+
+
+def _size(c: JointCurve) -> str:
+    """The curve's rms with its standard error; how large it may be where it is not seen."""
+    rms, error = 1e6 * c.rms, 1e6 * c.rms_error
+    return f"{rms:.0f} +- {error:.0f}" if seen(c) else f"< {rms + CERTAIN * error:.0f}"
 
 
 def lines_of(c: JointCurve) -> str:
@@ -34,11 +42,14 @@ def lines_of(c: JointCurve) -> str:
 
 def seen(c: JointCurve) -> bool:
     """Whether the readings show anything of a joint's curve."""
-    return bool(c.lines) or (c.lost > 0 and c.rms > c.rms_error)
+    return bool(c.lines) or (c.lost > 0 and c.rms > CERTAIN * c.rms_error)
 
 
 def _line(line: Line) -> str:
     size = f"({1e6 * line.amplitude:.0f} +- {1e6 * line.amplitude_error:.0f})"
+    if len(line.rivals) > MOST_RIVALS:
+        low, *_, high = sorted((line.frequency, *line.rivals))
+        return f"one of {1 + len(line.rivals)} frequencies from {low:.1f} to {high:.1f} {size}"
     rivals = "".join(f" or {f:.1f}" for f in line.rivals)
     return f"{line.frequency:.{_decimals(line)}f}{rivals}{_relation(line)} {size}"
 

@@ -22,6 +22,12 @@ from casadical.identification.gravity import in_words as gravity_in_words
 LITTLE = 0.02
 # Stands between words of an item that is not broken over two lines.
 TIED = "\u00a0"
+# Words before what is said about something, where it is a sentence of its own; the most important first.
+SUBJECTS = {
+    "CHECK": "", "NOISE": "", "PRIOR": "Prior: ", "CANNOT": "These data cannot ", "UNKNOWN": "Left: ",
+    "LAW": "Law: ", "AFTER": "", "OUT": "", "WHERE": "Where: ", "RULED": "Ruled ", "NEXT": "Next: ", "MISSING": "",
+    "GRAVITY": "In the model: ", "ASSUMED": "Assumed: ",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -36,6 +42,13 @@ class Statement:
     about: str
     text: str
     doubtful: bool = False
+
+    @property
+    def sentence(self) -> str:
+        """It without its label, as pages and the short answer have it."""
+        text = SUBJECTS.get(self.about, "") + self.text.replace("   ", ", ").replace(TIED, " ")
+        text = f"{text[0].upper()}{text[1:]}" if text.split()[0].strip(":,").isalpha() else text  # no column's name
+        return text if text.endswith((".", ")")) else f"{text}."
 
 
 def statements(d: Diagnosis, more: Details | None = None) -> list[Statement]:

@@ -14,7 +14,7 @@ from casadical.diagnosis.details import Details
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.spectrum import Spectrum, curve_of
 from casadical.diagnosis.spectrum_report import COLUMNS, MOST_SUGGESTED, curve_rows
-from casadical.diagnosis.statements import TIED, Statement, floor_of, readings_of, statements
+from casadical.diagnosis.statements import SUBJECTS, TIED, Statement, floor_of, readings_of, statements
 
 WIDTH = 112
 LABEL = 8
@@ -29,13 +29,6 @@ THINGS, CAUSES = 3, 6
 LONGEST = 290
 # Of these only what casts a doubt is told.
 _DOUBTS = ("CANNOT", "AFTER")
-# What a reader must know besides the verdict, the most important first, in words where a sentence needs its subject.
-_ABOUT = {
-    "CHECK": "", "NOISE": "", "PRIOR": "Prior: ", "CANNOT": "These data cannot ", "UNKNOWN": "Left: ", "LAW": "Law: ",
-    "AFTER": "", "OUT": "",
-    "WHERE": "Where: ", "RULED": "Ruled ", "NEXT": "Next: ", "MISSING": "", "GRAVITY": "In the model: ",
-    "ASSUMED": "Assumed: ",
-}  # fmt: skip
 
 
 def titled(title: str, page: str) -> RenderableType:
@@ -112,10 +105,9 @@ def _curve_lines(s: Spectrum) -> Iterator[str]:
 def brief(title: str, d: Diagnosis, more: Details | None = None) -> Sequence[Words | Table]:
     """Verdict, error before and after, causes, and three things to know: at most 25 lines of 100 columns."""
     told = statements(d, more)
-    verdict = next(s.text for s in told if s.about == "VERDICT")
     return [
         Words(title, "title"),
-        Words(_sentence(verdict), "verdict"),
+        Words(told[0].sentence, "verdict"),
         _errors(d, more),
         *_causes(d),
         *(Words(_short(s), "warning" if s.doubtful else "note") for s in _things(d, told)),
@@ -147,23 +139,16 @@ def _things(d: Diagnosis, told: Sequence[Statement]) -> list[Statement]:
     of_each: dict[str, Statement] = {}
     for s in told:
         known = of_each.get(s.about)
-        if s.about in _ABOUT and (s.doubtful or s.about not in _DOUBTS) and (known is None or s.doubtful):
+        if s.about in SUBJECTS and (s.doubtful or s.about not in _DOUBTS) and (known is None or s.doubtful):
             of_each[s.about] = known if known and known.doubtful else s
     if d.verdict == "none":
         of_each.pop("WHERE", None)
-    return sorted(of_each.values(), key=lambda s: (not s.doubtful, [*_ABOUT].index(s.about)))[:THINGS]
+    return sorted(of_each.values(), key=lambda s: (not s.doubtful, [*SUBJECTS].index(s.about)))[:THINGS]
 
 
 def _short(s: Statement) -> str:
-    text = _sentence(_ABOUT[s.about] + " ".join(s.text.replace(TIED, " ").split()))
+    text = s.sentence
     if len(text) <= LONGEST:
         return text
     whole, part, _ = text[:LONGEST].rpartition("; ")
     return f"{whole if part else text[:LONGEST].rpartition(' ')[0]} ..."
-
-
-def _sentence(text: str) -> str:
-    text = text.replace(TIED, " ")
-    if text.split()[0].strip(":,").isalpha():  # no name of a column
-        text = text[:1].upper() + text[1:]
-    return text if text.endswith((".", ")")) else f"{text}."

@@ -164,7 +164,12 @@ class CampaignDiagnosis(Result):
 
     def brief(self) -> Sequence[Words | Table]:
         """What counts, in a few lines: verdict, errors before and after, what must be known of them."""
-        return brief(self.campaign.title, self.diagnosis, self.details)
+        return brief(self.campaign.title, self.diagnosis, self._beside_laws)
+
+    @property
+    def _beside_laws(self) -> Details:
+        """The details without the laws where these are told in full."""
+        return replace(self.details, laws=None) if self.searched else self.details
 
     @property
     def searched(self) -> Discovery | None:
@@ -185,7 +190,7 @@ class CampaignDiagnosis(Result):
 
     def titled_text(self) -> RenderableType:
         """The same beneath the title of the campaign."""
-        return titled(self.campaign.title, self.text())
+        return titled(self.campaign.title, page_of(self.diagnosis, self._beside_laws))
 
     def figures(self) -> dict[str, Figure]:
         """Every figure, by name (see `diagnosis_figures`)."""

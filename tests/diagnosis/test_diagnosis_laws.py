@@ -27,6 +27,7 @@ from casadical.diagnosis.laws.answer import line_of
 from casadical.diagnosis.laws.discovery import laws_beside, with_law
 from casadical.diagnosis.laws.drivers import drivers_of, values_of, variables, with_columns
 from casadical.diagnosis.laws.forms import FINE_WAVE, FORMS, LINEAR, WAVE, wave_by, wave_plus
+from casadical.diagnosis.laws.held_out import held_out
 from casadical.diagnosis.laws.problem import SCREENED, Problem, Tried, scale_of
 from casadical.diagnosis.laws.rivals import aliases, law_rivals
 from casadical.diagnosis.laws.screening import Screen
@@ -287,6 +288,29 @@ def test_a_cause_that_a_law_explains_better_is_not_named() -> None:
     right = discovered(7, GearEccentricity(2, 90e-6)).diagnosis
     assert right.law is not None
     assert [c.label for c in right.causes] == ["gear_eccentricity@2"]
+
+
+def test_a_law_takes_the_place_of_causes_only_where_it_predicts_better() -> None:
+    """A right flexure was replaced by a law of more evidence that was worse on poses held out."""
+    right = discovered(7, GearEccentricity(2, 90e-6)).diagnosis
+    assert right.law is not None
+    sure = replace(right.law.best, score=1e6)
+    claimed = replace(right.law, laws=(sure,), listed=("", 0.0), smooth=("", 0.0), noise=("", 0.0), alias=())
+    assert claimed.claimed
+    assert contest.replaces_causes(replace(right, causes=()), claimed)
+    by_law = held_out(right.case, NONE, [sure], sure.noise, right.seed).mean()
+    by_cause = held_out(right.case, right.columns, (), right.noise, right.seed).mean()
+    assert contest.replaces_causes(right, claimed) == bool(by_law < by_cause)
+    blind = replace(sure, columns=0 * sure.columns, tried=replace(sure.tried, form=LINEAR, x=(0 * sure.tried.x[0],)))
+    assert not contest.replaces_causes(right, replace(claimed, laws=(blind,)))
+
+
+def test_noise_alone_is_that_beside_the_best_model_that_is_told() -> None:
+    found = discovered(5, STOP)
+    more = Details(laws=found, floor=0.5 * found.diagnosis.gap.floor)
+    words = diagnosis_page(found.diagnosis, more)
+    assert f"noise floor {500 * found.diagnosis.gap.floor:.3f}" in words
+    assert diagnosis_json(found.diagnosis, "stop", more)["gap_mm"]["floor"] < 1e3 * found.gap["law"]
 
 
 def test_a_driver_beyond_all_measure_is_none(monkeypatch: pytest.MonkeyPatch) -> None:

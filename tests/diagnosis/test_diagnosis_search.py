@@ -17,7 +17,7 @@ from casadical.diagnosis.json_answer import as_json, diagnosis_files
 from casadical.diagnosis.limits import ruled_out
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.diagnosis.posterior import PRIOR_FURTHER, Ranking, Rival, rank
-from casadical.diagnosis.search import State, Step, indistinguishable
+from casadical.diagnosis.search import State, Step, indistinguishable, next_cause
 from casadical.diagnosis.smooth_description import describe_unlisted
 from casadical.diagnosis.text import page_of
 from casadical.identification.accuracy import errors, predicted
@@ -108,6 +108,28 @@ def test_what_is_on_no_list_is_no_set_of_listed_causes() -> None:
 def made_up(shares: dict[str, float], none: float = 1e-6) -> Ranking:
     noise = dict.fromkeys(("", *shares), Noise(2e-5, 0.0))
     return Ranking(none, shares, {}, {}, dict.fromkeys(shares, 0), noise)
+
+
+def test_a_member_with_several_names_counts_as_one() -> None:
+    ranking = made_up({"friction_windup@1": 0.8, "backlash@1": 0.15, "z": 0.05}, none=0.0)
+    step = Step(ranking, ("friction_windup@1", "backlash@1"), ())
+    found = cause_set(State(case("kr210-P02"), (step,), (ranking, made_up({}, none=1.0))))
+    assert found is not None
+    assert found.members == {"friction_windup@1": pytest.approx(0.95)}
+    assert found.names == {"friction_windup@1": {"friction_windup@1": 0.8, "backlash@1": 0.15}}
+    assert [labels for labels, _ in found.others] == [("z",)]
+
+
+def test_the_next_cause_may_have_a_few_names_one_of_them_on_no_list() -> None:
+    state = State(case("kr210-P02"))
+    further = replace(state, steps=(Step(made_up({}), ("thermal_growth",), ()),))
+    twins = made_up({"friction_windup@1": 0.6, "backlash@1": 0.39, "joint_scale@2": 0.01})
+    assert next_cause(further, twins) == ("claimed", ("friction_windup@1", "backlash@1"))
+    assert next_cause(further, made_up({f"joint_scale@{j}": 0.2 for j in range(1, 6)}))[0] == "ambiguous"
+    rare = made_up({"bearing_play@2": 0.9, "link_flexure": 0.09, "joint_scale@2": 0.01})
+    assert next_cause(state, rare) == ("claimed", ("bearing_play@2", "link_flexure"))
+    assert next_cause(state, made_up({"bearing_play@2": 0.999, "link_flexure": 0.001}))[0] == "unknown"
+    assert next_cause(state, made_up({"smooth in time": 0.9, "link_flexure": 0.1}))[0] == "unknown"
 
 
 def test_a_set_of_similar_causes_has_three_labels_and_none_that_is_negligible() -> None:
