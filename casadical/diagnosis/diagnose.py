@@ -214,7 +214,7 @@ def _prepared(
     if not sets:
         raise InputError("measurements are missing; give diagnose(robot, measurements), or an identification alone")
     of_masses: Literal["free", "unknown"] = "free" if masses == "nuisance" else "unknown"
-    return compliance_tried(prepare(robot, sets, prior, masses=of_masses, tool_turns=True), priors=True)
+    return compliance_tried(prepare(robot, sets, prior, masses=of_masses, tool_turns=True))
 
 
 def _held_against_laws(found: Diagnosis) -> Diagnosis:

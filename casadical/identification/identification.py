@@ -17,6 +17,9 @@ from casadical.identification.solver import Progress
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
+# A compliance is visible where less than this share of the scatter is left with it.
+VISIBLE = 0.99
+
 
 def identify(
     robot: Robot,
@@ -85,7 +88,7 @@ def identify(
     by = partial(calibrated, loss=loss, priors=priors, screen=screen, progress=progress)
     if method is None:
         return by(prepared, free)
-    tried = compliance_tried(prepared, priors=priors, progress=progress)
+    tried = compliance_tried(prepared, progress)
     if method == "SKCM":
         return by(tried)
     if tried.tried is None or not tried.tried.kept or loss == "linear" or not screen:
@@ -107,19 +110,18 @@ def judged(
     return replace(found, measurements=prepared.sets, outliers=outliers)
 
 
-def compliance_tried(
-    prepared: Prepared, *, priors: bool | Mapping[str, tuple[float, float]] = False, progress: Progress | None = None
-) -> Prepared:
+def compliance_tried(prepared: Prepared, progress: Progress | None = None) -> Prepared:
     """The same, with compliance in the model where the robot file declares none and the measurements carry it.
 
-    They do where BIC prefers the compliant model (Schwarz 1978), with the degrees of freedom in the place of the
-    numbers, and the parameters counted that the data determine. Outliers are those of the compliant model: what a rigid
-    one leaves of a robot that sags is no wrong row.
+    They do where it leaves visibly less and BIC prefers the compliant model (Schwarz 1978), with the degrees of freedom
+    in the place of the numbers, and the parameters counted that the data determine; both models are held back by the
+    robot's priors. Outliers are those of the compliant model: what a rigid one leaves of a robot that sags is no wrong
+    row.
     """
     wider = prepared.compliant
     if wider is None:
         return prepared
-    by = partial(calibrated, free=METHODS["SKCM"], loss="huber", priors=priors, progress=progress)
+    by = partial(calibrated, free=METHODS["SKCM"], loss="huber", priors=True, progress=progress)
     try:
         full = by(replace(wider, method=None))
         kept = without_poses(prepared.sets, full.outliers)
@@ -131,13 +133,11 @@ def compliance_tried(
         problem, v = replace(found.problem, sigmas=sigmas), found.solution.v
         squares.append(problem.square(v) + problem.prior_square(v, told=True))
         freedom.append(max(float(problem.redundancies(v).sum()), 1.0))
-    more = max(freedom[0] - freedom[1], 1.0)
-    carried = freedom[1] * math.log(max(squares[0], 1e-300) / max(squares[1], 1e-300)) > more * math.log(
-        full.problem.residual_count
-    )
+    gain = freedom[1] * math.log(max(squares[0], 1e-300) / max(squares[1], 1e-300))
+    carried = gain > max(freedom[0] - freedom[1], 1.0) * math.log(full.problem.residual_count)
     left, least = (sigmas[0][0] * math.sqrt(square / f) for square, f in zip(squares, freedom, strict=True))
-    tried = Tried(left, least, carried, full.outliers)
-    return replace(wider if carried else prepared, tried=tried)
+    tried = Tried(left, least, carried and least < VISIBLE * left, full.outliers)
+    return replace(wider if tried.kept else prepared, tried=tried)
 
 
 def calibrated(

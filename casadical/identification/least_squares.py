@@ -31,7 +31,8 @@ from casadical.robot.robot import Robot
 SIGMA_GUESS, SIGMA_ANGLE_GUESS = 1e-4, 1e-4
 # What one more step gains at an optimum [chi-squared]: a ten-thousandth of a standard error.
 ROUND_OFF = 1e-8
-SHARP = 1e-4
+# The same where guesses are free, along whose common scale a search creeps: a tenth of a standard error.
+SETTLED = 5e-3
 # Groups of parameters that belong to a campaign, not to the robot.
 FRAMES = ("base", "tool")
 # Numbers of a Jacobian, or of residuals, that are kept from one question to the next.
@@ -205,11 +206,15 @@ class LeastSquares:
         Where the cost's round-off stops Ipopt's line search, the solver cannot know that it stands at an optimum.
         """
         scale = 0.5 * self.residual_count
-        found = minimise(self.cost, self.gradient, *self.bounds, scale=scale, start=start, progress=progress)
-        # Along what only priors hold, as of estimated masses, Ipopt creeps; what counts is how little is left to gain.
-        enough = SHARP if self.guesses.any() else ROUND_OFF
-        sharp = found.status == ACCEPTABLE and self.decrement(found.v) < enough
+        found = minimise(
+            self.cost, self.gradient, *self.bounds, scale=scale, start=start, progress=progress, settled=self._settled
+        )
+        sharp = found.status == ACCEPTABLE and self.decrement(found.v) < ROUND_OFF
         return replace(found, message=OPTIMUM) if sharp else found
+
+    def _settled(self, v: Array) -> bool:
+        """Whether little is left to gain, where guesses make the search creep."""
+        return bool(self.guesses.any()) and self.decrement(v) < SETTLED
 
     def cost(self, v: Array) -> float:
         """Half the sum of squares at v, through the robust loss, with the priors.

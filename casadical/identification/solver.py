@@ -18,11 +18,16 @@ Progress = Callable[[int, float], None]
 TOLERANCE = 1e-6
 MAX_ITERATIONS = 200
 TINY_STEP = 1e-6
+# Where the last iterations gained less than this [cost: half of chi-squared], it is asked whether it stands at its
+# optimum: it creeps there along what only priors hold, as the common scale of estimated masses and compliances.
+FLAT, LAST = 1e-3, 10
 
 OPTIMUM, ACCEPTABLE = "Ipopt found an optimum.", "Solved_To_Acceptable_Level"
+STOPPED = "User_Requested_Stop"
 _SENTENCES = {
     "Solve_Succeeded": OPTIMUM,
     ACCEPTABLE: "Ipopt stopped at an acceptable, not a sharp optimum; look at the condition number.",
+    STOPPED: "Ipopt found an optimum, to a tenth of a standard error of what estimated masses leave open.",
     "Maximum_Iterations_Exceeded": (
         "Ipopt ran out of iterations; the start may be far off (check units, joint signs and zero offsets), "
         "or parameters nearly confounded: free fewer of them, or use priors."
@@ -99,6 +104,31 @@ class _Evaluation(ca.Callback):
         return 0
 
 
+class _Watch(ca.Callback):
+    """Asked after each iteration of Ipopt whether to stop where it stands; `stop` answers."""
+
+    def __init__(self, size: int, stop: Callable[[Array], bool]) -> None:
+        ca.Callback.__init__(self)
+        self.size, self.stop = size, stop
+        self.construct("watch", {})
+
+    def get_n_in(self) -> int:
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_name_in(self, i: int) -> str:
+        return str(ca.nlpsol_out(i))
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        of_size = ca.nlpsol_out(i) in ("x", "lam_x")
+        return ca.Sparsity.dense(self.size if of_size else int(ca.nlpsol_out(i) == "f"), 1)
+
+    def eval(self, outputs: Sequence[ca.DM]) -> Sequence[ca.DM | float]:
+        return [float(self.stop(outputs[0].full().ravel()))]
+
+
 class _Solver:
     """Ipopt for problems of one size; made once, because that takes longer than a solve.
 
@@ -109,6 +139,7 @@ class _Solver:
     gradient: Callable[[Array], tuple[Array, Array]]
     scale: float
     progress: Progress | None
+    settled: Callable[[Array], bool] | None
 
     def __init__(self, size: int, most: int) -> None:
         vector, upper, none = ca.Sparsity.dense(size, 1), ca.Sparsity.upper(size), ca.Sparsity(0, 0)
@@ -121,7 +152,9 @@ class _Solver:
         g = _Evaluation("nlp_grad_f", given, {"f": number, "grad_f_x": vector}, self._gradient)
         h = _Evaluation("nlp_hess_l", weighed, {"hess_gamma_x_x": upper}, self._hessian)
         v = ca.MX.sym("v", size)
+        watch = _Watch(size, lambda v: self.settled is not None and self.flat and self.settled(v))
         options: dict[str, Any] = {
+            "iteration_callback": watch,
             "grad_f": g,
             "hess_lag": h,
             "calc_lam_p": False,
@@ -146,8 +179,13 @@ class _Solver:
                 "acceptable_obj_change_tol": 1e-9,
             },
         }
-        self._keep = f, g, h
+        self._keep = f, g, h, watch
         self.solve = ca.nlpsol("identify", "ipopt", {"x": v, "f": f(v)}, options)
+
+    @property
+    def flat(self) -> bool:
+        """Whether the last iterations gained nothing that counts."""
+        return len(self.history) > LAST and self.history[-1 - LAST] - self.history[-1] < FLAT
 
     def _cost(self, v: Array) -> Sequence[Array | float]:
         return (self.cost(v) / self.scale,)
@@ -183,19 +221,22 @@ def minimise(
     scale: float,
     start: Array | None = None,
     progress: Progress | None = None,
+    settled: Callable[[Array], bool] | None = None,
 ) -> Solution:
     """Minimise a sum of squares within bounds from a start, by default v = 0.
 
     cost : of v, shape (size,); gradient : at v, and the Gauss-Newton Hessian J'J, shapes (size,) and (size, size)
     scale : typical size of the cost, by which it is divided
+    settled : whether a point at which the search only creeps is the optimum
 
     Raises ConvergenceError with a sentence and a remedy if Ipopt does not stop at an optimum.
     """
     ipopt = _solvers.of(len(lower), MAX_ITERATIONS)
     ipopt.cost, ipopt.gradient, ipopt.scale, ipopt.progress, ipopt.history = cost, gradient, scale, progress, []
+    ipopt.settled = settled
     found = ipopt.solve(x0=np.zeros(len(lower)) if start is None else start, lbx=lower, ubx=upper)
     status = str(ipopt.solve.stats()["return_status"])
     message = _SENTENCES.get(status, f"Ipopt stopped with {status}; see its documentation for this status.")
-    if status not in ("Solve_Succeeded", ACCEPTABLE, "Search_Direction_Becomes_Too_Small"):
+    if status not in ("Solve_Succeeded", ACCEPTABLE, STOPPED, "Search_Direction_Becomes_Too_Small"):
         raise ConvergenceError(f"{message} ({status} after {len(ipopt.history)} iterations)")
     return Solution(found["x"].full().ravel(), status, message, tuple(ipopt.history))

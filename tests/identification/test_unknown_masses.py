@@ -13,7 +13,8 @@ from casadical.core.estimated_masses import with_estimated_masses
 from casadical.core.telling.terminal import terminal
 from casadical.identification.accuracy import errors
 from casadical.identification.gravity import as_json, gravity_deflections, in_words
-from casadical.identification.prepared import with_unknown_masses
+from casadical.identification.identification import base_calibrated
+from casadical.identification.prepared import prepare, with_unknown_masses
 from casadical.identification.tables import parameter_tables
 
 MASSES = (20.0, 14.0, 6.0, 4.0, 2.0, 1.0)
@@ -194,3 +195,14 @@ def test_of_deflections_that_are_not_certain_a_bound_is_given() -> None:
     assert text.startswith("deflection under gravity between poses: at most ")
     assert "(95 %), none is certain" in text
     assert all(d.change + 1.645 * d.error > 0 for d in gravity_deflections(found))
+
+
+def test_few_poses_of_a_rigid_robot_converge_with_unknown_masses() -> None:
+    """Compliances near zero: the search creeps along the masses' common scale (it ran out of iterations)."""
+    soft = replace(arm(), joints=tuple(replace(j, body=None, compliance=0.0) for j in arm().joints))
+    m = positions(planted(stiff(arm()), 3, TRACKER), readings(soft, 25, 12), 9)
+    wrong = m.position.copy()
+    wrong[[3, 9]] += 3e-3
+    found = base_calibrated(prepare(soft, replace(m, position=wrong), masses="unknown"))
+    assert found.solution.message.startswith("Ipopt found an optimum")
+    assert found.is_optimal()
