@@ -20,9 +20,8 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).parents[1]
 # Files that stay together, because a costly fixture of theirs is made once a process.
 TOGETHER = {
-    "mypy": ("house/test_house_names.py", "house/test_house_style.py"),
     "site": ("docs/test_docs_build.py", "docs/test_docs_tutorials.py"),
-    "small": tuple(f"blind_check/test_{name}.py" for name in ("generation", "packed_files", "prediction", "scoring")),
+    "small": tuple(f"blind_check/test_{name}.py" for name in ("generation", "prediction", "scoring")),
     "diagnosed": tuple(
         f"diagnosis/test_diagnosis_{name}.py" for name in ("campaigns", "localisation", "refit", "spectrum")
     ),

@@ -58,13 +58,16 @@ class Regression:
         return gained
 
     def best(self, groups: Sequence[Array]) -> tuple[int, float]:
-        """The group that an F-test prefers, and its p-value; the level is shared among all groups (Bonferroni)."""
+        """The group that an F-test prefers, and its p-value; the level is shared among all groups (Bonferroni).
+
+        The p-value is 1 where so many columns leave no degree of freedom.
+        """
         f = optional("scipy.stats", "--by f-test needs scipy: pip install 'casadical[withheld]'").f
         total, widths = float(self.y @ self.y), np.array([len(g) for g in groups])
         gain = np.minimum(self.gains(groups), total * (1 - 1e-12))
         freedom = self.freedom - widths
-        ratio = gain / widths / ((total - gain) / freedom)
-        p = np.minimum(1.0, f.sf(ratio, widths, freedom) * len(widths))
+        ratio = np.where(freedom > 0, gain / widths / (total - gain) * freedom, 0.0)
+        p = np.where(freedom > 0, np.minimum(1.0, f.sf(ratio, widths, np.maximum(freedom, 1)) * len(widths)), 1.0)
         # Beyond what a float can hold, the greater ratio decides.
         best = int(np.lexsort((-ratio, p))[0])
         return best, float(p[best])

@@ -344,9 +344,9 @@ def check_robot(
     --------
     >>> from casadical.blind_check import check_robot
     >>> from concurrent.futures import ThreadPoolExecutor
-    >>> arm = casadical.read_robot("problems/ur10e/robot.toml")
+    >>> arm = casadical.read_robot("problems/planar/robot.toml")
     >>> with ThreadPoolExecutor(1) as pool:
-    ...     checked = check_robot(arm, poses=30, n=4, seed=1, executor=pool)
+    ...     checked = check_robot(arm, poses=20, n=4, seed=1, executor=pool)
     >>> len(checked.outcomes)
     4
     """

@@ -22,5 +22,5 @@ def small(tmp_path_factory) -> Small:
     pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'casadical[withheld]'")
     top = tmp_path_factory.mktemp("withheld")
     folder, key = top / "campaigns", top / "key"
-    make(folder, key, N, 5, poses=[40], project=ROOT, executor=Here())
+    make(folder, key, N, 5, poses=[20], project=ROOT, executor=Here())
     return Small(folder, key, predict(folder, top / "f-test.jsonl", by="f-test", executor=Here()))

@@ -32,6 +32,13 @@ def test_a_cause_that_shows_nothing_gains_nothing() -> None:
     np.testing.assert_allclose(Regression(np.array([3.0, 4, 5]), E, 2).gains(groups), [9, 0, 9, 25])
 
 
+def test_a_group_that_leaves_no_freedom_is_no_finding() -> None:
+    rng = np.random.default_rng(6)
+    left = Regression(rng.normal(size=5), rng.normal(size=(5, 6)), 5)
+    assert left.best([np.arange(5), np.arange(6)])[1] == 1.0
+    assert left.best([np.array([0]), np.arange(5)])[0] == 0
+
+
 def test_among_many_candidates_it_takes_what_is_there_and_no_noise() -> None:
     rng, many = np.random.default_rng(4), 400
     groups = [np.array([k]) for k in range(many)]

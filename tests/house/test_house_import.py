@@ -31,15 +31,6 @@ def test_import_of_casadical_loads_nothing_heavy() -> None:
     assert len(loaded) < 20  # the few modules of the standard library that importlib and typing bring
 
 
-def test_the_package_lists_and_finds_its_names() -> None:
-    import casadical
-
-    for name in casadical.__all__:
-        assert getattr(casadical, name) is not None
-    with pytest.raises(AttributeError, match="nothing_of_this_name"):
-        _ = casadical.nothing_of_this_name
-
-
 def test_the_help_loads_no_solver() -> None:
     statement = "from casadical.cli import app\ntry:\n    app(['calibrate', '--help'])\nexcept SystemExit:\n    pass"
     assert loaded_by(statement) & {"casadi", "numpy", "pandas"} == set()
