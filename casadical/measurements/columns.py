@@ -101,17 +101,9 @@ class Columns:
 
         Rows to which a shift of rows gives no value are left out.
 
-        Parameters
-        ----------
-        columns : Mapping[str, str | Source]
-            our name -> name in the table, or how it is made of the table's columns
-        point_from : Sequence[str], default ()
-            columns whose words, joined by "/", name the touched point
-
-        Raises
-        ------
-        InputError
-            a named column is missing
+        columns : our name -> name in the table, or how it is made of the table's columns
+        point_from : columns whose words, joined by "/", name the touched point
+        Raises InputError: a named column is missing.
         """
         sources = {ours: Source(given) if isinstance(given, str) else given for ours, given in columns.items()}
         used = [*named(sources), *((name, "named in point_from") for name in point_from)]
@@ -124,17 +116,9 @@ class Columns:
     def without(self, rows: Collection[int], why: str) -> Columns:
         """Without some rows of the file.
 
-        Parameters
-        ----------
-        rows : Collection[int]
-            of the file
-        why : str
-            where they are named, for messages
-
-        Raises
-        ------
-        InputError
-            one that is not there
+        rows : of the file
+        why : where they are named, for messages
+        Raises InputError: one that is not there.
         """
         missing = sorted(set(rows) - set(self.row.tolist()))
         if missing:
@@ -145,15 +129,8 @@ class Columns:
     def with_tools(self, rows: Mapping[str, Sequence[int]]) -> Columns:
         """With the column `tool` from the rows of the file at which each target was measured.
 
-        Parameters
-        ----------
-        rows : Mapping[str, Sequence[int]]
-            name of a target -> rows of the file
-
-        Raises
-        ------
-        InputError
-            a row that is listed twice
+        rows : name of a target -> rows of the file
+        Raises InputError: a row that is listed twice.
         """
         names: dict[int, str] = {}
         for name, listed in rows.items():
@@ -195,20 +172,9 @@ class Columns:
     def column(self, name: str) -> Array:
         """A column of numbers as it stands, shape (n,) [its own unit].
 
-        Parameters
-        ----------
-        name : str
-            of the column
-
-        Returns
-        -------
-        Array, shape (n,)
-            in the unit of the column
-
-        Raises
-        ------
-        InputError
-            it is missing, or a cell is no finite number
+        name : of the column
+        Returns an array, shape (n,): in the unit of the column
+        Raises InputError: it is missing, or a cell is no finite number.
         """
         if name not in self.table:
             raise InputError(f"{self.source}: column {name!r} is missing; there are {self.names}")
@@ -238,17 +204,9 @@ class Columns:
     def refuse_faults(self, kinds: Sequence[str], observations: str) -> None:
         """Refuses missing readings, and cells that are no possible numbers, in all columns at once.
 
-        Parameters
-        ----------
-        kinds : Sequence[str]
-            revolute or prismatic, of each joint
-        observations : str
-            pattern of the columns that the kinds of measurement read
-
-        Raises
-        ------
-        FaultsError
-            with every fault
+        kinds : revolute or prismatic, of each joint
+        observations : pattern of the columns that the kinds of measurement read
+        Raises FaultsError: with every fault.
         """
         named = [[f"q{i}{unit}" for unit in _UNITS[kind]] for i, kind in enumerate(kinds, 1)]
         lost = [" or ".join(names) for names in named if not {*names} & {*self.table}]
@@ -267,21 +225,10 @@ class Columns:
     def si(self, stem: str, units: Sequence[str]) -> Array:
         """Column `stem` with one of the suffixes _mm, _m, _deg, _rad, shape (n,) [m or rad].
 
-        Parameters
-        ----------
-        stem : str
-            of the name, without its unit
-        units : Sequence[str]
-            suffixes that are allowed
-
-        Returns
-        -------
-        Array, shape (n,) [m or rad]
-
-        Raises
-        ------
-        InputError
-            it is missing, given in two units, or a cell is no finite number
+        stem : of the name, without its unit
+        units : suffixes that are allowed
+        Returns an array, shape (n,) [m or rad]
+        Raises InputError: it is missing, given in two units, or a cell is no finite number.
         """
         present = [u for u in units if f"{stem}{u}" in self.table]
         if len(present) > 1:
@@ -295,19 +242,9 @@ class Columns:
     def joints(self, kinds: Sequence[str]) -> Array:
         """Readings q1_deg (q1_rad, q1_mm, q1_m) and so on.
 
-        Parameters
-        ----------
-        kinds : Sequence[str]
-            revolute or prismatic, of each joint
-
-        Returns
-        -------
-        Array, shape (n, joints) [rad or m]
-
-        Raises
-        ------
-        InputError
-            one is missing or too many
+        kinds : revolute or prismatic, of each joint
+        Returns an array, shape (n, joints) [rad or m]
+        Raises InputError: one is missing or too many.
         """
         columns = [self.si(f"q{i}", _UNITS[kind]) for i, kind in enumerate(kinds, 1)]
         for name in map(str, self.table):
@@ -329,20 +266,9 @@ class Columns:
 
         Columns of words (remarks, operators) are left out.
 
-        Parameters
-        ----------
-        observations : Iterable[str]
-            patterns of the columns that the kinds of measurement read
-
-        Returns
-        -------
-        dict[str, Array]
-            name -> array, shape (n,), in the unit of the column
-
-        Raises
-        ------
-        InputError
-            words among numbers
+        observations : patterns of the columns that the kinds of measurement read
+        Returns dict[str, Array]: name -> array, shape (n,), in the unit of the column
+        Raises InputError: words among numbers.
         """
         others = re.compile("|".join([_NO_CONDITIONS, *observations]))
         found = {}

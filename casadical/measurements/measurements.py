@@ -205,17 +205,9 @@ class Measurements(Shown):
         ever in two sets; a set may hold some more or less than its size for that. A pair distance whose ends fall in
         two sets is left out; poses of one contact point may fall in two.
 
-        Parameters
-        ----------
-        sizes : Mapping[str, float]
-            set name -> number of poses, or share of them
-        seed : int, default 0
-            of the drawing
-
-        Raises
-        ------
-        InputError
-            impossible sizes
+        sizes : set name -> number of poses, or share of them
+        seed : of the drawing
+        Raises InputError: impossible sizes.
         """
         ends = np.concatenate([self.q] if self.other is None else [self.q, self.other])
         several = sum(name.startswith("tool_") for name in self.conditions) > 1
