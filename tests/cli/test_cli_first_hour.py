@@ -12,6 +12,7 @@ from command_line import main
 from casadical import calibrate, read_robot
 from casadical.identification import errors
 from casadical.measurements.reading import read_measurements
+from casadical.project.problem import read_problem
 
 
 def walk(monkeypatch: pytest.MonkeyPatch, folder: Path, table: Path) -> dict[str, object]:
@@ -24,8 +25,19 @@ def walk(monkeypatch: pytest.MonkeyPatch, folder: Path, table: Path) -> dict[str
 
 
 @pytest.mark.parametrize("name", first_hour.TABLES)
-def test_any_table_reaches_a_calibrated_robot(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = walk(monkeypatch, tmp_path, first_hour.write(tmp_path, name, *first_hour.measured(80)))
+def test_any_table_becomes_a_problem_with_what_was_measured(name: str, tmp_path: Path, monkeypatch) -> None:
+    q, p = first_hour.measured(40)
+    table = first_hour.write(tmp_path, name, q, p)
+    arm = tmp_path / "arm"
+    assert main(monkeypatch, "new", arm, "--dh", tmp_path / "dh.csv", "--data", table, "--yes", "--quiet") == 0
+    parts = [m for _, m in read_problem(arm).parts()]
+    read = np.vstack([np.column_stack([np.rad2deg(m.q), 1e3 * m.position]) for m in parts])
+    given = np.column_stack([q, p])
+    np.testing.assert_allclose(read[np.argsort(read[:, 0])], given[np.argsort(given[:, 0])], atol=1e-4)
+
+
+def test_a_table_reaches_a_calibrated_robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = walk(monkeypatch, tmp_path, first_hour.write(tmp_path, "messung.csv", *first_hour.measured(80)))
     assert found["sets"]["report"]["mean_mm"] < 0.12
 
 

@@ -57,7 +57,6 @@ COMMANDS = {
     "check": "check {robot} {table}",
     "calibrate": "calibrate {robot} {table}",
     "diagnose": "diagnose {robot} {table} --no-laws --effects backlash",
-    "laws": "diagnose {robot} {table} --laws --effects backlash",
     "plan": "plan {robot} --measured {table} -n 2 --no-order --out {out}",
     "isolability": "plan {robot} {table} --isolability --for backlash",
     "compare": "compare results/KM.robot.toml {table} --robot {robot}",
@@ -82,7 +81,7 @@ def test_another_table_is_understood_by_the_folders_names(measured: Path, tmp_pa
     assert run(*words.split(), folder=measured).returncode == 2
 
 
-@pytest.mark.parametrize("command", ["check", "calibrate", "diagnose", "laws", "export"])
+@pytest.mark.parametrize("command", ["check", "calibrate", "diagnose", "export"])
 def test_distances_count_as_they_are(measured: Path, tmp_path: Path, command: str) -> None:
     words = COMMANDS[command].format(robot="distance", table="distance.csv", out=tmp_path / "out")
     done = run(*words.split(), folder=measured)
