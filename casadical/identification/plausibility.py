@@ -9,6 +9,7 @@ from casadical.core.arrays import Array
 from casadical.core.errors import Fault, FaultsError, InputError
 from casadical.core.transforms import nearest_rotation
 from casadical.identification.accuracy import positions_at, predicted
+from casadical.identification.placement import place_frames
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.robot.kinematics import LEAST_MARGIN
@@ -22,6 +23,11 @@ PARTS, LEAST_POSES, MOVED = 5, 6, 0.3
 # Orientations that are off by more [rad] at most poses, base and tool turned as they fit, are no measured ones; with
 # the tool as it is given they may be off by so much, and so many times as far as with another one.
 TURNED, GIVEN, TIMES = np.deg2rad(10.0), np.deg2rad(1.0), 3.0
+# Orientations that are off by more [rad] with the base where the positions put it are of another frame.
+OTHER_FRAME = np.deg2rad(2.0)
+# Positions with so many times the median error do not count for that, nor any where the model is off by this share of
+# its reach.
+FAR, UNEXPLAINED = 5.0, 0.02
 # Poses that tell it, and rounds in which poses that are far off do not count.
 TURNS, ROUNDS = 200, 3
 # A reading may lie so far beyond a joint's limit [rad or m], as of a pose that was commanded there.
@@ -73,22 +79,44 @@ def _refuse_implausible(robot: Robot, m: Measurements) -> None:
 
 def _refuse_turned(robot: Robot, m: Measurements) -> None:
     """Raises InputError for orientations that the robot cannot have had."""
-    off = turned_off(robot, m)
-    if off < GIVEN:
-        return
-    free = turned_off(replace(robot, tool=replace(robot.tool, unknown="pose")), m)
+    alone = 'kind = "position" in problem.toml takes the positions alone'
+    given = turned_off(robot, m)
+    free = turned_off(replace(robot, tool=replace(robot.tool, unknown="pose")), m) if given > GIVEN else given
     if free > TURNED:
         raise InputError(
             f"{m.source}: the orientations are {np.rad2deg(free):.3g} deg (median) from the nominal robot, however "
             "base and tool are turned: are the angles of another convention, or joints counted the other way? "
-            'casadical check searches for slips; kind = "position" in problem.toml takes the positions alone'
+            f"casadical check searches for slips; {alone}"
         )
-    if robot.tool.unknown != "pose" and off > TIMES * free:
+    if robot.tool.unknown != "pose" and given > max(GIVEN, TIMES * free):
         raise InputError(
-            f"{m.source}: the orientations are {np.rad2deg(off):.3g} deg (median) from the nominal robot, and would be "
-            f'{np.rad2deg(free):.2g} deg with the tool turned: write unknown = "pose" in [tool] of the robot file '
-            '([[urdf.tool]] in problem.toml for a URDF), or kind = "position" to take the positions alone'
+            f"{m.source}: the orientations are {np.rad2deg(given):.3g} deg (median) from the nominal robot, and would "
+            f'be {np.rad2deg(free):.2g} deg with the tool turned: write unknown = "pose" in [tool] of the robot file '
+            f"([[urdf.tool]] in problem.toml for a URDF), or {alone}"
         )
+    off = of_another_frame(robot, m)
+    if off:
+        raise InputError(
+            f"{m.source}: the orientations are {np.rad2deg(off):.3g} deg (median) from the nominal robot where its "
+            "base stands by the positions: they are of another frame than these, as the controller's own would be; "
+            f"{alone}"
+        )
+
+
+def of_another_frame(robot: Robot, m: Measurements) -> float:
+    """How far [rad] orientations are off with the base where the positions put it; 0 where they are of one frame."""
+    free = replace(robot, tool=replace(robot.tool, unknown="pose"))
+    if robot.base.unknown != "pose" or m.position is None or len(m) < LEAST_POSES:
+        return 0.0
+    kept, placed = np.ones(len(m), dtype=bool), robot
+    for _ in range(ROUNDS):
+        placed = place_frames(free, m[kept])
+        length = np.linalg.norm(predicted(placed, m)[0] - m.position, axis=1)
+        kept = length <= FAR * np.median(length)
+    if np.median(length) > UNEXPLAINED * robot.reach:
+        return 0.0
+    off = turned_off(replace(placed, base=replace(placed.base, unknown="none")), m)
+    return off if off > max(OTHER_FRAME, TIMES * turned_off(free, m)) else 0.0
 
 
 def turned_off(robot: Robot, m: Measurements) -> float:

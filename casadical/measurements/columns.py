@@ -318,12 +318,12 @@ def is_ours(name: str, pattern: str) -> bool:
 def in_seconds(cells: pd.Series) -> Array:
     """Times as numbers, shape (n,) [their own unit]; dates as seconds since 1970, also of digits: 20261121143005."""
     numbers = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float)
-    texts, form, first = cells.astype(str).str.strip(), "mixed", False
+    form, first = "mixed", False
     if np.isfinite(numbers).any():
         if not (np.isfinite(numbers) & (numbers > 1.9e13) & (numbers < 2.1e13)).all():
             return np.asarray(numbers)
         texts, form = pd.Series([f"{number:.0f}" for number in numbers]), "%Y%m%d%H%M%S"
-    elif texts.str.fullmatch(r"\d{1,2}\.\d{1,2}\.\d{2,4}\b.*").any():
+    elif (texts := cells.astype(str).str.strip()).str.fullmatch(r"\d{1,2}\.\d{1,2}\.\d{2,4}\b.*").any():
         first = True
     dates = pd.to_datetime(texts, errors="coerce", format=form, dayfirst=first, utc=True)
     if dates.isna().any():

@@ -289,7 +289,8 @@ def _read_robot(path: Path, urdf: UrdfTable) -> Robot:
 def tool_as_measured(robot: Robot, source: Path, sets: Iterable[Measurements]) -> Robot:
     """The robot of a problem folder or file: where a URDF says nothing of the tool, its pose is unknown if measured."""
     file = problem_file(source) if source.is_dir() else ProblemFile(casadical=1, title="", robot=source.name)
-    said = not file.of_campaigns.endswith(".urdf") or (file.urdf and file.urdf.tool)
+    tools = file.urdf.tool if file.urdf else []
+    said = not file.of_campaigns.endswith(".urdf") or any("unknown" in tool.model_fields_set for tool in tools)
     if said or not any(find_kind(m.kind).angles for m in sets):
         return robot
     return replace(robot, tool=replace(robot.tool, unknown="pose"))

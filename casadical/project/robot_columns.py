@@ -1,5 +1,6 @@
 """What the columns of a table say with the robot beside them: what is meant, measured targets, coupled joints."""
 
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -10,10 +11,10 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.identification.accuracy import errors
 from casadical.identification.placement import place_frames
-from casadical.identification.plausibility import turned_off
+from casadical.identification.plausibility import of_another_frame, turned_off
 from casadical.identification.sessions import sessions_in
 from casadical.measurements.column_map import Source
-from casadical.measurements.columns import Columns
+from casadical.measurements.columns import ORIENTATION, Columns
 from casadical.measurements.headings import Question, Understanding, understand
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.raw_table import RawTable
@@ -24,6 +25,8 @@ from casadical.robot.robot import Robot
 FITS, TIMES = np.deg2rad(5.0), 4.0
 # Coordinates that the nominal model gives within so much [m], or within their last digit, are computed.
 COMPUTED = 2e-6
+# Orientations that it gives within so much [rad] are.
+COMPUTED_TURN = 2e-5
 
 
 def understood(raw: RawTable, robot: Robot, given: Mapping[str, Source], kind: str | None = None) -> Understanding:
@@ -35,6 +38,22 @@ def understood(raw: RawTable, robot: Robot, given: Mapping[str, Source], kind: s
     for question in found.questions:
         if question.about:
             found = _by_model(raw, robot, given, found, question)
+    return _without_other_frame(raw, robot, given, found)
+
+
+def _without_other_frame(
+    raw: RawTable, robot: Robot, given: Mapping[str, Source], found: Understanding
+) -> Understanding:
+    """Without orientations that are of another frame than the positions, or the nominal robot's own: a controller's."""
+    turned = [c for c in found.columns if re.fullmatch(ORIENTATION, c.ours)]
+    if not turned or found.questions:
+        return found
+    with suppress(InputError, np.linalg.LinAlgError):
+        columns = Columns.of_file(raw).mapped({**found.sources, **given})
+        m = from_columns(columns.without(columns.lost_rows, ""), [j.kind for j in robot.joints])
+        free = replace(robot, tool=replace(robot.tool, unknown="pose"))
+        if m.orientation is not None and (of_another_frame(robot, m) or turned_off(free, m) < COMPUTED_TURN):
+            return replace(found, columns=tuple(c for c in found.columns if c not in turned))
     return found
 
 

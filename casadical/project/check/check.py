@@ -38,7 +38,7 @@ from casadical.project.check.result import Precheck
 from casadical.project.check.slips import Slips, search_slips
 from casadical.project.check.targets import Misnamed, Targets, middles, misnamed, recognised, whole_table
 from casadical.project.problem import Problem, read_problem
-from casadical.project.robot_columns import unfitted, unmeasured
+from casadical.project.robot_columns import computed, unfitted, unmeasured
 from casadical.robot.robot import Robot
 
 # Observed numbers for each unknown from which on a fit also shows how good it is.
@@ -186,6 +186,9 @@ def _data_findings(
             found += far_rows(robot, table or m)
         if not any(np.array_equal(m.q, before.q) for before in sets[:k]):  # a table for each wire
             found += [*coverage_findings(robot, m), *margin_findings(robot, m)]
+        if computed(robot, m):
+            text = f"{m.source}: the positions are the nominal robot's own to the last digit: computed, not measured?"
+            found.append(Finding("warning", "data", text))
         found += unknown_columns([*m.conditions], m.source)
         found += [Finding("warning", "clock", text) for text in clock_faults(table or m)]
         distinct, _ = repeats(m)

@@ -208,5 +208,22 @@ def test_computed_positions_are_said_to_be(tmp_path: Path) -> None:
     for name, positions in (("measured", p), ("computed", first_hour.positions(q, first_hour.ROWS, first_hour.TOOL))):
         (tmp_path / name).mkdir()
         data = table().assign(**named(XYZ, positions.round(3)))
-        folder_of(tmp_path / name, data, show=lambda block: said.append(str(block)))
+        arm = folder_of(tmp_path / name, data, show=lambda block: said.append(str(block)))
         assert ("they are computed, not measured" in " ".join(said)) == (name == "computed")
+        doubts = [f.text for f in precheck(arm).of_level("warning") if "computed, not measured?" in f.text]
+        assert len(doubts) == (name == "computed")
+
+
+def test_orientations_of_the_controller_beside_measured_positions_are_not_used(tmp_path: Path) -> None:
+    """They are in the robot's base; under our own names, which nobody can leave out, they are an error."""
+    q, p, R = poses()
+    leaned = Rotation.from_euler("xz", [25, 50], degrees=True).apply(p)
+    arm = folder_of(tmp_path, table(**FORMS["KUKA"](R)).assign(**named(XYZ, leaned)))
+    assert read_problem(arm).sets["identify"][0].kind == "position"
+    own = named(["qx", "qy", "qz", "qw"], R.as_quat()) | named(["x_mm", "y_mm", "z_mm"], leaned)
+    pd.DataFrame(named([f"q{k}_deg" for k in range(1, 7)], q) | own).to_csv(arm / "poses.csv", index=False)
+    (arm / "problem.toml").write_text('casadical = 1\ntitle = "t"\n[[measurements]]\nfile = "poses.csv"\n')
+    robot = (arm / "robot.toml").read_text().replace('unknown = "position"', 'unknown = "pose"')
+    (arm / "robot.toml").write_text(robot)
+    with pytest.raises(InputError, match=r"they are of another frame than these, as the controller's own would be"):
+        calibrate(arm)
