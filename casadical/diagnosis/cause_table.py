@@ -1,8 +1,7 @@
 """Rows of a diagnosis: its causes, what the data show of each and how far the gap shrinks; its error layer by layer."""
 
 import re
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -112,60 +111,28 @@ def mm(metres: float) -> str:
 LAYER_COLUMNS = ("layer", "mean", "95 %", "time left out", "without noise")
 
 
-@dataclass(frozen=True)
-class Layer:
-    """One layer; errors in mm on poses held out, None where there is none of it.
+def layers(d: Diagnosis, floor: float | None = None) -> list[dict[str, Any]]:
+    """The layers in the order in which they were found; none where no cause has effects to take off.
 
-    name : what is taken off with it, beside all layers above
-    mean_mm, low_mm, high_mm : mean error with a 95 % interval over poses; blocks_mm : with fifths of the time left out
-    model_mm : rms with the noise's own taken off
+    name : what is taken off with it, beside all layers above; mean_mm, low_mm, high_mm : mean error on poses held out
+    with a 95 % interval over poses; blocks_mm : with fifths of the time left out; model_mm : rms with the noise's own
+    taken off. The last one is what noise alone leaves in the same fit, or floor [m]
     """
-
-    name: str
-    mean_mm: float
-    low_mm: float | None = None
-    high_mm: float | None = None
-    blocks_mm: float | None = None
-    model_mm: float | None = None
-
-
-def layers(d: Diagnosis) -> tuple[Layer, ...]:
-    """The layers in the order in which they were found; () where no cause has effects to take off.
-
-    The last one is what noise alone leaves in the same fit: that of repeated poses, or as the fit has it.
-    """
-    return tuple(_layers(d)) if d.effects() else ()
-
-
-def _layers(d: Diagnosis) -> Iterator[Layer]:
-    whole = any(c.effect == "outliers" for c in d.causes)
-    if whole:
-        yield Layer("as calibrated, outliers in", 1e3 * d.gap.before)
+    if not d.effects():
+        return []
+    whole, r = any(c.effect == "outliers" for c in d.causes), d.replicates
+    found: list[dict[str, Any]] = [{"name": "as calibrated, outliers in", "mean_mm": 1e3 * d.gap.before}] * whole
     for k, row in enumerate(d.course.to_dict("records")):
-        first = "outliers left out" if whole else "as calibrated"
-        figures = (float(row[name]) for name in ("gap_mm", "low_mm", "high_mm", "blocks_mm", "model_mm"))
-        yield Layer(str(row["model"]) if k else first, *figures)
-    r = d.replicates
-    yield Layer(f"noise of {r.poses} repeated poses" if r.enough else "noise as the fit has it", 1e3 * d.gap.floor)
+        name = str(row["model"]) if k else "outliers left out" if whole else "as calibrated"
+        figures = {key: float(row[key]) for key in ("low_mm", "high_mm", "blocks_mm", "model_mm")}
+        found.append({"name": name, "mean_mm": float(row["gap_mm"]), **figures})
+    noise = f"noise of {r.poses} repeated poses" if r.enough else "noise as the fit has it"
+    found.append({"name": noise, "mean_mm": 1e3 * (d.gap.floor if floor is None else floor)})
+    return [{k: round(v, 5) if isinstance(v, float) else v for k, v in layer.items()} for layer in found]
 
 
-def layer_rows(d: Diagnosis) -> list[tuple[str, ...]]:
-    """Rows of text under `LAYER_COLUMNS`."""
-    return [
-        (
-            a.name,
-            f"{a.mean_mm:.3f}",
-            "" if a.low_mm is None else f"{a.low_mm:.3f} to {a.high_mm:.3f}",
-            "" if a.blocks_mm is None else f"{a.blocks_mm:.3f}",
-            "" if a.model_mm is None else f"{a.model_mm:.3f}",
-        )
-        for a in layers(d)
-    ]
-
-
-def layers_json(d: Diagnosis) -> list[dict[str, Any]]:
-    """The layers as plain data, what is not known left out."""
-    return [
-        {k: round(v, 5) if isinstance(v, float) else v for k, v in asdict(a).items() if v is not None}
-        for a in layers(d)
-    ]
+def layer_rows(d: Diagnosis, floor: float | None = None) -> list[tuple[str, ...]]:
+    """Rows of text under `LAYER_COLUMNS`; floor : as of `layers`."""
+    forms = ("{name}", "{mean_mm:.3f}", "{low_mm:.3f} to {high_mm:.3f}", "{blocks_mm:.3f}", "{model_mm:.3f}")
+    every = layers(d, floor)
+    return [tuple(f.format(**a) if k < 2 or "low_mm" in a else "" for k, f in enumerate(forms)) for a in every]

@@ -1,5 +1,7 @@
 """From the end of the search to the result: the gap before and after, each cause's share of it, outliers, verdict."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pandas as pd
 
@@ -13,6 +15,7 @@ from casadical.diagnosis.noise_floor import noise_floor, outlier_probability, re
 from casadical.diagnosis.result import Cause, Diagnosis, Gap, Outlier, Verdict
 from casadical.diagnosis.search import End, State, Step
 from casadical.diagnosis.thresholds import DETECT_FURTHER, LEAST_SHARE, MISMATCH, MUCH, OUT, SET_CLAIM, SET_SIZE, WORSE
+from casadical.effects import Effect
 from casadical.identification.result import Identification
 from casadical.measurements.noise import Noise
 
@@ -101,6 +104,7 @@ def _cause(state: State, step: Step, before: Array, seed: int) -> Cause:
     label, ranking = step.labels[0], step.ranking
     candidate = state.by_label[label]
     alone = partitioned_errors(state.case.evidence, state.case.group(step.effects), ranking.noise[label], seed)
+    values = parameter_values(state.case, state.columns(), step.effects, ranking.noise[label])
     rivals = [k for k in state.listed(ranking) if k != label and ranking.probability[k] > 0.02]
     return Cause(
         effect=candidate.name,
@@ -110,24 +114,27 @@ def _cause(state: State, step: Step, before: Array, seed: int) -> Cause:
         shrink_interval=shrink_interval(before, alone, seed),
         indistinguishable=step.labels[1:] or tuple(rivals[: SET_SIZE - 1]),
         effects=step.effects,
-        estimates=_estimates(state, step),
+        estimates={name: v for (_, name), v in values.items()},
     )
 
 
-def _estimates(state: State, step: Step) -> dict[str, tuple[float, float, str]]:
-    """Parameters of a cause, all causes fitted together; none of an effect that has too many to be shown."""
-    case, everything = state.case, state.columns()
-    value, error = estimates(case.judged, everything, step.ranking.noise[step.labels[0]])
+def parameter_values(
+    case: Case, columns: Array, effects: Sequence[Effect], noise: Noise
+) -> dict[tuple[Effect, str], tuple[float, float, str]]:
+    """Parameters of effects, all columns fitted together: effect and name -> value, standard error, unit [SI].
+
+    None of an effect that has too many to be shown.
+    """
+    value, error = estimates(case.judged, columns, noise)
     found = {}
-    for effect in (e for e in step.effects if not e.summary):
-        places, sizes = np.searchsorted(everything, case.columns[effect]), case.sizes(case.columns[effect])
+    for effect in (e for e in effects if not e.summary):
+        places, sizes = np.searchsorted(columns, case.columns[effect]), case.sizes(case.columns[effect])
         seen = np.ones(len(sizes), dtype=bool)
         if effect.from_kind:
             seen = np.any(case.whole.take(case.columns[effect]), axis=(0, 1))
         for place, size, there, (name, (_, unit)) in zip(places, sizes, seen, effect.sizes().items(), strict=True):
-            if not there:  # of an instrument that is not there
-                continue
-            found[name] = (float(value[place] * size), float(error[place] * size), unit)
+            if there:  # not of an instrument that is not there
+                found[effect, name] = float(value[place] * size), float(error[place] * size), unit
     return found
 
 

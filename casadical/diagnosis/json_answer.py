@@ -6,7 +6,7 @@ from typing import Any
 import pandas as pd
 
 from casadical.core.files import json_text
-from casadical.diagnosis.cause_table import layers_json
+from casadical.diagnosis.cause_table import layers
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import NetworkGap
 from casadical.diagnosis.limits import cannot_tell
@@ -41,7 +41,7 @@ def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[st
         **({} if unlisted is None else {"unlisted": _unlisted(unlisted)}),
         **({"laws": more.laws.laws_json()} if more.laws else {}),
         "course": _records(d.course),
-        **({"layers": layers_json(d)} if d.effects() else {}),
+        **({"layers": rows} if (rows := layers(d, more.floor)) else {}),
         **({"where": {name: _records(table) for name, table in more.where.tables()}} if more.where else {}),
         "noise": {
             "sigma_mm": _mm(d.noise.sigma),

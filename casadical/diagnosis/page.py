@@ -35,7 +35,7 @@ def diagnosis_page(d: Diagnosis, name: str, more: Details | None = None, replaye
             "Verdict",
             [*_said(said, "VERDICT", "PRIOR", "GAP", "NOISE", "ASSUMED", "GRAVITY", "UNKNOWN", "LAW", "OUT")],
         ),
-        Section("Errors before and after", [figures["gap"], *_layers(d), _errors(d), *_said(said, "AFTER")]),
+        Section("Errors before and after", [figures["gap"], *_layers(d, more), _errors(d), *_said(said, "AFTER")]),
         Section("Error of each pose", [figures["errors"]]),
         Section("In the workspace", [figures["workspace"]]),
         Section(
@@ -83,9 +83,9 @@ def _tiles(d: Diagnosis, more: Details) -> Iterator[Tile]:
         )
 
 
-def _layers(d: Diagnosis) -> Iterator[Table]:
+def _layers(d: Diagnosis, more: Details) -> Iterator[Table]:
     """The errors layer by layer, from the calibrated robot to the noise, where there is a layer to take off."""
-    if rows := layer_rows(d):
+    if rows := layer_rows(d, floor_of(d, more)):
         columns = ("layer, beside those above", "mean", "95 %", "fifths of the time left out", "rms without the noise")
         yield Table("Layer by layer: errors on held-out poses, mm", columns, rows, frozenset(range(1, 5)))
 

@@ -61,7 +61,7 @@ def page_of(d: Diagnosis, more: Details | None = None) -> str:
         if s.about == "WHICH" and d.causes:
             lines += _cause_lines(d, more)
         if s.about == "LAYERS":
-            table = Table("", LAYER_COLUMNS, layer_rows(d), frozenset({1, 2, 3, 4}))
+            table = Table("", LAYER_COLUMNS, layer_rows(d, floor_of(d, more)), frozenset({1, 2, 3, 4}))
             lines += chain.from_iterable(table_lines(table, indent=LABEL))
         last = s.about
     return "\n".join(lines)

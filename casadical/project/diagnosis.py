@@ -19,7 +19,7 @@ from casadical.diagnosis.figures import diagnosis_figures
 from casadical.diagnosis.isolability import isolability
 from casadical.diagnosis.json_answer import as_json, diagnosis_files
 from casadical.diagnosis.laws.answer import Discovery
-from casadical.diagnosis.laws.rivals import law_rivals
+from casadical.diagnosis.laws.contest import law_rivals
 from casadical.diagnosis.page import diagnosis_page
 from casadical.diagnosis.posterior import no_rivals
 from casadical.diagnosis.result import Diagnosis

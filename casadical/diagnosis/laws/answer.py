@@ -18,9 +18,8 @@ from casadical.core.telling.figure import Axis, Figure, Series
 from casadical.core.telling.result import Result
 from casadical.core.telling.terminal import plain_text
 from casadical.diagnosis.cross_validation import new_fit
+from casadical.diagnosis.laws.contest import ABOVE, ALIKE, CLAIMED, CORRELATION, Round
 from casadical.diagnosis.laws.problem import Scored
-from casadical.diagnosis.laws.rivals import CORRELATION
-from casadical.diagnosis.laws.round import ABOVE, ALIKE, CLAIMED, Round
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.refit import refit
 from casadical.diagnosis.result import Diagnosis, Unlisted
@@ -217,6 +216,7 @@ class Discovery(Result):
             "gap_mm": {model: round(1e3 * value, 5) for model, value in self.gap.items()},
             "shrink": shrink,
             "kept": self.kept,
+            **({} if self.laws else {"why": _why_not(self.rounds[0])}),
             **({"poses": {"searched": self.thinned[0], "all": self.thinned[1]}} if self.thinned else {}),
         }
 
@@ -272,11 +272,10 @@ def _share(value: float) -> str:
 
 def _factors(d: Discovery, s: Scored) -> str:
     unit, factor = READABLE[SEAMS[s.law.seam][1]]
-    parts = []
-    for name in s.law.sizes():
-        value, error, _ = d.values[f"{s.law.label}.{name}"]
-        parts.append(f"{name} = {factor * value:.3g} +/- {factor * error:.2g} {unit}")
-    return "; ".join(parts)
+    each = {name: d.values[f"{s.law.label}.{name}"] for name in s.law.sizes()}
+    return "; ".join(
+        f"{n} = {factor * value:.3g} +/- {factor * error:.2g} {unit}" for n, (value, error, _) in each.items()
+    )
 
 
 def _settings(s: Scored) -> str:
@@ -315,10 +314,11 @@ def _gaps(d: Discovery) -> Table:
 
 def _law(d: Discovery, s: Scored, line: str) -> dict[str, Any]:
     names = zip(s.tried.form.settings, s.settings, s.errors, strict=True)
+    own, keys = {n: d.values[f"{s.law.label}.{n}"] for n in s.law.sizes()}, ("value", "std_error", "unit")
     return {
         "line": line,
         **s.law.to_dict(),
-        "factors": {n: _factor(*d.values[f"{s.law.label}.{n}"]) for n in s.law.sizes()},
+        "factors": {n: dict(zip(keys, values, strict=True)) for n, values in own.items()},
         "form": s.tried.form.name,
         "driver": s.tried.driver.text,
         "family": s.tried.driver.family,
@@ -327,19 +327,14 @@ def _law(d: Discovery, s: Scored, line: str) -> dict[str, Any]:
     }
 
 
-def _factor(value: float, error: float, unit: str) -> dict[str, Any]:
-    return {"value": value, "std_error": error, "unit": unit}
-
-
 def _round(r: Round) -> dict[str, Any]:
+    rivals = {"listed": r.listed, "smooth": r.smooth, "noise": r.noise}
     return {
         "claimed": r.claimed,
         "best": {"line": line_of(r.best.law), "form": r.best.tried.form.name, "score": round(r.best.score, 2)},
         "not_distinguished": [{"line": line_of(s.law), "behind": round(r.best.score - s.score, 2)} for s in r.alike],
         "within": ALIKE,
-        "listed": {"label": r.listed[0], "score": round(r.listed[1], 2)},
-        "smooth": {"label": r.smooth[0], "score": round(r.smooth[1], 2)},
-        "noise": {"label": r.noise[0], "score": round(r.noise[1], 2)},
+        **{kind: {"label": label, "score": round(score, 2)} for kind, (label, score) in rivals.items()},
         "alias_of": list(r.alias),
     }
 

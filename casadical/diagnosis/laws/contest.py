@@ -1,29 +1,76 @@
 """Laws against listed causes, smooth forms and noise: which is claimed, and whether in place of what was found.
 
-Rivals have their settings refined as the law's are. See `round` for when a law is claimed. It takes the place of causes
-only where it predicts poses held out better, too.
+A law is claimed if its score (see `search`) is 12 or more and 3 above that of the best listed effect, of the best form
+on no list, and of noise that is not the model's; rivals have their settings refined as the law's are. Where its columns
+are those of a listed effect, it is that effect under another name. Laws that score nearly as much are named with it. It
+takes the place of causes only where it predicts poses held out better, too.
 """
 
 from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.diagnosis.candidates import Candidate
-from casadical.diagnosis.evidence import KAPPA_WEIGHTS
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS, RHOS
 from casadical.diagnosis.laws.held_out import held_out
-from casadical.diagnosis.laws.rivals import aliases
-from casadical.diagnosis.laws.round import ABOVE, Round
+from casadical.diagnosis.laws.problem import Scored
 from casadical.diagnosis.laws.search import search_laws
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_forms import noise_forms
-from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, rank
+from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, Rival, rank
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.settings_search import refined
 
 # Laws are searched on so many poses at most, spread over the campaign: its time grows with the poses.
 MOST_POSES = 600
+# Nats of a claim: of the score, and above rivals; of laws that are not distinguished.
+CLAIMED, ABOVE, ALIKE = 12.0, 3.0, 5.0
+MOST_ALIKE = 6
+# Laws that compete at a ranking.
+MOST = 5
+# A law is a listed effect by another name if their columns correlate by more.
+CORRELATION = 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """One comparison of laws with everything else.
+
+    laws : the most probable, the best first; listed, smooth : label and score of the best rivals, refined
+    noise : the same of the best form of noise; alias : labels of listed effects whose columns are the best law's
+    claimed : whether the best law is claimed
+    """
+
+    laws: tuple[Scored, ...]
+    listed: tuple[str, float]
+    smooth: tuple[str, float]
+    noise: tuple[str, float]
+    alias: tuple[str, ...]
+
+    @property
+    def best(self) -> Scored:
+        """The most probable law."""
+        return self.laws[0]
+
+    @property
+    def alike(self) -> tuple[Scored, ...]:
+        """Laws that these data do not tell from the best one."""
+        return tuple(s for s in self.laws[1:] if s.score > self.best.score - ALIKE)[:MOST_ALIKE]
+
+    @property
+    def claimed(self) -> bool:
+        """Whether the best law is claimed."""
+        return self.best.score >= CLAIMED and self.best.score >= self.rival[1] + ABOVE and not self.alias
+
+    @property
+    def rival(self) -> tuple[str, float]:
+        """Label and score of the best of all rivals."""
+        return max(self.listed, self.smooth, self.noise, key=lambda found: found[1])
 
 
 def replaces_causes(found: Diagnosis, first: Round) -> bool:
@@ -94,3 +141,43 @@ def _refined_rival(case: Case, candidate: Candidate, ranking: Ranking, chosen: A
     grids = more.evidence.log_grids([more.group(variant), more.group(better)], chosen) + np.log(KAPPA_WEIGHTS)
     before, after = log_sum(grids.reshape(2, -1), axis=1)
     return label, score + float(after - before)
+
+
+def law_rivals(case: Case, chosen: Array, variant: Mapping[str, int]) -> Sequence[Rival]:
+    """The most probable laws beside what is in the model, for `diagnose(..., rivals=law_rivals)`; some seconds each.
+
+    A law that is a listed effect by another name is none.
+
+    chosen : columns of the causes in the model; variant : the most likely settings of each candidate, by label
+    """
+    best: dict[str, Scored] = {}
+    for s in search_laws(case, chosen):
+        best.setdefault(s.law.label, s)
+    first = list(best.values())[:MOST]
+    return [Rival(s.law.label, s.score, s.noise) for s in first if not aliases(case, chosen, s, variant)]
+
+
+def aliases(case: Case, chosen: Array, law: Scored, variant: Mapping[str, int]) -> tuple[str, ...]:
+    """Labels of the listed effects that can do what a law does: its fit correlates with what they make of it.
+
+    chosen : columns of what is in the model beside it; variant : settings of each candidate, by label
+    """
+    base = case.evidence.with_base(chosen)
+    rho = float(RHOS[int(np.argmin(np.abs(RHOS - law.noise.repeatability / law.noise.sigma)))])
+    listed = [c for c in case.candidates if c.listed and c.label in variant and not c.variants[0][0].parts]
+    groups = [case.group(c.variants[variant[c.label]]) for c in listed]
+    if not groups:
+        return ()
+    projection = base.projection(rho)
+    E = projection.columns(np.concatenate([law.columns, case.evidence.take(np.concatenate(groups))], axis=2))
+    w = law.columns.shape[2]
+    own = E[:, :w]
+    fit = own @ np.linalg.lstsq(own, projection.y, rcond=None)[0]
+    found, at = [], w
+    for candidate, group in zip(listed, groups, strict=True):
+        other = E[:, at : at + len(group)]
+        at += len(group)
+        same = other @ np.linalg.lstsq(other, fit, rcond=None)[0]
+        if np.linalg.norm(same) > CORRELATION * np.linalg.norm(fit):
+            found.append(candidate.label)
+    return tuple(found)

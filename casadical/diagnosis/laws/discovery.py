@@ -10,13 +10,13 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.progress import Show, silent
 from casadical.diagnosis.candidates import Candidate
-from casadical.diagnosis.cross_validation import estimates, shrink_interval
+from casadical.diagnosis.conclusion import parameter_values
+from casadical.diagnosis.cross_validation import shrink_interval
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.laws.answer import Discovery, Kept
-from casadical.diagnosis.laws.contest import laws_before_causes, replaces_causes, round_of, thinned
+from casadical.diagnosis.laws.contest import Round, laws_before_causes, replaces_causes, round_of, thinned
 from casadical.diagnosis.laws.held_out import held_out
 from casadical.diagnosis.laws.problem import Scored
-from casadical.diagnosis.laws.round import Round
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.posterior import rank
 from casadical.diagnosis.result import Diagnosis
@@ -27,7 +27,6 @@ from casadical.effects import Effect
 from casadical.effects.law import Law
 from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
-from casadical.measurements.noise import Noise
 from casadical.robot.robot import Robot
 
 MOST_LAWS, MOST_ROUNDS = 2, 4
@@ -129,7 +128,8 @@ def _concluded(
     smooth = describe_unlisted(replace(found, verdict="unknown"))
     smooth = smooth if smooth and smooth.effects else None
     noise = laws[-1].noise if laws else found.noise
-    values = _values(case, laws, columns, noise)
+    found_values = parameter_values(case, columns, [s.law for s in laws], noise) if laws else {}
+    values = {f"{law.label}.{name}": value for (law, name), value in found_values.items()}
     named, none = found.columns, np.zeros(0, dtype=np.int64)
     before = held_out(case, none, (), found.rankings[0].noise[""], found.seed)
     errors: dict[Kept, Array] = {"base": before}
@@ -146,16 +146,3 @@ def _concluded(
         shrink = float(1 - errors["law"].mean() / before.mean()), interval
     gap = {name: float(e.mean()) for name, e in errors.items()}
     return Discovery(found, tuple(rounds), case, tuple(laws), causes, noise, values, gap, shrink, smooth)
-
-
-def _values(case: Case, laws: Sequence[Scored], columns: Array, noise: Noise) -> dict[str, tuple[float, float, str]]:
-    """Of the laws' factors, all fitted together, by parameter."""
-    if not laws:
-        return {}
-    value, error = estimates(case.evidence, columns, noise)
-    found = {}
-    for law in (s.law for s in laws):
-        places, sizes = np.searchsorted(columns, case.columns[law]), case.sizes(case.columns[law])
-        for place, size, (name, (_, unit)) in zip(places, sizes, law.sizes().items(), strict=True):
-            found[f"{law.label}.{name}"] = float(value[place] * size), float(error[place] * size), unit
-    return found
