@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -12,7 +13,7 @@ from time import monotonic, sleep
 from typing import Any
 
 from casadical import __version__
-from casadical.core.errors import InputError, optional
+from casadical.core.errors import InputError, optional, shown
 
 # Tasks that each worker has or waits for.
 AHEAD = 4
@@ -30,6 +31,9 @@ _SETTINGS = {
     "distributed.worker.profile.enabled": False,
     "distributed.worker.preload": [__name__],
 }
+# Processes of this machine listen here alone; the dashboard would listen on all interfaces.
+LOOPBACK = "127.0.0.1"
+LAST_PORT = 65535
 _GONE = "the scheduler no longer answers"
 _NEEDED = "a fleet needs dask, distributed and pyarrow; install them: pip install 'casadical[fleet]'"
 
@@ -51,19 +55,37 @@ def client_of(scheduler: str | None, workers: int | None) -> Iterator[Any]:
 def _connected(distributed: Any, stack: ExitStack, scheduler: str | None, workers: int | None) -> Any:
     try:
         if scheduler is not None:
+            _refuse_address(scheduler)
             client = stack.enter_context(distributed.Client(scheduler, timeout="10s"))
             _refuse_other_versions(client, scheduler)
             return client
         cluster = distributed.LocalCluster(
-            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0", silence_logs=50
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            host=LOOPBACK,
+            dashboard_address=None,
+            silence_logs=50,
         )
         return stack.enter_context(distributed.Client(stack.enter_context(cluster)))
     except InputError:
         raise
     except ValueError as error:
-        raise InputError(f"--scheduler {scheduler}: {error}; an address is tcp://host:8786") from None
+        raise InputError(f"--scheduler {shown(scheduler or '')}: {error}; an address is tcp://host:8786") from None
     except (OSError, TimeoutError) as error:
         raise SchedulerLostError(f"{scheduler or 'local cluster'}: no scheduler answers: {error}") from None
+
+
+def _refuse_address(scheduler: str) -> None:
+    """Raises InputError for what is no address of a scheduler that this command can talk to."""
+    if scheduler.startswith("tls://"):
+        raise InputError(
+            f"--scheduler {shown(scheduler)}: an encrypted one asks for certificates, which this command cannot give; "
+            "start the scheduler with tcp:// on a network that you trust, or reach it through an SSH tunnel"
+        )
+    found = re.fullmatch(r"(tcp://)?(\[[0-9a-fA-F:.]+\]|[\w.-]+):(\d{1,5})", scheduler)
+    if not found or int(found[3]) > LAST_PORT:
+        raise InputError(f"--scheduler {shown(scheduler)}: is no address; an address is tcp://host:8786")
 
 
 def _refuse_other_versions(client: Any, scheduler: str) -> None:

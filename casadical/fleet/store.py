@@ -21,6 +21,8 @@ from casadical.fleet.one_robot import NOTHING
 VERSION = 1
 # Key of the version in the metadata of every file.
 KEY = b"casadical_fleet"
+# Columns that files of this version may lack.
+ADDED = ("left_free",)
 _NEEDED = "a fleet needs dask, distributed and pyarrow; install them: pip install 'casadical[fleet]'"
 
 
@@ -120,9 +122,13 @@ def _read(path: Path, columns: Sequence[str] | None, damaged: list[str] | None) 
     blob = io.BytesIO(read_bytes(path))
     try:
         schema = parquet.read_schema(blob)
-        _refuse_other(path, (schema.metadata or {}).get(KEY, b"").decode())
-        return parquet.read_table(blob, columns=[n for n in schema.names if columns is None or n in columns])
-    except (OSError, ValueError) as error:
+        _refuse_other(path, (schema.metadata or {}).get(KEY, b"").decode(errors="replace"))
+        _refuse_malformed(schema)
+        table = parquet.read_table(blob, columns=[n for n in schema.names if columns is None or n in columns])
+        if lost := [name for name in table.column_names if table[name].null_count]:
+            raise ValueError(f"a cell of column {lost[0]!r} is empty")
+        return table
+    except (OSError, ValueError, ArithmeticError) as error:
         if isinstance(error, InputError):
             raise
         why = f"{shown(path)}: is no part of a store: {str(error).splitlines()[0].rstrip('.')}"
@@ -130,6 +136,15 @@ def _read(path: Path, columns: Sequence[str] | None, damaged: list[str] | None) 
             raise InputError(why) from None
         damaged.append(f"{why}; the robots in it are computed again; remove it")
         return None
+
+
+def _refuse_malformed(schema: Any) -> None:
+    """Raises ValueError where columns of a file are not those of a row."""
+    for name, empty in NOTHING.items():
+        if name not in schema.names and name not in ADDED:
+            raise ValueError(f"column {name!r} is missing")
+        if name in schema.names and schema.field(name).type != _type(empty):
+            raise ValueError(f"column {name!r} is of type {schema.field(name).type}, not {_type(empty)}")
 
 
 def _refuse_other(path: Path, version: str) -> None:

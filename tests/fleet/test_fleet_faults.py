@@ -20,6 +20,8 @@ from casadical.fleet.run import robots_in, run_fleet
 from casadical.fleet.store import add, parts, rows
 
 distributed = pytest.importorskip("distributed", reason="distributed (Dask) is not installed")
+psutil = pytest.importorskip("psutil", reason="psutil (of Dask) is not installed")
+pyarrow = pytest.importorskip("pyarrow", reason="pyarrow is not installed")
 pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
 METRES = ["x_mm", "y_mm", "z_mm"]
 
@@ -260,6 +262,49 @@ def test_the_first_campaign_needs_no_day_and_its_copy_gives_one(first: Path) -> 
     assert (again["campaigns"], again["notes"]) == (4, "")
     assert again["days"][0] == again["days"][1] - 31
     assert again["changes"] == row["changes"]
+
+
+def test_no_port_is_open_beyond_loopback() -> None:
+    """All that the command and its processes listen on: scheduler, worker, their dashboards."""
+    with client_of(None, 1):
+        own = psutil.Process()
+        asked = [c for p in (own, *own.children(recursive=True)) for c in p.net_connections("inet")]
+    listening = {c.laddr.ip for c in asked if c.status == psutil.CONN_LISTEN}
+    assert listening == {"127.0.0.1"}
+
+
+def test_an_encrypted_scheduler_is_refused_with_a_way_out() -> None:
+    with (
+        pytest.raises(InputError, match="an encrypted one asks for certificates"),
+        client_of("tls://here:8786", None),
+    ):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda t: t.drop_columns(["robot"]), "column 'robot' is missing"),
+        (lambda t: t.drop_columns(["fingerprint"]), "column 'fingerprint' is missing"),
+        (lambda t: t.set_column(t.column_names.index("robot"), "robot", pyarrow.array([["a"]])), "is of type list<"),
+        (lambda t: t.set_column(t.column_names.index("names"), "names", pyarrow.array(["a"])), "is of type string"),
+        (
+            lambda t: t.set_column(2, "status", pyarrow.array([None], pyarrow.string())),
+            "a cell of column 'status' is e",
+        ),
+    ],
+    ids=["no robot", "no fingerprint", "a list for a word", "a word for a list", "an empty cell"],
+)
+def test_a_part_of_a_store_without_the_columns_of_a_row_is_said(spoil, said, tmp_path: Path) -> None:
+    add(tmp_path, [{**NOTHING, "robot": "a"}])
+    add(tmp_path, [{**NOTHING, "robot": "b"}])
+    part, _ = parts(tmp_path)
+    pyarrow.parquet.write_table(spoil(pyarrow.parquet.read_table(part)), part)
+    with pytest.raises(InputError, match=f"is no part of a store: .*{said}"):
+        rows(tmp_path)
+    damaged: list[str] = []
+    assert list(rows(tmp_path, damaged=damaged)["robot"]) == ["b"]
+    assert said in damaged[0]
 
 
 def test_a_folder_of_other_files_is_no_store(arms: Path) -> None:
