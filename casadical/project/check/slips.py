@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -32,6 +33,8 @@ LEAST_MOVE, MOST_IN_RADIANS = np.deg2rad(0.3), np.deg2rad(2 * np.pi)
 EXPLAINS = 0.25
 # Readings outside of the joints' ranges cost as much as half a slip; a few are bad rows.
 OUTSIDE, FEW = 0.35, 0.05
+# Orientations that differ by more [rad] speak against an explanation, as much as a slip.
+TURNED = 0.1
 # In which several wrong lengths are found together.
 ROUNDS = 8
 # What a further slip must at least reduce the error by.
@@ -70,19 +73,20 @@ def search_slips(
     some = slice(0, POSES) if len(m) > POSES else slice(None)
     order = np.argsort(m.row)[some]
     rows = [robot.joints, *(o.joints for o in others if not o.loops)]
-    fit = SlipFit(m.q[order], m.position[order], rows, robot.reach)
+    turns = m.orientation[order] if m.orientation is not None else None
+    fit = SlipFit(m.q[order], m.position[order], rows, robot.reach, turns)
     # Shifts need rows that follow each other in the file.
     shifts = (0, 1, -1) if np.all(np.diff(m.row[order]) >= 1) else (0,)
     found = _search(fit, robot, shifts, show)
     before = fit.placed(Hypothesis.none(robot.n), as_given=True)
     ranked = sorted(found, key=lambda f: _cost(f, robot) + OUTSIDE * _outside(f.hypothesis, robot, fit.q))
     best = ranked[0]
-    rivals = [f for f in ranked[1:] if f.error < 0.5 * before.error and f.slips <= MOST_SLIPS + 1]
+    rivals = [f for f in ranked[1:] if f.error < 0.5 * before.error and f.cost <= MOST_SLIPS + 1]
     return Slips(before, best, tuple(rivals[:2]))
 
 
 def _cost(f: Fit, robot: Robot) -> float:
-    return float(np.log(max(f.error, OWN * robot.reach)) + np.log(WORTH) * f.slips)
+    return float(np.log(max(f.error, OWN * robot.reach)) + np.log(WORTH) * (f.cost + (f.turn > TURNED)))
 
 
 def _outside(h: Hypothesis, robot: Robot, q: Array) -> bool:
@@ -110,8 +114,11 @@ def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int], show: Show) -> li
             break
         parents = [level[k] for k in kept]
         level = []
-        for h in _all_moves(fit, parents, robot, turning, shifts):
-            if h not in seen and h.slips <= MOST_SLIPS:
+        for h in (
+            *([] if depth else _turned(parents, len(fit.rows))),
+            *_all_moves(fit, parents, robot, turning, shifts),
+        ):
+            if h not in seen and h.cost <= MOST_SLIPS:
                 seen.add(h)
                 level.append(h)
         if not level:
@@ -126,6 +133,14 @@ def _in_radians(none: Hypothesis, q: Array, turning: Sequence[bool]) -> Iterator
     for i in range(len(turning)):
         if turning[i] and LEAST_MOVE < move[i] < MOST_IN_RADIANS and np.median(move) > MOST_IN_RADIANS:
             yield none.at("factor", i, 180 / np.pi)
+
+
+def _turned(starts: Sequence[Hypothesis], rows: int) -> Iterator[Hypothesis]:
+    """Every choice of joints that count the other way; and with the third one's reading coupled to the second."""
+    for h in starts:
+        for sign, k in product(product((1, -1), repeat=len(h.sign)), range(rows)):
+            turned = h._replace(sign=sign, rows=k)
+            yield from (turned.at("add", 2, add) for add in (0, 1, -1)) if len(sign) > 2 else (turned,)
 
 
 def _all_moves(

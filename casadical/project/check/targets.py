@@ -216,12 +216,14 @@ def whole_table(problem: Problem) -> Measurements | None:
     row = np.concatenate([part.row for part in parts])
     order = np.argsort(row)
     names = set.intersection(*(set(part.conditions) for part in parts))
+    turns = [part.orientation for part in parts if part.orientation is not None]
     return replace(
         first.positions_alone()[np.zeros(len(row), dtype=np.int64)],
         q=np.concatenate([part.q for part in parts])[order],
         position=np.concatenate([part.position for part in parts if part.position is not None])[order],
         conditions={n: np.concatenate([part.conditions[n] for part in parts])[order] for n in sorted(names)},
         row=row[order],
+        orientation=np.concatenate(turns)[order] if len(turns) == len(parts) else None,
     )
 
 
