@@ -50,7 +50,7 @@ def check(
     """
     from casadical.core.telling.terminal import terminal
     from casadical.project.check import precheck
-    from casadical.project.check.target_repair import repaired
+    from casadical.project.check.target_repair import not_repaired, repaired
 
     console = wrapped(quiet)
     checks = []
@@ -63,6 +63,7 @@ def check(
         for _ in range(REPAIRS if repair else 0):
             text = repaired(checks[-1])
             if not text:
+                console.print(not_repaired(found[-1]), end="\n" * (not found[-1].ok), style="yellow")
                 break
             console.print(text, markup=False, highlight=False, soft_wrap=True)
             with working(quiet, "reading again", name, CHECK) as show:

@@ -50,6 +50,16 @@ def test_the_forecast_is_without_rows_that_are_far_off(tmp_path: Path) -> None:
     assert any("the accuracy to expect is without them" in f.text for f in spoiled.findings)
 
 
+def test_rows_that_are_metres_off_are_an_error_until_they_are_left_out(tmp_path: Path) -> None:
+    folder = arm(tmp_path, {6: 2300.0, 20: 60.0})
+    (error,) = precheck(folder).of_level("error")
+    assert "Rows 6 lie further off than half the reach" in error.text
+    assert "(leave_out = [6] in problem.toml, under [[measurements]])" in error.text
+    text = (folder / "problem.toml").read_text()
+    (folder / "problem.toml").write_text(text.replace('file = "poses.csv"', 'file = "poses.csv"\nleave_out = [6]', 1))
+    assert precheck(folder).ok
+
+
 def test_every_row_left_out_is_named(tmp_path: Path) -> None:
     folder = arm(tmp_path, SPOILED)
     found = calibrate(folder)

@@ -26,14 +26,14 @@ from casadical.project.check.coverage import (
 from casadical.project.check.findings import Finding, unknown_columns
 from casadical.project.check.information import Outlook, outlook
 from casadical.project.check.plausible import (
-    UNEXPLAINED,
+    GROSS,
     convention_of,
     far_off,
     far_rows,
     other_conventions,
     plausible,
 )
-from casadical.project.check.repair import in_words, left_mm, other_lengths
+from casadical.project.check.repair import MIRRORED, in_words, left_mm, other_lengths
 from casadical.project.check.result import Precheck
 from casadical.project.check.slips import Slips, search_slips
 from casadical.project.check.targets import Misnamed, Targets, middles, misnamed, recognised, whole_table
@@ -43,6 +43,7 @@ from casadical.robot.robot import Robot
 
 # Observed numbers for each unknown from which on a fit also shows how good it is.
 COMFORTABLE = 3
+UNEXPLAINED = "no slip of unit, sign or zero explains it: check the robot file"
 # A scatter of more than so many times the noise has other causes.
 LACKS = 4
 
@@ -71,20 +72,20 @@ def precheck(
     others = other_conventions(problem.robot_file)
     table = whole_table(problem)
     table = apart([table])[0] if table is not None else None
-    found, usable = _data_findings(problem.robot, sets, others, table)
+    standard = convention_of(problem.robot_file) == "standard"
+    found, slips = _data_findings(problem.robot, sets, others, table, standard)
+    usable = not any(f.topic in ("data", "units") and f.level == "error" for f in found)
     targets = recognised(problem.robot, table) if table is not None else None
     wrong = misnamed(problem.robot, table) if table is not None else None
     if wrong or (targets and targets.turning):  # what contradicts one target, or wrong names, says nothing
-        found, usable = [f for f in found if f.topic not in ("units", "repeats", "rows")], False
+        found, usable, slips = [f for f in found if f.topic not in ("units", "repeats", "rows")], False, None
     found = [*_target_findings(targets, wrong, sets[0].source), *found]
-    slips = None
     if table is not None and not usable and wrong is None and (targets is None or targets.which is None):
-        slips = _slips(problem.robot, table, targets, [*others.values()], show)
-    if slips and slips.explains and _says_more(slips, problem.robot, targets, found):
-        found = [f for f in found if not (f.topic == "units" and f.level == "error")]
-        found.insert(
-            0, _slip_finding(slips, problem.robot, convention_of(problem.robot_file) == "standard", sets[0].source)
-        )
+        searched = _slips(problem.robot, table, targets, others, show)
+        if searched and searched.explains and (not slips or _says_more(searched, slips, problem.robot)):
+            slips = searched
+            found = [f for f in found if not (f.topic == "units" and f.level == "error")]
+            found.insert(0, _slip_finding(slips, problem.robot, standard, sets[0].source))
     found += _held_out_findings(problem)
     found += limits_findings(problem.robot)
     known, source = _noise(noise, sets)
@@ -129,7 +130,9 @@ def _target_findings(targets: Targets | None, wrong: Misnamed | None, source: st
     return [Finding("error", "targets", f"{text}; {more}")]
 
 
-def _slips(robot: Robot, table: Measurements, targets: Targets | None, others: list[Robot], show: Show) -> Slips | None:
+def _slips(
+    robot: Robot, table: Measurements, targets: Targets | None, others: Sequence[Robot], show: Show
+) -> Slips | None:
     """Several slips at once, from all poses of a table, in the order of the file; of several targets, from one point.
 
     That is the target that was measured most, or the middle of those that the table does not name.
@@ -144,21 +147,36 @@ def _slips(robot: Robot, table: Measurements, targets: Targets | None, others: l
     return search_slips(robot, table, others, show)
 
 
-def _says_more(slips: Slips, robot: Robot, targets: Targets | None, found: list[Finding]) -> bool:
-    """Whether the search finds what the single mistakes of `plausible` are not."""
-    unexplained = any(f.text.endswith(UNEXPLAINED) for f in found)
-    return bool(targets or slips.best.slips > 1 or unexplained or other_lengths(slips.best, robot))
+def _says_more(searched: Slips, single: Slips, robot: Robot) -> bool:
+    """Whether a search finds what no single slip is."""
+    return not single.explains or searched.best.slips > 1 or bool(other_lengths(searched.best, robot))
 
 
 def _slip_finding(slips: Slips, robot: Robot, standard: bool, source: str) -> Finding:
     before, best = slips.before, slips.best
-    text = (
-        f"{source}: with base and tool fitted the nominal model still is {1e3 * before.error:.4g} mm (median) from the "
-        f"data; {left_mm(best, robot)} would be left if {'; '.join(in_words(best, robot, standard))}"
-    )
+    text = f"{source}: with base and tool fitted the nominal model still is {1e3 * before.error:.4g} mm (median) from "
+    text += f"the data, {100 * before.error / robot.reach:.2g} % of its reach"
+    if not slips.explains:
+        return Finding("error", "units", f"{text}; {UNEXPLAINED}")
+    text += f"; {left_mm(best, robot)} would be left if {'; '.join(in_words(best, robot, standard))}"
     for rival in slips.rivals:
         text += f". Rival, {left_mm(rival, robot)}: {'; '.join(in_words(rival, robot, standard))}"
-    return Finding("error", "units", f"{text}. casadical check --repair writes the first")
+    mirrored = f". But {MIRRORED}" if best.mirrored else ""
+    return Finding("error", "units", f"{text}{mirrored}. casadical check --repair writes the first")
+
+
+def _plausible(
+    robot: Robot, m: Measurements, others: Sequence[Robot], standard: bool
+) -> tuple[list[Finding], Slips | None]:
+    """Whether the nominal model explains a table, or would if one slip were undone."""
+    told = plausible(robot, m, others)
+    if told is None:
+        return [], None
+    slips = Slips(*told, ())
+    if slips.explains or slips.before.error > GROSS * robot.reach:
+        return [_slip_finding(slips, robot, standard, m.source)], slips
+    text = f"{m.source}: the nominal model, base and tool fitted, is {1e3 * slips.before.error:.3g} mm (median) from"
+    return [Finding("note", "units", f"{text} the data: units, signs and zeros fit")], None
 
 
 def _faults(error: InputError, topic: str) -> list[Finding]:
@@ -168,21 +186,23 @@ def _faults(error: InputError, topic: str) -> list[Finding]:
 
 
 def _data_findings(
-    robot: Robot, sets: tuple[Measurements, ...], others: Mapping[str, Robot], table: Measurements | None
-) -> tuple[list[Finding], bool]:
-    """Findings of the data that are fitted, and whether they are good enough for a forecast.
+    robot: Robot, sets: tuple[Measurements, ...], others: Sequence[Robot], table: Measurements | None, standard: bool
+) -> tuple[list[Finding], Slips | None]:
+    """Findings of the data that are fitted, and a single slip where one explains those of the first table.
 
     table : all poses, those that are held out too, where there is one table
     """
     found: list[Finding] = []
+    single: Slips | None = None
     for k, m in enumerate(sets):
         try:
             check_against(robot, m)
         except InputError as error:
             found += _faults(error, "data")
-        slips = plausible(robot, m, others)
-        found += slips
-        if not any(f.level == "error" for f in slips):
+        said, slips = _plausible(robot, m, others, standard)
+        found += said
+        single = slips if k == 0 else single
+        if not any(f.level == "error" for f in said):
             found += far_rows(robot, table or m)
         if not any(np.array_equal(m.q, before.q) for before in sets[:k]):  # a table for each wire
             found += [*coverage_findings(robot, m), *margin_findings(robot, m)]
@@ -197,12 +217,18 @@ def _data_findings(
             few = 3 * distinct < len(m)
             more = "; repeats show the noise, only new readings determine parameters" if few else ""
             found.append(Finding("warning" if few else "note", "repeats", text + more))
-    return found, not any(f.topic in ("data", "units") and f.level == "error" for f in found)
+    return found, single
 
 
 def _held_out_findings(problem: Problem) -> list[Finding]:
     """Of the poses that are not fitted, which count in the figures, and the columns that nobody uses."""
     found = [Finding("error", "targets", text) for text in unfitted(problem.sets)]
+    for table in problem.tables:
+        made = {ours[0]: made for ours, made in table.get("columns", {}).items() if ours[0] in "xyz"}
+        turned = [c for c, source in made.items() if isinstance(source, Mapping) and source.get("times", 1.0) < 0]
+        if len(turned) % 2:
+            text = f"problem.toml turns the sign of {', '.join(turned)}: {MIRRORED}"
+            found.append(Finding("warning", "units", text))
     if lost := unmeasured(problem.sets, problem.robot):
         text = f"the robot file has {', '.join(lost)}, which no row names: it stays where the file says"
         found.append(Finding("warning", "targets", text))

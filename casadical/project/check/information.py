@@ -6,7 +6,7 @@ the model lacks comes on top where it was measured, too.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,6 +25,8 @@ from casadical.robot.robot import Robot
 TASK_POSES = 200
 # Where the data are free of noise, so that nothing is divided by zero; in units of sigma.
 LEAST_SCATTER = 1e-6
+# Of the sigmas of positions and angles; their logarithms change by less in the last round.
+ROUNDS, STILL = 6, 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,9 +84,11 @@ def outlook(
     sigmas = tuple((noise or m.sigma or SIGMA_GUESS, m.sigma_angle or SIGMA_ANGLE_GUESS) for m in sets)
     problem = LeastSquares(robot, tuple(sets), robot.parameters.select(free), "linear", False, sigmas)
     found = independent_parameters(problem)
-    problem = problem.with_names(found.independent)
-    residuals, J = problem.evaluate(np.zeros(problem.size))
-    scatter = _scatter(np.concatenate([r.ravel() for r in residuals]), J, problem.residual_count - problem.size)
+    problem, r, J = _weighted(problem.with_names(found.independent))
+    sigmas, scatter = problem.sigmas, _scatter(r, J, problem.residual_count - problem.size)
+    if find_kind(sets[0].kind).angles:  # what angles leave says nothing of positions
+        lengths, freedom = _parts(problem.sets[0], r, J)[0]
+        scatter = float(np.sqrt(lengths / freedom)) if freedom > 0 else float("nan")
     unit = 1.0 if noise or np.isnan(scatter) else max(scatter, LEAST_SCATTER)
     _, H = problem.gradient(np.zeros(problem.size))
     columns, poor, C = drop_poor([robot.parameters[n] for n in problem.names], H, unit**2)
@@ -96,6 +100,41 @@ def outlook(
         scatter * sigmas[0][0], unit * sigmas[0][0], all(find_kind(m.kind).lengths == 3 for m in sets),
         np.sqrt(np.diag(C)) * scale, _accuracy(robot, kept, C, seed) if kept else float("nan"),
     )  # fmt: skip
+
+
+def _weighted(problem: LeastSquares) -> tuple[LeastSquares, Array, Array]:
+    """The problem with each angle's sigma as a linear step leaves it, its residuals, shape (m,), and Jacobian.
+
+    Positions and angles have units of their own: guessed beside each other, one would hide the other (compare
+    `identification.screening`).
+    """
+    for _ in range(ROUNDS):
+        residuals, J = problem.evaluate(np.zeros(problem.size))
+        r = np.concatenate([part.ravel() for part in residuals])
+        m, (sigma, angle) = problem.sets[0], problem.sigmas[0]
+        if not find_kind(m.kind).angles or m.sigma_angle or len(r) <= J.shape[1]:
+            break
+        (square, length_freedom), (turned, freedom) = _parts(m, r, J)
+        if min(freedom, length_freedom) <= 0:
+            break
+        own = m.sigma or sigma * np.sqrt(square / length_freedom)
+        found = (float(own), max(float(angle * np.sqrt(turned / freedom)), LEAST_SCATTER * SIGMA_ANGLE_GUESS))
+        change = abs(np.log(found[1] / angle)) + abs(np.log(found[0] / sigma))
+        problem = replace(problem, sigmas=(found, *problem.sigmas[1:]))
+        if change < STILL:
+            break
+    return problem, r, J
+
+
+def _parts(m: Measurements, r: Array, J: Array) -> tuple[tuple[float, float], ...]:
+    """Of the lengths and of the angles of the first set: square sum that a linear step leaves, degrees of freedom."""
+    Q = np.linalg.qr(J)[0]
+    left, free = r - Q @ (Q.T @ r), 1 - (Q**2).sum(axis=1)
+    kind = find_kind(m.kind)
+    of_set = (len(m), kind.lengths + kind.angles)
+    left, free = (values[: of_set[0] * of_set[1]].reshape(of_set) for values in (left, free))
+    cut = [slice(0, kind.lengths), slice(kind.lengths, None)]
+    return tuple((float((left[:, part] ** 2).sum()), float(free[:, part].sum())) for part in cut)
 
 
 def _scatter(r: Array, J: Array, freedom: int) -> float:

@@ -1,10 +1,9 @@
 """Whether the data are plausible for the nominal model: with base and tool fitted, no centimetres may be left.
 
-The usual mistakes are tried one by one (another unit, of one joint too, a joint counted the other way, a zero a quarter
-turn off, a left-handed measuring frame, DH rows of the other convention), and one that explains far more is named.
+Single slips are tried one by one (see `slips`), and one that explains far more is named.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -18,45 +17,40 @@ from casadical.identification.accuracy import errors, predicted
 from casadical.identification.placement import place_frames
 from casadical.measurements.measurements import Measurements
 from casadical.project.check.findings import Finding
+from casadical.project.check.slip_fit import Fit, Hypothesis
+from casadical.project.check.slips import WORTH, outside, single_slips
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
 
 # Share of the reach that a placed nominal robot may miss by, and the share of that which an undone mistake may leave.
 GROSS = 0.02
-EXPLAINS = 0.25
+# And that by which a single row may miss.
+IMPOSSIBLE = 0.5
 LEAST_SPREAD = 0.1
 # A row with more than so many times the median error is doubtful; of so few poses nothing is said.
 FAR, FEWEST = 5.0, 12
 POSES = 150
-UNEXPLAINED = "no single mistake of unit, sign or zero explains it: check the robot file"
 
 
-def plausible(robot: Robot, m: Measurements, others: Mapping[str, Robot] | None = None) -> list[Finding]:
-    """What is left after placing [mm], and which mistake explains it where far less is left once it is undone.
+def plausible(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> tuple[Fit, Fit] | None:
+    """What is left after placing, and with the single slip undone of which least is left; None without positions.
 
-    others : robots that the file may have meant, by words that say how (see `other_conventions`)
+    others : robots that the file may have meant (see `other_conventions`)
     """
     if m.position is None:
-        return []
-    free = rigid(robot)
-    some = m[:: -(-len(m) // POSES)]
-    left = _median_error(free, some)
-    tried = {
-        words: _median_error(free, undone) for words, undone in _mistakes(robot, some) if _large_enough(free, undone)
-    }
-    tried |= {words: _median_error(rigid(other), some) for words, other in (others or {}).items()}
-    best = min(tried, key=lambda words: tried[words])
-    explained = tried[best] < EXPLAINS * left
-    if left <= GROSS * robot.reach and not explained:
-        text = f"{m.source}: the nominal model, base and tool fitted, is {1e3 * left:.3g} mm (median) from the data"
-        return [Finding("note", "units", f"{text}: units, signs and zeros fit")]
-    text = (
-        f"{m.source}: with base and tool fitted the nominal model still is {1e3 * left:.4g} mm (median) from the data, "
-        f"{100 * left / robot.reach:.2g} % of its reach"
-    )
-    if explained:
-        return [Finding("error", "units", f"{text}; {1e3 * tried[best]:.3g} mm would be left if {best}")]
-    return [Finding("error", "units", f"{text}; {UNEXPLAINED}")]
+        return None
+    some, none = m[:: -(-len(m) // POSES)], Hypothesis.none(robot.n)
+    before = Fit(none, _median_error(rigid(robot), some))
+    tried = [before]
+    for fit in single_slips(robot, len(others)):
+        h = fit.hypothesis
+        turns = np.array([*fit.scale]) * [1, -1 if fit.mirrored else 1, 1]
+        meant = replace(some, q=h.readings(some.q), position=some.position * turns)
+        free = rigid([robot, *others][h.rows])
+        if _large_enough(free, meant):
+            tried.append(replace(fit, error=_median_error(free, meant)))
+    # Of slips that fit alike one that leaves the joints' ranges is none.
+    return before, min(tried, key=lambda fit: fit.error * (WORTH if outside(fit.hypothesis, robot, some.q) else 1))
 
 
 def far_off(robot: Robot, m: Measurements) -> tuple[Array, Array]:
@@ -79,10 +73,11 @@ def far_off(robot: Robot, m: Measurements) -> tuple[Array, Array]:
 
 
 def far_rows(robot: Robot, m: Measurements) -> list[Finding]:
-    """Rows that are far off: doubtful measurements."""
+    """Rows that are far off: doubtful measurements; those that no robot of this size measures are an error."""
     far, e = far_off(robot, m)
     if not far.any():
         return []
+    gross = m.row[far & (e > IMPOSSIBLE * robot.reach)]
     order = [k for k in np.argsort(-e) if far[k]]
     rows = ", ".join(f"{m.row[k]} ({1e3 * e[k]:.3g} mm)" for k in order[:8]) + (" ..." if len(order) > 8 else "")
     text = (
@@ -90,21 +85,20 @@ def far_rows(robot: Robot, m: Measurements) -> list[Finding]:
         "leaves out those that its fit does not explain, and names them and those that are held out; the accuracy to "
         "expect is without them"
     )
-    return [Finding("warning", "rows", text)]
+    if len(gross):
+        text += f". Rows {', '.join(map(str, gross))} lie further off than half the reach: correct them, or leave them "
+        text += f"out (leave_out = {gross.tolist()} in problem.toml, under [[measurements]])"
+    return [Finding("error" if len(gross) else "warning", "rows", text)]
 
 
-def other_conventions(path: Path) -> dict[str, Robot]:
+def other_conventions(path: Path) -> list[Robot]:
     """The robot of a robot file with its DH rows read by the other convention; none for a URDF."""
-    found: dict[str, Robot] = {}
     # The reader of the problem reports faults of its files.
     with suppress(InputError):
         if path.suffix == ".toml":
-            data = dict(load_toml(path))
-            said = convention_of(path)
-            other = {"modified": "standard", "standard": "modified"}[said]
-            words = f"the DH rows are of the {other} convention, not {said} (convention in {path.name})"
-            found[words] = robot_from({**data, "convention": other}, path.name)
-    return found
+            other = {"modified": "standard", "standard": "modified"}[convention_of(path)]
+            return [robot_from({**load_toml(path), "convention": other}, path.name)]
+    return []
 
 
 def convention_of(path: Path) -> str:
@@ -138,35 +132,3 @@ def _large_enough(robot: Robot, m: Measurements) -> bool:
     assert m.position is not None
     moved, _ = predicted(robot, m)
     return bool(np.linalg.norm(np.ptp(m.position, axis=0)) > LEAST_SPREAD * np.linalg.norm(np.ptp(moved, axis=0)))
-
-
-def _mistakes(robot: Robot, m: Measurements) -> Iterator[tuple[str, Measurements]]:
-    """What may have gone wrong, in words, and the data as they would be without it."""
-    assert m.position is not None
-    turning = np.array([j.kind == "revolute" for j in robot.joints])
-    factor = 180 / np.pi
-    yield "the joint readings are radians under names of degrees", replace(m, q=np.where(turning, m.q * factor, m.q))
-    yield "the joint readings are degrees under names of radians", replace(m, q=np.where(turning, m.q / factor, m.q))
-    yield "the positions are metres under names of millimetres", replace(m, position=1e3 * m.position)
-    yield "the positions are millimetres under names of metres", replace(m, position=1e-3 * m.position)
-    yield "the positions are inches under names of millimetres", replace(m, position=25.4 * m.position)
-    yield "the measuring frame is left-handed (turn the sign of y)", replace(m, position=m.position * [1, -1, 1])
-    for i in range(robot.n):
-        if turning[i]:
-            yield f"q{i + 1} alone holds radians under a name of degrees", _with_reading(m, i, factor, 0.0)
-        yield f"joint {i + 1} counts the other way (turn the sign of q{i + 1})", _with_reading(m, i, -1.0, 0.0)
-        if turning[i]:
-            for degrees in (90, -90, 180):
-                words = f"the zero of joint {i + 1} is {abs(degrees)} deg off (add {degrees} to q{i + 1}_deg)"
-                yield words, _with_reading(m, i, 1.0, np.deg2rad(degrees))
-    for i in range(1, robot.n):
-        coupled = m.q.copy()
-        coupled[:, i] += m.q[:, i - 1]
-        yield f"q{i + 1} counts from the horizontal, not from link {i} (subtract q{i})", replace(m, q=2 * m.q - coupled)
-        yield f"q{i + 1} is counted the other way against link {i} (add q{i})", replace(m, q=coupled)
-
-
-def _with_reading(m: Measurements, i: int, sign: float, offset: float) -> Measurements:
-    q = m.q.copy()
-    q[:, i] = sign * q[:, i] + offset
-    return replace(m, q=q)

@@ -26,12 +26,18 @@ from casadical.robot.robot import Robot
 REACHES = (0.1, 20.0)
 # A length that is wrong by a thousand, within this share, is in another unit.
 THOUSAND = 0.05
-_UNITS = {1e3: "metres", 25.4: "inches", 10.0: "centimetres", 1e-3: "thousandths"}
+_UNITS = {1e3: "metres", 25.4: "inches", 10.0: "centimetres"}
 
 
 def in_words(fit: Fit, robot: Robot, standard: bool = False) -> list[str]:
     """Every slip of an explanation, as what is wrong and what to do; standard : the rows of the robot file are."""
     return [*_of_readings(fit, robot), *_of_positions(fit, robot), *_of_rows(fit, robot, standard)]
+
+
+MIRRORED = (
+    "no instrument has a left-handed frame: y was written with another sign, or joints count the other way, which "
+    "positions do not distinguish; look which way joint 1 turns before a program is corrected by it"
+)
 
 
 def _of_readings(fit: Fit, robot: Robot) -> Iterator[str]:
@@ -85,7 +91,8 @@ def _of_positions(fit: Fit, robot: Robot) -> Iterator[str]:
         yield f"the lengths in the robot file are in another unit (times {other:.6g})"
     elif len(scaled) == 3 and len({s for _, s in scaled}) == 1:
         s = scaled[0][1]
-        yield f"the positions are in another unit: {_UNITS.get(s, '')} (times {s:.6g})".replace(":  (", " (")
+        named = f"{_UNITS[s]} under names of millimetres" if s in _UNITS else "in another unit"
+        yield f"the positions are {named} (times {s:.6g})"
     else:
         yield from (f"{c} alone is in another unit (times {s:.6g})" for c, s in scaled)
     if fit.mirrored:
@@ -94,7 +101,8 @@ def _of_positions(fit: Fit, robot: Robot) -> Iterator[str]:
 
 def _of_rows(fit: Fit, robot: Robot, standard: bool) -> Iterator[str]:
     if fit.hypothesis.rows:
-        yield "the DH rows are of the other convention (convention in the robot file)"
+        said = ("standard", "modified") if standard else ("modified", "standard")
+        yield f"the DH rows are of the {said[1]} convention, not {said[0]} (convention in the robot file)"
     for name, i, departure in fit.hypothesis.lengths:
         value = getattr(robot.joints[i], name)
         meant = _meant(value, departure) / (other_lengths(fit, robot) or 1.0)

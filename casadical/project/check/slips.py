@@ -79,17 +79,26 @@ def search_slips(
     shifts = (0, 1, -1) if np.all(np.diff(m.row[order]) >= 1) else (0,)
     found = _search(fit, robot, shifts, show)
     before = fit.placed(Hypothesis.none(robot.n), as_given=True)
-    ranked = sorted(found, key=lambda f: _cost(f, robot) + OUTSIDE * _outside(f.hypothesis, robot, fit.q))
+    ranked = sorted(found, key=lambda f: _cost(f, robot) + OUTSIDE * outside(f.hypothesis, robot, fit.q))
     best = ranked[0]
     rivals = [f for f in ranked[1:] if f.error < 0.5 * before.error and f.cost <= MOST_SLIPS + 1]
     return Slips(before, best, tuple(rivals[:2]))
+
+
+def single_slips(robot: Robot, others: int) -> Iterator[Fit]:
+    """Every single slip, as an explanation whose error is not known; others : ways to read the robot's rows."""
+    none = Hypothesis.none(robot.n)
+    yield from (Fit(none, np.inf, (scale,) * 3) for scale in (1e3, 1e-3, 25.4))
+    yield Fit(none, np.inf, mirrored=True)
+    turning = [j.kind == "revolute" for j in robot.joints]
+    yield from (Fit(h, np.inf) for h in set(_moves(none, turning, (0,), 1 + others)) if h.slips == 1)
 
 
 def _cost(f: Fit, robot: Robot) -> float:
     return float(np.log(max(f.error, OWN * robot.reach)) + np.log(WORTH) * (f.cost + (f.turn > TURNED)))
 
 
-def _outside(h: Hypothesis, robot: Robot, q: Array) -> bool:
+def outside(h: Hypothesis, robot: Robot, q: Array) -> bool:
     """Whether the readings would leave the joints' ranges."""
     lower, upper = robot.limits
     meant = h.readings(q)

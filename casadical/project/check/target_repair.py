@@ -9,7 +9,7 @@ import tomlkit
 from casadical.core.arrays import Array
 from casadical.core.files import write_together
 from casadical.core.reading import load_toml, read_text
-from casadical.project.check.repair import difference, left_mm, write_repair
+from casadical.project.check.repair import MIRRORED, difference, left_mm, write_repair
 from casadical.project.check.result import Precheck
 from casadical.project.problem import read_problem_robot
 from casadical.robot.robot_file import robot_from
@@ -36,8 +36,22 @@ def repaired(found: Precheck) -> str:
         return f"{shown}\nrepaired: {int((wrong.given != wrong.meant).sum())} rows name another target"
     if robot and slips and slips.explains:
         shown = write_repair(found.folder, slips.best, robot)
-        return f"{shown}\nrepaired: {1e3 * slips.before.error:.4g} mm before, {left_mm(slips.best, robot)} after"
+        meant = f"\nthe frame is mirrored: {MIRRORED}" if slips.best.mirrored else ""
+        after = left_mm(slips.best, robot)
+        return f"{shown}\nrepaired: {1e3 * slips.before.error:.4g} mm before, {after} after{meant}"
     return ""
+
+
+def not_repaired(found: Precheck) -> str:
+    """Why errors are left that nothing was written for; empty where there are none."""
+    if found.ok:
+        return ""
+    slips = found.slips
+    if slips and not slips.explains:
+        best, before = 1e3 * slips.best.error, 1e3 * slips.before.error
+        return f"nothing more is written: of {before:.4g} mm the best explanation leaves {best:.4g} mm, which is none"
+    topics = ", ".join(dict.fromkeys(f.topic for f in found.of_level("error")))
+    return f"nothing more is written: --repair knows no remedy for these errors ({topics}); they say what to correct"
 
 
 def files_with_targets(folder: Path, names: Sequence[str], points: Array, rows: Sequence[Array]) -> dict[Path, str]:

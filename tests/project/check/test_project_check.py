@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sys
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -11,6 +12,10 @@ import pandas as pd
 import pytest
 from command_line import run
 
+sys.path.insert(0, str(Path(__file__).parents[2] / "cli"))
+import first_hour
+
+from casadical import calibrate
 from casadical.identification.identification import identify
 from casadical.project.check import Precheck, precheck
 from casadical.project.problem import read_problem
@@ -60,6 +65,43 @@ def test_a_model_that_lacks_something_is_told_from_noise(tmp_path: Path) -> None
     """The UR10e's campaign hides a gear eccentricity; its instrument is stated to be good to 0.01 mm."""
     made = problem_with(tmp_path, lambda t: t, "sigma_mm = 0.01\n")
     assert "SKCM: a linear step leaves 0.0" in said(precheck(made), "warning")
+
+
+@pytest.mark.parametrize("noise", [None, 1e-3], ids=["as the data show", "1 mm given"])
+def test_the_error_of_full_poses_is_foretold(noise: float | None, tmp_path: Path) -> None:
+    """A camera: 1 mm and 0.3 deg, or the other way round a fine instrument for positions alone."""
+    for sigma, degrees in ((1.0, 0.3), (0.05, 0.3)):
+        folder = camera(tmp_path / f"{sigma}", sigma, degrees)
+        (view,) = precheck(folder, noise).outlooks
+        assert view.held_out is not None
+        found = calibrate(folder).accuracies["KM"]["report"]["calibrated"].mean
+        assert view.held_out == pytest.approx(found, rel=0.2)
+
+
+def camera(folder: Path, sigma: float, degrees: float) -> Path:
+    """A problem of an arm whose full poses were measured, noise of a coordinate [mm] and an angle."""
+    rng = np.random.default_rng(1)
+    rows = first_hour.ROWS + rng.normal(0, 1, first_hour.ROWS.shape) * [0.03, 0.4, 0.4, 0.04]
+    q = rng.uniform(0.8 * first_hour.LIMITS[:, 0], 0.8 * first_hour.LIMITS[:, 1], (150, 6))
+    origin, *ends = (first_hour.positions(q, rows, at) for at in (np.zeros(3), *np.eye(3)))
+    R = np.stack([end - origin for end in ends], axis=2)
+    x, y, z = rng.normal(0, np.deg2rad(degrees), (3, len(q)))
+    R = R @ (np.array([[0 * x, -z, y], [z, 0 * x, -x], [-y, x, 0 * x]]).transpose(2, 0, 1) + np.eye(3))
+    turns = np.arctan2(R[:, 2, 1], R[:, 2, 2]), -np.arcsin(R[:, 2, 0]), np.arctan2(R[:, 1, 0], R[:, 0, 0])
+    p = origin + rng.normal(0, sigma, (len(q), 3))
+    names = [*(f"q{k}_deg" for k in range(1, 7)), *XYZ, "roll_deg", "pitch_deg", "yaw_deg"]
+    folder.mkdir()
+    pd.DataFrame(np.column_stack([q, p, *np.rad2deg(turns)]), columns=names).to_csv(folder / "poses.csv", index=False)
+    joints = "".join(
+        f"[[joint]]\nalpha_deg = {alpha}\na_mm = {a}\nd_mm = {d}\ntheta_deg = {theta}\n"
+        for alpha, a, d, theta in first_hour.ROWS
+    )
+    frames = '[base]\nunknown = "pose"\n[tool]\nunknown = "pose"\n'
+    (folder / "robot.toml").write_text(f'casadical = 1\nname = "arm"\n{frames}{joints}')
+    (folder / "problem.toml").write_text(
+        'casadical = 1\ntitle = "t"\nmethods = ["KM"]\n[[measurements]]\nfile = "poses.csv"\nkind = "pose"\n'
+    )
+    return folder
 
 
 def test_expected_errors_are_those_that_calibration_states_afterwards() -> None:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from command_line import main
 
@@ -14,11 +15,12 @@ import first_hour
 
 from casadical import calibrate
 from casadical.project.check import precheck
-from casadical.project.check.repair import write_repair
+from casadical.project.check.repair import MIRRORED, write_repair
 from casadical.project.new import new_problem
 from casadical.project.problem import read_problem
 
 Table = tuple[np.ndarray, np.ndarray]
+ROOT = Path(__file__).parents[3]
 
 
 def signs_and_columns(q: np.ndarray, p: np.ndarray) -> Table:
@@ -44,10 +46,20 @@ def coupled_and_free_zero(q: np.ndarray, p: np.ndarray) -> Table:
     return q, p
 
 
+def heavy_arm(q: np.ndarray, p: np.ndarray) -> Table:
+    """The third reading is -J3 - J2, and the joints of the wrist count the other way."""
+    third = -q[:, 2] - q[:, 1]
+    return np.column_stack([q[:, :2], third, -q[:, 3:]]), p
+
+
 CASES = {
     signs_and_columns: ("columns q4 and q5 are swapped", "joint 2 counts the other way"),
     shifted_and_left_handed: ("the readings stand 1 row after their positions", "the measuring frame is left-handed"),
     zero_unit_and_sign: ("the zero of joint 3 is 90 deg off (add -90 to q3_deg)", "inches", "joint 5 counts the other"),
+    heavy_arm: (
+        "joint 3 counts the other way (turn the sign of q3); q3 counts from the horizontal, not from link 2",
+        "(turn the sign of q4); joint 5 counts the other way (turn the sign of q5); joint 6 counts the other way",
+    ),
     coupled_and_free_zero: ("q3 counts from the horizontal, not from link 2", "the zero of joint 4 is 3"),
 }
 
@@ -92,6 +104,27 @@ def test_a_slip_of_the_positions_alone_is_repaired(slip, tmp_path, monkeypatch):
     assert main(monkeypatch, "check", folder, "-q") == 2
     assert main(monkeypatch, "check", folder, "--repair", "-q") == 0
     assert calibrate(folder).accuracies["KM"]["report"]["calibrated"].mean < 1e-4
+    warned = [f.text for f in precheck(folder).of_level("warning") if f.topic == "units"]
+    assert warned == ([f"problem.toml turns the sign of y: {MIRRORED}"] if slip is mirrored else [])
+
+
+def test_a_robot_with_a_four_bar_is_repaired_of_one_slip(tmp_path: Path, monkeypatch, capfd) -> None:
+    folder = tmp_path / "arm"
+    folder.mkdir()
+    table = pd.read_csv(ROOT / "data" / "hh800_twin" / "hh800_twin.csv")
+    table.assign(q5_deg=-table.q5_deg).to_csv(folder / "poses.csv", index=False)
+    (folder / "robot.toml").write_bytes((ROOT / "problems" / "hh800" / "robot.toml").read_bytes())
+    (folder / "problem.toml").write_text(
+        'casadical = 1\ntitle = "t"\n[[measurements]]\nfile = "poses.csv"\n[sets]\ncolumn = "set"\n'
+    )
+    assert main(monkeypatch, "check", folder, "--repair") == 0
+    assert 'q5_deg = {from = "q5_deg", times = -1.0}' in capfd.readouterr().out
+
+
+def test_why_nothing_is_written_is_said(tmp_path: Path, monkeypatch, capfd) -> None:
+    folder = folder_of(tmp_path, lambda q, p: (q, np.random.default_rng(0).permutation(p)))
+    assert main(monkeypatch, "check", folder, "--repair") == 2
+    assert "nothing more is written: of " in capfd.readouterr().out
 
 
 def test_one_link_in_metres_is_named_and_repaired(tmp_path: Path) -> None:
