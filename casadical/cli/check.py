@@ -63,7 +63,7 @@ def check(
         for _ in range(REPAIRS if repair else 0):
             text = repaired(checks[-1])
             if not text:
-                console.print(not_repaired(found[-1]), end="\n" * (not found[-1].ok), style="yellow")
+                console.print(not_repaired(checks[-1]), end="\n" * (not checks[-1].ok), style="yellow")
                 break
             console.print(text, markup=False, highlight=False, soft_wrap=True)
             with working(quiet, "reading again", name, CHECK) as show:
