@@ -6,7 +6,6 @@ is 2 / (1 + exp(-2a)) - 1, which is tanh(a).
 Shapes: P networks, N samples, O outputs, weights (P, count), inputs (features + 1, N) from `network_inputs`.
 """
 
-import math
 from typing import Any
 
 import numpy as np
@@ -19,14 +18,14 @@ class Memory:
     """Arrays for the layers' outputs, kept from call to call: fresh memory costs more than the products in it."""
 
     def __init__(self) -> None:
-        self._arrays: dict[int, Array] = {}
+        self._arrays: dict[tuple[int, bool], Array] = {}
 
-    def __call__(self, level: int, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
-        """An array of this shape, whatever it holds."""
-        size, held = math.prod(shape), self._arrays.get(level)
-        if held is None or held.size < size or held.dtype != dtype:
-            held = self._arrays[level] = np.empty(size, dtype)
-        return held[:size].reshape(shape)
+    def __call__(self, level: int, shape: tuple[int, ...], dtype: np.dtype[Any], ones: bool = False) -> Array:
+        """An array of this shape, whatever it holds; with `ones` its last rows hold ones, which nobody writes to."""
+        held, tail = self._arrays.get((level, ones)), shape[1:]
+        if held is None or held.dtype != dtype or held.shape[1:] != tail or len(held) < shape[0]:
+            held = self._arrays[level, ones] = (np.ones if ones else np.empty)(shape, dtype)
+        return held[: shape[0]]
 
 
 def forward(layout: Layout, weights: Array, inputs: Array, memory: Memory | None = None) -> Array:
@@ -40,9 +39,9 @@ def forward(layout: Layout, weights: Array, inputs: Array, memory: Memory | None
     z = np.matmul(first.reshape(-1, first.shape[-1]), inputs, out=memory(0, (first[..., 0].size, samples), dtype))
     z = z.reshape(len(weights), -1, samples)
     for level, layer in enumerate(rest, 1):
-        np.tanh(z, out=z)
-        z = np.matmul(layer[:, :, :-1], z, out=memory(level, (*layer.shape[:2], samples), dtype))
-        z += layer[:, :, -1:]
+        entering = memory(level, (len(weights), layer.shape[2], samples), dtype, ones=True)
+        np.tanh(z, out=entering[:, :-1])
+        z = np.matmul(layer, entering, out=memory(level, (*layer.shape[:2], samples), dtype))
     return z
 
 

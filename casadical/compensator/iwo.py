@@ -8,6 +8,7 @@ by zero when all members are equally fit; then every member counts as a best one
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from math import isfinite
 from typing import Any, Self
 
 import numpy as np
@@ -25,7 +26,7 @@ def seed_counts(losses: Array, seeds_min: int, seeds_max: int) -> Array:
     losses : array, shape (members,). A member whose loss is not finite has the fewest children.
     """
     best, worst = losses.min(), losses.max()
-    if not np.isfinite(worst):
+    if not isfinite(worst):
         finite = losses[np.isfinite(losses)]
         best, worst = finite.min(initial=np.inf), finite.max(initial=-np.inf)
         losses = np.minimum(losses, worst) if best < worst else losses

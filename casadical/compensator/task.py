@@ -34,8 +34,11 @@ class Loss:
         """
         _, outputs, samples = errors.shape
         totals = np.einsum("pon,pon->pn", errors, errors)
-        mean = totals @ np.full(samples, self.mean / samples, errors.dtype)
-        return np.asarray((mean + self.max * totals.max(axis=1)) / outputs)
+        losses = np.maximum.reduce(totals, axis=1)
+        losses *= self.max
+        losses += totals @ np.full(samples, self.mean / samples, errors.dtype)
+        losses /= outputs
+        return np.asarray(losses)
 
     def slope(self, errors: Array) -> Array:
         """A (sub)gradient of the loss by the errors.

@@ -1,6 +1,7 @@
 """Run `python docs/studies/structured_text.py`: size and cost of the exported structured text.
 
-For two committed problems and the robot of tests/export/c: lines, values, runs, operations of a call. The text is
+For two committed problems, the KR 210 as calibrated (SKCM) with and without its bound, and the robot of tests/export/c:
+lines, values, runs, operations of a call. The text is
 parsed by tree-sitter's IEC 61131-3 grammar, turned into C by tests/export/c/structured_text_in_c.py, compared with the
 reference bit by bit, and its instructions are counted under QEMU (emulated, no PLC was measured): the list in runs, the
 same list with every operation as a run of its own, and the exported C, which has a statement for each operation.
@@ -20,7 +21,7 @@ import export_models as models  # noqa: E402
 import export_targets as targets  # noqa: E402
 import structured_text_in_c as translated  # noqa: E402
 
-from casadical import read_robot  # noqa: E402
+from casadical import calibrate, read_robot  # noqa: E402
 from casadical.export import Sources, command_of, write_c  # noqa: E402
 from casadical.export.c import structured_text as language  # noqa: E402
 from casadical.export.c.language import Label  # noqa: E402
@@ -30,6 +31,7 @@ from casadical.export.c.runs import WIDTH, plan_of  # noqa: E402
 from casadical.export.c.self_test import comparison_inputs  # noqa: E402
 from casadical.export.c.tape_program import operations, tape_program  # noqa: E402
 from casadical.export.c.toolchain import compilers  # noqa: E402
+from casadical.project.calibration import with_knowledge  # noqa: E402
 
 WORK = Path(tempfile.mkdtemp())
 HEADER = "#include <stdint.h>\nint st_correct(const {real} *q, {real} *out);\n"
@@ -58,6 +60,11 @@ def products():
         nominal = ROOT / "problems" / problem / "robot.toml"
         robot = read_robot(nominal).with_values(values)
         yield f"{problem}, {'pose' if pose else 'position'}", command_of(Sources(robot, nominal), orientation=pose)
+    nominal = ROOT / "problems" / "kr210" / "robot.toml"
+    real = with_knowledge(calibrate(nominal.parent, method="SKCM").identification)
+    for bound in (False, True):
+        name = f"kr210 calibrated, position{' and bound' if bound else ''}"
+        yield name, command_of(Sources(real, nominal, bound=bound))
     yield "tests' 6R arm, position", arm()
 
 

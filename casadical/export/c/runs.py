@@ -2,28 +2,35 @@
 
 Operations are put into another order that their arguments allow, in which equal ones follow each other. Value k is
 the result of operation k, so that a run needs the places of its arguments only. Each operation is the tape's own: the
-results are the same bits.
+results are the same bits. What `prepare` and `bound` have in common with `forward`, such as the loads of gravity, is
+taken from it.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
 
 from casadical.export.c.coefficients import DTYPE, Real
-from casadical.export.c.tape import Node, Tape, in_single_operations
+from casadical.export.c.tape import COMMUTATIVE, Node, Tape
 from casadical.export.c.tape_program import TapeProgram
 
 WIDTH = {"sincos": 2}  # places of an operation's results; one where it is not here
-_TAPES = ("prepare", "forward", "apart", "advance")  # then the network or the curves; "apart" takes joints and "at"
+_TAPES = ("forward", "prepare", "apart", "advance")  # then the network or the curves; "apart" takes joints and "at"
+_AFTER_FORWARD = ("prepare", "bound")  # take what they have in common from `forward`, which runs at the same joints
 
 
 @dataclass(frozen=True)
 class Plan:
     """One array of values, and what is done with it.
 
-    constants : the first values; places : the first place of the inputs and of the outputs (`KEY_out`) of each tape
+    constants : the first values, which the first run sets
+    places : the first place of the inputs and of the outputs (`KEY_out`) of each tape
     operations, starts : of each run, its operation and its first place; one more start is the number of values
     first, second : for each place, those of the arguments; 0 where there is none
-    spans : the first and the last run of each tape; tables : of `periodic`, whose number is the second argument
+    spans : the first and the last run of each tape; shared : tapes that `forward` must have run for, at the same joints
+    tables : of `periodic`, whose number is the second argument
+    weights : rows of `weighted_sum`, one after another: the row that begins at the second argument, with its length, of
+        the values from the first argument on
     """
 
     constants: tuple[float, ...]
@@ -33,7 +40,9 @@ class Plan:
     first: tuple[int, ...]
     second: tuple[int, ...]
     spans: dict[str, tuple[int, int]]
+    shared: frozenset[str]
     tables: tuple[tuple[float, ...], ...]
+    weights: tuple[float, ...]
 
     @property
     def size(self) -> int:
@@ -48,28 +57,34 @@ def plan_of(program: TapeProgram) -> Plan:
 
 class _Planner:
     def __init__(self, program: TapeProgram) -> None:
-        self.tapes = {key: in_single_operations(program.tapes[key]) for key in sorted(program.tapes, key=_order)}
+        self.tapes = {key: _gathered(program.tapes[key]) for key in sorted(program.tapes, key=_order)}
         nodes = [node for tape in self.tapes.values() for node in tape.nodes]
         self.constants = dict.fromkeys(_word(v, program.real) for node in nodes for v in _numbers(node))
         self.known = {word: place for place, word in enumerate(self.constants)}
         self.real = program.real
         self.tables = tuple(dict.fromkeys(node.table for node in nodes if node.table))
+        self.rows: dict[tuple[float, ...], int] = {}
+        for row in dict.fromkeys(_without_zeros(node.weights) for node in nodes if node.weights):
+            self.rows[row] = sum(map(len, self.rows)) + len(self.rows)
         n, inputs = program.n, len(self.known)
         self.places = {"joints": inputs, "at": inputs + n}
-        self.starts = [inputs + 2 * n] if program.command else [inputs + n]
-        self.operations: list[str] = []
-        self.first, self.second = [0] * self.starts[0], [0] * self.starts[0]
+        self.starts = [0, inputs + 2 * n if program.command else inputs + n]
+        self.operations = ["constants"]
+        self.first, self.second = [0] * self.starts[1], [0] * self.starts[1]
         self.spans: dict[str, tuple[int, int]] = {}
+        self.shared = {key for key in _AFTER_FORWARD if key in self.tapes and program.look == "forward"}
+        self.known_as: dict[Node, int] = {}  # numbers of equal operations, in whatever tape
+        self.forward: dict[Node, int] = {}  # place of what `forward` computes
 
     def plan(self) -> Plan:
         for key, tape in self.tapes.items():
             begin = len(self.operations)
             self._add(key, tape)
             self.spans[key] = begin, len(self.operations) - 1
-        constants = tuple(float.fromhex(word) for word in self.constants)
         return Plan(
-            constants, self.places, tuple(self.operations), tuple(self.starts), tuple(self.first), tuple(self.second),
-            self.spans, self.tables,
+            tuple(map(float.fromhex, self.constants)), self.places, tuple(self.operations), tuple(self.starts),
+            tuple(self.first), tuple(self.second), self.spans, frozenset(self.shared), self.tables,
+            tuple(v for row in self.rows for v in (float(len(row)), *row)),
         )  # fmt: skip
 
     def _add(self, key: str, tape: Tape) -> None:
@@ -77,31 +92,65 @@ class _Planner:
         place: dict[int, int] = {}
         for k, node in enumerate(tape.nodes):
             if node.op == "const":
-                place[k] = self._constant(node.value)
+                place[k] = self.known[_word(node.value, self.real)]
             elif node.op == "input":
                 place[k] = inputs + int(node.value)
-        for op, run in _runs(tape):
-            for k in run:
-                node = tape.nodes[k]
-                place[k] = self._one(op, place[node.args[0]], self._second(node, place))
+        if key in self.shared:
+            self._share(tape, place)
+        used = Counter(a for node in tape.nodes for a in node.args)
+        for op, batches in _runs(tape, place):
+            for batch in batches:
+                self._batch(tape, op, batch, place, used)
             self._end(op)
-            for k, node in enumerate(tape.nodes):
-                if op == "sincos" and node.op in ("sin", "cos") and node.args[0] in place:
-                    place[k] = place[node.args[0]] + (node.op == "cos")
+        if key == "forward":
+            self._share(tape, dict[int, int](), place)
         self.places[f"{key}_out"] = len(self.first)
         for k in tape.outputs:
             self._one("copy", place[k], 0)
         self._end("copy")
 
-    def _constant(self, value: float) -> int:
-        return self.known[_word(value, self.real)]
+    def _share(self, tape: Tape, place: dict[int, int], forward: dict[int, int] | None = None) -> None:
+        """Place what `forward` has already; of itself: remember where everything is."""
+        names: dict[int, Node] = {}
+        for k, node in enumerate(tape.nodes):
+            args = [self.known_as.setdefault(names[a], len(self.known_as)) for a in node.args]
+            names[k] = replace(node, args=tuple(sorted(args) if node.op in COMMUTATIVE else args))
+            if forward is not None:
+                self.forward[names[k]] = forward[k]
+            elif k not in place and names[k] in self.forward:
+                place[k] = self.forward[names[k]]
+            elif node.op in ("sin", "cos") and node.args[0] in place:
+                place[k] = place[node.args[0]] + (node.op == "cos")
 
-    def _second(self, node: Node, place: dict[int, int]) -> int:
+    def _batch(self, tape: Tape, op: str, batch: list[int], place: dict[int, int], used: Counter[int]) -> None:
+        """Operations that do not follow from each other, those with the same first argument together."""
+        if op == "copy":  # of arguments that are to stand side by side
+            for k in batch:
+                place[k] = len(self.first)
+                for a in tape.nodes[k].args:
+                    self._one(op, place[a], 0)
+            return
+        pairs = []
+        for k in batch:
+            args = tape.nodes[k].args
+            if tape.nodes[k].op in COMMUTATIVE:
+                args = tuple(sorted(args, key=lambda a: (-used[a], a)))
+            zeros = len(tape.nodes[k].weights) - len(_without_zeros(tape.nodes[k].weights))
+            pairs.append((place[args[0]] + zeros, self._second(tape.nodes[k], args, place), k))
+        for first, second, k in sorted(pairs):
+            place[k] = self._one(op, first, second)
+        for k, node in enumerate(tape.nodes):
+            if op == "sincos" and node.op in ("sin", "cos") and node.args[0] in place:
+                place[k] = place[node.args[0]] + (node.op == "cos")
+
+    def _second(self, node: Node, args: tuple[int, ...], place: dict[int, int]) -> int:
         if node.op.startswith("guard"):
-            return self._constant(node.value)
+            return self.known[_word(node.value, self.real)]
         if node.op == "periodic":
             return self.tables.index(node.table)
-        return place[node.args[1]] if len(node.args) > 1 else 0
+        if node.weights:
+            return self.rows[_without_zeros(node.weights)]
+        return place[args[1]] if len(args) > 1 else 0
 
     def _one(self, op: str, first: int, second: int) -> int:
         width = WIDTH.get(op, 1)
@@ -112,6 +161,26 @@ class _Planner:
     def _end(self, op: str) -> None:
         self.operations.append(op)
         self.starts.append(len(self.first))
+
+
+def _gathered(tape: Tape) -> Tape:
+    """The tape with the arguments of each weighted sum copied side by side."""
+    nodes, place, vectors = list[Node](), list[int](), dict[tuple[int, ...], int]()
+    for node in tape.nodes:
+        args = tuple(place[a] for a in node.args)
+        if node.op == "weighted_sum":
+            if args not in vectors:
+                vectors[args] = len(nodes)
+                nodes.append(Node("copy", args))
+            args = (vectors[args],)
+        place.append(len(nodes))
+        nodes.append(replace(node, args=args))
+    return Tape(tuple(nodes), tape.n_in, tuple(place[o] for o in tape.outputs))
+
+
+def _without_zeros(weights: tuple[float, ...]) -> tuple[float, ...]:
+    """Weights from the first one that is not zero on."""
+    return weights[next((k for k, w in enumerate(weights) if w), len(weights) - 1) :] if weights else ()
 
 
 def _order(key: str) -> int:
@@ -126,12 +195,16 @@ def _numbers(node: Node) -> tuple[float, ...]:
     return (node.value,) if node.op == "const" or node.op.startswith("guard") else ()
 
 
-def _runs(tape: Tape) -> Iterator[tuple[str, list[int]]]:
-    """Operations and their nodes; each time the operation that most nodes are ready for, as long as it goes on."""
+def _runs(tape: Tape, placed: Collection[int]) -> Iterator[tuple[str, Iterator[list[int]]]]:
+    """Operations and their nodes; each time the operation that most nodes are ready for, as long as it goes on.
+
+    placed : nodes whose values are there
+    """
+    there = frozenset(placed)
     users: list[list[int]] = [[] for _ in tape.nodes]
-    waiting = [len(set(node.args)) for node in tape.nodes]
+    waiting = [len(set(node.args) - there) for node in tape.nodes]
     for k, node in enumerate(tape.nodes):
-        for a in set(node.args):
+        for a in set(node.args) - there if k not in there else ():
             users[a].append(k)
     ready: dict[str, list[int]] = {}
 
@@ -145,15 +218,16 @@ def _runs(tape: Tape) -> Iterator[tuple[str, list[int]]]:
                 else:
                     ready.setdefault(op, []).append(user)
 
-    for k, node in enumerate(tape.nodes):
-        if node.op in ("const", "input"):
-            done(k)
-    while ready:
-        op = max(ready, key=lambda name: len(ready[name]))
-        run: list[int] = []
+    def batches(op: str) -> Iterator[list[int]]:
         while op in ready:
             batch = ready.pop(op)
-            run += batch
+            yield batch
             for k in batch:
                 done(k)
-        yield op, run
+
+    for k, node in enumerate(tape.nodes):
+        if k not in there and not waiting[k]:
+            ready.setdefault(node.op, []).append(k)
+    while ready:
+        op = max(ready, key=lambda name: len(ready[name]))
+        yield op, batches(op)

@@ -4,8 +4,10 @@ The model is a list of operations in arrays, which one loop with a CASE goes thr
 operation is that of the C, so that the results are the same bits.
 """
 
+import re
 import textwrap
 from collections.abc import Iterable
+from functools import partial
 
 from casadical.export.c.c_source import box_share, boxes, command_numbers, joint_units
 from casadical.export.c.chord import look_size, prepared_size
@@ -20,7 +22,15 @@ from casadical.export.c.self_test import self_test_inputs
 from casadical.export.c.tape_program import TapeProgram, operations
 
 _ROWS = (0, 9, 10, 25)  # of the C's self-test: the middle, two random points, one outside the box
-_PAIR = "x := v[first[k]];\nv[k] := SEL({}, {}, {});"
+_LINE, _SHORT = 118, 72  # characters of a line, and of a statement that shares its line with its loop
+_CONSTANTS = """\
+IF NOT ready THEN values(from_run := 0, to_run := 0, v := v); END_IF;
+ready := TRUE;
+"""
+_GUARD = """\
+v[k] := v[first[k]];
+IF NOT (v[k] {} v[second[k]]) THEN fine := FALSE; v[k] := v[second[k]]; END_IF;
+"""
 _SIMPLE = {
     "add": "v[k] := v[first[k]] + v[second[k]];",
     "sub": "v[k] := v[first[k]] - v[second[k]];",
@@ -28,18 +38,17 @@ _SIMPLE = {
     "div": "v[k] := v[first[k]] / v[second[k]];",
     "neg": "v[k] := -v[first[k]];",
     "copy": "v[k] := v[first[k]];",
-    "fabs": _PAIR.format("x < 0.0", "x", "-x"),
-    "fmin": _PAIR.format("x < v[second[k]]", "v[second[k]]", "x"),
-    "fmax": _PAIR.format("x > v[second[k]]", "v[second[k]]", "x"),
-    "lt": _PAIR.format("x < v[second[k]]", "0.0", "1.0"),
-    "le": _PAIR.format("x <= v[second[k]]", "0.0", "1.0"),
-    "select": _PAIR.format("x > 0.0", "0.0", "v[second[k]]"),
-    "not": _PAIR.format("x > 0.0", "1.0", "0.0"),
-    "sign": _PAIR.format("x < 0.0", "SEL(x > 0.0, 0.0, 1.0)", "-1.0"),
-    "guard_min": "v[k] := v[first[k]];\nIF NOT (v[k] >= v[second[k]]) THEN\n"
-    "    fine := FALSE;\n    v[k] := v[second[k]];\nEND_IF;",
-    "guard_max": "v[k] := v[first[k]];\nIF NOT (v[k] <= v[second[k]]) THEN\n"
-    "    fine := FALSE;\n    v[k] := v[second[k]];\nEND_IF;",
+    "constants": "v[k] := constant[k];",
+    "fabs": "v[k] := SEL(v[first[k]] < 0.0, v[first[k]], -v[first[k]]);",
+    "fmin": "v[k] := SEL(v[first[k]] < v[second[k]], v[second[k]], v[first[k]]);",
+    "fmax": "v[k] := SEL(v[first[k]] > v[second[k]], v[second[k]], v[first[k]]);",
+    "lt": "v[k] := SEL(v[first[k]] < v[second[k]], 0.0, 1.0);",
+    "le": "v[k] := SEL(v[first[k]] <= v[second[k]], 0.0, 1.0);",
+    "select": "v[k] := SEL(v[first[k]] > 0.0, 0.0, v[second[k]]);",
+    "not": "v[k] := SEL(v[first[k]] > 0.0, 1.0, 0.0);",
+    "sign": "v[k] := SEL(v[first[k]] < 0.0, SEL(v[first[k]] > 0.0, 0.0, 1.0), -1.0);",
+    "guard_min": _GUARD.format(">="),
+    "guard_max": _GUARD.format("<="),
 }
 
 
@@ -58,11 +67,12 @@ def structured_text(program: TapeProgram, label: Label) -> str:
     plan, real = plan_of(program), program.real
     values = _common(program, plan, label)
     parts = [filled(template("head.st"), values), _values_block(plan, values, real)]
+    values["constants"] = _CONSTANTS
     parts.append(filled(template("boxed.st"), values))
     if program.network is not None:
         key = program.network.key
         mine = {"function": key, "out": program.network.out, "last_out": str(len(program.network_bounds) - 1)}
-        mine |= {"network_out": str(plan.places[f"{key}_out"])} | _span(plan, key, "network")
+        mine |= {"network_out": str(plan.places[f"{key}_out"]), "evaluate": _evaluated(program, plan, key)}
         parts.append(filled(template("network.st"), values | mine | _box(program, "network")))
     if program.command is not None:
         if program.command.bound is not None:
@@ -71,17 +81,17 @@ def structured_text(program: TapeProgram, label: Label) -> str:
                 "out": "bound_mm",
                 "last_out": "0",
                 "network_out": str(plan.places["bound_out"]),
+                "evaluate": _evaluated(program, plan, "bound"),
             }
-            mine |= _span(plan, "bound", "network") | _box(program, "command")
-            parts.append(filled(template("network.st"), values | mine))
+            parts.append(filled(template("network.st"), values | mine | _box(program, "command")))
         parts.append(filled(template("command.st"), values | _command(program, program.command, plan)))
-    return _wrapped("\n".join([*parts, _self_test(program, values)]))
+    return _wrapped(_folded("\n".join([*parts, _self_test(program, values)])))
 
 
 def number(value: float, real: Real) -> str:
-    """A literal of structured text: always with a point, exponent after E."""
-    rounded = float(DTYPE[real](value))
-    mantissa, _, exponent = repr(rounded).partition("e")
+    """A literal of structured text with the fewest digits: always with a point, exponent after E."""
+    rounded = DTYPE[real](value)
+    mantissa, _, exponent = str(float(rounded) if real == "double" else rounded).partition("e")
     mantissa = mantissa if "." in mantissa else mantissa + ".0"
     return mantissa + (f"E{int(exponent)}" if exponent else "")
 
@@ -93,7 +103,7 @@ def _operand(value: float, real: Real) -> str:
 
 def _common(program: TapeProgram, plan: Plan, label: Label) -> dict[str, str]:
     kind = "REAL" if program.real == "float" else "LREAL"
-    values = constants(program.real, _operand) | {
+    return constants(program.real, _operand) | {
         "name": label.name,
         "kind": kind,
         "index": "INT" if plan.size < 2**15 else "DINT",
@@ -107,12 +117,10 @@ def _common(program: TapeProgram, plan: Plan, label: Label) -> dict[str, str]:
         "joints": str(plan.places["joints"]),
         "share": number(box_share(program.n), program.real),
     }
-    first = [*(number(v, program.real) for v in plan.constants), *["0.0"] * (plan.size - len(plan.constants))]
-    return values | {"value_array": _array("v", kind, first)}
 
 
 def _array(name: str, kind: str, entries: Iterable[str]) -> str:
-    """A declaration with initial values; what occurs four times or more in a row is counted."""
+    """A declaration with initial values; those that occur several times in a row are counted where that is shorter."""
     counted: list[list[str]] = []
     for entry in entries:
         if counted and counted[-1][0] == entry:
@@ -120,18 +128,33 @@ def _array(name: str, kind: str, entries: Iterable[str]) -> str:
         else:
             counted.append([entry])
     size = sum(map(len, counted))
-    words = [w for same in counted for w in ([f"{len(same)}({same[0]})"] if len(same) > 3 else same)]
-    return f"    {name} : ARRAY[0..{size - 1}] OF {kind} := [{', '.join(words)}];\n"
+    words = (min(f"{len(same)}({same[0]})", ",".join(same), key=len) for same in counted)
+    return f"    {name} : ARRAY[0..{size - 1}] OF {kind} := [{','.join(words)}];\n"
+
+
+def _folded(text: str) -> str:
+    """The text with sections of one declaration, and loops and choices of one statement, in a line."""
+    for begin, end in (("VAR[A-Z_ ]*", "END_VAR"), ("FOR [^\n]* DO", "END_FOR;"), ("IF [^\n]* THEN", "END_IF;")):
+        for _ in range(2):  # a loop around a loop
+            pattern = rf"^( *)({begin})\n *([^\n]*;)\n\1{end}$"
+            text = re.sub(pattern, partial(_in_line, end=end), text, flags=re.MULTILINE)
+    return text
+
+
+def _in_line(found: re.Match[str], end: str) -> str:
+    line = f"{found[1]}{found[2]} {found[3]} {end}"
+    return line if len(line) <= _LINE and "ARRAY" not in found[3].partition(":=")[2] else found[0]
 
 
 def _wrapped(text: str) -> str:
-    """The text with its long lines divided at spaces."""
+    """The text with its long lines divided behind commas and blanks."""
     lines: list[str] = []
     for line in text.split("\n"):
-        indent = " " * (len(line) - len(line.lstrip()) + 8)
-        lines += (
-            textwrap.wrap(line, 118, subsequent_indent=indent, break_on_hyphens=False) if len(line) > 118 else [line]
-        )
+        while len(line) > _LINE:
+            cut = max(line.rfind(end, 0, _LINE) for end in ", ") + 1
+            lines.append(line[:cut])
+            line = " " * 8 + line[cut:].lstrip()
+        lines.append(line)
     return "\n".join(lines)
 
 
@@ -142,7 +165,7 @@ def _list(values: Iterable[float], real: Real) -> str:
 def _values_block(plan: Plan, values: dict[str, str], real: Real) -> str:
     """The block that goes through the list, with a case for each operation that occurs."""
     known = list(dict.fromkeys(plan.operations))
-    variables: dict[str, None] = {}
+    arrays, scalars = dict[str, None](), dict[str, dict[str, None]]()
     cases = ""
     for code, op in enumerate(known):
         if op in _SIMPLE:
@@ -150,10 +173,23 @@ def _values_block(plan: Plan, values: dict[str, str], real: Real) -> str:
         else:
             more = _tables(plan, real) if op == "periodic" else {}
             declared, body = filled(template(f"{op}.st"), values | more).split("BODY\n")
-            variables |= dict.fromkeys(declared.splitlines(keepends=True))
+            for line in declared.splitlines():
+                names, _, of = line.strip().rstrip(";").partition(" : ")
+                if of.startswith("ARRAY"):
+                    arrays[line + "\n"] = None
+                else:
+                    scalars.setdefault(of, {}).update(dict.fromkeys(names.split(", ")))
         mine = {"code": str(code), "op": op, "by": f" BY {WIDTH[op]}" if op in WIDTH else ""}
-        cases += filled(template("case.st"), mine | {"body": textwrap.indent(body.rstrip(), " " * 12) + "\n"})
+        body = body.strip()
+        body = (
+            f" {body} " if "\n" not in body and len(body) < _SHORT else "\n" + textwrap.indent(body, " " * 8) + "\n    "
+        )
+        cases += filled(template("case.st"), mine | {"body": body})
+    scalars.setdefault(values["kind"], {})["x"] = None
+    variables = [*arrays, *(f"    {', '.join(names)} : {of};\n" for of, names in scalars.items())]
     tables = _array("operation", "INT", (str(known.index(op)) for op in plan.operations))
+    for name, numbers in (("constant", plan.constants), ("weight", plan.weights)):
+        tables += _array(name, values["kind"], (number(v, real) for v in numbers)) if numbers else ""
     for name, entries in (("start", plan.starts), ("first", plan.first), ("second", plan.second)):
         tables += _array(name, values["index"], map(str, entries))
     return filled(template("values.st"), values | {"tables": tables, "variables": "".join(variables), "cases": cases})
@@ -186,11 +222,29 @@ def _span(plan: Plan, key: str, name: str) -> dict[str, str]:
     return {f"{name}_from": str(plan.spans[key][0]), f"{name}_to": str(plan.spans[key][1])}
 
 
+_FORWARD = """\
+FOR i := 0 TO @last@ DO v[@at@ + i] := v[@joints@ + i]; END_FOR;
+values(from_run := @look_from@, to_run := @look_to@, v := v);
+fine := values.fine;
+values(from_run := @from@, to_run := @to@, v := v);
+fine := fine AND values.fine;
+"""
+_ALONE = """\
+values(from_run := @from@, to_run := @to@, v := v);
+fine := values.fine;
+"""
+_LOOK = """\
+    FOR i := 0 TO @last@ DO
+        v[@at@ + i] := @at_value@;
+    END_FOR;
+    values(from_run := @look_from@, to_run := @look_to@, v := v);
+    fine := fine AND values.fine;
+    FOR i := 0 TO @last_p@ DO
+        v[@now@ + i] := v[@look_out@ + i];
+    END_FOR;
+"""
 _WITHIN = """\
-values(from_run := @bound_from@, to_run := @bound_to@, v := v);
-IF status = 0 AND NOT (values.fine AND v[@bound_out@] <= @bound_limit@) THEN
-    status := 9;
-END_IF;
+@bound_values@status := SEL(status = 0 AND NOT (fine AND v[@bound_out@] <= @bound_limit@), status, 9);
 """
 
 
@@ -198,9 +252,18 @@ def _within(program: TapeProgram, command: Command, plan: Plan) -> dict[str, str
     """The comparison of the bound with its limit, where there is one."""
     if command.limit_mm is None:
         return {"within": ""}
-    mine = _span(plan, "bound", "bound") | {"bound_out": str(plan.places["bound_out"])}
+    mine = {"bound_out": str(plan.places["bound_out"]), "bound_values": _evaluated(program, plan, "bound")}
     mine["bound_limit"] = number(command_numbers(command).bound_mm, program.real)
     return {"within": filled(_WITHIN, mine)}
+
+
+def _evaluated(program: TapeProgram, plan: Plan, key: str) -> str:
+    """The values of a tape at the joints, and whether they are fine."""
+    mine = {"from": str(plan.spans[key][0]), "to": str(plan.spans[key][1]), "last": str(program.n - 1)}
+    if key not in plan.shared:
+        return filled(_ALONE, mine)
+    places = {name: str(plan.places[name]) for name in ("at", "joints")}
+    return filled(_FORWARD, mine | places | _span(plan, "forward", "look"))
 
 
 def _command(program: TapeProgram, command: Command, plan: Plan) -> dict[str, str]:
@@ -215,15 +278,19 @@ def _command(program: TapeProgram, command: Command, plan: Plan) -> dict[str, st
         "weakness_at": plan.places["prepare_out"] + prepared - 1,
         "error_at": plan.places["advance_out"] + program.n,
     }
-    return (
+    found = (
         {key: str(value) for key, value in places.items()}
         | {f"limit_{key}": number(getattr(numbers, key), program.real) for key in limits}
         | {key: f"{getattr(command.limits, key):.6g}" for key in ("cycle_s", "ramp_s", "rate_rad_s")}
         | {"steps": str(command.steps), "last_p": str(look_size(command) - 1)}
-        | {"at_value": "dq[i]" if look == "apart" else f"{joint} + dq[i]"}
+        | {"at_value": "dq[i]" if look == "apart" else f"SEL(k > 0, {joint}, {joint} + dq[i])"}
         | _span(plan, "prepare", "prepare") | _span(plan, look, "look") | _span(plan, "advance", "advance")
         | _box(program, "command") | _within(program, command, plan)
     )  # fmt: skip
+    look = filled(_LOOK, found | {"last": str(program.n - 1)})
+    if "prepare" not in plan.shared:  # it has looked at the joints itself
+        look = f"    IF k > 0 THEN\n{textwrap.indent(look, '    ')}    END_IF;\n"
+    return found | {"look": look}
 
 
 def _self_test(program: TapeProgram, values: dict[str, str]) -> str:

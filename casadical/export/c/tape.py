@@ -10,7 +10,7 @@ this list only.
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from functools import partial, reduce
+from functools import partial
 
 import casadi
 import numpy as np
@@ -25,7 +25,7 @@ from casadical.export.c.periodic_table import TABLE_LIMIT, periodic_tables
 _PLAIN = {name: name for name in ("add", "sub", "mul", "div", "neg", "exp", "sqrt", "atan2", "fabs", "fmin", "fmax")}
 _PLAIN |= {name: name for name in ("lt", "le", "not", "sign")} | {"tanh": "tansig", "if_else_zero": "select"}
 _COMPOSED = ("sq", "twice", "inv", "sin", "cos", "tan", "atan", "asin", "acos", "hypot")
-_COMMUTATIVE = {"add", "mul"}
+COMMUTATIVE = {"add", "mul"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ class _Builder:
         self._known: dict[Node, int] = {}
 
     def add(self, op: str, *args: int, value: float = 0.0, table: tuple[float, ...] = ()) -> int:
-        if op in _COMMUTATIVE:
+        if op in COMMUTATIVE:
             args = tuple(sorted(args))
         return self.stored(Node(op, args, value, table))
 
@@ -224,20 +224,6 @@ def _call(builder: _Builder, function: casadi.Function) -> Callable[[list[int]],
         return [builder.periodic(a, *table) for a, table in zip(args, tables, strict=True)]
 
     return nodes
-
-
-def in_single_operations(tape: Tape) -> Tape:
-    """The tape with every weighted sum as products and sums, which give the same bits."""
-    builder = _Builder()
-    place: list[int] = []
-    for node in tape.nodes:
-        args = [place[a] for a in node.args]
-        if node.op != "weighted_sum":
-            place.append(builder.stored(replace(node, args=tuple(args))))
-            continue
-        terms = [builder.add("mul", builder.constant(w), a) for w, a in zip(node.weights, args, strict=True)]
-        place.append(reduce(lambda total, term: builder.add("add", total, term), terms))
-    return _live(builder.nodes, tape.n_in, [place[o] for o in tape.outputs])
 
 
 def _called(function: casadi.Function) -> casadi.Function | None:

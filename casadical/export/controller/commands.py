@@ -153,7 +153,7 @@ def command_of(
         jacobian_of=tool_function(rigid(without_curves(real)), "chain", orientation),
         jacobian_at=bent_function(real) if _compliant(real) else None,
         network=network,
-        bound=bound_of(sources)[0],
+        bound=bound_of(sources, real)[0],
         limit_mm=limit_mm,
         limits=Limits(singular_m_per_rad=SINGULAR_POSE) if orientation else Limits(),
         steps=steps,
@@ -191,8 +191,11 @@ def own_robots(sources: Sources) -> tuple[Robot, Robot, Array]:
     return real, in_own_frame(nominal, nominal)[0], turn
 
 
-def bound_of(sources: Sources) -> tuple[ca.Function | None, str]:
-    """bound:(q[n])->(b[1] mm) of the error that remains, None where it is not known, and why it is not."""
+def bound_of(sources: Sources, own: Robot | None = None) -> tuple[ca.Function | None, str]:
+    """bound:(q[n])->(b[1] mm) of the error that remains, None where it is not known, and why it is not.
+
+    own : the robot in its own base frame, whose torques are those of the bound
+    """
     real = _loaded(robot_of(sources.robot), sources.payload_kg)
     lost = [e for e in real.effects if not e.of_measurement and _not_followed(e)]
     if not sources.bound:
@@ -204,7 +207,9 @@ def bound_of(sources: Sources) -> tuple[ca.Function | None, str]:
     elif lost:
         why = f"the bound of the robot file is that of the model with {lost[0].label}, which is left out"
     else:
-        return _with_doubt(bound_function(real, real.bound), sources.doubt_mm), ""
+        q = ca.SX.sym("q", real.n)
+        torque = None if own is None else ca.Function("tau", [q], [own.torque(q, own.parameters.values)])
+        return _with_doubt(bound_function(real, real.bound, torque), sources.doubt_mm), ""
     return None, why
 
 

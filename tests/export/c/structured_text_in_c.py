@@ -84,7 +84,8 @@ class _Block:
             )
             values += [self._expression(value)] * count
         assert not values or len(values) == max(size, 1)
-        self.fields[_text(_field(node, "names"))] = (_TYPES.get(_text(type_), _text(type_)), size, by_reference, values)
+        for name in (n for n in node.children_by_field_name("names") if n.is_named):
+            self.fields[_text(name)] = (_TYPES.get(_text(type_), _text(type_)), size, by_reference, values)
 
     def text(self):
         members, start = [], []
