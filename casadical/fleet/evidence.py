@@ -18,6 +18,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.linear_gaussian.grid import gain, log_sum
+from casadical.core.linear_gaussian.normal_equations import inverse_of
 
 # Sizes of a change in units of its usual one.
 KAPPAS = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
@@ -39,7 +40,7 @@ class SharedInformation:
     def with_jitter(self, columns: Array, sizes: Array) -> SharedInformation:
         """With what comes and goes in each campaign alone; columns : shape (p, m); sizes : one sigma of each."""
         HD = self.information @ columns
-        inner = np.linalg.inv(columns.T @ HD + np.diag(sizes**-2.0))
+        inner = np.array([inverse_of(own) for own in columns.T @ HD + np.diag(sizes**-2.0)])
         lost = HD @ inner
         b = self.score - (lost @ (self.score @ columns)[:, :, None])[:, :, 0]
         return SharedInformation(self.information - lost @ HD.transpose(0, 2, 1), b, self.precision)
@@ -83,9 +84,7 @@ def solve(told: SharedInformation, known: Known | None = None) -> Model:
     HX = told.information @ X
     Lambda = np.tensordot(X, HX, axes=([0, 1], [0, 1]))
     Lambda += np.diag(np.concatenate([told.precision, known.sizes**-2.0]))
-    root = np.sqrt(np.diag(Lambda))
-    L = np.linalg.inv(np.linalg.cholesky(Lambda / np.outer(root, root)))
-    inverse = L.T @ L / np.outer(root, root)
+    inverse = inverse_of(Lambda)
     return Model(told, known, inverse, inverse @ np.einsum("npi,np->i", X, told.score))
 
 
@@ -128,9 +127,7 @@ def averaged(logs: Array) -> Array:
 def amplitude(H: Array, b: Array, sizes: Array, logs: Array) -> tuple[Array, Array, float]:
     """Mean, shape (m,), and covariance of one change's amplitudes, at its most probable size, which is returned too."""
     kappa = float(KAPPAS[int(np.argmax(logs))])
-    precision = H + np.diag((kappa * sizes) ** -2.0)
-    root = np.sqrt(np.diag(precision))
-    C = np.linalg.inv(precision / np.outer(root, root)) / np.outer(root, root)
+    C = inverse_of(H + np.diag((kappa * sizes) ** -2.0))
     return C @ b, C, kappa
 
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.identification.identifiability import scaled_inverse
+from casadical.core.linear_gaussian.normal_equations import inverse_of
 from casadical.robot.knowledge import Covariance, Knowledge
 from casadical.robot.robot import Robot
 
@@ -175,7 +175,7 @@ def learnt(
         w = 1 / tau2
         whole, told, found = np.zeros_like(C), np.zeros_like(mean), np.zeros_like(mean)
         for some in (slice(k, k + BLOCK) for k in range(0, len(H), BLOCK)):
-            V = np.linalg.inv(np.array(H[some])[:, at] + np.diag(w))
+            V = np.array([inverse_of(own[at] + np.diag(w)) for own in H[some]])
             whole += V.sum(axis=0)
             told += np.einsum("nij,nj->i", V, b[some])
             m = np.einsum("nij,nj->ni", V, b[some] + mean * w)
@@ -183,7 +183,7 @@ def learnt(
             # The last term: robots move the mean towards themselves, five of them by a tenth of their spread.
             found += np.sum((m - mean) ** 2 + own + (1 - own * w) ** 2 * np.diag(C), axis=0)
         # The mean of greatest likelihood: theta_i integrated, each robot tells P - P V P of it, P = diag(w).
-        C = scaled_inverse(np.diag(len(H) * w + wide) - np.outer(w, w) * whole)
+        C = inverse_of(np.diag(len(H) * w + wide) - np.outer(w, w) * whole)
         mean = C @ (w * told)
         usual = (np.bincount(group, found) / np.bincount(group))[group]
         before, tau2 = tau2, np.maximum((found + POOLED * usual / len(H)) / (len(H) + POOLED), NARROWEST**2)

@@ -125,6 +125,12 @@ def root_of_inverse(normal: Array) -> Array:
     return np.asarray(inverse_of_triangle(_factor(normal * np.outer(scale, scale))) * scale)
 
 
+def inverse_of(normal: Array) -> Array:
+    """Inverse of a normal matrix, shape (p, p), as `root_of_inverse`: symmetric to the last bit."""
+    root = root_of_inverse(normal)
+    return np.asarray(root.T @ root)
+
+
 def _factor(normal: Array) -> Array:
     """Cholesky factor of a matrix of unit diagonal, shape (p, p)."""
     try:
