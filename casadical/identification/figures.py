@@ -115,7 +115,7 @@ def residual_quantiles(residuals: Array) -> Figure:
 
 def joint_coverage(robot: Robot, sets: Mapping[str, Sequence[Measurements]]) -> Figure:
     """Readings of each joint within its limits, in % of its range; a set is a line of ticks."""
-    lower, upper = (np.array([getattr(j, end) for j in robot.joints]) for end in ("lower", "upper"))
+    lower, upper = robot.limits
     units = [(key.split("_")[1], factor) for key, factor in robot.reading_units.items()]
     series = [Series("bars", [100] * robot.n, list(range(robot.n)), width=0.7, colour="line", opacity=0.4)]
     for k, ((words, parts), colour) in enumerate(zip(sets.items(), ("blue", "orange", "muted", "ink"), strict=False)):

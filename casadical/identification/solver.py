@@ -104,31 +104,6 @@ class _Evaluation(ca.Callback):
         return 0
 
 
-class _Watch(ca.Callback):
-    """Asked after each iteration of Ipopt whether to stop where it stands; `stop` answers."""
-
-    def __init__(self, size: int, stop: Callable[[Array], bool]) -> None:
-        ca.Callback.__init__(self)
-        self.size, self.stop = size, stop
-        self.construct("watch", {})
-
-    def get_n_in(self) -> int:
-        return int(ca.nlpsol_n_out())
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_name_in(self, i: int) -> str:
-        return str(ca.nlpsol_out(i))
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        of_size = ca.nlpsol_out(i) in ("x", "lam_x")
-        return ca.Sparsity.dense(self.size if of_size else int(ca.nlpsol_out(i) == "f"), 1)
-
-    def eval(self, outputs: Sequence[ca.DM]) -> Sequence[ca.DM | float]:
-        return [float(self.stop(outputs[0].full().ravel()))]
-
-
 class _Solver:
     """Ipopt for problems of one size; made once, because that takes longer than a solve.
 
@@ -152,7 +127,9 @@ class _Solver:
         g = _Evaluation("nlp_grad_f", given, {"f": number, "grad_f_x": vector}, self._gradient)
         h = _Evaluation("nlp_hess_l", weighed, {"hess_gamma_x_x": upper}, self._hessian)
         v = ca.MX.sym("v", size)
-        watch = _Watch(size, lambda v: self.settled is not None and self.flat and self.settled(v))
+        sizes = {"x": vector, "f": number, "lam_x": vector}
+        watched = {name: sizes.get(name, ca.Sparsity(0, 1)) for name in ca.nlpsol_out()}
+        watch = _Evaluation("watch", watched, {"stop": number}, self._stop)
         options: dict[str, Any] = {
             "iteration_callback": watch,
             "grad_f": g,
@@ -182,10 +159,10 @@ class _Solver:
         self._keep = f, g, h, watch
         self.solve = ca.nlpsol("identify", "ipopt", {"x": v, "f": f(v)}, options)
 
-    @property
-    def flat(self) -> bool:
-        """Whether the last iterations gained nothing that counts."""
-        return len(self.history) > LAST and self.history[-1 - LAST] - self.history[-1] < FLAT
+    def _stop(self, v: Array, *_: Array) -> Sequence[Array | float]:
+        """Whether to stop after an iteration: where the last ones gained nothing that counts, and little is left."""
+        flat = len(self.history) > LAST and self.history[-1 - LAST] - self.history[-1] < FLAT
+        return (float(flat and self.settled is not None and self.settled(v)),)
 
     def _cost(self, v: Array) -> Sequence[Array | float]:
         return (self.cost(v) / self.scale,)
