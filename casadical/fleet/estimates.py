@@ -9,7 +9,7 @@ of two campaigns differently where their poses differ: the lowest may change, th
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -184,6 +184,8 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
     Raises InputError: a robot without a covariance of its geometry.
     """
     known = robot.knowledge
+    if robot.tool.unknown == "pose":  # the poses drawn below are positions, which do not tell how the tool is turned
+        robot = replace(robot, tool=replace(robot.tool, unknown="position"))
     geometry = {p.name for p in robot.parameters if p.group in ("geometry", "loop")}
     if known is None or geometry.isdisjoint(known.std_errors):
         raise InputError(

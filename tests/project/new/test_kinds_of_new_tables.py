@@ -11,7 +11,7 @@ import pytest
 from command_line import main
 from scipy.spatial.transform import Rotation
 
-from casadical import InputError, calibrate, read_measurements, read_problem
+from casadical import InputError, calibrate, compare_files, read_measurements, read_problem
 from casadical.measurements.raw_table import read_table
 from casadical.project.check import precheck
 from casadical.project.new import new_problem
@@ -118,6 +118,9 @@ def test_a_table_of_camera_poses_is_calibrated_from_a_urdf_with_and_without_a_fo
         assert 1e3 * result.accuracy(*result.measurements)["calibrated"].mean < 0.06
         (m,) = result.measurements
         assert np.ptp(m.conditions["time_s"]) == pytest.approx(59, abs=20)
+    calibrate(arm).write(tmp_path / "results")
+    compared = compare_files([tmp_path / "results", tmp_path / "poses.csv"], arm)
+    assert not compared.changed
     by_name = pd.DataFrame({f"{names[k]}_joint": np.deg2rad(q[:, k]) for k in order}).assign(
         **named(["px", "py", "pz"], p / 1e3)
     )
