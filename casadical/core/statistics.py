@@ -1,5 +1,6 @@
 """Distributions that the standard library does not have."""
 
+import math
 from statistics import NormalDist
 
 import numpy as np
@@ -29,6 +30,13 @@ def exceeded_by_chance(ratio: float, above: float, below: float) -> float:
     a, b = 2 / (9 * above), 2 / (9 * below)
     root = ratio ** (1 / 3)
     return NormalDist().cdf((1 - a - (1 - b) * root) / (b * root**2 + a) ** 0.5)
+
+
+def known_digits(value: float, size: float, digits: int) -> float:
+    """A value without the digits that rounding decides: so many are left behind the first one of `size`."""
+    if not (size and math.isfinite(size)):
+        return float(value)
+    return round(float(value), digits - math.floor(math.log10(abs(size)))) + 0.0
 
 
 def robust_std(r: Array) -> float:

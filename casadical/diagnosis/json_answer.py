@@ -82,7 +82,7 @@ def diagnosis_files(
     comment = f"Diagnosed by casadical from {name}.\n{headline(found, more)}\n{refit.verdict}"
     kinds = [type(effect) for effect in refit.robot.effects]
     return {
-        folder / "diagnosed.robot.toml": to_toml(refit.robot, comment, kinds),
+        folder / "diagnosed.robot.toml": to_toml(refit.robot, comment, kinds, known_alone=True),
         folder / "diagnosis.json": json_text(as_json(found, name, more)),
         folder / "diagnosis.txt": page_of(found, more) + "\n",
     }

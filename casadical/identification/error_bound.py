@@ -8,6 +8,7 @@ is greater. The form was chosen on splits of the UR10's series C and on simulate
 judged on the series A and B and on the UR5 (`docs/studies/correction_bound.txt`).
 """
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -31,6 +32,7 @@ LEAST = 30  # poses, of which one held-out residual in twenty is to be known
 MOST = 20_000  # poses: so many, drawn at random, tell a bound as well as more, in less memory
 ROUNDS = 12  # of expectation and maximisation: sizes that the poses do not determine are still of usual size then
 _DIRECTIONS, _END = 6, 0.3  # of the regions that are held out: how many, and the share of poses at each end
+_DIGITS = 5  # of a factor, behind the first one of its greatest entry
 _LOST = 0.05  # share of the mean square that may be lost at a pose where the factor of the moment is cut
 _SAMPLES = 500  # random poses at which that holds
 _MM = 1e-3
@@ -194,4 +196,7 @@ def _cut(M: Array, rest: float, J: Array) -> Array:
     _, _, turn = np.linalg.svd(np.linalg.qr(moved.reshape(-1, moved.shape[2]), mode="r"))
     squares = np.cumsum(((moved @ turn.T) ** 2).sum(axis=1), axis=1)
     enough = (squares[:, -1:] - squares <= _LOST * (rest + squares[:, -1:])).all(axis=0)
-    return np.asarray(whole @ turn.T[:, : int(np.argmax(enough)) + 1])
+    factor = np.asarray(whole @ turn.T[:, : int(np.argmax(enough)) + 1])
+    # Columns that the svd leaves free in sign: the greatest entry is positive. Behind some digits is rounding.
+    factor = factor * np.sign(np.take_along_axis(factor, np.abs(factor).argmax(axis=0)[None], 0))
+    return factor.round(_DIGITS - math.floor(math.log10(np.abs(factor).max() or 1.0)))

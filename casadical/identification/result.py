@@ -392,7 +392,7 @@ class Identification(Result):
 
     def to_toml(self) -> str:
         """The calibrated robot as the text of a robot file that `read_robot` reads again."""
-        return to_toml(self.robot, f"Calibrated by casadical.\n{self.verdict}")
+        return to_toml(self.robot, f"Calibrated by casadical.\n{self.verdict}", known_alone=True)
 
     @property
     def dh_table(self) -> pd.DataFrame:

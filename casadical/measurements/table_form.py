@@ -26,6 +26,8 @@ _MARKS = {
     codecs.BOM_UTF16_LE: "utf-16",
     codecs.BOM_UTF16_BE: "utf-16",
 }
+# A number of more characters is cut to those of a double; a whole one would else be no number of an array.
+MOST_FIGURES = 40
 # So many lines are looked at to tell how a table is written.
 SAMPLE = 200
 _POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
@@ -163,10 +165,12 @@ def as_plain_number(cell: str, decimal: str) -> str:
     """A number with a decimal point and nothing else; a cell that is no number as it stands."""
     text = clean(cell)
     if decimal == "," and _COMMA.fullmatch(text):
-        return text.replace(".", "").replace(",", ".")
-    if decimal == "." and "," in text and _THOUSANDS.fullmatch(text):
-        return text.replace(",", "")
-    return text if _POINT.fullmatch(text) else cell
+        text = text.replace(".", "").replace(",", ".")
+    elif decimal == "." and "," in text and _THOUSANDS.fullmatch(text):
+        text = text.replace(",", "")
+    elif not _POINT.fullmatch(text):
+        return cell
+    return text if len(text) < MOST_FIGURES else repr(float(text))
 
 
 def is_data(cells: Sequence[str]) -> bool:

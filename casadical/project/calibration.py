@@ -238,7 +238,7 @@ class Calibration(Result):
             robot = with_knowledge(result)
             said = [words.text for words in made_readings(problem) if words.text not in robot.notes]
             noted = replace(robot, notes=(*robot.notes, *said))
-            texts[folder / f"{name}.robot.toml"] = to_toml(noted, f"{origin}\n{result.verdict}")
+            texts[folder / f"{name}.robot.toml"] = to_toml(noted, f"{origin}\n{result.verdict}", known_alone=True)
             if problem.urdf:
                 texts[folder / f"{name}.robot.urdf"] = problem.calibrated_urdf(result.robot)
             texts[folder / f"{name}.parameters.csv"] = result.parameters.to_csv(index=False)

@@ -57,11 +57,11 @@ def read_effects(path: str | Path, effects: Sequence[type[Effect]] = ()) -> Effe
     return Effects(known, values, file.robot, new_effects(file.definition))
 
 
-def effects_toml(robot: Robot, effects: Sequence[Effect], comment: str = "") -> str:
+def effects_toml(robot: Robot, effects: Sequence[Effect], comment: str = "", *, known_alone: bool = False) -> str:
     """Some effects of a robot as the text of an effect file, with what is known of their values."""
     names = {p.name for e in effects for p in e.parameters()}
     known = robot.knowledge.without(set(robot.parameters.names) - names) if robot.knowledge else None
     lines = [f"# {line}" for line in comment.splitlines()]
     lines += [f"casadical = {VERSION}", f'written_by = "casadical {__version__}"']
     lines.append(f"robot = {tomlkit.item(robot.name).as_string()}")
-    return "\n".join([*lines, *text_of(robot, effects, robot.effect_values, known), ""])
+    return "\n".join([*lines, *text_of(robot, effects, robot.effect_values, known, known_alone=known_alone), ""])

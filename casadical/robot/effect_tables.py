@@ -13,6 +13,7 @@ from casadical.core.arm import Arm
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.schema import Pair, TomlTable
+from casadical.core.statistics import known_digits
 from casadical.effects import Effect
 from casadical.effects.definition import Definition
 from casadical.effects.plugins import defined_in_files, find_effect, new_effects
@@ -22,6 +23,10 @@ from casadical.robot.knowledge import Covariance, ErrorBound, Knowledge
 SAME = 1e-6
 # Of a covariance: enough for correlations of 1 - 1e-9, and a quarter less text than all.
 DIGITS = 12
+# Of a value, behind the first digit of its standard error: those behind these are a processor's rounding.
+KNOWN_DIGITS = 6
+# Of a correlation, more than its least eigenvalue has zeros.
+MORE_DIGITS = 3
 
 # Of one effect: a curve of each joint, and more.
 MOST_PARAMETERS = 3000
@@ -182,14 +187,15 @@ def text_of(
     values: Mapping[str, float],
     knowledge: Knowledge | None,
     bound: ErrorBound | None = None,
+    known_alone: bool = False,
 ) -> Iterator[str]:
-    """The tables as lines of TOML. values : of all effects' parameters [SI]"""
+    """The tables as lines of TOML. values : of all effects' parameters [SI]; known_alone : as of `to_toml`"""
     known = knowledge or Knowledge()
     for definition in defined_in_files(effects):
         keys = definition.model_dump(exclude_defaults=True)
         yield from ("", "[[definition]]", *(f"{key} = {_text(value)}" for key, value in keys.items()))
     for effect in effects:
-        yield from _effect_lines(effect, values, known.std_errors)
+        yield from _effect_lines(effect, values, known.std_errors, known_alone)
     if knowledge:
         yield from _learnt_lines(arm, knowledge)
     own = {p.name for e in effects for p in e.parameters()}
@@ -197,17 +203,32 @@ def text_of(
         # A standard error beside its value says the same.
         if len(block.names) > 1 or block.names[0] not in own:
             yield from ("", "[[covariance]]", f"names = {_text(list(block.names))}", "lower = [")
-            for i, row in enumerate(block.matrix):
-                yield f"    {_text([float(f'{v:.{DIGITS}g}') for v in row[: i + 1]])},"
+            yield from (f"    {_text(row)}," for row in _triangle(block, known_alone))
             yield "]"
     if bound:
-        yield from ("", "[bound]", f"rest = {bound.rest!r}", f"times = {bound.times!r}", f"poses = {bound.poses}")
+        rest, times = (known_digits(v, v, KNOWN_DIGITS) if known_alone else v for v in (bound.rest, bound.times))
+        yield from ("", "[bound]", f"rest = {rest!r}", f"times = {times!r}", f"poses = {bound.poses}")
         yield from (f"names = {_text(list(bound.names))}", "factor = [")
         yield from (f"    {_text([float(f'{v:.{DIGITS}g}') for v in row])}," for row in bound.factor)
         yield "]"
 
 
-def _effect_lines(effect: Effect, values: Mapping[str, float], errors: Mapping[str, float]) -> Iterator[str]:
+def _triangle(block: Covariance, known_alone: bool) -> Iterator[list[float]]:
+    """Lower triangle of a covariance, row by row."""
+    scale = np.sqrt(np.diag(block.matrix))
+    sizes = np.outer(scale, scale)
+    least = np.linalg.eigvalsh(block.matrix / np.where(sizes > 0, sizes, 1.0))[0]
+    digits = MORE_DIGITS - math.floor(math.log10(max(least, 10.0**-DIGITS)))
+    for i, row in enumerate(block.matrix):
+        if known_alone and digits < DIGITS:
+            yield [known_digits(v, s, max(digits, KNOWN_DIGITS)) for v, s in zip(row[: i + 1], sizes[i], strict=False)]
+        else:
+            yield [float(f"{v:.{DIGITS}g}") for v in row[: i + 1]]
+
+
+def _effect_lines(
+    effect: Effect, values: Mapping[str, float], errors: Mapping[str, float], known_alone: bool
+) -> Iterator[str]:
     whole = effect.to_dict()
     settings = whole.pop("settings", {})
     yield from ("", "[[effect]]", *(f"{key} = {_text(value)}" for key, value in whole.items()))
@@ -219,13 +240,16 @@ def _effect_lines(effect: Effect, values: Mapping[str, float], errors: Mapping[s
         entry: dict[str, Any] = {"value": float(values.get(parameter, 0.0)), "unit": unit}
         if parameter in errors:
             entry["std_error"] = errors[parameter]
+        if known_alone:
+            size = errors.get(parameter, 0.0) or 1e-3 * entry["value"]
+            entry |= {k: known_digits(v, size, KNOWN_DIGITS) for k, v in entry.items() if k != "unit"}
         yield f"{_key(name)} = {_text(entry)}"
 
 
 def _learnt_lines(arm: Arm, knowledge: Knowledge) -> Iterator[str]:
     yield from ("", "[learnt]", f"campaign = {_text(knowledge.campaign)}", f"poses = {knowledge.poses}")
     if knowledge.misfit > 1:
-        yield f"misfit = {knowledge.misfit!r}"
+        yield f"misfit = {known_digits(knowledge.misfit, knowledge.misfit, KNOWN_DIGITS)!r}"
     if knowledge.robots:
         yield f"robots = {knowledge.robots}"
     if len(knowledge.readings):

@@ -17,6 +17,7 @@ from casadical.core.files import write_whole
 from casadical.core.parts import WIDTHS, Body, BodyWidth, FourBar, Joint, Placement, Target
 from casadical.core.reading import load_toml
 from casadical.core.schema import check
+from casadical.core.statistics import known_digits
 from casadical.core.transforms import to_rpy
 from casadical.effects import Effect, Session
 from casadical.effects.plugins import defined_in_files, find_effect
@@ -125,12 +126,13 @@ def write_robot(robot: Robot, path: str | Path, comment: str = "", effects: Sequ
     write_whole(Path(path), to_toml(robot, comment, effects))
 
 
-def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = ()) -> str:
+def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (), *, known_alone: bool = False) -> str:
     """The robot as the text of a TOML file, in millimetres and degrees at full precision; effects in SI.
 
     Sessions belong to their measurements: base and tool are those of the first one.
 
     effects and errors as of `write_robot` (Raises InputError). Without effects and bound it is version 1.
+    known_alone : without the digits that a processor's rounding decides, so that a result is the same file everywhere
     """
     if any(isinstance(e, Session) for e in robot.effects):
         robot = robot.with_only(e for e in robot.effects if not isinstance(e, Session))
@@ -156,7 +158,7 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
         "joint": [_joint_table(joint) for joint in robot.joints],
         "four_bar": [_loop_table(loop) for loop in robot.loops] or None,
     }
-    document.update({key: value for key, value in tables.items() if value is not None})
+    document.update({key: _known(key, v) if known_alone else v for key, v in tables.items() if v is not None})
     text = tomlkit.dumps(document)
     if not more:
         return _readable(text, robot)
@@ -164,7 +166,13 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
     if known:  # of parameters that it had before a change, nothing is kept
         known = known.without(set(known.std_errors) - set(robot.parameters.names))
     return _readable(
-        "\n".join([text.rstrip("\n"), *text_of(robot, robot.effects, robot.effect_values, known, robot.bound), ""]),
+        "\n".join(
+            [
+                text.rstrip("\n"),
+                *text_of(robot, robot.effects, robot.effect_values, known, robot.bound, known_alone),
+                "",
+            ]
+        ),
         robot,
     )
 
@@ -173,6 +181,24 @@ def _readable(text: str, robot: Robot) -> str:
     """The text, if its values are ones that a file may hold. Raises InputError."""
     check(RobotFile, _with_tools_apart(tomllib.loads(text)), f"robot {shown(robot.name)!r} cannot be written")
     return text
+
+
+# Decimals of lengths [mm], angles [deg] and accelerations [m/s^2]; digits of stiffnesses.
+_DECIMALS = {"_mm": 8, "_deg": 9, "_s2": 9}
+_OF_STIFFNESS = 7
+
+
+def _known(key: str, value: Any) -> Any:
+    """A value of the file without the digits that a processor's rounding decides."""
+    if isinstance(value, dict):
+        return {name: _known(name, inner) for name, inner in value.items()}
+    if isinstance(value, list):
+        return [_known(key, inner) for inner in value]
+    if not isinstance(value, float):
+        return value
+    if key.startswith("stiffness"):
+        return known_digits(value, value, _OF_STIFFNESS)
+    return round(value, next((n for end, n in _DECIMALS.items() if key.endswith(end)), 15)) + 0.0
 
 
 def _mm(value: float) -> float:

@@ -100,13 +100,13 @@ class Kind:
 
 def kinds(place: Path) -> dict[str, Kind]:
     """All kinds; place : a folder made by `fuzz.world`"""
+
     import casadical
     from casadical.blind_check.answers import read_answers
     from casadical.blind_check.protocol import read_manifest as read_withheld
     from casadical.compensator import load_compensator
     from casadical.effects.definition import read_definitions
     from casadical.export.c.manifest import read_manifest
-    from casadical.export.controller.offline_program import read_program
     from casadical.export.controller.programs.program import read_target_program
     from casadical.export.controller.programs.target import Given
     from casadical.fleet.store import rows
@@ -151,7 +151,7 @@ def kinds(place: Path) -> dict[str, Kind]:
         Kind("arm.urdf", [URDF.encode()], casadical.read_urdf, 3),
         Kind("room.toml", [(place / "in/room.toml").read_bytes()], lambda p: read_workspace(p, arm), 2),
         Kind("my.effect.toml", [EFFECTS.encode()], read_definitions, 3),
-        Kind("program.csv", [(place / "in/program.csv").read_bytes()], lambda p: read_program(p, 2, ("rad",) * 2), 2),
+        Kind("program.csv", [(place / "in/program.csv").read_bytes()], lambda p: read_target_program(p, Given(), 2), 2),
         Kind("net.json", [(place / "in/net.json").read_bytes()], load_compensator, 3),
         Kind("results/result.json", [(place / "in/results/result.json").read_bytes()], results, 2),
         Kind(

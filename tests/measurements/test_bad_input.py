@@ -95,6 +95,8 @@ TABLES = [
     Bad("no such file", lambda tmp: read_measurements(tmp / "none.csv", 3), ("none.csv", "no such file")),
     Bad("a folder", lambda tmp: read_measurements(tmp, 3), ("cannot be read: Is a directory",)),
     Bad("empty file", lambda tmp: file(tmp, ""), ("bad.csv", "not a readable CSV")),
+    Bad("an integer of 400 digits", lambda tmp: file(tmp, f"q1_deg,q2_deg\n{'1' * 400},1\n"),
+        ("bad.csv", "q1_deg")),
     Bad("ragged rows", lambda tmp: file(tmp, "a,b\n1,2\n1,2,3,4\n"), ("bad.csv", "row 3 has 4 cells", "2")),
     Bad("not text", lambda tmp: file(tmp, b"a,b\n\xff\xfe\x00\x81,2\n"), ("bad.csv", "not a readable CSV")),
     Bad("header only", lambda tmp: file(tmp, "q1_deg,q2_deg,q3_deg,x_mm,y_mm,z_mm\n"), ("bad.csv", "no rows")),

@@ -1,6 +1,7 @@
 """Robots with effects as files: the same positions, the same knowledge, and every fault by its key."""
 
 import re
+import tomllib
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
@@ -25,7 +26,7 @@ from casadical.identification.accuracy import predicted
 from casadical.measurements import derive
 from casadical.robot.effect_tables import text_of
 from casadical.robot.knowledge import ONE_BLOCK, Covariance, Knowledge, blocks
-from casadical.robot.robot_file import to_toml
+from casadical.robot.robot_file import robot_from, to_toml
 
 ROOT = Path(__file__).parents[2]
 CAMPAIGNS = {"hh800": "hh800-P01", "kr210": "kr210-P02", "ur10e": "ur10e-P03"}
@@ -110,6 +111,32 @@ def test_what_an_identification_knows_is_kept(tmp_path: Path) -> None:
     assert known.conditions["approach5"] == (-1.0, 1.0)
     low, high = known.conditions["temperature_degC"]
     assert (low, high) == (m.conditions["temperature_degC"].min(), m.conditions["temperature_degC"].max())
+
+
+def test_a_result_is_written_with_the_digits_that_are_known() -> None:
+    """Numbers that another processor rounds otherwise are the same file, and the same robot to 1e-9 m."""
+    known = learnt()
+    rng = np.random.default_rng(0)
+
+    def moved(values: np.ndarray) -> np.ndarray:
+        return values * (1 + 1e-13 * rng.uniform(-1, 1, np.shape(values)))
+
+    values = {name: float(moved(v)) for name, v in known.effect_values.items()}
+    (block,) = known.knowledge.covariance
+    wobble = moved(block.matrix)
+    learned = replace(known.knowledge, covariance=(Covariance(block.names, (wobble + wobble.T) / 2),))
+    joints = tuple(replace(j, a=float(moved(j.a)), theta=float(moved(j.theta))) for j in known.joints)
+    other = replace(known, joints=joints, effect_values=values, knowledge=learned)
+    assert to_toml(known) != to_toml(other)
+    text = to_toml(known, known_alone=True)
+    assert text == to_toml(other, known_alone=True)
+    again = robot_from(tomllib.loads(text), "robot.toml")
+    m = with_columns("hh800", EFFECTS)[::5]
+    np.testing.assert_allclose(predicted(again, m)[0], predicted(known, m)[0], rtol=0, atol=1e-9)
+    (kept,) = again.knowledge.covariance
+    combined = rng.normal(size=(50, len(block.names)))  # of any combination of parameters, the variance
+    ours, theirs = (np.einsum("ki,ij,kj->k", combined, b.matrix, combined) for b in (block, kept))
+    np.testing.assert_allclose(theirs, ours, rtol=1e-4)
 
 
 def test_what_is_held_stays_known_and_what_is_free_is_known_anew() -> None:

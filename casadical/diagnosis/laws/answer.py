@@ -228,10 +228,10 @@ class Discovery(Result):
         refit, folder, name = self.refit(), Path(folder), name or self.case.m.source
         comment = "\n".join([f"Discovered by casadical from {name}.", *self.lines, refit.verdict])
         kinds = [type(e) for e in refit.robot.effects]
-        texts = {folder / "discovered.robot.toml": to_toml(refit.robot, comment, kinds)}
+        texts = {folder / "discovered.robot.toml": to_toml(refit.robot, comment, kinds, known_alone=True)}
         if self.kept == "law":
             laws = tuple(s.law for s in self.laws)
-            texts[folder / "law.effect.toml"] = effects_toml(refit.robot, laws, comment)
+            texts[folder / "law.effect.toml"] = effects_toml(refit.robot, laws, comment, known_alone=True)
         texts[folder / "discovery.json"] = json_text(self.to_json(name))
         texts[folder / "discovery.txt"] = plain_text(self.blocks(), 100)
         return texts

@@ -54,8 +54,8 @@ def _refuse_no_numbers(table: RawTable) -> None:
     """Raises InputError for a cell that says it is no number (nan, NA, inf); an empty one is left out."""
     frame = table.frame().replace([math.inf, -math.inf], math.nan)
     for k, (line, cells) in enumerate(zip(table.line, table.cells, strict=True)):
-        for name, cell in zip(table.header, cells, strict=False):
-            if cell.strip() and pd.isna(frame[name].iloc[k]):
+        for column, (name, cell) in enumerate(zip(table.header, cells, strict=False)):
+            if cell.strip() and pd.isna(frame.iloc[k, column]):
                 raise InputError(f"{table.path.name}: row {line}, column {name!r}: {cell!r} is not a finite number")
 
 

@@ -198,6 +198,7 @@ WRONG = {
     "no number": ({"dh": "word.csv"}, "row 3, column 'a_mm': 'x' is not a number"),
     "nan": ({"dh": "nan.csv"}, "row 3, column 'a_mm': 'nan' is not a finite number"),
     "not available": ({"dh": "na.csv"}, "row 3, column 'alpha_deg': 'NA' is not a finite number"),
+    "too long": ({"dh": "long.csv"}, "row 3, column 'a_mm': 'inf' is not a finite number"),
     "infinite": ({"dh": "inf.csv"}, "row 3, column 'a_mm': '1e999' is not a finite number"),
     "half a range": ({"dh": "half.csv"}, "belong together"),
     "data that do not read": (
@@ -216,6 +217,7 @@ def test_bad_input_is_refused_and_nothing_is_written(name: str, tmp_path: Path) 
     (tmp_path / "nan.csv").write_text("a_mm,alpha_deg\n100,90\nnan,0\n")
     (tmp_path / "na.csv").write_text("a_mm,alpha_deg\n100,90\n0,NA\n")
     (tmp_path / "inf.csv").write_text("a_mm,alpha_deg\n100,90\n1e999,0\n")
+    (tmp_path / "long.csv").write_text(f"a_mm,alpha_deg\n100,90\n{'1' * 400},0\n")
     (tmp_path / "half.csv").write_text("a_mm,lower_deg\n100,90\n")
     (tmp_path / "nothing.csv").write_text("angle,x_mm,y_mm,z_mm\n1,2,3,4\n")
     paths = {k: tmp_path / v if k != "convention" else v for k, v in given.items()}

@@ -1,0 +1,168 @@
+"""The same answer on every processor: python docs/studies/processors.py [--quick] [--only REGEX] [--jobs 1]
+
+Every command on every shipped problem, practice campaign and example is run as this machine runs it, and as others do:
+with OpenBLAS's kernels for other processors, two threads, without compiled functions, numpy without its vector
+instructions, and with every reading moved by 1e-12 of itself. What must be equal:
+
+- exit codes, all words that are printed, verdicts, causes, chosen poses
+- numbers in JSON, to 1e-7 of their standard error where one stands beside them, else to 1e-6 of themselves
+- robot files and the C made from them, to the byte (not where readings moved)
+
+`--quick` runs three kernels and moved readings on one command of each kind, for `.ci/run`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from same_answers import ROOT, commands
+
+# Of a standard error; of a number without one; of numbers whose size says nothing, in their units (mm, deg, shares).
+OF_ERROR, OF_ITSELF, WHOLE = 1e-7, 1e-6, 1e-9
+KERNELS = ("Haswell", "Zen", "Nehalem", "Prescott", "Sandybridge", "SkylakeX")
+MOVED = "readings"
+ENVIRONMENTS: dict[str, dict[str, str]] = {
+    **{name: {"OPENBLAS_CORETYPE": name} for name in KERNELS},
+    "two threads": {"OMP_NUM_THREADS": "2", "OPENBLAS_NUM_THREADS": "2"},
+    "interpreted": {"CASADICAL_COMPILE": "0", "PATH": "/nowhere"},
+    "plain numpy": {"NPY_DISABLE_CPU_FEATURES": "AVX2 FMA3 X86_V3 X86_V4 AVX512F"},
+    MOVED: {},
+}
+QUICK = ("Nehalem", "Prescott", MOVED)
+QUICK_COMMANDS = r"^(calibrate-(planar|kr210)|check-planar|diagnose-kr210-P02|plan-planar|export-kr210|compare-kr210)$"
+VOLATILE = re.compile(r"(seconds|duration|elapsed|version|created|_s\b|time|sha256|hash)")
+ERRORS = ("std_error", "standard_error", "error", "std")
+
+
+def todo(scratch: Path, only: str) -> dict[str, list[str]]:
+    """Commands by name; OUT and MADE as of `same_answers`."""
+    found = commands(scratch, ROOT)
+    found["plan-planar"] = ["plan", "problems/planar", "-n", "8", "--out", "OUT/plan.csv", "--quiet"]
+    wanted = {name: words for name, words in found.items() if re.search(only, name)}
+    needed = {match for words in wanted.values() for match in re.findall(r"MADE/([\w-]+)", " ".join(words))}
+    return {name: words for name, words in found.items() if name in wanted or name in needed}
+
+
+def inputs(place: Path, moved: bool) -> None:
+    """Problems and data of the repository, with every reading moved where that is asked for."""
+    for name in ("problems", "data"):
+        shutil.copytree(ROOT / name, place / name, ignore=shutil.ignore_patterns("*.xz", "answers*"))
+    rng = random.Random(0)
+    number = re.compile(r"(?<![\w.])-?\d+\.\d+(?:e[-+]?\d+)?(?![\w.])")
+    for path in place.rglob("*.csv") if moved else ():
+        head, _, rest = path.read_text("utf-8").partition("\n")
+        lines = [number.sub(lambda m: repr(float(m[0]) * (1 + 1e-12 * rng.uniform(-1, 1))), rest)]
+        path.write_text("\n".join([head, *lines]), "utf-8")
+
+
+def run(name: str, words: list[str], place: Path, environment: dict[str, str]) -> None:
+    """One command; what it writes, prints and returns goes to a folder of its name."""
+    out = place / "made" / name
+    out.mkdir(parents=True)
+    words = [w.replace("OUT", str(out)).replace("MADE", str(place / "made")) for w in words]
+    program = [sys.executable, "-c", "from casadical.cli import main; main()", *words]
+    usual = {"OMP_NUM_THREADS": "1", "COLUMNS": "120", "NO_COLOR": "1", "CASADICAL_CACHE": str(place / "cache")}
+    whole = {**os.environ, "PYTHONPATH": str(ROOT), **usual, **environment}
+    done = subprocess.run(program, cwd=place, env=whole, capture_output=True, text=True)
+    (out / "printed.txt").write_text(f"exit code {done.returncode}\n{done.stdout}{done.stderr}".replace(str(place), ""))
+
+
+def differences(a: Any, b: Any, place: str = "", error: float = 0.0) -> list[str]:
+    """Of two JSON trees; error : the standard error that stands beside a number"""
+    if isinstance(a, dict) and isinstance(b, dict):
+        lost = [f"{place}: keys {sorted(set(a) ^ set(b))}"] if set(a) != set(b) else []
+        beside = next((float(a[key]) for key in ERRORS if isinstance(a.get(key), int | float)), 0.0)
+        both = [key for key in a if key in b and not VOLATILE.search(str(key))]
+        return lost + [line for key in both for line in differences(a[key], b[key], f"{place}.{key}", beside)]
+    if isinstance(a, list) and isinstance(b, list):
+        if len(a) != len(b):
+            return [f"{place}: {len(a)} entries and {len(b)}"]
+        return [d for i, (x, y) in enumerate(zip(a, b, strict=True)) for d in differences(x, y, f"{place}[{i}]")]
+    if isinstance(a, float) and isinstance(b, int | float):
+        near = abs(a - b) <= max(OF_ERROR * abs(error) if error else OF_ITSELF * abs(a), WHOLE) or (a != a and b != b)
+        return [] if near else [f"{place}: {a!r} and {b!r} ({abs(a - b) / max(abs(a), abs(b)):.1e} of it)"]
+    return [] if a == b else [f"{place}: {a!r} and {b!r}"[:300]]
+
+
+def compared(one: Path, other: Path, moved: bool) -> list[str]:
+    """What differs between the folders of one command."""
+    names = {p.relative_to(one) for p in one.rglob("*") if p.is_file()}
+    names ^= {p.relative_to(other) for p in other.rglob("*") if p.is_file()}
+    found = [f"{name}: is in one only" for name in sorted(names)]
+    for path in sorted(p for p in one.rglob("*") if p.is_file()):
+        name = path.relative_to(one)
+        if not (other / name).is_file() or path.suffix in (".html", ".parquet") or path.name == "manifest.json":
+            continue
+        a, b = path.read_text("utf-8", "replace"), (other / name).read_text("utf-8", "replace")
+        if a == b:
+            continue
+        if path.suffix == ".json":
+            found += [f"{name}{line}" for line in differences(json.loads(a), json.loads(b))]
+        elif path.suffix == ".csv" or (moved and path.suffix != ".txt"):
+            found += [f"{name} {line}" for line in differences(_cells(a), _cells(b))]
+        else:
+            lines = [pair for pair in zip(a.splitlines(), b.splitlines(), strict=False) if pair[0] != pair[1]]
+            found += [f"{name}: {x.strip()[:100]!r} and {y.strip()[:100]!r}" for x, y in lines[:3]] or [
+                f"{name}: length"
+            ]
+    return found
+
+
+def _cells(text: str) -> list[list[Any]]:
+    """Words and numbers of every line."""
+    number = re.compile(r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?")
+    cells = [re.split(r"[\s,;(){}\[\]=]+", line) for line in text.splitlines()]
+    return [[float(c) if number.fullmatch(c) else c for c in row] for row in cells]
+
+
+def main() -> int:
+    """Run as this machine does, and as others, and list what differs."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--only", default="")
+    parser.add_argument("--environments", default="", help="names, by commas")
+    parser.add_argument("--jobs", type=int, default=1)
+    given = parser.parse_args()
+    chosen = given.environments.split(",") if given.environments else QUICK if given.quick else tuple(ENVIRONMENTS)
+    count = 0
+    with tempfile.TemporaryDirectory() as folder:
+        base = Path(folder)
+        (base / "inputs").mkdir()
+        wanted = todo(base / "inputs", given.only or (QUICK_COMMANDS if given.quick else ""))
+        later = [name for name in wanted if "MADE" in " ".join(wanted[name])]
+        for which in ("here", *chosen):
+            place = base / "as" / which.replace(" ", "-")
+            place.mkdir(parents=True)
+            inputs(place, which == MOVED)
+            with ThreadPoolExecutor(given.jobs) as pool:
+                for names in ([name for name in wanted if name not in later], later):
+                    list(pool.map(lambda n: run(n, wanted[n], place, ENVIRONMENTS.get(which, {})), names))  # noqa: B023
+            if which == "here":
+                continue
+            for name in wanted:
+                here = base / "as" / "here" / "made" / name
+                found = compared(here, place / "made" / name, which == MOVED)
+                count += bool(found)
+                for line in found[:6]:
+                    print(f"DIFFERS {which}: {name}: {line}", flush=True)
+                if len(found) > 6:
+                    print(f"DIFFERS {which}: {name}: and {len(found) - 6} more")
+            print(f"{which}: {len(wanted)} commands compared", flush=True)
+            shutil.rmtree(place)
+    print(f"{len(wanted)} commands as {len(chosen)} other machines: {count} of {len(wanted) * len(chosen)} differ")
+    return 1 if count else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
