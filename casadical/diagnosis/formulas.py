@@ -60,9 +60,9 @@ def _seam_derivative(effect: Effect, s: Seams, logged: dict[str, ca.SX]) -> ca.S
     if ca.depends_on(energy, theta):
         angle += deflections(context.arm, gravity_torques(exact, energy), context.values)
     seams, n = [angle], context.arm.n
-    seams += [_twist(effect.link(i, context)) for i in range(1, n + 1)] if _acts(effect, "link") else [ca.SX(6 * n, 1)]
-    seams += [_twist(effect.base(context)) if _acts(effect, "base") else ca.SX(6, 1)]
-    seams += [_twist(effect.tool(context)) if _acts(effect, "tool") else ca.SX(6, 1)]
+    seams += [screw(effect.link(i, context)) for i in range(1, n + 1)] if _acts(effect, "link") else [ca.SX(6 * n, 1)]
+    seams += [screw(effect.base(context)) if _acts(effect, "base") else ca.SX(6, 1)]
+    seams += [screw(effect.tool(context)) if _acts(effect, "tool") else ca.SX(6, 1)]
     seams += [effect.measurement(s.point, context) - s.point if _acts(effect, "measurement") else ca.SX(3, 1)]
     derivative = ca.jacobian(ca.vertcat(*seams), theta)
     return ca.substitute(derivative, theta, ca.SX.zeros(theta.numel()))
@@ -73,7 +73,7 @@ def _acts(effect: Effect, seam: str) -> bool:
     return getattr(type(effect), seam) is not getattr(Effect, seam)
 
 
-def _twist(T: ca.SX) -> ca.SX:
+def screw(T: ca.SX) -> ca.SX:
     """The six numbers of a transform near identity, to first order."""
     T = ca.SX(T)
     turn = 0.5 * ca.vertcat(T[2, 1] - T[1, 2], T[0, 2] - T[2, 0], T[1, 0] - T[0, 1])

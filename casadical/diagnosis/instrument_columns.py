@@ -64,12 +64,12 @@ def with_images(m: Measurements, sets: Sequence[Measurements], stops: Stops) -> 
     of_row = {name: np.zeros(len(stops.of)) for name in names}
     for part, at in zip(sets, edges_of(sets), strict=True):
         if part.orientation is not None and part.position is not None:
-            for name, values in _images(part.position, part.orientation).items():
+            for name, values in images_of(part.position, part.orientation).items():
                 of_row[name][at] = values
     return replace(m, conditions={**m.conditions, **by_turn(of_row, stops, len(m))})
 
 
-def _images(p: Array, R: Array) -> Mapping[str, Array]:
+def images_of(p: Array, R: Array) -> Mapping[str, Array]:
     """Of measured positions, shape (n, 3) [m], and orientations, shape (n, 3, 3).
 
     A fixed camera has its lens where the measuring frame is, one that is carried where the tool frame is and sees the

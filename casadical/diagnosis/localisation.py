@@ -87,7 +87,7 @@ def localise_residual(
         directions=_directions(case, split),
         regions=split.table(*_regions(case)),
         payload=split.table(*_payload(case)),
-        temperature=split.table(*_thirds(case, "temperature", "temperature_degC", "degC")),
+        temperature=split.table(*thirds_of(case, "temperature", "temperature_degC", "degC")),
         time=split.table(*_time(case)),
         approach=split.table(*_approach(case)),
     )
@@ -205,7 +205,7 @@ def _payload(case: Case) -> Masks:
     )
 
 
-def _thirds(case: Case, by: str, column: str, unit: str) -> Masks:
+def thirds_of(case: Case, by: str, column: str, unit: str) -> Masks:
     logged = case.m.conditions.get(column)
     return [] if logged is None else _in_thirds(by, logged, unit, 1)
 

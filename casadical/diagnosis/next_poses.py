@@ -92,7 +92,7 @@ def next_poses(
             return pd.DataFrame()
         known = {c.label for c in case.candidates}
         others = tuple(k for k in found.rankings[-1].order if k in known and k not in labels)[:1]
-    causes = _causes(case, labels, (NONE, *others) if beside is None else beside)
+    causes = causes_in_question(case, labels, (NONE, *others) if beside is None else beside)
     noise = causes[0].noise
     effects = tuple(dict.fromkeys(e for cause in causes for e in cause.variant))
     columns = dict.fromkeys((*case.robot.conditions, *(c for e in effects for c in e.conditions)))
@@ -104,7 +104,7 @@ def next_poses(
     asked = [(p, r) for first, second, p, r in rivals if first and second]
     also = [(p, r) for first, second, p, r in rivals if first != second]
     picked, gained = pick(asked, also, min(n, len(drawn)))
-    return _table(case, effects, drawn, picked, gained)
+    return table_of(case, effects, drawn, picked, gained)
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class _Cause:
     noise: Noise
 
 
-def _causes(case: Case, labels: Sequence[str], beside: Sequence[str] = ()) -> list[_Cause]:
+def causes_in_question(case: Case, labels: Sequence[str], beside: Sequence[str] = ()) -> list[_Cause]:
     """Each label with its most likely settings and another that the data allow as well; of those beside, one each."""
     if len(set(labels)) < 2:
         raise InputError(f"causes {list(labels)}; give two or more to distinguish")
@@ -140,7 +140,7 @@ def _causes(case: Case, labels: Sequence[str], beside: Sequence[str] = ()) -> li
     return sorted(found, key=lambda cause: cause.noise.sigma)
 
 
-def _table(
+def table_of(
     case: Case, effects: tuple[Effect, ...], drawn: LaterPoses, picked: list[int], gained: list[float]
 ) -> pd.DataFrame:
     rows = drawn.m[np.array(picked, dtype=np.int64)]

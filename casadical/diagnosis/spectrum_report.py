@@ -51,10 +51,10 @@ def _line(line: Line) -> str:
         low, *_, high = sorted((line.frequency, *line.rivals))
         return f"one of {1 + len(line.rivals)} frequencies from {low:.1f} to {high:.1f} {size}"
     rivals = "".join(f" or {f:.1f}" for f in line.rivals)
-    return f"{line.frequency:.{_decimals(line)}f}{rivals}{_relation(line)} {size}"
+    return f"{line.frequency:.{decimals_of(line)}f}{rivals}{_relation(line)} {size}"
 
 
-def _decimals(line: Line) -> int:
+def decimals_of(line: Line) -> int:
     return 2 if line.frequency_error < 0.05 else 1
 
 

@@ -110,7 +110,7 @@ def brief(title: str, d: Diagnosis, more: Details | None = None) -> Sequence[Wor
         Words(told[0].sentence, "verdict"),
         _errors(d, more),
         *_causes(d),
-        *(Words(_short(s), "warning" if s.doubtful else "note") for s in _things(d, told)),
+        *(Words(_short(s), "warning" if s.doubtful else "note") for s in things_to_know(d, told)),
     ]
 
 
@@ -134,7 +134,7 @@ def _causes(d: Diagnosis) -> Iterator[Table | Words]:
         yield Words(f"and {len(rows) - CAUSES} more")
 
 
-def _things(d: Diagnosis, told: Sequence[Statement]) -> list[Statement]:
+def things_to_know(d: Diagnosis, told: Sequence[Statement]) -> list[Statement]:
     """One statement of each kind at most, doubts first."""
     of_each: dict[str, Statement] = {}
     for s in told:

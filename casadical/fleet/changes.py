@@ -328,7 +328,8 @@ def _change(found: Comparison, change: Change) -> Iterable[Words | Table]:
     yield Words(f"CHANGED: {in_words(found, change)}.", "verdict")
     since, per = found.campaigns[change.since].label, _per(found, change)
     words = f"{change.words[0].upper()}{change.words[1:]}."
-    yield Words(f"{words} The data are {_times(change.log_odds)} times more probable with a change than without.")
+    more = times_in_words(change.log_odds)
+    yield Words(f"{words} The data are {more} times more probable with a change than without.")
     if len(found.campaigns) > 2:
         first, last = (found.campaigns[k].label for k in change.between)
         when = f"First seen at {since}" + (f", 95 % between {first} and {last}" if first != last else "")
@@ -358,7 +359,7 @@ def _signed(value: float) -> str:
     return f"{value:+.3g}"
 
 
-def _times(log_odds: float) -> str:
+def times_in_words(log_odds: float) -> str:
     if log_odds > MOST * np.log(10):
         return f"more than 1e{MOST}"
     return f"{np.exp(log_odds):.3g}" if log_odds < 20 else f"1e{log_odds / np.log(10):.0f}"

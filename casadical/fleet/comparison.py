@@ -241,7 +241,7 @@ def _best(
     prior = 0.0
     for candidate in candidates:
         share = FREQUENCY[candidate.kind] / whole / kinds.count(candidate.kind)
-        for course, weight, since, courses in _courses(candidate.kind, times, dated):
+        for course, weight, since, courses in courses_of(candidate.kind, times, dated):
             H, b = visible(model, candidate.columns, courses)
             m = courses.shape[2]
             logs = log_evidence(H, b, np.tile(candidate.sizes, m)) + np.log(share * weight)[:, None]
@@ -259,7 +259,7 @@ def _best(
     return _Accepted(top.candidate, top.courses[k], kappa, top, odds, found)
 
 
-def _courses(kind: str, times: Array, dated: bool) -> Iterable[tuple[Course, Array, Array, Array]]:
+def courses_of(kind: str, times: Array, dated: bool) -> Iterable[tuple[Course, Array, Array, Array]]:
     """Each course that a kind of change may have: its name, weights, first campaigns that show it, and factors."""
     n = len(times)
     onset, since = _onsets(n), np.arange(1, n)

@@ -149,7 +149,7 @@ def drop_poor(
         if not kept or ratio.max() <= 1:
             return kept, poor, covariance
         worst = int(np.argmax(ratio))
-        partners = _correlated(covariance, worst, [parameters[k].name for k in kept])
+        partners = correlated_pairs(covariance, worst, [parameters[k].name for k in kept])
         poor.append(_poorly_determined(parameters[kept[worst]], errors[worst], partners))
         left.remove(kept[worst])
 
@@ -181,7 +181,7 @@ def _poorly_determined(p: Parameter, error: float, partners: tuple[str, ...]) ->
     return Unidentifiable(p.name, reason, partners)
 
 
-def _correlated(covariance: Array, k: int, names: Sequence[str], above: float = 0.9) -> tuple[str, ...]:
+def correlated_pairs(covariance: Array, k: int, names: Sequence[str], above: float = 0.9) -> tuple[str, ...]:
     """Up to six parameters whose estimates are correlated with parameter k, the strongest first."""
     errors = np.sqrt(np.diag(covariance))
     share = np.abs(covariance[k] / (errors[k] * errors))

@@ -36,7 +36,7 @@ HELD = 100_000
 
 # Square of the normalised residual at which a robust loss leaves the parabola: the 95 % quantile of a chi-squared
 # distribution with as many degrees of freedom as the kind observes.
-_KNEE = {1: 3.84, 2: 5.99, 3: 7.81, 4: 9.49, 5: 11.07, 6: 12.59}
+KNEE = {1: 3.84, 2: 5.99, 3: 7.81, 4: 9.49, 5: 11.07, 6: 12.59}
 
 
 def _linear(s: Array, _knee: float) -> tuple[Array, Array]:
@@ -207,9 +207,9 @@ def make_block(
 
 def loss_value(loss: Loss, r: Array) -> Array:
     """Square of each pose's residual through the loss, shape (n,), for residuals r, shape (n, m), in units of sigma."""
-    return _LOSS[loss](np.einsum("ij,ij->i", r, r), _KNEE[r.shape[1]])[0]
+    return _LOSS[loss](np.einsum("ij,ij->i", r, r), KNEE[r.shape[1]])[0]
 
 
 def loss_slope(loss: Loss, r: Array) -> Array:
     """Weight that the loss gives each pose, shape (n,), for residuals r, shape (n, m), in units of sigma."""
-    return _LOSS[loss](np.einsum("ij,ij->i", r, r), _KNEE[r.shape[1]])[1]
+    return _LOSS[loss](np.einsum("ij,ij->i", r, r), KNEE[r.shape[1]])[1]

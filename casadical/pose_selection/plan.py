@@ -170,8 +170,8 @@ def _map(plan: Selection) -> Table:
     assert plan.task.position is not None
     local = (plan.task.position - plan.robot.base.T[:3, 3]) @ plan.robot.base.T[:3, :3]
     error = plan.expected_error()
-    height = _thirds(local[:, 2])
-    distance = _thirds(np.hypot(local[:, 0], local[:, 1]))
+    height = thirds_of(local[:, 2])
+    distance = thirds_of(np.hypot(local[:, 0], local[:, 1]))
     rows = []
     for k in (2, 1, 0):
         cells = [error[(height == k) & (distance == i)] for i in range(3)]
@@ -179,7 +179,7 @@ def _map(plan: Selection) -> Table:
     return Table("Expected error [mm]", ("point", *_DISTANCES), rows, frozenset({1, 2, 3}))
 
 
-def _thirds(values: Array) -> Array:
+def thirds_of(values: Array) -> Array:
     return np.searchsorted(np.quantile(values, [1 / 3, 2 / 3]), values)
 
 

@@ -189,7 +189,7 @@ class Workspace:
         """
         lower, upper = self.ranges(robot)
         found: dict[str, Array] = {"joint range": np.asarray(((q < lower - 1e-9) | (q > upper + 1e-9)).any(axis=1))}
-        points, R, margin = _places(robot, q)
+        points, R, margin = places_about(robot, q)
         if robot.loops:
             found["four-bar margin"] = ~(margin >= self.margin)
         tool = points[:, -1]
@@ -210,7 +210,7 @@ class Workspace:
         """
         if not robot.loops:
             return self
-        return replace(self, margin=max(self.margin, float(_places(robot, q)[2].min())))
+        return replace(self, margin=max(self.margin, float(places_about(robot, q)[2].min())))
 
     def allows(self, robot: Robot, q: Array) -> Array:
         """Which of the readings may be measured.
@@ -242,7 +242,7 @@ def _places_function(robot: Robot) -> ca.Function:
     )
 
 
-def _places(robot: Robot, q: Array) -> tuple[Array, Array, Array]:
+def places_about(robot: Robot, q: Array) -> tuple[Array, Array, Array]:
     """Points, shape (n, joints, 3) [m], tool orientations, shape (n, 3, 3), least margins of loops, shape (n,)."""
     count, rigid = len(q), robot.with_only(())
     f = _places_function(robot)

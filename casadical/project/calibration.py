@@ -346,7 +346,7 @@ def calibrate(
         trained = train_networks(problem, skcm, names, seed=problem.seed, show=progress, judged=used)
     told = together(used).items()
     accuracies = {k: {to: r.accuracy(*(used[n] for n in names)) for to, names in told} for k, r in results.items()}
-    return Calibration(problem, results, accuracies, trained, _without_prior(plain, results) if plain else None)
+    return Calibration(problem, results, accuracies, trained, accuracy_without_prior(plain, results) if plain else None)
 
 
 def _identified(problem: Problem, show: Show, count: int) -> dict[str, Identification]:
@@ -372,7 +372,7 @@ def _identified(problem: Problem, show: Show, count: int) -> dict[str, Identific
     return {**results, last: found}
 
 
-def _without_prior(plain: Problem, results: Mapping[str, Identification]) -> Accuracy | None:
+def accuracy_without_prior(plain: Problem, results: Mapping[str, Identification]) -> Accuracy | None:
     """Of held-out poses, by the last method, as if there were no prior; None where they are too few without one.
 
     plain : the problem without the prior

@@ -53,7 +53,7 @@ def things_to_know(
     problem: Problem, last: Identification, networks: Networks | None, accuracies: Accuracies
 ) -> Iterator[Words]:
     """At most three, the most important first; last : by the method that counts."""
-    found = [*_doubts(problem, last), *_no_better(problem, last, accuracies), *_notes(problem, last, networks)]
+    found = [*_doubts(problem, last), *no_better(problem, last, accuracies), *_notes(problem, last, networks)]
     yield from found[:THINGS]
 
 
@@ -84,7 +84,7 @@ def _doubts(problem: Problem, last: Identification) -> Iterator[Words]:
         yield Words("No poses were held out: on new poses the error will be greater.", "warning")
 
 
-def _no_better(problem: Problem, last: Identification, accuracies: Accuracies) -> Iterator[Words]:
+def no_better(problem: Problem, last: Identification, accuracies: Accuracies) -> Iterator[Words]:
     """Where calibration hardly helps: which data would, if the parameters are at fault and not what the model lacks.
 
     They are where the error of held-out poses is clearly greater than that of the fitted ones.

@@ -11,7 +11,7 @@ import pytest
 from cases import diagnose
 from scipy.spatial.transform import Rotation
 
-from casadical.diagnosis.instrument_columns import _images
+from casadical.diagnosis.instrument_columns import images_of
 from casadical.measurements.measurements import Measurements
 from casadical.project.problem import read_campaign_robot
 
@@ -102,7 +102,7 @@ def test_a_good_camera_has_no_fault() -> None:
 def test_what_a_fault_adds_is_moved_as_the_pinhole_moves_it() -> None:
     m = campaign("none", False)
     for side in ("fixed", "carried"):
-        made = _images(m.position, m.orientation)
+        made = images_of(m.position, m.orientation)
         depth = np.column_stack([made[f"{side}_depth_{c}_m"] for c in "xyz"])
         for k in range(0, POSES, 20):
             T = np.eye(4)

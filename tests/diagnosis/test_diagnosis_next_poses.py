@@ -13,7 +13,7 @@ from casadical import InputError, identify
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.linearisation import linearise
-from casadical.diagnosis.next_poses import _causes, next_poses
+from casadical.diagnosis.next_poses import causes_in_question, next_poses
 from casadical.diagnosis.pose_separation import Comparison, Prediction, Predictive, noise_at, predict_cause
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements
@@ -85,7 +85,7 @@ def test_table_can_be_taken_to_the_robot(doubtful) -> None:
 )
 def test_chosen_poses_tell_more_than_random_ones(doubtful, labels: list[str]) -> None:
     best = next_poses(doubtful, 8, labels, beside=(), pool=400)["separation"].iloc[-1]
-    causes = _causes(doubtful, labels)
+    causes = causes_in_question(doubtful, labels)
     least = causes[0].noise
     effects = tuple(dict.fromkeys(e for cause in causes for e in cause.variant))
     columns = dict.fromkeys((*doubtful.robot.conditions, *(c for e in effects for c in e.conditions)))

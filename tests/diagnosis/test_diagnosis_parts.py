@@ -24,21 +24,21 @@ from casadical.diagnosis.candidates import Candidate, standard_candidates
 from casadical.diagnosis.details import analyse
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, SIGMAS, KnownNoise, log_known
 from casadical.diagnosis.formula_cache import KeptFormulas
-from casadical.diagnosis.formulas import _twist
+from casadical.diagnosis.formulas import screw
 from casadical.diagnosis.laws.drivers import Driver
-from casadical.diagnosis.laws.forms import _with_widths
+from casadical.diagnosis.laws.forms import with_widths
 from casadical.diagnosis.laws.problem import Problem
 from casadical.diagnosis.laws.screening import Screen, log_mean
 from casadical.diagnosis.line_search import Line, Search
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.localisation import _thirds
-from casadical.diagnosis.next_poses import _table
+from casadical.diagnosis.localisation import thirds_of
+from casadical.diagnosis.next_poses import table_of
 from casadical.diagnosis.noise_floor import replicates
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, SAME_JOINT, rank
 from casadical.diagnosis.seams import seams_of
-from casadical.diagnosis.spectrum_report import _decimals
+from casadical.diagnosis.spectrum_report import decimals_of
 from casadical.diagnosis.statements import Statement, statements
-from casadical.diagnosis.text import _things
+from casadical.diagnosis.text import things_to_know
 from casadical.effects import Backlash, GearEccentricity, NonlinearStiffness
 from casadical.effects.base import CHOSEN
 from casadical.identification.identification import base_calibrated
@@ -160,9 +160,9 @@ def test_repeated_poses_have_the_freedom_that_their_means_leave() -> None:
     assert found.sigma == pytest.approx(np.sqrt(square / 12))
 
 
-def test_the_twist_of_a_small_transform() -> None:
+def test_the_screw_a_small_transform() -> None:
     turn, shift = np.array([1e-6, -2e-6, 3e-6]), np.array([0.1, 0.2, -0.3])
-    found = np.array(ca.DM(_twist(ca.SX(ca.DM(frame(from_rpy(turn), shift)))))).ravel()
+    found = np.array(ca.DM(screw(ca.SX(ca.DM(frame(from_rpy(turn), shift)))))).ravel()
     assert_allclose(found, [*shift, *turn], atol=1e-11)
 
 
@@ -181,7 +181,7 @@ def test_drivers_of_columns_alone() -> None:
 
 def test_positions_and_widths_of_a_form_lie_within_the_driver() -> None:
     x = np.linspace(-2.0, 6.0, 801)
-    grid = _with_widths(4, [0.1, 0.2])(x)
+    grid = with_widths(4, [0.1, 0.2])(x)
     assert_allclose(np.unique(grid[:, 0]), [-1, 1, 3, 5], atol=0.02)
     assert_allclose(np.unique(grid[:, 1]), [0.8, 1.6], rtol=0.02)
     assert len(grid) == 8
@@ -232,14 +232,14 @@ def test_the_grid_of_lines_ends_at_the_highest_frequency() -> None:
 
 @pytest.mark.parametrize(("error", "shown"), [(0.01, 2), (0.0499, 2), (0.05, 1), (0.3, 1)])
 def test_digits_of_a_frequency(error: float, shown: int) -> None:
-    assert _decimals(Line(1, 17.0, error, 1e-5, 1e-6, 0.0, 0.1, 1e-9)) == shown
+    assert decimals_of(Line(1, 17.0, error, 1e-5, 1e-6, 0.0, 0.1, 1e-9)) == shown
 
 
 def test_thirds_are_named_to_a_tenth() -> None:
     found = planar().case
     case = replace(found, m=replace(found.m, conditions={"temperature_degC": np.linspace(20.0, 29.0, len(found.m))}))
-    assert _thirds(case, "temperature", "time_s", "degC") == []
-    names = [name for _, name, _ in _thirds(case, "temperature", "temperature_degC", "degC")]
+    assert thirds_of(case, "temperature", "time_s", "degC") == []
+    names = [name for _, name, _ in thirds_of(case, "temperature", "temperature_degC", "degC")]
     assert names == ["20.0 .. 23.0 degC", "23.0 .. 26.0 degC", "26.0 .. 29.0 degC"]
 
 
@@ -259,8 +259,8 @@ def test_the_short_answer_has_each_kind_once_and_doubts_first() -> None:
         Statement("CANNOT", "tell"), Statement("WHERE", "joint 2"), Statement("GAP", "0.1 mm", doubtful=True),
     ]  # fmt: skip
     explained = replace(planar(), verdict="explained")
-    assert [(s.about, s.text) for s in _things(explained, told)] == [("UNKNOWN", "doubt"), ("WHERE", "joint 2")]
-    assert [s.about for s in _things(planar(), told)] == ["UNKNOWN"]
+    assert [(s.about, s.text) for s in things_to_know(explained, told)] == [("UNKNOWN", "doubt"), ("WHERE", "joint 2")]
+    assert [s.about for s in things_to_know(planar(), told)] == ["UNKNOWN"]
 
 
 def test_next_poses_have_the_unit_of_their_joint() -> None:
@@ -270,7 +270,7 @@ def test_next_poses_have_the_unit_of_their_joint() -> None:
     plain = SimpleNamespace(plain=True)
     case: Any = SimpleNamespace(robot=SimpleNamespace(joints=joints, payload=None), m=m, observations=plain)
     drawn: Any = SimpleNamespace(m=m, warm=None, repeated=np.array([-1, -1]), q=q)
-    table = _table(case, (), drawn, [0], [0.5])
+    table = table_of(case, (), drawn, [0], [0.5])
     assert table.loc[0, ["q1_deg", "q2_mm"]].tolist() == [30.0, 250.0]
 
 

@@ -11,8 +11,8 @@ from casadical import plot
 from casadical.core.telling.blocks import Table
 from casadical.fleet.campaigns import in_order, name_of
 from casadical.fleet.candidates import FREQUENCY, Candidate
-from casadical.fleet.changes import MEANT, Change, _times
-from casadical.fleet.comparison import _courses, compare
+from casadical.fleet.changes import MEANT, Change, times_in_words
+from casadical.fleet.comparison import compare, courses_of
 from casadical.fleet.estimates import estimate
 
 ZERO = Candidate("joint_zero", 2, ("theta2",), np.ones((1, 1)), np.array([3e-4]))
@@ -28,7 +28,7 @@ def test_a_drift_of_a_zero_is_no_crash() -> None:
 
 def test_each_kind_of_change_has_words_for_the_courses_that_it_may_have() -> None:
     for kind in FREQUENCY:
-        possible = {course for course, *_ in _courses(kind, np.arange(4) / 12, dated=True)}
+        possible = {course for course, *_ in courses_of(kind, np.arange(4) / 12, dated=True)}
         assert possible == {course for course, words in MEANT.items() if kind in words}
 
 
@@ -65,7 +65,7 @@ def test_campaigns_of_which_one_has_no_date_are_all_drawn_by_their_numbers() -> 
 
 
 def test_odds_beyond_all_measure_are_not_counted() -> None:
-    assert [_times(odds * np.log(10)) for odds in (2, 99, 8871)] == ["100", "1e99", "more than 1e100"]
+    assert [times_in_words(odds * np.log(10)) for odds in (2, 99, 8871)] == ["100", "1e99", "more than 1e100"]
 
 
 def test_a_robot_is_called_by_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,7 @@ from casadical import FourBar, Joint, Placement, Robot, identify
 from casadical.core.errors import InputError
 from casadical.core.transforms import frame, from_rpy
 from casadical.identification.accuracy import summarise
-from casadical.identification.identifiability import _correlated, analyse
+from casadical.identification.identifiability import analyse, correlated_pairs
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against, least_margins
 from casadical.identification.prior import Prior
@@ -84,9 +84,9 @@ def test_what_is_independent_does_not_depend_on_the_unit(unit: float) -> None:
 
 def test_estimates_are_correlated_whatever_the_sign() -> None:
     C = np.array([[4.0, -3.9, 1.0], [-3.9, 4.0, 0.0], [1.0, 0.0, 9.0]])
-    assert _correlated(C, 0, ["a", "b", "c"]) == ("b",)
-    assert _correlated(C, 1, ["a", "b", "c"]) == ("a",)
-    assert _correlated(C, 2, ["a", "b", "c"]) == ()
+    assert correlated_pairs(C, 0, ["a", "b", "c"]) == ("b",)
+    assert correlated_pairs(C, 1, ["a", "b", "c"]) == ("a",)
+    assert correlated_pairs(C, 2, ["a", "b", "c"]) == ()
 
 
 def test_a_base_that_leans_is_placed_where_one_joint_is_compliant() -> None:

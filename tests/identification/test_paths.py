@@ -37,7 +37,7 @@ def test_chunks_sum_to_the_whole(n, monkeypatch):
     cost, gradient, hessian = sums(least_squares, v)
     found = [one_pose(least_squares, k, v) for k in range(n)]
     r, J = (np.array(both) for both in zip(*found, strict=True))
-    knee = residuals._KNEE[3]
+    knee = residuals.KNEE[3]
     root = np.sqrt(1 + np.sum(r**2, axis=1) / knee)
     assert cost == pytest.approx(np.sum(knee * (root - 1)), rel=1e-12)
     assert np.allclose(

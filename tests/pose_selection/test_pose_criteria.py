@@ -13,7 +13,7 @@ from casadical.measurements.measurements import unmeasured
 from casadical.measurements.noise import Noise
 from casadical.pose_selection.criteria import SPECTRAL, checked, observability
 from casadical.pose_selection.information import noise_covariance
-from casadical.pose_selection.plan import _thirds
+from casadical.pose_selection.plan import thirds_of
 
 ROOT = Path(__file__).parents[2]
 
@@ -53,8 +53,8 @@ def test_an_unknown_criterion_is_refused_with_those_there_are() -> None:
 
 def test_thirds_hold_a_third_each() -> None:
     values = np.random.default_rng(0).permutation(np.arange(300.0))
-    assert np.bincount(_thirds(values)).tolist() == [100, 100, 100]
-    assert (_thirds(values) == values // 100).all()
+    assert np.bincount(thirds_of(values)).tolist() == [100, 100, 100]
+    assert (thirds_of(values) == values // 100).all()
 
 
 def test_the_covariance_of_a_point_holds_what_each_joint_repeats() -> None:

@@ -9,7 +9,7 @@ from pose_arms import elbow, planar, readings, with_loop
 from casadical import InputError
 from casadical.pose_selection import Workspace
 from casadical.pose_selection.candidates import draw
-from casadical.pose_selection.workspace import Box, Tracker, _places
+from casadical.pose_selection.workspace import Box, Tracker, places_about
 from casadical.pose_selection.workspace_file import read_workspace
 
 BOX = Box(np.array([-0.2, -0.1, 0.1]), np.array([0.3, 0.5, 0.4]))
@@ -54,7 +54,7 @@ def test_a_tracker_sees_a_cone_and_the_open_side() -> None:
 def test_places_are_those_of_the_kinematics() -> None:
     robot = planar()
     q = readings(robot, 5, 0)
-    points, _, _ = _places(robot, q)
+    points, _, _ = places_about(robot, q)
     elbow_at = 0.4 * np.column_stack([np.cos(q[:, 0]), np.sin(q[:, 0])])
     tip = elbow_at + 0.3 * np.column_stack([np.cos(q.sum(axis=1)), np.sin(q.sum(axis=1))])
     np.testing.assert_allclose(points[:, 0, :2], elbow_at, atol=1e-12)
@@ -73,7 +73,7 @@ def test_every_filter_refuses_what_it_names() -> None:
     assert set(refused) == {"joint range", "floor", "box", "line of sight"}
     assert all(mask.any() for mask in refused.values())
     kept = draw(robot, 50, room, np.random.default_rng(0))
-    points, _, _ = _places(robot, kept)
+    points, _, _ = places_about(robot, kept)
     assert points[:, :, 2].min() >= 0.15
     assert np.abs(kept).max() <= 2.0
     assert not room.boxes[0].holds(points, 0.05).any()

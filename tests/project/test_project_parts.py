@@ -12,14 +12,13 @@ import pytest
 from casadical import report
 from casadical.diagnosis.localisation import Localisation
 from casadical.project import remaining_errors
-from casadical.project.calibration import _without_prior
-from casadical.project.check.check import LACKS, _outlook_findings
+from casadical.project.calibration import accuracy_without_prior
+from casadical.project.check.check import LACKS, outlook_findings
 from casadical.project.check.information import outlook
 from casadical.project.check.result import Precheck
 from casadical.project.check.slip_fit import Hypothesis
-from casadical.project.check.slips import _outside
 from casadical.project.new.texts import Given, with_measured
-from casadical.project.outcome import _no_better, made_readings
+from casadical.project.outcome import made_readings, no_better
 from casadical.project.planning import plan
 from casadical.project.problem import read_problem
 from casadical.project.remaining_errors import where_left
@@ -51,7 +50,7 @@ def test_a_forecast_is_the_same_every_time_and_that_of_seed_zero(planar: Problem
 
 def test_a_misfit_is_more_than_four_times_the_noise(planar: Problem, seen: Outlook) -> None:
     def misfits(scatter: float) -> list[str]:
-        found = _outlook_findings(replace(seen, scatter=scatter), planar.robot, 1e-4)
+        found = outlook_findings(replace(seen, scatter=scatter), planar.robot, 1e-4)
         return [f.topic for f in found if f.topic == "misfit"]
 
     assert LACKS == 4
@@ -75,7 +74,7 @@ def test_readings_a_hundredth_beyond_the_limits_are_within(planar: Problem) -> N
     lower, upper = np.array([(j.lower, j.upper) for j in robot.joints]).T
     nothing = Hypothesis.none(robot.n)
     for q, outside in ((upper + 0.005, False), (upper + 0.02, True), (lower - 0.005, False), (lower - 0.02, True)):
-        assert _outside(nothing, robot, np.tile(q, (20, 1))) is outside
+        assert outside(nothing, robot, np.tile(q, (20, 1))) is outside
 
 
 def test_each_measured_point_has_a_table_of_its_own() -> None:
@@ -96,9 +95,9 @@ def test_the_forecast_of_a_plan_goes_twenty_poses_beyond_it(planar: Problem) -> 
 
 def test_too_few_poses_without_the_prior_are_no_error(calibrated: Any) -> None:
     planar = calibrated("planar")
-    assert _without_prior(planar.problem, planar.identifications) is not None
+    assert accuracy_without_prior(planar.problem, planar.identifications) is not None
     few = replace(planar.problem, sets={**planar.problem.sets, "identify": (planar.problem.sets["identify"][0][:2],)})
-    assert _without_prior(few, planar.identifications) is None
+    assert accuracy_without_prior(few, planar.identifications) is None
 
 
 def test_of_many_poses_some_tell_where_the_error_lies(calibrated: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -121,7 +120,7 @@ def test_an_error_is_localised_in_positions_of_one_set_only(calibrated: Any) -> 
     for sets in ((m, m), (distances,)):
         assert where_left(replace(result, measurements=sets)) is None
     # It was made ten times better, so no data are asked for.
-    assert list(_no_better(planar.problem, result, planar.accuracies)) == []
+    assert list(no_better(planar.problem, result, planar.accuracies)) == []
 
 
 def test_readings_that_problem_toml_makes_are_said_with_the_result(planar: Problem) -> None:

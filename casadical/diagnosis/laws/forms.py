@@ -95,7 +95,7 @@ def _beyond(x: Array) -> Array:
     return rounded(np.unique(np.quantile(np.abs(x), [0.1, 0.25, 0.4, 0.55, 0.7, 0.85]))[:, None])
 
 
-def _with_widths(count: int, shares: Sequence[float]) -> Callable[[Array], Array]:
+def with_widths(count: int, shares: Sequence[float]) -> Callable[[Array], Array]:
     """Positions and widths, these as shares of the driver's range."""
 
     def grid(x: Array) -> Array:
@@ -147,10 +147,10 @@ BELOW = Form("hinge below", ("max(0, k - x)",), ("k",), _quantiles(12))
 BEYOND = Form("hinge of the size", ("max(0, abs(x) - k)",), ("k",), _beyond)
 DEAD_BAND = Form("dead band", ("(max(0, x - k) - max(0, -x - k))",), ("k",), _beyond)
 BAND = Form("dead band in between", ("(max(0, x - k - w) - max(0, k - w - x))",), ("k", "w"), _bands)
-SATURATION = Form("saturation", ("tanh((x - k)/w)",), ("k", "w"), _with_widths(7, (0.03, 0.08, 0.16, 0.32)))
+SATURATION = Form("saturation", ("tanh((x - k)/w)",), ("k", "w"), with_widths(7, (0.03, 0.08, 0.16, 0.32)))
 STEPPED = Form("step", ("step(x - k)",), ("k",), _quantiles(30))
 RELAY = Form("relay", ("step(x - k)",), ("k",), _quantiles(10))
-BUMP = Form("bump", ("exp(-((x - k)/w)**2)",), ("k", "w"), _with_widths(9, (0.05, 0.1, 0.2, 0.35)))
+BUMP = Form("bump", ("exp(-((x - k)/w)**2)",), ("k", "w"), with_widths(9, (0.05, 0.1, 0.2, 0.35)))
 LEVELS = Form("levels", ("step(x - k)", "step(x - w)"), ("k", "w"), _between(10))
 BLOCK = Form("on and off", ("step(x - k)*step(w - x)",), ("k", "w"), _between(16))
 FADE = Form("fading", ("exp(-x/w)",), ("w",), _decays)

@@ -25,7 +25,7 @@ class C99(Language):
             f"{name}_example.c": example_source(program, label),
             "CMakeLists.txt": filled(template("CMakeLists.txt"), values),
             f"{name}.pc.in": filled(template("pkg_config.pc.in"), values | _FILLED_BY_CMAKE),
-            f"cross_check/{name}_casadi.c": _cross_check(program, label),
+            f"cross_check/{name}_casadi.c": other_source(program, label),
         }
 
 
@@ -34,7 +34,7 @@ _FILLED_BY_CMAKE = {
 }
 
 
-def _cross_check(program: TapeProgram, label: Label) -> str:
+def other_source(program: TapeProgram, label: Label) -> str:
     """C by CasADi's own code generator (double, with math.h): a second way from the same functions to numbers."""
     generator = casadi.CodeGenerator(f"{label.name}_casadi", {"with_header": False})
     found = {} if program.network is None else {program.network.key: program.network.function}

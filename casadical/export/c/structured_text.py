@@ -171,7 +171,7 @@ def _values_block(plan: Plan, values: dict[str, str], real: Real) -> str:
         if op in _SIMPLE:
             body = _SIMPLE[op]
         else:
-            more = _tables(plan, real) if op == "periodic" else {}
+            more = tables_of(plan, real) if op == "periodic" else {}
             declared, body = filled(template(f"{op}.st"), values | more).split("BODY\n")
             for line in declared.splitlines():
                 names, _, of = line.strip().rstrip(";").partition(" : ")
@@ -195,7 +195,7 @@ def _values_block(plan: Plan, values: dict[str, str], real: Real) -> str:
     return filled(template("values.st"), values | {"tables": tables, "variables": "".join(variables), "cases": cases})
 
 
-def _tables(plan: Plan, real: Real) -> dict[str, str]:
+def tables_of(plan: Plan, real: Real) -> dict[str, str]:
     """The numbers of all periodic tables, one after another."""
     points = [len(table) - 3 for table in plan.tables]
     begins = [sum(map(len, plan.tables[:i])) for i in range(len(plan.tables))]

@@ -62,17 +62,17 @@ def standard_dh(robot: Robot, like: Array) -> tuple[Array, Array, Array]:
     base = frame(_aligned(np.eye(3), frames[0][:3, 2]), frames[0][:3, 3] - _along(frames[0]) * frames[0][:3, 2])
     at, rows = base, []
     for i in range(robot.n - 1):
-        theta, d, a, alpha = _row(at, frames[i + 1], like[i])
+        theta, d, a, alpha = row_of(at, frames[i + 1], like[i])
         rows.append((theta, d, a, alpha))
-        at = at @ _standard(theta, d, a, alpha)
+        at = at @ standard_rows(theta, d, a, alpha)
     last = np.linalg.inv(at) @ frames[-1]
     theta, d = float(np.arctan2(last[1, 0], last[0, 0])), float(last[2, 3])
     rows.append((theta, d, 0.0, 0.0))
-    tool = np.array(inverse(at @ _standard(theta, d, 0.0, 0.0))) @ frames[-1] @ robot.tool.T
+    tool = np.array(inverse(at @ standard_rows(theta, d, 0.0, 0.0))) @ frames[-1] @ robot.tool.T
     return base, np.array(rows), tool
 
 
-def _row(at: Array, following: Array, like: float) -> tuple[float, float, float, float]:
+def row_of(at: Array, following: Array, like: float) -> tuple[float, float, float, float]:
     """theta, d, a, alpha from a frame whose z is an axis to the next axis."""
     local = np.array(inverse(at)) @ following
     z, p = local[:3, 2], local[:3, 3]
@@ -90,7 +90,7 @@ def _row(at: Array, following: Array, like: float) -> tuple[float, float, float,
     return theta, float(on[2]), float(on @ normal), alpha
 
 
-def _standard(theta: float, d: float, a: float, alpha: float) -> Array:
+def standard_rows(theta: float, d: float, a: float, alpha: float) -> Array:
     c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
     R = np.array([[c, -s * ca, s * sa], [s, c * ca, -c * sa], [0, sa, ca]])
     return frame(R, np.array([a * c, a * s, d]))

@@ -75,7 +75,7 @@ class Postures:
         points, axes = [T[:3, 3] for T in frames], [T[:3, 2] for T in frames]
         wrist = points[4] + _nearest(points[4], axes[4], points[3], axes[3]) * axes[4]
         miss = ca.norm_2(ca.cross(axes[3], wrist - points[3])) + ca.norm_2(ca.cross(axes[5], wrist - points[5]))
-        forward = _about(axes[0], q[0], ca.DM(self.root[:3, 0]))
+        forward = about_axis(axes[0], q[0], ca.DM(self.root[:3, 0]))
         upper = _across(points[2] - points[1], axes[1])
         lower = _across(wrist - points[2], axes[2])
         bend = ca.dot(ca.cross(upper, lower), ca.cross(ca.DM(self.root[:3, 2]), forward))
@@ -186,7 +186,7 @@ def _across(v: ca.SX, axis: ca.SX) -> ca.SX:
     return v - ca.dot(v, axis) * axis
 
 
-def _about(axis: ca.SX, angle: ca.SX, v: ca.DM) -> ca.SX:
+def about_axis(axis: ca.SX, angle: ca.SX, v: ca.DM) -> ca.SX:
     """A vector turned about an axis (Rodrigues)."""
     c, s = ca.cos(angle), ca.sin(angle)
     return c * v + s * ca.cross(axis, v) + (1 - c) * ca.dot(axis, v) * axis

@@ -27,7 +27,7 @@ def positions(xml: str, m: Measurements, payload_factor: float = 1.0) -> Array:
     Returns an array, shape (n, 3) [m]
     Raises InputError: MuJoCo is not installed, or readings of another robot; ConvergenceError: a loop cannot close.
     """
-    model = _Model(xml)
+    model = EngineModel(xml)
     if model.arm != m.q.shape[1]:
         raise InputError(f"{m.source}: {m.q.shape[1]} readings a pose, but the model has {model.arm} drives")
     found = np.empty((len(m), 3))
@@ -40,7 +40,7 @@ def positions(xml: str, m: Measurements, payload_factor: float = 1.0) -> Array:
     return found
 
 
-class _Model:
+class EngineModel:
     """A compiled model and the indices of its parts."""
 
     def __init__(self, xml: str) -> None:

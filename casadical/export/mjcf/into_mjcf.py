@@ -55,7 +55,7 @@ def into_mjcf(nominal: Robot, calibrated: Robot, path: Path, joints: Sequence[st
         body.pos, body.quat = local[:3, 3], quaternion(local[:3, :3])
         _write_pose(_element(document, "body", name, str(path)), local)
         before, moved = x, target
-    _refuse_unmoved(spec, joints, new, str(path))
+    refuse_unmoved(spec, joints, new, str(path))
     site = document.createElement("site")
     site.setAttribute("name", POINT)
     _write_pose(site, np.linalg.inv(C[-1]) @ calibrated.tool.T)
@@ -156,7 +156,7 @@ def _foot(N: Sequence[Array], axes: Array, points: Array, joints: Sequence[str],
     return frame(R, t)
 
 
-def _refuse_unmoved(spec: Any, joints: Sequence[str], new: Sequence[Array], source: str) -> None:
+def refuse_unmoved(spec: Any, joints: Sequence[str], new: Sequence[Array], source: str) -> None:
     """Raises InputError if a body is not where it should be, as in a model that nests bodies in frames."""
     model, data = _at_zero(spec, joints)
     for name, target in zip(joints, new, strict=True):

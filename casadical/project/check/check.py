@@ -104,7 +104,7 @@ def precheck(
         except (InputError, np.linalg.LinAlgError) as error:
             found.append(Finding("error", "identifiability", f"{method}: {error}"))
     for view in outlooks:
-        found += _outlook_findings(view, problem.robot, known)
+        found += outlook_findings(view, problem.robot, known)
     first = sets[0]
     return Precheck(
         folder, tuple(found), problem.title, problem.robot.name,
@@ -258,7 +258,7 @@ def _noise(given: float | None, sets: tuple[Measurements, ...]) -> tuple[float |
     return (shown, "as repeated readings show") if shown else (None, "")
 
 
-def _outlook_findings(view: Outlook, robot: Robot, noise: float | None) -> list[Finding]:
+def outlook_findings(view: Outlook, robot: Robot, noise: float | None) -> list[Finding]:
     p = view.unknowns
     if not view.enough:
         text = f"{view.method}: {view.numbers} numbers were measured for {p} unknowns; measure more poses"

@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casadical.export.c.c_language import _cross_check
+from casadical.export.c.c_language import other_source
 from casadical.export.c.c_source import command_numbers
 from casadical.export.c.chord import residual_size
 from casadical.export.c.intervals import bounds
@@ -15,7 +15,7 @@ from casadical.export.c.manifest import Facts
 from casadical.export.c.numpy_evaluation import NumpyFunctions
 from casadical.export.c.periodic_table import spline_errors, spline_table
 from casadical.export.c.products import Command, Limits
-from casadical.export.c.structured_text import _tables
+from casadical.export.c.structured_text import tables_of
 from casadical.export.c.tape import Node, Tape, tape_of
 from casadical.export.c.tape_program import operations, tape_program
 from casadical.export.c.toolchain import compilers
@@ -116,7 +116,7 @@ def test_the_forward_error_is_in_micrometres(command: Command) -> None:
 
 def test_casadis_own_code_needs_no_header(command: Command) -> None:
     label: Any = type("Label", (), {"name": "arm"})
-    source = _cross_check(tape_program(command, "double"), label)
+    source = other_source(tape_program(command, "double"), label)
     assert "arm_casadi_nominal" in source
     assert '#include "arm' not in source
 
@@ -144,7 +144,7 @@ def test_roots_are_exact_to_the_last_digits(real: Any, kind: Any) -> None:
 def test_tables_of_structured_text_end_at_their_last_entry() -> None:
     tables = tuple(spline_table(np.cos(np.arange(n) * 2 * np.pi / n)) for n in (8, 16, 8))
     plan: Any = type("Of", (), {"tables": tables})
-    told = _tables(plan, "double")
+    told = tables_of(plan, "double")
     assert (told["last_table"], told["last_entry"]) == ("2", str(11 + 19 + 11 - 1))
     assert told["begins"] == "0, 11, 30"
     assert told["points"] == "8, 16, 8"

@@ -77,9 +77,9 @@ def test_orientation_is_too(name: str) -> None:
     robot = as_built(robot_of(name))
     rigid = robot.with_values(dict.fromkeys(robot.parameters.select(["compliance"]), 0.0))
     m = poses(rigid, 1)
-    from casadical.export.mjcf.equilibrium import _Model
+    from casadical.export.mjcf.equilibrium import EngineModel
 
-    model = _Model(re.sub(r'gravity="[^"]*"', 'gravity="0 0 0"', mjcf(rigid).text))
+    model = EngineModel(re.sub(r'gravity="[^"]*"', 'gravity="0 0 0"', mjcf(rigid).text))
     model.rest(m.q[0], np.zeros(robot.n))
     assert np.allclose(model.d.site("measured").xmat.reshape(3, 3), predicted(rigid, m)[1][0], rtol=0, atol=1e-9)
 
@@ -151,10 +151,10 @@ def test_mujocos_own_motion_comes_to_the_same_rest() -> None:
     m = poses(robot, 2, **{f"approach{i}": np.ones(2) for i in range(1, 7)})
     text = mjcf(robot).text
     there = positions(text, m)
-    from casadical.export.mjcf.equilibrium import _Model
+    from casadical.export.mjcf.equilibrium import EngineModel
 
     for k in range(2):
-        at_rest = _Model(text)
+        at_rest = EngineModel(text)
         at_rest.rest(m.q[k], np.ones(6))
         model = mujoco.MjModel.from_xml_string(text)
         data = mujoco.MjData(model)

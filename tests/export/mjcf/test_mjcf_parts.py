@@ -8,7 +8,7 @@ import pytest
 from casadical.core.errors import InputError
 from casadical.core.transforms import frame, from_rpy
 from casadical.export import model_file
-from casadical.export.mjcf.into_mjcf import _refuse_unmoved
+from casadical.export.mjcf.into_mjcf import refuse_unmoved
 from casadical.export.mjcf.replay import PARTS
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra mujoco)")
@@ -22,11 +22,11 @@ def test_bodies_that_are_not_at_their_targets_are_refused() -> None:
     spec = mujoco.MjSpec.from_string(MODEL)
     one = frame(np.eye(3), np.array([0.1, 0.2, 0.3]))
     two = one @ frame(from_rpy(np.array([np.pi / 2, 0.0, np.pi / 2])), np.array([0.4, 0.0, 0.0]))
-    _refuse_unmoved(spec, ["a", "b"], [one, two], "mine.xml")
+    refuse_unmoved(spec, ["a", "b"], [one, two], "mine.xml")
     off = two.copy()
     off[0, 3] += 1e-3
     with pytest.raises(InputError, match=r"body 'two' does not move to its target \(0\.001 m or rad off\)"):
-        _refuse_unmoved(spec, ["a", "b"], [one, off], "mine.xml")
+        refuse_unmoved(spec, ["a", "b"], [one, off], "mine.xml")
 
 
 def test_springs_that_were_not_asked_for_are_said_to_lack(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
