@@ -1,9 +1,17 @@
 """The method that the diagnosis is measured against does what the textbook says."""
 
+import json
+
 import numpy as np
 import pytest
+from checks import ROOT
+from numpy_physics import campaign, disturbances
 
 from casadical.blind_check.f_test import SIGNIFICANT, Regression
+from casadical.blind_check.mujoco_physics import Plant, perturb
+from casadical.blind_check.predictor import answer_campaign
+from casadical.project.problem import read_campaign_robot
+from casadical.robot.robot_file import to_toml
 
 
 def squares(X: np.ndarray, y: np.ndarray) -> float:
@@ -58,3 +66,24 @@ def test_the_p_value_is_that_of_the_f_distribution() -> None:
     none, one = squares(np.zeros((50, 1)), y), squares(E[:, :1], y)
     _, p = Regression(y, E, 50).best([np.array([0])])
     assert p == pytest.approx(stats.f.sf((none - one) / (one / 49), 1, 49))
+
+
+def test_causes_of_a_campaign_are_named_one_after_the_other() -> None:
+    plant = Plant.from_dict(json.loads((ROOT / "data" / "campaigns" / "robots" / "kr210.json").read_text()))
+    hidden = [disturbances.GearEccentricity(5, size=4e-4), disturbances.JointScale(3, size=4e-4)]
+    table = campaign(perturb(plant, 3), 70, 3, disturbances=hidden, noise_mm=0.02)
+    seen, unseen = table[table["pose"] % 5 > 0], table[table["pose"] % 5 == 0]
+    model = to_toml(read_campaign_robot(ROOT / "problems" / "kr210"))
+    answer = answer_campaign("f-test", "two", model, seen, unseen.drop(columns=["x_mm", "y_mm", "z_mm"]))
+    named = [f"{cause['effect']}@{cause['joint']}" for cause in answer["causes"]]
+    assert set(named[:2]) == {"gear_eccentricity@5", "joint_scale@3"}
+    assert len(set(named)) == len(named)
+    assert answer["posterior"] == {named[0]: 1.0}
+    shrinks = [cause["shrink"] for cause in answer["causes"]]
+    assert 0 < shrinks[0] < shrinks[1]
+    assert answer["gap_mm"]["after"] == pytest.approx(answer["gap_mm"]["before"] * (1 - shrinks[-1]), rel=1e-3)
+    truth = unseen[["x_mm", "y_mm", "z_mm"]].to_numpy()
+    base, better = (
+        np.linalg.norm(np.array(answer["unseen"][k]) - truth, axis=1).mean() for k in ("base_mm", "with_causes_mm")
+    )
+    assert better < 0.6 * base

@@ -17,6 +17,7 @@ from casadical.project.check.check import LACKS, outlook_findings
 from casadical.project.check.information import outlook
 from casadical.project.check.result import Precheck
 from casadical.project.check.slip_fit import Hypothesis
+from casadical.project.check.slips import outside
 from casadical.project.new.texts import Given, with_measured
 from casadical.project.outcome import made_readings, no_better
 from casadical.project.planning import plan
@@ -73,8 +74,8 @@ def test_readings_a_hundredth_beyond_the_limits_are_within(planar: Problem) -> N
     robot = planar.robot
     lower, upper = np.array([(j.lower, j.upper) for j in robot.joints]).T
     nothing = Hypothesis.none(robot.n)
-    for q, outside in ((upper + 0.005, False), (upper + 0.02, True), (lower - 0.005, False), (lower - 0.02, True)):
-        assert outside(nothing, robot, np.tile(q, (20, 1))) is outside
+    for q, wanted in ((upper + 0.005, False), (upper + 0.02, True), (lower - 0.005, False), (lower - 0.02, True)):
+        assert outside(nothing, robot, np.tile(q, (20, 1))) is wanted
 
 
 def test_each_measured_point_has_a_table_of_its_own() -> None:

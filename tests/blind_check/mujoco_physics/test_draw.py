@@ -70,6 +70,7 @@ def test_bare_readings_are_measured_with_the_payload_on():
         engine.measure(machine, (), bare, seed=s, noise_mm=e) for s, e in ((1, 0.02), (1, 0.02), (1, 1.0))
     )
     assert (first["payload_kg"] == machine.payload_kg).all()
+    assert first["time_s"].tolist() == [30.0, 60.0, 90.0]
     pd.testing.assert_frame_equal(first, second)
     assert np.abs(noisier[XYZ] - first[XYZ]).to_numpy().max() > 0.3
 
