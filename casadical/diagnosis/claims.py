@@ -32,6 +32,8 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
     if not state.steps:
         return state, end
     steps = [_beside_others(state, k) for k in range(len(state.steps))]
+    if listed := _without_rare(state, steps):
+        return named(listed, "ambiguous", seed)
     there = [s for k, s in enumerate(steps) if _shrinks(state, k, seed)]
     there = [s for s in there if s.labels[0] not in state.doubted]
     alone = len(state.steps) == 1
@@ -44,19 +46,38 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
     if len(certain) == len(steps):
         return replace(state, steps=tuple(certain)), end
     left = replace(state, steps=tuple(certain)).ranked()
-    again, _ = next_cause(left, left.rankings[-1])
+    again, names = next_cause(left, left.rankings[-1])
+    if again == "claimed" and len(names) > 1:
+        more = left.with_cause(names)
+        if _is_certain(more, more.steps[-1]) and _shrinks(more.ranked(), len(more.steps) - 1, seed):
+            left = more.ranked()
+            again, _ = next_cause(left, left.rankings[-1])
     # What was left out is no certain cause, even if it comes first again.
     return left, "ambiguous" if again == "claimed" or (not certain and again == "none") else again
 
 
-def _beside_others(state: State, k: int) -> Step:
-    """A step as all others in the model make it: its ranking, and the labels that cannot be distinguished from it."""
+def _without_rare(state: State, steps: Sequence[Step]) -> State | None:
+    """The state without effects on no list that stand alone, which are never claimed; None where there is none.
+
+    One that was beside its listed rival took from it what the data do not tell from it.
+    """
+    kept = [s for s in steps if len(s.labels) > 1 or state.by_label[s.labels[0]].listed]
+    if len(kept) == len(steps):
+        return None
+    left = replace(state, steps=tuple(kept)).ranked()
+    return replace(left, steps=(_beside_others(left, 0, first=True),)) if len(kept) == 1 else left
+
+
+def _beside_others(state: State, k: int, *, first: bool = False) -> Step:
+    """A step as all others in the model make it: its ranking, and the labels that cannot be distinguished from it.
+
+    first : whether a single one is judged again, too
+    """
     step, others = state.steps[k], (*state.steps[:k], *state.steps[k + 1 :])
-    if not others:
+    if not others and not first:
         return step
     ranking, label = state.rank(others), step.labels[0]
-    first = [label, *(c for c in state.listed(ranking) if c != label)]
-    alike = indistinguishable(ranking, first)
+    alike = indistinguishable(ranking, [label, *(c for c in state.listed(ranking) if c != label)])
     certain = ranking.none <= DETECT_FURTHER and len(alike) == 1
     return replace(step, ranking=ranking, labels=(label,) if certain else alike[: max(2, len(alike))])
 
@@ -112,8 +133,10 @@ def cause_set(state: State) -> CauseSet | None:
     if not state.steps:
         return None
     last, own = state.rankings[-1], tuple(s.labels[0] for s in state.steps)
-    # Odds of each set against the named one.
-    odds = {(*own, k): p / max(last.none, LEAST) for k, p in last.probability.items()}
+    # Odds of each set against the named one; another name of a cause that is in it already is no further one.
+    said = {k for step in state.steps for k in step.labels}
+    odds = {(*own, k): p / max(last.none, LEAST) for k, p in last.probability.items() if k not in said}
+    more = sum(odds.values())
     against, names = {}, {}
     for step, label in zip(state.steps, own, strict=True):
         ranking, rest = step.ranking, tuple(k for k in own if k != label)
@@ -123,8 +146,7 @@ def cause_set(state: State) -> CauseSet | None:
         others = {k: q / p for k, q in ranking.probability.items() if k not in step.labels}
         odds |= {(*rest, k): q for k, q in others.items()} | {rest: ranking.none / p}
         against[label] = (1 - p) / p
-    more = (1 - last.none) / max(last.none, LEAST)
     total = 1 + more + sum(against.values())
     first = sorted(odds, key=lambda k: -odds[k])[:OTHERS]
     sets = tuple((k, odds[k] / total) for k in first if odds[k] / total >= LEAST_ALIKE)
-    return CauseSet(1 / total, 1 - last.none, {k: 1 - odd / total for k, odd in against.items()}, sets, names)
+    return CauseSet(1 / total, more / (1 + more), {k: 1 - odd / total for k, odd in against.items()}, sets, names)
