@@ -198,6 +198,12 @@ class Identification(Result):
         """Identified parameters."""
         return self.problem.names
 
+    @property
+    def identified(self) -> tuple[str, ...]:
+        """Those of `names` that nobody takes for guesses: without what estimated masses may be off by."""
+        given = self.start.parameters
+        return tuple(n for n in self.names if not given[n].guess or given[n].group == "compliance")
+
     @cached_property
     def estimate(self) -> Array:
         """Of `names`, shape (p,) [SI]."""
@@ -403,9 +409,9 @@ class Identification(Result):
     def verdict(self) -> str:
         """The result in one sentence."""
         used = sum(len(m) for m in self.measurements) - len(self.outliers)
-        masses = sum(p.guess and p.group != "compliance" for p in map(self.start.parameters.__getitem__, self.names))
+        masses = len(self.names) - len(self.identified)
         text = (
-            f"{self.method}: {len(self.names) - masses} parameters identified from {used} poses, "
+            f"{self.method}: {len(self.identified)} parameters identified from {used} poses, "
             f"{len(self.identifiability.held)} not identifiable"
         )
         if masses:

@@ -120,10 +120,9 @@ def _notes(problem: Problem, last: Identification, networks: Networks | None) ->
         if trained.helps:
             yield Words(f"{trained.method} makes it better on poses that it did not learn; it is in the table.", "note")
     held = len(last.identifiability.held)
-    known = len(last.names)
-    told = (
-        f" ({before} as the prior has them)" if (before := int((last.parameters["reason"] == AS_BEFORE).sum())) else ""
-    )
+    known, table = len(last.identified), last.parameters
+    before = int((table["reason"] == AS_BEFORE)[table["name"].isin(last.identified)].sum())
+    told = f" ({before} as the prior has them)" if before else ""
     poses = sum(len(m) for m in last.measurements) - len(last.outliers)
     yield Words(f"{known} parameters identified from {poses} poses{told}, {held} are not identifiable.", "note")
     if problem.data is None:
