@@ -112,8 +112,7 @@ def _parameters(figures: Iterable[Figure], result: Identification) -> Iterator[B
 
 
 def _next(problem: Problem, result: Identification) -> Iterator[Words]:
-    table = result.parameters
-    known = table[table.status == "identified"]
+    known = result.shown[result.shown.status == "identified"]
     unsure = known[(known.low - known.nominal) * (known.high - known.nominal) < 0]
     if len(unsure):
         yield Words(
