@@ -52,7 +52,7 @@ def subject_of(robot: Robot, poses: Measurements | None = None) -> tuple[Subject
     table = None if poses is None else _in_order(poses, _turns(robot))
     taken = [word for word, start in COLUMNS.items() if table is not None and any(table.columns.str.startswith(start))]
     if taken:
-        assumed.append(f"as in the table of poses: {', '.join(taken)}")
+        assumed.append(f"{', '.join(taken)} as in the table of poses")
     if "temperature" not in taken:
         assumed.append(f"the arm warms by {Warmup().rise_K:g} K")
     if robot.effects:
@@ -245,7 +245,8 @@ class RobotCheck(Result):
         """The answer in a sentence."""
         right, alarms = self.figures["claims that are right"], self.figures["false alarms where nothing is hidden"]
         first = f"{right.hits} of {right.n} claims are right" if right.n else "No cause is claimed"
-        return f"{first}; {alarms.hits} false alarms in {alarms.n} campaigns that hide nothing."
+        many = "campaigns that hide" if alarms.n > 1 else "campaign that hides"
+        return f"{first}; {alarms.hits} false alarms in {alarms.n} {many} nothing."
 
     def to_json(self) -> dict[str, Any]:
         """All of it as plain data."""

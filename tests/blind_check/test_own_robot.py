@@ -199,7 +199,7 @@ def test_given_poses_are_measured_in_their_order_with_what_was_logged_of_them(ga
     given.sample(frac=1, random_state=0).to_csv(tmp_path / "poses.csv", index=False)
     poses = read_campaign(gantry, tmp_path / "poses.csv", robot, readings_only=True)
     subject, assumed = subject_of(robot, poses)
-    assert "as in the table of poses: temperature, payload, approach, time" in assumed
+    assert "temperature, payload, approach, time as in the table of poses" in assumed
     assert not any("the arm warms" in text or "in turns" in text for text in assumed)
     plan = Plan("own", "own", "one", ("joint_zero_step",), 25, "approach", 1e-5, 1e-6, 3)
     made = campaign_of(subject, plan)
