@@ -27,7 +27,7 @@ from casadical.measurements.noise import Noise
 from casadical.robot.robot import Robot
 
 if TYPE_CHECKING:
-    from casadical.diagnosis.laws.contest import Round
+    from casadical.diagnosis.laws.problem import Round
 
 # From this share of the gap on, what lies above the noise floor and has no named cause is reported.
 REST = 0.05

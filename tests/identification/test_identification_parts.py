@@ -38,7 +38,9 @@ def test_readings_end_two_milliradians_beyond_the_limits(end: float, beyond: flo
     if not refused:
         check_against(PLANAR, arms.positions(PLANAR, q, 0))
         return
-    with pytest.raises(InputError, match=rf"'q2': {np.rad2deg(q[3, 1]):.6g} deg is outside .*\[-114.592, 114.592\] deg"):
+    with pytest.raises(
+        InputError, match=rf"'q2': {np.rad2deg(q[3, 1]):.6g} deg is outside .*\[-114.592, 114.592\] deg"
+    ):
         check_against(PLANAR, arms.positions(PLANAR, q, 0))
 
 

@@ -18,8 +18,8 @@ from casadical.core.telling.figure import Axis, Figure, Series
 from casadical.core.telling.result import Result
 from casadical.core.telling.terminal import plain_text
 from casadical.diagnosis.cross_validation import new_fit
-from casadical.diagnosis.laws.contest import ABOVE, ALIKE, CLAIMED, CORRELATION, Round
-from casadical.diagnosis.laws.problem import Scored
+from casadical.diagnosis.laws.contest import CORRELATION
+from casadical.diagnosis.laws.problem import ABOVE, ALIKE, CLAIMED, Round, Scored
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.refit import refit
 from casadical.diagnosis.result import Diagnosis, Unlisted

@@ -9,7 +9,6 @@ takes the place of causes only where it predicts poses held out better, too.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from casadical.core.linear_gaussian.grid import log_sum
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, RHOS
 from casadical.diagnosis.laws.held_out import held_out
-from casadical.diagnosis.laws.problem import Scored
+from casadical.diagnosis.laws.problem import ABOVE, Round, Scored
 from casadical.diagnosis.laws.search import search_laws
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_forms import noise_forms
@@ -28,49 +27,10 @@ from casadical.diagnosis.settings_search import refined
 
 # Laws are searched on so many poses at most, spread over the campaign: its time grows with the poses.
 MOST_POSES = 600
-# Nats of a claim: of the score, and above rivals; of laws that are not distinguished.
-CLAIMED, ABOVE, ALIKE = 12.0, 3.0, 5.0
-MOST_ALIKE = 6
 # Laws that compete at a ranking.
 MOST = 5
 # A law is a listed effect by another name if their columns correlate by more.
 CORRELATION = 0.95
-
-
-@dataclass(frozen=True, eq=False)
-class Round:
-    """One comparison of laws with everything else.
-
-    laws : the most probable, the best first; listed, smooth : label and score of the best rivals, refined
-    noise : the same of the best form of noise; alias : labels of listed effects whose columns are the best law's
-    claimed : whether the best law is claimed
-    """
-
-    laws: tuple[Scored, ...]
-    listed: tuple[str, float]
-    smooth: tuple[str, float]
-    noise: tuple[str, float]
-    alias: tuple[str, ...]
-
-    @property
-    def best(self) -> Scored:
-        """The most probable law."""
-        return self.laws[0]
-
-    @property
-    def alike(self) -> tuple[Scored, ...]:
-        """Laws that these data do not tell from the best one."""
-        return tuple(s for s in self.laws[1:] if s.score > self.best.score - ALIKE)[:MOST_ALIKE]
-
-    @property
-    def claimed(self) -> bool:
-        """Whether the best law is claimed."""
-        return self.best.score >= CLAIMED and self.best.score >= self.rival[1] + ABOVE and not self.alias
-
-    @property
-    def rival(self) -> tuple[str, float]:
-        """Label and score of the best of all rivals."""
-        return max(self.listed, self.smooth, self.noise, key=lambda found: found[1])
 
 
 def replaces_causes(found: Diagnosis, first: Round) -> bool:

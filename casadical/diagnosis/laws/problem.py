@@ -25,6 +25,9 @@ from casadical.measurements.noise import Noise
 LEAST_SCALE = 1e-3
 # Numbers of the rhos at which laws are screened: what is most probable without a law says little of that with it.
 SCREENED = (2, 4)
+# Nats of a claim: of the score, and above rivals; of laws that are not distinguished.
+CLAIMED, ABOVE, ALIKE = 12.0, 3.0, 5.0
+MOST_ALIKE = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +101,42 @@ def scaled(values: Array) -> Array:
     """Functions in units of how much they vary; values : as of `Form.values`."""
     scales = scale_of(values)
     return np.asarray(values / scales.reshape(len(values), *[1] * (values.ndim - 2), -1))
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """One comparison of laws with everything else.
+
+    laws : the most probable, the best first; listed, smooth : label and score of the best rivals, refined
+    noise : the same of the best form of noise; alias : labels of listed effects whose columns are the best law's
+    claimed : whether the best law is claimed
+    """
+
+    laws: tuple[Scored, ...]
+    listed: tuple[str, float]
+    smooth: tuple[str, float]
+    noise: tuple[str, float]
+    alias: tuple[str, ...]
+
+    @property
+    def best(self) -> Scored:
+        """The most probable law."""
+        return self.laws[0]
+
+    @property
+    def alike(self) -> tuple[Scored, ...]:
+        """Laws that these data do not tell from the best one."""
+        return tuple(s for s in self.laws[1:] if s.score > self.best.score - ALIKE)[:MOST_ALIKE]
+
+    @property
+    def claimed(self) -> bool:
+        """Whether the best law is claimed."""
+        return self.best.score >= CLAIMED and self.best.score >= self.rival[1] + ABOVE and not self.alias
+
+    @property
+    def rival(self) -> tuple[str, float]:
+        """Label and score of the best of all rivals."""
+        return max(self.listed, self.smooth, self.noise, key=lambda found: found[1])
 
 
 @dataclass(frozen=True, eq=False)
