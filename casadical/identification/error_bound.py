@@ -199,4 +199,4 @@ def _cut(M: Array, rest: float, J: Array) -> Array:
     factor = np.asarray(whole @ turn.T[:, : int(np.argmax(enough)) + 1])
     # Columns that the svd leaves free in sign: the greatest entry is positive. Behind some digits is rounding.
     factor = factor * np.sign(np.take_along_axis(factor, np.abs(factor).argmax(axis=0)[None], 0))
-    return factor.round(_DIGITS - math.floor(math.log10(np.abs(factor).max() or 1.0)))
+    return np.asarray(factor.round(_DIGITS - math.floor(math.log10(np.abs(factor).max() or 1.0))))

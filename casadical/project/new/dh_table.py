@@ -52,10 +52,10 @@ def robot_text(path: Path, name: str, convention: str) -> str:
 
 def _refuse_no_numbers(table: RawTable) -> None:
     """Raises InputError for a cell that says it is no number (nan, NA, inf); an empty one is left out."""
-    frame = table.frame().replace([math.inf, -math.inf], math.nan)
+    lost = table.frame().replace([math.inf, -math.inf], math.nan).isna().to_numpy()
     for k, (line, cells) in enumerate(zip(table.line, table.cells, strict=True)):
         for column, (name, cell) in enumerate(zip(table.header, cells, strict=False)):
-            if cell.strip() and pd.isna(frame.iloc[k, column]):
+            if cell.strip() and lost[k, column]:
                 raise InputError(f"{table.path.name}: row {line}, column {name!r}: {cell!r} is not a finite number")
 
 
