@@ -102,7 +102,7 @@ def is_refused(path, given, line):
 
 def study(language, pose, count):
     real, nominal, *files = robots("ur10" if language == "urscript" else "kr210")
-    cell = Cell(Sources(*files), steps=3, orientation=pose, external_still=True)
+    cell = Cell(Sources(*files), steps=3, orientation=pose, external_still=True, leave_unreached=True)
     status, rows, changed, took, refused, tried = Counter(), [], 0, 0.0, 0, 0
     for seed in range(count):
         points, in_base = drawn(language, nominal, 100 + seed)

@@ -7,15 +7,15 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casadical.export.c.c_language import other_source
+from casadical.export.c.c_language import C99
 from casadical.export.c.c_source import command_numbers
 from casadical.export.c.chord import residual_size
 from casadical.export.c.intervals import bounds
+from casadical.export.c.language import Label
 from casadical.export.c.manifest import Facts
 from casadical.export.c.numpy_evaluation import NumpyFunctions
 from casadical.export.c.periodic_table import spline_errors, spline_table
 from casadical.export.c.products import Command, Limits
-from casadical.export.c.structured_text import tables_of
 from casadical.export.c.tape import Node, Tape, tape_of
 from casadical.export.c.tape_program import operations, tape_program
 from casadical.export.c.toolchain import compilers
@@ -115,8 +115,7 @@ def test_the_forward_error_is_in_micrometres(command: Command) -> None:
 
 
 def test_casadis_own_code_needs_no_header(command: Command) -> None:
-    label: Any = type("Label", (), {"name": "arm"})
-    source = other_source(tape_program(command, "double"), label)
+    source = C99().files(tape_program(command, "double"), Label("arm"))["cross_check/arm_casadi.c"]
     assert "arm_casadi_nominal" in source
     assert '#include "arm' not in source
 
@@ -139,15 +138,6 @@ def test_roots_are_exact_to_the_last_digits(real: Any, kind: Any) -> None:
     with np.errstate(over="ignore"):  # of the branch that is not taken
         found = NumpyFunctions(real).sqrt(x)
     assert np.abs(found / np.sqrt(x.astype(np.float64)) - 1).max() < 2 * np.finfo(kind).eps
-
-
-def test_tables_of_structured_text_end_at_their_last_entry() -> None:
-    tables = tuple(spline_table(np.cos(np.arange(n) * 2 * np.pi / n)) for n in (8, 16, 8))
-    plan: Any = type("Of", (), {"tables": tables})
-    told = tables_of(plan, "double")
-    assert (told["last_table"], told["last_entry"]) == ("2", str(11 + 19 + 11 - 1))
-    assert told["begins"] == "0, 11, 30"
-    assert told["points"] == "8, 16, 8"
 
 
 def test_a_network_alone_is_called_once(network: Any) -> None:

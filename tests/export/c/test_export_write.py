@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import shutil
 import subprocess
 import sys
 
@@ -10,8 +11,6 @@ import export_models as models
 import numpy as np
 import pytest
 
-import casadical.export.c.c_language as c_language
-import casadical.export.c.write as write_module
 from casadical.core.errors import CasadicalError, InputError
 from casadical.export import load, write_c
 from casadical.export.c.products import Command, Limits, NetworkFunction
@@ -44,7 +43,7 @@ def test_manifest_lists_every_file_with_its_hash(exported):
 
 
 def test_without_a_compiler_it_is_written_and_called_unverified(tmp_path, network, monkeypatch):
-    monkeypatch.setattr(write_module, "compilers", list)
+    monkeypatch.setenv("PATH", str(tmp_path))
     no_place = {tmp_path / ("x" * 300): "{}"}
     with pytest.raises(InputError, match="nothing was written"):
         write_c(network, tmp_path / "c", name="arm", also=lambda made: no_place)
@@ -72,12 +71,13 @@ def test_nothing_is_overwritten_or_deleted_unless_told_to(tmp_path, network):
 
 
 def test_a_difference_stops_the_export(tmp_path, network, compiler, monkeypatch):
-    real_source = c_language.source
-
-    def wrong(program, label):
-        return real_source(program, label).replace("0x1.45f306p-1F", "0x1.45f308p-1F").replace("+ (z * ", "- (z * ", 1)
-
-    monkeypatch.setattr(c_language, "source", wrong)
+    """A compiler that computes otherwise: a sign in a polynomial."""
+    (tmp_path / "bin").mkdir()
+    wrong = tmp_path / "bin" / compiler.command
+    change = "for file; do case $file in *arm.c) sed -i '0,/+ (z [*] /s//- (z * /' \"$file\";; esac; done"
+    wrong.write_text(f'#!/bin/sh\n{change}\nexec {shutil.which(compiler.command)} "$@"\n')
+    wrong.chmod(0o755)
+    monkeypatch.setenv("PATH", str(wrong.parent), prepend=":")
     with pytest.raises(CasadicalError, match="nothing was written"):
         write_c(network, tmp_path / "out", name="arm", real="float", vectors=1000)
     assert not (tmp_path / "out").exists()

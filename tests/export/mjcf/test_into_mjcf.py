@@ -1,5 +1,6 @@
 """The calibrated geometry in a user's own MuJoCo model, whose frames are not ours."""
 
+import re
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -10,6 +11,7 @@ from casadical.core.errors import InputError
 from casadical.core.transforms import frame, from_rpy, quaternion
 from casadical.export.mjcf.elements import numbers
 from casadical.export.mjcf.into_mjcf import into_mjcf
+from casadical.export.model_file import OfMjcf, robot_model
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements
 from casadical.project.problem import read_campaign_robot
@@ -83,6 +85,15 @@ def test_springs_are_added_beside_the_joints_when_asked_for(robot: Robot, tmp_pa
         assert spring.bodyid == own.bodyid
 
 
+@pytest.mark.parametrize("springs", [False, True])
+def test_springs_that_were_not_asked_for_are_said_to_lack(springs: bool, robot: Robot, tmp_path: Path) -> None:
+    (tmp_path / "mine.xml").write_text(users_model(robot))
+    nominal = ROOT / "problems" / "kr210" / "robot.toml"
+    asked = OfMjcf(into=tmp_path / "mine.xml", joints=",".join(JOINTS), springs=springs)
+    lines = robot_model(nominal, "mjcf", nominal=nominal, of_mjcf=asked).lines
+    assert lines == (() if springs else ("LEFT OUT springs of the joints; --springs adds them",))
+
+
 def test_another_arm_is_refused(robot: Robot, tmp_path: Path) -> None:
     (tmp_path / "mine.xml").write_text(users_model(robot.with_values({"a2": 1.16})))
     with pytest.raises(InputError, match="is not that of the nominal robot's joint"):
@@ -93,6 +104,12 @@ def test_another_arm_is_refused(robot: Robot, tmp_path: Path) -> None:
         into_mjcf(robot, robot, tmp_path / "mine.xml", JOINTS[:5])
     with pytest.raises(InputError, match="closed loop"):
         into_mjcf(read_campaign_robot(ROOT / "problems" / "hh800"), robot, tmp_path / "mine.xml", JOINTS)
+    begin, last, end = re.split(r'(?=<body name="part6")|(?<=/></body>)', users_model(robot), maxsplit=2)
+    last = re.sub(r'pos="([^ "]+)', lambda m: f'pos="{float(m[1]) - 0.001!r}', last, count=1)
+    text = f'{begin}<frame pos="0.001 0 0">{last}</frame>{end}'
+    (tmp_path / "framed.xml").write_text(text)
+    with pytest.raises(InputError, match=r"body 'part6' does not move to its target \(.* m or rad off\)"):
+        into_mjcf(robot, robot, tmp_path / "framed.xml", JOINTS)
     (tmp_path / "bad.xml").write_text("<mujoco><worldbody><bod/></worldbody></mujoco>")
     with pytest.raises(InputError, match="MuJoCo cannot read it"):
         into_mjcf(robot, robot, tmp_path / "bad.xml", JOINTS)

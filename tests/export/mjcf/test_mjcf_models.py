@@ -26,7 +26,7 @@ from casadical.effects import (
 )
 from casadical.export.mjcf.equilibrium import positions
 from casadical.export.mjcf.mjcf import mjcf
-from casadical.export.mjcf.replay import replay, replay_campaign
+from casadical.export.mjcf.replay import PARTS, replay, replay_campaign
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import read_measurements
@@ -232,3 +232,8 @@ def test_a_new_urdf_reads_back_as_the_same_arm(tmp_path: Path) -> None:
 def test_a_urdf_takes_no_closed_loop() -> None:
     with pytest.raises(InputError, match="export model --to mjcf"):
         new_urdf(robot_of("hh800"))
+
+
+def test_two_thirds_of_the_poses_are_fitted_and_the_others_replayed() -> None:
+    assert PARTS["identify"] == 2 / 3
+    assert 0.99 < sum(PARTS.values()) <= 1
