@@ -165,4 +165,4 @@ def read_table(folder: Path, name: str) -> pd.DataFrame:
     path = folder / f"{name}.csv"
     if not path.is_file():
         raise InputError(f"{path}: is missing, though {MANIFEST} names it; take the folder whole")
-    return read_csv(path).frame()
+    return read_csv(path).frame

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import pandas as pd
 
@@ -23,6 +24,20 @@ class Source:
     plus: float = 0.0
     add: Mapping[str, float] = field(default_factory=dict)
     rows: int = 0
+
+    @classmethod
+    def read(cls, given: str | Mapping[str, Any]) -> Source:
+        """From how a file says it: a name, or a table with `from`."""
+        return (
+            cls(given) if isinstance(given, str) else cls(given["from"], **{k: given[k] for k in given if k != "from"})
+        )
+
+    @property
+    def table(self) -> str | dict[str, Any]:
+        """How a file says it."""
+        usual = Source(self.name)
+        more = {k: getattr(self, k) for k in ("times", "plus", "rows", "add") if getattr(self, k) != getattr(usual, k)}
+        return {"from": self.name, **more} if more else self.name
 
     @property
     def plain(self) -> bool:

@@ -84,9 +84,7 @@ class Columns:
 
         Raises InputError: a header occurs twice, or a row has another number of cells.
         """
-        parts = [(raw.frame(), np.array(raw.line)), *raw.rest]
-        frames, lines = zip(*parts, strict=True)
-        return _columns(pd.concat(frames, ignore_index=True), raw.path.name, np.concatenate(lines))
+        return _columns(raw.frame, raw.path.name, np.array(raw.line))
 
     @staticmethod
     def of_frame(table: pd.DataFrame, source: str) -> Columns:

@@ -133,7 +133,7 @@ def understand(
     """
     ours = {*raw.header, *given}
     own = {int(m[1]) for h in ours if (m := _OURS.fullmatch(h))}
-    frame = raw.frame()
+    frame = raw.frame
     headings = _headings(raw, frame, names) if raw.form.header_line else _by_order(raw, frame, len(joints))
     stated = _stated_units([*raw.comments, *(text for _, text in raw.form.skipped)])
     # A column "point" names points that are touched, or, beside positions, the points of a tracker.

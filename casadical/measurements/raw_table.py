@@ -37,29 +37,18 @@ class RawTable:
     """A table as it stands in a file.
 
     path : of the file; header : names of the columns, without blanks around them
-    cells : of each row, as text, numbers with decimal points; line : of the file at which each row begins
+    cells : of each row as text, numbers with decimal points; none of a large table, and of a file without text
+    frame : the rows, numbers where a column holds nothing else; line : of the file at which each begins
     form : how the file writes its table; comments : lines that are comments, as they stand
-    rest : further rows of a large table and their lines, as `read_columns` of `table_parts` reads it
-    numbers : the rows of a file that holds no text, in place of `cells`
     """
 
     path: Path
     header: tuple[str, ...]
-    cells: tuple[tuple[str, ...], ...]
-    line: Sequence[int]
+    cells: Sequence[Sequence[str]]
+    frame: pd.DataFrame
+    line: Sequence[int] | Array
     form: Form = field(default_factory=Form)
     comments: tuple[str, ...] = ()
-    rest: tuple[tuple[pd.DataFrame, Array], ...] = ()
-    numbers: pd.DataFrame | None = None
-
-    def frame(self) -> pd.DataFrame:
-        """The rows of `cells` as a pandas table, named as in `header`: numbers where a column holds nothing else."""
-        if self.numbers is not None:
-            return self.numbers
-        rows = io.StringIO(newline="")
-        csv.writer(rows).writerows([self.header, *self.cells])
-        rows.seek(0)
-        return pd.read_csv(rows)
 
 
 def read_table(path: str | Path) -> RawTable:
@@ -156,10 +145,12 @@ def table_of(
         units=tuple(map(unit_word, units[1])) if units else (),
         skipped=tuple((line, " ".join(" ".join(cells).split())[:80]) for line, cells in sorted(skipped)),
     )  # fmt: skip
-    texts = tuple(tuple(as_plain_number(cell, decimal) if cell else cell for cell in cells) for _, cells in rows)
-    return RawTable(
-        path, names, texts, tuple(line for line, _ in rows), form, tuple(" ".join(cells) for _, cells in comments)
-    )
+    text = io.StringIO(newline="")
+    plain = [[as_plain_number(cell, decimal) if cell else cell for cell in cells] for _, cells in rows]
+    csv.writer(text).writerows([names, *plain])
+    text.seek(0)
+    lines, said = tuple(line for line, _ in rows), tuple(" ".join(cells) for _, cells in comments)
+    return RawTable(path, names, plain, pd.read_csv(text), lines, form, said)
 
 
 def _headings(rest: list[Record], comments: list[Record]) -> tuple[int, Record | None, Record | None]:

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from casadical.core.errors import InputError, optional
 from casadical.measurements.raw_table import RawTable, read_table, table_of
@@ -32,13 +33,12 @@ def table_parts(path: str | Path) -> Iterator[RawTable]:
 
 
 def read_columns(path: str | Path) -> RawTable:
-    """As `read_table`, for those who want the columns: of a large table only the first rows are kept as text.
-
-    The rows behind these stand in `rest`. Raises InputError as `read_table` does.
-    """
-    parts = table_parts(path)
-    first = next(parts)
-    return replace(first, rest=tuple((part.frame(), np.array(part.line)) for part in parts))
+    """As `read_table`, a large table some rows at a time. Raises InputError as `read_table` does."""
+    first, *more = parts = list(table_parts(path))
+    if not more:
+        return first
+    frame = pd.concat([part.frame for part in parts], ignore_index=True)
+    return replace(first, cells=(), frame=frame, line=np.concatenate([part.line for part in parts]))
 
 
 def _encoding(path: Path) -> str:
@@ -97,7 +97,7 @@ def _parquet(path: Path) -> Iterator[RawTable]:
                 rows = range(line, line + len(frame))
                 line += len(frame)
                 if len(frame):
-                    yield RawTable(path, header, (), rows, Form("parquet"), numbers=frame)
+                    yield RawTable(path, header, (), frame, rows, Form("parquet"))
     except (OSError, ValueError) as error:  # Arrow's errors are such
         raise InputError(f"{path}: not a readable table: {getattr(error, 'strerror', None) or error}") from None
     if line == 2:

@@ -250,7 +250,7 @@ def made_readings(problem: Problem) -> list[Words]:
         dict(item for table in problem.tables for item in table.get("columns", {}).items()).items()
     ):
         if re.fullmatch(r"q\d+(_\w+)?", name) and isinstance(made, Mapping):
-            source = Source(made["from"], **{key: value for key, value in made.items() if key != "from"})
+            source = Source.read(made)
             unit_alone = np.isclose(source.times, _UNIT_FACTORS, rtol=1e-6).any()
             if not unit_alone or source != Source(source.name, source.times):
                 changed.append(f"{name.partition('_')[0]} = {source.words}")

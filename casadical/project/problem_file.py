@@ -8,6 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
+import tomlkit
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from casadical.compensator.trainers.known import network_methods
@@ -76,10 +77,8 @@ class DataTable(_Strict):
     @property
     def sources(self) -> dict[str, Source]:
         """Where each named column comes from."""
-        return {
-            ours: Source(given) if isinstance(given, str) else Source(**given.model_dump())
-            for ours, given in self.columns.items()
-        }
+        given = self.model_dump(include={"columns"}, by_alias=True)["columns"]
+        return {ours: Source.read(source) for ours, source in given.items()}
 
     @property
     def understood(self) -> dict[str, Any]:
@@ -147,6 +146,15 @@ class UrdfTable(_Strict):
     tip_link: str | None = None
     compliant: list[int] = []
     tool: list[ToolTable] = []
+
+
+def as_toml(source: Source) -> Any:
+    """How a column is made, as a value of TOML."""
+    if isinstance(said := source.table, str):
+        return tomlkit.string(said)
+    made = tomlkit.inline_table()
+    made.update(said)
+    return made
 
 
 def all_methods() -> tuple[str, ...]:

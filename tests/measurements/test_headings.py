@@ -63,7 +63,7 @@ def test_rows_count_as_in_the_file(tmp_path: Path) -> None:
 def test_decimal_signs_and_separators(text: str, numbers: tuple[float, float], tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_text(text, encoding="utf-8")
-    assert tuple(read_table(path).frame()["a"]) == numbers
+    assert tuple(read_table(path).frame["a"]) == numbers
 
 
 @pytest.mark.parametrize(

@@ -80,7 +80,7 @@ def test_parts_are_the_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fo
     assert len(whole) == 40
     in_parts(monkeypatch, size)
     found = read_measurements(path, 2)
-    assert bool(table_parts.read_columns(path).rest) == (form != "quoted")
+    assert bool(table_parts.read_columns(path).cells) == (form == "quoted")
     assert is_mapped(found.q) == is_mapped(found.position) == (form != "quoted")
     assert_same(found, whole)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import json
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -19,6 +18,7 @@ from casadical.core.reading import read_text
 from casadical.measurements.column_map import Source
 from casadical.measurements.raw_table import read_table
 from casadical.project.check.slip_fit import Fit
+from casadical.project.problem_file import as_toml
 from casadical.project.robot_columns import understood
 from casadical.robot.robot import Robot
 
@@ -120,14 +120,14 @@ def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
     tables: Any = problem["measurements"]
     table = tables[0]
     raw = read_table(folder / str(table["file"]))
-    given = {str(ours): _source(theirs) for ours, theirs in dict(table.get("columns", {})).items()}
+    given = {str(ours): Source.read(theirs) for ours, theirs in dict(table.get("columns", {})).items()}
     known = {**understood(raw, robot, given, table.get("kind")).sources, **given}
     columns = {**known, **repaired_columns(fit, robot, {**{n: Source(n) for n in raw.header}, **known})}
     texts: dict[Path, str] = {}
     if columns != known:
         made = tomlkit.table()
         for ours, source in columns.items():
-            made[ours] = _as_toml(source)
+            made[ours] = as_toml(source)
         table["columns"] = made
         texts[path] = tomlkit.dumps(problem)
     other = other_lengths(fit, robot)
@@ -189,26 +189,6 @@ def _simple(source: Source) -> Source:
     if source.add:
         raise InputError(f"column {source.name!r} is a sum already (columns in problem.toml); repair it by hand")
     return source
-
-
-def _source(given: Any) -> Source:
-    if isinstance(given, str):
-        return Source(str(given))
-    data = {("name" if key == "from" else key): value for key, value in dict(given).items()}
-    return Source(**json.loads(json.dumps(data)))
-
-
-def _as_toml(source: Source) -> Any:
-    if source.plain:
-        return source.name
-    made = tomlkit.inline_table()
-    made["from"] = source.name
-    defaults = Source(source.name)
-    for key in ("times", "plus", "rows", "add"):
-        value = getattr(source, key)
-        if value != getattr(defaults, key):
-            made[key] = dict(value) if key == "add" else value
-    return made
 
 
 def _meant(value: float, departure: float) -> float:

@@ -52,7 +52,7 @@ def robot_text(path: Path, name: str, convention: str) -> str:
 
 def _refuse_no_numbers(table: RawTable) -> None:
     """Raises InputError for a cell that says it is no number (nan, NA, inf); an empty one is left out."""
-    lost = table.frame().replace([math.inf, -math.inf], math.nan).isna().to_numpy()
+    lost = table.frame.replace([math.inf, -math.inf], math.nan).isna().to_numpy()
     for k, (line, cells) in enumerate(zip(table.line, table.cells, strict=True)):
         for column, (name, cell) in enumerate(zip(table.header, cells, strict=False)):
             if cell.strip() and lost[k, column]:
@@ -113,7 +113,7 @@ def with_our_names(table: RawTable, known: Collection[str]) -> tuple[pd.DataFram
 
     known : our names. Raises InputError for a heading that means nothing here, or the same as another.
     """
-    frame = table.frame()
+    frame = table.frame
     stems = {name: _stem(name) for name in table.header if name not in known}
     unknown = [name for name, stem in stems.items() if not stem]
     if unknown:

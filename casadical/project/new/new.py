@@ -162,7 +162,7 @@ def tools_in(columns: Columns) -> tuple[tuple[str, ...], dict[int, str]]:
 
 def shown_columns(raw: RawTable, found: Understanding) -> list[Words | Table]:
     """What was understood of each column of a table, and which are not used."""
-    frame, first = raw.frame(), [c for q in found.questions for c in next(iter(q.choices.values()))]
+    frame, first = raw.frame, [c for q in found.questions for c in next(iter(q.choices.values()))]
     made = {name: c for c in (*found.columns, *first) for name in (c.source.name, *c.source.add)}
     columns = Columns.of_file(raw).mapped(found.sources)
     kind = next((kind for kind in kinds().values() if kind.matches({*map(str, columns.table)})), None)

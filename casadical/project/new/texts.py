@@ -10,6 +10,7 @@ from casadical.core.arrays import Array
 from casadical.core.parts import Joint
 from casadical.core.transforms import frame, from_rpy
 from casadical.measurements.column_map import Source
+from casadical.project.problem_file import as_toml
 from casadical.robot.robot import Robot
 
 EXAMPLE_ROBOT = """\
@@ -190,24 +191,10 @@ def _column_lines(given: Given) -> str:
         lines += ["]"]
     if given.columns:
         lines += ["", "[measurements.columns]             # our name = the file's heading"]
-        lines += [f"{ours} = {source_text(source)}" for ours, source in given.columns.items()]
+        lines += [f"{ours} = {as_toml(source).as_string()}" for ours, source in given.columns.items()]
     else:
         lines.append('# columns = { x_mm = "X" }         # our name = the file\'s name, where headers differ')
     return "\n".join([*lines, ""])
-
-
-def source_text(source: Source) -> str:
-    """Where a column comes from, as a value of TOML."""
-    name = _quoted(source.name)
-    if source.plain:
-        return name
-    parts = [f"from = {name}"]
-    parts += [f"{key} = {value!r}" for key, value in (("times", source.times),) if value != 1.0]
-    parts += [f"{key} = {value!r}" for key, value in (("plus", source.plus), ("rows", source.rows)) if value]
-    if source.add:
-        terms = ", ".join(f"{_quoted(n)} = {float(k)!r}" for n, k in source.add.items())
-        parts.append(f"add = {{ {terms} }}")
-    return f"{{ {', '.join(parts)} }}"
 
 
 def _urdf(links: tuple[str | None, str | None], given: Given) -> str:
