@@ -20,6 +20,7 @@ from casadical.cli.options import (
 )
 from casadical.cli.progress import working
 from casadical.cli.terminal import WORSE, html, keep, with_json, wrapped
+from casadical.core.telling.blocks import next_step
 from casadical.core.telling.terminal import terminal
 
 Out = Annotated[
@@ -109,5 +110,8 @@ def calibrate(
         with working(quiet, "writing the report"):
             texts[report_file] = html([c.page() for c in done])
     keep(texts, console)
+    for source, tables in given.values() if len(given) == 1 else ():
+        keep_it = next_step("to keep the result", "calibrate", source, *tables, "--out", "results")
+        console.print(terminal([next_step("to learn what is left", "diagnose", source, *tables) if out else keep_it]))
     if not details:
         console.print("all parameters and figures: --details, --out DIR or --report FILE.html", style="dim")

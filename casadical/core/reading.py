@@ -6,6 +6,7 @@ quantity or name can be are refused by their place.
 """
 
 import codecs
+import difflib
 import io
 import json
 import math
@@ -37,6 +38,22 @@ _DECLARED = re.compile(rb"^\s*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)[\"'][^>]
 _ENCODINGS = ("utf-8", "utf-8-sig", "utf-16", "us-ascii", "ascii", "iso-8859-1", "latin-1", "windows-1252")
 
 
+def missing(path: str | Path, what: str = "file") -> InputError:
+    """The error that there is no such file or folder, with the names there that are like it."""
+    path = Path(path)
+    try:
+        there = sorted(p.name for p in path.parent.iterdir() if not p.name.startswith("."))[:MOST_COUNT]
+    except (OSError, ValueError):
+        return InputError(f"{shown(path)}: no such {what}; there is no folder {shown(path.parent)}")
+    like = difflib.get_close_matches(path.name, there, 3) or [
+        name for name in there if path.stem in (name, Path(name).stem)
+    ]
+    meant = (
+        f"; did you mean {' or '.join(shown(path.parent / name) for name in like[:3])}?" if like and path.stem else ""
+    )
+    return InputError(f"{shown(path)}: no such {what}{meant}")
+
+
 def read_bytes(path: str | Path, most: int = MOST_BYTES) -> bytes:
     """Content of a file, after what a killed process left to rename beside it was renamed.
 
@@ -54,7 +71,7 @@ def read_bytes(path: str | Path, most: int = MOST_BYTES) -> bytes:
             os.set_blocking(handle, True)
             data = b"" if about.st_size > most else file.read(most + 1)
     except FileNotFoundError:
-        raise InputError(f"{shown(path)}: no such file") from None
+        raise missing(path) from None
     except InputError:
         raise
     except (OSError, ValueError, RuntimeError) as error:  # a NUL in its name, a loop of links

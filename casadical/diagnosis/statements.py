@@ -19,7 +19,7 @@ from casadical.diagnosis.thresholds import SET_CLAIM
 from casadical.identification.gravity import in_words as gravity_in_words
 
 # Poses that raise the probability of a right choice by less tell nothing.
-LITTLE = 0.02
+LITTLE = 0.1
 # Stands between words of an item that is not broken over two lines.
 TIED = "\u00a0"
 # Words before what is said about something, where it is a sentence of its own; the most important first.

@@ -6,6 +6,7 @@ from typing import Any
 
 from casadical.core.errors import InputError
 from casadical.core.progress import Show, silent
+from casadical.core.reading import missing
 from casadical.core.telling.notebook import Shown
 from casadical.effects.counterparts import Omission
 from casadical.export.controller.commands import Sources
@@ -118,7 +119,7 @@ def robot_model(
     """
     source = Path(source)
     if not source.exists():
-        raise InputError(f"{source}: no such problem folder or robot file")
+        raise missing(source, "problem folder or robot file")
     asked = of_mjcf or OfMjcf()
     if form != "mjcf" and asked != OfMjcf():
         raise InputError("--campaign, --effects, --into, --joints and --springs are of MuJoCo models: give --to mjcf")

@@ -15,7 +15,7 @@ import numpy as np
 
 from casadical.core.errors import CasadicalError, InputError, shown
 from casadical.core.progress import Show, silent
-from casadical.core.reading import read_bytes
+from casadical.core.reading import missing, read_bytes
 from casadical.fleet.changes import Comparison
 from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate, estimate, estimate_of_file
@@ -98,7 +98,11 @@ def compare_files(
     show("what changed")
     notes = (*faults, *said, *other_regions(ordered))
     compared = compare(ordered, same_tool=same_tool, same_frame=same_frame, notes=notes)
-    return replace(compared, name=name_of(files, begun or robot))
+    known = robot or _understood_by(files)
+    told_by = {e.label: path for path, e in zip(files, told, strict=True) if isinstance(e, Estimate)}
+    last = told_by[ordered[-1].label]
+    own = (Path(known), last) if known and last.is_file() and last.suffix != ".toml" else ()
+    return replace(compared, name=name_of(files, begun or robot), sources=own)
 
 
 def _understood_by(files: Sequence[Path]) -> Path | None:
@@ -154,7 +158,7 @@ def campaign_estimate(path: Path, robot: str | Path | None = None, known: Robot 
     known : robot of another campaign, which tells where the targets are
     """
     if not path.exists():
-        raise InputError(f"{shown(path)}: no such file or folder")
+        raise missing(path, "file or folder")
     label, day = path.name.removesuffix(".robot.toml").removesuffix(".csv"), day_of(path)
     if path.suffix == ".toml":
         label = path.parent.name if label in ("KM", "SKCM", "diagnosed", "discovered") else label

@@ -11,7 +11,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.statistics import exceeded_by_chance
-from casadical.core.telling.blocks import Page, Section, Table, Tile, Words, mm, shown
+from casadical.core.telling.blocks import Page, Section, Table, Tile, Words, mm, next_step, shown
 from casadical.core.telling.figure import Axis, Figure, Series, Span
 from casadical.core.telling.result import Result
 from casadical.diagnosis.changes import USUAL_CHANGE
@@ -151,6 +151,8 @@ class Comparison(Result):
         what was assumed of the campaigns
     name : str, default ""
         of the robot as its user knows it; empty: that of its type
+    sources : tuple[Path, ...], default ()
+        what the last campaign can be calibrated from: a problem folder or robot file, and its table
 
     Examples
     --------
@@ -170,6 +172,7 @@ class Comparison(Result):
     placements: tuple[tuple[str, str], ...]
     notes: tuple[str, ...] = ()
     name: str = ""
+    sources: tuple[Path, ...] = ()
 
     @property
     def _line(self) -> str:
@@ -228,7 +231,16 @@ class Comparison(Result):
             blocks.append(Words(f"Probability {chance:.3f}, if one robot in ten changes between two campaigns."))
         blocks += [Words(f"{what}: {how}.") for what, how in self.placements]
         blocks += [Words(f"note: {note}.", "note") for note in self.notes]
-        return [*blocks, _campaigns(self), _seen_from(self)]
+        return [*blocks, _campaigns(self), _seen_from(self), *self.next]
+
+    @property
+    def next(self) -> tuple[Words, ...]:
+        """What to do now, where something changed or is not clear, and the last campaign is a table."""
+        if self.sources and self.changed:
+            return (next_step("to calibrate it as it is now", "calibrate", *self.sources, "--out", "results"),)
+        if self.sources and self.unexplained:
+            return (next_step("to learn what the model lacks", "diagnose", *self.sources),)
+        return ()
 
     def figures(self) -> dict[str, Figure]:
         """By name: change/CAUSE for each change, and left, the scatter of each campaign."""
@@ -258,6 +270,7 @@ class Comparison(Result):
             "name": self.name,
             "changed": self.changed,
             "unexplained": list(self.unexplained),
+            "next": [step.code for step in self.next],
             "log_odds_of_one_more": round(self.log_odds, 3),
             "sure_from_log_odds": round(float(np.log(SURE)), 3),
             "changes": [_change_json(c, labels) for c in self.changes],

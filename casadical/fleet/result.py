@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from casadical.core.telling.blocks import Block, Page, Section, Table, Tile, Words, shown
+from casadical.core.telling.blocks import Block, Page, Section, Table, Tile, Words, next_step, shown
 from casadical.core.telling.figure import Figure
 from casadical.core.telling.result import Result
 from casadical.fleet.changes import ALARMS, leaves_more
@@ -115,7 +115,17 @@ class Fleet(Result):
             *self._types(),
             *self._to_look_at(),
             *self._failed(),
+            *self.next,
         ]
+
+    @property
+    def next(self) -> tuple[Words, ...]:
+        """What to do now: of the robots to check first the one with the greatest error."""
+        return tuple(
+            next_step(f"for {r['robot']}", "compare" if r["changes"] else "diagnose", r["folder"])
+            for r in records(self._first().head(1))
+            if r["status"] == "ok"
+        )
 
     def figures(self) -> dict[str, Figure]:
         """By name: map of accuracies, trends, and common/TYPE."""
@@ -214,17 +224,20 @@ class Fleet(Result):
         if rows:
             yield Table("Types: median of the mean errors of their robots [mm]", head, rows, frozenset({2, 3, 4, 5}))
 
-    def _to_look_at(self) -> Iterator[Table]:
-        more = self.grown
+    def _first(self) -> pd.DataFrame:
+        """Rows of robots to check, the greatest error first."""
         some = self.robots[
-            self.robots["robot"].isin([*self.outliers, *more])
+            self.robots["robot"].isin([*self.outliers, *self.grown])
             | (self.robots["changes"] != "")
             | (self.robots["at_bounds"] != "")
             | self.robots["notes"].str.contains(LEFT_OUT, regex=False)
             | ~self.robots["verdict"].isin(["", "none"])
         ]
-        rows = []
-        for r in records(some.sort_values("after_mm", ascending=False).head(SHOWN)):
+        return some.sort_values("after_mm", ascending=False)
+
+    def _to_look_at(self) -> Iterator[Table]:
+        more, some, rows = self.grown, self._first(), []
+        for r in records(some.head(SHOWN)):
             said = ["error stands out"] if r["robot"] in self.outliers else []
             said += [more[r["robot"]]] if r["robot"] in more else []
             said += [f"at bounds: {r['at_bounds']}"] if r["at_bounds"] else []
@@ -256,6 +269,7 @@ class Fleet(Result):
             "outliers": list(self.outliers),
             "types": [{**c.to_json(), "corrections": self._corrections(c)} for c in self.commons],
             "notes": list(self.notes),
+            "next": [step.code for step in self.next],
             "computed": self.computed,
         }
 

@@ -14,7 +14,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validat
 from casadical.compensator.trainers.known import network_methods
 from casadical.core.errors import InputError, shown
 from casadical.core.parts import Sessions
-from casadical.core.reading import load_json, load_toml, read_bytes
+from casadical.core.reading import load_json, load_toml, missing, read_bytes
 from casadical.core.schema import FaultError, check
 from casadical.identification.residuals import ALL_LOSSES, AnyLoss
 from casadical.measurements.column_map import Source
@@ -226,8 +226,12 @@ def base_methods(methods: Sequence[str]) -> tuple[BaseMethod, ...]:
 
 def problem_file(folder: Path) -> ProblemFile:
     """The problem.toml of a folder. Raises InputError."""
+    if not folder.exists():
+        raise missing(folder, "robot file" if folder.suffix in (".toml", ".urdf") else "problem folder")
     if not folder.is_dir():
-        raise InputError(f"{folder}: no such problem folder; it must hold problem.toml and a robot file")
+        raise InputError(
+            f"{shown(folder)}: is a file; give the problem folder, which holds problem.toml and a robot file"
+        )
     path = folder / "problem.toml"
     return check(ProblemFile, load_toml(path), str(path))
 
@@ -255,7 +259,7 @@ def own_tables(source: Path) -> list[Path]:
     """Files of the tables of a problem folder. Raises InputError where it names none, and of a robot file."""
     if source.is_file():
         raise InputError(f"{shown(source)}: a robot file has no measurements; give their tables after it")
-    if not (source / "problem.toml").exists():
+    if source.is_dir() and not (source / "problem.toml").exists():
         raise InputError(f"{shown(source)}: no problem.toml is in it, which would name tables; give them after it")
     found = [source / table.file for table in problem_file(source).measurements]
     if not found:
@@ -296,6 +300,10 @@ def result_in(folder: Path) -> Path:
     with suppress(OSError, ValueError, KeyError, TypeError, IndexError):
         methods = list(load_json(folder / "result.json")["methods"])
         return folder / f"{methods[-1]}.robot.toml"
+    if (folder / "problem.toml").exists():
+        raise InputError(
+            f"{shown(folder)}: is a problem folder; give its results: casadical calibrate {shown(folder)} --out results"
+        )
     files = sorted(folder.glob("*.robot.toml"))
     if len(files) == 1:
         return files[0]

@@ -128,6 +128,19 @@ def test_method_and_seed_choose(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
 WRONG = {
     "no such folder": (["calibrate", "problems/none"], ["problems/none", "no such problem folder"]),
+    "a name mistyped": (
+        ["plan", "problems/plnar"],
+        ["problems/plnar: no such problem folder; did you mean problems/planar"],
+    ),
+    "a robot file mistyped": (
+        ["diagnose", "problems/planar/robt.toml"],
+        ["no such robot file; did you mean", "robot.toml"],
+    ),
+    "no folder of that name": (
+        ["compare", "none/a.toml", PLANAR],
+        ["none/a.toml: no such file", "there is no folder none"],
+    ),
+    "a problem for results": (["verify", PLANAR, "data/planar/planar.csv"], ["is a problem folder; give its results"]),
     "no problem in the folder": (["calibrate", "tests"], ["tests/problem.toml", "no such file"]),
     "no such method": (["calibrate", PLANAR, "--method", "BP"], ["--method BP", "KM, SKCM"]),
     "no such loss": (["calibrate", PLANAR, "--loss", "l2"], ["--loss l2", "huber"]),

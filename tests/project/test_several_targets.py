@@ -303,7 +303,9 @@ def test_a_later_table_needs_no_names_of_its_targets(calibrated, n, named, reque
     broken = verify(results, changed)
     assert not broken.valid
     assert [step.code for step in broken.next] == [f"casadical compare {folder} {changed}"]
-    (found,) = compare_files([folder, changed]).changes
+    compared = compare_files([folder, changed])
+    assert [step.code for step in compared.next] == [f"casadical calibrate {folder} {changed} --out results"]
+    (found,) = compared.changes
     assert found.cause.label == "joint_zero@2"
     assert found.amounts[0].value == pytest.approx(0.05, abs=0.003)
     same = compare_files([folder, later_table(tmp_path / "later.csv", n, named=named)])

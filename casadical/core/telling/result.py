@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from casadical.core.files import json_text
-from casadical.core.telling.blocks import Block
+from casadical.core.telling.blocks import Block, Words
 from casadical.core.telling.figure import Figure
 from casadical.core.telling.notebook import Shown, html
 from casadical.core.telling.terminal import plain_text
@@ -28,6 +28,11 @@ class Result(Shown):
     def to_json(self) -> dict[str, Any]:
         """The same as plain data."""
         raise NotImplementedError
+
+    @property
+    def next(self) -> tuple[Words, ...]:
+        """The one command to go on with, where the result suggests one (see `next_step`); the last of its blocks."""
+        return ()
 
     def files(self, folder: str | Path) -> Mapping[Path, str]:
         """What is kept of it, by file, in a folder: plain data and words."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.reading import read_bytes
+from casadical.core.reading import missing, read_bytes
 from casadical.export.c.manifest import read_manifest
 from casadical.export.controller.c_export import no_bound, poses_of, unreached, wants_pose
 from casadical.export.controller.commands import Sources, Tool, about_tool, followed, measured_range, robot_of
@@ -90,7 +90,7 @@ def correct_file(
     robot, language = robot or WithRobot(), language or OfLanguage()
     oriented = wants_pose(robot.correct)
     if not model.exists():
-        raise InputError(f"{model}: no such folder or robot file")
+        raise missing(model, "folder or robot file")
     folder = _of_folder(model, robot, language, trust) if model.is_dir() else None
     sources = None if folder else _of_robot(model, robot, trust)
     spoken = language_of(program)

@@ -110,7 +110,7 @@ def precheck(
         folder, tuple(found), problem.title, problem.robot.name,
         tuple((name, sum(len(m) for m in parts)) for name, parts in problem.sets.items()),
         known, source, coverage(problem.robot, first), margin(problem.robot, first), tuple(outlooks), problem.robot,
-        slips, targets, wrong,
+        slips, targets, wrong, tuple(map(Path, tables)),
     )  # fmt: skip
 
 

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from casadical.core.telling.blocks import Table, Words
+from casadical.core.telling.blocks import Table, Words, next_step
 from casadical.core.telling.result import Result
 from casadical.project.check.coverage import JointCoverage
 from casadical.project.check.findings import Finding, Level
@@ -30,6 +30,7 @@ class Precheck(Result):
     outlooks : for each method; none where the data are unusable
     nominal : the robot; slips : what explains data that contradict it, where several slips were searched for
     targets : several on one flange, that the table does not name; misnamed : rows that name another one
+    tables : given in place of the folder's own
     """
 
     folder: Path
@@ -46,6 +47,7 @@ class Precheck(Result):
     slips: Slips | None = None
     targets: Targets | None = None
     misnamed: Misnamed | None = None
+    tables: tuple[Path, ...] = ()
 
     def of_level(self, level: Level) -> tuple[Finding, ...]:
         """Findings of one level."""
@@ -64,7 +66,7 @@ class Precheck(Result):
             told.append(self._ranges())
         for view in self.outlooks:
             told += [*([] if isinstance(told[-1], Table) else [Words("")]), *_outlook(view, self.noise_source)]
-        return told
+        return [*told, *self.next]
 
     def brief(self) -> list[Words | Table]:
         """The same in few lines: verdict, errors and warnings, accuracy to expect."""
@@ -77,9 +79,19 @@ class Precheck(Result):
             told.append(Words(f"{view.method}: {len(view.names)} parameters identifiable, {len(view.held)} not."))
             if view.held_out is not None:
                 told.append(Words(f"Expected mean error on other poses like these: {1e3 * view.held_out:.3g} mm."))
-        if self.slips and self.slips.explains:
-            told.append(Words("casadical check --repair writes the best repair and shows what it changes", "verdict"))
-        return [*told, Words("ranges of the joints, what is held and why: --details", "note")]
+        if self.joints:
+            told.append(Words("ranges of the joints, what is held and why: --details", "note"))
+        return [*told, *self.next]
+
+    @property
+    def next(self) -> tuple[Words, ...]:
+        """What to do now; nothing but to correct the errors, where they have no repair."""
+        if self.ok:
+            return (next_step("to calibrate", "calibrate", self.folder, *self.tables, "--out", "results"),)
+        known = self.misnamed or (self.targets and self.targets.which is not None)
+        if not self.tables and (known or (self.slips and self.slips.explains)):
+            return (next_step("to write the best repair and see what it changes", "check", self.folder, "--repair"),)
+        return ()
 
     def _head(self) -> Iterator[Words]:
         yield Words(f"{self.folder.name}: {self._verdict()}", "verdict")
@@ -112,6 +124,7 @@ class Precheck(Result):
         return {
             "problem": self.folder.name,
             "ok": self.ok,
+            "next": [step.code for step in self.next],
             "title": self.title,
             "robot": self.robot,
             "poses": dict(self.poses),

@@ -81,6 +81,7 @@ def test_slips_are_found_together_and_repaired(slip, tmp_path, monkeypatch, capf
     said = " ".join(f.text for f in precheck(folder).findings if f.level == "error")
     for words in CASES[slip]:
         assert words in said
+    assert [step.code for step in precheck(folder).next] == [f"casadical check {folder} --repair"]
     before = (folder / "poses.csv").read_bytes()
     assert main(monkeypatch, "check", folder, "--repair") == 0
     printed = capfd.readouterr().out
