@@ -60,6 +60,11 @@ def test_a_name_of_the_set_in_its_folder_is_refused(monkeypatch, capsys, tmp_pat
     assert main(monkeypatch, "calibrate", problem, "--out", tmp_path / "o", "--json", tmp_path / "o/result.json") == 2
     assert "among those of --out" in capsys.readouterr().err
     assert not (tmp_path / "o").exists()
+    (tmp_path / "o").mkdir()
+    (tmp_path / "o" / "notes.txt").write_text("mine")
+    given = ("calibrate", problem, "--out", tmp_path / "o", "--json", tmp_path / "o" / "all.json", "-q")
+    assert main(monkeypatch, *given) == 0
+    assert (tmp_path / "o" / "notes.txt").read_text() == "mine"
 
 
 def test_a_foreign_file_is_not_replaced_and_an_earlier_output_is(monkeypatch, capsys, tmp_path, problem) -> None:
