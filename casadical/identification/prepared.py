@@ -61,10 +61,9 @@ class Prepared(Shown):
     @property
     def compliant(self) -> Prepared | None:
         """The same with compliance of all turning joints in the model; None where the robot file declares some."""
-        if self.identification or any(j.compliance is not None for j in self.robot.joints) or not self.robot.revolute:
+        if self.identification or not undeclared(self.robot):
             return None
-        joints = (replace(j, compliance=0.0 if j.kind == "revolute" else None) for j in self.robot.joints)
-        robot, free = with_unknown_masses(replace(self.robot, joints=tuple(joints)), self.sets)
+        robot, free = all_compliant(self.robot, self.sets)
         return replace(self, robot=robot, free=(*free, *self.free))
 
 
@@ -119,6 +118,17 @@ def by_method(robot: Robot, method: str, sets: Sequence[Measurements]) -> tuple[
     if method == "KM":  # rigid joints
         return robot.with_values(dict.fromkeys(robot.parameters.select(["compliance"]), 0.0)), ()
     return with_unknown_masses(robot, sets)
+
+
+def undeclared(robot: Robot) -> bool:
+    """Whether the robot file says of no joint that it gives, and there is one that turns."""
+    return all(j.compliance is None for j in robot.joints) and bool(robot.revolute)
+
+
+def all_compliant(robot: Robot, sets: Sequence[Measurements]) -> tuple[Robot, tuple[str, ...]]:
+    """The robot with compliance at all joints that turn, and labels as of `with_unknown_masses`."""
+    joints = (replace(j, compliance=0.0 if j.kind == "revolute" else None) for j in robot.joints)
+    return with_unknown_masses(replace(robot, joints=tuple(joints)), sets)
 
 
 def with_unknown_masses(robot: Robot, sets: Sequence[Measurements]) -> tuple[Robot, tuple[str, ...]]:

@@ -145,3 +145,10 @@ def test_a_method_that_is_worse_than_nothing_is_named(tmp_path: Path) -> None:
     (words,) = methods_worse(accuracies)
     assert words.text == "KM makes held-out poses worse: 1.500 mm, 1.000 mm before; do not use KM.robot.toml."
     assert list(methods_worse({"KM": {"report": states[1]}, "SKCM": {"report": states[1]}})) == []
+
+
+def test_check_looks_at_the_compliance_that_calibrate_tries(tmp_path: Path) -> None:
+    """Of a robot file that declares none: no warning that there is none, and what the poses tell of it."""
+    found = precheck(arm(tmp_path, {}))
+    assert "c2" in next(view.names for view in found.outlooks if view.method == "SKCM")
+    assert not any("no compliance is identifiable" in finding.text for finding in found.findings)

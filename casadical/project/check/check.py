@@ -10,7 +10,7 @@ from casadical.core.errors import FaultsError, InputError, shown
 from casadical.core.progress import Show, silent
 from casadical.identification.identifiability import CONFOUNDED
 from casadical.identification.plausibility import check_against
-from casadical.identification.prepared import METHODS, by_method
+from casadical.identification.prepared import METHODS, all_compliant, by_method, undeclared
 from casadical.identification.sessions import apart, place_sessions, with_sessions
 from casadical.identification.undetermined import undetermined_at_start
 from casadical.measurements.clock import clock_faults
@@ -100,6 +100,8 @@ def precheck(
         try:
             several, sessions = with_sessions(start, trusted)
             taken, free = by_method(place_sessions(several, trusted) if sessions else several, method, trusted)
+            if method == "SKCM" and undeclared(taken):  # as `calibrate` tries it
+                taken, _ = all_compliant(taken, trusted)
             outlooks.append(outlook(taken, trusted, (*METHODS[method], *free, *sessions), method, noise))
         except (InputError, np.linalg.LinAlgError) as error:
             found.append(Finding("error", "identifiability", f"{method}: {error}"))
@@ -279,7 +281,7 @@ def outlook_findings(view: Outlook, robot: Robot, noise: float | None) -> list[F
         text = f"{view.method}: a linear step leaves {1e3 * view.scatter:.3g} mm a coordinate, the noise is "
         text += f"{1e3 * noise:.3g}: the model lacks something, or base and tool are far off"
         found.append(Finding("warning", "misfit", text))
-    if view.method == "SKCM" and not any(n in view.names for n in robot.parameters.select(["compliance"])):
+    if view.method == "SKCM" and not undeclared(robot) and not {f"c{i}" for i in robot.numbers} & {*view.names}:
         text = "SKCM: no compliance is identifiable (no compliant joint, no masses, or constant gravity torques)"
         found.append(Finding("warning", "identifiability", text))
     return found
