@@ -25,8 +25,14 @@ TOGETHER = {
     "diagnosed": tuple(
         f"diagnosis/test_diagnosis_{name}.py" for name in ("campaigns", "localisation", "refit", "spectrum")
     ),
-    "report": tuple(f"core/telling/test_report_{name}.py" for name in ("browser", "figures", "notebook", "page")),
-    "calibrated": tuple(f"project/test_{name}.py" for name in ("calibration", "networks", "problems")),
+    "calibrated": (
+        *(
+            f"core/telling/test_report_{name}.py"
+            for name in ("browser", "figures", "notebook", "page", "parts", "replay")
+        ),
+        *("core/telling/test_result.py", "project/test_project_parts.py", "project/test_several_tables.py"),
+        *(f"project/test_{name}.py" for name in ("calibration", "networks", "problems")),
+    ),
     "exported": tuple(f"export/c/test_export_{name}.py" for name in ("c", "targets", "text", "write")),
 }
 # Files of more than 10 s, the longest first: one that begins last would leave the other processes without work.
