@@ -1,6 +1,7 @@
 """Distributions that the standard library does not have."""
 
 import math
+from collections.abc import Sequence
 from statistics import NormalDist
 
 import numpy as np
@@ -30,6 +31,31 @@ def exceeded_by_chance(ratio: float, above: float, below: float) -> float:
     a, b = 2 / (9 * above), 2 / (9 * below)
     root = ratio ** (1 / 3)
     return NormalDist().cdf((1 - a - (1 - b) * root) / (b * root**2 + a) ** 0.5)
+
+
+# Values that differ by less, as a share of the greatest, are equal to what the arithmetic can tell: the first one is
+# taken, in the order in which they stand, on every processor. Of logarithms it is the difference itself.
+TIE = 1e-6
+
+
+def first_of_best(values: Sequence[float] | Array, *, logs: bool = False) -> int:
+    """Number of the greatest value, the first of those that are equal to it within TIE; logs : of probabilities"""
+    given = np.asarray(values, dtype=float)
+    best = float(given.max())
+    least = best - TIE * (1.0 if logs else abs(best)) if np.isfinite(best) else best
+    return int(np.argmax(given >= least))
+
+
+def ranked(values: Sequence[float] | Array, *, logs: bool = False) -> list[int]:
+    """Numbers of the values, from the greatest; runs of such as are equal within TIE in their order."""
+    given = np.asarray(values, dtype=float)
+    order = np.argsort(-given, kind="stable")
+    falling = given[order]
+    finite = np.isfinite(falling)
+    with np.errstate(invalid="ignore"):
+        fall = -np.diff(falling, prepend=np.inf)
+    step = np.cumsum(~finite | (fall > TIE * np.where(finite & (not logs), np.abs(falling), 1.0)))
+    return [int(k) for k in order[np.lexsort((order, step))]]
 
 
 def known_digits(value: float, size: float, digits: int) -> float:

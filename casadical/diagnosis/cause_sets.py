@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from casadical.core.linear_gaussian.grid import log_sum
+from casadical.core.statistics import first_of_best, ranked
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking
 from casadical.diagnosis.thresholds import MOST_CAUSES
 from casadical.effects import Effect
@@ -73,7 +74,8 @@ class _Search:
 
     def best(self, of: Iterable[frozenset[str]], count: int) -> list[frozenset[str]]:
         """Those of most mass that are not expanded yet."""
-        return sorted((k for k in of if k not in self.expanded), key=lambda k: -self.mass[k])[:count]
+        left = [k for k in of if k not in self.expanded]
+        return [left[k] for k in ranked([self.mass[k] for k in left], logs=True)[:count]]
 
     def gaining(self, sets: Iterable[_Set]) -> set[frozenset[str]]:
         """Listed sets with one more cause than one of these, which gains enough."""
@@ -113,7 +115,7 @@ def most_probable_set(
         known = [k for k in search.mass if k <= listed]
         if not known:
             return (), frozenset()
-        best = max(known, key=lambda k: search.mass[k])
+        best = known[first_of_best([search.mass[k] for k in known], logs=True)]
         if best in search.expanded:
             break
         search.expand(best)

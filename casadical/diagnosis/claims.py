@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from casadical.core.arrays import Array
+from casadical.core.statistics import ranked
 from casadical.diagnosis.cross_validation import partitioned_errors, shrink_interval
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.result import CauseSet
@@ -147,6 +148,7 @@ def cause_set(state: State) -> CauseSet | None:
         odds |= {(*rest, k): q for k, q in others.items()} | {rest: ranking.none / p}
         against[label] = (1 - p) / p
     total = 1 + more + sum(against.values())
-    first = sorted(odds, key=lambda k: -odds[k])[:OTHERS]
+    keys = list(odds)
+    first = [keys[k] for k in ranked(list(odds.values()))[:OTHERS]]
     sets = tuple((k, odds[k] / total) for k in first if odds[k] / total >= LEAST_ALIKE)
     return CauseSet(1 / total, more / (1 + more), {k: 1 - odd / total for k, odd in against.items()}, sets, names)

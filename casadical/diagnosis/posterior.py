@@ -8,6 +8,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.linear_gaussian.grid import log_sum
+from casadical.core.statistics import first_of_best, ranked
 from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.linear_problem import Case
@@ -42,7 +43,8 @@ class Ranking:
     @property
     def order(self) -> tuple[str, ...]:
         """Labels, the most probable first."""
-        return tuple(sorted(self.probability, key=lambda label: -self.probability[label]))
+        labels = list(self.probability)
+        return tuple(labels[k] for k in ranked(list(self.probability.values())))
 
     def among(self, labels: Collection[str]) -> "Ranking":
         """The same between none and these candidates alone."""
@@ -106,7 +108,7 @@ def rank(
         if candidate.label in weights:
             own = np.flatnonzero(owner == c)
             factor[candidate.label] = float(log_sum(log_variant[own])) - float(np.log(len(own)))
-            best = int(own[np.argmax(log_variant[own])])
+            best = int(own[first_of_best(log_variant[own], logs=True)])
             variant[candidate.label] = case.variants[judged[best]][1]
             noise[candidate.label] = likely_noise(grids[best], case.judged.sigmas)
     for rival in rivals(case, chosen, variant):

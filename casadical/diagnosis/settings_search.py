@@ -14,6 +14,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.linear_gaussian.normal_equations import root_of_inverse
+from casadical.core.statistics import first_of_best
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, Evidence
 from casadical.diagnosis.linear_problem import Case
@@ -106,14 +107,14 @@ def _with_probable_settings(case: Case, label: str, effect: Effect, chosen: Arra
     log = _log_evidence(case, [case.group(v) for v in every], chosen)
     price = {(e,): PRICE for e in joined} | {(e,): -WHOLE for e in plain}
     log = log - np.array([price.get(v, 0.0) for v in every])
-    best = every[int(np.argmax(log))][0]
+    best = every[first_of_best(log, logs=True)][0]
     if best not in joined:
         return case, (best,)
     (other,) = {other for other, _ in tried}
     value = float(getattr(best, other))
     fine: list[tuple[Effect, ...]] = [(moved(best, **{other: value + step}),) for step in FINE_STEPS]
     case = case.with_variants(label, fine)
-    return case, fine[int(np.argmax(_log_evidence(case, [case.group(v) for v in fine], chosen)))]
+    return case, fine[first_of_best(_log_evidence(case, [case.group(v) for v in fine], chosen), logs=True)]
 
 
 def _best(case: Case, trial: list[tuple[Effect, ...]], log: Array, chosen: Array) -> int:

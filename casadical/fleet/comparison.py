@@ -10,6 +10,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.linear_gaussian.grid import log_sum
+from casadical.core.statistics import first_of_best
 from casadical.fleet.candidates import (
     FREQUENCY,
     GRADUAL,
@@ -252,9 +253,10 @@ def _best(
     by_label: dict[str, list[float]] = {}
     for h in found:
         by_label.setdefault(h.candidate.label, []).extend(averaged(h.logs))
-    label = max(by_label, key=lambda name: float(log_sum(np.array(by_label[name]))))
-    top = max((h for h in found if h.candidate.label == label), key=lambda h: float(log_sum(averaged(h.logs))))
-    k = int(np.argmax(averaged(top.logs)))
+    label = list(by_label)[first_of_best([float(log_sum(np.array(own))) for own in by_label.values()], logs=True)]
+    own = [h for h in found if h.candidate.label == label]
+    top = own[first_of_best([float(log_sum(averaged(h.logs))) for h in own], logs=True)]
+    k = first_of_best(averaged(top.logs), logs=True)
     _, _, kappa = amplitude(top.H[k], top.b[k], np.tile(top.candidate.sizes, top.courses.shape[2]), top.logs[k])
     return _Accepted(top.candidate, top.courses[k], kappa, top, odds, found)
 
@@ -300,7 +302,7 @@ def _change(
     share = [(h, np.exp(averaged(h.logs) - total)) for h in change.every]
     own = [(h, s) for h, s in share if h.candidate.label == candidate.label]
     probability = float(sum(s.sum() for _, s in own))
-    at = int(np.argmax(averaged(top.logs)))
+    at = first_of_best(averaged(top.logs), logs=True)
     begun = np.exp(averaged(top.logs) - log_sum(averaged(top.logs)))
     likely = top.since[np.sort(np.argsort(-begun)[: int(np.searchsorted(np.cumsum(np.sort(begun)[::-1]), 0.95)) + 1])]
     rivals: dict[str, Rival] = {}

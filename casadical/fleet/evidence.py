@@ -19,6 +19,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.linear_gaussian.grid import gain, log_sum
 from casadical.core.linear_gaussian.normal_equations import inverse_of
+from casadical.core.statistics import first_of_best
 
 # Sizes of a change in units of its usual one.
 KAPPAS = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
@@ -126,7 +127,7 @@ def averaged(logs: Array) -> Array:
 
 def amplitude(H: Array, b: Array, sizes: Array, logs: Array) -> tuple[Array, Array, float]:
     """Mean, shape (m,), and covariance of one change's amplitudes, at its most probable size, which is returned too."""
-    kappa = float(KAPPAS[int(np.argmax(logs))])
+    kappa = float(KAPPAS[first_of_best(logs, logs=True)])
     C = inverse_of(H + np.diag((kappa * sizes) ** -2.0))
     return C @ b, C, kappa
 

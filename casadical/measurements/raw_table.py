@@ -28,6 +28,8 @@ from casadical.measurements.table_form import (
     unit_word,
 )
 
+# Characters of a heading.
+LONGEST_HEADING = 1000
 # What a workbook has in a cell whose formula failed.
 _FAILED = ("#NULL!", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#N/A")
 
@@ -121,6 +123,9 @@ def table_of(
     head_line = 0 if header is None else header[0]
     width = max(len(cells) for _, cells in body) if body else 0
     names = tuple(f"column {k}" for k in range(1, width + 1)) if header is None else tuple(c.strip() for c in header[1])
+    if long := next((name for name in names if len(name) > LONGEST_HEADING), ""):
+        text = f"a heading of {len(long)} characters, {long[:30]!r}...; allowed: up to {LONGEST_HEADING}"
+        raise InputError(f"{path}: not a readable CSV table: {text}")
     refuse_repeated_names(names, str(path))
     skipped = [r for r in [*comments, *rest[:place]] if r is not header and not (units and r[1] is units[1])]
     rows = []

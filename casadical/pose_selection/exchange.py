@@ -69,7 +69,7 @@ def search(design: Design, n: int, restarts: int, seed: int) -> Array:
                 design.add(int(candidate))
         fill(design, n)
         improve(design)
-        if best is None or design.value > best[0]:
+        if best is None or design.value > best[0] + LEAST_GAIN:
             best = (design.value, list(design.chosen))
     assert best is not None
     return np.array(best[1])

@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.statistics import first_of_best, ranked
 from casadical.pose_selection.criteria import SPECTRAL
 
 # After so many updates, C and the blocks are computed again.
@@ -25,9 +26,9 @@ RIDGE = 1e-10
 # Least eigenvalue of the information, scaled to a unit diagonal, of a regular set of poses: singular ones have what
 # RIDGE gives, below 1e-11. The variances of a singular set are those of RIDGE, and no measure of a candidate.
 REGULAR = 1e-9
-# Gains that differ by less, as a share of the greatest, are equal to what the arithmetic can tell: the candidate with
-# the lowest number is taken, on every processor.
-TIE = 1e-6
+# A pose without which the determinant of the information is this share of what it was is indispensable: how much more
+# than this is lost, rounding decides. Of indispensable poses the first leaves.
+INDISPENSABLE = 1e-6
 
 
 class Design(ABC):
@@ -148,7 +149,7 @@ class _Inverse(Design):
         """Change of the logarithm of the determinant of M by each of these candidates, shape (N,); -inf for others."""
         gains = np.full(self.N, -np.inf)
         signs, logs = np.linalg.slogdet(np.eye(self.m) + sign * self.D[which])
-        gains[which] = np.where(signs > 0, logs, -np.inf)
+        gains[which] = np.where((signs > 0) & (logs > np.log(INDISPENSABLE)), logs, -np.inf)
         return gains
 
 
@@ -195,8 +196,7 @@ class Linear(_Inverse):
             return self._volumes(which, sign)
         gains = np.full(self.N, -np.inf)
         small = np.eye(self.m) + sign * self.D[which]
-        # Without an indispensable candidate `small` is singular.
-        regular = np.linalg.det(small) > 1e-12
+        regular = np.linalg.det(small) > INDISPENSABLE
         small[~regular] = np.eye(self.m)
         change = sign * np.trace(np.linalg.solve(small, self.L[which]), axis1=1, axis2=2)
         gains[which] = np.where(regular, change, -np.inf)
@@ -233,17 +233,11 @@ class Spectral(Design):
         gains = np.full(self.N, -np.inf)
         along = self.rows[which].reshape(-1, self.p) @ self.V
         first_order = sign * (along**2 @ self._slope(self.w)).reshape(len(which), self.m).sum(axis=1)
-        short = which[np.argsort(-first_order)[:SHORTLIST]]
+        short = which[ranked(first_order)[:SHORTLIST]]
         A = self.rows[short]
         w = np.linalg.eigvalsh(self.M + sign * A.transpose(0, 2, 1) @ A)
         gains[short] = self._log(np.maximum(w, 1e-300)) - self.value
         return gains
-
-
-def first_of_best(gains: Array) -> int:
-    """Number of the greatest gain, the first of those that differ from it by less than TIE of it."""
-    best = float(gains.max())
-    return int(np.argmax(gains >= best - TIE * abs(best))) if np.isfinite(best) else int(np.argmax(gains))
 
 
 def inverse(M: Array) -> Array:

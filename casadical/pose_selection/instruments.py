@@ -19,6 +19,7 @@ import pandas as pd
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.linear_gaussian.noise import whitening_of
+from casadical.core.statistics import first_of_best
 from casadical.identification.residuals import POINT_SCALE
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
@@ -190,22 +191,26 @@ def best_places(
         return _variance([each[k] for k in some], Instrument(kind, places[some], known), noise, weight)
 
     if comb(len(places), count) <= MOST_SETS:
-        return np.array(min(combinations(range(len(places)), count), key=variance))
+        every = list(combinations(range(len(places)), count))
+        return np.array(every[first_of_best([-variance(some) for some in every])])
     return np.array(sorted(_exchanged(len(places), count, variance)))
 
 
 def _exchanged(K: int, count: int, variance: Callable[[Iterable[int]], float]) -> list[int]:
     """A set of `count` out of K: the best pair, one by one the best more, then exchanges while they help."""
-    chosen = list(min(combinations(range(K), min(count, 2)), key=variance))
+    pairs = list(combinations(range(K), min(count, 2)))
+    chosen = list(pairs[first_of_best([-variance(pair) for pair in pairs])])
     while len(chosen) < count:
-        chosen.append(min(set(range(K)) - {*chosen}, key=lambda k: variance([*chosen, k])))
+        left = [k for k in range(K) if k not in chosen]
+        chosen.append(left[first_of_best([-variance([*chosen, k]) for k in left])])
     value = variance(chosen)
     while True:
         others = [[*chosen[:i], k, *chosen[i + 1 :]] for i in range(count) for k in range(K) if k not in chosen]
-        best = min(others, key=variance)
-        if variance(best) > 0.999 * value:
+        variances = [variance(other) for other in others]
+        best = first_of_best(np.negative(variances))
+        if variances[best] > 0.999 * value:
             return chosen
-        chosen, value = best, variance(best)
+        chosen, value = others[best], variances[best]
 
 
 def _variance(each: Sequence[Array], instrument: Instrument, noise: Noise, weight: Array) -> float:

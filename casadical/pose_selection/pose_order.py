@@ -7,6 +7,7 @@ import numpy as np
 from casadical.core.arm import GRAVITY
 from casadical.core.arrays import Array
 from casadical.core.errors import optional
+from casadical.core.statistics import TIE
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.candidates import SESSION, SOCKET, Candidates, Circumstances, expected, timeline
 from casadical.robot.robot import Robot
@@ -59,7 +60,7 @@ def short_path(D: Array, before: Array | None = None) -> Array:
     for start in np.argsort(first, kind="stable")[:STARTS]:
         path = np.array(nx.approximation.greedy_tsp(graph, source=int(start))[:-1])
         length = float(first[path[0]] + D[path[:-1], path[1:]].sum())
-        if best is None or length < best[0]:
+        if best is None or length < (1 - TIE) * best[0]:
             best = (length, path)
     assert best is not None
     return best[1]

@@ -470,7 +470,9 @@ def worker(listed: dict[str, Kind], place: Path, given: argparse.Namespace, roun
     resource.setrlimit(resource.RLIMIT_AS, (held + BYTES, held + BYTES))
     log = (place / "log").open("a", buffering=1)
     sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115
-    while sum(resource.getrusage(resource.RUSAGE_SELF)[:2]) < given.minutes * 60 - given.used:
+    left = given.inputs
+    while left > 0 and sum(resource.getrusage(resource.RUSAGE_SELF)[:2]) < given.minutes * 60 - given.used:
+        left -= 1
         name = rng.choice(names)
         pool = pools[name]
         content = mutator.mutant(name, rng.choice(pool), rng.choice(pool))
@@ -494,6 +496,7 @@ def main() -> int:
     """Run workers one after the other until the processor's time is over, and count."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=float, default=15.0)
+    parser.add_argument("--inputs", type=int, default=10**9, help="most of one worker")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="")
     parser.add_argument("--found", type=Path)
@@ -512,18 +515,21 @@ def main() -> int:
             process = os.fork()
             if process == 0:
                 signal.signal(signal.SIGXCPU, signal.SIG_DFL)
-                with suppress(KeyboardInterrupt):
+                try:
                     worker(listed, place, given, round_)
-                os._exit(0)
+                    os._exit(0)
+                finally:
+                    os._exit(99)
             _, status = os.waitpid(process, 0)
             now = resource.getrusage(resource.RUSAGE_CHILDREN)
             given.used = sum(now[:2]) - sum(began[:2])
-            if status:
-                name = (place / "input").read_bytes().partition(b"\n")[0].decode()
-                code = os.waitstatus_to_exitcode(status)
-                why = f"takes more than {SECONDS} s" if code == -signal.SIGXCPU else f"ends with {code}"
-                faults[name, why] += 1
-                shutil.copy(place / "input", place / "faults" / f"end-{round_}")
+            if not status:
+                break
+            name = (place / "input").read_bytes().partition(b"\n")[0].decode()
+            code = os.waitstatus_to_exitcode(status)
+            why = f"takes more than {SECONDS} s" if code == -signal.SIGXCPU else f"ends with {code}"
+            faults[name, why] += 1
+            shutil.copy(place / "input", place / "faults" / f"end-{round_}")
         rows = [json.loads(line) for line in (place / "log").read_text().splitlines()]
         runs = Counter(name for name, _, _ in rows)
         runs.update(name for name, _ in faults.elements())

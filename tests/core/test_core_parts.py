@@ -21,7 +21,7 @@ from casadical.core.file_locks import exchange
 from casadical.core.parameters import Parameter
 from casadical.core.parts import Joint
 from casadical.core.schema import TomlTable
-from casadical.core.statistics import student_t
+from casadical.core.statistics import first_of_best, known_digits, ranked, student_t
 from casadical.core.sx_instructions import SxInstructions
 
 
@@ -143,3 +143,29 @@ def test_names_are_attached_without_loading_typing() -> None:
     done = subprocess.run([sys.executable, "-S", "-E", "-c", code], capture_output=True, text=True, check=True)
     assert "lazy" in done.stdout.split()
     assert "typing" not in done.stdout.split()
+
+
+def test_the_first_of_equal_values_is_taken() -> None:
+    assert first_of_best(np.array([0.0, 1.0 - 1e-9, 1.0, 1.0 - 1e-4])) == 1
+    assert first_of_best(np.array([-np.inf, -2.0, -1.0, -1.0 - 1e-9])) == 2
+    assert first_of_best(np.array([-np.inf, -np.inf])) == 0
+    assert first_of_best([-5000.0, -5000.001], logs=True) == 0
+    assert first_of_best([-5000.0 - 1e-9, -5000.0], logs=True) == 0
+    assert first_of_best([-5000.001, -5000.0]) == 0, "beside what is no logarithm, the share counts"
+
+
+def test_equal_values_are_ranked_in_their_order() -> None:
+    rng = np.random.default_rng(0)
+    values = np.array([0.2, 0.5, 0.2, 1.0, 0.5, -np.inf, 0.2])
+    for _ in range(20):
+        assert ranked(values * (1 + 1e-12 * rng.normal(size=7))) == [3, 1, 4, 0, 2, 6, 5]
+        assert ranked(1e4 + values + 1e-9 * rng.normal(size=7), logs=True) == [3, 1, 4, 0, 2, 6, 5]
+    assert ranked([]) == []
+
+
+def test_digits_that_rounding_decides_are_left_out() -> None:
+    assert known_digits(123.456789012345, 0.01, 6) == known_digits(123.456789012355, 0.01, 6) == 123.45678901
+    assert known_digits(-1e-12, 0.01, 6) == 0.0
+    assert str(known_digits(-1e-12, 0.01, 6)) == "0.0", "no sign is left"
+    assert known_digits(7.5, 0.0, 6) == 7.5
+    assert known_digits(1e-300, 1e-301, 2) == 1e-300

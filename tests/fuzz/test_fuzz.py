@@ -1,5 +1,8 @@
 """Hostile command lines and files, drawn by hypothesis of the grammar of docs/studies/fuzz.py."""
 
+import re
+import shutil
+import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,6 +18,9 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "docs" / "studies"))
 
 import fuzz  # noqa: E402
+import fuzz_files  # noqa: E402
+
+FOUND = sorted((Path(__file__).parent / "found").iterdir())
 
 
 @pytest.fixture(scope="module")
@@ -70,3 +76,42 @@ def test_what_is_wrong_is_found(template: Path, monkeypatch: pytest.MonkeyPatch,
     hostile = fuzz.Hostile(("calibrate", "in/p", "--json", "out/a.json"), ())
     fault, _ = fuzz.run(hostile, template, template.parent)
     assert told in fault
+
+
+@pytest.fixture(scope="module")
+def kinds(template: Path) -> tuple[dict[str, fuzz_files.Kind], Path]:
+    shutil.copytree(template, template.with_name("files"), symlinks=True)
+    place = template.with_name("files")
+    return fuzz_files.kinds(place), place / "in"
+
+
+@pytest.mark.parametrize("path", FOUND, ids=lambda path: path.name)
+def test_a_file_that_once_ended_in_a_traceback(kinds, path: Path) -> None:
+    listed, place = kinds
+    name, _, content = path.read_bytes().partition(b"\n")
+    assert fuzz_files.fault_of(listed[name.decode()], place, content) == ""
+
+
+def test_every_kind_of_file_is_read_as_it_is(kinds) -> None:
+    """Else its mutants are all refused at the same place."""
+    listed, place = kinds
+    for kind in listed.values():
+        (place / kind.name).parent.mkdir(exist_ok=True)
+        (place / kind.name).write_bytes(kind.seeds[0])
+        if kind.name not in (
+            "p/problem.toml",
+            "store/part-1.parquet",
+            "answers.jsonl",
+            "w/withheld.json",
+            "c/manifest.json",
+        ):
+            kind.read(place / kind.name)
+
+
+def test_mutated_files_end_as_documented() -> None:
+    """A tenth of a minute of what the study does for a quarter of an hour; most of its mutants are new."""
+    command = [sys.executable, "docs/studies/fuzz_files.py", "--inputs", "400"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "400 inputs" in done.stdout
+    assert len(re.findall(r"reached new lines", done.stdout)) == 19

@@ -17,7 +17,6 @@ from casadical.identification.prior import carry_over
 from casadical.identification.tables import how_sure
 from casadical.pose_selection import Circumstances, Noise, Workspace, forecast
 from casadical.pose_selection.candidates import candidates_at, draw, expected
-from casadical.pose_selection.experimental_design import first_of_best
 from casadical.pose_selection.information import noise_covariance, scaled_jacobian
 from casadical.pose_selection.pose_order import distances, travel
 from casadical.pose_selection.pose_search import select_poses
@@ -352,9 +351,3 @@ def test_rounding_chooses_no_other_poses() -> None:
         for factor in (1.0, 1 + 1e-12, 1 - 2e-12)
     ]
     np.testing.assert_allclose(chosen[1:], chosen[:1] * 2, atol=1e-9)
-
-
-def test_the_first_of_equal_gains_is_taken() -> None:
-    assert first_of_best(np.array([0.0, 1.0 - 1e-9, 1.0, 1.0 - 1e-4])) == 1
-    assert first_of_best(np.array([-np.inf, -2.0, -1.0, -1.0 - 1e-9])) == 2
-    assert first_of_best(np.array([-np.inf, -np.inf])) == 0

@@ -14,6 +14,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.progress import Show, silent
+from casadical.core.statistics import ranked
 from casadical.measurements.measurements import Measurements
 from casadical.project.check.slip_fit import Fit, Hypothesis, SlipFit
 from casadical.robot.robot import Robot
@@ -79,9 +80,9 @@ def search_slips(
     shifts = (0, 1, -1) if np.all(np.diff(m.row[order]) >= 1) else (0,)
     found = _search(fit, robot, shifts, show)
     before = fit.placed(Hypothesis.none(robot.n), as_given=True)
-    ranked = sorted(found, key=lambda f: _cost(f, robot) + OUTSIDE * outside(f.hypothesis, robot, fit.q))
-    best = ranked[0]
-    rivals = [f for f in ranked[1:] if f.error < 0.5 * before.error and f.cost <= MOST_SLIPS + 1]
+    costs = [_cost(f, robot) + OUTSIDE * outside(f.hypothesis, robot, fit.q) for f in found]
+    best, *others = (found[k] for k in ranked(np.negative(costs)))
+    rivals = [f for f in others if f.error < 0.5 * before.error and f.cost <= MOST_SLIPS + 1]
     return Slips(before, best, tuple(rivals[:2]))
 
 
