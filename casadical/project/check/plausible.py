@@ -40,7 +40,7 @@ def plausible(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> tu
     if m.position is None:
         return None
     some, none = m[:: -(-len(m) // POSES)], Hypothesis.none(robot.n)
-    before = Fit(none, _median_error(rigid(robot), some))
+    before = Fit(none, median_error(rigid(robot), some))
     tried = [before]
     for fit in single_slips(robot, len(others)):
         h = fit.hypothesis
@@ -48,7 +48,7 @@ def plausible(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> tu
         meant = replace(some, q=h.readings(some.q), position=some.position * turns)
         free = rigid([robot, *others][h.rows])
         if _large_enough(free, meant):
-            tried.append(replace(fit, error=_median_error(free, meant)))
+            tried.append(replace(fit, error=median_error(free, meant)))
     # Of slips that fit alike one that leaves the joints' ranges is none.
     return before, min(tried, key=lambda fit: fit.error * (WORTH if outside(fit.hypothesis, robot, some.q) else 1))
 
@@ -113,7 +113,7 @@ def rigid(robot: Robot) -> Robot:
     return replace(robot, joints=rigid, base=base, tool=tool, knowledge=None)
 
 
-def _median_error(robot: Robot, m: Measurements) -> float:
+def median_error(robot: Robot, m: Measurements) -> float:
     """Error after base and tool are placed [m]; infinite where the model cannot be evaluated."""
     with np.errstate(all="ignore"):
         try:

@@ -20,7 +20,7 @@ from casadical.identification.accuracy import errors, predicted
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against
 from casadical.measurements.measurements import STANDS, Measurements, same_readings
-from casadical.project.check.plausible import rigid
+from casadical.project.check.plausible import median_error, rigid
 from casadical.project.problem import Problem
 from casadical.project.robot_columns import names_in, refuse_nameless
 from casadical.robot.robot import Robot
@@ -278,10 +278,10 @@ def misnamed(robot: Robot, m: Measurements) -> Misnamed | None:
     logged = m.condition_matrix(columns, np.zeros(len(columns)))
     given = np.where(logged.any(axis=1), 1 + np.argmax(logged, axis=1), 0)
     free = rigid(robot)
-    before = _median(free, m)
+    before = median_error(free, m)
     part = max(BEGIN, len(m) // 3)
     found = [_search(free, m, given, rows) for rows in (slice(0, part), slice(-part, None))]
-    left = [_median(free, _named(m, robot, names)) for names in found]
+    left = [median_error(free, _named(m, robot, names)) for names in found]
     if min(left) > WORTH * before:
         return None
     # Of two names that change places nobody can say which half is right: the one with more rows is taken.
@@ -323,11 +323,6 @@ def _seen(placed: Robot, m: Measurements) -> Array:
 def _named(m: Measurements, robot: Robot, names: Array) -> Measurements:
     logged = {t.column: (names == k).astype(float) for k, t in enumerate(robot.targets, 1)}
     return replace(m, conditions={**m.conditions, **logged, f"tool_{robot.tool_name}": (names == 0).astype(float)})
-
-
-def _median(robot: Robot, m: Measurements) -> float:
-    with np.errstate(all="ignore"):
-        return float(np.median(errors(place_frames(robot, m), m)))
 
 
 def with_targets_of_rows(
@@ -378,7 +373,7 @@ def _by_position(robot: Robot, m: Measurements) -> dict[str, tuple[Array, Array]
         points, which = found.points, found.which
     else:
         free = rigid(alone)
-        one = _median(free, m)
+        one = median_error(free, m)
         if one < APART / 2:
             return {}
         check_against(alone, m)
