@@ -84,9 +84,9 @@ def load_compensator(path: str | os.PathLike[str]) -> Compensator:
     body = read_checksummed(path, KIND, VERSION)
     try:
         _Saved.model_validate(body)
-        found = _compensator(body)
-        _refuse_large(found)
-        return found
+        compensator = _compensator(body)
+        _refuse_large(compensator)
+        return compensator
     except ValidationError as error:
         fault = error.errors()[0]
         place = ".".join(map(str, fault["loc"]))

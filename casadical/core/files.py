@@ -176,11 +176,11 @@ def _into(path: Path, blob: bytes) -> None:
 
 def _by_home(files: Mapping[Path, bytes]) -> dict[Path, dict[Path, bytes]]:
     """Files by the claimed folder that they are in, else by their folder."""
-    found: dict[Path, dict[Path, bytes]] = {}
+    by_home: dict[Path, dict[Path, bytes]] = {}
     for path, blob in files.items():
         home = next((f for f in _claimed.get() if f in path.parents), path.parent)
-        found.setdefault(home, {})[path] = blob
-    return found
+        by_home.setdefault(home, {})[path] = blob
+    return by_home
 
 
 def _failure(path: Path, error: Exception, written: Sequence[str] = ()) -> InputError:
@@ -310,7 +310,7 @@ def _files(folder: Path) -> Iterator[Path]:
 
 def _link_tree(folder: Path, made: Path, but: Iterable[Path]) -> dict[Path, int]:
     """Hard links to every file of a folder except some; their names in it, and their inodes."""
-    left, found = set(but), {}
+    left, linked = set(but), {}
     for path in folder.rglob("*"):
         name = path.relative_to(folder)
         if path.is_dir() and not path.is_symlink():
@@ -318,8 +318,8 @@ def _link_tree(folder: Path, made: Path, but: Iterable[Path]) -> dict[Path, int]
             (made / name).chmod(stat.S_IMODE(path.stat().st_mode))
         elif path not in left:
             os.link(path, made / name, follow_symlinks=False)
-            found[name] = path.lstat().st_ino
-    return found
+            linked[name] = path.lstat().st_ino
+    return linked
 
 
 def _hidden_file(folder: Path, blob: bytes, mode: int, stack: ExitStack) -> Path:

@@ -19,7 +19,7 @@ def members(group: str, base: type[T], own: Iterable[str | type[T]]) -> dict[str
     Raises InputError that names the entry point where one cannot be loaded, is no such class, or has a name that is
     taken.
     """
-    found: dict[str, type[T]] = {}
+    classes: dict[str, type[T]] = {}
     plugged_in = sorted(entry_points(group=group), key=lambda point: point.name)
     ours = (k if isinstance(k, str) else f"{k.__module__}:{k.__qualname__}" for k in own)
     for point in [*(EntryPoint("", value, group) for value in ours), *plugged_in]:
@@ -27,10 +27,10 @@ def members(group: str, base: type[T], own: Iterable[str | type[T]]) -> dict[str
         name = str(getattr(member, "name", member))
         if point.name and name != point.name:
             raise InputError(f"{_origin(point)}: its class is named {name!r}; both need the same name")
-        if name in found:
+        if name in classes:
             raise InputError(f"{_origin(point)}: there is a {name!r} already; rename it, or uninstall one")
-        found[name] = member
-    return found
+        classes[name] = member
+    return classes
 
 
 def _loaded(point: EntryPoint, base: type[T]) -> type[T]:

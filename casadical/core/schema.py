@@ -49,16 +49,16 @@ class TomlTable(BaseModel):
     def _units(cls, data: Any) -> Any:
         if not isinstance(data, dict):
             return data
-        found: dict[str, Any] = {}
+        fields: dict[str, Any] = {}
         for key, value in data.items():
             name, factor = cls.field_of(key)
-            if name in found:
+            if name in fields:
                 raise FaultError(key, f"{name} is given twice, with different units; keep one")
-            found[name] = value if factor is None else _to_si(value, factor)
+            fields[name] = value if factor is None else _to_si(value, factor)
             quantity = _quantity(cls.model_fields[name].metadata) if factor is not None else None
-            if factor is not None and quantity is not None and _size(found[name]) > quantity.most:
+            if factor is not None and quantity is not None and _size(fields[name]) > quantity.most:
                 raise FaultError(key, f"allowed: at most {quantity.most / factor:.6g}")
-        return found
+        return fields
 
     @classmethod
     def field_of(cls, key: str) -> tuple[str, float | None]:

@@ -79,11 +79,11 @@ class Held:
 
     def best(self, starts: Sequence[Placed]) -> Placed:
         """The best optimum that is found from several starts, freed of the priors where the readings tell enough."""
-        found = min((self._refined(start, self.prior) for start in starts), key=lambda placed: placed.cost)
-        H, unit = self._sums(found)[0], np.diag(self.prior) ** -0.5
+        lowest = min((self._refined(start, self.prior) for start in starts), key=lambda placed: placed.cost)
+        H, unit = self._sums(lowest)[0], np.diag(self.prior) ** -0.5
         value, V = np.linalg.eigh(H * np.outer(unit, unit))
         kept = (V * (value < FREE)) @ V.T / np.outer(unit, unit)
-        return self._refined(found, kept)
+        return self._refined(lowest, kept)
 
     def starts(self) -> list[Placed]:
         """The base as in the file, and turned every way by right angles about its axes and the places' middle."""
@@ -91,11 +91,11 @@ class Held:
         seen = [r.places if r.places is not None else r.seen for r in self.readings]
         middle = np.concatenate(seen).mean(axis=0)
         flange = np.concatenate([r.p for r in self.readings]).mean(axis=0)
-        found = [Placed(self.base[:3, :3], self.base[:3, 3], self.tool)]
+        places = [Placed(self.base[:3, :3], self.base[:3, 3], self.tool)]
         for turn in sorted(turns):
             R = self.base[:3, :3] @ np.reshape(turn, (3, 3))
-            found.append(Placed(R, middle - R @ flange, self.tool))
-        return found
+            places.append(Placed(R, middle - R @ flange, self.tool))
+        return places
 
     def _off(self, at: Placed) -> Array:
         """Departure from the robot file: turn, shift and tool, shape (9,)."""

@@ -70,5 +70,5 @@ class Kept:
         """What was computed under this name, or now."""
         if name not in self.made:
             self.made[name] = compute()
-        found: T = self.made[name]
-        return found
+        answer: T = self.made[name]
+        return answer

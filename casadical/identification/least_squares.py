@@ -206,11 +206,11 @@ class LeastSquares:
         Where the cost's round-off stops Ipopt's line search, the solver cannot know that it stands at an optimum.
         """
         scale = 0.5 * self.residual_count
-        found = minimise(
+        solution = minimise(
             self.cost, self.gradient, *self.bounds, scale=scale, start=start, progress=progress, settled=self._settled
         )
-        sharp = found.status == ACCEPTABLE and self.decrement(found.v) < ROUND_OFF
-        return replace(found, message=OPTIMUM) if sharp else found
+        sharp = solution.status == ACCEPTABLE and self.decrement(solution.v) < ROUND_OFF
+        return replace(solution, message=OPTIMUM) if sharp else solution
 
     def _settled(self, v: Array) -> bool:
         """Whether little is left to gain, where guesses make the search creep."""
@@ -229,8 +229,8 @@ class LeastSquares:
 
     def gradient(self, v: Array) -> tuple[Array, Array]:
         """Gradient and Gauss-Newton Hessian of the cost at v, shapes (size,) and (size, size)."""
-        found: tuple[Array, Array] = self._kept.gradient(v, self._gradient)
-        return found
+        both: tuple[Array, Array] = self._kept.gradient(v, self._gradient)
+        return both
 
     def _gradient(self, v: Array) -> tuple[Array, Array]:
         sums = self._sums(v)
@@ -257,8 +257,8 @@ class LeastSquares:
 
     def residuals(self, v: Array) -> list[Array]:
         """Of every set, shape (n, m), and of the known separations, where there are any, shape (separations, 1)."""
-        found = self._sums(v).residuals
-        return self._joined((k, r) for k, r, _ in self._parts(v)) if found is None else found
+        left = self._sums(v).residuals
+        return self._joined((k, r) for k, r, _ in self._parts(v)) if left is None else left
 
     def square(self, v: Array) -> float:
         """Sum of the squares of all residuals, without the loss."""
@@ -273,8 +273,8 @@ class LeastSquares:
         return [np.concatenate(some) if len(some) > 1 else some[0] for some in of_set.values()]
 
     def _sums(self, v: Array) -> Sums:
-        found: Sums = self._kept.sums(v, self._summed)
-        return found
+        sums: Sums = self._kept.sums(v, self._summed)
+        return sums
 
     def _summed(self, v: Array, *, triangle: bool = False) -> Sums:
         cost = square = 0.0
@@ -303,8 +303,8 @@ class LeastSquares:
         """The cost from residuals alone."""
         x, u = self.separate(v)
         of_sets = ((k, r) for k, block in enumerate(self.blocks) for r in block.residuals(x, u))
-        found = chain(of_sets, ((k, r) for k, r, _ in self._separated(v)))
-        return 0.5 * (sum(float(loss_value(self._loss_of(k), r).sum()) for k, r in found) + self.prior_square(v))
+        residuals = chain(of_sets, ((k, r) for k, r, _ in self._separated(v)))
+        return 0.5 * (sum(float(loss_value(self._loss_of(k), r).sum()) for k, r in residuals) + self.prior_square(v))
 
     def _loss_of(self, k: int) -> Loss:
         """Known separations pass through no loss."""
@@ -317,8 +317,8 @@ class LeastSquares:
         """
         if self.residual_count * self.size > KEPT:
             return self._evaluated(v)
-        found: tuple[_Part, ...] = self._kept.parts(v, lambda v: tuple(self._evaluated(v)))
-        return found
+        parts: tuple[_Part, ...] = self._kept.parts(v, lambda v: tuple(self._evaluated(v)))
+        return parts
 
     def _evaluated(self, v: Array) -> Iterator[_Part]:
         x, u = self.separate(v)

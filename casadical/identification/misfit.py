@@ -232,7 +232,7 @@ def _sums(rhos: tuple[float, ...], poses: _Poses, part: Array | None = None) -> 
 
     Jq : how each joint moves what is measured, times its rho; part : number of each pose's part, shape (n,)
     """
-    found: dict[int, NormalSums] = {}
+    sums_of: dict[int, NormalSums] = {}
     spread, done = 0.0, 0
     for rows in poses:
         n, numbers = rows.r.shape
@@ -245,8 +245,8 @@ def _sums(rhos: tuple[float, ...], poses: _Poses, part: Array | None = None) -> 
         done += len(white)
         for k in np.unique(own).tolist():
             sums = normal_sums(white[own == k], Jw[own == k])
-            found[k] = found[k].plus(sums) if k in found else sums
-    return list(found.values()), spread
+            sums_of[k] = sums_of[k].plus(sums) if k in sums_of else sums
+    return list(sums_of.values()), spread
 
 
 def misfit_of(found: Identification) -> float:
@@ -276,7 +276,7 @@ def _misfit(of_parts: Sequence[Sequence[NormalSums]], mean: Array, s2: float, va
     inverse = scaled_inverse(whole.H + s2 * np.diag(1 / variance))
     freedom = max(1.0, whole.count - float(np.sum(inverse * whole.H)))
     chance = CHANCE * np.sqrt(2 / freedom)
-    found = 1.0
+    factor = 1.0
     for parts in of_parts:
         pushed = usual = 0.0
         for sums in parts:
@@ -284,8 +284,8 @@ def _misfit(of_parts: Sequence[Sequence[NormalSums]], mean: Array, s2: float, va
             pushed += float(push @ inverse @ push) / s2
             usual += float(np.trace(seen) - np.sum(seen * seen.T))
         if usual > 0:
-            found = max(found, pushed / usual - chance)
-    return found
+            factor = max(factor, pushed / usual - chance)
+    return factor
 
 
 def _by_order(n: int) -> Array:

@@ -154,9 +154,9 @@ def solve_placement(
     before = np.concatenate([R_B.T.ravel(), R_B.T @ (centre - T_M0[:3, 3]), t])
     if known_tool is not None:
         G, h, before = G[:12, :12], h[:12] - G[:12, 12:] @ known_tool, before[:12]
-    found = before + _seen_inverse(G) @ (h - G @ before)
-    R_B = nearest_rotation(found[:9].reshape(3, 3)).T
-    t = found[12:] if known_tool is None else known_tool
+    placed = before + _seen_inverse(G) @ (h - G @ before)
+    R_B = nearest_rotation(placed[:9].reshape(3, 3)).T
+    t = placed[12:] if known_tool is None else known_tool
     # R t + s = R_B' y - p, with s the base's origin as the base sees it
     yR = (cR + np.multiply.outer(centre, S)).reshape(9, 3)
     G = np.block([[n * np.eye(3), S.T], [S, n * np.eye(3)]])

@@ -65,16 +65,16 @@ class Prior(Shown):
 
     def uncovered(self, sets: Sequence[Measurements]) -> dict[str, float]:
         """Share of poses outside of the range on which the values were learnt, by joint (q1) or logged column."""
-        found = {}
+        shares = {}
         for j, (low, high) in enumerate(self.knowledge.readings):
             q = np.concatenate([m.q[:, j] for m in sets])
-            found[f"q{j + 1}"] = float(np.mean((q < low) | (q > high)))
+            shares[f"q{j + 1}"] = float(np.mean((q < low) | (q > high)))
         for name, (low, high) in self.knowledge.conditions.items():
             logged = [m.conditions[name] for m in sets if name in m.conditions]
             if logged:
                 column = np.concatenate(logged)
-                found[name] = float(np.mean((column < low) | (column > high)))
-        return found
+                shares[name] = float(np.mean((column < low) | (column > high)))
+        return shares
 
     def refuse_uncovered(self, sets: Sequence[Measurements]) -> None:
         """Raises InputError where frozen values would be used outside of what they were learnt on."""
@@ -194,7 +194,7 @@ def _widened(block: Covariance, sizes: Mapping[str, float], times: float, share:
 def _chosen(other: Robot, parts: Collection[str]) -> tuple[Effect, ...]:
     """Effects that were asked for. Raises InputError."""
     lasting = [e for e in other.effects if not any(c.startswith(("progress", "warmth")) for c in e.conditions)]
-    found = lasting if {"effects", "all"} & set(parts) else []
+    effects = lasting if {"effects", "all"} & set(parts) else []
     for word in parts:
         hit = [e for e in other.effects if word in (e.name, e.label)]
         if not hit and word not in ("effects", "all"):
@@ -202,13 +202,13 @@ def _chosen(other: Robot, parts: Collection[str]) -> tuple[Effect, ...]:
                 f"prior {other.name!r}: no effect {word!r}; allowed: effects, all, "
                 f"{', '.join(e.label for e in other.effects) or 'and it has no effects'}"
             )
-        found = [*found, *(e for e in hit if e not in found)]
-    if not found and "all" not in parts:
+        effects = [*effects, *(e for e in hit if e not in effects)]
+    if not effects and "all" not in parts:
         raise InputError(
             f"prior {other.name!r}: it has no effects that last beyond their campaign; write 'all' for its geometry, "
             "or name the effect"
         )
-    return tuple(found)
+    return tuple(effects)
 
 
 def refuse_another(robot: Robot, other: Robot, what: str) -> None:

@@ -41,8 +41,8 @@ def reduce_and_solve(
     solve ends, is added: the compliance of an upright first axis, once the base is found to be tilted. Raises
     InputError where the data determine no parameter at all, or are no more numbers than there are unknowns.
     """
-    found = independent_parameters(problem)
-    reduced = problem.with_names(found.independent)
+    analysis = independent_parameters(problem)
+    reduced = problem.with_names(analysis.independent)
     if not problem.priors and reduced.degrees_of_freedom <= 0:
         raise InputError(
             f"{problem.sets[0].source}: {problem.residual_count} numbers were measured, but at least "
@@ -63,11 +63,11 @@ def reduce_and_solve(
             left = left or _misfit(reduced, solution.v)
             worse = [] if problem.priors else _poor(reduced, solution.v, reduced.variance(solution.v))
             if not worse:
-                more = _with_visible(reduced, solution.v, found, problem.names)
+                more = _with_visible(reduced, solution.v, analysis, problem.names)
                 if more is None:
-                    return reduced, solution, replace(found, independent=reduced.names, held=(*found.held, *poor))
+                    return reduced, solution, replace(analysis, independent=reduced.names, held=(*analysis.held, *poor))
                 reduced, start = more
-                found = replace(found, held=tuple(u for u in found.held if u.name not in reduced.names))
+                analysis = replace(analysis, held=tuple(u for u in analysis.held if u.name not in reduced.names))
                 optima.setdefault((reduced.names, reduced.labels), start)
         poor += worse
         gone = {u.name for u in worse}
@@ -77,7 +77,7 @@ def reduce_and_solve(
             f"{problem.sets[0].source}: the model does not fit: {1e3 * left:.3g} mm a coordinate are left after the "
             "best fit; check the signs and zeros of the joints, their order, units and the DH convention"
         )
-    reasons = "; ".join(f"{u.name}: {u.reason}" for u in (*found.held, *poor))
+    reasons = "; ".join(f"{u.name}: {u.reason}" for u in (*analysis.held, *poor))
     raise InputError(
         f"{problem.sets[0].source}: these measurements determine none of the parameters to be identified. {reasons}"
     )
@@ -165,16 +165,16 @@ def independent_parameters(problem: LeastSquares) -> Identifiability:
     of_effects = {e.label for e in robot.effects}
     if problem.priors and p > WIDE:  # what a prior of an effect holds back needs no test of independence
         base = [k for k, parameter in enumerate(own) if parameter.group not in of_effects]
-        found = analyse(R[:, [*range(p, problem.size), *base]], [names[k] for k in base], points, held)
-        dropped = {u.name for u in found.held}
-        return replace(found, independent=tuple(n for n in names if n not in dropped))
+        analysis = analyse(R[:, [*range(p, problem.size), *base]], [names[k] for k in base], points, held)
+        dropped = {u.name for u in analysis.held}
+        return replace(analysis, independent=tuple(n for n in names if n not in dropped))
     R = np.concatenate([R[:, p:], R[:, :p]], axis=1) if points else R
-    found = analyse(R, names, points, held)
+    analysis = analyse(R, names, points, held)
     if any(find_kind(m.kind).has_scale or m.separations for m in problem.sets):
-        return found
-    longest = max(found.independent, key=lambda n: abs(_length(problem, n)), default="")
+        return analysis
+    longest = max(analysis.independent, key=lambda n: abs(_length(problem, n)), default="")
     if not longest or not _scale_is_free(problem):
-        return found
+        return analysis
     held[longest] = "contacts without known separations do not determine the scale; this length is its reference"
     return analyse(R, names, points, held)
 

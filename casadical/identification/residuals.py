@@ -194,15 +194,15 @@ def make_block(
 ) -> Block:
     """Measurements as a block; points : shape (K, 3) [m], all points' starts; group, fixed_loads : see above."""
     kind = find_kind(m.kind)
-    found = kernel(robot, kind, bool(kind.point_names(m.arrays)), tuple(names), fixed_loads)
+    compiled = kernel(robot, kind, bool(kind.point_names(m.arrays)), tuple(names), fixed_loads)
 
     def data(m: Measurements, at: slice) -> Array:
         start = points[group[at]] if len(points) else np.zeros((len(m), 3))
-        return data_columns(robot, m, found.observed, start, sigma, sigma_angle)
+        return data_columns(robot, m, compiled.observed, start, sigma, sigma_angle)
 
     whole = data(m, slice(None)) if len(m) <= HELD else None
     of_some = (lambda at: whole[:, at]) if whole is not None else (lambda at: data(m[at], at))
-    return Block(found, of_some, group, robot_numbers(robot, names))
+    return Block(compiled, of_some, group, robot_numbers(robot, names))
 
 
 def loss_value(loss: Loss, r: Array) -> Array:

@@ -55,19 +55,19 @@ def _estimated_sigmas(problem: LeastSquares, solution: Solution) -> tuple[tuple[
     """Of each set, from its residuals and their share in the degrees of freedom (Foerstner 1979)."""
     if all(m.sigma and (m.sigma_angle or not find_kind(m.kind).angles) for m in problem.sets):
         return tuple((max(sigma, LEAST_SIGMA), max(angle, LEAST_SIGMA)) for sigma, angle in problem.sigmas)
-    found = []
+    sigmas = []
     for m, (sigma, angle), both in zip(problem.sets, problem.sigmas, _with_freedom(problem, solution), strict=True):
         r, freedom = (values[m.weight > 0] for values in both)
         n = find_kind(m.kind).lengths
         if problem.known and freedom.sum() < TELLING:
-            found.append((m.sigma or sigma, m.sigma_angle or angle))
+            sigmas.append((m.sigma or sigma, m.sigma_angle or angle))
             continue
         if n:
             sigma = m.sigma or sigma * _deviation(problem, r[:, :n], freedom[:, :n])
         if n < r.shape[1]:
             angle = m.sigma_angle or angle * _deviation(problem, r[:, n:], freedom[:, n:])
-        found.append((max(sigma, LEAST_SIGMA), max(angle, LEAST_SIGMA)))
-    return tuple(found)
+        sigmas.append((max(sigma, LEAST_SIGMA), max(angle, LEAST_SIGMA)))
+    return tuple(sigmas)
 
 
 def _deviation(problem: LeastSquares, r: Array, freedom: Array) -> float:

@@ -29,11 +29,11 @@ def sessions_in(sets: Sequence[Measurements]) -> tuple[str, ...]:
 
 def apart(sets: Sequence[Measurements]) -> tuple[Measurements, ...]:
     """The sets with the poses of each session for themselves: what was measured in one frame, of one tool."""
-    found = []
+    alone = []
     for m in sets:
         flags = [m.conditions[PREFIX + name] > 0 for name in sessions_in([m])]
-        found += [m[np.flatnonzero(flag)] for flag in flags] if len(flags) > 1 else [m]
-    return tuple(found)
+        alone += [m[np.flatnonzero(flag)] for flag in flags] if len(flags) > 1 else [m]
+    return tuple(alone)
 
 
 def with_sessions(robot: Robot, sets: Sequence[Measurements]) -> tuple[Robot, tuple[str, ...]]:

@@ -211,9 +211,9 @@ def minimise(
     ipopt = _solvers.of(len(lower), MAX_ITERATIONS)
     ipopt.cost, ipopt.gradient, ipopt.scale, ipopt.progress, ipopt.history = cost, gradient, scale, progress, []
     ipopt.settled = settled
-    found = ipopt.solve(x0=np.zeros(len(lower)) if start is None else start, lbx=lower, ubx=upper)
+    answer = ipopt.solve(x0=np.zeros(len(lower)) if start is None else start, lbx=lower, ubx=upper)
     status = str(ipopt.solve.stats()["return_status"])
     message = _SENTENCES.get(status, f"Ipopt stopped with {status}; see its documentation for this status.")
     if status not in ("Solve_Succeeded", ACCEPTABLE, STOPPED, "Search_Direction_Becomes_Too_Small"):
         raise ConvergenceError(f"{message} ({status} after {len(ipopt.history)} iterations)")
-    return Solution(found["x"].full().ravel(), status, message, tuple(ipopt.history))
+    return Solution(answer["x"].full().ravel(), status, message, tuple(ipopt.history))

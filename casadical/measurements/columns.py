@@ -187,17 +187,17 @@ class Columns:
     def _faults(self, name: str) -> list[Fault]:
         """Cells of a column that are no numbers, and those that are no possible ones."""
         values = self._values(name)
-        found: list[Fault] = []
+        faults: list[Fault] = []
         least, most = POSSIBLE.get(name, (-LARGEST, LARGEST))
         with np.errstate(invalid="ignore"):
             far = (values < least) | (values > most)
         for wrong, mask in (("is not a finite number", ~np.isfinite(values)), ("is not possible", far)):
-            if (bad := np.flatnonzero(mask)).size and not found:
+            if (bad := np.flatnonzero(mask)).size and not faults:
                 rows, finite = tuple(map(int, self.row[bad])), np.isfinite(values[bad[0]])
                 value = f"{values[bad[0]]:g}" if finite else _cell(self.table[name].iloc[int(bad[0])])
                 allowed = f"{least:g} to {most:g}" if finite else ""
-                found.append(Fault(self.source, rows, name, value, wrong, allowed, "correct or delete the row"))
-        return found
+                faults.append(Fault(self.source, rows, name, value, wrong, allowed, "correct or delete the row"))
+        return faults
 
     def refuse_faults(self, kinds: Sequence[str], observations: str) -> None:
         """Refuses missing readings, and cells that are no possible numbers, in all columns at once.
@@ -210,15 +210,15 @@ class Columns:
         lost = [" or ".join(names) for names in named if not {*names} & {*self.table}]
         remedy = f"name it so, or map it by `columns` in problem.toml; there are {self.names}"
         what = "are missing" if len(lost) > 1 else "is missing"
-        found = [Fault(self.source, (), ", ".join(lost), "", what, "", remedy)] if lost else []
+        faults = [Fault(self.source, (), ", ".join(lost), "", what, "", remedy)] if lost else []
         for name in map(str, self.table):
             asked = name in POSSIBLE or re.fullmatch(f"{_NUMBERS.pattern}|{_READING.pattern}|{_TILT}", name)
             mostly = pd.to_numeric(self.table[name], errors="coerce").notna().mean() >= 0.5
             measured = _MEASURED.fullmatch(name) or not re.fullmatch(f"{_NO_CONDITIONS}|{observations}", name)
             if asked or (mostly and measured and name not in self.taken):
-                found += self._faults(name)
-        if found:
-            raise FaultsError(found)
+                faults += self._faults(name)
+        if faults:
+            raise FaultsError(faults)
 
     def si(self, stem: str, units: Sequence[str]) -> Array:
         """Column `stem` with one of the suffixes _mm, _m, _deg, _rad, shape (n,) [m or rad].
@@ -269,15 +269,15 @@ class Columns:
         Raises InputError: words among numbers.
         """
         others = re.compile("|".join([_NO_CONDITIONS, *observations]))
-        found = {}
+        conditions = {}
         for name in map(str, self.table):
             if others.fullmatch(name) or (name in self.taken and name not in POSSIBLE):
                 continue  # a heading that one of our columns was made from is no condition
             numeric = pd.to_numeric(self.table[name], errors="coerce").notna()
             # Some words among numbers are mistakes: `column` says where. What the model asks for must be numbers.
             if numeric.mean() >= 0.5 or name in POSSIBLE or _NUMBERS.fullmatch(name):
-                found[name] = self.column(name)
-        return found
+                conditions[name] = self.column(name)
+        return conditions
 
     def tools(self) -> dict[str, Array]:
         """Of the column `tool`, for each name in it whether that point was measured, [1 or 0], shape (n,).

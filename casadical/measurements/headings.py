@@ -233,7 +233,7 @@ def _headings(raw: RawTable, frame: pd.DataFrame, names: Sequence[str]) -> list[
     """What each heading says that says something; names : of the joints."""
     below = [*raw.form.units, *([""] * len(raw.header))]
     named = [(words_of(name)[0], str(i)) for i, name in enumerate(names, 1) if name]
-    found = []
+    headings = []
     for k, name in enumerate(raw.header):
         words, unit = words_of(name)
         if not words or set(words) & WORDS["about"]:
@@ -245,8 +245,8 @@ def _headings(raw: RawTable, frame: pd.DataFrame, names: Sequence[str]) -> list[
         if quantity and (np.isfinite(values).mean() > 0.5 or quantity in _OTHERS):
             qualifier = next((q for q in ("measured", "nominal") if set(words) & WORDS[q]), "")
             unit = unit or (below[k] if below[k] in UNITS else "")
-            found.append(_Heading(name, quantity, slot, qualifier, unit, frozenset(rest), values))
-    return found
+            headings.append(_Heading(name, quantity, slot, qualifier, unit, frozenset(rest), values))
+    return headings
 
 
 def _numbers(cells: pd.Series) -> Array:
@@ -295,13 +295,13 @@ def _contains(words: Sequence[str], part: Sequence[str]) -> bool:
 
 def _groups(headings: Iterable[_Heading], quantity: str, slots: Sequence[str]) -> list[list[_Heading]]:
     """Columns of a quantity with all slots, of the words that are expected most; nominal ones are none."""
-    found: dict[tuple[str, frozenset[str]], dict[str, _Heading]] = {}
+    groups: dict[tuple[str, frozenset[str]], dict[str, _Heading]] = {}
     for h in headings:
         if h.quantity == quantity and h.qualifier != "nominal":
-            found.setdefault((h.qualifier, h.rest), {}).setdefault(h.slot, h)
+            groups.setdefault((h.qualifier, h.rest), {}).setdefault(h.slot, h)
     return _best(
         (_RANK[qualifier] + (3 if rest else 0), [members[slot] for slot in slots])
-        for (qualifier, rest), members in found.items()
+        for (qualifier, rest), members in groups.items()
         if all(slot in members for slot in slots)
     )
 
@@ -330,14 +330,14 @@ def _joints(headings: Iterable[_Heading], n: int, order: Mapping[str, int]) -> l
 
 def _names_in_cells(raw: RawTable, frame: pd.DataFrame, names: Sequence[str]) -> dict[str, int]:
     """The joint of each number, where columns as `name[0]` hold the joints' names (ROS JointState)."""
-    found = {}
+    joint_of = {}
     for heading in raw.header:
         numbers = re.findall(r"\d+", heading)
         if len(numbers) == 1 and "name" in words_of(heading)[0]:
             cells = {str(cell) for cell in frame[heading]}
             if len(cells) == 1 and cells <= {*names}:
-                found[str(int(numbers[0]))] = 1 + [*names].index(cells.pop())
-    return found
+                joint_of[str(int(numbers[0]))] = 1 + [*names].index(cells.pop())
+    return joint_of
 
 
 def _numbered(raw: RawTable, frame: pd.DataFrame, n: int, taken: Collection[str] = ()) -> list[list[_Heading]]:
@@ -347,8 +347,8 @@ def _numbered(raw: RawTable, frame: pd.DataFrame, n: int, taken: Collection[str]
         numbers = re.findall(r"\d+", name)
         if len(numbers) == 1 and name not in taken and np.isfinite(values := _numbers(frame[name])).mean() > 0.5:
             words, unit = words_of(name)
-            found = _Heading(name, "numbered", numbers[0], "", unit, frozenset(words) - {*numbers}, values)
-            groups.setdefault(re.sub(r"\d+", "#", name), {})[int(numbers[0])] = found
+            heading = _Heading(name, "numbered", numbers[0], "", unit, frozenset(words) - {*numbers}, values)
+            groups.setdefault(re.sub(r"\d+", "#", name), {})[int(numbers[0])] = heading
     return [[m[i] for i in sorted(m)] for m in groups.values() if sorted(m) in ([*range(1, n + 1)], [*range(n)])]
 
 
@@ -483,15 +483,15 @@ def _unit_by_size(values: Array, quantity: str) -> tuple[str, bool]:
 
 def _stated_units(lines: Sequence[str]) -> dict[str, str]:
     """Units that comments and titles state, for lengths and angles."""
-    found: dict[str, str] = {}
+    units: dict[str, str] = {}
     for line in lines:
         match = _UNIT_LINE.search(unicodedata.normalize("NFKC", line))
         for word in re.findall(r"[^\s,;:/()\[\]]+", match[1].casefold()) if match else ():
             if word in UNITS:
                 quantity = {"mm": "length", "m": "length", "deg": "angle", "rad": "angle"}.get(UNITS[word][0])
                 if quantity:
-                    found.setdefault(quantity, word)
-    return found
+                    units.setdefault(quantity, word)
+    return units
 
 
 def _by_order(raw: RawTable, frame: pd.DataFrame, n: int) -> list[_Heading]:

@@ -86,7 +86,7 @@ def _sheet(path: Path, data: bytes) -> tuple[str, str, str]:
     """The sheet of a workbook with the most numbers, as CSV with the sheet's rows as lines."""
     needed = f"{path}: reading .xlsx needs openpyxl: pip install 'casadical[xlsx]', or save it as CSV"
     openpyxl = optional("openpyxl", needed)
-    content, found, cells = archive_of(data, str(path)), ("", "", -1), 0
+    content, best, cells = archive_of(data, str(path)), ("", "", -1), 0
     with foreign(f"{path}: not a readable workbook"):
         for sheet in openpyxl.load_workbook(content, read_only=True, data_only=True).worksheets:
             sheet.reset_dimensions()  # what it says of its size need not be true
@@ -98,8 +98,8 @@ def _sheet(path: Path, data: bytes) -> tuple[str, str, str]:
                     raise InputError(f"{path}: has more than {MOST_CELLS} cells; save what was measured as CSV")
                 numbers += sum(isinstance(value, int | float) for value in row)
                 rows.writerow(map(_cell, row))
-            found = max(found, (out.getvalue(), str(sheet.title), numbers), key=lambda sheet: sheet[2])
-    return found[0], "workbook", found[1]
+            best = max(best, (out.getvalue(), str(sheet.title), numbers), key=lambda sheet: sheet[2])
+    return best[0], "workbook", best[1]
 
 
 def _cell(value: Any) -> str:

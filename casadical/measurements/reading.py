@@ -87,10 +87,10 @@ def read_measurements(
     start = measured(named)
     if _row_by_row(start, sources):
         others = (measured(Columns.of_file(part).mapped(sources)) for part in chain([further], parts))
-        found = joined(chain([start], others))
-        if found is not None:
-            refuse_other_unit(found.q, _kinds(joints, named.source), [*map(str, named.table)], found.source, found.row)
-            return _without_copies(found)
+        whole = joined(chain([start], others))
+        if whole is not None:
+            refuse_other_unit(whole.q, _kinds(joints, named.source), [*map(str, named.table)], whole.source, whole.row)
+            return _without_copies(whole)
     named = Columns.of_file(read_columns(path)).mapped(sources, point_from)
     return from_columns(named, joints, kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
 
@@ -180,8 +180,8 @@ def from_columns(
     sigma_deg: float | None = None,
 ) -> Measurements:
     """Measurements from columns under our names; arguments and errors (Raises InputError) as of `read_measurements`."""
-    found = _measured(columns, joints, kind, sigma_mm, sigma_deg, whole=True)
-    return _without_copies(found)
+    m = _measured(columns, joints, kind, sigma_mm, sigma_deg, whole=True)
+    return _without_copies(m)
 
 
 def _kinds(joints: int | Sequence[str], source: str) -> list[str]:
@@ -270,9 +270,9 @@ def _without_copies(m: Measurements) -> Measurements:
         return m
     kept = np.setdiff1d(np.arange(len(m)), copied)
     pieces = np.array_split(kept, 1 + len(kept) // ROWS)
-    found = m[kept] if m.label is not None or len(pieces) == 1 else joined(m[piece] for piece in pieces)
-    assert found is not None
-    return replace(found, copies=tuple(m.row[copied].tolist()))
+    once = m[kept] if m.label is not None or len(pieces) == 1 else joined(m[piece] for piece in pieces)
+    assert once is not None
+    return replace(once, copies=tuple(m.row[copied].tolist()))
 
 
 def _hashes(numbers: Sequence[Array]) -> Array:

@@ -242,11 +242,13 @@ def later_poses(
     declared = robot.payload.mass if robot.payload else 0.0
     states = np.unique([*campaign_payloads(robot, campaign), 0.0, declared])
     warm = rng.random(len(q)) < 0.5
-    found = {
+    conditions = {
         name: _later(name, campaign.conditions.get(name), warm, np.array(sorted(payloads)) if payloads else states, rng)
         for name in columns
     }
-    return LaterPoses(unmeasured(q, found), repeated, warm if any(n.startswith("warmth_") for n in found) else None)
+    return LaterPoses(
+        unmeasured(q, conditions), repeated, warm if any(n.startswith("warmth_") for n in conditions) else None
+    )
 
 
 def campaign_payloads(robot: Robot, campaign: Measurements) -> Array:

@@ -29,8 +29,8 @@ PART = 1000
 def scaled_jacobian(robot: Robot, names: Sequence[str], m: Measurements) -> Array:
     """Jacobian of the positions by these parameters, at the robot's values, shape (n, 3, p) [mm per unit of scale]."""
     parts = [m[np.arange(start, min(start + PART, len(m)))] for start in range(0, len(m), PART)]
-    found = [_problem(robot, names, part).evaluate(np.zeros(len(names)))[1] for part in parts]
-    return np.asarray(np.concatenate(found).reshape(len(m), 3, -1))
+    jacobians = [_problem(robot, names, part).evaluate(np.zeros(len(names)))[1] for part in parts]
+    return np.asarray(np.concatenate(jacobians).reshape(len(m), 3, -1))
 
 
 def _problem(robot: Robot, names: Sequence[str], m: Measurements) -> LeastSquares:
@@ -74,14 +74,14 @@ def independent(
     information : of such names, and of unknown points behind them, in units of scale. Raises InputError: none is left.
     """
     problem = LeastSquares(robot, tuple(sets), tuple(names), "linear", False, ((MM, MM),) * len(sets))
-    found = independent_parameters(problem)
-    kept = list(found.independent)
+    analysis = independent_parameters(problem)
+    kept = list(analysis.independent)
     if prior is not None:
-        return tuple(kept), found.held
+        return tuple(kept), analysis.held
     left, poor, _ = drop_poor([robot.parameters[n] for n in kept], information(kept))
     if not left:
         raise InputError(f"{robot.name}: poses like these determine none of {', '.join(names)}; free other parameters")
-    return tuple(kept[k] for k in left), (*found.held, *poor)
+    return tuple(kept[k] for k in left), (*analysis.held, *poor)
 
 
 def known_before(robot: Robot, names: Sequence[str], prior: Prior | None, size: int = 0) -> Array:
@@ -90,7 +90,7 @@ def known_before(robot: Robot, names: Sequence[str], prior: Prior | None, size: 
     size : of the matrix, further rows are unknown places of which nothing is known
     """
     p = len(names)
-    found = np.zeros((max(size, p), max(size, p)))
+    matrix = np.zeros((max(size, p), max(size, p)))
     means, known = (prior.means, prior.known) if prior is not None else (False, ())
-    found[:p, :p] = LeastSquares(robot, (), tuple(names), "linear", means, (), known=known).prior_matrix
-    return found
+    matrix[:p, :p] = LeastSquares(robot, (), tuple(names), "linear", means, (), known=known).prior_matrix
+    return matrix

@@ -115,15 +115,15 @@ def select_with_places(
         )
         if best is not None and best.instrument and np.array_equal(best.instrument.places, instrument.places):
             break
-        found = select_poses(
+        chosen = select_poses(
             robot, None, n, criterion, workspace=workspace, free=free, noise=noise, seed=seed, instrument=instrument,
             **options,
         )  # fmt: skip
-        if best is not None and found.accuracy >= best.accuracy:
+        if best is not None and chosen.accuracy >= best.accuracy:
             break
-        best = found
+        best = chosen
         if kind == "sockets":
             break
-        q = found.q
+        q = chosen.q
     assert best is not None
     return best

@@ -24,11 +24,11 @@ def known_trainers() -> Mapping[str, type[Trainer]]:
     Raises InputError: a faulty plug-in.
     """
     own = (kind for kind in vars(registry).values() if isinstance(kind, type))
-    found = members(GROUP, Trainer, own)  # type: ignore[type-abstract]
-    methods = [kind.method for kind in found.values() if kind.method]
+    trainers = members(GROUP, Trainer, own)  # type: ignore[type-abstract]
+    methods = [kind.method for kind in trainers.values() if kind.method]
     if taken := {method for method in methods if methods.count(method) > 1}:
         raise InputError(f"two trainers have the method {min(taken)!r}; rename it in the plug-in, or uninstall one")
-    return found
+    return trainers
 
 
 def network_methods() -> Mapping[str, type[Trainer]]:

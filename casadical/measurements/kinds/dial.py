@@ -45,7 +45,7 @@ class Dial(MeasurementKind):
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
         """Readings [m], and their axes or the gauges' names. Raises InputError."""
-        found = {"reading": columns.si("reading", ("_mm", "_m"))}
+        arrays = {"reading": columns.si("reading", ("_mm", "_m"))}
         if any(str(name).startswith("along_") for name in columns.table):
             axis = np.stack([columns.column(f"along_{c}") for c in "xyz"], axis=1)
             length = np.linalg.norm(axis, axis=1)
@@ -55,16 +55,16 @@ class Dial(MeasurementKind):
                     f"{columns.at(row)}, columns 'along_x' to 'along_z': length {length[row]:.4g}; allowed: unit "
                     "vectors of the measuring frame, such as 0, 0, 1 for a height"
                 )
-            return found | {"axis": axis / length[:, None]}
+            return arrays | {"axis": axis / length[:, None]}
         if "dial" in columns.table:
-            found["label"] = labels_of(columns, "dial", "it names the gauge of each reading")
-        for own in each_label(_labels(found)):
+            arrays["label"] = labels_of(columns, "dial", "it names the gauge of each reading")
+        for own in each_label(_labels(arrays)):
             if len(own) < FEWEST:
                 raise InputError(
                     f"{columns.at(int(own[0]))}, column 'reading': {len(own)} readings of one gauge; its axis and zero "
                     f"take three: give {FEWEST} at least, or its axis in along_x, along_y, along_z"
                 )
-        return found
+        return arrays
 
     def residual(self, pose: PoseExpression) -> Symbolic:
         if pose.point is None:

@@ -41,12 +41,12 @@ class Distance(MeasurementKind):
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
         """Distances [m], their far ends where these are known, and the far ends' names where there are any."""
-        found = {"distance": positive_distances(columns)}
+        arrays = {"distance": positive_distances(columns)}
         if any(str(name).startswith("to_x") for name in columns.table):
-            found["target"] = columns.vector("to_")
+            arrays["target"] = columns.vector("to_")
         if "anchor" in columns.table:
-            found["label"] = labels_of(columns, "anchor", "it names the far end of each distance")
-        return found
+            arrays["label"] = labels_of(columns, "anchor", "it names the far end of each distance")
+        return arrays
 
     def residual(self, pose: PoseExpression) -> Symbolic:
         line = pose.p - pose.take("target", 3) if pose.point is None else pose.from_point()

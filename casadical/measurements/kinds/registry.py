@@ -28,11 +28,11 @@ _OURS = (
 @cache
 def kinds() -> Mapping[str, MeasurementKind]:
     """Every kind by its name. Raises InputError for a faulty plug-in."""
-    found = {name: member() for name, member in members(GROUP, MeasurementKind, _OURS).items()}  # type: ignore[type-abstract]
-    for kind in found.values():
+    kinds = {name: member() for name, member in members(GROUP, MeasurementKind, _OURS).items()}  # type: ignore[type-abstract]
+    for kind in kinds.values():
         if not 1 <= kind.numbers <= 6:
             raise InputError(f"kind {kind.name!r} observes {kind.numbers} numbers at a pose; allowed: 1 to 6")
-    return found
+    return kinds
 
 
 def find_kind(name: str, source: str = "measurements") -> MeasurementKind:

@@ -36,16 +36,16 @@ class RelativePose(MeasurementKind):
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
         """Shifts [m], turns, readings at the other end. Raises InputError: a first row that begins elsewhere."""
-        found = {"shift": columns.vector("d"), "turn": orientations(columns)}
+        arrays = {"shift": columns.vector("d"), "turn": orientations(columns)}
         if "other_pose" in columns.table:
-            return found | {"other": q[other_poses(columns)]}
-        if np.abs(found["shift"][0]).max() > 0 or np.abs(found["turn"][0] - np.eye(3)).max() > 0:
+            return arrays | {"other": q[other_poses(columns)]}
+        if np.abs(arrays["shift"][0]).max() > 0 or np.abs(arrays["turn"][0] - np.eye(3)).max() > 0:
             raise InputError(
                 f"{columns.at(0)}: has no row before that it could be relative to, but a shift or a turn; give zeros "
                 "there, or name the other pose of each row in `pose` and `other_pose`"
             )
         before = np.maximum(np.arange(len(q)) - 1, 0)
-        return found | {"other": q[before], "counted": (np.arange(len(q)) > 0).astype(float)}
+        return arrays | {"other": q[before], "counted": (np.arange(len(q)) > 0).astype(float)}
 
     def residual(self, pose: PoseExpression) -> Symbolic:
         p, R = pose.pose_at(pose.take("other", pose.joints))
