@@ -91,9 +91,11 @@ def identify(
     tried = compliance_tried(prepared, progress)
     if method == "SKCM":
         return by(tried)
-    if tried.tried is None or not tried.tried.kept or loss == "linear" or not screen:
+    if tried.tried is None or not tried.tried.kept:
         return by(prepared)
-    return judged(prepared, tried.tried.outliers, loss, priors=priors, progress=progress)
+    if screen and loss != "linear":
+        by = partial(judged, outliers=tried.tried.outliers, loss=loss, priors=priors, progress=progress)
+    return replace(by(prepared), tried=tried.tried)
 
 
 def judged(

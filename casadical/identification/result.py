@@ -62,11 +62,14 @@ class Tried:
     kept: bool
     outliers: tuple[tuple[int, int], ...] = ()
 
-    @property
-    def in_words(self) -> str:
-        """Both figures, and which model was taken."""
-        text = f"rigid joints leave {mm(self.rigid)} mm a coordinate, compliant ones {mm(self.compliant)} mm"
-        return f"{text}: {'compliance is in the model' if self.kept else 'too little for compliance in the model'}"
+    def in_words(self, method: str) -> str:
+        """Both figures, and what they say of a result; method : by which it was identified."""
+        end = "too little for compliance in the model"
+        if self.kept:
+            end = "compliance is in the model"
+        if self.kept and method == "KM":
+            end = "the joints give, so that standard errors of rigid ones are too small; SKCM has their compliance"
+        return f"rigid joints leave {mm(self.rigid)} mm a coordinate, compliant ones {mm(self.compliant)} mm: {end}"
 
     def to_json(self) -> dict[str, Any]:
         """The same as plain data."""
@@ -417,7 +420,7 @@ class Identification(Result):
         if masses:
             text += f", {masses} of the estimated masses as far as their priors leave open"
         if self.tried:
-            text += f"; {self.tried.in_words}"
+            text += f"; {self.tried.in_words(self.method)}"
         if self.at_bounds:
             text += f"; AT BOUNDS: {', '.join(self.at_bounds)} - widen the bounds or doubt the model"
         if self.outliers:

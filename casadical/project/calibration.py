@@ -366,9 +366,10 @@ def _identified(problem: Problem, show: Show, count: int) -> dict[str, Identific
     results: dict[str, Identification] = {}
     for method in others:
         prepared = prepare(robot, sets, problem.prior, method=method)
-        results[method] = judged(prepared, found.outliers, found.loss, progress=progress_of(method))
+        result = judged(prepared, found.outliers, found.loss, progress=progress_of(method))
+        results[method] = replace(result, tried=found.tried)
     if results and found.tried and not found.tried.kept and not problem.networks:
-        return {method: replace(result, tried=found.tried) for method, result in results.items()}
+        return results
     return {**results, last: found}
 
 

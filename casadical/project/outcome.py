@@ -60,7 +60,7 @@ def things_to_know(
 def compliance_words(last: Identification) -> Iterator[Words]:
     """What trying a compliance that no file declares gave, and how far gravity deflects a robot of unknown masses."""
     if last.tried:
-        yield Words(f"Tried with compliance: {last.tried.in_words}.", "note")
+        yield Words(f"Tried with compliance: {last.tried.in_words(last.method)}.", "note")
     if text := in_words(last):
         yield Words(f"{text.partition(';')[0].capitalize()}.", "note")
 

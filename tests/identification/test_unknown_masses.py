@@ -163,7 +163,9 @@ def test_compliance_that_no_file_declares_is_found_and_said() -> None:
 
 def test_a_rigid_model_calls_no_row_an_outlier_that_the_compliant_one_explains() -> None:
     robot, fit, _ = sagging()
-    assert identify(robot, fit, method="KM").outliers == tuple((0, i) for i in WRONG)
+    rigid = identify(robot, fit, method="KM")
+    assert rigid.outliers == tuple((0, i) for i in WRONG)
+    assert "standard errors of rigid ones are too small" in rigid.verdict
 
 
 def test_a_rigid_robot_stays_rigid() -> None:
