@@ -142,6 +142,10 @@ class Evidence:
         """What makes rows white and orthogonal to the base model; rho : repeatability over sigma [rad/m]."""
         return self.model.projection({REPEATABILITY: rho})
 
+    def restricted(self) -> Evidence:
+        """The problem in which the numbers that the base model takes tell nothing of the noise."""
+        return replace(self, absorbed=self.model.absorbed_by_base)
+
     def take(self, columns: Array, poses: Array | slice = EVERY) -> Array:
         """Some of the candidates' columns at some poses, shape (poses, 3, len(columns)) [m per unit of size]."""
         return self.model.take(columns, poses)

@@ -165,7 +165,7 @@ class Case:
             L = np.linalg.cholesky(matrix)
             units[np.ix_(at, at)], sigma[at], mean[at] = L, 1.0, np.linalg.solve(L, mean[at])
         whole = replace(self.whole, J=self.whole.J @ units, delta0=mean, prior=sigma, reference=reference)
-        return replace(self, whole=whole, prior=prior, units=units)
+        return replace(self, whole=whole.restricted(), prior=prior, units=units)
 
     def with_all_sigmas(self) -> Case:
         """The case with the widest noise grid.
@@ -322,10 +322,9 @@ def _problem(
         size=seen.size,
         alike=seen.alike,
     )
-    if seen.plain:
-        return kept, whole
-    whole = replace(whole, reference=max(left, float(SIGMAS[0])))
-    return kept, replace(whole, absorbed=whole.model.absorbed_by_base)
+    if not seen.plain:
+        whole = replace(whole, reference=max(left, float(SIGMAS[0])))
+    return kept, whole.restricted()
 
 
 def _declared(seen: Observations) -> float:

@@ -28,6 +28,8 @@ from casadical.measurements.noise import Noise
 FOLLOWING, TAILED = "noise that follows itself", "noise with heavy tails"
 # Correlations of a pose's noise with that of the pose before.
 FOLLOWS = (0.4, 0.6, 0.8, 0.9)
+# The best of them is moved by this to both sides where causes are searched under it.
+BETWEEN = 0.07
 # Share of the poses whose noise is so many times the others'; rounds in which they are found.
 SHARE, TIMES, FOUND_IN = 0.05, 4.0, 3
 # A joint that scatters repeats so many times worse than the others, each at the noise grid's ratios.
@@ -44,13 +46,15 @@ def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collec
     """
     if case.form.stays:
         return replace(ranking, noise_form=FOLLOWING)
-    if ranking.none > (PLAIN if len(chosen) else detection(case.evidence.count // 3)):
+    seen = ranking.none <= (PLAIN if len(chosen) else detection(case.evidence.count // 3))
+    if len(chosen) and not seen:
         return ranking
     prior = PRIOR_FURTHER if len(chosen) else PRIOR_FIRST
     unsized = {
         scatter_of(part) for c in case.candidates if c.label == ranking.order[0] for part in c.variants[0][0].parts
     }
-    forms = [f for f in noise_forms(case, chosen) if f.label not in unsized]
+    # Where nothing else is seen, a joint that scatters may be.
+    forms = [f for f in noise_forms(case, chosen, of_instrument=seen) if f.label not in unsized]
     mass = {f.label: float(np.log(prior["unknown"])) + f.log_factor for f in forms}
     plain = none = float(np.log(prior["none"]))
     noise_form = ""
@@ -86,14 +90,18 @@ def _weighed(ranking: Ranking, none: float) -> Ranking:
     )
 
 
-def noise_forms(case: Case, chosen: Array) -> Sequence[Rival]:
-    """Each form with its log evidence over plain noise, averaged over its settings; the kinds share the prior."""
+def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Sequence[Rival]:
+    """Each form with its log evidence over plain noise, averaged over its settings; the kinds share the prior.
+
+    of_instrument : whether those of the instrument are among them, beside those of the joints
+    """
     e = case.evidence
     problem = Problem(e, chosen, case.order)
     plain, joints = float(log_sum(e.log_base(chosen))), range(e.Jq.shape[2])
-    kinds: list[tuple[str, Sequence[Form], int]]
-    kinds = [(FOLLOWING, [following(stays, len(e.r), e.count / len(e.r)) for stays in FOLLOWS], 1)]
-    kinds += [(TAILED, [tails], 1) for tails in (tailed(problem),) if tails]
+    kinds: list[tuple[str, Sequence[Form], int]] = []
+    if of_instrument:
+        kinds += [(FOLLOWING, [following(stays, len(e.r), e.count / len(e.r)) for stays in FOLLOWS], 1)]
+        kinds += [(TAILED, [tails], 1) for tails in (tailed(problem),) if tails]
     kinds += [(scatter_of(j + 1), [Form(joint=j, worse=SCATTERS)], len(joints)) for j in joints]
     found = []
     for label, forms, alike in kinds:
@@ -117,11 +125,16 @@ def following(stays: float, poses: int, numbers: float = 3.0) -> Form:
 def best_following(case: Case, chosen: Array) -> tuple[Form, Noise, float]:
     """The most probable noise that follows itself, beside causes: its form, its size, its log evidence over plain."""
     e, problem = case.evidence, Problem(case.evidence, chosen, case.order)
-    forms = [following(stays, len(e.r), e.count / len(e.r)) for stays in FOLLOWS]
-    grids = [problem.log_likelihood(form) for form in forms]
-    logs = [float(log_sum(grid)) for grid in grids]
-    best = int(np.argmax(logs))
-    return forms[best], likely_noise(grids[best], e.sigmas), logs[best] - float(log_sum(e.log_base(chosen)))
+
+    def judged(shares: Sequence[float]) -> list[tuple[float, Form, Array]]:
+        forms = [following(stays, len(e.r), e.count / len(e.r)) for stays in shares]
+        grids = [problem.log_likelihood(form) for form in forms]
+        return [(float(log_sum(grid)), form, grid) for form, grid in zip(forms, grids, strict=True)]
+
+    known = judged(FOLLOWS)
+    best = max(known, key=lambda k: k[0])[1].stays
+    log, form, grid = max((*known, *judged([best - BETWEEN, best + BETWEEN])), key=lambda k: k[0])
+    return form, likely_noise(grid, e.sigmas), log - float(log_sum(e.log_base(chosen)))
 
 
 def tailed(problem: Problem) -> Form | None:

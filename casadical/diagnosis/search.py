@@ -37,7 +37,8 @@ from casadical.effects import Effect, TransmissionRipple
 from casadical.measurements.noise import Noise
 
 # Times that causes are searched again under another form of noise; log evidence over plain noise from which it is one.
-MOST_FORMS, FORM_GAIN = 3, 10.0
+# Under it something is there if "nothing" is less probable than the third: what such noise is for sure is not known.
+MOST_FORMS, FORM_GAIN, FORM_NONE = 3, 10.0, 1e-3
 
 # Why no further cause was taken, or that the last one was.
 End = Literal["none", "ambiguous", "unknown", "claimed"]
@@ -167,7 +168,7 @@ def search_with_forms(
         show(f"causes where the noise follows itself, by {form.stays:g}")
         lines = remainder_of(state.case, state.columns(), noise, form).lines
         other, other_end, _ = search(_with_lines(case.with_form(form), lines), seed, 0, show, rivals)
-        if not other.steps:
+        if not other.steps or other.rankings[0].none > FORM_NONE:
             break
         state, end = other, other_end
     return state, end, p_nothing

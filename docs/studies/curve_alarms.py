@@ -43,7 +43,7 @@ def clean(physics: str, name: str, poses: int, number: int) -> Measurements:
     seeds = [int(s) for s in rng.integers(1 << 30, size=2)]
     noise = {"noise_mm": float(rng.choice([0.01, 0.02, 0.03])), "repeatability_urad": float(rng.uniform(2, 8))}
     built = {"length_mm": 0.03, "angle_mrad": 0.03} if physics == "alike" else {}
-    plant = numpy_physics.perturb(machine(name)[1], seeds[0], **built)
+    plant = mujoco_physics.perturb(machine(name)[1], seeds[0], **built)
     if physics == "mujoco":
         table = mujoco_physics.campaign(plant, (), poses, seeds[1], **noise)
     else:

@@ -132,7 +132,7 @@ def known(campaigns: int, poses: int) -> None:
     for number in range(campaigns):
         rng = np.random.default_rng([17, number])
         truth = drawn(rng)
-        plant = numpy_physics.perturb(nominal, int(rng.integers(1 << 30)))
+        plant = mujoco_physics.perturb(nominal, int(rng.integers(1 << 30)))
         table = numpy_physics.campaign(
             plant, poses, int(rng.integers(1 << 30)), disturbances=list(truth.values()), noise_mm=0.015
         )

@@ -27,7 +27,8 @@ def small(poses: int = 14) -> Evidence:
     e = case("kr210-P02").evidence.at(np.arange(poses))
     # Wide priors would make the covariance, by which it is checked, singular in double precision.
     prior = np.minimum(e.prior, 1e-4)
-    return replace(e, E=np.zeros((poses, 3, 1)), held=None, known=KnownNoise(), prior=prior, delta0=0 * prior)
+    e = replace(e, E=np.zeros((poses, 3, 1)), held=None, known=KnownNoise(), absorbed=0.0)
+    return replace(e, prior=prior, delta0=0 * prior)
 
 
 def density(e: Evidence, rho: int, sigma: float, correlation: Array, joints: Sequence[float] | Array) -> float:
