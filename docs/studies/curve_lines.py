@@ -26,6 +26,7 @@ from joint_curves import SERIES
 from real_diagnoses import campaign
 
 from casadical import Diagnosis, InputError, diagnose, read_problem
+from casadical.blind_check.mujoco_physics import perturb
 from casadical.blind_check.mujoco_physics.stops import Stops, only
 from casadical.diagnosis.line_search import Line
 from casadical.diagnosis.spectrum import JointCurve, Spectrum, spectrum
@@ -132,7 +133,7 @@ def known(campaigns: int, poses: int) -> None:
     for number in range(campaigns):
         rng = np.random.default_rng([17, number])
         truth = drawn(rng)
-        plant = mujoco_physics.perturb(nominal, int(rng.integers(1 << 30)))
+        plant = perturb(nominal, int(rng.integers(1 << 30)))
         table = numpy_physics.campaign(
             plant, poses, int(rng.integers(1 << 30)), disturbances=list(truth.values()), noise_mm=0.015
         )
