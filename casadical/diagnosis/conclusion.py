@@ -14,7 +14,17 @@ from casadical.diagnosis.noise_account import account_of
 from casadical.diagnosis.noise_floor import noise_floor, outlier_probability, replicates
 from casadical.diagnosis.result import Cause, Diagnosis, Gap, Outlier, Verdict
 from casadical.diagnosis.search import End, State, Step
-from casadical.diagnosis.thresholds import DETECT_FURTHER, LEAST_SHARE, MISMATCH, MUCH, OUT, SET_CLAIM, SET_SIZE, WORSE
+from casadical.diagnosis.thresholds import (
+    DETECT_FURTHER,
+    LEAST_ALIKE,
+    LEAST_SHARE,
+    MISMATCH,
+    MUCH,
+    OUT,
+    SET_CLAIM,
+    SET_SIZE,
+    WORSE,
+)
 from casadical.effects import Effect
 from casadical.identification.result import Identification
 from casadical.measurements.noise import Noise
@@ -105,17 +115,22 @@ def _cause(state: State, step: Step, before: Array, seed: int) -> Cause:
     candidate = state.by_label[label]
     alone = partitioned_errors(state.case.evidence, state.case.group(step.effects), ranking.noise[label], seed)
     values = parameter_values(state.case, state.columns(), step.effects, ranking.noise[label])
-    rivals = [k for k in state.listed(ranking) if k != label and ranking.probability[k] > 0.02]
     return Cause(
         effect=candidate.name,
         joint=candidate.joint,
         confidence=ranking.probability[label],
         shrink=float(1 - alone.mean() / before.mean()),
         shrink_interval=shrink_interval(before, alone, seed),
-        indistinguishable=step.labels[1:] or tuple(rivals[: SET_SIZE - 1]),
+        indistinguishable=rivals_of(step, state.listed(ranking)),
         effects=step.effects,
         estimates={name: v for (_, name), v in values.items()},
     )
+
+
+def rivals_of(step: Step, listed: Sequence[str]) -> tuple[str, ...]:
+    """Other names of a cause, or those of the listed labels, the most probable first, that remain probable."""
+    probable = (k for k in listed if k != step.labels[0] and step.ranking.probability[k] > LEAST_ALIKE)
+    return step.labels[1:] or tuple(probable)[: SET_SIZE - 1]
 
 
 def parameter_values(

@@ -19,8 +19,9 @@ from casadical import InputError, Joint, Measurements, diagnose
 from casadical.core import private_folder
 from casadical.core.linear_gaussian.grid import NEGLIGIBLE, log_gain
 from casadical.core.transforms import frame, from_rpy
-from casadical.diagnosis import bootstrap, conclusion
+from casadical.diagnosis import bootstrap
 from casadical.diagnosis.candidates import Candidate, standard_candidates
+from casadical.diagnosis.conclusion import rivals_of
 from casadical.diagnosis.details import analyse
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, SIGMAS, KnownNoise, log_known
 from casadical.diagnosis.formula_cache import KeptFormulas
@@ -34,8 +35,9 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.localisation import thirds_of
 from casadical.diagnosis.next_poses import table_of
 from casadical.diagnosis.noise_floor import replicates
-from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, SAME_JOINT, rank
+from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, SAME_JOINT, Ranking, rank
 from casadical.diagnosis.seams import seams_of
+from casadical.diagnosis.search import Step
 from casadical.diagnosis.spectrum_report import decimals_of
 from casadical.diagnosis.statements import Statement, statements
 from casadical.diagnosis.text import things_to_know
@@ -310,19 +312,11 @@ def test_learnt_sizes_hold_about_the_noise_at_which_they_were_learnt(ratio: floa
     assert more.whole.held.tolist() == [CHOSEN, 0.5 * CHOSEN, CHOSEN, 2 * CHOSEN]
 
 
-def test_rivals_of_a_cause_are_the_others_that_remain_probable(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(conclusion, "_estimates", lambda *_: {})
-    case = small_case()
+def test_rivals_of_a_cause_are_the_others_that_remain_probable() -> None:
     probability = {"backlash@2": 0.7, "nonlinear_stiffness@2": 0.2, "unknown": 0.01}
-    noise = dict.fromkeys(probability, Noise(2e-5, 0.0))
-    ranking: Any = SimpleNamespace(probability=probability, noise=noise)
-    state: Any = SimpleNamespace(
-        case=case, by_label={c.label: c for c in case.candidates}, listed=lambda _: probability
-    )
-    step: Any = SimpleNamespace(labels=("backlash@2",), ranking=ranking, effects=case.candidates[0].variants[0])
-    found = conclusion._cause(state, step, np.full(9, 1e-4), 0)
-    assert found.indistinguishable == ("nonlinear_stiffness@2",)
-    assert found.confidence == 0.7
+    ranking = Ranking(0.09, probability, {}, {}, {}, {"": Noise(2e-5, 0.0)})
+    assert rivals_of(Step(ranking, ("backlash@2",), ()), [*probability]) == ("nonlinear_stiffness@2",)
+    assert rivals_of(Step(ranking, ("backlash@2", "unknown"), ()), [*probability]) == ("unknown",)
 
 
 def test_repeated_poses_weigh_sigmas_as_their_scatter_does() -> None:
