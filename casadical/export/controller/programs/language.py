@@ -82,7 +82,7 @@ class ProgramLanguage(ABC):
         return self.matrix(np.array(numbers) * self.units)
 
     def shown(self, T: Array) -> str:
-        """The numbers of a transform as `transform` takes them."""
+        """The numbers of a transform, shape (4, 4) [m], as `transform` takes them."""
         values = self.values(T, np.zeros(len(self.units)))
         return ",".join(f"{round(v / unit, 6) + 0.0:g}" for v, unit in zip(values, self.units, strict=True))
 

@@ -123,7 +123,7 @@ def read_target_program(path: Path, given: Given, joints: int) -> TargetProgram:
 
 
 def corrected_program(program: TargetProgram, cell: c.Cell) -> CorrectedProgram:
-    """Correct every target of a program on its own."""
+    """Correct every target of a program on its own. Raises InputError where poses are not reached."""
     try:
         results = tuple(c.corrected_targets(program.language, program.targets, cell))
     except InputError as error:
