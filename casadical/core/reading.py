@@ -164,7 +164,7 @@ def read_xml(path: str | Path) -> bytes:
 
 @contextmanager
 def foreign(what: str, remedy: str = "") -> Iterator[None]:
-    """What a library raises for a damaged file, of whatever class, is an InputError that begins with `what`."""
+    """Raises InputError, which begins with `what`, for whatever a library raises for a damaged file."""
     try:
         yield
     except InputError:

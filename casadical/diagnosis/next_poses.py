@@ -117,7 +117,7 @@ class _Cause:
 
 
 def causes_in_question(case: Case, labels: Sequence[str], beside: Sequence[str] = ()) -> list[_Cause]:
-    """Each label with its most likely settings and another that the data allow as well; of those beside, one each."""
+    """Each label with its most likely settings and another; of those beside, one each. Raises InputError."""
     if len(set(labels)) < 2:
         raise InputError(f"causes {list(labels)}; give two or more to distinguish")
     known = {c.label: c for c in case.candidates}
