@@ -15,9 +15,11 @@ from casadical.diagnosis.limits import cannot_tell, indistinguishable, invisible
 from casadical.diagnosis.next_poses import discrimination_probability, kinds_of_poses
 from casadical.diagnosis.noise_account import Rule
 from casadical.diagnosis.result import Diagnosis
-from casadical.diagnosis.thresholds import SET_CLAIM
+from casadical.diagnosis.thresholds import CLAIM, SET_CLAIM
 from casadical.identification.gravity import in_words as gravity_in_words
 
+# A probability from `CLAIM` on, and below this, is said to be just above what is claimed.
+JUST_ABOVE = 0.98
 # Poses that raise the probability of a right choice by less tell nothing.
 LITTLE = 0.1
 # Stands between words of an item that is not broken over two lines.
@@ -277,6 +279,16 @@ def _which(d: Diagnosis) -> Iterator[Statement]:
         if d.cause_set.probability < SET_CLAIM and d.cause_set.others:
             sets = [f"{' + '.join(labels) or 'none of them'} {p:.2f}" for labels, p in d.cause_set.others]
             yield Statement("SET", f"instead: {', '.join(sets)}", d.verdict != "explained")
+    yield from _near_threshold(d)
+
+
+def _near_threshold(d: Diagnosis) -> Iterator[Statement]:
+    """Causes that are claimed with a probability that is hardly above what a claim needs."""
+    for c in d.causes if d.verdict == "explained" else ():
+        p = d.cause_set.members.get(c.label, c.confidence) if d.cause_set else c.confidence
+        if CLAIM <= p < JUST_ABOVE:
+            text = f"{c.label} is just above what is claimed: probability {p:.3f}, claimed from {CLAIM:g} on"
+            yield Statement("SET", text, doubtful=True)
 
 
 def _after(d: Diagnosis, more: Details) -> Iterator[Statement]:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from cases import robot, simulated
+from cases import practice, robot, simulated
 from numpy_physics import Disturbance
 from scipy import stats
 
@@ -115,3 +115,13 @@ def test_chances_are_those_of_the_beta_distribution(share: float, width: int, fr
     assert log_chance_of(share, width, freedom) == pytest.approx(exact, rel=1e-9)
     less = stats.beta((width - 1) / 2, (freedom - width) / 2).logsf(share)
     assert log_chance_of(share, width - 1, freedom - 1) >= less
+
+
+@pytest.mark.parametrize("name", ["ur10e-P03", "kr210-P08"])
+def test_round_off_of_readings_changes_no_verdict_and_no_cause(name: str) -> None:
+    m, arm, effects = practice(name), robot(name.split("-")[0]), ["gear_eccentricity", "backlash", "frame_drift"]
+    moved = with_noise(m, 1e-15)
+    first, second = (diagnose(arm, each, effects, laws=False) for each in (m, moved))
+    assert (first.verdict, [c.label for c in first.causes]) == (second.verdict, [c.label for c in second.causes])
+    assert first.rankings[0].none == pytest.approx(second.rankings[0].none, rel=1e-3)
+    assert first.unknown_rest == pytest.approx(second.unknown_rest, abs=1e-6)

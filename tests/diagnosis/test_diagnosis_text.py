@@ -230,3 +230,12 @@ def test_probability_of_a_right_choice(share: float, gain: float) -> None:
     odds = np.log(share / (1 - share)) + apart * x - gain
     assert probability_after(share, gain) == pytest.approx(((odds > 0) == first).mean(), abs=0.003)
     assert probability_after(share, 0.0) == max(share, 1 - share)
+
+
+@pytest.mark.parametrize(("probability", "said"), [(0.972, True), (0.999, False)])
+def test_a_claim_at_its_threshold_is_said_as_such(fixed: Diagnosis, probability: float, *, said: bool) -> None:
+    cause = replace(fixed.causes[1], confidence=probability)
+    one = CauseSet(0.9, 0.02, {cause.label: probability})
+    text = " ".join(page_of(replace(fixed, verdict="explained", causes=(cause,), cause_set=one)).split())
+    words = "thermal_zero_drift@3 is just above what is claimed: probability 0.972, claimed from 0.97 on"
+    assert (words in text) == said
