@@ -85,7 +85,7 @@ class Precheck(Result):
 
     @property
     def next(self) -> tuple[Words, ...]:
-        """What to do now; nothing but to correct the errors, where they have no repair."""
+        """What to do now; only the errors are to be corrected, where they have no repair."""
         if self.ok:
             return (next_step("to calibrate", "calibrate", self.folder, *self.tables, "--out", "results"),)
         known = self.misnamed or (self.targets and self.targets.which is not None)
