@@ -124,8 +124,8 @@ def table_of(
     width = max(len(cells) for _, cells in body) if body else 0
     names = tuple(f"column {k}" for k in range(1, width + 1)) if header is None else tuple(c.strip() for c in header[1])
     if long := next((name for name in names if len(name) > LONGEST_HEADING), ""):
-        text = f"a heading of {len(long)} characters, {long[:30]!r}...; allowed: up to {LONGEST_HEADING}"
-        raise InputError(f"{path}: not a readable CSV table: {text}")
+        why = f"a heading of {len(long)} characters, {long[:30]!r}...; allowed: up to {LONGEST_HEADING}"
+        raise InputError(f"{path}: not a readable CSV table: {why}")
     refuse_repeated_names(names, str(path))
     skipped = [r for r in [*comments, *rest[:place]] if r is not header and not (units and r[1] is units[1])]
     rows = []

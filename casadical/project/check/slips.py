@@ -81,8 +81,8 @@ def search_slips(
     found = _search(fit, robot, shifts, show)
     before = fit.placed(Hypothesis.none(robot.n), as_given=True)
     costs = [_cost(f, robot) + OUTSIDE * outside(f.hypothesis, robot, fit.q) for f in found]
-    best, *others = (found[k] for k in ranked(np.negative(costs)))
-    rivals = [f for f in others if f.error < 0.5 * before.error and f.cost <= MOST_SLIPS + 1]
+    best, *behind = (found[k] for k in ranked(np.negative(costs)))
+    rivals = [f for f in behind if f.error < 0.5 * before.error and f.cost <= MOST_SLIPS + 1]
     return Slips(before, best, tuple(rivals[:2]))
 
 
