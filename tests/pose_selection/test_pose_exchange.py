@@ -1,14 +1,17 @@
 """Searches against all sets of a tiny problem; updates against computing anew."""
 
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from casadical import InputError
-from casadical.pose_selection import exchange
+from casadical import InputError, read_robot
+from casadical.pose_selection import exchange, forecast
 from casadical.pose_selection.exchange import search
 from casadical.pose_selection.experimental_design import Determinant, Linear, Spectral
+
+ROOT = Path(__file__).parents[2]
 
 N, M, P = 11, 2, 4
 
@@ -134,3 +137,12 @@ def test_a_set_too_small_to_tell_anything_can_still_grow() -> None:
     A = rows(6, n=30, m=3, p=20)
     found = search(design("D", A), 8, 2, 0)
     assert np.linalg.matrix_rank(A[found].reshape(-1, 20)) == 20
+
+
+def test_rounding_chooses_no_pose() -> None:
+    """Sets that lack a pose determine nothing: which pose leaves them next was rounding, and all that followed, too."""
+    arm = read_robot(ROOT / "problems" / "planar" / "robot.toml")
+    first = forecast(arm, 8).error
+    for k in range(-3, 4):
+        moved = arm.with_values({"a1": arm.parameters["a1"].value * (1 + k * 1e-13)})
+        np.testing.assert_allclose(forecast(moved, 8).error, first, rtol=1e-6)
