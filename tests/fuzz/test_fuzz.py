@@ -4,6 +4,7 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -86,10 +87,19 @@ def kinds(template: Path) -> tuple[dict[str, fuzz_files.Kind], Path]:
 
 
 @pytest.mark.parametrize("path", FOUND, ids=lambda path: path.name)
-def test_a_file_that_once_ended_in_a_traceback(kinds, path: Path) -> None:
+def test_a_file_that_once_ended_in_a_traceback_or_never(kinds, path: Path) -> None:
     listed, place = kinds
     name, _, content = path.read_bytes().partition(b"\n")
+    began = time.process_time()
     assert fuzz_files.fault_of(listed[name.decode()], place, content) == ""
+    assert time.process_time() - began < 5
+
+
+def test_a_cell_of_many_digits_is_looked_at_once(kinds) -> None:
+    listed, place = kinds
+    began = time.process_time()
+    assert fuzz_files.fault_of(listed["dh.csv"], place, b"a_mm,alpha_deg\n1,0\n" + b"5" * 90_000 + b"x,0\n") == ""
+    assert time.process_time() - began < 2
 
 
 def test_every_kind_of_file_is_read_as_it_is(kinds) -> None:

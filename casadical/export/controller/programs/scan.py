@@ -20,6 +20,10 @@ OTHER.-9: /./s
 """
 
 
+# Brackets in brackets of an island.
+DEEPEST = 20
+
+
 @cache
 def _parser(grammar: str) -> Lark:
     return Lark(grammar + COMMON, parser="lalr", lexer="basic", propagate_positions=True)
@@ -43,9 +47,12 @@ def islands_of(grammar: str, tokens: Sequence[Token]) -> Iterator[Tree[Token]]:
 
 def _longest(parser: Lark, tokens: Sequence[Token], start: int) -> tuple[Tree[Token] | None, int]:
     """The longest run from a token that is a whole island, and how many tokens it has; None and 1 where none is."""
-    run, ends, fed = parser.parse_interactive(""), [], start
+    run, ends, fed, depth = parser.parse_interactive(""), [], start, 0
     with suppress(UnexpectedInput):
         for fed in range(start, len(tokens)):
+            depth += tokens[fed].endswith(tuple("([{")) - tokens[fed].endswith(tuple(")]}"))
+            if depth > DEEPEST:  # brackets that are never closed: else every one of them is read to the end
+                return None, 1
             run.feed_token(tokens[fed])
             if "$END" in _expected(run):  # where lookaheads are merged (LALR), the end may be refused all the same
                 ends.append(fed + 1)
