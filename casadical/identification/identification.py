@@ -6,6 +6,8 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from casadical.core.errors import ConvergenceError, InputError
 from casadical.identification.least_squares import LeastSquares, first_sigmas
 from casadical.identification.prepared import METHODS, Method, Prepared, prepare
@@ -19,6 +21,8 @@ from casadical.robot.robot import Robot
 
 # A compliance is visible where less than this share of the scatter is left with it.
 VISIBLE = 0.99
+# Of a set with more poses, so many are enough to see it.
+MOST_TRIED = 1_000
 
 
 def identify(
@@ -94,7 +98,10 @@ def identify(
     if tried.tried is None or not tried.tried.kept:
         return by(prepared)
     if screen and loss != "linear":
-        by = partial(judged, outliers=tried.tried.outliers, loss=loss, priors=priors, progress=progress)
+        outliers = tried.tried.outliers
+        if outliers is None:
+            outliers = by(replace(tried, method="SKCM")).outliers
+        by = partial(judged, outliers=outliers, loss=loss, priors=priors, progress=progress)
     return replace(by(prepared), tried=tried.tried)
 
 
@@ -118,15 +125,19 @@ def compliance_tried(prepared: Prepared, progress: Progress | None = None) -> Pr
     They do where it leaves visibly less and BIC prefers the compliant model (Schwarz 1978), with the degrees of freedom
     in the place of the numbers, and the parameters counted that the data determine; both models are held back by the
     robot's priors. Outliers are those of the compliant model: what a rigid one leaves of a robot that sags is no wrong
-    row.
+    row. Of more than MOST_TRIED poses of a set, as many are drawn by chance.
     """
     wider = prepared.compliant
     if wider is None:
         return prepared
+    rng = np.random.default_rng(0)
+    sets = tuple(
+        m if len(m) <= MOST_TRIED else m[np.sort(rng.choice(len(m), MOST_TRIED, replace=False))] for m in prepared.sets
+    )
     by = partial(calibrated, free=METHODS["SKCM"], loss="huber", priors=True, progress=progress)
     try:
-        full = by(replace(wider, method=None))
-        kept = without_poses(prepared.sets, full.outliers)
+        full = by(replace(wider, method=None, sets=sets))
+        kept = without_poses(sets, full.outliers)
         rigid = by(replace(prepared, method=None, sets=kept), screen=False)
     except (InputError, ConvergenceError):  # too few poses for one of them
         return prepared
@@ -138,7 +149,8 @@ def compliance_tried(prepared: Prepared, progress: Progress | None = None) -> Pr
     gain = freedom[1] * math.log(max(squares[0], 1e-300) / max(squares[1], 1e-300))
     carried = gain > max(freedom[0] - freedom[1], 1.0) * math.log(full.problem.residual_count)
     left, least = (sigmas[0][0] * math.sqrt(square / f) for square, f in zip(squares, freedom, strict=True))
-    tried = Tried(left, least, carried and least < VISIBLE * left, full.outliers)
+    whole = all(len(a) == len(b) for a, b in zip(sets, prepared.sets, strict=True))
+    tried = Tried(left, least, carried and least < VISIBLE * left, full.outliers if whole else None)
     return replace(wider if tried.kept else prepared, tried=tried)
 
 

@@ -54,13 +54,13 @@ class Tried:
     """Compliance that no robot file declares, tried on measurements.
 
     rigid, compliant : what each model leaves of the same poses [m a coordinate]; kept : whether the data carry it
-    outliers : (set, pose) indices of the poses that the compliant model calls outliers
+    outliers : (set, pose) indices of the poses that the compliant model calls outliers; None where it saw not all poses
     """
 
     rigid: float
     compliant: float
     kept: bool
-    outliers: tuple[tuple[int, int], ...] = ()
+    outliers: tuple[tuple[int, int], ...] | None = ()
 
     def in_words(self, method: str) -> str:
         """Both figures, and what they say of a result; method : by which it was identified."""
