@@ -30,7 +30,7 @@ TOGETHER = {
             f"core/telling/test_report_{name}.py"
             for name in ("browser", "figures", "notebook", "page", "parts", "replay")
         ),
-        *("core/telling/test_result.py", "project/test_project_parts.py", "project/test_several_tables.py"),
+        *("core/telling/test_result_form.py", "project/test_project_parts.py", "project/test_several_tables.py"),
         *(f"project/test_{name}.py" for name in ("calibration", "networks", "problems")),
     ),
     "exported": tuple(f"export/c/test_export_{name}.py" for name in ("c", "targets", "text", "write")),

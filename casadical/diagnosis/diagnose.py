@@ -22,6 +22,7 @@ from casadical.diagnosis.result import Change, Diagnosis
 from casadical.diagnosis.search import State, search_with_forms
 from casadical.effects import Effect
 from casadical.identification.identification import base_calibrated, compliance_tried
+from casadical.identification.plausibility import fault_of_orientations
 from casadical.identification.prepared import Prepared, prepare, prepared_again
 from casadical.identification.prior import Prior
 from casadical.identification.result import Identification
@@ -128,11 +129,12 @@ class _Question:
 
         Orientations of another convention than the robot's would spoil it: they are left aside where they do not fit.
         """
-        prepared = self.prepared
-        if prepared.identification:
-            return prepared.identification
+        given = self.prepared
+        if given.identification:
+            return given.identification
         self.show("calibrating the base model")
-        found, sets = base_calibrated(prepared), prepared.sets
+        sets = tuple(m.positions_alone() if fault_of_orientations(given.robot, m) else m for m in given.sets)
+        found = base_calibrated(prepared := replace(given, sets=sets))
         off = [m.orientation is not None and s[1] > NO_NOISE for m, s in zip(sets, found.problem.sigmas, strict=True)]
         if not any(off):
             return found
@@ -236,8 +238,7 @@ def _held_against_laws(found: Diagnosis) -> Diagnosis:
 def _assumed(case: Case, found: Identification, given: Sequence[Measurements]) -> tuple[str, ...]:
     """What was taken for granted of kinds of measurement other than positions."""
     said = [
-        f"{m.source}: its orientations do not fit the robot, by more than {np.degrees(NO_NOISE):.0f} deg, and are left "
-        "aside; check their convention"
+        f"{m.source}: its orientations do not fit the robot and are left aside; check their convention and frame"
         for m, used in zip(given, found.measurements, strict=False)
         if m.orientation is not None and used.orientation is None
     ]

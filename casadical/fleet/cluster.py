@@ -31,7 +31,7 @@ _SETTINGS = {
     "distributed.worker.profile.enabled": False,
     "distributed.worker.preload": [__name__],
 }
-# Processes of this machine listen here alone; the dashboard would listen on all interfaces.
+# Processes of this machine listen here alone; by default Dask would serve its pages on all interfaces.
 LOOPBACK = "127.0.0.1"
 LAST_PORT = 65535
 _GONE = "the scheduler no longer answers"
@@ -64,7 +64,7 @@ def _connected(distributed: Any, stack: ExitStack, scheduler: str | None, worker
             threads_per_worker=1,
             processes=True,
             host=LOOPBACK,
-            dashboard_address=None,
+            dashboard_address=f"{LOOPBACK}:0",
             silence_logs=50,
         )
         return stack.enter_context(distributed.Client(stack.enter_context(cluster)))

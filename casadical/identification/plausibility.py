@@ -66,8 +66,8 @@ def _out_of_range(robot: Robot, m: Measurements) -> Iterator[Fault]:
 def _refuse_implausible(robot: Robot, m: Measurements) -> None:
     if robot.loops:
         _refuse_open_loop(robot, m)
-    if m.orientation is not None:
-        _refuse_turned(robot, m)
+    if fault := fault_of_orientations(robot, m):
+        raise InputError(f"{m.source}: {fault}")
     if len(m) > 3:
         some = m[:: max(1, len(m) // UNIT_POSES)]
         p, _ = predicted(robot, some)
@@ -77,30 +77,33 @@ def _refuse_implausible(robot: Robot, m: Measurements) -> None:
         _refuse_another_unit_midway(robot, m, some, p)
 
 
-def _refuse_turned(robot: Robot, m: Measurements) -> None:
-    """Raises InputError for orientations that the robot cannot have had."""
+def fault_of_orientations(robot: Robot, m: Measurements) -> str:
+    """Why the robot cannot have had the measured orientations, and what to do; empty where it can, or has none."""
+    if m.orientation is None:
+        return ""
     alone = 'kind = "position" in problem.toml takes the positions alone'
     given = turned_off(robot, m)
     free = turned_off(replace(robot, tool=replace(robot.tool, unknown="pose")), m) if given > GIVEN else given
     if free > TURNED:
-        raise InputError(
-            f"{m.source}: the orientations are {np.rad2deg(free):.3g} deg (median) from the nominal robot, however "
+        return (
+            f"the orientations are {np.rad2deg(free):.3g} deg (median) from the nominal robot, however "
             "base and tool are turned: are the angles of another convention, or joints counted the other way? "
             f"casadical check searches for slips; {alone}"
         )
     if robot.tool.unknown != "pose" and given > max(GIVEN, TIMES * free):
-        raise InputError(
-            f"{m.source}: the orientations are {np.rad2deg(given):.3g} deg (median) from the nominal robot, and would "
+        return (
+            f"the orientations are {np.rad2deg(given):.3g} deg (median) from the nominal robot, and would "
             f'be {np.rad2deg(free):.2g} deg with the tool turned: write unknown = "pose" in [tool] of the robot file '
             f"([[urdf.tool]] in problem.toml for a URDF), or {alone}"
         )
     off = of_another_frame(robot, m)
     if off:
-        raise InputError(
-            f"{m.source}: the orientations are {np.rad2deg(off):.3g} deg (median) from the nominal robot where its "
+        return (
+            f"the orientations are {np.rad2deg(off):.3g} deg (median) from the nominal robot where its "
             "base stands by the positions: they are of another frame than these, as the controller's own would be; "
             f"{alone}"
         )
+    return ""
 
 
 def of_another_frame(robot: Robot, m: Measurements) -> float:

@@ -68,8 +68,8 @@ class Tried:
         if self.kept:
             end = "compliance is in the model"
         if self.kept and method == "KM":
-            end = "the joints give, so that standard errors of rigid ones are too small; SKCM has their compliance"
-        return f"rigid joints leave {mm(self.rigid)} mm a coordinate, compliant ones {mm(self.compliant)} mm: {end}"
+            end = "the standard errors of KM are too small; SKCM has it"
+        return f"rigid joints leave {mm(self.rigid)} mm a coordinate, compliant ones {mm(self.compliant)}: {end}"
 
     def to_json(self) -> dict[str, Any]:
         """The same as plain data."""

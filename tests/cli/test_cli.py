@@ -99,7 +99,9 @@ def test_the_calibrated_robot_loads_and_has_the_same_errors(kept: Path, name: st
     for set_name, parts in read_problem(ROOT / "problems" / name).sets.items():
         a = summarise(errors(robot, parts[0]))
         for key, value in (("mean_mm", a.mean), ("max_mm", a.max), ("std_mm", a.std)):
-            assert 1e3 * value == pytest.approx(listed[set_name][key], abs=1e-9)
+            assert 1e3 * value == pytest.approx(
+                listed[set_name][key], abs=1e-8
+            )  # the file holds the digits that are known
 
 
 def test_one_problem_is_kept_without_a_folder_of_its_own(tmp_path: Path) -> None:

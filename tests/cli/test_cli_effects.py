@@ -43,7 +43,10 @@ def test_calibrate_holds_them_and_keeps_them(kept, tmp_path, monkeypatch, capfd)
     assert HELD in words(capfd)
     before, after = read_robot(kept), read_robot(tmp_path / "out" / "SKCM.robot.toml")
     assert after.effects == before.effects
-    assert after.effect_values == before.effect_values
+    errors = before.knowledge.std_errors  # a result's file holds the digits that are known
+    assert all(
+        after.effect_values[k] == pytest.approx(v, abs=1e-5 * errors[k]) for k, v in before.effect_values.items()
+    )
     assert after.knowledge.std_errors.keys() == before.knowledge.std_errors.keys()
     assert after.joints[1].a != before.joints[1].a
     errors = json.loads((tmp_path / "out" / "result.json").read_text())["methods"]["SKCM"]["sets"]["report"]

@@ -25,9 +25,9 @@ def test_files_that_are_named_are_there(pytestconfig: pytest.Config) -> None:
     assert [file for file in named if not file.exists()] == []
 
 
-def test_helpers_of_tests_have_names_of_their_own() -> None:
+def test_modules_of_tests_have_names_of_their_own() -> None:
     """All folders are on one path: of two modules with the same name only one could be imported in one process."""
-    files = [path for path in (ROOT / "tests").rglob("*.py") if not path.stem.startswith(("test_", "conftest", "__"))]
+    files = [path for path in (ROOT / "tests").rglob("*.py") if not path.stem.startswith(("conftest", "__"))]
     names = [path.stem for path in files]
     assert len(names) > 10
     assert sorted(name for name in set(names) if names.count(name) > 1) == []

@@ -91,7 +91,7 @@ def test_the_diagnosis_tells_what_it_cannot_see_and_what_chance_does(diagnosis, 
     hidden = details.isolability.effects
     hidden = [k for k in hidden.index[hidden["absorbed"] > 0.98] if k != "backlash@5"]
     assert hidden
-    seen = next(w for w in lost if w.startswith("Cannot see, as the base model"))
+    seen = next(w for w in lost if w.startswith("These data cannot see, as the base model"))
     assert all(k.partition("@")[0] in seen for k in hidden)
 
 
