@@ -76,29 +76,28 @@ sphinx_gallery_conf = {
     "only_warn_on_example_error": False,
 }
 
-# `name : what it is`, our way of describing fields where there are no sections of numpydoc, becomes a list.
+# `name : what it is`, our way of describing arguments and fields, becomes a list; sections are napoleon's.
 _ITEM = re.compile(r"^(\*{0,2}\w[\w]*(?:, \*{0,2}\w+)*) : (.*)$")
 
 
 def _as_lists(*arguments: Any) -> None:
     lines: list[str] = arguments[-1]
     out: list[str] = []
-    if any(re.fullmatch("-{4,}", line) for line in lines):  # sections, for napoleon
-        return
-    inside = False
-    for line in lines:
+    inside, begin = False, next((k - 1 for k, line in enumerate(lines) if re.fullmatch("-{4,}", line)), len(lines))
+    for line in lines[:begin]:
         item = _ITEM.match(line)
         if item:
             if not inside:
                 out.append("")
             out.append(f"- **{_plain(item[1])}** : {_plain(item[2])}")
             inside = True
-        elif inside and line.strip():
+        elif inside and line.startswith(" "):
             out.append(f"  {_plain(line.strip())}")
         else:
-            inside = inside and bool(line.strip())
+            out += [""] if inside else []
+            inside = False
             out.append(_plain(line))
-    lines[:] = out
+    lines[:begin] = out
 
 
 def _plain(text: str) -> str:

@@ -321,25 +321,15 @@ def check_robot(
 
     Raises InputError for a robot that cannot be simulated, and for too few poses or campaigns.
 
-    Parameters
-    ----------
-    robot : Robot
-        nominal robot
-    poses : int | Measurements, default 60
-        of a campaign: how many are drawn within the joint ranges; or those to measure, where what was logged of them
-        (time, temperature, payload, approach) is taken as it is, and the rest is simulated
-    noise_um : float, default 20.0
-        one sigma of a measured coordinate [um]
-    n : int, default 40
-        number of campaigns
-    seed : int, optional
-        of everything drawn; by default a random one
-    not_logged : Sequence[str], default ()
-        of temperature, payload, approach and time, what is not logged
-    executor : Executor, optional
-        any of `concurrent.futures`' kind; by default a process for each core
-    show : Callable[[str, int, int], None], optional
-        called with a campaign's name, how many are done, and how many there are
+    robot : nominal robot
+    poses : of a campaign: how many are drawn within the joint ranges; or those to measure, where what was logged of
+        them (time, temperature, payload, approach) is taken as it is, and the rest is simulated
+    noise_um : one sigma of a measured coordinate [um]
+    n : number of campaigns
+    seed : of everything drawn; by default a random one
+    not_logged : of temperature, payload, approach and time, what is not logged
+    executor : any of `concurrent.futures`' kind; by default a process for each core
+    show : called with a campaign's name, how many are done, and how many there are
 
     Examples
     --------

@@ -33,38 +33,21 @@ Data = tuple[ArrayLike, ArrayLike]
 class Compensator:
     """A trained compensator, or the null one when the network was refused.
 
-    Parameters
-    ----------
-    network : Network | None
-        the one in use; None: the null compensator, which corrects nothing
-    layout : Layout
-        sizes of the network
-    trained_box : JointBox
-        the joint readings seen in training [rad]
-    training : BeforeAfter
-        errors of the training poses without and with the trained network, also when it was refused
-    choice : BeforeAfter
-        the same of poses it was not trained on and that decided
-    validation : BeforeAfter | None
-        the same of poses that had no part in any choice
-    chosen_by : str
-        which poses decided, in words
-    margin : float
-        standard errors by which the gain had to exceed zero
-    trainer : str
-        name of the trainer
-    settings : dict[str, Any]
-        of the trainer
-    note : str
-        what the trainer chose, in words
-    seed : int
-        of everything random
-    data_sha256 : str
-        hash of the training data
-    trained : Network, optional
-        the network as trained, also when it was refused; after a fit only, it is not saved
-    history : tuple[tuple[int, float], ...], default ()
-        (step, loss [mm^2]) of the training; after a fit only, it is not saved
+    network : the one in use; None: the null compensator, which corrects nothing
+    layout : sizes of the network
+    trained_box : the joint readings seen in training [rad]
+    training : errors of the training poses without and with the trained network, also when it was refused
+    choice : the same of poses it was not trained on and that decided
+    validation : the same of poses that had no part in any choice
+    chosen_by : which poses decided, in words
+    margin : standard errors by which the gain had to exceed zero
+    trainer : name of the trainer
+    settings : of the trainer
+    note : what the trainer chose, in words
+    seed : of everything random
+    data_sha256 : hash of the training data
+    trained : the network as trained, also when it was refused; after a fit only, it is not saved
+    history : (step, loss [mm^2]) of the training; after a fit only, it is not saved
 
     Examples
     --------
@@ -115,46 +98,21 @@ class Compensator:
     ) -> Self:
         """Train a network on residuals and keep it only where it helps.
 
-        Parameters
-        ----------
-        q : ArrayLike, shape (n, joints) [rad]
-            readings of the training poses
-        residual_mm : ArrayLike, shape (n, outputs) [mm]
-            their residuals, measured less computed
-        validate : Data, optional
-            (q, residual_mm) of further poses, for the report only
-        choose : Data, optional
-            (q, residual_mm) of poses that decide whether the network helps, instead of a cross-validation
-        trainer : Trainer | str, default "lm"
-            one of `known_trainers` by its name, or one with its settings
-        layout : Layout, optional
-            default one hidden layer of 5
-        joint_range : JointBox, optional
-            scales the inputs; default the box of the training poses
-        output_scale_mm : float, optional
-            millimetres of one output unit, 1 in the paper; default the root mean square residual
-        loss : Loss, optional
-            what is minimised; default: the paper's
-        seed : int, default 0
-            of everything random
-        folds : int, default 5
-            trainings of the cross-validation, where `choose` is not given
-        margin : float, default 1.0
-            the gain must exceed so many of its standard errors
-        checkpoint : str | Path, optional
-            see `train_all`
-        progress : Callable[[Progress], None], optional
-            see `train_all`
-
-        Returns
-        -------
-        Self
-            the network, or the null compensator where it does not help
-
-        Raises
-        ------
-        InputError
-            arrays of wrong shape or with values that are not finite, and for fewer than 10 poses
+        q : shape (n, joints) [rad]: readings of the training poses
+        residual_mm : shape (n, outputs) [mm]: their residuals, measured less computed
+        validate : (q, residual_mm) of further poses, for the report only
+        choose : (q, residual_mm) of poses that decide whether the network helps, instead of a cross-validation
+        trainer : one of `known_trainers` by its name, or one with its settings
+        layout : default one hidden layer of 5
+        joint_range : scales the inputs; default the box of the training poses
+        output_scale_mm : millimetres of one output unit, 1 in the paper; default the root mean square residual
+        loss : what is minimised; default: the paper's
+        seed : of everything random
+        folds : trainings of the cross-validation, where `choose` is not given
+        margin : the gain must exceed so many of its standard errors
+        checkpoint, progress : see `train_all`
+        Returns the network, or the null compensator where it does not help
+        Raises InputError: arrays of wrong shape or with values that are not finite, and for fewer than 10 poses.
         """
         rows = joint_angles(q, layout.joints if layout else np.shape(q)[-1])
         size = layout or Layout(joints=rows.shape[1], outputs=np.shape(residual_mm)[-1])
@@ -238,10 +196,7 @@ class Compensator:
     def function(self) -> "casadi.Function":
         """Return ``network:(q[joints])->(dp[outputs])``: q in radians, dp in millimetres; zeros from the null one.
 
-        Returns
-        -------
-        Function
-            CasADi function network:(q[joints] rad)->(dp[outputs] mm)
+        Returns CasADi function network:(q[joints] rad)->(dp[outputs] mm)
         """
         if self.network is not None:
             return self.network.function()

@@ -71,16 +71,10 @@ class IwoResult:
 class InvasiveWeeds:
     """A search in progress: ``while not search.stop(): search.tell(losses_of(search.ask()))``.
 
-    Parameters
-    ----------
-    dimension : int
-        number of coordinates
-    settings : IwoSettings, optional
-        of the search; None: the paper's
-    seed : int, default 0
-        of its own random generator
-    start : ArrayLike, shape (k, dimension), optional
-        members to begin with instead of some of the random ones
+    dimension : number of coordinates
+    settings : of the search; None: the paper's
+    seed : of its own random generator
+    start : shape (k, dimension): members to begin with instead of some of the random ones
 
     Examples
     --------
@@ -130,15 +124,8 @@ class InvasiveWeeds:
     def tell(self, losses: ArrayLike) -> None:
         """Take the losses of the asked points; parents compete. A NaN counts as an infinite loss.
 
-        Parameters
-        ----------
-        losses : ArrayLike, shape (k,)
-            of the points that were asked for
-
-        Raises
-        ------
-        InputError
-            no ask() before, or another number of losses
+        losses : shape (k,): of the points that were asked for
+        Raises InputError: no ask() before, or another number of losses.
         """
         if self._asked is None:
             raise InputError("tell() without ask(): call ask() first and tell the losses of its rows")
@@ -183,10 +170,7 @@ class InvasiveWeeds:
     def state(self) -> dict[str, Any]:
         """Return all that a search needs to go on, in JSON types.
 
-        Raises
-        ------
-        InputError
-            between ask() and tell()
+        Raises InputError: between ask() and tell().
         """
         if self._asked is not None:
             raise InputError("state() between ask() and tell(): tell the losses first")
@@ -203,14 +187,8 @@ class InvasiveWeeds:
     def restore(cls, dimension: int, settings: IwoSettings, state: dict[str, Any]) -> Self:
         """Return the search whose `state` this was; it goes on bit for bit as the first one would have.
 
-        Parameters
-        ----------
-        dimension : int
-            as before
-        settings : IwoSettings
-            as before
-        state : dict[str, Any]
-            as of `state`
+        dimension, settings : as before
+        state : as of `state`
         """
         search = cls(dimension, settings, start=unpack(state["start"]))
         search.members, search.losses = unpack(state["members"]), unpack(state["losses"])
@@ -248,26 +226,14 @@ def iwo_minimise(
 ) -> IwoResult:
     """Minimise any objective by invasive weed optimisation; units are those of the objective.
 
-    Parameters
-    ----------
-    objective : Callable[[Array], ArrayLike]
-        takes points of shape (k, dimension) and returns k losses; with ``vectorised=False`` one point, shape
+    objective : takes points of shape (k, dimension) and returns k losses; with ``vectorised=False`` one point, shape
         (dimension,), and returns its loss
-    dimension : int
-        number of coordinates
-    settings : IwoSettings, optional
-        of the search; None: the paper's
-    seed : int, default 0
-        of everything random
-    vectorised : bool, default True
-        whether the objective takes all points at once
-    start : ArrayLike, shape (k, dimension), optional
-        members to begin with
-
-    Returns
-    -------
-    IwoResult
-        best point, loss and history
+    dimension : number of coordinates
+    settings : of the search; None: the paper's
+    seed : of everything random
+    vectorised : whether the objective takes all points at once
+    start : shape (k, dimension) [as of the bounds]: members to begin with
+    Returns best point, loss and history
 
     Examples
     --------

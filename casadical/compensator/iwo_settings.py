@@ -12,34 +12,18 @@ from casadical.core.errors import InputError
 class IwoSettings:
     """Settings of the search; the defaults are the paper's (section 4).
 
-    Parameters
-    ----------
-    initial : int, default 10
-        members at the start
-    maximum : int, default 50
-        members at most
-    seeds_min : int, default 0
-        children of the worst member
-    seeds_max : int, default 5
-        children of the best member
-    exponent : float, default 2.0
-        of eq. 13
-    sigma_initial : float, default 0.05
-        of eq. 13, at the start [as of the bounds]
-    sigma_final : float, default 0.0005
-        of eq. 13, at the end [as of the bounds]
-    lower : float | tuple[float, ...], default -1.7
-        bound of every coordinate, or one a coordinate
-    upper : float | tuple[float, ...], default 1.7
-        bound of every coordinate, or one a coordinate
-    dispersal : {"normal", "literal"}, default "normal"
-        "normal" for steps N(0, sigma), "literal" for the printed sigma * K with K uniform in [0, 1]
-    iterations : int, default 500
-        generations at most
-    target : float, optional
-        loss at which it stops; None: none
-    patience : int, optional
-        generations in a row without a better loss after which it stops; None: none
+    initial : members at the start
+    maximum : members at most
+    seeds_min : children of the worst member
+    seeds_max : children of the best member
+    exponent : of eq. 13
+    sigma_initial : of eq. 13, at the start [as of the bounds]
+    sigma_final : of eq. 13, at the end [as of the bounds]
+    lower, upper : bound of every coordinate, or one a coordinate
+    dispersal : "normal" for steps N(0, sigma), "literal" for the printed sigma * K with K uniform in [0, 1]
+    iterations : generations at most
+    target : loss at which it stops; None: none
+    patience : generations in a row without a better loss after which it stops; None: none
 
     Examples
     --------

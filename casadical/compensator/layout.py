@@ -20,16 +20,10 @@ from casadical.core.errors import InputError
 class Layout:
     """Sizes of a network.
 
-    Parameters
-    ----------
-    joints : int, default 6
-        number of joint angles it is given
-    hidden : tuple[int, ...], optional
-        neurons of each hidden layer, first to last (tansig)
-    outputs : int, default 3
-        number of outputs (linear)
-    periodic : tuple[int, ...], default ()
-        joints, counted from 0, that enter as (sin q, cos q) instead of as a scaled angle
+    joints : number of joint angles it is given
+    hidden : neurons of each hidden layer, first to last (tansig)
+    outputs : number of outputs (linear)
+    periodic : joints, counted from 0, that enter as (sin q, cos q) instead of as a scaled angle
 
     Examples
     --------
@@ -76,19 +70,9 @@ class Layout:
     def layers(self, weights: Array) -> list[Array]:
         """Split weight vectors into layers.
 
-        Parameters
-        ----------
-        weights : Array, shape (..., count)
-
-        Returns
-        -------
-        list[Array]
-            one array of shape (..., m, k + 1) a layer, each row the input weights of a neuron and then its bias
-
-        Raises
-        ------
-        InputError
-            another number of weights
+        weights : shape (..., count)
+        Returns one array of shape (..., m, k + 1) a layer, each row the input weights of a neuron and then its bias
+        Raises InputError: another number of weights.
         """
         weights = np.asarray(weights)
         if weights.shape[-1:] != (self.count,):
@@ -126,12 +110,8 @@ class Layout:
 class JointBox:
     """Joint ranges that a network is scaled by and trusted in.
 
-    Parameters
-    ----------
-    lower : tuple[float, ...]
-        one angle a joint [rad]; it is sent to -1
-    upper : tuple[float, ...]
-        one angle a joint [rad]; it is sent to +1; a joint that does not move (lower == upper) is sent to q - lower
+    lower : one angle a joint [rad]; it is sent to -1
+    upper : one angle a joint [rad]; it is sent to +1; a joint that does not move (lower == upper) is sent to q - lower
 
     Examples
     --------

@@ -19,16 +19,10 @@ if TYPE_CHECKING:
 class Network:
     """A trained network.
 
-    Parameters
-    ----------
-    layout : Layout
-        layer sizes
-    box : JointBox
-        joint ranges of the input scaling [rad]
-    weights : Array, shape (layout.count,), optional
-        in the order that `casadical.compensator.layout` defines
-    output_scale_mm : float, default 1.0
-        the linear output layer's sum is multiplied by this to give millimetres; 1 in the paper
+    layout : layer sizes
+    box : joint ranges of the input scaling [rad]
+    weights : shape (layout.count,): in the order that `casadical.compensator.layout` defines
+    output_scale_mm : the linear output layer's sum is multiplied by this to give millimetres; 1 in the paper
 
     Examples
     --------

@@ -24,12 +24,8 @@ MOST_NUMBERS = 1000
 def save_compensator(compensator: Compensator, path: str | os.PathLike[str]) -> None:
     """Write a compensator to a JSON file; an older file is replaced in one piece.
 
-    Parameters
-    ----------
-    compensator : Compensator
-        of a fit
-    path : str | Path
-        JSON file
+    compensator : of a fit
+    path : JSON file
 
     Examples
     --------
@@ -59,20 +55,9 @@ def _body(compensator: Compensator) -> dict[str, Any]:
 def load_compensator(path: str | os.PathLike[str]) -> Compensator:
     """Read a compensator that `save_compensator` wrote.
 
-    Parameters
-    ----------
-    path : str | Path
-        file that `save_compensator` wrote
-
-    Returns
-    -------
-    Compensator
-        as it was, without the history of its training
-
-    Raises
-    ------
-    InputError
-        the file is missing, truncated, changed, of another kind or version, or inconsistent
+    path : file that `save_compensator` wrote
+    Returns as it was, without the history of its training
+    Raises InputError: the file is missing, truncated, changed, of another kind or version, or inconsistent.
 
     Examples
     --------

@@ -105,25 +105,13 @@ def make_task(
 ) -> Task:
     """Prepare joint angles and residuals for training.
 
-    Parameters
-    ----------
-    layout : Layout
-        sizes of the network
-    box : JointBox
-        joint ranges of the input scaling [rad]
-    q : Array, shape (n, joints) [rad]
-        joint readings
-    residual_mm : Array, shape (n, outputs) [mm]
-        residuals
-    scale_mm : float, default 1.0
-        millimetres of one unit of the output layer [mm]
-    loss : Loss, optional
-        what is minimised; None: the paper's
-
-    Raises
-    ------
-    InputError
-        a scale that is not positive
+    layout : sizes of the network
+    box : joint ranges of the input scaling [rad]
+    q : shape (n, joints) [rad]: joint readings
+    residual_mm : shape (n, outputs) [mm]: residuals
+    scale_mm : millimetres of one unit of the output layer [mm]
+    loss : what is minimised; None: the paper's
+    Raises InputError: a scale that is not positive.
 
     Examples
     --------

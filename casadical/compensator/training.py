@@ -63,20 +63,10 @@ def train(
 ) -> Training:
     """Train one network; see `train_all`.
 
-    Parameters
-    ----------
-    task : Task
-        the training problem
-    trainer : Trainer
-        with its settings
-    seed : int, default 0
-        of everything random
-    checkpoint : str | Path, optional
-        as of `train_all`
-    every : int, default 50
-        as of `train_all`
-    progress : Callable[[Progress], None], optional
-        as of `train_all`
+    task : the training problem
+    trainer : with its settings
+    seed : of everything random
+    checkpoint, every, progress : as of `train_all`
 
     Examples
     --------

@@ -16,12 +16,8 @@ NEAR_PARALLEL = np.deg2rad(5.0)
 class Body:
     """Mass [kg] and mass centre, shape (3,) [m], in its link's frame.
 
-    Parameters
-    ----------
-    mass : float
-        of the link or load [kg]
-    com : Array, shape (3,) [m]
-        mass centre in the link's frame
+    mass : of the link or load [kg]
+    com : shape (3,) [m]: mass centre in the link's frame
 
     Examples
     --------
@@ -48,34 +44,19 @@ class Coupling:
 class Joint:
     """One row of the modified DH table and the joint that it carries; SI units.
 
-    Parameters
-    ----------
-    alpha : float, default 0.0
-        twist of the axis before, about x [rad]
-    a : float, default 0.0
-        length of the link before, along x [m]
-    theta : float, default 0.0
-        angle about z at reading zero [rad]
-    d : float, default 0.0
-        offset along z [m]
-    beta : float, optional
-        turn about y where the axes are nearly parallel [rad]; None: d is the parameter there
-    b : float, optional
-        offset along y where the axes are nearly parallel [m]; None as of beta
-    kind : {"revolute", "prismatic"}, default "revolute"
-        revolute, or prismatic (then the reading is added to d)
-    lower : float, default -np.pi
-        least reading [rad or m]
-    upper : float, default np.pi
-        greatest reading [rad or m]
-    compliance : float, optional
-        of the drive train [rad/(N m) or m/N]; None: taken as rigid
-    body : Body, optional
-        of the link that the joint moves
-    coupling : Coupling, optional
-        what its reading follows from, where it is no axis of its own: a mimic joint, a passive one, a locked one
-    name : str, default ""
-        by which tables of measurements may call its readings
+    alpha : twist of the axis before, about x [rad]
+    a : length of the link before, along x [m]
+    theta : angle about z at reading zero [rad]
+    d : offset along z [m]
+    beta : turn about y where the axes are nearly parallel [rad]; None: d is the parameter there
+    b : offset along y where the axes are nearly parallel [m]; None as of beta
+    kind : revolute, or prismatic (then the reading is added to d)
+    lower : least reading [rad or m]
+    upper : greatest reading [rad or m]
+    compliance : of the drive train [rad/(N m) or m/N]; None: taken as rigid
+    body : of the link that the joint moves
+    coupling : what its reading follows from, where it is no axis of its own: a mimic joint, a passive one, a locked one
+    name : by which tables of measurements may call its readings
 
     Examples
     --------
@@ -124,16 +105,10 @@ class FourBar:
     The ground bar is the link between the two joints (its length is the driven row's a). The driven link's angle
     against the carrier is: direction of the rocker - angle of the carrier + offset. Lengths in metres.
 
-    Parameters
-    ----------
-    driven : int
-        joint whose reading is the crank's angle, 1-based
-    carrier : int
-        joint in whose plane the loop lies, 1-based
-    crank, coupler, rocker : float
-        length [m]
-    offset : float, default 0.0
-        angle between rocker and driven link [rad]
+    driven : joint whose reading is the crank's angle, 1-based
+    carrier : joint in whose plane the loop lies, 1-based
+    crank, coupler, rocker : length [m]
+    offset : angle between rocker and driven link [rad]
 
     Examples
     --------
@@ -153,12 +128,8 @@ class FourBar:
 class Placement:
     """A frame given by its nominal transform T, shape (4, 4) [m], and which part of it is identified.
 
-    Parameters
-    ----------
-    T : Array, shape (4, 4) [m]
-        nominal transform
-    unknown : {"none", "position", "pose"}, default "none"
-        which part is identified
+    T : shape (4, 4) [m]: nominal transform
+    unknown : which part is identified
 
     Examples
     --------

@@ -82,34 +82,16 @@ def robot_model(
 ) -> RobotModel:
     """A calibrated robot as another program reads it.
 
-    Parameters
-    ----------
-    source : str | Path
-        a robot file, taken as it is, or a problem folder, which is calibrated
-    form : str
-        mjcf, urdf; kinematics of a driver: ur, standard_dh, modified_dh, xacro
-    nominal : Path, optional
-        robot file from before the calibration, needed by a driver's kinematics and a user's own model
-    of_mjcf : OfMjcf, optional
-        what only a MuJoCo model can have: campaign, effects, into, joints, springs
-    checksum : str, default ""
-        of the controller's own calibration, for `ur`
-    leave_out : bool, default False
-        whether effects that have no place there are left out; else they are refused
-    show : Show, optional
-        called with a line of progress
-
-    Returns
-    -------
-    RobotModel
-        `text` of the file, `lines` on what it leaves out and what that costs
-
-    Raises
-    ------
-    InputError
-        what is given has no part in this form, or effects have no place in it
-    ConvergenceError
-        Ipopt finds no optimum
+    source : a robot file, taken as it is, or a problem folder, which is calibrated
+    form : mjcf, urdf; kinematics of a driver: ur, standard_dh, modified_dh, xacro
+    nominal : robot file from before the calibration, needed by a driver's kinematics and a user's own model
+    of_mjcf : what only a MuJoCo model can have: campaign, effects, into, joints, springs
+    checksum : of the controller's own calibration, for `ur`
+    leave_out : whether effects that have no place there are left out; else they are refused
+    show : called with a line of progress
+    Returns `text` of the file, `lines` on what it leaves out and what that costs
+    Raises InputError: what is given has no part in this form, or effects have no place in it; ConvergenceError: Ipopt
+        finds no optimum.
 
     Examples
     --------

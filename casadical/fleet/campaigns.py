@@ -49,29 +49,14 @@ def compare_files(
 ) -> Comparison:
     """What changed in a robot over campaigns in files, in the order of their days or else as they are given.
 
-    Parameters
-    ----------
-    paths : Sequence[str | Path]
-        robot files with a covariance, folders of results, problem folders, or tables of measurements; or one problem
-        folder, whose later campaigns are the tables in its folder `campaigns`
-    robot : str | Path, optional
-        problem folder or robot file by which tables are understood; None: the first of `paths` that is no table
-    same_tool : bool, default False
-        whether the same point of the same tool was measured
-    same_frame : bool, default False
-        whether all positions are in one frame
-    show : Show, optional
-        called with a line of progress
-
-    Returns
-    -------
-    Comparison
-        what changed; of three campaigns or more, those that cannot be used are left out and named in its notes
-
-    Raises
-    ------
-    InputError
-        fewer than two campaigns that can be used, with what is wrong in them
+    paths : robot files with a covariance, folders of results, problem folders, or tables of measurements; or one
+        problem folder, whose later campaigns are the tables in its folder `campaigns`
+    robot : problem folder or robot file by which tables are understood; None: the first of `paths` that is no table
+    same_tool : whether the same point of the same tool was measured
+    same_frame : whether all positions are in one frame
+    show : called with a line of progress
+    Returns what changed; of three campaigns or more, those that cannot be used are left out and named in its notes
+    Raises InputError: fewer than two campaigns that can be used, with what is wrong in them.
 
     Examples
     --------

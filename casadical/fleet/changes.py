@@ -133,26 +133,16 @@ class Change:
 class Comparison(Result):
     """Several campaigns of one robot, and what changed between them.
 
-    Parameters
-    ----------
-    campaigns : tuple[Estimate, ...]
-        in the order of time
-    names : tuple[str, ...]
-        parameters that they share
-    changes : tuple[Change, ...]
-        what changed, the surest first
-    log_odds : float
-        how much more probable the data are with one change more than with these; of the first change if there is none
-    seen_from : tuple[tuple[str, float, str], ...]
-        (cause, size, unit): what a change between the last two campaigns would have to be to be seen
-    placements : tuple[tuple[str, str], ...]
-        (what, how) of base and tool, which were fitted again
-    notes : tuple[str, ...], default ()
-        what was assumed of the campaigns
-    name : str, default ""
-        of the robot as its user knows it; empty: that of its type
-    sources : tuple[Path, ...], default ()
-        what the last campaign can be calibrated from: a problem folder or robot file, and its table
+    campaigns : in the order of time
+    names : parameters that they share
+    changes : what changed, the surest first
+    log_odds : how much more probable the data are with one change more than with these; of the first change if there is
+        none
+    seen_from : (cause, size, unit): what a change between the last two campaigns would have to be to be seen
+    placements : (what, how) of base and tool, which were fitted again
+    notes : what was assumed of the campaigns
+    name : of the robot as its user knows it; empty: that of its type
+    sources : what the last campaign can be calibrated from: a problem folder or robot file, and its table
 
     Examples
     --------

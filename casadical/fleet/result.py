@@ -43,21 +43,14 @@ LISTED, FEWER_LETTERS = 2000, 60
 class Fleet(Result):
     """All robots of a fleet.
 
-    Parameters
-    ----------
-    robots : DataFrame
-        a row of each, as the store keeps it; without what its campaigns tell of single parameters (`details`, `names`,
-        `departure`, `score`, `information`, `spread`, `scale`, `identified`), which `pandas.read_parquet` reads
-    commons : tuple[Common, ...]
-        what robots of one type share, of types with five robots or more
-    outliers : tuple[str, ...]
-        robots whose error stands out from that of their type
-    notes : tuple[str, ...], default ()
-        what was assumed
-    drawings : Mapping[str, Drawing], optional
-        by type, those that can be read
-    computed : int, optional
-        robots that were computed now, the others come from the store; None where that is not known
+    robots : a row of each, as the store keeps it; without what its campaigns tell of single parameters (`details`,
+        `names`, `departure`, `score`, `information`, `spread`, `scale`, `identified`), which `pandas.read_parquet`
+        reads
+    commons : what robots of one type share, of types with five robots or more
+    outliers : robots whose error stands out from that of their type
+    notes : what was assumed
+    drawings : by type, those that can be read
+    computed : robots that were computed now, the others come from the store; None where that is not known
 
     Examples
     --------
@@ -170,10 +163,7 @@ class Fleet(Result):
     def prior_files(self, folder: str | Path) -> dict[Path, str]:
         """Robot files with what is learnt of each type, the prior of a robot that is still to be measured.
 
-        Parameters
-        ----------
-        folder : str | Path
-            where they are to be
+        folder : where they are to be
         """
         texts = {}
         for c in self.commons:

@@ -34,30 +34,15 @@ def run_fleet(
 ) -> Fleet:
     """Calibrate, diagnose and compare every robot of a fleet; what a store has already is not computed again.
 
-    Parameters
-    ----------
-    folders : Sequence[str | Path]
-        problem folders, one a robot, or folders that hold them
-    store : str | Path
-        folder of parquet files that keeps a row of each robot
-    scheduler : str, optional
-        address of a Dask scheduler, as tcp://host:8786; None: processes of this machine
-    workers : int, optional
-        how many processes of this machine; None: one a core
-    with_diagnosis : bool, default True
-        whether every robot is diagnosed, which takes longest
-    show : Show, optional
-        called with a line of progress
-
-    Returns
-    -------
-    Fleet
-        all robots of the store that were asked for, and what they have in common
-
-    Raises
-    ------
-    InputError
-        no robots, a store that cannot be used, a scheduler that does not answer; what was done until then is kept
+    folders : problem folders, one a robot, or folders that hold them
+    store : folder of parquet files that keeps a row of each robot
+    scheduler : address of a Dask scheduler, as tcp://host:8786; None: processes of this machine
+    workers : how many processes of this machine; None: one a core
+    with_diagnosis : whether every robot is diagnosed, which takes longest
+    show : called with a line of progress
+    Returns all robots of the store that were asked for, and what they have in common
+    Raises InputError: no robots, a store that cannot be used, a scheduler that does not answer; what was done until
+        then is kept.
 
     Examples
     --------

@@ -35,22 +35,13 @@ ATTEMPTS = 100
 class Circumstances:
     """How poses are measured.
 
-    Parameters
-    ----------
-    payloads : tuple[float, ...], default ()
-        masses [kg] that can be mounted; empty: the declared one, and also none if an effect needs two
-    every_payload : bool, default False
-        whether each reading is measured with all of them instead of one
-    both_approaches : bool, default False
-        whether each reading is approached twice, with all joints moving in opposite directions
-    repeats : int, default 1
-        how often each reading is measured, in passes over all poses
-    seconds : float, default 30.0
-        time per pose [s]
-    warmup_K : float, default 5.0
-        assumed rise of temperature [K]
-    warmup_minutes : float, default 35.0
-        its time constant [min]
+    payloads : masses [kg] that can be mounted; empty: the declared one, and also none if an effect needs two
+    every_payload : whether each reading is measured with all of them instead of one
+    both_approaches : whether each reading is approached twice, with all joints moving in opposite directions
+    repeats : how often each reading is measured, in passes over all poses
+    seconds : time per pose [s]
+    warmup_K : assumed rise of temperature [K]
+    warmup_minutes : its time constant [min]
 
     Examples
     --------

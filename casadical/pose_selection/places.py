@@ -37,35 +37,18 @@ def place_instrument(
 ) -> Instrument:
     """The places, of those given, from which readings at random poses determine the robot best.
 
-    Parameters
-    ----------
-    robot : Robot
-        base and tool as far as they are known
-    kind : {"wires", "sockets"}
-        as of `Instrument`
-    places : Array, shape (K, 3) [m]
-        candidates, in the measuring frame
-    count : int
-        how many are wanted
-    known : bool, default False
-        whether they will be measured, too
-    workspace : Workspace, optional
-        which poses can be measured
-    q : Array, shape (n, joints) [rad or m], optional
-        poses that will be read by wires; None: random ones
-    free : Iterable[str], optional
-        as of `select_poses`
-    task : Array, shape (T, joints) [rad or m], optional
-        as of `select_poses`
-    noise : Noise, optional
-        of a distance, or of a coordinate in a socket
-    seed : int, default 0
-        of the random generator
-
-    Raises
-    ------
-    InputError
-        too few candidates, or a socket out of reach
+    robot : base and tool as far as they are known
+    kind : as of `Instrument`
+    places : shape (K, 3) [m]: candidates, in the measuring frame
+    count : how many are wanted
+    known : whether they will be measured, too
+    workspace : which poses can be measured
+    q : shape (n, joints) [rad or m]: poses that will be read by wires; None: random ones
+    free : as of `select_poses`
+    task : shape (T, joints) [rad or m]: as of `select_poses`
+    noise : of a distance, or of a coordinate in a socket
+    seed : of the random generator
+    Raises InputError: too few candidates, or a socket out of reach.
 
     Examples
     --------

@@ -47,61 +47,33 @@ def select_poses(
 ) -> Selection:
     """Choose n readings to measure, by an exchange of candidates.
 
-    Parameters
-    ----------
-    robot : Robot
-        Jacobians are taken at its values, so give the calibrated one when continuing; its effects (`with_effect`) are
-        parameters like any other
-    among : Array | tuple[Array, Array] | Workspace | None, shape (N, joints) [rad or m]
-        readings to choose from; or limits between which they are drawn, and then refined in the neighbourhood of the
-        best: a tuple (lower, upper), shape (joints,) each [rad or m], or a workspace; None: the robot's own ranges
-    n : int
-        number of readings to choose
-    criterion : Criterion, default "V"
-        V (the mean variance of the position over the task), D or O1, A, O2 to O5; see `criteria`
-    workspace : Workspace, optional
-        which poses can be measured
-    circumstances : Circumstances, optional
-        payloads, approaches, repeats
-    measured : Measurements, optional
-        poses already measured: the choice adds to them and keeps its distance from them
-    free : Iterable[str], optional
-        parameters to identify, as of `identify`; by default geometry, frames, compliance and all effects
-    interest : Iterable[str], default ()
-        parameters (names, groups or labels, patterns) that matter most: A then regards only these, V weights them, in
-        units of their priors, as much as the task
-    task : Array, shape (T, joints) [rad or m], optional
-        readings at which the robot is to be accurate; None: all that is allowed
-    noise : Noise, optional
-        of coordinates and joints
-    min_distance : float | None, default 0.0
-        between any two poses, in the joint that differs most, as a share of its range, None if a pose may be chosen
-        more than once
-    pool : int, default 1000
-        number of candidates to draw
-    restarts : int, default 2
-        number of searches, of which the best counts
-    seed : int, default 0
-        of the random generator
-    instrument : Instrument, optional
-        what is read in place of positions: distances to anchors, or the tool in sockets; `noise.sigma` is its own
-    prior : Prior, optional
-        what is known of the robot, as of `identify` and with its values in the robot (see `carry_over`): fewer poses
-        are needed then
-
-    Returns
-    -------
-    Selection
-        the poses in order, and the accuracy to expect of them
-
-    Raises
-    ------
-    InputError
-        where nothing can be chosen
-
-    References
-    ----------
-    Mitchell (1974); Sun and Hollerbach (2008).
+    robot : Jacobians are taken at its values, so give the calibrated one when continuing; its effects (`with_effect`)
+        are parameters like any other
+    among : shape (N, joints) [rad or m]: readings to choose from; or limits between which they are drawn, and then
+        refined in the neighbourhood of the best: a tuple (lower, upper), shape (joints,) each [rad or m], or a
+        workspace; None: the robot's own ranges
+    n : number of readings to choose
+    criterion : V (the mean variance of the position over the task), D or O1, A, O2 to O5; see `criteria`
+    workspace : which poses can be measured
+    circumstances : payloads, approaches, repeats
+    measured : poses already measured: the choice adds to them and keeps its distance from them
+    free : parameters to identify, as of `identify`; by default geometry, frames, compliance and all effects
+    interest : parameters (names, groups or labels, patterns) that matter most: A then regards only these, V weights
+        them, in units of their priors, as much as the task
+    task : shape (T, joints) [rad or m]: readings at which the robot is to be accurate; None: all that is allowed
+    noise : of coordinates and joints
+    min_distance : between any two poses, in the joint that differs most, as a share of its range, None if a pose may be
+        chosen more than once
+    pool : number of candidates to draw
+    restarts : number of searches, of which the best counts
+    seed : of the random generator
+    instrument : what is read in place of positions: distances to anchors, or the tool in sockets; `noise.sigma` is its
+        own
+    prior : what is known of the robot, as of `identify` and with its values in the robot (see `carry_over`): fewer
+        poses are needed then
+    Returns the poses in order, and the accuracy to expect of them
+    Raises InputError: where nothing can be chosen.
+    References: Mitchell (1974); Sun and Hollerbach (2008).
 
     Examples
     --------

@@ -27,32 +27,15 @@ from casadical.robot.robot import Robot
 class Selection(Shown):
     """Poses to measure, in order, and the accuracy to expect of them.
 
-    Parameters
-    ----------
-    robot : Robot
-        with the values and effects that were planned for
-    chosen : Candidates
-        readings and circumstances
-    m : Measurements
-        one row per measurement, in order, at the positions that the model gives
-    measured : Measurements | None
-        poses measured before, which count as well
-    names : tuple[str, ...]
-        parameters that will be identified
-    held : tuple[Unidentifiable, ...]
-        the others, each with its reason
-    criterion : Criterion
-        as asked for
-    noise : Noise
-        as asked for
-    task : Measurements
-        as asked for
-    circumstances : Circumstances
-        as asked for
-    instrument : Instrument, optional
-        what is read in place of positions
-    prior : Prior, optional
-        what is known of the robot before
+    robot : with the values and effects that were planned for
+    chosen : readings and circumstances
+    m : one row per measurement, in order, at the positions that the model gives
+    measured : poses measured before, which count as well
+    names : parameters that will be identified
+    held : the others, each with its reason
+    criterion, noise, task, circumstances : as asked for
+    instrument : what is read in place of positions
+    prior : what is known of the robot before
 
     Examples
     --------
@@ -152,14 +135,8 @@ class Selection(Shown):
 
         Where the places of an instrument are not measured, with the base placed again at these poses.
 
-        Parameters
-        ----------
-        m : Measurements, optional
-            poses to predict; None: the task
-
-        Returns
-        -------
-        Array, shape (n,) [m]
+        m : poses to predict; None: the task
+        Returns shape (n,) [m]
         """
         m = self.task if m is None else m
         J = scaled_jacobian(self.robot, self.names, m)

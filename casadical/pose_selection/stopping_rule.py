@@ -78,37 +78,13 @@ def forecast(
 
     Starts with the measured poses or, without any, with a fifth more equations than parameters that no prior knows.
 
-    Parameters
-    ----------
-    robot : Robot
-        the robot
-    most : int, default 100
-        largest number of poses, measured ones included
-    workspace : Workspace, optional
-        as of `select_poses`
-    circumstances : Circumstances, optional
-        as of `select_poses`
-    measured : Measurements, optional
-        as of `select_poses`
-    free : Iterable[str], optional
-        as of `select_poses`
-    task : Array, shape (T, joints) [rad or m], optional
-        as of `select_poses`
-    noise : Noise, optional
-        as of `select_poses`
-    pool : int, default 1000
-        as of `select_poses`
-    seed : int, default 0
-        of everything random
-    instrument : Instrument, optional
-        as of `select_poses`
-    prior : Prior, optional
-        as of `select_poses`
-
-    Raises
-    ------
-    InputError
-        nothing can be chosen
+    most : largest number of poses, measured ones included
+    workspace, circumstances, measured, free : as of `select_poses`
+    task : shape (T, joints) [rad or m]: as of `select_poses`
+    noise, pool : as of `select_poses`
+    seed : of everything random
+    instrument, prior : as of `select_poses`
+    Raises InputError: nothing can be chosen.
 
     Examples
     --------

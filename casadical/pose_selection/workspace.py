@@ -107,22 +107,13 @@ class Tracker:
 class Workspace:
     """Which poses can be measured.
 
-    Parameters
-    ----------
-    lower : Array, shape (joints,) [rad or m], optional
-        least readings; None: the robot's
-    upper : Array, shape (joints,) [rad or m], optional
-        greatest readings; None: the robot's
-    margin : float, optional
-        least margin of every four-bar, see `fourbar.margin`
-    floor : float, optional
-        height in the measuring frame below which no point may lie [m]
-    boxes : tuple[Box, ...], default ()
-        obstacles
-    clearance : float, default 0.0
-        least distance of tool point and link origins from floor and boxes [m]
-    tracker : Tracker | None, optional
-        it must see the tool point, past the boxes
+    lower : shape (joints,) [rad or m]: least readings; None: the robot's
+    upper : shape (joints,) [rad or m]: greatest readings; None: the robot's
+    margin : least margin of every four-bar, see `fourbar.margin`
+    floor : height in the measuring frame below which no point may lie [m]
+    boxes : obstacles
+    clearance : least distance of tool point and link origins from floor and boxes [m]
+    tracker : it must see the tool point, past the boxes
 
     Examples
     --------
@@ -149,20 +140,8 @@ class Workspace:
     def ranges(self, robot: Robot) -> tuple[Array, Array]:
         """Least and greatest readings, shape (joints,) each [rad or m].
 
-        Parameters
-        ----------
-        robot : Robot
-            the robot
-
-        Returns
-        -------
-        tuple[Array, Array]
-            lower and upper, shape (joints,) each [rad or m]
-
-        Raises
-        ------
-        InputError
-            limits of another number of joints, or a lower one that is not below the upper
+        Returns lower and upper, shape (joints,) each [rad or m]
+        Raises InputError: limits of another number of joints, or a lower one that is not below the upper.
         """
         lower = np.array([j.lower for j in robot.joints]) if self.lower is None else np.asarray(self.lower, float)
         upper = np.array([j.upper for j in robot.joints]) if self.upper is None else np.asarray(self.upper, float)
@@ -175,17 +154,8 @@ class Workspace:
     def refusals(self, robot: Robot, q: Array) -> dict[str, Array]:
         """By reason, which of the readings are ruled out.
 
-        Parameters
-        ----------
-        robot : Robot
-            the robot
-        q : Array, shape (n, joints) [rad or m]
-            joint readings
-
-        Returns
-        -------
-        dict[str, Array]
-            reason -> boolean array, shape (n,)
+        q : shape (n, joints) [rad or m]: joint readings
+        Returns reason -> boolean array, shape (n,)
         """
         lower, upper = self.ranges(robot)
         found: dict[str, Array] = {"joint range": np.asarray(((q < lower - 1e-9) | (q > upper + 1e-9)).any(axis=1))}

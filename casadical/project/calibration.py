@@ -56,19 +56,12 @@ from casadical.robot.robot_file import to_toml
 class Calibration(Result):
     """A calibrated problem.
 
-    Parameters
-    ----------
-    problem : Problem
-        what was calibrated, from which measurements
-    identifications : Mapping[str, Identification]
-        by method, in the order of the problem's methods; the last one counts
-    accuracies : Accuracies
-        error figures by method, by set (one of several tables as SET/KIND, over all tables of the kind, and of each
-        of them as SET/KIND/FILE), by state: "nominal", "placed" (base and tool fitted), "calibrated"
-    networks : Networks, optional
-        trained on what SKCM left, or None where the problem lists none
-    without_prior : Accuracy, optional
-        of the poses by which the last method is judged, had there been no prior; None without one
+    problem : what was calibrated, from which measurements
+    identifications : by method, in the order of the problem's methods; the last one counts
+    accuracies : error figures by method, by set (one of several tables as SET/KIND, over all tables of the kind, and of
+        each of them as SET/KIND/FILE), by state: "nominal", "placed" (base and tool fitted), "calibrated"
+    networks : trained on what SKCM left, or None where the problem lists none
+    without_prior : of the poses by which the last method is judged, had there been no prior; None without one
 
     Examples
     --------
@@ -223,10 +216,7 @@ class Calibration(Result):
     def files(self, folder: str | Path) -> dict[Path, str]:
         """What is kept, by file: all figures, of each method the robot and its parameters, or the compensator.
 
-        Parameters
-        ----------
-        folder : str | Path
-            where they are to be
+        folder : where they are to be
         """
         folder, problem = Path(folder), self.problem
         texts = {folder / "result.json": json_text(self.to_json())}
@@ -277,29 +267,15 @@ def calibrate(
 ) -> Calibration:
     """Identify a problem's robot by each of its methods, and train its networks on what is left.
 
-    Parameters
-    ----------
-    problem : str | Path | Problem
-        its folder, a robot file with tables, or what `read_problem` gave
-    tables : str | Path | Sequence[str | Path], default ()
-        measured poses, in place of the folder's own or beside a robot file (see `read_problem`)
-    method : str, optional
-        in place of the problem's own; a network method needs SKCM, which is then identified too
-    loss : str, optional
-        in place of the problem's own
-    seed : int, optional
-        of the split into sets and of the networks; of a folder only
-    carried : Carried, optional
-        what puts the prior of another campaign into the robot, as `carry_over` does; of a folder only
-    show : Show, optional
-        called with a line of progress
-
-    Raises
-    ------
-    InputError
-        a file of the problem is not usable, or a method does not exist
-    ConvergenceError
-        Ipopt finds no optimum of a method
+    problem : its folder, a robot file with tables, or what `read_problem` gave
+    tables : measured poses, in place of the folder's own or beside a robot file (see `read_problem`)
+    method : in place of the problem's own; a network method needs SKCM, which is then identified too
+    loss : in place of the problem's own
+    seed : of the split into sets and of the networks; of a folder only
+    carried : what puts the prior of another campaign into the robot, as `carry_over` does; of a folder only
+    show : called with a line of progress
+    Raises InputError: a file of the problem is not usable, or a method does not exist; ConvergenceError: Ipopt finds no
+        optimum of a method.
 
     Examples
     --------

@@ -60,38 +60,21 @@ def carried_from(path: Path, parts: Sequence[str], frozen: bool) -> Carried:
 class Problem(Shown):
     """A robot and its measurements, split into named sets (identify, train, choose, report).
 
-    Parameters
-    ----------
-    folder : Path
-        where it was read
-    title : str
-        of reports
-    data : {"real", "synthetic"} | None
-        whether the measurements are real or synthetic; None where nobody said
-    robot : Robot
-        nominal robot
-    sets : Mapping[str, tuple[Measurements, ...]]
-        by name, one `Measurements` for each kind; no pose is in two sets
-    methods : tuple[BaseMethod, ...]
-        identification methods of `casadical calibrate`
-    loss : AnyLoss
-        how far poses are weighted, of `casadical calibrate`
-    urdf : tuple[Path, str | None, str | None], optional
-        file, base link and tip link where the robot came from a URDF
-    networks : tuple[str, ...], default ()
-        network methods that are trained on what SKCM leaves
-    seed : int, default 0
-        of the split and of the networks
-    paper : Paper, optional
-        published figures, and their source
-    prior : Prior, optional
-        what another campaign told, where it is used
-    set_column : str, optional
-        of the tables, that names each pose's set; None where the split is drawn
-    tables : tuple[Mapping[str, Any], ...], default ()
-        how the tables are to be understood, as problem.toml says it
-    robot_file : Path, default "robot.toml"
-        what the robot was read from
+    folder : where it was read
+    title : of reports
+    data : whether the measurements are real or synthetic; None where nobody said
+    robot : nominal robot
+    sets : by name, one `Measurements` for each kind; no pose is in two sets
+    methods : identification methods of `casadical calibrate`
+    loss : how far poses are weighted, of `casadical calibrate`
+    urdf : file, base link and tip link where the robot came from a URDF
+    networks : network methods that are trained on what SKCM leaves
+    seed : of the split and of the networks
+    paper : published figures, and their source
+    prior : what another campaign told, where it is used
+    set_column : of the tables, that names each pose's set; None where the split is drawn
+    tables : how the tables are to be understood, as problem.toml says it
+    robot_file : what the robot was read from
 
     Examples
     --------
@@ -176,28 +159,13 @@ def read_problem(
 ) -> Problem:
     """Read a problem folder; `seed` replaces the one that its file gives for the split.
 
-    Parameters
-    ----------
-    folder : str | Path
-        problem folder, with its problem.toml; or with tables also a robot file
-    seed : int, optional
-        of the split, in place of the one in the file; None: that of the file
-    carried : Carried, default nothing_carried
-        what puts into the robot what another campaign found (see `casadical.identification.prior.carry_over`)
-    tables : Sequence[str | Path], default ()
-        measured poses in place of the folder's own, understood as these are (see `read_campaign`)
-    campaign : bool, default False
-        whether the robot is that of a diagnosis (see `read_campaign_robot`)
-
-    Returns
-    -------
-    Problem
-        robot and measurements, already split into named sets
-
-    Raises
-    ------
-    InputError
-        a folder that is no problem; it names the file and what is wrong in it
+    folder : problem folder, with its problem.toml; or with tables also a robot file
+    seed : of the split, in place of the one in the file; None: that of the file
+    carried : what puts into the robot what another campaign found (see `casadical.identification.prior.carry_over`)
+    tables : measured poses in place of the folder's own, understood as these are (see `read_campaign`)
+    campaign : whether the robot is that of a diagnosis (see `read_campaign_robot`)
+    Returns robot and measurements, already split into named sets
+    Raises InputError: a folder that is no problem; it names the file and what is wrong in it.
 
     Examples
     --------
@@ -252,15 +220,8 @@ def read_problem_robot(folder: str | Path) -> Robot:
 def read_campaign_robot(folder: str | Path) -> Robot:
     """The robot of a problem folder as a diagnosis takes it: its `campaign_robot`, else its robot; or of a robot file.
 
-    Parameters
-    ----------
-    folder : str | Path
-        problem folder, or a robot file (TOML or URDF)
-
-    Raises
-    ------
-    InputError
-        no such file, or what is wrong in it
+    folder : problem folder, or a robot file (TOML or URDF)
+    Raises InputError: no such file, or what is wrong in it.
 
     Examples
     --------
@@ -310,27 +271,15 @@ def read_campaign(
     The `columns`, `point_from` and `kind` are those of the [[measurements]] with this file; of another file, those of
     the first [[measurements]] whose own names for columns it has, as far as it has them.
 
-    Parameters
-    ----------
-    folder : str | Path
-        of the problem, or a robot's file, with the tables of its calibration in the result.json beside it; where
+    folder : of the problem, or a robot's file, with the tables of its calibration in the result.json beside it; where
         there is neither, the table's headers are taken as ours
-    path : str | Path
-        the table
-    robot : Robot
-        as of `read_campaign_robot`
-    readings_only : bool, default False
-        of poses that are planned but not measured: every position is zero
-    later : bool, default False
-        of a check after the calibration, which need not say which of several targets was measured; rows with an empty
-        cell are left out
-    words : bool, default False
-        whether rows with a word for a number are left out, too
-
-    Raises
-    ------
-    InputError
-        the table is not usable
+    path : the table
+    robot : as of `read_campaign_robot`
+    readings_only : of poses that are planned but not measured: every position is zero
+    later : of a check after the calibration, which need not say which of several targets was measured; rows with an
+        empty cell are left out
+    words : whether rows with a word for a number are left out, too
+    Raises InputError: the table is not usable.
 
     Examples
     --------

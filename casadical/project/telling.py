@@ -45,21 +45,11 @@ def plot(
 ) -> Picture | dict[str, Picture]:
     """The figures of a report, drawn by plotly: one by its name, or all by name.
 
-    Parameters
-    ----------
-    result : Calibration | Identification | Diagnosis | Comparison | Fleet
-        of `calibrate`, `identify`, `diagnose`, `compare_files` or `run_fleet`
-    name : str, optional
-        as "errors/report"; None: all figures
-    more : Details, optional
-        what `casadical.diagnosis.analyse` computed of a diagnosis
-    dark : bool, default False
-        in the colours of a dark notebook or page
-
-    Raises
-    ------
-    InputError
-        a name that the result does not have, or plotly is not installed
+    result : of `calibrate`, `identify`, `diagnose`, `compare_files` or `run_fleet`
+    name : as "errors/report"; None: all figures
+    more : what `casadical.diagnosis.analyse` computed of a diagnosis
+    dark : in the colours of a dark notebook or page
+    Raises InputError: a name that the result does not have, or plotly is not installed.
 
     Examples
     --------
@@ -82,17 +72,9 @@ def plot(
 def report(results: Sequence[WithPage | Page], command: Sequence[str] = ()) -> str:
     """One HTML file of one or several results of a kind, that needs no other file.
 
-    Parameters
-    ----------
-    results : Sequence[Calibration | Comparison | Fleet | Page]
-        or the pages of them, as `casadical.diagnosis.page.diagnosis_page` makes one of a diagnosis
-    command : Sequence[str], default ()
-        as it was typed, for the provenance
-
-    Raises
-    ------
-    InputError
-        plotly or jinja2 is not installed, or a file is gone
+    results : or the pages of them, as `casadical.diagnosis.page.diagnosis_page` makes one of a diagnosis
+    command : as it was typed, for the provenance
+    Raises InputError: plotly or jinja2 is not installed, or a file is gone.
 
     Examples
     --------

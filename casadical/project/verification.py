@@ -45,36 +45,20 @@ RMS_OF_MEAN = float(np.sqrt(3 * np.pi / 8))
 class Verification(Result):
     """What a check with later poses says.
 
-    Parameters
-    ----------
-    robot : str
-        its name
-    promised : float
-        rms position error on held-out poses of the calibration [m]
-    found : float
-        now, base and tool fitted again, the fit's own share made up for [m]
-    limit : float
-        what `found` may be by chance [m]
-    n : int
-        poses
-    far : tuple[LeftOut, ...]
-        those far off
-    without : float, optional
-        `found` without the far ones, where it is not valid with them
-    lost : tuple[tuple[str, int], ...]
-        rows in which a cell is no number
-    tables : tuple[str, ...]
-        their names
-    again : str
-        what was fitted again, in words
-    gone : tuple[str, ...]
-        labels of effects of the instrument, left out
-    seen : float
-        error that these poses show to be too great in nine of ten cases [m]
-    sources : tuple[Path, ...]
-        robot file and tables, as they were given
-    notes : tuple[str, ...]
-        what was assumed of the tables
+    robot : its name
+    promised : rms position error on held-out poses of the calibration [m]
+    found : now, base and tool fitted again, the fit's own share made up for [m]
+    limit : what `found` may be by chance [m]
+    n : poses
+    far : those far off
+    without : `found` without the far ones, where it is not valid with them
+    lost : rows in which a cell is no number
+    tables : their names
+    again : what was fitted again, in words
+    gone : labels of effects of the instrument, left out
+    seen : error that these poses show to be too great in nine of ten cases [m]
+    sources : robot file and tables, as they were given
+    notes : what was assumed of the tables
 
     Examples
     --------
@@ -174,19 +158,10 @@ def verify(
     points, its limit is the 99 % quantile of chi-squared (Wilson and Hilferty 1931). Base and tool may stand elsewhere
     in each session. Effects of the instrument that was there are left out.
 
-    Parameters
-    ----------
-    robot : str | Path
-        file as `casadical calibrate --out` writes it, or that folder (the method that counts)
-    tables : str | Path | Sequence[str | Path]
-        measured poses, one table or several of one kind
-    promised_mm : float, optional
-        rms error [mm] of this kind; None: of the held-out poses, see `promised_rms`
-
-    Raises
-    ------
-    InputError
-        too few poses, several kinds of measurement, or no promise is known
+    robot : file as `casadical calibrate --out` writes it, or that folder (the method that counts)
+    tables : measured poses, one table or several of one kind
+    promised_mm : rms error [mm] of this kind; None: of the held-out poses, see `promised_rms`
+    Raises InputError: too few poses, several kinds of measurement, or no promise is known.
 
     Examples
     --------

@@ -97,7 +97,9 @@ def arguments(thing: object) -> set[str]:
 
 def described(section: str) -> set[str]:
     """Names of the section's entries."""
-    named = (line.partition(" : ")[0] for line in section.splitlines() if re.match(r"\S.* : ", line))
+    named = (
+        line.partition(" : ")[0] for line in section.splitlines() if re.match(r"\*{0,2}\w+(, \*{0,2}\w+)* : ", line)
+    )
     return {name.lstrip("*") for names in named for name in names.split(", ")}
 
 
@@ -126,9 +128,15 @@ def test_every_name_has_an_example() -> None:
     assert without == ["casadical.export.ProgramLanguage"]  # controllers' programs are its examples
 
 
+def items(thing: object) -> str:
+    """Arguments and fields that are described: in a section, or in lines `name : what it is` before all sections."""
+    text = inspect.getdoc(thing) or ""
+    return sections(thing).get("Parameters", re.split(r"\n\w[\w ]*\n-{4,}\n", text)[0])
+
+
 def test_an_argument_that_is_described_exists() -> None:
     strange = {
-        name: sorted(described(sections(thing).get("Parameters", "")) - arguments(thing))
+        name: sorted(described(items(thing)) - arguments(thing) - {*dir(thing), *getattr(thing, "__annotations__", ())})
         for name, thing in everything().items()
     }
     assert {name: names for name, names in strange.items() if names} == {}
@@ -153,9 +161,20 @@ def test_faults_of_a_docstring_are_found() -> None:
             raise InputError("q")
         return q
 
-    assert described(sections(bare)["Parameters"]) - arguments(bare) == {"p"}
+    def short(q: float) -> float:
+        """Of q.
+
+        p : what it is
+
+        Examples
+        --------
+        >>> r : 3
+        """
+        return q
+
+    assert described(items(bare)) - arguments(bare) == described(items(short)) - arguments(short) == {"p"}
     assert raised(bare) == {"InputError"}
-    assert described("q : float, shape (3,) [m]\nr, t : int\n    how many\ns : int\n") == {"q", "r", "t", "s"}
+    assert described("q : float, shape (3,) [m]\nr, t : int\n    how many\nNo r : s\ns : int\n") == {"q", "r", "t", "s"}
 
 
 @pytest.fixture(scope="module")

@@ -35,14 +35,9 @@ class Run(Protocol):
 class Trainer(ABC):
     """Settings of one way to train. Every trainer is one small frozen dataclass in a file of its own.
 
-    Attributes
-    ----------
-    name
-        short name, as in tables and saved files
-    method
-        how problem.toml and `calibrate --method` call a network that it trains on what SKCM leaves; "" for none
-    output_scale_mm
-        of networks of that method, millimetres of one output unit; None: root mean square residual
+    name : short name, as in tables and saved files
+    method : how problem.toml and `calibrate --method` call a network that it trains on what SKCM leaves; "" for none
+    output_scale_mm : of networks of that method, millimetres of one output unit; None: root mean square residual
 
     Examples
     --------

@@ -131,19 +131,10 @@ def build(shape: Shape, sources: list[Path], folder: Path, compiler: Compiler, f
 def load(export: str | Path, *, trust: bool = False) -> Kernel:
     """Compile what an export folder holds and load it.
 
-    Parameters
-    ----------
-    export : str | Path
-        folder that ``write_c`` wrote
-    trust : bool, default False
-        whether the C of a folder that this user did not export on this machine is compiled and run too
-
-    Raises
-    ------
-    InputError
-        the folder has no manifest, is not trusted, or a source is not the one that was written
-    CasadicalError
-        there is no C compiler, it fails, or the compiled code fails its self-test
+    export : folder that ``write_c`` wrote
+    trust : whether the C of a folder that this user did not export on this machine is compiled and run too
+    Raises InputError: the folder has no manifest, is not trusted, or a source is not the one that was written;
+        CasadicalError: there is no C compiler, it fails, or the compiled code fails its self-test.
 
     Examples
     --------

@@ -28,10 +28,7 @@ class Label:
 class Language(ABC):
     """A language that a controller takes. Derive from it, without arguments of the constructor.
 
-    Attributes
-    ----------
-    name
-        by which `casadical export c --language` knows it
+    name : by which `casadical export c --language` knows it
 
     Examples
     --------

@@ -91,35 +91,18 @@ def write_c(
 ) -> Export:
     """Turn a network, curves or a command into C99 with everything an integrator needs, compiled and compared.
 
-    Parameters
-    ----------
-    product : Product
-        a network, curves or a command
-    folder : str | Path
-        made when missing; what is in it already stays
-    name : str
-        prefix of the C functions and files: a lower-case C identifier of at most 24 characters
-    real : Real, default "double"
-        type of its numbers
-    model_sha256 : str, optional
-        hash of the model, for the header
-    data_sha256 : str, optional
-        hash of the data, for the header
-    languages : Iterable[str], optional
-        which to write besides the C, by name; default: all of this package (`fmu`, `structured_text`)
-    vectors : int, default 100000
-        joint vectors on which the compiled C is compared with the reference
-    overwrite : bool, default False
-        replace files that this function did not write, or that were changed since
-    also : Callable[[Export], Mapping[Path, str]], optional
-        further files that appear with them or not at all, from what this function gives back
-
-    Raises
-    ------
-    InputError
-        a name, type or function cannot be used, or a file is in the way
-    CasadicalError
-        the C does not compile without warnings, or gives other bits than the reference; nothing was written
+    product : a network, curves or a command
+    folder : made when missing; what is in it already stays
+    name : prefix of the C functions and files: a lower-case C identifier of at most 24 characters
+    real : type of its numbers
+    model_sha256 : hash of the model, for the header
+    data_sha256 : hash of the data, for the header
+    languages : which to write besides the C, by name; default: all of this package (`fmu`, `structured_text`)
+    vectors : joint vectors on which the compiled C is compared with the reference
+    overwrite : replace files that this function did not write, or that were changed since
+    also : further files that appear with them or not at all, from what this function gives back
+    Raises InputError: a name, type or function cannot be used, or a file is in the way; CasadicalError: the C does not
+        compile without warnings, or gives other bits than the reference; nothing was written.
 
     Examples
     --------

@@ -44,32 +44,18 @@ SAME_ROBOT = 0.1  # m between nominal and calibrated tool, median: above it the 
 class Sources:
     """What a product is made of.
 
-    Parameters
-    ----------
-    robot : Path | Robot
-        the calibrated robot; a file or a `Robot`, such as `diagnosis.apply()` with its causes in the model
-    nominal : Path | Robot, optional
-        the one that the controller computes with; a file or a `Robot`
-    compensator : Path | Compensator, optional
-        the network trained on the calibrated robot's residuals; a file or a `Compensator`
-    payload_kg : float, optional
-        mass on the flange [kg]; None: as declared
-    tool : Tool, default "shared"
-        "shared": both robots have the calibrated robot's tool. "own": each has its own, so that the difference is
+    robot : the calibrated robot; a file or a `Robot`, such as `diagnosis.apply()` with its causes in the model
+    nominal : the one that the controller computes with; a file or a `Robot`
+    compensator : the network trained on the calibrated robot's residuals; a file or a `Compensator`
+    payload_kg : mass on the flange [kg]; None: as declared
+    tool : "shared": both robots have the calibrated robot's tool. "own": each has its own, so that the difference is
         corrected too, for a measured point that is the controller's tool centre point itself
-    leave_out : bool, default False
-        whether effects that a controller cannot follow are left out of the robot; else they are refused
-    tcp_mm : float, optional
-        how far the tool's centre may be from where the controller has it, the place of the flange included [mm]: the
-        bound is so much greater. None: 1 mm where reflectors of unknown place were measured, which do not tell where
-        the flange is; 0 where the measured point is the tool's centre ("own") or its place is known
-    bound : bool, default True
-        whether a command has the bound of the robot file
-
-    Raises
-    ------
-    InputError
-        another word as tool, or a length that cannot be
+    leave_out : whether effects that a controller cannot follow are left out of the robot; else they are refused
+    tcp_mm : how far the tool's centre may be from where the controller has it, the place of the flange included [mm]:
+        the bound is so much greater. None: 1 mm where reflectors of unknown place were measured, which do not tell
+        where the flange is; 0 where the measured point is the tool's centre ("own") or its place is known
+    bound : whether a command has the bound of the robot file
+    Raises InputError: another word as tool, or a length that cannot be.
 
     Examples
     --------
@@ -113,24 +99,13 @@ def command_of(
     Joints change by the least that is needed; a metre of a linear joint counts as a radian of the others. What the
     joints cannot move (`freedom_of`) is left.
 
-    Parameters
-    ----------
-    sources : Sources
-        robots, network and payload
-    steps : int, default 2
-        least-squares steps, 1 to 10
-    orientation : bool, default False
-        whether the tool's orientation is to be reached as well, by the least change of the joints; fewer than six
-        joints reach the position, and of the orientation what they can beside it
-    limit_mm : float, optional
-        as of `Command`; the bound is that of the robot file (see `bound_of`)
-    precise : bool, default False
-        whether nominal and real robot are compared so that nothing cancels: for float
-
-    Raises
-    ------
-    InputError
-        where the files are not of one robot, or the robot cannot be corrected; see `followed`
+    sources : robots, network and payload
+    steps : least-squares steps, 1 to 10
+    orientation : whether the tool's orientation is to be reached as well, by the least change of the joints; fewer than
+        six joints reach the position, and of the orientation what they can beside it
+    limit_mm : as of `Command`; the bound is that of the robot file (see `bound_of`)
+    precise : whether nominal and real robot are compared so that nothing cancels: for float
+    Raises InputError: where the files are not of one robot, or the robot cannot be corrected; see `followed`.
 
     Examples
     --------

@@ -90,12 +90,8 @@ def kernel_corrector(folder: Path, *, trust: bool = False) -> Corrector:
 def model_corrector(command: Command, fallback: Corrector | None = None) -> Corrector:
     """Correction by the export's reference in NumPy: the same bits as the exported double C, without a compiler.
 
-    Parameters
-    ----------
-    command : Command
-        what is corrected
-    fallback : Corrector, optional
-        as of `Corrector`
+    command : what is corrected
+    fallback : as of `Corrector`
 
     Examples
     --------

@@ -52,21 +52,11 @@ def inverse_kinematics(robot: Robot, p: Array, R: Array | None, start: Array) ->
 
     A pose that cannot be reached has a rest; look at `Inverse.reached`.
 
-    Parameters
-    ----------
-    robot : Robot
-        calibrated robot
-    p : Array, shape (k, 3) [m]
-        positions of the measured point in the measuring frame
-    R : Array | None, shape (k, 3, 3)
-        orientations of the tool frame; None: only the position is to be reached
-    start : Array
-        joints to start from, shape (k, n) or (n,) [rad or m]; the solution nearest to them, as a rule, is found
-
-    Raises
-    ------
-    InputError
-        arrays of other shapes
+    robot : calibrated robot
+    p : shape (k, 3) [m]: positions of the measured point in the measuring frame
+    R : shape (k, 3, 3): orientations of the tool frame; None: only the position is to be reached
+    start : joints to start from, shape (k, n) or (n,) [rad or m]; the solution nearest to them, as a rule, is found
+    Raises InputError: arrays of other shapes.
 
     Examples
     --------

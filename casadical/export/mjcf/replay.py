@@ -143,25 +143,13 @@ def replay_campaign(
 ) -> Replay:
     """Identify, diagnose and replay a campaign on poses that were held out.
 
-    Parameters
-    ----------
-    robot : Robot
-        as `diagnose` takes it
-    m : Measurements
-        the campaign
-    effects : EffectChoice, default "standard"
-        as of `diagnose`
-    seed : int, default 0
-        of the poses that are held out
-    show : Show, optional
-        called with a line of progress
-
-    Raises
-    ------
-    InputError
-        the measurements cannot carry a diagnosis, or MuJoCo is not installed
-    ConvergenceError
-        Ipopt finds no optimum, or the simulator no equilibrium
+    robot : as `diagnose` takes it
+    m : the campaign
+    effects : as of `diagnose`
+    seed : of the poses that are held out
+    show : called with a line of progress
+    Raises InputError: the measurements cannot carry a diagnosis, or MuJoCo is not installed; ConvergenceError: Ipopt
+        finds no optimum, or the simulator no equilibrium.
 
     Examples
     --------
