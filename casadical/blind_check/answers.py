@@ -37,8 +37,6 @@ class GapMm(_Loose):
 
 
 class NamedCause(_Loose):
-    """A cause that an answer names."""
-
     effect: str
     joint: int | None = None
     indistinguishable: tuple[str, ...] = ()
@@ -89,7 +87,6 @@ def relabelled(text: str) -> str:
 
 
 def json_line(data: Mapping[str, Any]) -> str:
-    """A line of a file of answers; its last entry is the SHA-256 of the text before it."""
     text = json.dumps(data, allow_nan=False, separators=(",", ":"))
     return f'{text[:-1]},"sha256":"{_sum(text.encode())}"}}\n'
 

@@ -37,7 +37,6 @@ class Plan:
 
     @property
     def not_logged(self) -> tuple[str, ...]:
-        """Columns that are left out."""
         return tuple(self.missing.split(",")) if self.missing else ()
 
 

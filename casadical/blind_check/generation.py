@@ -66,17 +66,13 @@ def make(
 ) -> Manifest:
     """Write n campaigns to a folder and their key to another, and publish the key's hash with the campaigns.
 
-    Raises InputError for too few campaigns, a folder that is in use, or a key within the campaigns' folder.
-
-    folder : of the campaigns; made
-    key : folder of the key; made
-    n : number of campaigns
     seed : of everything drawn, kept in the key; by default a random one, which a real test needs
     poses : numbers of poses of a campaign, one of these; each has 50 more whose positions are only in the key
-    project : folder with problems/ and data/
-    executor : any of `concurrent.futures`' kind; by default a process for each core
+    project : folder with problems/ and data/; executor : of `concurrent.futures`' kind, by default a process for each
+        core
     show : called with a campaign's name, how many are done, and how many there are
-    also : further files that appear with them or not at all
+    also : further files that appear with them or not at all Raises InputError for too few campaigns, a folder that is
+        in use, or a key within the campaigns' folder.
     """
     folder, key_folder = Path(folder), Path(key)
     _check(folder, key_folder, n, poses)

@@ -41,7 +41,6 @@ class Estimate:
 
 
 def share(hits: Sequence[bool]) -> Estimate:
-    """The share of hits."""
     n, count = len(hits), sum(map(bool, hits))
     if n == 0:
         return Estimate(None, None, None, 0, 0)
@@ -82,7 +81,6 @@ class Metric:
 
 
 def metrics(outcomes: Sequence[Outcome]) -> list[Metric]:
-    """All metrics of a set of outcomes."""
     none, one, several, off = (of_kind(outcomes, kind) for kind in ("none", "one", "several", "unlisted"))
     hidden = [t for t in outcomes if t.kind != "none"]
     pairs = [t for t in several if len(t.truth) == 2 and min(t.signals) >= DETECTABLE]
@@ -132,7 +130,6 @@ def isolation(outcomes: Sequence[Outcome]) -> Estimate:
 
 
 def claims_right(one: Sequence[Outcome]) -> Estimate:
-    """Of the answers that claim a cause, those that are right."""
     return share([t.first_right for t in one if t.claimed])
 
 
@@ -141,18 +138,15 @@ def claims_made(outcomes: Sequence[Outcome]) -> Estimate:
 
 
 def sets_right(one: Sequence[Outcome]) -> Estimate:
-    """Of the sets that are given, those that contain the truth."""
     return share([t.truth[0] in t.alike for t in one if t.alike])
 
 
 def recall(several: Sequence[Outcome], least: float = DETECTABLE) -> Estimate:
-    """Of the effects whose own signal is as large as this, those that are named."""
     visible = [(t, text) for t in several for text, s in zip(t.truth, t.signals, strict=True) if s >= least]
     return share([text in t.named for t, text in visible])
 
 
 def precision(several: Sequence[Outcome]) -> Estimate:
-    """Of the causes that are named, those that are there."""
     return share([text in t.truth for t in several for text in t.named])
 
 

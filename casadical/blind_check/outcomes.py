@@ -54,12 +54,10 @@ class Outcome:
 
     @property
     def claimed(self) -> bool:
-        """Whether it claims to know the cause."""
         return self.verdict == "explained"
 
     @property
     def wrong_claims(self) -> tuple[str, ...]:
-        """Causes that it claims and that are not there."""
         return tuple(text for text in self.named if text not in self.truth) if self.claimed else ()
 
     @property
@@ -74,7 +72,6 @@ class Outcome:
 
 
 def outcome(name: str, secret: Secret, answer: Answer) -> Outcome:
-    """A campaign's secret beside its answer."""
     named = tuple(dict.fromkeys(c.label for c in answer.causes))
     before, after = unseen_errors(secret, answer, "outliers" in named)
     wanted = secret.truth or ("none" if secret.kind == "none" else "unknown",)

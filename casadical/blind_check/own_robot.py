@@ -170,14 +170,10 @@ def _stiffness(robot: Robot, nominal: Plant) -> tuple[Array, list[str]]:
 
 @dataclass(frozen=True, eq=False)
 class RobotCheck(Result):
-    """Hidden campaigns of one robot and how they were answered.
+    """Hidden campaigns of one robot and how they were answered; poses, noise [m], seed : as of `check_robot`.
 
     assumed : what the file does not say; not_drawn : effects that it cannot have, and why
     outcomes : of the campaigns that were answered; failed : name of each other one, and why
-
-    poses : of a campaign
-    noise : one sigma of a measured coordinate [m]
-    seed : what everything drawn follows from
     not_logged : columns that the campaigns lack
     """
 
@@ -214,7 +210,6 @@ class RobotCheck(Result):
         return {name: [t for t in self.outcomes if name in t.effects] for name in names}
 
     def blocks(self) -> list[Block]:
-        """The report."""
         lacking = f", without {' and '.join(self.not_logged)}" if self.not_logged else ""
         reasons: dict[str, list[str]] = {}
         for effect, reason in self.not_drawn.items():
@@ -242,14 +237,12 @@ class RobotCheck(Result):
 
     @property
     def verdict(self) -> str:
-        """The answer in a sentence."""
         right, alarms = self.figures["claims that are right"], self.figures["false alarms where nothing is hidden"]
         first = f"{right.hits} of {right.n} claims are right" if right.n else "No cause is claimed"
         many = "campaigns that hide" if alarms.n > 1 else "campaign that hides"
         return f"{first}; {alarms.hits} false alarms in {alarms.n} {many} nothing."
 
     def to_json(self) -> dict[str, Any]:
-        """All of it as plain data."""
         return {
             "robot": self.robot,
             "poses": self.poses,
@@ -289,7 +282,6 @@ def _interval(e: Estimate) -> str:
 
 
 def _named(effect: str, t: Outcome) -> bool:
-    """Whether an answer names the effect at its place."""
     return any(text in t.named for text in t.truth if text.partition("@")[0] == effect)
 
 

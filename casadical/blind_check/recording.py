@@ -32,7 +32,6 @@ class Subject:
     poses: pd.DataFrame | None = None
 
     def built(self, seed: int) -> Plant:
-        """A robot as built after the drawing."""
         plant = perturb(self.nominal, seed, building=self.building)
         if self.level:
             return plant

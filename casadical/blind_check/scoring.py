@@ -45,7 +45,6 @@ class Score(Result):
 
     @property
     def confusion(self) -> dict[str, dict[str, int]]:
-        """How often what was answered first, by what was hidden."""
         return confusion(self.outcomes)
 
     def blocks(self) -> list[Block]:
@@ -53,7 +52,6 @@ class Score(Result):
         return side_by_side([self])
 
     def to_json(self) -> dict[str, Any]:
-        """All of it as plain data."""
         return {
             "by": self.head.by,
             "versions": self.head.versions,
@@ -166,7 +164,6 @@ def _confusion(s: Score) -> Table:
 
 
 def wrong_claims(s: Score) -> list[str]:
-    """A line for each answer that claims a cause that is not there."""
     lines = ["Wrong claims, and what was hidden:"]
     for t in s.outcomes:
         if t.wrong_claims:

@@ -139,7 +139,6 @@ def _inputs(path: Path) -> Iterator[Path]:
 
 
 def _texts(value: Any) -> Iterator[str]:
-    """Every text in nested tables and lists."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, dict | list):

@@ -43,7 +43,6 @@ class Command(TyperCommand):
     """A command whose help leaves the width to the words: without the types that click adds to what is given."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Arguments and options, each with its name as typed."""
         records = [(p.param_type_name, p.get_help_record(ctx)) for p in self.get_params(ctx)]
         for kind in ("argument", "option"):
             shown = [(_TYPE.sub(_short, r[0]), r[1]) for of, r in records if r is not None and of == kind]

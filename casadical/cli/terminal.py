@@ -98,13 +98,11 @@ def print_written(path: Path | None, console: Console, about: str = "") -> None:
 
 
 def refuse_taken(out: Path, overwrite: bool) -> None:
-    """Raises InputError if the file exists and is not to be replaced."""
     if out.exists() and not overwrite:
         raise InputError(f"{out} is there already; give another file, or --overwrite")
 
 
 def as_typed() -> list[str]:
-    """The command line, for provenance."""
     return ["casadical", *sys.argv[1:]]
 
 

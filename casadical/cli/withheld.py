@@ -134,7 +134,6 @@ def withheld_make(
 
 
 def _whole(text: str) -> tuple[int, ...]:
-    """Whole numbers by commas. Raises InputError."""
     try:
         return tuple(int(word) for word in text.split(","))
     except ValueError:

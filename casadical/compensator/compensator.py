@@ -174,11 +174,9 @@ class Compensator:
         return f"{self.verdict}\n{which}{table(rows)}\n{self.trainer}, seed {self.seed}: {self.note}"
 
     def correction_mm(self, q: ArrayLike) -> Array:
-        """What is to be added to computed positions; zeros of the null compensator.
+        """What to add to computed positions, shape (n, outputs) or (outputs,) [mm]; zeros of the null compensator.
 
-        q : joint readings, shape (n, joints) or (joints,) [rad]; outside of ``trained_box`` it is extrapolated, see
-            `inside`
-        Returns an array, shape (n, outputs) or (outputs,) [mm]
+        q : joint readings, shape (n, joints) or (joints,) [rad]; extrapolated outside of ``trained_box``, see `inside`
         """
         if self.network is not None:
             return self.network.output_mm(np.asarray(q))
@@ -186,18 +184,13 @@ class Compensator:
         return np.zeros((len(rows), self.layout.outputs) if np.ndim(q) == 2 else self.layout.outputs)
 
     def inside(self, q: ArrayLike) -> Array:
-        """Tell for every row of q, shape (n, joints) [rad], whether training saw such angles, joint by joint.
-
-        q : ArrayLike, shape (n, joints) [rad]: joint readings
-        Returns an array, shape (n, joints): boolean
+        """Tell for every row of q, shape (n, joints) [rad], whether training saw such angles: boolean, shape (n,
+        joints).
         """
         return self.trained_box.contains(joint_angles(q, self.layout.joints))
 
     def function(self) -> "casadi.Function":
-        """Return ``network:(q[joints])->(dp[outputs])``: q in radians, dp in millimetres; zeros from the null one.
-
-        Returns CasADi function network:(q[joints] rad)->(dp[outputs] mm)
-        """
+        """Return ``network:(q[joints] rad)->(dp[outputs] mm)``; zeros from the null one."""
         if self.network is not None:
             return self.network.function()
         import casadi

@@ -36,13 +36,7 @@ def seed_counts(losses: Array, seeds_min: int, seeds_max: int) -> Array:
 
 @dataclass(frozen=True)
 class IwoHistory:
-    """Course of a search, one entry a generation.
-
-    evaluations : so far
-    best : loss of the best member
-    worst : loss of the worst member
-    sigma : step size
-    """
+    """A search's course by generation: evaluations so far, loss of the best and the worst member, step size."""
 
     evaluations: tuple[int, ...] = ()
     best: tuple[float, ...] = ()
@@ -52,14 +46,7 @@ class IwoHistory:
 
 @dataclass(frozen=True, eq=False)
 class IwoResult:
-    """Outcome of a search.
-
-    x : Array, shape (dimension,) [as of the bounds]: best point
-    loss : its loss
-    reasons : why it stopped
-    evaluations : how many there were
-    history : how it went
-    """
+    """Outcome of a search: best point x, shape (dimension,) [as of the bounds], its loss, why it stopped, the course."""
 
     x: Array
     loss: float
@@ -113,18 +100,14 @@ class InvasiveWeeds:
             raise InputError(f"start must have shape (k, {dimension}); its shape is {self._start.shape}")
 
     def ask(self) -> Array:
-        """Return the points to evaluate next, shape (k, dimension) [as of the bounds]; the same ones until told.
-
-        Returns an array, shape (k, dimension) [as of the bounds]
-        """
+        """Return the points to evaluate next, shape (k, dimension) [as of the bounds]; the same ones until told."""
         if self._asked is None:
             self._asked = self._first_colony() if self.iteration < 0 else self._children()
         return self._asked
 
     def tell(self, losses: ArrayLike) -> None:
-        """Take the losses of the asked points; parents compete. A NaN counts as an infinite loss.
+        """Take the losses, shape (k,), of the asked points; parents compete. A NaN counts as an infinite loss.
 
-        losses : shape (k,): of the points that were asked for
         Raises InputError: no ask() before, or another number of losses.
         """
         if self._asked is None:
@@ -158,20 +141,14 @@ class InvasiveWeeds:
         return tuple(reasons)
 
     def result(self) -> IwoResult:
-        """Return the best point so far with the history.
-
-        Raises InputError: nothing was evaluated yet.
-        """
+        """Return the best point so far with the history. Raises InputError: nothing was evaluated yet."""
         if self.iteration < 0:
             raise InputError("nothing has been evaluated yet: call ask() and tell() first")
         history = IwoHistory(*(tuple(column) for column in zip(*self._log, strict=True)))
         return IwoResult(self.members[0].copy(), float(self.losses[0]), self.stop(), self.evaluations, history)
 
     def state(self) -> dict[str, Any]:
-        """Return all that a search needs to go on, in JSON types.
-
-        Raises InputError: between ask() and tell().
-        """
+        """Return all that a search needs to go on, in JSON types. Raises InputError: between ask() and tell()."""
         if self._asked is not None:
             raise InputError("state() between ask() and tell(): tell the losses first")
         return {
@@ -185,11 +162,7 @@ class InvasiveWeeds:
 
     @classmethod
     def restore(cls, dimension: int, settings: IwoSettings, state: dict[str, Any]) -> Self:
-        """Return the search whose `state` this was; it goes on bit for bit as the first one would have.
-
-        dimension, settings : as before
-        state : as of `state`
-        """
+        """Return the search whose `state` this was; it goes on bit for bit as the first one would have."""
         search = cls(dimension, settings, start=unpack(state["start"]))
         search.members, search.losses = unpack(state["members"]), unpack(state["losses"])
         search._log = [(int(n), float(b), float(w), float(s)) for n, b, w, s in unpack(state["log"])]
@@ -228,12 +201,8 @@ def iwo_minimise(
 
     objective : takes points of shape (k, dimension) and returns k losses; with ``vectorised=False`` one point, shape
         (dimension,), and returns its loss
-    dimension : number of coordinates
-    settings : of the search; None: the paper's
-    seed : of everything random
+    dimension, settings, seed, start : as of `InvasiveWeeds`
     vectorised : whether the objective takes all points at once
-    start : shape (k, dimension) [as of the bounds]: members to begin with
-    Returns best point, loss and history
 
     Examples
     --------

@@ -64,14 +64,12 @@ class Layout:
 
     @cached_property
     def count(self) -> int:
-        """Number of weights, biases included."""
         return sum(m * k for m, k in self.shapes)
 
     def layers(self, weights: Array) -> list[Array]:
-        """Split weight vectors into layers.
+        """Split weights, shape (..., count), into one array (..., m, k + 1) a layer: of each neuron input weights, then
+        bias.
 
-        weights : shape (..., count)
-        Returns one array of shape (..., m, k + 1) a layer, each row the input weights of a neuron and then its bias
         Raises InputError: another number of weights.
         """
         weights = np.asarray(weights)
@@ -85,10 +83,8 @@ class Layout:
         return parts
 
     def weights(self, layers: Sequence[Array]) -> Array:
-        """Join layers into weight vectors: the inverse of `layers`.
+        """Join layers, shape (..., m, k + 1) each, into weights, shape (..., count): the inverse of `layers`.
 
-        layers : as `layers` gives them, shape (..., m, k + 1) each
-        Returns an array, shape (..., count)
         Raises InputError: layers of other shapes.
         """
         got = [np.shape(layer)[-2:] for layer in layers]
@@ -97,10 +93,7 @@ class Layout:
         return np.concatenate([np.asarray(part).reshape(*np.shape(part)[:-2], -1) for part in layers], axis=-1)
 
     def output_biases(self) -> Array:
-        """Mark the biases of the output layer in a weight vector.
-
-        Returns an array, shape (count,): boolean
-        """
+        """Mark the biases of the output layer in a weight vector. Returns an array, shape (count,): boolean"""
         marks = [np.zeros(shape, dtype=bool) for shape in self.shapes]
         marks[-1][:, -1] = True
         return np.concatenate([mark.ravel() for mark in marks])
@@ -145,10 +138,8 @@ class JointBox:
         return np.where(half > 0, half, 1.0)
 
     def contains(self, q: Array) -> Array:
-        """Tell for every row of joint readings whether it lies in the box.
-
-        q : Array, shape (n, joints) [rad]
-        Returns an array, shape (n,): boolean
+        """Tell for every row of joint readings q, shape (n, joints) [rad], whether it lies in the box: boolean, shape
+        (n,).
         """
         within: Array = (q >= self.lower) & (q <= self.upper)
         return np.asarray(within.all(axis=1), dtype=np.bool_)
@@ -160,11 +151,9 @@ def box_around(q: Array) -> JointBox:
 
 
 def network_inputs(layout: Layout, box: JointBox, q: Array) -> Array:
-    """Scale joint angles to network inputs.
+    """Scale joint angles q, shape (n, joints) [rad], to network inputs, shape (features + 1, n).
 
-    q : array, shape (n, joints) [rad].
-    Returns an array of shape (features + 1, n): joint after joint its scaled angle, or sin and cos of a periodic one;
-    the last row is one, the input of the biases.
+    Joint after joint its scaled angle, or sin and cos of a periodic one; the last row is one, the input of the biases.
     """
     rows: list[Array] = []
     centre, half = box.centre, box.half_width

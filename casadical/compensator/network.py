@@ -54,10 +54,8 @@ class Network:
         object.__setattr__(self, "weights", weights)
 
     def output_mm(self, q: Array) -> Array:
-        """The correction for every row of q.
+        """The correction, shape (n, outputs) or (outputs,) [mm], at readings q, shape (n, joints) or (joints,) [rad].
 
-        q : joint readings, shape (n, joints) or (joints,) [rad]
-        Returns an array, shape (n, outputs) or (outputs,) [mm]
         Raises InputError: another shape, or an angle that is not finite.
         """
         rows = joint_angles(q, self.layout.joints)

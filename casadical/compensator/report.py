@@ -10,13 +10,7 @@ from casadical.core.arrays import Array
 
 @dataclass(frozen=True)
 class Errors:
-    """Figures of the error lengths of a set of poses.
-
-    poses : how many
-    mean_mm : mean [mm]
-    max_mm : maximum [mm]
-    std_mm : standard deviation of the sample, n - 1 [mm]
-    """
+    """Error lengths of a set of poses: how many; mean, maximum and standard deviation of the sample (n - 1) [mm]."""
 
     poses: int
     mean_mm: float
@@ -25,10 +19,7 @@ class Errors:
 
     @classmethod
     def summarise(cls, errors_mm: Array) -> Self:
-        """Summarise error vectors.
-
-        errors_mm : Array, shape (n, outputs) [mm]
-        """
+        """Summarise error vectors, shape (n, outputs) [mm]."""
         length = np.linalg.norm(errors_mm, axis=1)
         spread = float(length.std(ddof=1)) if len(length) > 1 else 0.0
         return cls(len(length), float(length.mean()), float(length.max()), spread)
@@ -36,11 +27,7 @@ class Errors:
 
 @dataclass(frozen=True)
 class BeforeAfter:
-    """Errors of one set of poses without and with the network, and the relative gain in the mean.
-
-    gain : 1 - mean after / mean before
-    gain_error : its standard error over the poses
-    """
+    """Errors of poses without and with the network; gain : 1 - mean after / mean before, and its standard error."""
 
     before: Errors
     after: Errors
@@ -49,12 +36,7 @@ class BeforeAfter:
 
     @classmethod
     def compare(cls, before_mm: Array, after_mm: Array) -> Self:
-        """Compare error vectors of the same poses.
-
-        before_mm : Array, shape (n, outputs) [mm]: error vectors
-        after_mm : Array, shape (n, outputs) [mm]: of the same poses
-        Returns figures of both, and the gain
-        """
+        """Compare error vectors of the same poses before and after, shape (n, outputs) [mm] each."""
         was, now = np.linalg.norm(before_mm, axis=1), np.linalg.norm(after_mm, axis=1)
         mean = float(was.mean())
         if mean == 0.0:

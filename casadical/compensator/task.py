@@ -13,11 +13,7 @@ from casadical.core.errors import InputError
 
 @dataclass(frozen=True)
 class Loss:
-    """The paper's loss l1 * mean(E) + l2 * max(E), E the mean square error of a pose's outputs [mm^2] (eqs. 12, 14).
-
-    mean : l1, 1 in the paper
-    max : l2, 0.7 in the paper
-    """
+    """The loss l1 * mean(E) + l2 * max(E), E a pose's mean square error [mm^2] (eqs. 12, 14); in the paper 1 and 0.7."""
 
     mean: float = 1.0
     max: float = 0.7
@@ -27,11 +23,7 @@ class Loss:
             raise InputError(f"the weights of the loss must not be negative nor both zero; got {self}")
 
     def value(self, errors: Array) -> Array:
-        """The loss of every network.
-
-        errors : Array, shape (P, outputs, N) [mm]
-        Returns an array, shape (P,) [mm^2]
-        """
+        """The loss of every network, shape (P,) [mm^2]; errors : shape (P, outputs, N) [mm]."""
         _, outputs, samples = errors.shape
         totals = np.einsum("pon,pon->pn", errors, errors)
         losses = np.maximum.reduce(totals, axis=1)
@@ -41,11 +33,7 @@ class Loss:
         return np.asarray(losses)
 
     def slope(self, errors: Array) -> Array:
-        """A (sub)gradient of the loss by the errors.
-
-        errors : Array, shape (P, outputs, N) [mm]
-        Returns an array, shape (P, outputs, N) [mm]
-        """
+        """A (sub)gradient of the loss by the errors, both of shape (P, outputs, N) [mm]."""
         networks, outputs, samples = errors.shape
         weight = np.full((networks, samples), self.mean / samples)
         worst = np.einsum("pon,pon->pn", errors, errors).argmax(axis=1)
@@ -57,11 +45,9 @@ class Loss:
 class Task:
     """A training problem.
 
-    layout : sizes of the network
-    inputs : Array, shape (features + 1, N): as of `network_inputs`
-    targets : Array, shape (outputs, N) [units of the output layer]: residuals divided by ``scale_mm``
-    scale_mm : millimetres of one unit of the output layer [mm]
-    loss : what is minimised
+    inputs : shape (features + 1, N): as of `network_inputs`
+    targets : shape (outputs, N) [units of the output layer]: residuals divided by ``scale_mm``
+    scale_mm : millimetres of one unit of the output layer [mm]; loss : what is minimised
     """
 
     layout: Layout
@@ -71,11 +57,7 @@ class Task:
     loss: Loss = Loss()
 
     def losses(self, weights: Array) -> Array:
-        """The loss of every row of weights.
-
-        weights : Array, shape (P, count): one network a row
-        Returns an array, shape (P,) [mm^2]
-        """
+        """The loss of every row of weights, shape (P,) [mm^2]; weights : shape (P, count)."""
         try:  # another thread takes memory of its own
             memory = self._idle.pop()
         except IndexError:
@@ -91,11 +73,7 @@ class Task:
         return []
 
     def errors_mm(self, weights: Array) -> Array:
-        """Target minus output of one network (eq. 11).
-
-        weights : Array, shape (count,): of one network
-        Returns an array, shape (N, outputs) [mm]
-        """
+        """Target minus output of one network (eq. 11), shape (N, outputs) [mm]; weights : shape (count,)."""
         outputs = forward(self.layout, weights[None], self.inputs)[0]
         return np.asarray(self.scale_mm * (self.targets - outputs).T, dtype=np.float64)
 

@@ -18,13 +18,7 @@ _KIND, _VERSION = "casadical-training-checkpoint", 1
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a job of several trainings stands.
-
-    training : which one, from 1
-    trainings : how many there are
-    step : of this training
-    loss_mm2 : the paper's loss of the best weights so far [mm^2]
-    """
+    """Where a job stands: training of so many trainings, step of this one, loss [mm^2] of the best weights so far."""
 
     training: int
     trainings: int
@@ -36,11 +30,8 @@ class Progress:
 class Training:
     """Outcome of one training.
 
-    weights : Array, shape (count,)
-    loss_mm2 : the paper's loss (eq. 14) on the training poses [mm^2]
-    steps : how many there were
-    reasons : why it stopped
-    note : what the trainer chose
+    weights : shape (count,); loss_mm2 : the paper's loss (eq. 14) on the training poses [mm^2]
+    steps : how many; reasons : why it stopped; note : what the trainer chose
     history : (step, loss [mm^2]) now and then
     """
 
@@ -145,7 +136,6 @@ class _Job:
             write_checksummed(self.path, _KIND, _VERSION, self._state())
 
     def progress(self) -> Progress:
-        """Return where the job stands."""
         step, loss = self.history[-1]
         at = len(self.done) - (self.run is None)
         return Progress(at + 1, len(self.tasks), step, loss)

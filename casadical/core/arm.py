@@ -75,22 +75,18 @@ class Arm:
 
     @property
     def n(self) -> int:
-        """Number of joints."""
         return len(self.joints)
 
     @property
     def numbers(self) -> range:
-        """Of the joints, 1 to n."""
         return range(1, self.n + 1)
 
     @property
     def revolute(self) -> tuple[int, ...]:
-        """Numbers of the joints that turn."""
         return tuple(i for i in self.numbers if self.joints[i - 1].kind == "revolute")
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Of each joint's reading, rad or m."""
         return tuple("rad" if j.kind == "revolute" else "m" for j in self.joints)
 
     @property

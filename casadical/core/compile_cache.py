@@ -48,9 +48,8 @@ class MachineCode:
         self._outputs = [function.size_out(k) for k in range(function.n_out())]
 
     def __call__(self, points: Array, *shared: Array) -> list[Array]:
-        """Outputs side by side, shape (rows, columns n) each; points : shape (a, n).
-
-        Raises ValueError for shapes that do not fit.
+        """Outputs side by side, shape (rows, columns n) each; points : shape (a, n). Raises ValueError for other
+        shapes.
         """
         n = points.shape[1]
         given = [np.asfortranarray(points, dtype=float), *(np.ascontiguousarray(s, dtype=float) for s in shared)]

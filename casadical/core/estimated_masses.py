@@ -25,7 +25,6 @@ A = TypeVar("A", bound=Arm)
 
 
 def without_masses(arm: Arm) -> bool:
-    """Whether the robot declares no mass of any link."""
     return not any(j.body and j.body.mass > 0 for j in arm.joints)
 
 

@@ -19,10 +19,7 @@ _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # of renameat2(2)
 
 
 class Lock:
-    """A file or folder, opened to be locked; the lock ends with the `with`, or with the process.
-
-    Raises OSError if it cannot be opened.
-    """
+    """A file or folder locked until the `with`, or the process, ends. Raises OSError if it cannot be opened."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

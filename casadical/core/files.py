@@ -235,7 +235,6 @@ class _Renames:
                 self.journals[parent] = _hidden_file(parent, json.dumps(listed).encode(), 0o600, stack)
 
     def commit(self, written: list[str]) -> None:
-        """Rename; `written` gets the names."""
         with ExitStack() as stack:
             for hidden in self.journals.values():
                 journal = hidden.replace(hidden.with_suffix(_JOURNAL))
@@ -361,7 +360,6 @@ def _write(handle: int, blob: bytes, mode: int) -> None:
 
 
 def _sync(folder: Path) -> None:
-    """The folder's entries on disk, where a system can do that."""
     with suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:

@@ -38,7 +38,6 @@ class MappedFunction:
 
     @property
     def is_compiled(self) -> bool:
-        """Whether it is machine code by now."""
         return self._machine_code is not None
 
     def __call__(self, points: Array, shared: Array) -> list[Array]:

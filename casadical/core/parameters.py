@@ -55,11 +55,7 @@ class Parameter:
 
 
 class Parameters(Sequence[Parameter]):
-    """An ordered, immutable set of parameters with unique names.
-
-    items : in model order
-    Raises InputError: two of one name.
-    """
+    """An ordered, immutable set of parameters, in model order. Raises InputError: two of one name."""
 
     def __init__(self, items: Iterable[Parameter]) -> None:
         self._items = tuple(items)
@@ -78,17 +74,13 @@ class Parameters(Sequence[Parameter]):
         return self._items[key if isinstance(key, int) else self.index_of(key)]
 
     def index_of(self, name: str) -> int:
-        """Place of a parameter in the list.
-
-        Raises InputError: no such name; those that there are.
-        """
+        """Place of a parameter in the list. Raises InputError: no such name; those that there are."""
         if name not in self._index:
             raise InputError(f"no parameter {name!r}; there are {', '.join(self.names)}")
         return self._index[name]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names, in model order."""
         return tuple(p.name for p in self._items)
 
     @property
@@ -104,7 +96,6 @@ class Parameters(Sequence[Parameter]):
     def select(self, wanted: Iterable[str]) -> tuple[str, ...]:
         """Names chosen by group, union of groups (kinematic, placement), name, or pattern with * - in model order.
 
-        wanted : groups, unions, names or patterns
         Raises InputError: a word that chooses nothing.
         """
         chosen: set[str] = set()
@@ -123,9 +114,8 @@ class Parameters(Sequence[Parameter]):
         return tuple(n for n in self.names if n in chosen)
 
     def with_values(self, values: dict[str, float]) -> Parameters:
-        """The same parameters with other nominal values.
+        """The same parameters with other nominal values [SI], by name.
 
-        values : parameter name -> value [SI]
         Raises InputError: no such name, or a value that is not finite.
         """
         for name in values:

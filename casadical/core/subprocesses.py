@@ -11,10 +11,7 @@ COMPILE_SECONDS, TRIAL_SECONDS = 300.0, 60.0
 
 
 def finished(command: Sequence[str], seconds: float) -> subprocess.CompletedProcess[str] | None:
-    """A program that was run to its end; None where it cannot be started, or was stopped after so many seconds.
-
-    It gets no input, and what it started itself is stopped with it.
-    """
+    """A program run to its end without input; None where it cannot be started, or was stopped with all it started."""
     try:
         process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
@@ -36,9 +33,6 @@ def finished(command: Sequence[str], seconds: float) -> subprocess.CompletedProc
 
 
 def tried(code: str, *arguments: str, modules: bool = False) -> str | None:
-    """What a line of Python prints in a process of its own; None where it fails, crashes, or does not end.
-
-    modules : whether it needs more than the standard library
-    """
+    """What a line of Python prints in a process of its own, None where it fails; modules : beyond the library's."""
     done = finished([sys.executable, *(["-P"] if modules else ["-I", "-S"]), "-c", code, *arguments], TRIAL_SECONDS)
     return done.stdout if done is not None and done.returncode == 0 else None

@@ -74,5 +74,4 @@ def source(f: ca.Function) -> str | None:
 
 
 def _number(value: float) -> str:
-    """A number in C, to the bit."""
     return value.hex() if math.isfinite(value) else "NAN" if math.isnan(value) else f"{'-' * (value < 0)}INFINITY"

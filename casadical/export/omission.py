@@ -108,7 +108,6 @@ def _without_range(robot: Robot, effects: Iterable[Effect]) -> str:
 
 
 def _loss(robot: Robot, omission: Omission) -> str:
-    """What is lost, in words."""
     effects = [e for e in robot.effects if e.label == omission.label]
     if name := _without_range(robot, effects):
         return f"{_NOT_KNOWN} {name}"
@@ -150,7 +149,6 @@ def _poses(robot: Robot, seed: int) -> tuple[Array, Array]:
 
 
 def _drawn(robot: Robot, column: int, rng: np.random.Generator) -> Array:
-    """Values of one condition, shape (POSES,)."""
     name, declared = robot.conditions[column], robot.declared[column]
     usual = (-1.0, 1.0) if name.startswith("approach") else (0.0, 1.0) if name == "progress" else (declared, declared)
     ends = (robot.knowledge.conditions if robot.knowledge else {}).get(name, usual)

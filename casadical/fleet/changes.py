@@ -56,12 +56,7 @@ NOT_SEEN = "not below 30 times its usual size"
 
 @dataclass(frozen=True, eq=False)
 class Amount:
-    """How far one parameter moved.
-
-    value : change; of a drift, in a year or in 12 campaigns [unit]
-    std_error : of the change [unit]
-    unit : of reports: mm, deg, urad/(N m)
-    """
+    """How far one parameter moved, with its standard error; of a drift, in a year or in 12 campaigns [unit]."""
 
     name: str
     value: float
@@ -71,13 +66,7 @@ class Amount:
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """One cause that explains a change.
-
-    label : of the cause, as joint_zero@2
-    course : how it goes on, the most probable
-    since : first campaign that shows it, from 0
-    probability : of the cause, if something changed
-    """
+    """One cause that explains a change, as joint_zero@2: its most probable course, first campaign and probability."""
 
     label: str
     course: Course
@@ -87,17 +76,12 @@ class Rival:
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """One change between campaigns.
+    """One change between campaigns; cause, course : the most probable ones.
 
-    cause : the most probable one
-    course : how it goes on
-    since : first campaign that shows it, from 0
-    between : first and last campaign at which it may have begun, with 95 % probability
-    probability : of the cause, if something changed
-    p_course : of the course, given the cause
+    since : first campaign that shows it, from 0; between : those at which it may have begun, with 95 % probability
+    probability : of the cause, if something changed; p_course : of the course, given the cause
     log_odds : of the data with some change against none
-    rivals : causes in the order of their probability, the first one included
-    amounts : how far each parameter moved
+    rivals : causes in the order of their probability, the first one included; amounts : how far each parameter moved
     course_of : Array, shape (n, 2): what each campaign alone says of the size, in units of the whole change, with
         standard error
     """
@@ -205,7 +189,6 @@ class Comparison(Result):
         return f"{len(self.campaigns)} campaigns, {first} to {last}"
 
     def blocks(self) -> list[Words | Table]:
-        """All that `casadical compare` prints."""
         blocks: list[Words | Table] = []
         for change in self.changes:
             blocks += [*_change(self, change)]
@@ -348,7 +331,6 @@ def _change(found: Comparison, change: Change) -> Iterable[Words | Table]:
 
 
 def _likely(change: Change) -> list[Any]:
-    """Rivals that together hold 95 %."""
     held, kept = 0.0, []
     for rival in change.rivals:
         kept.append(rival)
@@ -407,7 +389,6 @@ def _step(found: Comparison) -> int | None:
 
 
 def _course(found: Comparison, change: Change) -> Figure:
-    """The size of a change as each campaign alone shows it."""
     x, main = _places(found), change.amounts[change.main]
     size, error = main.value * change.course_of[:, 0], abs(main.value) * change.course_of[:, 1]
     what = AXES.get(change.cause.kind, main.name).format(joint=change.cause.joint)

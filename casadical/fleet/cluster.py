@@ -111,9 +111,8 @@ def results(
 ) -> Iterator[tuple[tuple[Any, ...], dict[str, Any] | Exception]]:
     """Each task with its result in the order of completion, or with the exception that ended it.
 
-    Where there are very many workers, several are handed out together; if that ends in an exception, one by one.
-
-    Raises SchedulerLostError when the scheduler dies; what was given until then is good.
+    Of very many workers several are handed out together; if that ends in an exception, one by one. Raises
+    SchedulerLostError when the scheduler dies; what was given until then is good.
     """
     distributed = optional("distributed", _NEEDED)
     waiting = iter(tasks)

@@ -73,14 +73,12 @@ def compare(
     same_frame: bool = False,
     notes: Iterable[str] = (),
 ) -> Comparison:
-    """What changed in a robot over two or more campaigns.
+    """What changed in a robot over two or more campaigns in the order of time: causes, times, sizes and probabilities.
 
-    campaigns : in the order of time
     same_tool : whether the same point of the same tool was measured, so that a moved one is a change
     same_frame : whether all positions are in one frame, so that a moved foot is a change
-    notes : what a reader must know of the campaigns
-    Returns changes, each with its cause, time, size and probability
-    Raises InputError: fewer than two campaigns, or of robots that cannot be the same one.
+    notes : what a reader must know of the campaigns Raises InputError: fewer than two campaigns, or of robots that
+        cannot be the same one.
     """
     if len(campaigns) < 2:
         raise InputError(f"{len(campaigns)} campaign; a comparison needs two or more")

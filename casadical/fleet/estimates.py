@@ -80,20 +80,16 @@ class Estimate(Shown):
 
     @property
     def date(self) -> str:
-        """The day as 2026-03-14; empty where it is not known."""
         return date_text(self.day)
 
     @property
     def scale(self) -> Array:
-        """Unit of each parameter, shape (k,) [SI]."""
         return np.array([self.robot.parameters[n].scale for n in self.names])
 
     def about(self, names: tuple[str, ...], values: Array) -> tuple[Array, Array]:
-        """Information and score of some parameters at other values, all others fitted again with wide priors.
+        """Information, shape (p, p), and score, (p,), of p parameters at other values [SI], in units of the scale.
 
-        names : the parameters, p of them
-        values : Array, shape (p,) [SI]: at which the score is taken
-        Returns information, shape (p, p), and score, shape (p,), in units of the scale
+        All other parameters are fitted again with wide priors.
         """
         place = {name: k for k, name in enumerate(self.names)}
         kept = np.array([place[n] for n in names])
@@ -105,7 +101,6 @@ class Estimate(Shown):
 
 
 def date_text(day: float | None) -> str:
-    """Days since 1970 as 2026-03-14; empty where they are not known."""
     if day is None or not np.isfinite(day):
         return ""
     return str(np.datetime64("1970-01-01") + np.timedelta64(int(day), "D"))
@@ -116,13 +111,11 @@ def estimate(
     label: str = "",
     day: float | None = None,
 ) -> Estimate:
-    """What measurements of any kind tell of all parameters.
+    """What measurements of any kind tell of all parameters; day : when they were measured [d].
 
     campaign : an identification, or a nominal robot and measurements, by which it is identified first
-    label : of the campaign; empty: the source of its measurements
-    day : when it was measured [d]
-    Raises InputError: known distances between touched points, which cannot be compared; ConvergenceError: Ipopt finds
-        no optimum.
+    label : of the campaign; empty: the source of its measurements Raises InputError: known distances between touched
+        points, which cannot be compared; ConvergenceError: Ipopt finds no optimum.
     """
     found = campaign if isinstance(campaign, Identification) else identify(*campaign, loss="huber")
     fit = wide_fit(found)
@@ -173,15 +166,13 @@ def _values(robot: Robot, doubts: Doubts) -> Array:
 
 
 def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) -> Estimate:
-    """What a robot file with a covariance tells of all parameters.
+    """What a robot file with a covariance of its geometry, as `calibrate --out` writes it, tells of all parameters.
 
     The file does not say which poses were measured. How parameters that were not identified bend those that were is
     therefore computed at poses drawn from the readings on which it was learnt.
 
-    robot : calibrated robot with a covariance of its geometry, as `casadical calibrate --out` writes it
-    label : of the campaign; empty: that of the file
-    day : when it was measured [d]
-    Raises InputError: a robot without a covariance of its geometry.
+    label : of the campaign; empty: that of the file; day : when it was measured [d] Raises InputError: a robot without
+        a covariance of its geometry.
     """
     known = robot.knowledge
     if robot.tool.unknown == "pose":  # the poses drawn below are positions, which do not tell how the tool is turned

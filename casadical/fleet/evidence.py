@@ -73,7 +73,6 @@ class Model:
 
     @property
     def p(self) -> int:
-        """How many parameters."""
         return int(self.told.score.shape[1])
 
 

@@ -70,10 +70,7 @@ class Common:
         return tuple((self.names[k], float(self.mean[k]), float(self.std_error[k])) for k in np.flatnonzero(far))
 
     def readable(self, name: str, *values: float) -> tuple[Any, ...]:
-        """Values of a parameter from units of the scale to those of reports, with the unit.
-
-        *values : in units of its scale
-        """
+        """Values of a parameter from units of its scale to those of reports, with the unit."""
         unit = "deg" if name.startswith(("alpha", "beta", "theta")) or "." in name else "mm"
         factor = {"deg": np.rad2deg(1.0), "mm": 1e3}[unit]
         if name.startswith("c") and name[1:].isdigit():
@@ -82,10 +79,7 @@ class Common:
         return (*(v * scale * factor for v in values), unit)
 
     def to_json(self) -> dict[str, Any]:
-        """What robots of the type share, as plain data.
-
-        Returns mean, standard error and spread of each parameter, in units of reports
-        """
+        """What robots of the type share, as plain data: mean, standard error, spread of each parameter, as reported."""
         listed = []
         for k, name in enumerate(self.names):
             mean, error, spread, unit = self.readable(name, self.mean[k], self.std_error[k], self.spread[k])
@@ -96,10 +90,9 @@ class Common:
         return {**about, "common_faults": faults, "parameters": listed}
 
     def prior_of(self, robot: Robot) -> Robot:
-        """A robot of this type as the fleet knows it: the common departures in it, and the spread as covariance.
+        """A robot as the fleet knows its type: the common departures in the drawn one, and the spread as covariance.
 
-        robot : as drawn
-        Returns to be the prior of `identify` or of `casadical calibrate --prior FILE --prior-effects all`
+        For `identify`, or `casadical calibrate --prior FILE --prior-effects all`.
         """
         own = [k for k, n in enumerate(self.names) if n in robot.parameters.names]
         names = tuple(self.names[k] for k in own)

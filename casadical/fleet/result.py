@@ -93,7 +93,6 @@ class Fleet(Result):
         return {name: words for name, words in told.items() if words}
 
     def blocks(self) -> list[Words | Table]:
-        """What `casadical fleet` prints."""
         good = self.good
         text = f"{len(good)} of {len(self.robots)} robots calibrated"
         if len(good):
@@ -161,10 +160,7 @@ class Fleet(Result):
         return Table(title, head, rows, frozenset({4, 5, 6, 7}), folded=len(rows) > 50)
 
     def prior_files(self, folder: str | Path) -> dict[Path, str]:
-        """Robot files with what is learnt of each type, the prior of a robot that is still to be measured.
-
-        folder : where they are to be
-        """
+        """Robot files with what is learnt of each type, in a folder: the prior of a robot that will be measured."""
         texts = {}
         for c in self.commons:
             drawn = read_problem_robot(self.good.loc[self.good["type"] == c.type, "folder"].iloc[0])

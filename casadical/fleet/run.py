@@ -162,7 +162,6 @@ def _compute(
 
 
 def _lost(folder: str, error: Exception) -> dict[str, Any]:
-    """The row of a robot whose workers died."""
     return {
         **NOTHING,
         "robot": name_of(Path(folder)),

@@ -80,7 +80,6 @@ def _type(empty: Any) -> Any:
 
 
 def parts(folder: Path) -> list[Path]:
-    """Files of a store, the oldest first."""
     return sorted(folder.glob("part-" + 6 * "[0-9]" + "-*.parquet"))
 
 
@@ -109,7 +108,6 @@ def each(folder: Path, robots: Collection[str], columns: Sequence[str] | None = 
 
 
 def records(robots: pd.DataFrame) -> list[dict[str, Any]]:
-    """Rows by column."""
     return [{str(k): v for k, v in r.items()} for r in robots.to_dict("records")]
 
 

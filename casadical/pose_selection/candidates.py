@@ -86,14 +86,12 @@ class Candidates:
 
     @property
     def size(self) -> int:
-        """Measurements a reading, g."""
         return len(self.turn)
 
     def __getitem__(self, which: Array) -> Candidates:
         return replace(self, q=self.q[which], conditions={n: v[which] for n, v in self.conditions.items()})
 
     def joined(self, other: Candidates) -> Candidates:
-        """These, then the others; both made under the same circumstances."""
         conditions = {n: np.concatenate([v, other.conditions[n]]) for n, v in self.conditions.items()}
         return replace(self, q=np.concatenate([self.q, other.q]), conditions=conditions)
 

@@ -22,13 +22,10 @@ _Spectral = tuple[Callable[[Array], Array], Callable[[Array], Array]]
 
 
 def observability(J: Array, n: int) -> dict[str, float]:
-    """Indices of observability.
+    """Indices of observability of J, shape (rows, p) [sigma per scaled unit], a scaled Jacobian of n poses.
 
-    O1: root of the product of the singular values over the root of n; O2: smallest over greatest; O3: smallest;
-    O4: square of the smallest over the greatest; O5: inverse of the sum of inverses.
-
-    J : Array, shape (rows, p) [sigma per scaled unit]: scaled Jacobian
-    n : number of poses
+    O1: root of the product of the singular values over the root of n; O2: smallest over greatest; O3: smallest; O4:
+    square of the smallest over the greatest; O5: inverse of the sum of inverses.
     """
     s = np.linalg.svd(J, compute_uv=False)
     if len(J) < J.shape[1] or s[-1] <= 1e-14 * s[0]:

@@ -58,7 +58,6 @@ class DesignProblem:
 
     @property
     def numbers(self) -> int:
-        """How many numbers a pose gives."""
         return self.instrument.numbers if self.instrument else 3
 
     def design(self, pool: Candidates, criterion: Criterion, min_distance: float | None) -> Design:
@@ -180,7 +179,6 @@ def _without_open_base(robot: Robot, names: Sequence[str], goal: Measurements, i
 def _refuse(
     instrument: Instrument, criterion: Criterion, measured: Measurements | None, candidates: Array | None
 ) -> None:
-    """Refuse what is planned for positions alone."""
     if criterion not in ("V", "A", "D"):
         raise InputError(f"criterion {criterion} is one of positions; allowed with {instrument.kind}: V, A, D")
     if measured is not None:

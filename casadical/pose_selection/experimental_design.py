@@ -58,7 +58,6 @@ class Design(ABC):
         return np.asarray((np.abs(self.places - place).max(axis=1) <= self.apart).astype(int))
 
     def start(self, chosen: list[int]) -> None:
-        """Begin with these candidates."""
         self.chosen = list(chosen)
         self.closed = self._taken + sum((self._near(self.places[k]) for k in chosen), np.zeros(self.N, dtype=int))
         A = self.rows[self.chosen].reshape(-1, self.p)
@@ -75,7 +74,6 @@ class Design(ABC):
         self._change(k, 1)
 
     def remove(self, position: int) -> None:
-        """Take out the candidate at this position of `chosen`."""
         self._change(self.chosen.pop(position), -1)
 
     def best_to_add(self) -> int | None:
@@ -241,10 +239,7 @@ class Spectral(Design):
 
 
 def inverse(M: Array) -> Array:
-    """Inverse of a positive definite matrix, shape (p, p), scaled to a unit diagonal first.
-
-    What no reading tells of, such as the height of a wire's end beside a planar arm, is alone and has variance one.
-    """
+    """Inverse of a positive definite matrix, shape (p, p); what no reading tells of is alone and has variance one."""
     M = M + np.diag(np.diag(M) == 0)
     root = np.sqrt(np.diag(M))
     return np.asarray(np.linalg.inv(M / np.outer(root, root)) / np.outer(root, root))

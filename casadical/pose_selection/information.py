@@ -85,10 +85,7 @@ def independent(
 
 
 def known_before(robot: Robot, names: Sequence[str], prior: Prior | None, size: int = 0) -> Array:
-    """Information of priors on these parameters, as `identify` takes it, in units of scale, shape (p, p).
-
-    size : of the matrix, further rows are unknown places of which nothing is known
-    """
+    """Information of priors on these parameters, as `identify` takes it, in units of scale, shape (size, size)."""
     p = len(names)
     matrix = np.zeros((max(size, p), max(size, p)))
     means, known = (prior.means, prior.known) if prior is not None else (False, ())

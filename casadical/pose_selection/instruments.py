@@ -49,7 +49,6 @@ class Instrument:
 
     @property
     def numbers(self) -> int:
-        """How many numbers a pose gives."""
         return len(self.places) if self.kind == "wires" else 3
 
     @property
@@ -58,10 +57,8 @@ class Instrument:
         return 0 if self.known else self.places.size
 
     def sets(self, m: Measurements) -> tuple[Measurements, ...]:
-        """The same poses as a measurement of this kind would give them, without noise.
-
-        m : poses at the positions that the model gives
-        Returns a set for each wire, or one of all sockets
+        """Poses m as a measurement of this kind would give them, without noise: a set for each wire, or one of all
+        sockets.
         """
         assert m.position is not None
         if self.kind == "sockets":
@@ -85,13 +82,9 @@ class Instrument:
         )
 
     def rows(self, robot: Robot, names: Sequence[str], m: Measurements, noise: Noise) -> Array:
-        """Scaled Jacobian in units of sigma, shape (n, numbers, len(names) + extra).
+        """Scaled Jacobian in units of sigma at the robot's values and poses m, shape (n, numbers, len(names) + extra).
 
-        robot : at whose values
-        names : parameters
-        m : poses at the positions that the model gives
         noise : of a distance, or of a coordinate in a socket, and of the joints
-        Returns an array, shape (n, numbers, p)
         """
         J, covariance = scaled_jacobian(robot, names, m), noise_covariance(robot, m, Noise(1e-12, noise.repeatability))
         n, k = len(m), len(self.places)
@@ -111,10 +104,7 @@ class Instrument:
         return whitening_of(covariance + own) @ whole
 
     def table(self, m: Measurements) -> pd.DataFrame:
-        """Columns for who measures: which socket, or about how long each wire will be [mm].
-
-        m : poses at the positions that the model gives
-        """
+        """Columns for who measures poses m: which socket, or about how long each wire will be [mm]."""
         if self.kind == "sockets":
             return pd.DataFrame({"point": [f"S{int(k) + 1}" for k in m.conditions[SOCKET]]})
         assert m.position is not None
@@ -122,20 +112,15 @@ class Instrument:
         return pd.DataFrame(length.round(1), columns=[f"nominal_wire{k}_mm" for k in range(1, len(self.places) + 1)])
 
     def beams(self, m: Measurements) -> Array:
-        """Directions from the anchors to the tool, shape (n, k, 3).
-
-        Returns an array, shape (n, k, 3) [m/m]
-        """
+        """Directions from the anchors to the tool, shape (n, k, 3) [m/m]."""
         assert m.position is not None
         line = m.position[:, None] - self.places
         return np.asarray(line / np.maximum(np.linalg.norm(line, axis=2, keepdims=True), 1e-9))
 
     def before(self, size: int, noise: Noise) -> Array:
-        """Information from what is known without poses, shape (size, size): one distance between two sockets.
+        """Information from what is known without poses, shape (size, size) [1]: one distance between two sockets.
 
-        size : number of all columns
-        noise : with its sigma the distance is known
-        Returns an array, shape (size, size) [1]
+        size : number of all columns; noise : with its sigma the distance is known
         """
         fixed = np.zeros((size, size))
         if self.kind == "wires" or self.known or len(self.places) < 2:

@@ -37,7 +37,6 @@ class MeasurementPlan(Result):
     noise: Noise | None = None
 
     def blocks(self) -> list[Words | Table]:
-        """What `casadical plan` prints."""
         plan = self.selection
         if plan is None:
             return [*_places(self), Words(_how_many(self))]
@@ -144,7 +143,6 @@ def _below_the_base(plan: Selection) -> list[Words]:
 
 
 def _how_many(plan: MeasurementPlan) -> str:
-    """How many poses are enough, in sentences."""
     forecast, target = plan.forecast, plan.target
     at = np.unique(np.linspace(0, len(forecast.poses) - 1, 6).astype(int))
     course = ", ".join(f"{forecast.poses[k]}: {1e3 * forecast.error[k]:.4f}" for k in at)

@@ -119,7 +119,6 @@ def _sources(
 
 
 def selection(problem: DesignProblem, chosen: Candidates, criterion: Criterion) -> Selection:
-    """The chosen candidates as the result of a search."""
     return Selection(
         robot=problem.robot,
         chosen=chosen,
@@ -144,7 +143,6 @@ def _refined(
     size: float,
     rng: np.random.Generator,
 ) -> Candidates:
-    """Exchange the chosen ones with new candidates near them."""
     robot, workspace = problem.robot, problem.workspace
     lower, upper = workspace.ranges(robot)
     steps = size * (upper - lower) * rng.normal(size=(NEIGHBOURS, len(chosen), robot.n))

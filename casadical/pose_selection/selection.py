@@ -73,10 +73,7 @@ class Selection(Shown):
         return self.m.q
 
     def ordered(self) -> Selection:
-        """The same poses in an order of short travel.
-
-        Raises InputError: networkx is missing.
-        """
+        """The same poses in an order of short travel. Raises InputError: networkx is missing."""
         return replace(self, m=arranged(self.robot, self.chosen, self.circumstances, travel=True))
 
     @cached_property
@@ -131,12 +128,9 @@ class Selection(Shown):
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     def expected_error(self, m: Measurements | None = None) -> Array:
-        """Expected root mean square position error of the calibrated robot due to noise, shape (n,) [m].
+        """Expected rms position error of the calibrated robot due to noise at poses m (None: the task), shape (n,) [m].
 
         Where the places of an instrument are not measured, with the base placed again at these poses.
-
-        m : poses to predict; None: the task
-        Returns shape (n,) [m]
         """
         m = self.task if m is None else m
         J = scaled_jacobian(self.robot, self.names, m)

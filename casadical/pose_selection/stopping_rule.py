@@ -25,10 +25,8 @@ from casadical.robot.robot import Robot
 
 @dataclass(frozen=True, eq=False)
 class Forecast(Shown):
-    """Expected accuracy against the number of poses, if the best ones are measured next.
-
-    poses : Array, shape (k,): numbers of poses, measured ones included
-    error : Array, shape (k,): expected root mean square position error over the task [m]
+    """Expected rms position error over the task [m], shape (k,), by numbers of poses, shape (k,), if the best come
+    next.
     """
 
     poses: Array
@@ -40,10 +38,7 @@ class Forecast(Shown):
         return f": {first} to {last} poses"
 
     def enough(self, target: float) -> int | None:
-        """The least number of poses whose expected error is at most target [m]; None where none of these is.
-
-        target : largest expected error that will do [m]
-        """
+        """The least number of poses whose expected error is at most target [m]; None where none of these is."""
         good = np.flatnonzero(self.error <= target)
         return int(self.poses[good[0]]) if len(good) else None
 

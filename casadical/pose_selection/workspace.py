@@ -17,10 +17,8 @@ from casadical.robot.robot import Robot
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """A box as an obstacle, parallel to the measuring frame's axes.
+    """A box as an obstacle, parallel to the measuring frame's axes; low, high : opposite corners, shape (3,) [m].
 
-    low : Array, shape (3,) [m]: one corner
-    high : Array, shape (3,) [m]: the opposite one
     Raises InputError: a coordinate of low that is not below that of high.
     """
 
@@ -34,21 +32,15 @@ class Box:
             )
 
     def holds(self, points: Array, clearance: float = 0.0) -> Array:
-        """Which points are in the box, or closer than the clearance to it.
-
-        points : Array, shape (..., 3) [m]
-        clearance : distance that counts as in the box [m]
-        Returns an array, shape (...): boolean
+        """Which points, shape (..., 3) [m], are in the box or closer than the clearance [m] to it: boolean, shape
+        (...).
         """
         inside = (points > np.asarray(self.low) - clearance) & (points < np.asarray(self.high) + clearance)
         return np.asarray(inside.all(axis=-1))
 
     def hides(self, points: Array, station: Array) -> Array:
-        """Whether the straight lines from the station to points pass through the box.
-
-        points : Array, shape (n, 3) [m]
-        station : Array, shape (3,) [m]
-        Returns an array, shape (n,): boolean
+        """Whether the lines from the station, shape (3,) [m], to points, shape (n, 3) [m], pass through it: boolean,
+        (n,).
         """
         along = points - station
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -84,11 +76,8 @@ class Tracker:
     acceptance: float = np.pi / 6
 
     def sees(self, points: Array, R: Array) -> Array:
-        """Whether it sees reflectors at points.
-
-        points : Array, shape (n, 3) [m]
-        R : Array, shape (n, 3, 3): orientations of the tool frame
-        Returns an array, shape (n,): boolean
+        """Whether it sees reflectors at points, shape (n, 3) [m], of tool frames R, shape (n, 3, 3): boolean, shape
+        (n,).
         """
         beam = points - self.station
         distance = np.linalg.norm(beam, axis=1)
@@ -140,7 +129,6 @@ class Workspace:
     def ranges(self, robot: Robot) -> tuple[Array, Array]:
         """Least and greatest readings, shape (joints,) each [rad or m].
 
-        Returns lower and upper, shape (joints,) each [rad or m]
         Raises InputError: limits of another number of joints, or a lower one that is not below the upper.
         """
         lower = np.array([j.lower for j in robot.joints]) if self.lower is None else np.asarray(self.lower, float)
@@ -152,11 +140,7 @@ class Workspace:
         return lower, upper
 
     def refusals(self, robot: Robot, q: Array) -> dict[str, Array]:
-        """By reason, which of the readings are ruled out.
-
-        q : shape (n, joints) [rad or m]: joint readings
-        Returns reason -> boolean array, shape (n,)
-        """
+        """By reason, which of the readings q, shape (n, joints) [rad or m], are ruled out: boolean, shape (n,)."""
         lower, upper = self.ranges(robot)
         found: dict[str, Array] = {"joint range": np.asarray(((q < lower - 1e-9) | (q > upper + 1e-9)).any(axis=1))}
         points, R, margin = places_about(robot, q)
@@ -174,29 +158,19 @@ class Workspace:
         return found
 
     def as_open_as(self, robot: Robot, q: Array) -> Workspace:
-        """The workspace with four-bars no less open than at any of the readings.
-
-        q : Array, shape (n, joints) [rad or m]: joint readings
-        """
+        """The workspace with four-bars no less open than at any of the readings q, shape (n, joints) [rad or m]."""
         if not robot.loops:
             return self
         return replace(self, margin=max(self.margin, float(places_about(robot, q)[2].min())))
 
     def allows(self, robot: Robot, q: Array) -> Array:
-        """Which of the readings may be measured.
-
-        q : Array, shape (n, joints) [rad or m]: joint readings
-        Returns an array, shape (n,): boolean
-        """
+        """Which of the readings q, shape (n, joints) [rad or m], may be measured: boolean, shape (n,)."""
         return np.asarray(~np.any(list(self.refusals(robot, q).values()), axis=0))
 
 
 @lru_cache(maxsize=16)
 def _places_function(robot: Robot) -> ca.Function:
-    """places:(q, w, phi)->(points[3, n], R, margin): origins of frames 2 to n, then the tool point.
-
-    Frame 1 does not move, so it cannot collide.
-    """
+    """places:(q, w, phi)->(points[3, n], R, margin): origins of frames 2 to n (the first is fixed), then the tool."""
     rigid = robot.with_only(())
     model = rigid.model
     values = dict(zip(rigid.parameters.names, ca.vertsplit(model.phi), strict=True))

@@ -118,7 +118,6 @@ class Calibration(Result):
         ]
 
     def blocks(self) -> Sequence[Words | Table]:
-        """All that `casadical calibrate` prints, as words and tables."""
         problem, last = self.problem, self.identification
         return [
             Words(problem.title, "title"),
@@ -147,7 +146,6 @@ class Calibration(Result):
         return f" of {self.problem.robot.name!r}: {change}, mean of {poses}"
 
     def bars(self) -> Sequence[tuple[str, float]]:
-        """Errors before and after."""
         method, before, after, _ = judged_on(self.accuracies)
         return [("before, mean", before.mean), (f"{method}, mean", after.mean), (f"{method}, 95 %", after.p95)]
 
@@ -214,9 +212,8 @@ class Calibration(Result):
         return {**told, "sets": sets, **last}
 
     def files(self, folder: str | Path) -> dict[Path, str]:
-        """What is kept, by file: all figures, of each method the robot and its parameters, or the compensator.
-
-        folder : where they are to be
+        """What is kept, by file in a folder: all figures, of each method the robot and its parameters, or the
+        compensator.
         """
         folder, problem = Path(folder), self.problem
         texts = {folder / "result.json": json_text(self.to_json())}
@@ -235,10 +232,7 @@ class Calibration(Result):
         return texts
 
     def write(self, folder: str | Path) -> None:
-        """Write `files`: all of them or none.
-
-        Raises InputError: where one cannot be written.
-        """
+        """Write `files`: all of them or none. Raises InputError where one cannot be written."""
         with claimed([folder]):
             write_together(self.files(folder))
 
@@ -350,10 +344,7 @@ def _identified(problem: Problem, show: Show, count: int) -> dict[str, Identific
 
 
 def accuracy_without_prior(plain: Problem, results: Mapping[str, Identification]) -> Accuracy | None:
-    """Of held-out poses, by the last method, as if there were no prior; None where they are too few without one.
-
-    plain : the problem without the prior
-    """
+    """Of held-out poses, by the last method, as if there were no prior; None where they are too few without one."""
     method, found = list(results.items())[-1]
     parts = {name: m for name, m in plain.parts() if name.startswith("report")}
     if not parts:

@@ -41,7 +41,6 @@ EffectChoice = Literal["standard", "extended"] | Sequence[str | Effect | type[Ef
 
 
 def all_effects() -> tuple[str, ...]:
-    """Names of all effects that may be asked for, in the order of the alphabet."""
     return tuple(sorted(kind.name for kind in known_effects().values() if kind.on_list != "unknown"))
 
 
@@ -173,7 +172,6 @@ class CampaignDiagnosis(Result):
 
     @property
     def searched(self) -> Discovery | None:
-        """The search for the missing law, where it was asked for."""
         return self.details.laws if self.options.laws else None
 
     def law_blocks(self) -> Sequence[Words | Table]:
@@ -181,15 +179,12 @@ class CampaignDiagnosis(Result):
         return self.searched.blocks() if self.searched else []
 
     def blocks(self) -> list[Words | Table]:
-        """All words and tables of the page."""
         return [b for section in self.page().sections for b in section.blocks if not isinstance(b, Figure)]
 
     def text(self) -> str:
-        """All that was found, as plain text."""
         return page_of(self.diagnosis, self.details)
 
     def titled_text(self) -> RenderableType:
-        """The same beneath the title of the campaign."""
         return titled(self.campaign.title, page_of(self.diagnosis, self._beside_laws))
 
     def figures(self) -> dict[str, Figure]:
@@ -202,7 +197,6 @@ class CampaignDiagnosis(Result):
         return replace(page, files=campaign_files(self.campaign.folder, self.campaign.tables))
 
     def to_json(self) -> dict[str, Any]:
-        """The answer as plain data, lengths in mm."""
         found = as_json(self.diagnosis, self.campaign.name, self.details)
         return {**found, "laws": self.searched.to_json(self.campaign.name)} if self.searched else found
 

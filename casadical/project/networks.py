@@ -27,11 +27,8 @@ TOO_FEW = 10
 
 @dataclass(frozen=True, eq=False)
 class NetworkResult:
-    """One network method on one problem.
+    """One network method on one problem; compensator : None where there was nothing to train on, and `why` says so.
 
-    method : as in problem.toml
-    compensator : trained or refused; None where there was nothing to train on, and `why` says so
-    why : why there is no compensator; empty where there is one
     errors : by set, of the corrected positions; those of SKCM where the network was refused, for then nothing is
         corrected (what it would have done: `compensator.training`, `.choice`, `.validation`)
     """
@@ -43,16 +40,13 @@ class NetworkResult:
 
     @property
     def helps(self) -> bool:
-        """Whether a network is in use."""
         return self.compensator is not None and self.compensator.helps
 
     @property
     def verdict(self) -> str:
-        """The result in words."""
         return f"{self.method}: {self.why if self.compensator is None else self.compensator.verdict}"
 
     def to_json(self) -> dict[str, Any]:
-        """Its verdict, the errors by set as it is used, and as trained even where it was refused."""
         told: dict[str, Any] = {"verdict": self.verdict, "helps": self.helps}
         c = self.compensator
         if c is None:
@@ -70,11 +64,7 @@ class NetworkResult:
 
 @dataclass(frozen=True, eq=False)
 class Networks:
-    """All network methods of a problem.
-
-    results : by method
-    trained_on : which poses, or why none
-    """
+    """All network methods of a problem: results by method, and which poses they were trained on, or why none."""
 
     results: Mapping[str, NetworkResult]
     trained_on: str
@@ -97,18 +87,13 @@ def train_networks(
     show: Show = silent,
     judged: Mapping[str, Measurements] | None = None,
 ) -> Networks:
-    """Train networks on what an identification left.
+    """Train networks (None: all methods) on what an identification by SKCM left in a problem's sets; a result a method.
 
     The set train is learnt from, the set choose decides, all others have no part in either.
 
-    problem : of whose sets the networks learn
-    result : identification by SKCM
-    methods : network methods; None: all that there are
-    seed : of everything random
     show : called with a line of progress that holds the loss
-    judged : poses whose errors are told, by set; None: all of the problem's
-    Returns one result a method
-    Raises InputError: a method that is no network, or data without positions.
+    judged : poses whose errors are told, by set; None: all of the problem's Raises InputError: a method that is no
+        network, or data without positions.
     """
     judged = dict(problem.parts()) if judged is None else judged
     trainers = network_methods()
@@ -197,7 +182,6 @@ def _lend(parts: Sequence[Measurements], seed: int) -> dict[str, tuple[Measureme
 
 
 def _errors(judged: Mapping[str, Measurements], robot: Robot, compensator: Compensator) -> dict[str, Accuracy]:
-    """Error figures of the corrected positions by set; named as the identifications' are."""
     left = {name: residual_mm(robot, m) - compensator.correction_mm(m.q) for name, m in judged.items()}
     e = {name: 1e-3 * np.linalg.norm(rest, axis=1) for name, rest in left.items()}
     return {name: summarise(np.concatenate([e[n] for n in names])) for name, names in together(e).items()}

@@ -85,10 +85,7 @@ def _doubts(problem: Problem, last: Identification) -> Iterator[Words]:
 
 
 def no_better(problem: Problem, last: Identification, accuracies: Accuracies) -> Iterator[Words]:
-    """Where calibration hardly helps: which data would, if the parameters are at fault and not what the model lacks.
-
-    They are where the error of held-out poses is clearly greater than that of the fitted ones.
-    """
+    """Where calibration hardly helps though held-out poses are clearly worse than fitted ones: data that would help."""
     _, before, after, held_out = judged_on(accuracies)
     if not held_out or after.mean < (1 - LITTLE) * before.mean:
         return

@@ -56,7 +56,6 @@ def robot_of(path: Path) -> Robot:
 
 
 def all_criteria() -> tuple[str, ...]:
-    """Every criterion of a choice of poses."""
     return CRITERIA
 
 
@@ -87,11 +86,9 @@ class Places:
     known: bool = False
 
     def candidates_for(self, robot: Robot) -> Array:
-        """Candidates for a robot, shape (K, 3) [m]."""
         return usual_places(robot, self.kind) if self.candidates is None else self.candidates
 
     def select(self, robot: Robot, **how: Any) -> Selection:
-        """Poses and places together, as of `select_with_places`."""
         places = self.candidates_for(robot)
         return select_with_places(robot, kind=self.kind, places=places, count=self.count, known=self.known, **how)
 

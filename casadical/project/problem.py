@@ -46,7 +46,6 @@ Carried = Callable[[Robot], tuple[Robot, Prior | None]]
 
 
 def nothing_carried(robot: Robot) -> tuple[Robot, Prior | None]:
-    """The robot without anything from another campaign."""
     return robot, None
 
 
@@ -122,9 +121,8 @@ class Problem(Shown):
             yield from zip(_part_names(name, parts), parts, strict=True)
 
     def calibrated_urdf(self, robot: Robot) -> str:
-        """The problem's URDF with the geometry of a calibrated robot, the measured point as a link of its own.
-
-        Raises InputError: where the problem's robot is not from a URDF.
+        """The problem's URDF with a calibrated robot's geometry, the measured point as a link. Raises InputError
+        without one.
         """
         from casadical.robot.urdf import calibrated_urdf_text
 
@@ -298,10 +296,7 @@ def read_campaign(
 
 
 def _of_kind(columns: Columns, joints: Sequence[str], data: DataTable) -> Measurements:
-    """A table as a problem's table says, with the distances between touched points that are in it.
-
-    The noise of positions is found, not taken from the file.
-    """
+    """A table as a problem's table says, with known distances between points; the noise of positions is found."""
     found = from_columns(columns, joints, data.kind)
     if found.kind == "position":
         return found
@@ -311,7 +306,6 @@ def _of_kind(columns: Columns, joints: Sequence[str], data: DataTable) -> Measur
 
 
 def _separations(data: DataTable) -> list[tuple[str, str, float]]:
-    """Known distances between touched points [m]."""
     return [(s.between[0], s.between[1], s.distance_mm * 1e-3) for s in data.separation]
 
 

@@ -54,8 +54,6 @@ class _Source(_Strict):
 
 
 class DataTable(_Strict):
-    """One of [[measurements]]."""
-
     file: str
     kind: str | None = None
     columns: dict[str, str | _Source] = {}
@@ -76,7 +74,6 @@ class DataTable(_Strict):
 
     @property
     def sources(self) -> dict[str, Source]:
-        """Where each named column comes from."""
         given = self.model_dump(include={"columns"}, by_alias=True)["columns"]
         return {ours: Source.read(source) for ours, source in given.items()}
 
@@ -98,8 +95,6 @@ class DataTable(_Strict):
 
 
 class SetsTable(_Strict):
-    """How the poses are split."""
-
     seed: int = Field(default=0, ge=0, lt=2**63)
     column: str | None = None
     identify: float | None = Field(default=None, gt=0)
@@ -126,8 +121,6 @@ class SetsTable(_Strict):
 
 
 class SessionsTable(_Strict):
-    """What is found again in each session."""
-
     base: Literal["own", "shared"] = "own"
     tool: Literal["own", "shared"] = "own"
     zeros: Literal["own", "shared"] = "shared"
@@ -163,7 +156,6 @@ def all_methods() -> tuple[str, ...]:
 
 
 def all_losses() -> tuple[str, ...]:
-    """Every word for how far poses are weighted."""
     return ALL_LOSSES
 
 
@@ -189,7 +181,6 @@ class Paper(_Strict):
         return self
 
     def to_json(self) -> dict[str, Any]:
-        """What the paper reports, by table and method."""
         return {"source": self.source} | {
             name: {m: dict(zip(("mean_mm", "max_mm", "std_mm"), f, strict=True)) for m, f in table.items()}
             for name, table in (("calibration", self.calibration), ("validation", self.validation))
@@ -197,8 +188,6 @@ class Paper(_Strict):
 
 
 class ProblemFile(_Strict):
-    """The whole file."""
-
     casadical: Literal[1]
     title: str
     data: Literal["real", "synthetic"] | None = None

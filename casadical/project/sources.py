@@ -8,7 +8,6 @@ from casadical.project.problem import Problem
 
 
 def problem_files(problem: Problem) -> list[Path]:
-    """What a problem was read from: problem.toml, robot and measurements."""
     path = problem.folder / "problem.toml"
     names = [problem.robot_file, *(problem.folder / table["file"] for table in problem.tables)]
     return [*([path] if path.is_file() else []), *map(_short, names)]

@@ -22,14 +22,10 @@ if TYPE_CHECKING:
 
 
 class WithFigures(Protocol):
-    """A result that has figures, by name."""
-
     def figures(self) -> Mapping[str, Figure]: ...
 
 
 class WithPage(Protocol):
-    """A result that has a page."""
-
     def page(self) -> Page: ...
 
 

@@ -45,20 +45,13 @@ RMS_OF_MEAN = float(np.sqrt(3 * np.pi / 8))
 class Verification(Result):
     """What a check with later poses says.
 
-    robot : its name
     promised : rms position error on held-out poses of the calibration [m]
-    found : now, base and tool fitted again, the fit's own share made up for [m]
-    limit : what `found` may be by chance [m]
-    n : poses
-    far : those far off
-    without : `found` without the far ones, where it is not valid with them
-    lost : rows in which a cell is no number
-    tables : their names
-    again : what was fitted again, in words
-    gone : labels of effects of the instrument, left out
+    found : now, base and tool fitted again, the fit's own share made up for [m]; limit : what it may be by chance [m]
+    n : poses; far : those far off; without : `found` without the far ones, where it is not valid with them
+    lost : rows in which a cell is no number; again : what was fitted again, in words
+    gone : labels of effects of the instrument, left out; notes : what was assumed of the tables
     seen : error that these poses show to be too great in nine of ten cases [m]
     sources : robot file and tables, as they were given
-    notes : what was assumed of the tables
 
     Examples
     --------
@@ -88,7 +81,6 @@ class Verification(Result):
         return self.found <= self.limit
 
     def blocks(self) -> list[Words | Table]:
-        """In words."""
         times = self.found / self.promised
         verdict = "STILL VALID" if self.valid else "NO LONGER VALID"
         text = (
@@ -287,10 +279,9 @@ def _times(freedom: int, quantile: float) -> float:
 def promised_rms(robot: Path, kind: str = POSITION) -> float:
     """Rms error of held-out poses [m] that the file beside METHOD.robot.toml or diagnosed.robot.toml states.
 
-    kind : of measurement; full poses are judged by their positions
-
-    Of result.json it is that of the report set, without poses that were far off; diagnosis.json and discovery.json
-    state a mean, which is taken for that of normally distributed errors. Raises InputError.
+    kind : of measurement; full poses are judged by their positions Of result.json it is that of the report set, without
+        poses that were far off; diagnosis.json and discovery.json state a mean, which is taken for that of normally
+        distributed errors. Raises InputError.
     """
     for name, stated in (("diagnosed", "diagnosis"), ("discovered", "discovery")):
         if robot.name == f"{name}.robot.toml" and (mean := _mean_of(robot.parent / f"{stated}.json")) is not None:

@@ -24,10 +24,7 @@ _ANY = (
 
 
 def draw_effect(plant: Plant, effect: str, rng: np.random.Generator, poses: int = 100) -> Hidden:
-    """One effect by its name, its joint and sizes at random.
-
-    Raises InputError for an unknown name.
-    """
+    """One effect by its name, its joint and sizes at random. Raises InputError for an unknown name."""
     if effect not in {**LISTED, **UNLISTED}:
         raise InputError(f"effect {effect!r} is unknown; there are {', '.join([*LISTED, *UNLISTED])}")
     joint = _joint(plant, effect, rng)
@@ -144,7 +141,6 @@ def _size(
 
 
 def _source(plant: Plant, joint: int | None) -> int:
-    """The joint, 1-based, whose reading moves this one."""
     return plant.n - 1 if joint == plant.n - 2 else (joint or 5) - 1
 
 

@@ -24,12 +24,9 @@ BESIDE, MOVING, WAITING, AT_MOST = 100, 80, 80, 1500  # steps
 
 @dataclass(frozen=True)
 class Setting:
-    """Something that is not at one pose as it was built: a body or a mark shifted (3,) [m] or turned (3,) [rad].
+    """A body or a mark that is at one pose not as it was built: shifted (3,) [m] or turned (3,) [rad].
 
     Bodies are shifted and turned in their parent's frame, before their joints; marks in their body's frame.
-
-    kind : what is set
-    value : shift (3,) [m], turn (3,) [rad] or place (3,) [m]
     """
 
     kind: Literal["shift", "turn", "mark"]
@@ -39,13 +36,9 @@ class Setting:
 
 @dataclass(frozen=True)
 class Stop:
-    """What the robot does at one pose.
+    """What the robot does at one pose; start : coordinates of joints to start from; settings : what is not as built.
 
-    motors : array (joints,), where the motors stop [rad or m]
-    approach : array (joints,) of -1 and 1, from which side they come
-    start : coordinates of joints to start from
-    payload_kg : declared payload
-    settings : what is not as built
+    motors : where they stop [rad or m]; approach : of -1 and 1, from which side they come, shapes (joints,)
     """
 
     motors: Array
@@ -56,13 +49,11 @@ class Stop:
 
 
 class Engine:
-    """A mechanism compiled by MuJoCo, that can be brought to rest at one pose after the other.
+    """A mechanism, effects included, compiled by MuJoCo, that can be brought to rest at one pose after the other.
 
-    mechanism : the robot as built, effects included
     travels : whether it moves to every pose from the side it is approached from, which only friction and play need
-    factor : true over declared mass of the payload
-    gravity : in the measuring frame [m/s^2]
-    Raises InputError: MuJoCo is missing.
+    factor : true over declared mass of the payload; gravity : in the measuring frame [m/s^2] Raises InputError: MuJoCo
+        is missing.
     """
 
     def __init__(

@@ -50,18 +50,12 @@ UNLISTED: Mapping[str, type[Cause]] = {
 
 
 def sizes_in_words(sizes: Mapping[str, Any]) -> str:
-    """Sizes of an effect by name."""
     return ", ".join(f"{name} {np.round(value, 9).tolist()}" for name, value in sizes.items())
 
 
 @dataclass(frozen=True)
 class Hidden:
-    """One hidden effect.
-
-    effect : its name
-    joint : the joint it sits in, 1-based; None: none
-    size : everything else about it [SI]
-    """
+    """One hidden effect: its name, the joint it sits in (1-based, None: none), everything else about it [SI]."""
 
     effect: str
     joint: int | None
@@ -69,12 +63,10 @@ class Hidden:
 
     @property
     def about(self) -> str:
-        """Its sizes in words."""
         return sizes_in_words(self.size)
 
     @property
     def label(self) -> str:
-        """``effect`` or ``effect@joint``."""
         return self.effect if self.joint is None else f"{self.effect}@{self.joint}"
 
 

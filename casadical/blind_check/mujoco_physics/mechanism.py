@@ -98,12 +98,9 @@ class Shaft:
 
 @dataclass(frozen=True)
 class Mechanism:
-    """Bodies, and what connects them besides their joints.
+    """Bodies, parents before their children, and what connects them besides their joints.
 
-    bodies : parents before their children
-    loops : ball joints that close them
-    cords : springs between two bodies
-    shafts : couplings between joints
+    loops : ball joints that close them; cords : springs between two bodies; shafts : couplings between joints
     """
 
     bodies: tuple[Body, ...]
@@ -112,20 +109,14 @@ class Mechanism:
     shafts: tuple[Shaft, ...] = ()
 
     def body(self, name: str) -> Body:
-        """The body of that name.
-
-        Raises InputError with those that there are.
-        """
+        """The body of that name. Raises InputError with those that there are."""
         for body in self.bodies:
             if body.name == name:
                 return body
         raise InputError(f"no body {name!r}; there are {', '.join(b.name for b in self.bodies)}")
 
     def holder(self, joint: str) -> Body:
-        """The body that has the joint of that name.
-
-        Raises InputError with those that there are.
-        """
+        """The body that has the joint of that name. Raises InputError with those that there are."""
         for body in self.bodies:
             if any(j.name == joint for j in body.joints):
                 return body
@@ -133,19 +124,14 @@ class Mechanism:
         raise InputError(f"no joint {joint!r}; there are {', '.join(names)}")
 
     def joint(self, name: str) -> Joint:
-        """The joint of that name.
-
-        Raises InputError with those that there are.
-        """
+        """The joint of that name. Raises InputError with those that there are."""
         return next(j for j in self.holder(name).joints if j.name == name)
 
     def with_body(self, changed: Body) -> Self:
-        """The same with the body of that name replaced."""
         self.body(changed.name)
         return replace(self, bodies=tuple(changed if b.name == changed.name else b for b in self.bodies))
 
     def with_joint(self, changed: Joint) -> Self:
-        """The same with the joint of that name replaced."""
         body = self.holder(changed.name)
         return self.with_body(
             replace(body, joints=tuple(changed if j.name == changed.name else j for j in body.joints))

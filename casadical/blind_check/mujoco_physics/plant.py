@@ -116,12 +116,10 @@ class Plant(Shown):
 
     @property
     def n(self) -> int:
-        """Number of joints."""
         return len(self.home)
 
     @property
     def turning(self) -> list[int]:
-        """Revolute joints, 1-based."""
         return [j for j in range(1, self.n + 1) if j not in self.slides]
 
     @property
@@ -207,12 +205,9 @@ def perturb(
     stiffness_spread: float = 0.4,
     building: Building = Building(),
 ) -> Plant:
-    """The robot with generic errors: all six of every link, not only those that DH rows name.
+    """The robot with generic errors: all six of every link, not only those that DH rows name; all drawn from the seed.
 
-    plant : the nominal robot
-    seed : everything drawn follows from it
-    length_mm : one sigma of each coordinate of a link's error, of the bars and the crank too [mm]
-    angle_mrad : one sigma of each angle of a link's error [mrad]
+    length_mm, angle_mrad : one sigma of each coordinate [mm] and angle [mrad] of a link's error; lengths of bars, too
     base : greatest shift [m] and turn [deg] of the robot's base against the measuring frame
     tool_mm : one sigma of each coordinate of the reflector's error [mm]
     stiffness_spread : standard deviation of the logarithm of the joint stiffnesses

@@ -50,13 +50,7 @@ class Stops:
 
 @dataclass(frozen=True)
 class Warmup:
-    """The arm's temperature while it works.
-
-    start_degC : at the start [degC]
-    rise_K : how much it rises in the end [K]
-    minutes : time constant [min]
-    sensor_K : noise of the sensor, one sigma [K]
-    """
+    """The arm's temperature at the start [degC], its rise [K], time constant [min], and one sigma of its sensor [K]."""
 
     start_degC: float = 20.0
     rise_K: float = 7.0

@@ -20,12 +20,10 @@ MEASURED, TRUE = ["x_mm", "y_mm", "z_mm"], ["x_true_mm", "y_true_mm", "z_true_mm
 
 
 def approaches(joints: int) -> list[str]:
-    """Columns of the directions of the joints' last motions."""
     return [f"approach{j}" for j in range(1, joints + 1)]
 
 
 def readings(plant: Plant) -> list[str]:
-    """Columns of the readings."""
     return [f"q{j}_mm" if j in plant.slides else f"q{j}_deg" for j in range(1, plant.n + 1)]
 
 
@@ -52,12 +50,10 @@ class Instrument(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Machine:
-    """A robot as built with its effects, as a physics simulates it.
+    """A robot as built (see ``perturb``) with its effects, as a physics simulates it.
 
-    plant : the robot as built (see ``perturb``)
     positions : where the reflector is, (n, 3) [m], at n stops with errors (n, joints) [rad or m] of the joints
-    instruments : effects, for what they do to the measured positions
-    true_decimals : of true positions [mm] in a table
+    instruments : effects, for what they do to the measured positions; true_decimals : of true positions [mm] in a table
     """
 
     plant: Plant

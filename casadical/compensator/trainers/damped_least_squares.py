@@ -29,12 +29,10 @@ class Batch:
     active: Array
 
     def state(self) -> dict[str, Any]:
-        """Return the batch in JSON types."""
         return {name: pack(getattr(self, name)) for name in ("weights", "damping", "growth", "cost", "active")}
 
     @classmethod
     def restore(cls, state: dict[str, Any]) -> Self:
-        """Return the batch whose `state` this was."""
         return cls(**{name: unpack(value) for name, value in state.items()})
 
 

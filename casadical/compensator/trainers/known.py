@@ -19,10 +19,7 @@ GROUP = "casadical.trainers"
 
 @cache
 def known_trainers() -> Mapping[str, type[Trainer]]:
-    """Every trainer by its name, those of plug-ins last.
-
-    Raises InputError: a faulty plug-in.
-    """
+    """Every trainer by its name, those of plug-ins last. Raises InputError: a faulty plug-in."""
     own = (kind for kind in vars(registry).values() if isinstance(kind, type))
     trainers = members(GROUP, Trainer, own)  # type: ignore[type-abstract]
     methods = [kind.method for kind in trainers.values() if kind.method]
@@ -32,10 +29,7 @@ def known_trainers() -> Mapping[str, type[Trainer]]:
 
 
 def network_methods() -> Mapping[str, type[Trainer]]:
-    """Trainers by the method of problem.toml that each stands for.
-
-    Raises InputError: a faulty plug-in.
-    """
+    """Trainers by the method of problem.toml that each stands for. Raises InputError: a faulty plug-in."""
     return {kind.method: kind for kind in known_trainers().values() if kind.method}
 
 

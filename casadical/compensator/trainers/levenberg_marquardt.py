@@ -80,7 +80,6 @@ class LmRun:
 
     @property
     def choosing(self) -> bool:
-        """Tell whether the ridge is still being chosen."""
         return self.ridge is None
 
     def step(self) -> None:

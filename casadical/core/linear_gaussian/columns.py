@@ -176,11 +176,9 @@ class Factors:
         return replace(self, blocks=tuple((s, c, values * sizes[c, None]) for s, c, values in self.blocks))
 
     def at(self, blocks: Array | slice) -> Factors:
-        """At some of the blocks."""
         return replace(self, blocks=tuple((s, c, values[:, blocks]) for s, c, values in self.blocks))
 
     def only(self, columns: Array) -> Factors:
-        """Of some of the columns, renumbered in this order."""
         place = np.full(self.width, -1)
         place[columns] = np.arange(len(columns))
         kept = []
@@ -250,7 +248,6 @@ class Combined:
 
     @property
     def width(self) -> int:
-        """Number of combinations."""
         return self.edges[-1]
 
     @property

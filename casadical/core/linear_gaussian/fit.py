@@ -49,7 +49,6 @@ class Fit:
             self.sums = self.sums.plus(normal_sums(self.y[self._rows_of(some)], A))
 
     def _rows(self, blocks: Array) -> Array:
-        """Rows of some blocks."""
         return np.asarray((self.numbers * blocks[:, None] + np.arange(self.numbers)).ravel())
 
     def _rows_of(self, blocks: slice) -> slice:
@@ -71,7 +70,6 @@ class Fit:
         return np.asarray((self.W[blocks] @ A).reshape(-1, A.shape[2]))
 
     def _of(self, blocks: Array | slice) -> Array:
-        """The same, as kept where they are."""
         if self._kept is None:
             return self._white(blocks)
         if isinstance(blocks, slice):
@@ -109,12 +107,10 @@ class Fit:
 
     @cached_property
     def x(self) -> Array:
-        """Fit to all blocks, shape (p,)."""
         return self._solution(self.sums)
 
     @cached_property
     def covariance(self) -> Array:
-        """Of the fit to all blocks, shape (p, p)."""
         return np.asarray(self.root.T @ self.root)
 
     @property

@@ -134,7 +134,6 @@ class Marginals:
         return self._chosen[key]
 
     def _base(self) -> Chosen:
-        """The base alone."""
         model, P, sums = self.model, self.model.base.shape[2], self.sums
         weights, at = model.reference / model.prior, {}
         for k in model.near:

@@ -44,7 +44,6 @@ class LinearModel:
 
     @property
     def width(self) -> int:
-        """Number of columns."""
         return self.columns.shape[2]
 
     def combined(self, columns: Array) -> Combined:

@@ -55,7 +55,6 @@ class NoiseModel:
     components: Mapping[str, Array]
 
     def at(self, blocks: Array | slice) -> NoiseModel:
-        """Of some blocks."""
         components = {name: A[blocks] for name, A in self.components.items()}
         return NoiseModel((len(np.arange(self.shape[0])[blocks]), self.shape[1]), components)
 

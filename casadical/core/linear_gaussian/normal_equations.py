@@ -17,10 +17,7 @@ ROUND_OFF = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class NormalSums:
-    """Of white rows A and their residual y: H = A'A, g = A'y, y'y, and how many numbers were measured.
-
-    They are added up block by block, and those of some blocks are taken off again.
-    """
+    """Of white rows A and residual y: H = A'A, g = A'y, y'y, and how many were measured; blocks may be taken off."""
 
     H: Array
     g: Array
@@ -28,7 +25,6 @@ class NormalSums:
     count: int
 
     def plus(self, other: NormalSums) -> NormalSums:
-        """Of the rows of both."""
         return NormalSums(self.H + other.H, self.g + other.g, self.square + other.square, self.count + other.count)
 
     def less(self, other: NormalSums) -> NormalSums:
@@ -116,9 +112,8 @@ def reduced(normal: Array, right: Array) -> tuple[Array, Array]:
 
 
 def root_of_inverse(normal: Array) -> Array:
-    """A root R of the inverse R' R of a normal matrix, shape (p, p).
+    """A root R of the inverse R' R of a normal matrix, shape (p, p), scaled first so that rank is judged fairly.
 
-    A parameter whose column is long is scaled first, so that rank is judged fairly.
     Raises numpy.linalg.LinAlgError where the matrix is not positive definite, beyond round-off.
     """
     scale = 1 / np.sqrt(np.diag(normal))
@@ -132,7 +127,6 @@ def inverse_of(normal: Array) -> Array:
 
 
 def _factor(normal: Array) -> Array:
-    """Cholesky factor of a matrix of unit diagonal, shape (p, p)."""
     try:
         return np.linalg.cholesky(normal)
     except np.linalg.LinAlgError:

@@ -57,7 +57,6 @@ class GridSums:
 
     @property
     def rows(self) -> int:
-        """How many rows there are, measured or not."""
         return int(np.prod(self._shape))
 
     @property
@@ -248,7 +247,6 @@ class KnownRows:
 
     @property
     def known(self) -> Array:
-        """Numbers of the columns that are known."""
         return np.flatnonzero(self.place >= 0)
 
     def __getitem__(self, columns: Array) -> Array:
@@ -256,7 +254,6 @@ class KnownRows:
         return np.asarray(self._rows[self.place[columns]])
 
     def add(self, columns: Array, rows: Array) -> None:
-        """Keep the rows of further columns."""
         more = self.count + len(rows)
         if not self.count:
             self._rows = rows

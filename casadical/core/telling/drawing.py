@@ -106,7 +106,6 @@ def _values(values: Any) -> Any:
 
 
 def _add(picture: Picture, figure: Figure, s: Series) -> None:
-    """One series as a trace."""
     colour = _colour(s.colour)
     trace: dict[str, Any] = {"x": _values(s.x), "y": _values(s.y), "opacity": s.opacity}
     trace |= {"showlegend": bool(s.name) and s.listed, "visible": True if s.shown else "legendonly"}
@@ -148,7 +147,6 @@ def _add(picture: Picture, figure: Figure, s: Series) -> None:
 
 
 def _axis(axis: Axis) -> dict[str, Any]:
-    """The settings of an axis, as plotly names them."""
     settings: dict[str, Any] = {**AXIS, "showgrid": axis.grid}
     settings["title"] = {"text": plain(axis.title), "standoff": 10, "font": {"size": 13}}
     settings |= {"zeroline": True, "zerolinewidth": 1.5, "zerolinecolor": MUTED} if axis.zero else {}

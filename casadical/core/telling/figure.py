@@ -140,7 +140,6 @@ class Figure:
     over: str = ""
 
     def one(self, name: str) -> Series:
-        """The first series of a name."""
         return next(s for s in self.series if s.name == name)
 
 

@@ -26,7 +26,6 @@ class Shown:
 
     @property
     def _line(self) -> str:
-        """What the line says."""
         words = [block for block in self.blocks() if isinstance(block, Words)]  # type: ignore[attr-defined]
         words.sort(key=lambda block: block.kind != "verdict")
         return f": {words[0].text}" if words else ""
@@ -67,7 +66,6 @@ def _table(block: Table) -> str:
 
 
 def _bars(bars: Sequence[tuple[str, float]]) -> str:
-    """A picture of lengths, each with its value."""
     longest = max(length for _, length in bars) or 1.0
     rows = []
     for k, (words, length) in enumerate(bars):

@@ -26,7 +26,6 @@ class Result(Shown):
         raise NotImplementedError
 
     def to_json(self) -> dict[str, Any]:
-        """The same as plain data."""
         raise NotImplementedError
 
     @property

@@ -56,7 +56,6 @@ def source(program: TapeProgram, label: Label) -> str:
 
 
 def _bound_values(values: dict[str, str]) -> dict[str, str]:
-    """Placeholders of `network.c` for the bound."""
     return {"function": "bound", "out": "bound_mm", "n_out": "1", "box_table:network": values["box_table:command"]}
 
 

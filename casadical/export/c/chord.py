@@ -30,7 +30,6 @@ def prepared_size(command: Command) -> int:
 
 
 def look_size(command: Command) -> int:
-    """How many numbers a look gives."""
     return _pose_size(command) if command.difference is None else residual_size(command)
 
 
@@ -166,8 +165,7 @@ def _residual(target: SX, now: SX, length: float) -> SX:
 def _jacobian(command: Command, q: SX) -> SX:
     """The mean of the calibrated and the nominal robot's Jacobian at the commanded joints.
 
-    The corrected robot will have its tool where the nominal one has it now: the mean of the two slopes is, nearly, the
-    trapezoidal rule along the step, and leaves about half of the calibrated Jacobian's error.
+    Nearly the trapezoidal rule along the step: it leaves about half of the calibrated Jacobian's error.
     """
     function = command.jacobian_of if command.jacobian_of is not None else command.calibrated
     at = q if command.jacobian_at is None else _flat(command.jacobian_at, q)

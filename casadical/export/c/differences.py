@@ -44,7 +44,6 @@ def changed(function: casadi.Function, values: Sequence[SX], changes: Sequence[S
 
 
 def _changed(op: str, first: tuple[SX, SX], second: tuple[SX, SX] = _NOTHING) -> tuple[SX, SX]:
-    """Value and change of one operation."""
     (a, da), (b, db) = first, second
     if op in ("sin", "cos"):
         return _turned(op == "sin", a, da)

@@ -19,7 +19,6 @@ _INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 
 
 def template(name: str) -> str:
-    """The text of a file in the package's templates folder."""
     return (files("casadical.export.c") / "templates" / name).read_text(encoding="utf-8")
 
 
@@ -35,7 +34,6 @@ def functions_used(tapes: list[Tape]) -> list[str]:
 
 
 def elementary_functions(tapes: list[Tape], name: str, real: Real) -> str:
-    """C text of the static functions that the tapes call."""
     used = functions_used(tapes)
     values = constants(real) | {"name": name, "real": f"{name}_real"}
     texts = [filled(template(f"{snippet}.c"), values) for snippet in used]
@@ -43,7 +41,6 @@ def elementary_functions(tapes: list[Tape], name: str, real: Real) -> str:
 
 
 def tables_used(tapes: Iterable[Tape]) -> list[tuple[float, ...]]:
-    """The different tables of periodic functions, in the order of the tapes."""
     return list(dict.fromkeys(node.table for tape in tapes for node in tape.nodes if node.table))
 
 

@@ -45,12 +45,10 @@ class Fmu(Language):
     name = "fmu"
 
     def files(self, program: TapeProgram, label: Label) -> dict[str, bytes]:
-        """NAME.fmu."""
         return {f"{label.name}.fmu": fmu(program, label)}
 
 
 def fmu(program: TapeProgram, label: Label) -> bytes:
-    """The bytes of the archive, the same ones each time."""
     name = label.name
     files = {
         f"sources/{name}.h": header(program, label),

@@ -13,12 +13,7 @@ NAME = "^[a-z][a-z0-9_]{0,23}$"
 
 @dataclass(frozen=True)
 class Label:
-    """What the files say about themselves.
-
-    name : a C identifier
-    model_sha256 : hash of the model
-    data_sha256 : hash of the data it came from
-    """
+    """What the files say about themselves: a C identifier, hashes of the model and of the data it came from."""
 
     name: str
     model_sha256: str = "not given"

@@ -57,14 +57,12 @@ class Limits:
 
 @dataclass(frozen=True)
 class NetworkFunction:
-    """A network as a function of the joints, and the box of joint angles it was trained in.
+    """A network q[n] [rad] -> dp[m] [mm] and the box of joint readings it was trained in.
 
-    function : q[n] [rad] -> dp[m] [mm]
-    lower : Array, shape (n,) [rad or m]: box of joint readings it was trained in
-    upper : Array, shape (n,) [rad or m]: its other end
+    lower, upper : ends of the box, shape (n,) [rad or m]
     units : "rad" or "m" of each joint's reading; default: all rad
     key, out, unit, title : the names of the exported function and of its result, its unit, and what it is, in words
-    Raises InputError: a function of other shapes.
+        Raises InputError: a function of other shapes.
     """
 
     function: casadi.Function
@@ -84,11 +82,8 @@ class NetworkFunction:
 
 @dataclass(frozen=True)
 class CurveFunction(NetworkFunction):
-    """The joints' error curves, q[n] -> dq[n]: each joint stands at its reading plus dq [rad].
+    """The joints' error curves, q[n] -> dq[n]: each joint stands at its reading plus dq [rad]; the box as of its base.
 
-    lower : Array, shape (n,) [rad or m]: box of joint readings
-    upper : Array, shape (n,) [rad or m]: its other end
-    units : "rad" or "m" of each joint's reading; default: all rad
     Raises InputError: a function of other shapes.
     """
 

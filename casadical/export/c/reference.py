@@ -63,7 +63,6 @@ def network(program: TapeProgram, q: Array) -> tuple[Array, Array]:
 
 
 def forward(program: TapeProgram, q: Array) -> tuple[Array, Array]:
-    """Calibrated position (or position and rotation) and status."""
     return _values(program, q, "forward", "reach")
 
 
@@ -154,7 +153,6 @@ class StepState:
 
 
 def started(program: TapeProgram) -> StepState:
-    """The state to start from."""
     T = DTYPE[program.real]
     return StepState(np.zeros(program.n, T), T(0))
 

@@ -46,12 +46,10 @@ class Plan:
 
     @property
     def size(self) -> int:
-        """Number of values."""
         return self.starts[-1]
 
 
 def plan_of(program: TapeProgram) -> Plan:
-    """The runs of all tapes of a program."""
     return _Planner(program).plan()
 
 
@@ -179,7 +177,6 @@ def _gathered(tape: Tape) -> Tape:
 
 
 def _without_zeros(weights: tuple[float, ...]) -> tuple[float, ...]:
-    """Weights from the first one that is not zero on."""
     return weights[next((k for k, w in enumerate(weights) if w), len(weights) - 1) :] if weights else ()
 
 

@@ -17,7 +17,6 @@ CYCLES, ON_CYCLES = 8, 6
 
 
 def inside(program: TapeProgram, count: int, seed: int = _SEED) -> Array:
-    """Random joints in the box, shape (count, n)."""
     lower, upper = program.product.lower, program.product.upper
     return np.random.default_rng(seed).uniform(lower, upper, (count, program.n)).astype(DTYPE[program.real])
 
@@ -62,7 +61,6 @@ def functions(program: TapeProgram) -> dict[str, Any]:
 
 
 def self_test_source(program: TapeProgram, label: Label) -> str:
-    """Text of NAME_self_test.c."""
     real, q = program.real, self_test_inputs(program)
     values = common_values(program, label) | {
         "rows": str(len(q)),
@@ -101,7 +99,6 @@ def _step_part(program: TapeProgram, values: dict[str, str], q: Array) -> str:
 
 
 def example_source(program: TapeProgram, label: Label) -> str:
-    """Text of NAME_example.c."""
     values = common_values(program, label)
     values["zeros"] = ", ".join([literal(0.0, program.real)] * program.n)
     values["centre"] = ", ".join(literal(float(v), program.real) for v in self_test_inputs(program)[0])

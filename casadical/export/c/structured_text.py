@@ -58,7 +58,6 @@ class StructuredText(Language):
     name = "structured_text"
 
     def files(self, program: TapeProgram, label: Label) -> dict[str, str]:
-        """NAME.st."""
         return {f"{label.name}.st": structured_text(program, label)}
 
 
@@ -147,7 +146,6 @@ def _in_line(found: re.Match[str], end: str) -> str:
 
 
 def _wrapped(text: str) -> str:
-    """The text with its long lines divided behind commas and blanks."""
     lines: list[str] = []
     for line in text.split("\n"):
         while len(line) > _LINE:
@@ -196,7 +194,6 @@ def _values_block(plan: Plan, values: dict[str, str], real: Real) -> str:
 
 
 def tables_of(plan: Plan, real: Real) -> dict[str, str]:
-    """The numbers of all periodic tables, one after another."""
     points = [len(table) - 3 for table in plan.tables]
     begins = [sum(map(len, plan.tables[:i])) for i in range(len(plan.tables))]
     parts = [turn_parts(COEFFICIENTS[real], count) for count in points]
@@ -249,7 +246,6 @@ _WITHIN = """\
 
 
 def _within(program: TapeProgram, command: Command, plan: Plan) -> dict[str, str]:
-    """The comparison of the bound with its limit, where there is one."""
     if command.limit_mm is None:
         return {"within": ""}
     mine = {"bound_out": str(plan.places["bound_out"]), "bound_values": _evaluated(program, plan, "bound")}

@@ -45,12 +45,7 @@ class Node:
 
 @dataclass(frozen=True)
 class Tape:
-    """A function as a list of plain real operations.
-
-    nodes : operations in order of evaluation
-    n_in : number of inputs
-    outputs : which nodes are the results
-    """
+    """A function as plain real operations in order of evaluation; outputs : which nodes are the results."""
 
     nodes: tuple[Node, ...]
     n_in: int
@@ -227,7 +222,6 @@ def _call(builder: _Builder, function: casadi.Function) -> Callable[[list[int]],
 
 
 def _called(function: casadi.Function) -> casadi.Function | None:
-    """The function that it calls, if any."""
     called = function.find_functions()
     if len(called) > 1:
         raise InputError(
@@ -275,7 +269,6 @@ def _refuse_sparse(function: casadi.Function) -> None:
 
 
 def _live(nodes: Iterable[Node], n_in: int, outputs: list[int]) -> Tape:
-    """Drop what no output needs."""
     nodes = list(nodes)
     needed = set(outputs)
     for k in reversed(range(len(nodes))):

@@ -14,11 +14,8 @@ from casadical.export.c.tape import Tape, tape_of
 
 @dataclass(frozen=True)
 class TapeProgram:
-    """A product ready to be written.
+    """A product ready to be written: its tapes by name.
 
-    product : what is exported
-    real : type of its numbers
-    tapes : by name
     network_bounds : least and greatest value of each of the network's outputs
     """
 
@@ -29,12 +26,10 @@ class TapeProgram:
 
     @property
     def n(self) -> int:
-        """Number of joints."""
         return len(self.product.lower)
 
     @property
     def command(self) -> Command | None:
-        """The product where it is a command."""
         return self.product if isinstance(self.product, Command) else None
 
     @property
@@ -56,7 +51,6 @@ class Operations:
     count: dict[str, int]
 
     def text(self) -> str:
-        """One sentence."""
         words = [f"{self.count[kind]} {kind}" for kind in sorted(self.count, key=lambda k: -self.count[k])]
         return f"Operations of {self.of}, the same in every call: {', '.join(words)}."
 
@@ -87,10 +81,8 @@ def operations(program: TapeProgram) -> Operations:
 
 
 def tape_program(product: Product, real: Real) -> TapeProgram:
-    """Tapes of a product.
-
-    ``network`` or ``curves`` of these, ``forward``, ``prepare``, ``advance`` and perhaps ``network`` and ``bound`` of a
-    command.
+    """Tapes of a product: `network` or `curves`; of a command `forward`, `prepare`, `advance`, perhaps those and
+    `bound`.
     """
     tapes: dict[str, Tape] = {}
     network = product if isinstance(product, NetworkFunction) else product.network

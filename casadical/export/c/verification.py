@@ -32,7 +32,6 @@ class Comparison:
 
 
 def shape_of(program: TapeProgram, name: str) -> Shape:
-    """A program's shape for the loader of compiled C."""
     sizes: dict[str, int] = {}
     if program.network is not None:
         sizes[program.network.key] = len(program.network_bounds)
@@ -45,10 +44,7 @@ def shape_of(program: TapeProgram, name: str) -> Shape:
 def compared(
     program: TapeProgram, name: str, files: dict[str, bytes], found: list[Compiler], count: int
 ) -> list[Comparison]:
-    """Compile the C with each compiler and compare every function on ``count`` vectors.
-
-    The self-test counts as a comparison of one vector.
-    """
+    """Compile with each compiler and compare every function on ``count`` vectors; the self-test is one vector."""
     if not found:
         return []
     q = comparison_inputs(program, count)

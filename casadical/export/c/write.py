@@ -27,14 +27,7 @@ LEAST_CONVERGED = 0.9
 
 @dataclass(frozen=True)
 class Export:
-    """A written export: its files, the comparisons of the compiled C, figures of this model, operations of a call.
-
-    folder : where it lies
-    files : their names
-    comparisons : of the compiled C with the reference, one for each compiler
-    figures : of this model, by name
-    operations : additions, products and so on of a call, by function
-    """
+    """A written export: its files, the comparisons of the compiled C, figures of this model, operations of a call."""
 
     folder: Path
     files: tuple[str, ...]
@@ -69,7 +62,6 @@ class Export:
         return "\n".join([*lines, f"{len(self.files)} files in {self.folder}"])
 
     def to_json(self) -> dict[str, Any]:
-        """The same as plain data."""
         return {
             "folder": str(self.folder), "files": list(self.files), "verified": self.verified, "figures": self.figures,
             "operations": self.operations.count,

@@ -54,8 +54,6 @@ class OfCommand:
 
 @dataclass(frozen=True, eq=False)
 class CExport:
-    """A robot file exported as C."""
-
     sources: Sources
     what: str
     real: str
@@ -64,7 +62,6 @@ class CExport:
     written: Export
 
     def report(self) -> str:
-        """What `casadical export c` prints."""
         robot = robot_of(self.sources.robot)
         lines = [f"{self.what} of {self.sources.robot}, {self.real}"]
         if wants_pose(self.asked.correct):
@@ -174,7 +171,6 @@ def product_of(sources: Sources, what: str, asked: OfCommand) -> Product:
 
 
 def no_bound(sources: Sources) -> list[str]:
-    """Why the error that remains has no bound, where it has none."""
     why = bound_of(sources)[1]
     return [f"NO BOUND of the error that remains: {why}"] if why else []
 

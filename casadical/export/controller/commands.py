@@ -210,7 +210,6 @@ def about_tool(sources: Sources) -> tuple[str, ...]:
 def network_of(sources: Sources) -> NetworkFunction:
     """The compensator alone: joints [rad] -> what to add to the computed position [mm], in the measuring frame.
 
-    sources : robots, network and payload
     Raises InputError: where `sources` names no compensator, or one that was refused when it was trained.
     """
     if sources.compensator is None:
@@ -229,8 +228,6 @@ def curves_of(sources: Sources) -> CurveFunction:
     """The error curves of the joints alone: joints [rad] -> what each joint turns beyond its reading [rad].
 
     For a controller that has the rest of the calibration in its own kinematics. The box is the robot's joint limits.
-
-    sources : robots, network and payload
     Raises InputError: where the robot has no `joint_error_curve`.
     """
     robot = robot_of(sources.robot)
@@ -278,12 +275,10 @@ def measured_range(robot: Robot) -> tuple[str, ...]:
 
 
 def robot_of(source: Path | Robot) -> Robot:
-    """The robot of a file, or the robot itself."""
     return source if isinstance(source, Robot) else read_robot(source)
 
 
 def _word(source: Path | Robot | Compensator | None) -> str:
-    """The name of a source in messages."""
     if isinstance(source, Compensator):
         return "the compensator"
     return source.name if isinstance(source, Robot) else str(source)

@@ -55,11 +55,8 @@ class Corrector:
 
 
 def kernel_corrector(folder: Path, *, trust: bool = False) -> Corrector:
-    """Correction by the C in an export folder, compiled here.
+    """Correction by the C in an export folder, compiled here; trust : as of `casadical.export.c.kernel.load`.
 
-    folder : that `write_c` wrote
-    trust : as of `casadical.export.c.kernel.load`
-    Returns callable on arrays
     Raises InputError: no such export, or there is no compiler.
     """
     try:

@@ -59,7 +59,6 @@ def joint_curves(robot: Robot) -> ca.Function | None:
 
 
 def without_curves(robot: Robot) -> Robot:
-    """The robot without its error curves."""
     return robot.with_only(e for e in robot.effects if not isinstance(e, JointErrorCurve))
 
 

@@ -75,7 +75,6 @@ def inverse_kinematics(robot: Robot, p: Array, R: Array | None, start: Array) ->
 
 
 def pose_function(robot: Robot) -> ca.Function:
-    """pose:(q[n])->(p[3] m, R[3x3]) of the robot's tool."""
     q = ca.SX.sym("q", robot.n)
     return ca.Function("pose", [q], pose_of(robot, q))
 
@@ -104,7 +103,6 @@ class Newton:
         self._function = _residual_and_jacobian(pose, pose.numel_in(0), oriented)
 
     def solved(self, p: Array, R: Array | None, start: Array, limits: tuple[Array, Array]) -> Inverse:
-        """As `inverse_kinematics`; limits : of the joints."""
         k, n = start.shape
         target = np.hstack([p, np.zeros((k, 9)) if R is None else np.swapaxes(R, 1, 2).reshape(k, 9)])
         q, r, J = np.array(start, float), np.full((k, 6), np.inf), np.zeros((k, 6, n))

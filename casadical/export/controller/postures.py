@@ -94,7 +94,6 @@ class Postures:
 
     @property
     def _turns(self) -> Array:
-        """Which joints turn, boolean, shape (n,)."""
         return np.array([j.kind == "revolute" for j in self.nominal.joints])
 
     @cached_property
@@ -132,9 +131,8 @@ class Postures:
         return result.q[result.reached]
 
     def nearest(self, T: Array, near: Array) -> list[Array | None]:
-        """The solutions nearest to joints (k, n) of flange poses (k, 4, 4), in no joint outside of its range.
-
-        None where there is none.
+        """The solutions nearest to joints (k, n) of flange poses (k, 4, 4), in their ranges, or None where there is
+        none.
         """
         direct = self._newton.solved(T[:, :3, 3], T[:, :3, :3], near, self._box)
         found: list[Array | None] = []

@@ -40,12 +40,10 @@ BAR = 0.1
 
 
 def numbers(*values: float) -> str:
-    """Numbers as MJCF takes them."""
     return " ".join(repr(float(v)) for v in values)
 
 
 def add_body(parent: ET.Element, name: str, T: Array) -> ET.Element:
-    """A body at T, shape (4, 4), in its parent."""
     return ET.SubElement(parent, "body", name=name, pos=numbers(*T[:3, 3]), quat=numbers(*quaternion(T[:3, :3])))
 
 
@@ -57,7 +55,6 @@ def add_mass(body: ET.Element, mass: float, com: Array) -> None:
 
 
 def add_spring(body: ET.Element, name: str, axis: str, stiffness: float, cubic: float = 0.0) -> ET.Element:
-    """A hinge held by a spring."""
     text = numbers(stiffness, 0.0, cubic) if cubic else numbers(stiffness)
     return ET.SubElement(body, "joint", {"name": name, "axis": axis, "stiffness": text, **inert(stiffness)})
 
@@ -150,7 +147,6 @@ def add_loop(
 
 
 def closed(equality: ET.Element, loop: FourBar) -> None:
-    """The constraints of a loop."""
     d = loop.driven
     ET.SubElement(equality, "connect", name=f"four_bar{d}", site1=f"coupler{d}_end", site2=f"rocker{d}_end")
     ET.SubElement(

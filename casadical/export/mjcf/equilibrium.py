@@ -19,13 +19,10 @@ AT_MOST = 100
 
 
 def positions(xml: str, m: Measurements, payload_factor: float = 1.0) -> Array:
-    """Equilibrium position of the site `measured` at readings and conditions.
+    """Equilibrium position of the site `measured`, shape (n, 3) [m], at readings and conditions that were logged.
 
-    xml : as `mjcf` writes it
-    m : readings and conditions: payload_kg and approach1 .. where they were logged
-    payload_factor : true mass of the payload over the declared one
-    Returns an array, shape (n, 3) [m]
-    Raises InputError: MuJoCo is not installed, or readings of another robot; ConvergenceError: a loop cannot close.
+    xml : as `mjcf` writes it; payload_factor : true mass of the payload over the declared one Raises InputError: MuJoCo
+        is not installed, or readings of another robot; ConvergenceError: a loop cannot close.
     """
     model = EngineModel(xml)
     if model.arm != m.q.shape[1]:
@@ -69,7 +66,6 @@ class EngineModel:
         self._sides: Array | None = None
 
     def carry(self, mass: float) -> None:
-        """Mount this payload [kg]."""
         if self._payload is not None and self.m.body_mass[self._payload] != mass:
             self.m.body_mass[self._payload] = mass
             self.mujoco.mj_setConst(self.m, self.d)
@@ -120,7 +116,6 @@ class EngineModel:
         return force
 
     def _slope(self, k: int) -> float:
-        """Stiffness of the coordinate [N m/rad or N/m]."""
         hit = self.servos[self.drives == k]
         stiffness = float(sum(self.m.actuator_gainprm[i, 0] * self.m.actuator_gear[i, 0] ** 2 for i in hit))
         x = self.d.qpos[k]

@@ -30,11 +30,9 @@ def into_mjcf(nominal: Robot, calibrated: Robot, path: Path, joints: Sequence[st
 
     The base stays where it is; the site `casadical_measured` is the measured point. Relative paths of meshes stay too.
 
-    nominal : the robot before
-    calibrated : the robot after
     joints : names of the arm's joints in the model, from the base on
-    springs : whether each compliant joint also gets a hinge `NAME_spring` beside it, in the same body
-    Raises InputError: a closed loop, no such joint, or a joint whose axis is not the nominal robot's.
+    springs : whether each compliant joint also gets a hinge `NAME_spring` beside it, in the same body Raises
+        InputError: a closed loop, no such joint, or a joint whose axis is not the nominal robot's.
     """
     if nominal.loops:
         raise InputError(f"{nominal.name!r} has a closed loop; write a new model (without --into)")
@@ -73,7 +71,6 @@ def _element(document: minidom.Document, tag: str, name: str, source: str) -> mi
 
 
 def _write_pose(element: minidom.Element, T: Array) -> None:
-    """Position and quaternion, in place of any other attribute of orientation."""
     for other in ("axisangle", "euler", "xyaxes", "zaxis"):
         if element.hasAttribute(other):
             element.removeAttribute(other)

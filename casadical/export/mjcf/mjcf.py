@@ -38,13 +38,7 @@ POINT = "measured"
 
 @dataclass(frozen=True, eq=False)
 class MjcfExport:
-    """A MuJoCo model.
-
-    text : XML
-    written : how each effect was written, in words
-    omitted : what has no counterpart, and why
-    notes : what a reader must know
-    """
+    """A MuJoCo model: XML, how each effect was written, what has no counterpart and why, what a reader must know."""
 
     text: str
     written: tuple[str, ...]
@@ -53,7 +47,6 @@ class MjcfExport:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """What is not in the model, a line each."""
         return (*map(str, self.omitted), *self.notes)
 
 

@@ -61,11 +61,8 @@ class ReplayedModel:
 
 @dataclass(frozen=True, eq=False)
 class Replay(Result):
-    """A campaign replayed on poses that were held out.
+    """A campaign replayed on poses that were held out: nominal, geometry, effect (if there is one).
 
-    source : name of the campaign
-    robot : its name
-    stages : nominal, geometry, effect (if there is one)
     diagnosis : whose causes are in the last model
     """
 
@@ -106,15 +103,13 @@ class Replay(Result):
 
 
 def replay(robot: Robot, m: Measurements, name: str = "model") -> ReplayedModel:
-    """Replay measured poses with a robot's model in MuJoCo.
+    """Replay measured poses with a robot's model in MuJoCo; name : of the stage.
 
     Effects of the measurement (a frame that drifts, a reflector's offset) are not in the model: they are added to the
     point that MuJoCo finds.
 
-    robot : whose model is replayed
-    name : of the stage
     Raises InputError: MuJoCo is not installed, or readings of another robot; ConvergenceError: the simulator finds no
-        equilibrium.
+    equilibrium.
     """
     if m.position is None:
         raise InputError(f"{m.source}: of kind {m.kind}; positions are needed to replay")

@@ -53,7 +53,6 @@ def replay_blocks(d: Diagnosis) -> Iterator[Block]:
 
 
 def _shown(replayed: Replay) -> tuple[ReplayedModel, ...]:
-    """The stages; the last one only if anything of the causes is in it."""
     last = replayed.stages[-1]
     causes = replayed.diagnosis.effects() if replayed.diagnosis else ()
     return replayed.stages[:2] if set(last.lacking) >= {e.label for e in causes} else replayed.stages
@@ -84,7 +83,6 @@ def _micrometres(metres: float) -> str:
 
 
 def stage_names(replayed: Replay) -> list[str]:
-    """What each stage's model holds."""
     stages = _shown(replayed)[2:]
     without = (f", without {' and '.join(s.lacking)}" if s.lacking else "" for s in stages)
     return [*NAMES, *(f"with {s.name}{w}" for s, w in zip(stages, without, strict=True))]

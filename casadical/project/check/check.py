@@ -182,7 +182,6 @@ def _plausible(
 
 
 def _faults(error: InputError, topic: str) -> list[Finding]:
-    """A finding of each fault."""
     faults = error.faults if isinstance(error, FaultsError) else [error]
     return [Finding("error", topic, str(fault)) for fault in faults]
 
@@ -190,10 +189,7 @@ def _faults(error: InputError, topic: str) -> list[Finding]:
 def _data_findings(
     robot: Robot, sets: tuple[Measurements, ...], others: Sequence[Robot], table: Measurements | None, standard: bool
 ) -> tuple[list[Finding], Slips | None]:
-    """Findings of the data that are fitted, and a single slip where one explains those of the first table.
-
-    table : all poses, those that are held out too, where there is one table
-    """
+    """Findings of the data that are fitted, and a single slip where one explains those of the first table, whole."""
     found: list[Finding] = []
     single: Slips | None = None
     for k, m in enumerate(sets):

@@ -43,7 +43,6 @@ def coverage(robot: Robot, m: Measurements) -> tuple[JointCoverage, ...]:
 
 
 def coverage_findings(robot: Robot, m: Measurements) -> list[Finding]:
-    """Joints that hardly move."""
     found = []
     for c, moved in zip(coverage(robot, m), np.ptp(m.q, axis=0), strict=True):
         if moved < STILL:

@@ -64,7 +64,6 @@ class Outlook:
 
     @property
     def enough(self) -> bool:
-        """Whether more numbers were observed than there are unknowns."""
         return self.numbers > self.unknowns
 
 

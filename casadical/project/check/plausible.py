@@ -54,10 +54,7 @@ def plausible(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> tu
 
 
 def far_off(robot: Robot, m: Measurements) -> tuple[Array, Array]:
-    """At which rows the placed nominal model is off by many times its usual error, and its errors [m].
-
-    Both of shape (n,); none is far off where there are too few poses, or where many are.
-    """
+    """At which rows the placed nominal model is far off, and its errors [m], shapes (n,); none where poses are few."""
     kept = np.ones(len(m), dtype=bool)
     e = np.zeros(len(m))
     if m.position is None or len(m) < FEWEST:

@@ -50,12 +50,10 @@ class Precheck(Result):
     tables: tuple[Path, ...] = ()
 
     def of_level(self, level: Level) -> tuple[Finding, ...]:
-        """Findings of one level."""
         return tuple(f for f in self.findings if f.level == level)
 
     @property
     def ok(self) -> bool:
-        """Whether it can be calibrated: no errors."""
         return not self.of_level("error")
 
     def blocks(self) -> list[Words | Table]:
@@ -120,7 +118,6 @@ class Precheck(Result):
         return Table("Readings of the poses that are fitted", columns, rows, frozenset(range(5)))
 
     def to_json(self) -> dict[str, Any]:
-        """The same as plain data."""
         return {
             "problem": self.folder.name,
             "ok": self.ok,

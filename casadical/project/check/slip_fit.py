@@ -48,7 +48,6 @@ class Hypothesis(NamedTuple):
 
     @staticmethod
     def none(n: int) -> Hypothesis:
-        """Nothing is wrong."""
         return Hypothesis(tuple(range(n)), (1,) * n, (1.0,) * n, (0.0,) * n, (0,) * n)
 
     @property
@@ -70,7 +69,6 @@ class Hypothesis(NamedTuple):
         return self.slips - FURTHER * max(0, reversed_ - 1) - TOGETHER * together
 
     def at(self, what: str, i: int, value: float) -> Hypothesis:
-        """With another entry of one joint."""
         entries = list(getattr(self, what))
         entries[i] = value
         entry: dict[str, Any] = {what: tuple(entries)}
@@ -102,7 +100,6 @@ class Fit:
 
     @property
     def slips(self) -> int:
-        """How many things are wrong, those of the positions included."""
         scaled = [s for s in self.scale if s != 1.0]
         units = 1 if len(scaled) == 3 and len(set(scaled)) == 1 else len(scaled)
         return self.hypothesis.slips + units + self.mirrored
@@ -271,7 +268,6 @@ def _without(y: Array, p: Array, R: Array, more: Array | None = None) -> tuple[A
 
 
 def _solved(A: Array, b: Array) -> Array:
-    """Least squares of A x = b for each; a touch of damping, for columns may be none."""
     At = np.swapaxes(A, 1, 2)
     return np.asarray(np.linalg.solve(At @ A + 1e-9 * np.eye(A.shape[2]), At @ b))
 

@@ -62,11 +62,9 @@ def search_slips(
     others: Sequence[Robot] = (),
     show: Show = silent,
 ) -> Slips | None:
-    """What is wrong with a table, if anything is; others : the robot with its rows read otherwise.
+    """What is wrong with a table, if anything is; None for robots with loops and for data without positions.
 
-    show : called with a line of progress
-
-    None for robots with loops and for data without positions.
+    others : the robot with its rows read otherwise; show : called with a line of progress
     """
     if m.position is None or robot.loops or m.q.shape[1] != robot.n or len(m) < 15:
         return None
@@ -100,7 +98,6 @@ def _cost(f: Fit, robot: Robot) -> float:
 
 
 def outside(h: Hypothesis, robot: Robot, q: Array) -> bool:
-    """Whether the readings would leave the joints' ranges."""
     lower, upper = robot.limits
     meant = h.readings(q)
     return bool(((meant < lower - 0.01) | (meant > upper + 0.01)).any(axis=1).mean() > FEW)
@@ -225,7 +222,6 @@ def _length_moves(h: Hypothesis, lengths: Array, robot: Robot) -> Iterator[Hypot
 
 
 def _refined(fit: SlipFit, h: Hypothesis) -> Hypothesis:
-    """Free zeros and lengths as they fit best together."""
     n = len(h.zero)
     free = [i for i, z in enumerate(h.zero) if z and z not in QUARTERS]
     for _ in range(ROUNDS * (len(free) + len(h.lengths) > 0)):  # one after the other: they depend on each other

@@ -63,7 +63,6 @@ class Targets:
         return [f"target{k}" for k in range(1, self.count + 1)]
 
     def in_words(self, source: str) -> str:
-        """What disagrees, and what to do."""
         far = ", ".join(f"{1e3 * d:.1f}" for d in self.distances)
         if not self.turning:
             return (
@@ -253,7 +252,6 @@ class Misnamed:
     row: Array
 
     def in_words(self, source: str) -> str:
-        """Which rows, and what they should name."""
         wrong = np.flatnonzero(self.given != self.meant)
         texts = []
         for a, b in sorted({(int(self.given[k]), int(self.meant[k])) for k in wrong}):

@@ -60,7 +60,6 @@ def _refuse_no_numbers(table: RawTable) -> None:
 
 
 def _row(row: Mapping[str, Any], where: str) -> str:
-    """One [[joint]] table."""
     numbers = {key: _number(row, key, where) for key in (*_ROW, *_ENDS, *_BODY, "stiffness_Nm_per_rad") if key in row}
     given = {key: value for key, value in numbers.items() if value is not None}
     lines = ["[[joint]]"]

@@ -46,7 +46,6 @@ class Tooled:
 
     @cached_property
     def newton(self) -> Newton:
-        """Newton's method for the nominal robot's pose."""
         assert self.nominal is not None
         return Newton(self.nominal)
 
@@ -78,7 +77,6 @@ class Cell:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Of each joint's reading, rad or m."""
         if self.sources is None and self.folder:
             return self.folder.units or ("rad",) * self.folder.joints
         return robot_of(self._files.robot).units
@@ -90,7 +88,6 @@ class Cell:
 
     @cached_property
     def postures(self) -> Postures:
-        """Solutions of the nominal robot's flange."""
         nominal = own_robots(self._files)[1]
         return Postures(replace(nominal, tool=Placement(self.flange)), self.root)
 
@@ -153,7 +150,6 @@ class Result:
 
     @property
     def fine(self) -> bool:
-        """Whether the target was corrected."""
         return self.status in FINE
 
     @property
@@ -255,7 +251,6 @@ def _in_posture(language: ProgramLanguage, target: Target, flange: Array, postur
 
 
 def _unreached(language: ProgramLanguage, targets: Sequence[Target], poses: int, cell: Cell) -> str:
-    """What is said of poses that the nominal robot does not reach."""
     names = ", ".join(f"{language.place} {t.line}, {t.name}" for t in targets[:_NAMED])
     more = f" and {len(targets) - _NAMED} more" if len(targets) > _NAMED else ""
     found = _frames_that_reach(language, targets[:_TRIED], cell)
@@ -350,7 +345,6 @@ def _off(made: Tooled, old: Array, new: Array) -> dict[str, Array]:
 
 
 def _poses(function: ca.Function | None, q: Array) -> Array:
-    """Transforms of joints, shape (k, 4, 4)."""
     assert function is not None
     p, R = function.map(len(q))(q.T)
     T = np.tile(np.eye(4), (len(q), 1, 1))

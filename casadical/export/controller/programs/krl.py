@@ -155,7 +155,6 @@ class _Frames:
         return self.language.frame(f"{self.source}: line {line}", pose)
 
     def placed(self, target: Target, name: str) -> Target:
-        """The target with its tool and base."""
         data = self.of_point.get(f"F{name[1:]}") if name.startswith("X") else None
         if data is not None:
             if str(data.get("IPO_FRAME", "#BASE")).upper() == "#TCP":
@@ -180,7 +179,6 @@ class _Frames:
 
 
 def _name(ref: Tree[Token]) -> str:
-    """A variable with its index, in upper case."""
     index = words(ref, "NUMBER")
     return str(words(ref, "NAME")[0]).upper() + (f"[{index[0]}]" if index else "")
 

@@ -59,7 +59,6 @@ class CorrectedProgram:
 
     @property
     def fine(self) -> list[c.Result]:
-        """Those that were corrected."""
         return [r for r in self.results if r.fine]
 
     def content(self) -> bytes:
@@ -67,7 +66,6 @@ class CorrectedProgram:
         return self.program.language.written(self.program.source, self.program.text, self.results)
 
     def to_csv(self) -> str:
-        """The report: a row for each target, corrected or not."""
         return csv_text([_HEADER, *map(_row, self.results)])
 
     def to_json(self) -> dict[str, Any]:
@@ -132,7 +130,6 @@ def corrected_program(program: TargetProgram, cell: c.Cell) -> CorrectedProgram:
 
 
 def report_of(path: Path) -> Path:
-    """Where the report of a corrected program goes."""
     return path.with_name(path.name + REPORT)
 
 
@@ -165,14 +162,12 @@ def _row(r: c.Result) -> list[str]:
 
 
 def _figures(fine: Sequence[c.Result]) -> dict[str, Array]:
-    """What is known of corrected targets, each shape (k,) or (k, 2)."""
     tables = {name: [getattr(r, name) for r in fine] for name in ("moved_mm", "off_mm", "off_deg", "bound_mm")}
     known = {name: [v for v in values if v is not None] for name, values in tables.items()}
     return {name: np.array(values) for name, values in known.items() if values}
 
 
 def _moved(fine: Sequence[c.Result], units: Sequence[str]) -> list[str]:
-    """Mean and greatest change of each joint and of the tool, how far it was and is off, and the bound."""
     joints = np.array([abs(new - old) for old, new in (r.q for r in fine if r.q)])
     known = _figures(fine)
     lines = [f"{'moved by':<22}{'mean':>10}{'max':>10}"]
@@ -194,7 +189,6 @@ def _moved(fine: Sequence[c.Result], units: Sequence[str]) -> list[str]:
 
 
 def _mean_and_max(label: str, values: Array) -> str:
-    """A line of a table of means and greatest values."""
     return f"  {label:<20}{values.mean():>10.4f}{values.max():>10.4f}"
 
 

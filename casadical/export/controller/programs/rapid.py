@@ -169,7 +169,6 @@ class _Module:
         return made if cfx in range(8) else made.leave(f"its cfx is {cfx:g}; 0 to 7 are known")
 
     def placed(self, target: Target, name: str) -> Target:
-        """The target with its tool and base."""
         if name in self.changed:
             target = target.leave(f"line {self.changed[name]} gives it another value")
         if name not in self.uses:

@@ -69,7 +69,6 @@ def _longest(parser: Lark, tokens: Sequence[Token], start: int) -> tuple[Tree[To
 
 
 def _expected(run: InteractiveParser) -> dict[str, object]:
-    """The types of tokens that may come next."""
     return run.choices()  # type: ignore[no-untyped-call, no-any-return]
 
 

@@ -30,12 +30,10 @@ class Number:
 
     @classmethod
     def from_token(cls, token: Any, unit: float, decimals: int | None = None) -> Number:
-        """Of a token of the grammar."""
         return cls(token.start_pos, token.end_pos, str(token), unit, decimals)
 
     @property
     def si(self) -> float:
-        """Its value in SI units."""
         return float(self.text) * self.unit
 
     def written(self, value: float) -> str:
@@ -92,7 +90,6 @@ class Target:
 
     @property
     def si(self) -> Array:
-        """Its numbers [SI]."""
         return np.array([number.si for number in self.numbers])
 
     def leave(self, reason: str) -> Target:
@@ -126,7 +123,6 @@ def whole(texts: Iterable[Any]) -> tuple[int, ...]:
 
 
 def line_of(text: str, place: int) -> int:
-    """The line of a character, from 1."""
     return text.count("\n", 0, place) + 1
 
 
@@ -146,7 +142,6 @@ def only_one(source: str, what: str, found: dict[int, Any]) -> Any:
 
 
 def same(a: Any, b: Any) -> bool:
-    """Whether two names or two transforms are equal."""
     if isinstance(a, str) or isinstance(b, str) or a is None or b is None:
         return bool(isinstance(a, str) and isinstance(b, str) and a == b) or (a is None and b is None)
     return bool(np.array_equal(a, b))

@@ -151,7 +151,6 @@ class _Program:
         return value if isinstance(value, Tree) and value.data in ("pose", "list") else None
 
     def targets(self) -> list[Target]:
-        """All targets in their order."""
         made = list(self.made)
         named = Counter(str(t) for t in self.tokens if t.type == "NAME")
         for name, variable in self.variables.items():
