@@ -46,7 +46,7 @@ class IwoHistory:
 
 @dataclass(frozen=True, eq=False)
 class IwoResult:
-    """Outcome of a search: best point x, shape (dimension,) [as of the bounds], its loss, why it stopped, the course."""
+    """Outcome of a search: best point x, shape (dimension,) [as of the bounds], loss, why it stopped, the course."""
 
     x: Array
     loss: float

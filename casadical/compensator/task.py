@@ -13,7 +13,7 @@ from casadical.core.errors import InputError
 
 @dataclass(frozen=True)
 class Loss:
-    """The loss l1 * mean(E) + l2 * max(E), E a pose's mean square error [mm^2] (eqs. 12, 14); in the paper 1 and 0.7."""
+    """The loss l1 * mean(E) + l2 * max(E), E a pose's mean square error [mm^2] (eqs. 12, 14); paper: 1 and 0.7."""
 
     mean: float = 1.0
     max: float = 0.7
