@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.drive import Drive
 from casadical.core.errors import InputError
 from casadical.core.parts import (
     WIDTHS,
@@ -41,6 +42,7 @@ class Arm:
     tool_name : of the measured point, where there are several; targets : the others, named in the column `tool`
     widths : how far the parameters of each group may be off; body_width : masses and mass centres of the links
     sessions : what is found again in each session that a column `session` names
+    drive : what is known of its drives
     masses : of the links; estimated ones tell where gravity deflects joints and by how much, but no stiffness
     Raises InputError for a structure that cannot be built.
     """
@@ -58,6 +60,7 @@ class Arm:
     tool_name: str = ""
     targets: tuple[Target, ...] = ()
     masses: Literal["declared", "estimated"] = "declared"
+    drive: Drive | None = None
     sessions: Sessions = field(default_factory=Sessions)
 
     def __post_init__(self) -> None:
@@ -69,6 +72,8 @@ class Arm:
         _refuse_couplings(self)
         for k, loop in enumerate(self.loops, 1):
             _refuse_unbuildable(self, k, loop)
+        if self.drive:
+            self.drive.refuse_other(self.n)
         names = [self.tool_name, *(t.name for t in self.targets)]
         if self.targets and (len(set(names)) < len(names) or not all(names)):
             raise InputError(f"tool: names {', '.join(map(repr, names))}; each tool needs a name of its own")

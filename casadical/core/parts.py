@@ -1,6 +1,8 @@
 """The parts of a robot: rows with joints and bodies, four-bars, base and tool, and the sizes of their errors."""
 
-from collections.abc import Mapping
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -14,10 +16,11 @@ NEAR_PARALLEL = np.deg2rad(5.0)
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """Mass [kg] and mass centre, shape (3,) [m], in its link's frame.
+    """Mass [kg], mass centre, shape (3,) [m], and inertia, in its link's frame.
 
     mass : of the link or load [kg]
     com : shape (3,) [m]: mass centre in the link's frame
+    inertia : shape (3, 3) [kg m^2]: about the mass centre, along the axes of the link's frame; None: unknown
 
     Examples
     --------
@@ -27,6 +30,39 @@ class Body:
 
     mass: float
     com: Array
+    inertia: Array | None = None
+
+    def moved(self, T: Array) -> Body:
+        """Seen from the frame in which T, shape (4, 4), is this body's own."""
+        R = T[:3, :3]
+        inertia = None if self.inertia is None else R @ self.inertia @ R.T
+        return Body(self.mass, R @ self.com + T[:3, 3], inertia)
+
+    @property
+    def likely_inertia(self) -> Array:
+        """The inertia, or one of a usual slender link where it is unknown, shape (3, 3) [kg m^2]."""
+        if self.inertia is not None:
+            return self.inertia
+        return np.asarray(self.mass * (0.1 + 0.3 * np.linalg.norm(self.com)) ** 2 * np.eye(3))
+
+    @staticmethod
+    def joined(parts: Sequence[Body]) -> Body:
+        """Bodies of one frame as one (Steiner); its inertia is unknown where that of a part is."""
+        masses = np.array([part.mass for part in parts])
+        com = masses @ np.array([part.com for part in parts]) / masses.sum()
+        moments = np.zeros((3, 3))
+        for part in parts:
+            if part.inertia is None:
+                return Body(float(masses.sum()), com)
+            arm = part.com - com
+            moments += part.inertia + part.mass * ((arm @ arm) * np.eye(3) - np.outer(arm, arm))
+        return Body(float(masses.sum()), com, moments)
+
+
+def possible_inertia(moments: Array) -> bool:
+    """Whether a body may have these moments, shape (3, 3): none negative, none greater than the other two together."""
+    least, middle, most = np.linalg.eigvalsh(moments)
+    return bool(np.isfinite(most) and least >= -1e-6 * most and most <= (1 + 1e-6) * (least + middle))
 
 
 @dataclass(frozen=True)

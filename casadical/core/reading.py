@@ -7,6 +7,7 @@ quantity or name can be are refused by their place.
 
 import codecs
 import difflib
+import gzip
 import io
 import json
 import math
@@ -79,6 +80,17 @@ def read_bytes(path: str | Path, most: int = MOST_BYTES) -> bytes:
     if about.st_size > most or len(data) > most:
         raise InputError(f"{shown(path)}: has {max(about.st_size, len(data))} bytes; at most {most} are read: split it")
     return data
+
+
+def unpacked(data: bytes, source: str, most: int = MOST_BYTES) -> bytes:
+    """What gzip packed; other data as they are. Raises InputError: damaged, or more than `most` bytes unpacked."""
+    if not data.startswith(b"\x1f\x8b"):
+        return data
+    with foreign(f"{source}: not a readable gzip file"):
+        content = gzip.GzipFile(fileobj=io.BytesIO(data)).read(most + 1)
+    if len(content) > most:
+        raise InputError(f"{source}: has more than {most} bytes when unpacked; split it")
+    return content
 
 
 def _refuse_special(path: Path, about: os.stat_result, streamed: bool) -> None:

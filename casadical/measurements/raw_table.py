@@ -12,7 +12,7 @@ import pandas as pd
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError, optional
-from casadical.core.reading import MOST_CELLS, archive_of, foreign, read_bytes
+from casadical.core.reading import MOST_CELLS, archive_of, foreign, read_bytes, unpacked
 from casadical.measurements.table_form import (
     Form,
     Record,
@@ -56,13 +56,14 @@ class RawTable:
 def read_table(path: str | Path) -> RawTable:
     """A table with headings: text in any usual encoding, separator and decimal sign, or a workbook (.xlsx).
 
-    Comments, titles above the headings, a row of units, repeated headings and blank lines are no rows.
+    The file may be gzipped. Comments, titles above the headings, a row of units, repeated headings and blank lines
+    are no rows.
     Raises InputError that names the file, and the row where one is wrong: no such file, neither text nor a workbook,
     a name twice in the header, no rows, or a row with more cells than the header.
     """
     path = Path(path)
     try:
-        data = read_bytes(path)
+        data = unpacked(read_bytes(path), str(path))
         text, encoding, sheet = _text(path, data)
         separator = "," if sheet else separator_of(text)
         records = records_of(text, separator)

@@ -20,7 +20,7 @@ SAMPLE = 100_000
 def table_parts(path: str | Path) -> Iterator[RawTable]:
     """As `read_table`, some rows at a time, all under the headings of the first ones; Parquet, too (needs pyarrow).
 
-    A table with quoted cells, in an encoding of one country, or in a workbook is read at once.
+    A table with quoted cells, in an encoding of one country, in a workbook or gzipped is read at once.
     Raises InputError as `read_table` does.
     """
     path = Path(path)
@@ -46,7 +46,7 @@ def _encoding(path: Path) -> str:
     with path.open("rb") as file:
         head = file.read(1000)
     encoding = marked_encoding(head)
-    if head.startswith(b"PK\x03\x04"):
+    if head.startswith((b"PK\x03\x04", b"\x1f\x8b")):
         return ""
     try:
         with path.open(encoding=encoding, newline="\n") as text:

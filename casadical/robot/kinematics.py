@@ -51,7 +51,7 @@ def loop_angles(
 
 def loop_margins(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> list[Symbolic]:
     """Feasibility margin of every loop (see `fourbar.margin`)."""
-    own = _own_variables(arm, actuated, values)
+    own = own_variables(arm, actuated, values)
     return [
         fourbar.margin(*loop_angles(loop, actuated, own, values), loop_bars(arm, k, values))
         for k, loop in enumerate(arm.loops, 1)
@@ -63,7 +63,7 @@ def chain_factors(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> lis
 
     actuated : joint variables, readings with all that is added to them, n of them [rad or m]
     """
-    own = _own_variables(arm, actuated, values)
+    own = own_variables(arm, actuated, values)
     return [row_factors(arm, i, own[i - 1], values) for i in range(1, arm.n + 1)]
 
 
@@ -76,7 +76,7 @@ def link_frames(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> tuple
     return tuple(frames)
 
 
-def _own_variables(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> list[Symbolic]:
+def own_variables(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> list[Symbolic]:
     """The variable of each row: the actuated one, or what its loop makes of it (paper, eq. 3)."""
     own = list(actuated)
     sides = assembly_sides(arm)

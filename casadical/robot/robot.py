@@ -61,6 +61,8 @@ class Robot(Shown, Arm):
         further measured points on the flange
     masses : {"declared", "estimated"}, default "declared"
         whether the links' masses are known, or estimates that tell no stiffness
+    drive : Drive, optional
+        what is known of the drives
     sessions : Sessions, optional
         what is found again in each session of a campaign
     effects : tuple[Effect, ...], default ()

@@ -154,6 +154,7 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
         "tool": _tool_tables(robot) if robot.targets else _frame_table(robot.tool),
         "gravity": {"frame": robot.gravity_frame, "vector_m_per_s2": [float(g) for g in robot.gravity]},
         "payload": _body_table(robot.payload) if robot.payload else None,
+        "drive": robot.drive.table() if robot.drive else None,
         "width": _width_tables(robot),
         "joint": [_joint_table(joint) for joint in robot.joints],
         "four_bar": [_loop_table(loop) for loop in robot.loops] or None,
@@ -229,8 +230,11 @@ def _tool_tables(robot: Robot) -> list[dict[str, Any]]:
 
 
 def _body_table(body: Body) -> dict[str, Any]:
-    """A mass and its centre."""
-    return {"mass_kg": float(body.mass), "com_mm": [_mm(v) for v in body.com]}
+    """A mass, its centre and, where it is known, its inertia."""
+    table: dict[str, Any] = {"mass_kg": float(body.mass), "com_mm": [_mm(v) for v in body.com]}
+    if body.inertia is not None:
+        table["inertia_kgm2"] = [float(v) for v in body.inertia[np.triu_indices(3)]]
+    return table
 
 
 def _joint_table(joint: Joint) -> dict[str, Any]:

@@ -15,8 +15,20 @@ from pydantic import AfterValidator, Field, model_validator
 
 from casadical.core.arm import STANDARD_GRAVITY
 from casadical.core.arrays import Array
+from casadical.core.drive import Drive
 from casadical.core.errors import InputError
-from casadical.core.parts import WIDTHS, Body, BodyWidth, Coupling, FourBar, Joint, Placement, Target, Width
+from casadical.core.parts import (
+    WIDTHS,
+    Body,
+    BodyWidth,
+    Coupling,
+    FourBar,
+    Joint,
+    Placement,
+    Target,
+    Width,
+    possible_inertia,
+)
 from casadical.core.reading import MOST_COUNT
 from casadical.core.schema import ANGLE, LENGTH, READING, Angle, FaultError, Length, Pair, TomlTable, Triple
 from casadical.core.transforms import frame, from_rpy
@@ -53,9 +65,22 @@ HalfAngle = Annotated[float | None, ANGLE, Field(gt=0)]
 class _Body(TomlTable):
     mass_kg: float = Field(ge=0, le=1e6)
     com: Annotated[Triple, LENGTH] = Field(default=[0.0, 0.0, 0.0])
+    inertia_kgm2: Annotated[list[float] | None, Field(min_length=6, max_length=6)] = None
+
+    @model_validator(mode="after")
+    def _possible(self) -> _Body:
+        if self.inertia_kgm2 is not None and not possible_inertia(self._moments):
+            allowed = "ixx, ixy, ixz, iyy, iyz, izz, no principal moment greater than the other two together"
+            raise FaultError("inertia_kgm2", f"no body has such moments; allowed: {allowed}")
+        return self
+
+    @property
+    def _moments(self) -> Array:
+        xx, xy, xz, yy, yz, zz = self.inertia_kgm2 or [0.0] * 6
+        return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
     def body(self) -> Body:
-        return Body(self.mass_kg, np.array(self.com))
+        return Body(self.mass_kg, np.array(self.com), None if self.inertia_kgm2 is None else self._moments)
 
 
 class _Joint(TomlTable):
@@ -196,6 +221,7 @@ class RobotFile(TomlTable):
     payload: _Body | None = None
     joint: list[_Joint] = Field(min_length=1, max_length=MOST_JOINTS)
     four_bar: list[_FourBar] = Field(default=[], max_length=MOST_JOINTS)
+    drive: Drive | None = None
     width: _Widths = _Widths()
     definition: list[Definition] = Field(default=[], max_length=MOST_COUNT)
     effect: list[EffectTable] = Field(default=[], max_length=MOST_COUNT)
@@ -215,6 +241,8 @@ class RobotFile(TomlTable):
                 )
             if row.b is not None and i > 0:
                 raise FaultError(("joint", i, "b"), "stands in row 1 only, where six numbers are the base frame")
+        if self.drive:
+            self.drive.refuse_other(len(self.joint))
         return self
 
     def robot(self, own: Sequence[type[Effect]]) -> Robot:
@@ -226,7 +254,7 @@ class RobotFile(TomlTable):
             joints, flange = _from_standard(joints)
             tool = replace(tool, T=flange @ tool.T)
             points = [flange[:3, :3] @ point + flange[:3, 3] for point in points]
-            payload = payload and _moved(payload, flange)
+            payload = payload and payload.moved(flange)
         effects, values, errors = effects_of(self.effect, self.definition, own)
         robot = Robot(
             name=self.name,
@@ -242,6 +270,7 @@ class RobotFile(TomlTable):
             tool_name=self.tool_name,
             targets=tuple(Target(f.name, point) for f, point in zip(self.further_tool, points, strict=True)),
             masses=self.masses,
+            drive=self.drive,
             effects=effects,
             effect_values=values,
             notes=tuple(self.notes),
@@ -280,11 +309,7 @@ def _from_standard(rows: list[Joint]) -> tuple[list[Joint], Array]:
     shifted = [Joint(), *rows[:-1]]
     tails = [frame(from_rpy(np.array([row.alpha, 0.0, 0.0])), np.array([row.a, 0.0, 0.0])) for row in rows]
     joints = [
-        replace(row, alpha=before.alpha, a=before.a, body=row.body and _moved(row.body, tail))
+        replace(row, alpha=before.alpha, a=before.a, body=row.body and row.body.moved(tail))
         for row, before, tail in zip(rows, shifted, tails, strict=True)
     ]
     return joints, tails[-1]
-
-
-def _moved(body: Body, T: Array) -> Body:
-    return Body(body.mass, T[:3, :3] @ body.com + T[:3, 3])

@@ -10,7 +10,7 @@ import numpy as np
 from casadical.core.arm import STANDARD_GRAVITY
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.parts import Body, Coupling, Joint, Placement
+from casadical.core.parts import Body, Coupling, Joint, Placement, possible_inertia
 from casadical.robot.axes import Axis, Chain, rows_from_axes
 from casadical.robot.robot import Robot
 from casadical.robot.urdf.tree import Tree, parse_urdf
@@ -120,6 +120,9 @@ def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfC
     for j in moving:
         if j.mimic is not None and j.mimic.joint not in own:
             notes.append(f"{j.name} mimics {j.mimic.joint}, which is not between base and tip: it has its own reading")
+    massive = [link for link in urdf.links if movers.get(link.name) and link.inertial and link.inertial.mass]
+    if odd := [k.name for k in massive if np.any(k.inertial.inertia) and _inertia(k) is None]:
+        notes.append(f"no body has the inertia of {', '.join(odd)}: it is taken as unknown")
     if not any(bodies):
         notes.append("the URDF states no masses; those of a robot with compliant joints are estimated from its reach")
     return UrdfChain(
@@ -168,23 +171,24 @@ def _joint(row: Joint, joint: Any, body: Body | None, source: str) -> Joint:
 def _bodies(
     urdf: Any, tree: Tree, dh: Chain, frames: dict[str, Array], movers: dict[str, int]
 ) -> tuple[Body | None, ...]:
-    """Mass and mass centre of what each joint moves and the next does not, in our link frames."""
-    parts: list[list[tuple[float, Array]]] = [[] for _ in range(len(dh.rows) + 1)]
+    """Mass, mass centre and inertia of what each joint moves and the next does not, in our link frames."""
+    parts: list[list[Body]] = [[] for _ in range(len(dh.rows) + 1)]
     for link in urdf.links:
         mass = link.inertial.mass if link.inertial and link.name in frames else None
         if mass is None or mass == 0:
             continue
         if not 0 < mass < np.inf:
             raise InputError(f"{tree.source}: link {link.name!r} has the mass {mass:g} kg; it must be positive or zero")
-        centre = frames[link.name] @ tree.origin(link.inertial)
-        parts[movers[link.name]].append((float(mass), centre[:3, 3]))
-    return tuple(_lumped(p, T) for p, T in zip(parts[1:], dh.frames, strict=True))
+        own = Body(float(mass), np.zeros(3), _inertia(link))
+        parts[movers[link.name]].append(own.moved(frames[link.name] @ tree.origin(link.inertial)))
+    return tuple(
+        Body.joined(p).moved(np.linalg.inv(T)) if p else None for p, T in zip(parts[1:], dh.frames, strict=True)
+    )
 
 
-def _lumped(parts: list[tuple[float, Array]], T: Array) -> Body | None:
-    """One body out of masses [kg] at places in the base link's frame, seen in the link's frame T."""
-    if not parts:
+def _inertia(link: Any) -> Array | None:
+    """A link's moments about its mass centre, shape (3, 3) [kg m^2]; None where the file states none that can be."""
+    stated = link.inertial.inertia
+    if stated is None or not np.any(stated) or not np.isfinite(stated).all() or not possible_inertia(stated):
         return None
-    mass = sum(m for m, _ in parts)
-    centre = sum((m * p for m, p in parts), np.zeros(3)) / mass
-    return Body(mass, T[:3, :3].T @ (centre - T[:3, 3]))
+    return np.asarray(stated, dtype=float)

@@ -11,6 +11,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.files import write_whole
+from casadical.core.parts import Body
 from casadical.core.transforms import frame, from_rpy, to_rpy
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Robot
@@ -215,7 +216,7 @@ def new_urdf(robot: Robot) -> str:
     for i, row in enumerate(robot.joints, 1):
         link = ET.SubElement(root, "link", name=f"link{i}")
         if row.body and row.body.mass > 0:
-            _mass(link, row.body.mass, row.body.com)
+            _inertial(link, row.body)
         kind = "revolute" if row.kind == "revolute" else "prismatic"
         joint = _joint(root, f"joint{i}", kind, parent, f"link{i}", row_matrix(row))
         ET.SubElement(joint, "axis", xyz="0 0 1")
@@ -230,7 +231,10 @@ def new_urdf(robot: Robot) -> str:
 
 def _about(robot: Robot) -> str:
     springs = [f"{i}" for i, j in enumerate(robot.joints, 1) if j.compliance]
-    lines = ["Written by casadical: geometry and masses; inertias are placeholders."]
+    guessed = [f"{i}" for i, j in enumerate(robot.joints, 1) if j.body and j.body.inertia is None]
+    lines = [f"Written by casadical: geometry{', masses and inertias' if any(j.body for j in robot.joints) else ''}."]
+    if guessed:
+        lines.append(f"Inertias of links {', '.join(guessed)} are unknown: placeholders stand here.")
     if springs:
         lines.append(f"The springs of joints {', '.join(springs)} have no place in a URDF: the arm is rigid here.")
     lines += [f"The effect {e.label} has no place in a URDF." for e in robot.effects]
@@ -245,10 +249,10 @@ def _joint(root: ET.Element, name: str, kind: str, parent: str, child: str, T: A
     return joint
 
 
-def _mass(link: ET.Element, mass: float, com: Array) -> None:
+def _inertial(link: ET.Element, body: Body) -> None:
     inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "origin", xyz=_text(com), rpy="0 0 0")
-    ET.SubElement(inertial, "mass", value=repr(float(mass)))
-    moment = repr(float(mass * (0.1 + 0.3 * np.linalg.norm(com)) ** 2))
-    zero = dict.fromkeys(("ixy", "ixz", "iyz"), "0")
-    ET.SubElement(inertial, "inertia", {"ixx": moment, "iyy": moment, "izz": moment, **zero})
+    ET.SubElement(inertial, "origin", xyz=_text(body.com), rpy="0 0 0")
+    ET.SubElement(inertial, "mass", value=repr(float(body.mass)))
+    moments = body.likely_inertia[np.triu_indices(3)]
+    named = zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), moments, strict=True)
+    ET.SubElement(inertial, "inertia", {name: repr(float(value)) for name, value in named})

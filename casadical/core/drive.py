@@ -1,0 +1,93 @@
+"""What is known of a robot's drives: the table [drive] of a robot file. What is left out is unknown, and no default."""
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import ConfigDict, Field
+
+from casadical.core.arrays import Array
+from casadical.core.schema import FaultError, Quantity, TomlTable
+
+# One number for all joints, or one of each.
+Each = Annotated[float, Field(ge=0)] | Annotated[list[Annotated[float, Field(ge=0)]], Field(min_length=1)] | None
+_STIFFNESS = Quantity({"_Nm_per_rad": 1.0, "_N_per_m": 1.0}, 1e15)
+_DAMPING = Quantity({"_Nms_per_rad": 1.0, "_Ns_per_m": 1.0}, 1e15)
+_INTEGRAL = Quantity({"_Nm_per_rad_s": 1.0, "_N_per_m_s": 1.0}, 1e15)
+_TORQUE = Quantity({"_Nm": 1.0, "_N": 1.0}, 1e9)
+_CURRENT = Quantity({"_A": 1.0, "_mA": 1e-3}, 1e6)
+_SPEED = Quantity({"_rad_s": 1.0, "_deg_s": np.pi / 180, "_m_s": 1.0, "_mm_s": 1e-3}, 1e5)
+_CONSTANT = Quantity({"_Nm_per_A": 1.0, "_N_per_A": 1.0}, 1e6)
+_INERTIA = Quantity({"_kgm2": 1.0, "_kg": 1.0}, 1e6)
+_ANGLE = Quantity({"_rad": 1.0, "_deg": np.pi / 180, "_m": 1.0, "_mm": 1e-3}, 10.0)
+_TIME = Quantity({"_s": 1.0, "_ms": 1e-3}, 10.0)
+
+
+class Drive(TomlTable):
+    """Drives of all joints, in SI, on the joint's side unless said otherwise; a number holds for every joint.
+
+    kp, kd, ki : gains of the position servo; joint_stiffness : of the gear, between motor and joint
+    torque_limit : at the joint; current_limit : of the motor; speed_limit : of the joint
+    gear_ratio : turns of the motor a turn of the joint; torque_constant, rotor_inertia : on the motor's side
+    rotor_inertia_at_joint : times the ratio squared; encoder_quantum : as logged, at the joint
+    encoder_side : on which the logged position is measured
+    delay : from the logged command to the servo; command_filter : time constant; read_skew : from joint to joint
+    servo, command_logged, temperature : in words (before or after limits and interpolation, and so on)
+
+    Examples
+    --------
+    >>> drive = Drive(gear_ratio=101.0, torque_constant_Nm_per_A=[0.12, 0.1])
+    >>> drive.torque_per_ampere(2)
+    array([12.12, 10.1 ])
+    """
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True, frozen=True)
+
+    servo: str = ""
+    kp: Annotated[Each, _STIFFNESS] = None
+    kd: Annotated[Each, _DAMPING] = None
+    ki: Annotated[Each, _INTEGRAL] = None
+    torque_limit: Annotated[Each, _TORQUE] = None
+    current_limit: Annotated[Each, _CURRENT] = None
+    speed_limit: Annotated[Each, _SPEED] = None
+    gear_ratio: Each = None
+    torque_constant: Annotated[Each, _CONSTANT] = None
+    rotor_inertia: Annotated[Each, _INERTIA] = None
+    rotor_inertia_at_joint: Annotated[Each, _INERTIA] = None
+    joint_stiffness: Annotated[Each, _STIFFNESS] = None
+    encoder_side: Literal["motor", "joint"] | None = None
+    encoder_quantum: Annotated[Each, _ANGLE] = None
+    current_quantum: Annotated[Each, _CURRENT] = None
+    command_logged: str = ""
+    delay: Annotated[Each, _TIME] = None
+    command_filter: Annotated[Each, _TIME] = None
+    read_skew: Annotated[Each, _TIME] = None
+    log_rate_Hz: Annotated[float, Field(gt=0)] | None = None
+    temperature: str = ""
+
+    def of_joints(self, field: str, joints: int) -> Array | None:
+        """A field joint by joint, shape (joints,) [SI]; None where it is unknown."""
+        value = getattr(self, field)
+        return None if value is None else np.broadcast_to(np.asarray(value, dtype=float), (joints,))
+
+    def torque_per_ampere(self, joints: int) -> Array | None:
+        """Torque at the joint a motor current of 1 A, shape (joints,) [N m or N]; None without constant and ratio."""
+        ratio, constant = (self.of_joints(name, joints) for name in ("gear_ratio", "torque_constant"))
+        return None if ratio is None or constant is None else ratio * constant
+
+    def inertia_at_joint(self, joints: int) -> Array | None:
+        """Rotor inertia as the joint feels it, shape (joints,) [kg m^2 or kg]; None where it is unknown."""
+        stated = self.of_joints("rotor_inertia_at_joint", joints)
+        ratio, rotor = (self.of_joints(name, joints) for name in ("gear_ratio", "rotor_inertia"))
+        return stated if stated is not None or ratio is None or rotor is None else ratio**2 * rotor
+
+    def refuse_other(self, joints: int) -> None:
+        """Raises FaultError where a list has not one number for each joint."""
+        for name, value in self:
+            if isinstance(value, list) and len(value) != joints:
+                wanted = f"allowed: one, or one for each of {joints} joints"
+                raise FaultError(("drive", name), f"has {len(value)} numbers; {wanted}")
+
+    def table(self) -> dict[str, object]:
+        """As a file has it: what is known, by keys with units."""
+        named = zip(self, self.keys(), strict=True)
+        return {key: value for (_, value), key in named if value not in (None, "")}

@@ -1,0 +1,150 @@
+"""What a log's columns are: channel, joint and unit of each, from headings in the words of several systems."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.measurements.columns import in_seconds
+from casadical.measurements.headings import words_of
+from casadical.measurements.raw_table import RawTable
+from casadical.measurements.vocabulary import UNITS, WORDS
+
+_OURS = re.compile(
+    r"(command_v|command|q|v|torque|current|temperature)(\d+)_(rad_s|deg_s|m_s|mm_s|rad|deg|mm|m|Nm|N|A|mA|abs|degC)"
+)
+_CHANNEL = {"command_v": "command_speed", "q": "position", "v": "speed"}
+# Factor of a unit to SI; nothing tells the unit of an empty one.
+FACTORS = {"deg": np.pi / 180, "deg_s": np.pi / 180, "mm": 1e-3, "mm_s": 1e-3, "mA": 1e-3}
+LENGTHS = ("m", "mm", "m_s", "mm_s", "N")
+# Words of headings, by what they say. Of the first that is found in a heading the column is; an empty name: of nothing.
+_QUANTITIES: Mapping[str, frozenset[str]] = {
+    "": WORDS["log_others"],
+    "temperature": WORDS["temperature"] | WORDS["log_temperature"],
+    **{channel: WORDS[f"log_{channel}"] for channel in ("torque", "speed", "position", "current")},
+}
+_COMMANDED = WORDS["nominal"] | WORDS["log_commanded"]
+_FILLER = WORDS["filler"] | WORDS["measured"] | WORDS["joint"] | WORDS["log_filler"]
+SCALARS = ("voltage", "payload", "run")
+
+
+@dataclass(frozen=True, eq=False)
+class Logged:
+    """A log as a file has it, before its joints are put in order.
+
+    time : shape (n,) [s]; channels : channel -> joint -> column, shape (n,), in the unit of `units`
+    units : of channel and joint; empty where nothing tells it
+    scalars : voltage, payload, run; row : of the source; source : its name; notes : sentences
+    """
+
+    time: Array
+    channels: Mapping[str, Mapping[str, Array]]
+    units: Mapping[tuple[str, str], str]
+    row: Array
+    source: str
+    scalars: Mapping[str, Array] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+def logged(raw: RawTable, names: Sequence[str] = ()) -> Logged:
+    """The log in a table of one column a number; names : of the robot's joints.
+
+    Raises InputError: no time, or no joint.
+    """
+    source, frame = raw.path.name, raw.frame
+    below = dict(zip(raw.header, raw.form.units, strict=False))
+    channels: dict[str, dict[str, Array]] = {}
+    units: dict[tuple[str, str], str] = {}
+    scalars: dict[str, Array] = {}
+    for heading in raw.header:
+        if heading.startswith("time_"):
+            continue
+        if scalar := _scalar(heading):
+            scalars.setdefault(scalar, _numbers(frame[heading]))
+            continue
+        channel, joint, unit = _meaning(heading, names)
+        if channel and joint not in channels.get(channel, ()):
+            values = _numbers(frame[heading])
+            if np.isfinite(values).any():
+                channels.setdefault(channel, {})[joint] = values
+                units[channel, joint] = unit or _si_name(below.get(heading, ""))
+    if "position" not in channels:
+        raise InputError(
+            f"{source}: no column holds the positions of joints; there are {', '.join(raw.header[:40])}. Name them "
+            "q1_rad, q2_rad, ... (or _deg, _m, _mm), commands command1_rad, currents current1_A, torques torque1_Nm"
+        )
+    return Logged(_time(raw), channels, units, np.asarray(raw.line), source, scalars)
+
+
+def _numbers(cells: pd.Series) -> Array:
+    return pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float)
+
+
+def _scalar(heading: str) -> str:
+    words = {*words_of(heading)[0]}
+    return next((name for name in SCALARS if words & WORDS[f"log_{name}"]), "")
+
+
+def _meaning(heading: str, names: Sequence[str]) -> tuple[str, str, str]:
+    """Channel, joint (a number or a name) and unit of a column; no channel where it is none of a joint."""
+    if ours := _OURS.fullmatch(heading.strip()):
+        return _CHANNEL.get(ours[1], ours[1]), ours[2], ours[3]
+    words, unit = words_of(heading)
+    joint, rest = _joint(words, names)
+    said = {*rest}
+    channel = next((name for name, telling in _QUANTITIES.items() if said & telling), "")
+    if said & _COMMANDED:
+        channel = {"position": "command", "speed": "command_speed", "": "command" if "action" in said else ""}.get(
+            channel, ""
+        )
+    if not channel or not joint:
+        return "", "", ""
+    return channel, joint, _si_name(unit)
+
+
+def _joint(words: Sequence[str], names: Sequence[str]) -> tuple[str, list[str]]:
+    """The joint that the words of a heading name, and the other words."""
+    for name in sorted(names, key=len, reverse=True):
+        part = words_of(name)[0]
+        at = next((k for k in range(len(words) - len(part) + 1) if list(words[k : k + len(part)]) == part), None)
+        if part and at is not None:
+            return name, [*words[:at], *words[at + len(part) :]]
+    known = _FILLER | _COMMANDED | frozenset().union(*_QUANTITIES.values())
+    left = [word for word in words if word not in known]
+    return " ".join(str(int(w)) if w.isdecimal() else w for w in left), [w for w in words if w not in left]
+
+
+def _si_name(unit: str) -> str:
+    """A unit of the vocabulary as our columns name it."""
+    ours, factor = UNITS.get(unit, ("", 1.0))
+    return {("deg", 1.0): "deg", ("rad", 1.0): "rad", ("mm", 1.0): "mm", ("mm", 1e3): "m"}.get((ours, factor), "")
+
+
+def _time(raw: RawTable) -> Array:
+    """The time of each row [s]. Raises InputError: no column of it."""
+    frame = raw.frame
+    if "time_s" in frame:
+        return _numbers(frame["time_s"])
+    named = [(name, *words_of(name)) for name in raw.header]
+    found = [(name, words, unit) for name, words, unit in named if {*words} & WORDS["time"] or unit == "nanosec"]
+    if not found:
+        raise InputError(
+            f"{raw.path.name}: no column holds the time; name it time_s; there are {', '.join(raw.header)}"
+        )
+    whole = next((each for each in found if UNITS.get(each[2], ("", 1.0))[1] != 1e-9), found[0])
+    values = in_seconds(frame[whole[0]])
+    fine = [name for name, _, unit in found if name != whole[0] and UNITS.get(unit, ("", 1.0))[1] == 1e-9]
+    if fine:
+        return np.asarray((values - values[0]) + 1e-9 * _numbers(frame[fine[0]]))
+    factor = UNITS[whole[2]][1] if UNITS.get(whole[2], ("",))[0] == "s" else stamp_factor(values)
+    return np.asarray((values - (values[0] if values[0] * factor > 1e6 else 0.0)) * factor)
+
+
+def stamp_factor(stamps: Array) -> float:
+    """Seconds of a unit of time stamps: those with which rows come at 2 Hz to 20 kHz."""
+    step = float(np.nanmedian(np.abs(np.diff(stamps)))) if len(stamps) > 1 else 0.0
+    return next((factor for factor in (1.0, 1e-3, 1e-6, 1e-9) if step * factor <= 0.5), 1e-9)

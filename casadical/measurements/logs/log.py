@@ -1,0 +1,222 @@
+"""One immutable, checked object in SI that holds what a controller logged of every joint while the arm moved."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.errors import Fault, FaultsError, InputError
+from casadical.core.reading import LARGEST
+from casadical.core.telling.blocks import Table, Words
+from casadical.core.telling.notebook import Shown, html
+
+# What is logged of each joint, with its unit for revolute and for prismatic joints.
+CHANNELS = {
+    "command": ("rad", "m"),
+    "command_speed": ("rad/s", "m/s"),
+    "position": ("rad", "m"),
+    "speed": ("rad/s", "m/s"),
+    "torque": ("N m", "N"),
+    "current": ("A", "A"),
+    "temperature": ("degC", "degC"),
+}
+SCALARS = ("voltage", "payload")
+
+
+@dataclass(frozen=True, eq=False)
+class JointLog(Shown):
+    """What was logged of an arm in motion, row by row; SI units, NaN where a cell is missing.
+
+    Parameters
+    ----------
+    time : Array, shape (n,) [s]
+        of each row; it grows within a run, and may start anew in the next one
+    joints : tuple[str, ...]
+        names of the joints, in the order of the columns below
+    position : Array, shape (n, joints) [rad or m]
+        as the encoders read
+    command : Array, shape (n, joints) [rad or m], optional
+        commanded position
+    command_speed, speed : Array, shape (n, joints) [rad/s or m/s], optional
+        commanded speed, and the measured one
+    torque : Array, shape (n, joints) [N m or N], optional
+        of the drive, as the controller says
+    current : Array, shape (n, joints) [A], optional
+        of the motor
+    temperature : Array, shape (n, joints) [degC], optional
+    current_unsigned : bool, default False
+        whether the current is an absolute value, or a raw one of unknown sign
+    voltage : Array, shape (n,) [V], optional
+    payload : Array, shape (n,) [kg], optional
+    run : Array, shape (n,), optional
+        number of the run of each row; the rows of a run stand together
+    kinds : tuple[str, ...], default ()
+        of each joint, revolute or prismatic; all revolute where none are given
+    row : Array, shape (n,), optional
+        line of the source of each row, for messages
+    source : str, default "log"
+        file name or description
+    findings : tuple[str, ...], default ()
+        sentences: what was understood, and what is odd
+
+    Raises
+    ------
+    InputError
+        arrays that do not fit each other, a time that does not grow, or nothing to diagnose
+
+    Examples
+    --------
+    >>> from casadical.measurements.logs.log import JointLog
+    >>> t = np.arange(500) / 100
+    >>> q = 0.5 * np.sin(np.column_stack([t, 2 * t]))
+    >>> log = JointLog(t, ("shoulder", "elbow"), q, command=q)
+    >>> len(log), round(log.step, 6), [len(run) for run in log.runs()]
+    (500, 0.01, [500])
+    >>> log[:100].time[-1]
+    0.99
+    """
+
+    time: Array
+    joints: tuple[str, ...]
+    position: Array
+    command: Array | None = None
+    command_speed: Array | None = None
+    speed: Array | None = None
+    torque: Array | None = None
+    current: Array | None = None
+    temperature: Array | None = None
+    current_unsigned: bool = False
+    voltage: Array | None = None
+    payload: Array | None = None
+    run: Array = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    kinds: tuple[str, ...] = ()
+    row: Array = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    source: str = "log"
+    findings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        n = len(self.time)
+        if not len(self.run):
+            object.__setattr__(self, "run", np.ones(n, dtype=np.int64))
+        if not len(self.row):
+            object.__setattr__(self, "row", np.arange(n) + 2)
+        if not self.kinds:
+            object.__setattr__(self, "kinds", ("revolute",) * len(self.joints))
+        for name in ("time", "run", "row", *self.arrays):
+            kept = np.asarray(getattr(self, name)).view()
+            kept.flags.writeable = False
+            object.__setattr__(self, name, kept)
+        _refuse_malformed(self)
+
+    @property
+    def _line(self) -> str:
+        seconds = sum(run.time[-1] - run.time[0] for run in self.runs())
+        kept = ", ".join(name.replace("_", " ") for name in self.arrays)
+        return f" {self.source}: {len(self)} rows, {seconds:.1f} s, {len(self.joints)} joints: {kept}"
+
+    def _repr_html_(self) -> str:
+        """For a notebook: what was found, and ranges of all channels."""
+        rows = []
+        for name, values in self.arrays.items():
+            for k, column in enumerate(values.T if values.ndim == 2 else [values]):
+                unit = self.unit(name, k) if name in CHANNELS else {"voltage": "V", "payload": "kg"}[name]
+                label = f"{name.replace('_', ' ')} {self.joints[k] if values.ndim == 2 else ''} [{unit}]"
+                if np.isfinite(column).any():
+                    rows.append((label, f"{np.nanmin(column):.4g}", f"{np.nanmax(column):.4g}"))
+        table = Table("Ranges", ("channel", "least", "greatest"), rows, frozenset({1, 2}))
+        return html([*(Words(text, "note") for text in self.findings), table], title=repr(self)[1:-1])
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def arrays(self) -> dict[str, Array]:
+        """What was logged, by name: channels of shape (n, joints), voltage and payload of shape (n,)."""
+        return {name: getattr(self, name) for name in (*CHANNELS, *SCALARS) if getattr(self, name) is not None}
+
+    def unit(self, channel: str, joint: int) -> str:
+        """Unit of a channel of the joint with this index, 0-based."""
+        return CHANNELS[channel][self.kinds[joint] == "prismatic"]
+
+    def __getitem__(self, which: Array | slice | Sequence[int]) -> JointLog:
+        """The rows chosen by mask, slice or indices."""
+        given: dict[str, Any] = {name: values[which] for name, values in self.arrays.items()}
+        return replace(self, time=self.time[which], run=self.run[which], row=self.row[which], **given)
+
+    def of_joints(self, which: Sequence[int]) -> JointLog:
+        """The log of some joints, by their indices, 0-based, in this order."""
+        given: dict[str, Any] = {
+            name: values[:, list(which)] for name, values in self.arrays.items() if values.ndim == 2
+        }
+        names, kinds = (tuple(each[k] for k in which) for each in (self.joints, self.kinds))
+        return replace(self, joints=names, kinds=kinds, **given)
+
+    def runs(self) -> Iterator[JointLog]:
+        """The log run by run, without a copy of its numbers."""
+        ends = [0, *(np.flatnonzero(np.diff(self.run)) + 1), len(self)]
+        return (self[start:end] for start, end in pairwise(ends))
+
+    @cached_property
+    def step(self) -> float:
+        """The usual time between two rows [s]."""
+        steps = np.diff(self.time)[np.diff(self.run) == 0]
+        return float(np.median(steps)) if len(steps) else 0.0
+
+
+def _refuse_malformed(log: JointLog) -> None:
+    """Raises InputError for what no arm can have logged; FaultsError where single cells are to blame."""
+    n, joints = len(log.time), len(log.joints)
+    if n < 2 or not joints:
+        raise InputError(f"{log.source}: {n} rows of {joints} joints; at least two rows of one joint are needed")
+    if twice := next((name for name in log.joints if log.joints.count(name) > 1), None):
+        raise InputError(f"{log.source}: joint {twice!r} is there twice; each needs a name of its own")
+    shapes = {"time": (n,), "run": (n,), "row": (n,), "kinds": (joints,)}
+    for name in (*shapes, *log.arrays):
+        wanted = shapes.get(name, (n, joints) if name in CHANNELS else (n,))
+        if np.shape(getattr(log, name)) != wanted:
+            raise InputError(f"{log.source}: {name} has the shape {np.shape(getattr(log, name))}; allowed: {wanted}")
+    if log.command is None and log.torque is None and log.current is None:
+        raise InputError(
+            f"{log.source}: neither commands nor a torque or current, so nothing says what the joints should have "
+            "done; only their motion can be told. Log the commanded positions (command1_rad ...) or the currents "
+            "(current1_A ...) beside q1_rad ..."
+        )
+    faults = [
+        fault for name, values in (("time", log.time), *log.arrays.items()) for fault in _cells(log, name, values)
+    ]
+    if faults:
+        raise FaultsError(faults)
+    ends = np.flatnonzero(np.diff(log.run))
+    starts = log.run[np.concatenate([[0], ends + 1])]
+    if len(set(starts.tolist())) < len(starts):
+        raise InputError(f"{log.source}: rows of one run stand apart; number the runs in their order in column run")
+    stands = np.flatnonzero((np.diff(log.time) <= 0) & (np.diff(log.run) == 0))
+    if len(stands):
+        k = stands[0] + 1
+        raise InputError(
+            f"{log.source}: row {log.row[k]}, column 'time_s': {log.time[k]:.9g} s follows {log.time[k - 1]:.9g} s; "
+            "allowed: times that grow within a run; correct the clock, or number the runs in column run"
+        )
+
+
+def _cells(log: JointLog, name: str, values: Array) -> Iterator[Fault]:
+    """The cells of a channel that cannot be, joint by joint."""
+    for k, column in enumerate(values.T if values.ndim == 2 else [values]):
+        label = f"{name} {log.joints[k]}" if values.ndim == 2 else name
+        wrong, allowed = np.abs(column) > LARGEST, "finite numbers"
+        if name == "time":
+            wrong |= np.isnan(column)
+        elif np.isnan(column).all() and name == "position":
+            yield Fault(log.source, (), label, "", "has no reading", "", "log it, or name a robot without this joint")
+        elif name == "current" and log.current_unsigned:
+            wrong, allowed = wrong | (column < 0), "absolute values; name a signed current current1_A ..."
+        rows = tuple(map(int, log.row[wrong]))
+        if rows:
+            value = f"{column[np.argmax(wrong)]:g}"
+            yield Fault(log.source, rows, label, value, "is not possible", allowed, "correct or empty the cell")

@@ -1,0 +1,190 @@
+"""Logs from files: the contract's tables, and those of other systems, as one `JointLog`."""
+
+import io
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from casadical.core.arm import Arm
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.core.reading import read_bytes, unpacked
+from casadical.measurements.angle_unit import RADIANS
+from casadical.measurements.logs.columns import FACTORS, LENGTHS, Logged, logged
+from casadical.measurements.logs.log import CHANNELS, JointLog
+from casadical.measurements.raw_table import RawTable
+from casadical.measurements.table_parts import read_columns
+
+# Channels in units of angle or length.
+_OF_MOTION = ("position", "command", "speed", "command_speed")
+_HEADINGS = re.compile(r'[^\n"]*[A-Za-z][^\n"]*,[^\n"]*')
+
+
+def read_log(path: str | Path, robot: Arm | None = None) -> JointLog:
+    """A joint log from a file.
+
+    Parameters
+    ----------
+    path : str | Path
+        table (csv, csv.gz, parquet)
+    robot : Arm, optional
+        its joints, by their names or their order, are those of the log; others are left out
+
+    Returns
+    -------
+    JointLog
+        in SI; its findings say what was understood, and what is odd
+
+    Raises
+    ------
+    InputError
+        a file that cannot be used; it names file, row and column where something is wrong, and what to do
+
+    Examples
+    --------
+    >>> from casadical.measurements.logs.reading import read_log
+    >>> t = np.arange(200) / 100
+    >>> rows = pd.DataFrame({"time_s": t, "command1_rad": np.sin(t), "q1_deg": np.degrees(np.sin(t - 0.02))})
+    >>> rows.to_csv("motion.csv", index=False)
+    >>> log = read_log("motion.csv")
+    >>> log.joints, round(float(log.position.max()), 3)
+    (('joint 1',), 1.0)
+    """
+    path = Path(path)
+    names = [joint.name for joint in robot.joints] if robot else []
+    return assembled(logged(_table(path), [name for name in names if name]), robot)
+
+
+def _table(path: Path) -> RawTable:
+    """A table; one of plain numbers under a line of headings is read in a tenth of the time."""
+    if path.suffix.lower() != ".parquet" and path.is_file():
+        data = unpacked(read_bytes(path), str(path))
+        head = data[: data.find(b"\n") + 1]
+        if head.isascii() and _HEADINGS.fullmatch(head.decode().strip()):
+            try:
+                frame = pd.read_csv(io.BytesIO(data), skipinitialspace=True)
+            except (ValueError, pd.errors.ParserError):
+                return read_columns(path)
+            header = tuple(str(name).strip() for name in frame)
+            plain = len({*header}) == head.count(b",") + 1 and isinstance(frame.index, pd.RangeIndex)
+            if plain and len(frame) and all(map(pd.api.types.is_numeric_dtype, frame.dtypes)):
+                return RawTable(path, header, (), frame.set_axis(header, axis=1), np.arange(len(frame)) + 2)
+    return read_columns(path)
+
+
+def assembled(log: Logged, robot: Arm | None) -> JointLog:
+    """The log with its joints in the robot's order, in SI, its runs numbered."""
+    keys, names, notes = _joints(log, robot)
+    kinds = _kinds(log, keys, robot)
+    time, run, kept, odd = _clock(log)
+    arrays: dict[str, Any] = {}
+    for channel in CHANNELS:
+        if columns := log.channels.get(channel):
+            none = np.full(len(log.time), np.nan)
+            arrays[channel] = np.column_stack([columns.get(key, none) for key in keys])[kept]
+            if np.isnan(arrays[channel]).all():
+                del arrays[channel]
+    notes += _into_si(log, keys, arrays, kinds)
+    unsigned = "abs" in {log.units.get(("current", key)) for key in keys}
+    arrays |= {name: log.scalars[name][kept] for name in ("voltage", "payload") if name in log.scalars}
+    return JointLog(
+        time,
+        names,
+        **arrays,
+        current_unsigned=unsigned,
+        run=run,
+        kinds=kinds,
+        row=log.row[kept],
+        source=log.source,
+        findings=(*log.notes, *notes, *odd),
+    )
+
+
+def _joints(log: Logged, robot: Arm | None) -> tuple[list[str], tuple[str, ...], tuple[str, ...]]:
+    """Keys of the columns of each joint, the joints' names, and sentences about those left out."""
+    there = list(log.channels["position"])
+    numbered = all(key.isdecimal() for key in there)
+    if numbered:
+        there.sort(key=int)
+    if robot is None:
+        return there, tuple(f"joint {int(k) + ('0' in there)}" if k.isdecimal() else k for k in there), ()
+    own = [joint.name or f"joint {i}" for i, joint in enumerate(robot.joints, 1)]
+    keys = there[: robot.n] if numbered else _by_name(there, own)
+    if len(keys) < robot.n:
+        raise InputError(
+            f"{log.source}: positions of {len(there)} joints ({', '.join(there)}), the robot {robot.name!r} has "
+            f"{robot.n} ({', '.join(own)}); take the model of this arm, or name the columns as its joints"
+        )
+    left = [key for key in there if key not in keys]
+    said = f"{'columns of joints' if numbered else 'joints'} {', '.join(left)} are not of the robot {robot.name!r}"
+    return keys, tuple(own), (f"{said} and were left out",) if left else ()
+
+
+def _by_name(there: Sequence[str], own: Sequence[str]) -> list[str]:
+    """The log's name of each of the robot's joints; fewer where one is not found."""
+
+    def plain(name: str) -> str:
+        return re.sub(r"[\W_]+|joint", "", name.casefold())
+
+    found = {plain(key): key for key in there}
+    keys = [found[plain(name)] for name in own if plain(name) in found]
+    return keys if len(keys) == len(own) or keys else list(there[: len(own)])
+
+
+def _kinds(log: Logged, keys: Sequence[str], robot: Arm | None) -> tuple[str, ...]:
+    if robot:
+        return tuple(joint.kind for joint in robot.joints)
+    return tuple("prismatic" if log.units["position", key] in LENGTHS else "revolute" for key in keys)
+
+
+def _clock(log: Logged) -> tuple[Array, Array, Array, tuple[str, ...]]:
+    """Time and run of the rows that are kept, their indices, and sentences about the others."""
+    run = log.scalars.get("run")
+    numbers = np.zeros(len(log.time)) if run is None else run
+    if not np.isfinite(numbers).all() or not np.isfinite(log.time).all():
+        bad = int(np.argmin(np.isfinite(numbers) & np.isfinite(log.time)))
+        raise InputError(
+            f"{log.source}: row {log.row[bad]}: time or run is no finite number; correct or delete the row"
+        )
+    changes = np.diff(numbers) != 0
+    back = ~changes & (np.diff(log.time) < 0)
+    stands = np.concatenate([[False], ~changes & (np.diff(log.time) == 0)])
+    starts = np.cumsum(np.concatenate([[False], changes | back]))
+    said = []
+    if back.any():
+        k = int(np.flatnonzero(back)[0]) + 1
+        said.append(
+            f"row {log.row[k]}: time jumps back from {log.time[k - 1]:.6g} to {log.time[k]:.6g} s"
+            f"{f' ({back.sum()} such)' if back.sum() > 1 else ''}: read as a new run from there; nothing that goes "
+            "over the jump (delay, warm-up) is told from it. Log one monotonic clock, or number runs in column run"
+        )
+    if stands.any():
+        k = int(np.flatnonzero(stands)[0])
+        said.append(f"row {log.row[k]}: the time of the row before, as {stands.sum()} rows: left out as repeated")
+    kept = np.flatnonzero(~stands)
+    given = numbers[kept].astype(np.int64) if run is not None and not back.any() else starts[kept] + 1
+    return log.time[kept], given, kept, tuple(said)
+
+
+def _into_si(log: Logged, keys: Sequence[str], arrays: dict[str, Array], kinds: Sequence[str]) -> tuple[str, ...]:
+    """Changes the arrays to SI, column by column; sentences about units that no heading tells."""
+    guessed: dict[str, list[str]] = {}
+    for channel, values in arrays.items():
+        for k, key in enumerate(keys):
+            unit = log.units.get((channel, key), "")
+            if not unit and channel in _OF_MOTION and kinds[k] == "revolute":
+                unit = _angle_unit(log, channel, keys)
+                guessed.setdefault(unit, []).append(f"{channel} {key}")
+            values[:, k] *= FACTORS.get(unit, 1.0)
+    return tuple(f"no heading tells the unit of {', '.join(c)}: by their size read as {u}" for u, c in guessed.items())
+
+
+def _angle_unit(log: Logged, channel: str, keys: Sequence[str]) -> str:
+    """deg where positions are greater than any in radians, else rad; commands and speeds go with them."""
+    base = "command" if channel.startswith("command") and "command" in log.channels else "position"
+    sizes = [np.nanmax(np.abs(log.channels[base][key])) for key in keys if key in log.channels[base]]
+    return "deg" if max(sizes, default=0.0) > RADIANS + 1 else "rad"

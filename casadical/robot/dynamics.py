@@ -1,0 +1,264 @@
+"""Inverse dynamics of a robot and its regressor, tau = Y(q, v, a) pi, by Newton and Euler's recursion.
+
+Y is linear in ten numbers of each link (Atkeson, An and Hollerbach 1986): mass, first moment and inertia about the
+origin of its frame, and in the rotor inertia of each drive. Physical bodies are those whose pseudo-inertia is positive
+definite (Wensing, Kim and Slotine 2018); `Dynamics.at` leads to no others (log-Cholesky, Rucker and Wensing 2022).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import casadi as ca
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.estimated_masses import with_estimated_masses, without_masses
+from casadical.core.mapped_function import MappedFunction
+from casadical.core.parts import Body, Coupling
+from casadical.core.transforms import Symbolic, product
+from casadical.robot.kinematics import own_variables, row_factors
+from casadical.robot.model import Structure, base_frame, gravity_in_base
+from casadical.robot.robot import Robot
+
+# Of each joint, as a model of poses does not have them: readings are given there.
+Couplings = tuple[Coupling | None, ...]
+BODY = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
+# One sigma of the logarithm of a stated inertia, of an estimated one, and of a rotor inertia, stated and estimated.
+INERTIA, GUESSED_INERTIA, ROTOR, GUESSED_ROTOR = 0.3, 1.0, 0.1, 2.0
+# Rotor inertia where none is stated, as a share of the links' at the joint in the middle of its range, and where these
+# are small, of those at the strongest joint.
+ROTOR_SHARE, LEAST_SHARE = 0.3, 0.03
+# Coordinates of a body: logarithm of its mass / 2, centre, logarithms of three lengths, three shears.
+COORDINATES = ("mass", "x", "y", "z", "length_x", "length_y", "length_z", "shear_xy", "shear_xz", "shear_yz")
+
+
+@dataclass(frozen=True, eq=False)
+class Dynamics:
+    """Inverse dynamics of a robot; a robot without masses gets some that are estimated from its reach.
+
+    robot : its geometry counts, effects and compliance do not
+    """
+
+    given: Robot
+
+    @cached_property
+    def robot(self) -> Robot:
+        """The robot without effects, with masses."""
+        bare = self.given.with_only(())
+        return with_estimated_masses(bare) if without_masses(bare) else bare
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Of the parameters pi: m1, mx1 .. Izz1, m2 .. Izzn [kg, kg m, kg m^2], then Ia1 .. Ian [kg m^2 or kg]."""
+        links = tuple(f"{name}{i}" for i in self.robot.numbers for name in BODY)
+        return (*links, *(f"Ia{i}" for i in self.robot.numbers))
+
+    @cached_property
+    def values(self) -> Array:
+        """Parameters pi as the robot file states them, the declared payload with the last link, shape (11 n,) [SI]."""
+        return self.at(np.zeros(len(self.names)))
+
+    @cached_property
+    def payload(self) -> Array:
+        """The ten numbers of the declared payload, by whose columns of the last link it acts, shape (10,) [SI]."""
+        return body_numbers(self.robot.payload) if self.robot.payload else np.zeros(10)
+
+    @cached_property
+    def gravity(self) -> Array:
+        """In the robot's base frame, shape (3,) [m/s^2]."""
+        foot = base_frame(self.robot, dict.fromkeys(self.robot.parameters.names, 0.0), ca.DM(self.robot.base.T))
+        frame = self.robot.gravity_frame
+        known = self.robot.gravity if frame == "logged" else ca.DM(gravity_in_base(self.robot, foot, {})).full()
+        return np.asarray(known).ravel()
+
+    def regressor(self, q: Array, v: Array, a: Array, gravity: Array | None = None) -> Array:
+        """Y, shape (N, n, 11 n), at many states: tau = Y pi. Of many thousand states it is large: take some at a time.
+
+        q, v, a : readings, speeds, accelerations, each (N, n) [rad or m, per s, per s^2]
+        gravity : in the base frame, shape (3,) [m/s^2]; None: as of the robot
+        """
+        (Y,) = self._evaluated("regressor", q, v, a, np.zeros(0), gravity)
+        return Y.T.reshape(len(q), len(self.names), self.robot.n).transpose(0, 2, 1)
+
+    def torque(self, q: Array, v: Array, a: Array, pi: Array | None = None, gravity: Array | None = None) -> Array:
+        """tau, shape (N, n) [N m or N], of pi, shape (11 n,); None: `values`; the rest as of `regressor`."""
+        return self._evaluated("torque", q, v, a, self.values if pi is None else pi, gravity)[0].T
+
+    def _evaluated(self, what: str, q: Array, v: Array, a: Array, pi: Array, gravity: Array | None) -> list[Array]:
+        shared = (pi, self.robot.parameters.values, self.gravity if gravity is None else gravity)
+        return _mapped(self.robot.structure, self._couplings, what)(np.hstack([q, v, a]).T, np.concatenate(shared))
+
+    @property
+    def _couplings(self) -> Couplings:
+        return tuple(joint.coupling for joint in self.robot.joints)
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """inverse_dynamics:(q[n], v[n], a[n], pi[11 n])->(tau[n]) [N m or N]."""
+        point, geometry, gravity, Y = _expressions(self.robot.structure, self._couplings)
+        pi = ca.SX.sym("pi", len(self.names))
+        known = [ca.DM(self.robot.parameters.values), ca.DM(self.gravity)]
+        (tau,) = ca.Function("rows", [point, geometry, gravity, pi], [Y @ pi]).call([point, *known, pi])
+        return ca.Function(
+            "inverse_dynamics", [*ca.vertsplit(point, self.robot.n), pi], [tau], ["q", "v", "a", "pi"], ["tau"]
+        )
+
+    @cached_property
+    def rotors(self) -> Array:
+        """Rotor inertias as the joints feel them, stated or estimated, shape (n,) [kg m^2 or kg]."""
+        drive = self.robot.drive
+        if drive and (stated := drive.inertia_at_joint(self.robot.n)) is not None:
+            return np.asarray(stated)
+        n, links = self.robot.n, self._links(np.zeros(10 * self.robot.n))
+        middle = np.tile(np.mean(self.robot.limits, axis=0), (n, 1))
+        pi = np.concatenate([links, np.zeros(n)])
+        inertia = np.diag(self.torque(middle, np.zeros((n, n)), np.eye(n), pi, np.zeros(3)))
+        return np.asarray(np.maximum(ROTOR_SHARE * inertia, LEAST_SHARE * inertia.max()))
+
+    @cached_property
+    def coordinate_names(self) -> tuple[str, ...]:
+        """Of the coordinates of `at`: what of which link, then rotor1 .. rotorn."""
+        links = tuple(f"{name}{i}" for i in self.robot.numbers for name in COORDINATES)
+        return (*links, *(f"rotor{i}" for i in self.robot.numbers))
+
+    @cached_property
+    def sigma(self) -> Array:
+        """One sigma of each coordinate as the robot file states the bodies, shape (11 n,) [1 or m]."""
+        width, drive = self.robot.body_width, self.robot.drive
+        sigma = []
+        for joint in self.robot.joints:
+            shape = INERTIA if joint.body and joint.body.inertia is not None else GUESSED_INERTIA
+            sigma += [width.share / 2, *[width.centre] * 3, *[shape / 2] * 6]
+        stated = drive is not None and drive.inertia_at_joint(self.robot.n) is not None
+        return np.array([*sigma, *[ROTOR if stated else GUESSED_ROTOR] * self.robot.n])
+
+    def at(self, coordinates: Array) -> Array:
+        """Parameters pi, shape (11 n,), of coordinates, shape (11 n,): zero is the robot file's, all are physical."""
+        n = self.robot.n
+        links = self._links(coordinates[: 10 * n])
+        links[10 * (n - 1) :] += self.payload
+        return np.concatenate([links, self.rotors * np.exp(coordinates[10 * n :])])
+
+    def _links(self, coordinates: Array) -> Array:
+        none = Body(0.0, np.zeros(3))
+        bodies = [joint.body or none for joint in self.robot.joints]
+        return np.concatenate([_moved(b, x) for b, x in zip(bodies, coordinates.reshape(-1, 10), strict=True)])
+
+    @cached_property
+    def tangent(self) -> Array:
+        """Derivatives of pi by the coordinates at zero, shape (11 n, 11 n): columns of coordinates are Y tangent."""
+        step = 1e-6
+        both = ([self.at(sign * step * unit) for unit in np.eye(len(self.names))] for sign in (1, -1))
+        ahead, behind = (np.array(side) for side in both)
+        return np.asarray((ahead - behind).T / (2 * step))
+
+
+def body_numbers(body: Body) -> Array:
+    """The ten numbers of a body, shape (10,) [kg, kg m, kg m^2]; an unknown inertia is taken as none."""
+    inertia = np.zeros((3, 3)) if body.inertia is None else body.inertia
+    about = inertia + body.mass * (body.com @ body.com * np.eye(3) - np.outer(body.com, body.com))
+    return np.array([body.mass, *(body.mass * body.com), *about[np.triu_indices(3)]])
+
+
+def as_body(numbers: Array) -> Body:
+    """The body with these ten numbers, shape (10,); its mass must not be zero."""
+    mass, com = float(numbers[0]), numbers[1:4] / numbers[0]
+    about = np.zeros((3, 3))
+    about[np.triu_indices(3)] = numbers[4:]
+    about = about + np.triu(about, 1).T
+    return Body(mass, com, about - mass * (com @ com * np.eye(3) - np.outer(com, com)))
+
+
+def is_physical(numbers: Array) -> bool:
+    """Whether ten numbers, shape (10,), are those of a body: its pseudo-inertia is positive definite."""
+    xx, xy, xz, yy, yz, zz = numbers[4:]
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    pseudo = np.empty((4, 4))
+    pseudo[:3, :3] = np.trace(inertia) / 2 * np.eye(3) - inertia
+    pseudo[3], pseudo[:, 3] = [*numbers[1:4], 0.0], [*numbers[1:4], numbers[0]]
+    pseudo[3, 3] = numbers[0]
+    return bool(np.linalg.eigvalsh(pseudo)[0] > 0)
+
+
+def _moved(body: Body, coordinates: Array) -> Array:
+    """The ten numbers of a body deformed by ten coordinates: the affine image of its density, and so a body."""
+    half, centre, lengths, shears = coordinates[0], coordinates[1:4], coordinates[4:7], coordinates[7:]
+    stretch = np.diag(np.exp(lengths))
+    stretch[np.triu_indices(3, 1)] = shears
+    moments = body.likely_inertia
+    second = stretch @ (np.trace(moments) / 2 * np.eye(3) - moments) @ stretch.T
+    factor = np.exp(2 * half)
+    return body_numbers(Body(body.mass * factor, body.com + centre, factor * (np.trace(second) * np.eye(3) - second)))
+
+
+@lru_cache(maxsize=16)
+def _mapped(structure: Structure, couplings: Couplings, what: str) -> MappedFunction:
+    """regressor or torque over many states; shared are pi (of torque alone), the geometry's parameters and gravity."""
+    point, geometry, gravity, Y = _expressions(structure, couplings)
+    pi = ca.SX.sym("pi", Y.shape[1] if what == "torque" else 0)
+    output = Y @ pi if what == "torque" else Y
+    return MappedFunction(what, point, ca.vertcat(pi, geometry, gravity), [output])
+
+
+@lru_cache(maxsize=16)
+def _expressions(structure: Structure, couplings: Couplings) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+    """(q, v, a), geometry, gravity and Y, shape (n, 11 n).
+
+    A coupled joint, or one that a four-bar drives, has a variable u(q) of its own: tau = (du/dq)^T tau_u.
+    """
+    arm, n = structure.arm, structure.arm.n
+    point, geometry = ca.SX.sym("state", 3 * n), ca.SX.sym("geometry", len(structure.parameters.names))
+    gravity = ca.SX.sym("gravity", 3)
+    q, v, a = (point[k : k + n] for k in (0, n, 2 * n))
+    values = dict(zip(structure.parameters.names, ca.vertsplit(geometry), strict=True))
+    readings: list[Symbolic] = ca.vertsplit(q)
+    for i, coupling in enumerate(couplings):
+        if coupling:
+            readings[i] = coupling.at + sum(k * readings[j - 1] for j, k in coupling.follows)
+    u: Symbolic = ca.vertcat(*own_variables(arm, readings, values))
+    speed: Symbolic = ca.jtimes(u, q, v)
+    moved: list[Symbolic] = [u, speed, ca.jtimes(u, q, a) + ca.jtimes(speed, q, v)]
+    frames = [product(row_factors(arm, i, u[i - 1], values)) for i in arm.numbers]
+    sliding = [joint.kind == "prismatic" for joint in arm.joints]
+    slopes: Symbolic = ca.jacobian(u, q)
+    links = slopes.T @ _links_regressor(frames, sliding, moved, gravity)
+    return point, geometry, gravity, ca.horzcat(links, ca.diag(a))
+
+
+def _links_regressor(frames: list[Symbolic], sliding: list[bool], moved: list[Symbolic], gravity: Symbolic) -> ca.SX:
+    """Rows of each joint, shape (n, 10 n); frames : of each link in the one before; moved : variables and derivatives.
+
+    Outward go angular speed w, its derivative and the acceleration of each origin, less gravity; inward each link's
+    force and moment, as ten columns.
+    """
+    n, z = len(frames), ca.DM([0, 0, 1])
+    w, dw, acc = ca.SX.zeros(3), ca.SX.zeros(3), -gravity
+    wrenches: list[tuple[Symbolic, Symbolic]] = []
+    for i, T in enumerate(frames):
+        back, p, du, ddu = T[:3, :3].T, T[:3, 3], moved[1][i], moved[2][i]
+        acc = back @ (acc + ca.cross(dw, p) + ca.cross(w, ca.cross(w, p)))
+        w, dw = back @ w, back @ dw
+        if sliding[i]:
+            acc = acc + 2 * ca.cross(w, z * du) + z * ddu
+        else:
+            dw = dw + z * ddu + ca.cross(w, z * du)
+            w = w + z * du
+        W = ca.skew(w)
+        force = ca.horzcat(acc, ca.skew(dw) + W @ W, ca.SX(3, 6))
+        wrenches.append((force, ca.horzcat(ca.SX(3, 1), -ca.skew(acc), _moments(dw) + W @ _moments(w))))
+    rows = ca.SX(n, 10 * n)
+    for i, (force, moment) in enumerate(wrenches):
+        for k in range(i, -1, -1):
+            rows[k, 10 * i : 10 * i + 10] = force[2, :] if sliding[k] else moment[2, :]
+            R, p = frames[k][:3, :3], frames[k][:3, 3]
+            force = R @ force
+            moment = R @ moment + ca.skew(p) @ force
+    return rows
+
+
+def _moments(w: Symbolic) -> Symbolic:
+    """I w by the six numbers of I, shape (3, 6)."""
+    x, y, z = ca.vertsplit(w)
+    return ca.blockcat([[x, y, z, 0, 0, 0], [0, x, 0, y, z, 0], [0, 0, x, 0, y, z]])
