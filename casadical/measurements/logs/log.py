@@ -36,7 +36,7 @@ class JointLog(Shown):
     Parameters
     ----------
     time : Array, shape (n,) [s]
-        of each row; it grows within a run, and may start anew in the next one
+        of each row; it grows within a run, and may begin again in the next one
     joints : tuple[str, ...]
         names of the joints, in the order of the columns below
     position : Array, shape (n, joints) [rad or m]
