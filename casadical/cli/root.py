@@ -14,6 +14,7 @@ from casadical.cli.correct import correct
 from casadical.cli.diagnose import diagnose
 from casadical.cli.export import export_c, export_model
 from casadical.cli.fleet import fleet
+from casadical.cli.measure import measure
 from casadical.cli.new import new
 from casadical.cli.outputs import guarded
 from casadical.cli.plan import plan
@@ -125,7 +126,7 @@ def _root(
     pass
 
 
-for command in (new, check, calibrate, verify, compare, fleet, diagnose, plan, correct):
+for command in (new, measure, check, calibrate, verify, compare, fleet, diagnose, plan, correct):
     app.command(cls=Command)(guarded(command, also=("folder",) if command is new else ()))
 export_app.command("c", cls=Command)(guarded(export_c))
 export_app.command("model", cls=Command)(guarded(export_model))

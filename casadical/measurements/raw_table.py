@@ -53,17 +53,17 @@ class RawTable:
     comments: tuple[str, ...] = ()
 
 
-def read_table(path: str | Path) -> RawTable:
+def read_table(path: str | Path, data: bytes | None = None) -> RawTable:
     """A table with headings: text in any usual encoding, separator and decimal sign, or a workbook (.xlsx).
 
     The file may be gzipped. Comments, titles above the headings, a row of units, repeated headings and blank lines
-    are no rows.
+    are no rows. data : the content, where it was read already
     Raises InputError that names the file, and the row where one is wrong: no such file, neither text nor a workbook,
     a name twice in the header, no rows, or a row with more cells than the header.
     """
     path = Path(path)
     try:
-        data = unpacked(read_bytes(path), str(path))
+        data = unpacked(read_bytes(path) if data is None else data, str(path))
         text, encoding, sheet = _text(path, data)
         separator = "," if sheet else separator_of(text)
         records = records_of(text, separator)

@@ -22,14 +22,14 @@ STAND = frame(from_rpy(np.deg2rad([0.5, -0.3, 30.0])), np.array([0.8, -0.4, 0.2]
 def synthetic_poses(robot: Robot, seed: int = 0) -> str:
     """A CSV table of readings and noisy positions, of a robot that departs a little from its drawing."""
     rng = np.random.default_rng(seed)
-    built = _as_built(robot, rng)
-    q = draw(_one_turn(robot), POSES, Workspace(), rng)
+    built = as_built(robot, rng)
+    q = draw(one_turn(robot), POSES, Workspace(), rng)
     m = expected(built, q, {}, "synthetic")
     assert m.position is not None
     return _table(robot, m, m.position + rng.normal(0.0, NOISE, m.position.shape))
 
 
-def _one_turn(robot: Robot) -> Robot:
+def one_turn(robot: Robot) -> Robot:
     """Joints that turn more than once are driven within half a turn to either side."""
     joints = (
         replace(j, lower=max(j.lower, -np.pi), upper=min(j.upper, np.pi)) if j.upper - j.lower > 2 * np.pi else j
@@ -38,7 +38,8 @@ def _one_turn(robot: Robot) -> Robot:
     return replace(robot, joints=tuple(joints))
 
 
-def _as_built(robot: Robot, rng: np.random.Generator) -> Robot:
+def as_built(robot: Robot, rng: np.random.Generator) -> Robot:
+    """A robot that departs a little from its drawing, somewhere in the measuring frame."""
     values = {}
     for p in robot.parameters:
         if p.group in ("geometry", "loop"):

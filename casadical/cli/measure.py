@@ -1,0 +1,108 @@
+"""The command `casadical measure`."""
+
+from __future__ import annotations
+
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from casadical.cli.options import Json, Quiet, Room
+from casadical.cli.terminal import keep_json, plain
+from casadical.core.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from casadical.project.live.session import LiveSession
+    from casadical.project.live.sources import Source
+
+Folder = Annotated[
+    Path, typer.Argument(metavar="ARM", help="Problem folder, as casadical new makes it; the readings are kept there.")
+]
+Follow = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FILE|DIR|-",
+        help="Where readings come from: a table that the instrument's software appends to, a folder of tables, or - "
+        "for standard input. Any table that casadical new understands.",
+    ),
+]
+Target = Annotated[float | None, typer.Option(min=0, metavar="MM", help="Wanted accuracy; says when it is reached.")]
+Finish = Annotated[
+    bool, typer.Option("--finish", help="Calibrate when the readings end, into the folder `results` in ARM.")
+]
+# How often a source is looked at [s].
+PAUSE = 0.2
+
+
+def measure(
+    folder: Folder,
+    follow: Follow = None,
+    target_mm: Target = None,
+    room: Room = None,
+    finish: Finish = False,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Follow a calibration while it is measured, each reading judged before the next pose is driven.
+
+    Says of each reading whether it is plausible and, if not, which slip it looks like; what is known of the robot by
+    now; the next pose. Readings are kept in ARM (measured.jsonl, measured.csv) as they come: it goes on where it was.
+
+    Example: casadical measure arm --follow tracker.csv
+
+    Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
+    """
+    from casadical.project.live.journal import journal
+    from casadical.project.live.session import LiveSession
+    from casadical.project.live.sources import source_of
+
+    console = plain(quiet)
+    source = source_of(follow, sys.stdin.buffer) if follow else None
+    with journal(folder) as (course, add):
+        session = LiveSession(folder, course, add, target=None if target_mm is None else 1e-3 * target_mm, room=room)
+        if course.readings:
+            console.print(f"goes on after {len(course.readings)} readings that {folder} holds")
+        if source is None:
+            raise InputError("--follow: where do readings come from? Give a table, a folder of tables, or -")
+        with suppress(KeyboardInterrupt):
+            _follow(session, source, console)
+        keep_json(json_file, session.state(), console)
+    if finish:
+        _finish(folder, console)
+    else:
+        console.print(f"next: casadical check {folder}; casadical calibrate {folder} --out results")
+
+
+def _follow(session: LiveSession, source: Source, console: Console) -> None:
+    """Take what comes, until the source ends."""
+    while True:
+        ended = getattr(source, "ended", False)
+        numbers, said = session.feed(source)
+        for text in (*said, *map(session.answer, numbers)):
+            console.print(text)
+        if numbers:
+            if session.doubted():
+                session.check()
+            session.look_ahead()
+            console.print(session.outlook())
+        if ended:
+            return
+        time.sleep(PAUSE)
+
+
+def _finish(folder: Path, console: Console) -> None:
+    """Calibrate, as the command does on the folder, into its folder of results."""
+    from casadical.core.telling.terminal import terminal
+    from casadical.project.calibration import calibrate
+
+    found = calibrate(folder)
+    console.print(terminal(found.brief()))
+    if found.worse:
+        raise InputError(f"nothing was written: {found.worse}")
+    found.write(folder / "results")
+    console.print(f"wrote {folder / 'results'}")

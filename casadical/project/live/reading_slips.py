@@ -1,0 +1,165 @@
+"""Which slip a single reading looks like that the others contradict: what, undone, makes it plausible.
+
+Slips of the whole table are those of `project.check`; here the others of the table say where the robot is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations, permutations
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.identification.accuracy import predicted
+from casadical.measurements.measurements import Measurements
+from casadical.pose_selection.information import by_joints
+from casadical.project.live.estimate import Estimate
+
+# Factors of another unit, and its name.
+UNITS = ((1e3, "m"), (1e-3, "mm"), (25.4, "inches"), (1 / 25.4, "mm under a name of inches"), (10.0, "cm"))
+# Places of a joint that are tried, and steps to the best one.
+PLACES, STEPS = 121, 6
+# A joint is where it was, or at its reading's negative, within so much [rad or m].
+SAME = 4e-3
+# Farther off the flange than this no target is [m].
+FARTHEST = 0.6
+# A target stands apart from the usual one by more than this many sigmas of its place.
+LIKE = 0.25
+MOST = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Slip:
+    """What would make a reading plausible. words : in a sentence; kind : one word; shift : of the target [m]."""
+
+    kind: str
+    words: str
+    surprise: float
+    shift: Array | None = None
+
+
+def slips_of(found: Estimate, m: Measurements, k: int, before: Array | None = None) -> list[Slip]:
+    """What the k-th reading looks like, the most probable first; empty where no slip explains it.
+
+    before : shift of the target that an earlier doubtful reading showed, shape (3,) [m]
+    """
+    assert m.position is not None
+    one = m[[k]]
+    exact = [s for s in (*_of_position(found, m, k), *_of_readings(found, m, k)) if s.surprise <= found.limit]
+    exact = sorted(exact, key=lambda s: s.surprise)[:MOST]
+    if any(s.kind == "unmoved" for s in exact):
+        return [s for s in exact if s.kind == "unmoved"]
+    joints = [] if exact else [s for s in _of_joints(found, one, m, k) if s.surprise <= found.limit]
+    target = _of_target(found, one, before)
+    if before is not None and target and "again" in target[0].words:
+        return [*target, *exact]
+    return [*exact, *sorted(joints, key=lambda s: s.surprise)[:MOST]] or target
+
+
+def _measured(found: Estimate, one: Measurements, q: Array, position: Array) -> Array:
+    """Surprise of positions at readings in place of the given ones, shape (n,)."""
+    some = one[np.zeros(len(q), dtype=int)]
+    return found.misses(replace(some, q=q, position=position), position)[1]
+
+
+def _of_position(found: Estimate, m: Measurements, k: int) -> Iterator[Slip]:
+    """Coordinates swapped, with another sign, or in another unit; those of another reading."""
+    assert m.position is not None
+    y, made = m.position[k], []
+    for order in permutations(range(3)):
+        if order != (0, 1, 2):
+            said = ", ".join(f"{'xyz'[i]} holds {'xyz'[order.index(i)]}" for i in range(3) if order[i] != i)
+            made.append(("axes", f"its axes are swapped: {said}", y[list(order)]))
+    for axes in ((0,), (1,), (2,), (0, 1), (0, 2), (1, 2), (0, 1, 2)):
+        turned = y * np.where(np.isin(range(3), axes), -1, 1)
+        made.append(("sign", f"the sign of {' and '.join('xyz'[i] for i in axes)} is wrong", turned))
+    made += [("unit", f"its position is in {name}", y * factor) for factor, name in UNITS]
+    q = np.repeat(m.q[[k]], len(made), axis=0)
+    values = _measured(found, m[[k]], q, np.array([position for *_, position in made]))
+    yield from (Slip(kind, words, float(v)) for (kind, words, _), v in zip(made, values, strict=True))
+
+
+def _of_readings(found: Estimate, m: Measurements, k: int) -> Iterator[Slip]:
+    """The robot that did not move, readings in radians, two joints swapped."""
+    assert m.position is not None
+    q, y, made = m.q[k], m.position[k], []
+    if k and np.abs(m.q[k] - m.q[k - 1]).max() > SAME:
+        made.append(
+            ("unmoved", "neither robot nor target moved: the position is that of the reading before", m.q[k - 1])
+        )
+    revolute = np.array([j.kind == "revolute" for j in found.robot.joints])
+    made.append(("unit", "its joints are radians, read as degrees", np.where(revolute, np.rad2deg(q), q)))
+    made.append(("unit", "its joints are degrees, read as radians", np.where(revolute, np.deg2rad(q), q)))
+    for i, j in combinations(range(len(q)), 2):
+        swapped = q.copy()
+        swapped[[i, j]] = q[[j, i]]
+        made.append(("joints", f"joints {i + 1} and {j + 1} are swapped", swapped))
+    values = _measured(found, m[[k]], np.array([each for *_, each in made]), np.tile(y, (len(made), 1)))
+    yield from (Slip(kind, words, float(v)) for (kind, words, _), v in zip(made, values, strict=True))
+
+
+def _of_joints(found: Estimate, one: Measurements, m: Measurements, k: int) -> Iterator[Slip]:
+    """One joint that stood elsewhere than its reading says: where it fits best, over its range."""
+    lower, upper = found.robot.limits
+    n = found.robot.n
+    q = np.repeat(np.repeat(one.q, PLACES, axis=0)[None], n, axis=0)
+    for i in range(n):
+        q[i, :, i] = np.linspace(max(lower[i], -2 * np.pi), min(upper[i], 2 * np.pi), PLACES)
+    assert one.position is not None
+    y = one.position[0]
+    p, _ = predicted(found.robot, _at(one, q.reshape(-1, n)))
+    best = np.linalg.norm(p - y, axis=1).reshape(n, PLACES).argmin(axis=1)
+    at = q[np.arange(n), best]
+    for _ in range(STEPS):
+        some = _at(one, at)
+        d = y - predicted(found.robot, some)[0]
+        J = by_joints(found.robot, some)[np.arange(n), :, np.arange(n)]
+        square = np.maximum((J**2).sum(axis=1), 1e-12)
+        at[np.arange(n), np.arange(n)] += np.clip((J * d).sum(axis=1) / square, -0.1, 0.1)
+    values = _measured(found, one, at, np.tile(y, (n, 1)))
+    for i in range(n):
+        turning, read = found.robot.joints[i].kind == "revolute", one.q[0, i]
+        stood = read + (_turned(at[i, i] - read) if turning else at[i, i] - read)
+        if lower[i] - 0.02 <= stood <= upper[i] + 0.02 and abs(stood - read) > SAME / 4:
+            kind, words = _joint_words(turning, i, stood, read, m.q[k - 1, i] if k else None)
+            yield Slip(kind, words, float(values[i]))
+
+
+def _turned(angle: float) -> float:
+    """An angle from -180 to 180 deg [rad]."""
+    return float(np.arctan2(np.sin(angle), np.cos(angle)))
+
+
+def _joint_words(turning: bool, i: int, stood: float, read: float, before: float | None) -> tuple[str, str]:
+    unit, factor = ("deg", 180 / np.pi) if turning else ("mm", 1e3)
+    where = f"joint {i + 1} stood at {stood * factor:.2f}, not {read * factor:.2f} {unit}"
+    if abs(_turned(stood + read) if turning else stood + read) < SAME:
+        return "joint sign", f"{where}: its sign is wrong"
+    if before is not None and abs(stood - before) < SAME:
+        return "joint", f"{where}: it did not arrive, it is where the reading before left it"
+    if before is not None and read != before and 0 < (share := (stood - before) / (read - before)) < 1:
+        return "joint", f"{where}: it did not arrive ({100 * share:.0f} % of its way)"
+    return "joint", f"{where}: it did not arrive, or its number is wrong"
+
+
+def _of_target(found: Estimate, one: Measurements, before: Array | None) -> list[Slip]:
+    """Another point on the flange: its shift from the usual one, in the flange's frame."""
+    assert one.position is not None
+    p, R = predicted(found.robot, one)
+    turn = R[0] @ found.robot.tool.T[:3, :3].T
+    shift = turn.T @ (one.position[0] - p[0])
+    length = float(np.linalg.norm(shift))
+    if length > FARTHEST:
+        return []
+    alike = before is not None and np.linalg.norm(shift - before) < max(LIKE * length, 4 * found.sigma)
+    words = f"another target, {1e3 * length:.4g} mm from the usual one"
+    words += ", as the doubtful reading before it again" if alike else " (or the target is not seated, or moved)"
+    return [Slip("target", words, 0.0, shift)]
+
+
+def _at(one: Measurements, q: Array) -> Measurements:
+    """The conditions of one reading at other readings q, shape (n, joints)."""
+    some = one[np.zeros(len(q), dtype=int)]
+    return replace(some, q=q)

@@ -1,0 +1,452 @@
+"""A calibration while it is measured: the readings of a problem folder, what they tell by now, what is next.
+
+The journal is the truth; `measured.csv` and the [[measurements]] of problem.toml are made of it after each reading, so
+that the folder can be calibrated at any time, and again after the process was killed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from threading import RLock
+from typing import Any
+
+import numpy as np
+import tomlkit
+
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError, shown
+from casadical.core.files import csv_text, write_whole
+from casadical.core.reading import read_text
+from casadical.identification.plausibility import check_against
+from casadical.identification.prepared import all_compliant, undeclared
+from casadical.measurements.clock import clock_faults
+from casadical.measurements.column_map import Source as ColumnSource
+from casadical.measurements.measurements import Measurements
+from casadical.measurements.raw_table import read_table
+from casadical.pose_selection.candidates import expected
+from casadical.pose_selection.workspace import Workspace
+from casadical.pose_selection.workspace_file import read_workspace
+from casadical.project.check.check import precheck
+from casadical.project.live.ahead import Ahead, look_ahead, task_readings
+from casadical.project.live.estimate import FEWEST, Estimate, counted
+from casadical.project.live.journal import Add, Course, Reading
+from casadical.project.live.reading_slips import slips_of
+from casadical.project.live.sources import Row, Source
+from casadical.project.problem import read_campaign, read_problem_robot
+from casadical.project.problem_file import DataTable, problem_file
+from casadical.project.robot_columns import understood
+
+TABLE = "measured.csv"
+# Share of the reach that the model may leave before the whole table is doubted, and readings at which it is checked.
+GROSS, CHECKED = 0.003, (6, 10, 15, 25, 40, 60, 100, 200)
+# A share of readings of which 95 % lie below is stated from so many on.
+FOR_QUANTILE = 20
+
+
+class LiveSession:
+    """Readings of one problem folder, as they come. Its methods may be called from several threads.
+
+    folder : with problem.toml, whose tables are replaced; course, add : of its journal (see `journal`)
+    target : accuracy that is wanted [m]; room : file of a workspace; data : "real" or "synthetic", as problem.toml says
+    move : the line of a program that goes to joints [rad or m]; None: no program
+
+    Raises InputError: its tables are other measurements, which would be lost.
+    """
+
+    def __init__(
+        self, folder: Path, course: Course, add: Add, *, target: float | None = None, room: Path | None = None,
+        data: str = "real", move: Callable[[Array], str] | None = None,
+    ) -> None:  # fmt: skip
+        self.folder, self.course, self._add, self.target, self._data, self._move = (
+            folder,
+            course,
+            add,
+            target,
+            data,
+            move,
+        )
+        _refuse_measured(folder)
+        self.robot = read_problem_robot(folder)
+        self.room: Workspace | None = read_workspace(room, self.robot) if room else None
+        self.lock = RLock()
+        self.estimate: Estimate | None = None
+        self.ahead: Ahead | None = None
+        self.said: list[str] = []
+        self.checked: tuple[int, list[str]] = (0, [])
+        self.m: Measurements | None = None
+        self.unread = ""
+        self._task = task_readings(self.robot)
+        self._odd: dict[int, str] = {}  # rows that cannot be read, and why
+        self._doubtful: dict[int, bool] = {}
+        self._words: dict[int, str] = {}
+        self._off: dict[int, float] = {}
+        self._shift: tuple[int, Array] | None = None
+        self._wish: Array | None = None
+        self._seen = {r.cells for r in course.readings}
+        if course.readings:
+            self._judge(*(r.number for r in course.readings))
+
+    # What comes ------------------------------------------------------------------------------------------------------
+
+    def take(self, row: Row, *, judge: bool = True) -> int | None:
+        """Keep a row of a table: its number; None where it is there already. judge : say at once what it tells.
+
+        Raises InputError: its headings are others than those of the rows before.
+        """
+        with self.lock:
+            cells = row.cells
+            if not self.course.header:
+                self._add("begin", header=row.header, units=row.units, data=self._data)
+            elif row.header != self.course.header:
+                if sorted(row.header) != sorted(self.course.header):
+                    raise InputError(
+                        f"{row.source}: has the columns {', '.join(row.header)}; the readings before have "
+                        f"{', '.join(self.course.header)}: give a folder of its own to each"
+                    )
+                at = dict(zip(row.header, row.cells, strict=True))
+                cells = tuple(at[name] for name in self.course.header)
+            if cells in self._seen:
+                return None
+            self._seen.add(cells)
+            self._add("read", cells=cells, **{"from": row.source})
+            number = len(self.course.readings)
+            self._doubtful[number] = True  # until it is found plausible
+            if judge:
+                self._judge(number)
+            return number
+
+    def feed(self, source: Source) -> tuple[list[int], list[str]]:
+        """Take what is new in a source: numbers of the readings, and sentences about what cannot be taken."""
+        news = source.news()
+        found, said, before = list[int](), list(news.said), set[tuple[str, ...]]()
+        for row in news.rows:
+            if row.cells in before:
+                said.append(f"{row.source}: is a copy of an earlier row, and counts once")
+            before.add(row.cells)
+            try:
+                number = None if row.cells in self._seen else self.take(row, judge=False)
+            except InputError as error:
+                said.append(str(error))
+                continue
+            found += [number] if number else []
+        if found:
+            self._judge(*found)
+        with self.lock:
+            said = [text for text in dict.fromkeys(said) if text not in self.said]
+            self.said += said
+        return found, said
+
+    def type_in(self, values: dict[str, float]) -> int | None:
+        """Keep a reading that was typed: values by `fields`. Raises InputError: one is missing or no finite number."""
+        names = self.fields
+        lost = [name for name in names if not np.isfinite(values.get(name, np.nan))]
+        if lost:
+            raise InputError(f"{', '.join(lost)}: give a number for each of {', '.join(names)}")
+        row = {name: f"{values[name]:.12g}" for name in names}
+        header = tuple(names)
+        with self.lock:
+            if self.course.header and sorted(header) != sorted(self.course.header):
+                header, row = self.course.header, self._as_file(values)
+        return self.take(Row(header, (), tuple(row[name] for name in header), "typed"))
+
+    @property
+    def fields(self) -> list[str]:
+        """Names of what is typed for a reading: joints, then the position."""
+        return [*self.robot.reading_units, "x_mm", "y_mm", "z_mm"]
+
+    def strike(self, number: int, why: str) -> None:
+        """Strike a reading out; it stays in the table, beside the reason. Raises InputError."""
+        with self.lock:
+            self._known(number)
+            if not why.strip():
+                raise InputError("give the reason why the reading is struck out; it is kept with it")
+            self._add("strike", id=number, why=" ".join(why.split()))
+            self._judge()
+
+    def restore(self, number: int) -> None:
+        """Let a reading count again. Raises InputError."""
+        with self.lock:
+            self._known(number)
+            self._add("restore", id=number)
+            self._judge()
+
+    def repeat(self, number: int) -> None:
+        """Make the pose of a reading the next one. Raises InputError."""
+        with self.lock:
+            self._known(number)
+            q = self._readings().get(number)
+            if q is None:
+                raise InputError(f"reading {number}: its joints cannot be read; type the pose")
+            self._wish = q
+
+    def _known(self, number: int) -> Reading:
+        try:
+            return self.course.reading(number)
+        except ValueError:
+            raise InputError(f"there is no reading {number}; the last is {len(self.course.readings)}") from None
+
+    def _readings(self) -> dict[int, Array]:
+        """Joints by number, as far as they are read."""
+        return {} if self.m is None else {self._number(row): q for row, q in zip(self.m.row, self.m.q, strict=True)}
+
+    def _number(self, row: int) -> int:
+        return int(row) - 1 - bool(self.course.units)
+
+    def _as_file(self, values: dict[str, float]) -> dict[str, str]:
+        """Typed values as the file's columns are, other columns empty. Raises InputError where that is not clear."""
+        data = self._table_said()
+        raw = read_table(self.folder / TABLE)
+        sources = {**understood(raw, self.robot, data.sources, data.kind).sources, **data.sources}
+        row = dict.fromkeys(self.course.header, "")
+        for name, value in values.items():
+            stem, _, unit = name.rpartition("_")
+            other = {"deg": ("rad", np.pi / 180), "mm": ("m", 1e-3)}[unit]
+            for ours, factor in ((name, 1.0), (f"{stem}_{other[0]}", other[1])):
+                source = sources.get(ours, ColumnSource(ours))
+                if source.name in row and not (source.add or source.rows):
+                    row[source.name] = f"{(value * factor - source.plus) / source.times:.12g}"
+                    break
+            else:
+                raise InputError(f"{name}: no column of the file is this alone; append the reading to the file")
+        return row
+
+    # What it tells ---------------------------------------------------------------------------------------------------
+
+    def _judge(self, *new: int) -> None:
+        """The table, as it now is, read and judged; new : numbers of the readings that have just come."""
+        with self.lock:
+            m: Measurements | None = None
+            try:
+                m = self._table()
+            except InputError:
+                m = self._without_odd(new)
+            if m is not None:
+                self.unread, self.m = "", replace(m, kind="position", orientation=None)
+                self._judge_readings(self.m, new[0] if len(new) == 1 else 0)
+
+    def _table(self) -> Measurements:
+        """All readings that are not left out. Raises InputError."""
+        self._write()
+        m = read_campaign(self.folder, self.folder / TABLE, self.robot, later=True, words=True)
+        if m.position is None:
+            raise InputError(f"{TABLE}: is of kind {m.kind}; measure follows positions and poses")
+        return m
+
+    def _without_odd(self, new: Sequence[int]) -> Measurements | None:
+        """The table without those of the new rows that make it none; None where they are not the reason."""
+        found: Measurements | None = None
+        self._odd |= dict.fromkeys(new, "")
+        for n in (0, *new):  # all of them left out, then one after the other taken in
+            self._odd.pop(n, None)
+            try:
+                found = self._table()
+            except InputError as error:
+                text = str(error).replace(f"{self.folder}/", "")
+                if n == 0:
+                    self._odd = {k: why for k, why in self._odd.items() if k not in new}
+                    self.unread = text
+                    return None
+                self._odd[n] = text.splitlines()[0]
+        self._write()
+        return found
+
+    def _judge_readings(self, m: Measurements, new: int) -> None:
+        numbers = [self._number(row) for row in m.row]
+        robot = self.robot if not undeclared(self.robot) else all_compliant(self.robot, [m])[0]
+        known = np.array([self._doubtful.get(n, True) for n in numbers])
+        outside = self._out_of_range(m)
+        inside = np.flatnonzero(~outside)
+        found, out, off = counted(robot, m[inside], known[inside])
+        self.estimate = found
+        was = {n for n, d in self._doubtful.items() if d and n != new}
+        self._doubtful = dict.fromkeys(numbers, False)
+        self._off = {}
+        for i, k in enumerate(inside):
+            n = numbers[k]
+            self._doubtful[n], self._off[n] = bool(out[i]), float(np.linalg.norm(off[i]))
+            if not out[i]:
+                self._words.pop(n, None)
+            elif found is not None and (n == new or n not in was or n not in self._words):
+                self._words[n] = self._slip_words(found, m[inside], i, n)
+        for k in np.flatnonzero(outside):
+            self._doubtful[numbers[k]], self._words[numbers[k]] = True, self._range_words(m[[int(k)]])
+
+    def _out_of_range(self, m: Measurements) -> Array:
+        lower, upper = self.robot.limits
+        return np.asarray(((m.q < lower - 0.002) | (m.q > upper + 0.002)).any(axis=1))
+
+    def _range_words(self, one: Measurements) -> str:
+        try:
+            check_against(self.robot, one)
+        except InputError as error:
+            return f"{str(error).splitlines()[0]}; another robot's pose, or another unit?"
+        return "outside of the joints' ranges"
+
+    def _slip_words(self, found: Estimate, m: Measurements, k: int, number: int) -> str:
+        """Which slip a doubtful reading looks like, in a sentence."""
+        before = self._shift[1] if self._shift and self._shift[0] != number else None
+        slips = slips_of(found, m, k, before)
+        if slips and slips[0].shift is not None:
+            self._shift = (number, slips[0].shift)
+        if not slips:
+            return (
+                "no single slip explains it: is the target seated, the beam free, the robot at rest? Measure it again"
+            )
+        return "; or ".join(s.words for s in slips)
+
+    def look_ahead(self) -> None:
+        """Plan the next poses with what is known by now; takes some tenths of a second."""
+        with self.lock:
+            found, wish, near = self.estimate, self._wish, self._last()
+        robot = found.robot if found else self.robot
+        ahead = look_ahead(robot, found, self.room, self.target, near)
+        with self.lock:
+            self.ahead = ahead if wish is None else replace(ahead, q=np.vstack([wish, ahead.q]))
+            self._wish = None
+
+    def _last(self) -> Array | None:
+        return None if self.m is None or not len(self.m) else self.m.q[-1]
+
+    def doubted(self) -> bool:
+        """Whether the whole table is to be checked for slips now (see `check`)."""
+        n = len(self.course.readings)
+        gross = self.estimate is not None and self.estimate.sigma > GROSS * self.robot.reach
+        many = sum(self._doubtful.values()) > max(2, n / 3)
+        return n >= CHECKED[0] and n > self.checked[0] and (n in CHECKED or ((gross or many) and n % 3 == 0))
+
+    def check(self) -> None:
+        """The check of `casadical check` for the whole table; takes seconds where it searches slips."""
+        n = len(self.course.readings)
+        found = precheck(self.folder)
+        texts = [f"{f.topic}: {f.text}" for f in found.findings if f.level == "error" and f.topic != "too few poses"]
+        with self.lock:
+            self.checked = (n, [text.replace(f"{self.folder}/", "") for text in texts])
+
+    # What is told and kept -------------------------------------------------------------------------------------------
+
+    def _table_said(self) -> DataTable:
+        """How problem.toml says that the table is to be understood."""
+        tables = problem_file(self.folder).measurements
+        return next((t for t in tables if t.file == TABLE), DataTable(file=TABLE))
+
+    def _write(self) -> None:
+        """The table, and problem.toml where it does not name it as it is."""
+        course = self.course
+        rows: list[Sequence[str]] = [course.header, *([course.units] if course.units else [])]
+        write_whole(self.folder / TABLE, csv_text([*rows, *(r.cells for r in course.readings)]))
+        left = self._odd | {r.number: r.struck for r in course.readings if r.struck}
+        struck = {n + 1 + bool(course.units): why for n, why in left.items()}
+        path = self.folder / "problem.toml"
+        text = read_text(path)
+        document = tomlkit.parse(text)
+        tables = [t for t in document.get("measurements", []) if t.get("file") == TABLE]
+        if not tables:
+            document["data"] = course.data
+            document["title"] = f"{self.robot.name}, {'measured' if course.data == 'real' else 'SYNTHETIC poses'}"
+            document["measurements"] = tomlkit.aot()
+            document["measurements"].append(table := tomlkit.table())
+            table["file"] = TABLE
+            tables = [table]
+        if sorted(struck) != sorted(tables[0].get("leave_out", [])):
+            listed = tomlkit.array()
+            listed.extend(sorted(struck))
+            tables[0]["leave_out"] = listed
+            if struck:
+                why = "; ".join(f"{row}: {shown(reason)}" for row, reason in sorted(struck.items()))
+                tables[0]["leave_out"].comment(why)
+        if (made := tomlkit.dumps(document)) != text:
+            write_whole(path, made)
+
+    def state(self) -> dict[str, Any]:
+        """All that a page shows, as plain data; angles [deg], lengths [mm]."""
+        with self.lock:
+            readings = [self._reading_json(r) for r in self.course.readings]
+            clock = list(clock_faults(self.m)) if self.m is not None else []
+            found, ahead = self.estimate, self.ahead
+            return {
+                "robot": self.robot.name, "folder": self.folder.resolve().name,
+                "data": self.course.data if readings else self._data, "fields": self.fields, "readings": readings,
+                "said": [*([self.unread] if self.unread else []), *self.said[-5:], *self.checked[1], *clock],
+                "known": None if found is None else self._known_json(found),
+                "next": None if ahead is None else self._next_json(ahead),
+            }  # fmt: skip
+
+    def _reading_json(self, r: Reading) -> dict[str, Any]:
+        at = self._readings().get(r.number)
+        where = None
+        if self.m is not None and self.m.position is not None and r.number in (ids := [*map(self._number, self.m.row)]):
+            where = (1e3 * self.m.position[ids.index(r.number)]).round(3).tolist()
+        state = "struck" if r.struck else "doubtful" if self._doubtful.get(r.number) else "good"
+        if at is None and not r.struck:
+            state = "unread"
+        lost = "a cell is empty or no number" if state == "unread" else ""
+        return {
+            "number": r.number, "at": r.at, "from": r.source, "state": state,
+            "why": r.struck or self._odd.get(r.number) or self._words.get(r.number, lost),
+            "off_mm": round(1e3 * self._off[r.number], 4) if r.number in self._off else None,
+            "joints": None if at is None else self._joints(at), "position_mm": where,
+        }  # fmt: skip
+
+    def _joints(self, q: Array) -> list[float]:
+        return [round(float(v), 4) for v in q / list(self.robot.reading_units.values())]
+
+    def _known_json(self, found: Estimate) -> dict[str, Any]:
+        left, task = 1e3 * np.linalg.norm(found.left_out, axis=1), expected(found.robot, self._task, {}, "task")
+        enough = len(left) >= FOR_QUANTILE
+        return {
+            "readings": len(found), "noise_mm": 1e3 * found.sigma, "expected_mm": 1e3 * found.expected(task),
+            "left_out_mean_mm": float(left.mean()),
+            "promise_mm": float(np.quantile(left, 0.95, method="higher")) if enough else None,
+        }  # fmt: skip
+
+    def _next_json(self, ahead: Ahead) -> dict[str, Any]:
+        last = self._last()
+        return {
+            "poses": [self._joints(q) for q in ahead.q], "program": self._move(ahead.q[0]) if self._move else "",
+            "to_go": ahead.to_go, "words": ahead.words, "arm": ahead.arm(ahead.q[0]),
+            "arm_now": None if last is None else ahead.arm(last),
+        }  # fmt: skip
+
+    def answer(self, number: int) -> str:
+        """What a reading told, in a line or two."""
+        with self.lock:
+            text = f"{number}: {_verdict(self._reading_json(self.course.reading(number)))}"
+            if self.unread:
+                return f"{text}\n   {self.unread}"
+            if self.estimate is None:
+                return f"{text}; judged from reading {FEWEST + 1} on"
+            mean = 1e3 * float(np.linalg.norm(self.estimate.left_out, axis=1).mean())
+            return f"{text}; {mean:.3f} mm mean of readings left out one by one"
+
+    def outlook(self) -> str:
+        """What is wrong with the whole table, and the next pose, in some lines."""
+        with self.lock:
+            lines = [f"   {text}" for text in self.checked[1]]
+            if self.ahead is not None:
+                told = self._next_json(self.ahead)
+                pairs = zip(self.robot.reading_units, told["poses"][0], strict=True)
+                lines.append(f"   {self.ahead.words}")
+                lines.append("   next: " + "  ".join(f"{name} {value:.3f}" for name, value in pairs))
+                lines += [f"   {told['program']}"] if told["program"] else []
+            return "\n".join(lines)
+
+
+def _verdict(told: dict[str, Any]) -> str:
+    off = "" if told["off_mm"] is None else f" ({told['off_mm']:.3f} mm off what the others predict)"
+    return {"good": f"plausible{off}", "doubtful": f"DOUBTFUL{off}: {told['why']}"}.get(
+        told["state"], f"{told['state']}: {told['why']}"
+    )
+
+
+def _refuse_measured(folder: Path) -> None:
+    """Raises InputError where a folder's tables are measurements of before."""
+    file = problem_file(folder)
+    others = [t.file for t in file.measurements if t.file != TABLE]
+    if others and file.data != "synthetic":
+        raise InputError(
+            f"{shown(folder / 'problem.toml')}: names measured poses ({', '.join(others)}), and measure would begin "
+            "again in their place: give a folder of its own, as casadical new DIR makes it, or, if they are made up, "
+            'write data = "synthetic"'
+        )

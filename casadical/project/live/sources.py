@@ -1,0 +1,173 @@
+"""Where readings come from: a file that grows, a folder of files, standard input. Each is read again as it changes.
+
+Any table is taken that `casadical new` understands. A line counts once its line end is written.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from threading import Lock, Thread
+from typing import BinaryIO
+
+from casadical.core.errors import InputError, shown
+from casadical.core.reading import read_bytes
+from casadical.measurements.raw_table import RawTable, read_table
+
+# Files of a folder that may be tables.
+SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".asc", ".xlsx", ".parquet")
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row as it came. cells : as text; source : file and line, in words."""
+
+    header: tuple[str, ...]
+    units: tuple[str, ...]
+    cells: tuple[str, ...]
+    source: str
+
+
+@dataclass
+class News:
+    """What is new: rows, and sentences about what cannot be taken."""
+
+    rows: list[Row] = field(default_factory=list)
+    said: list[str] = field(default_factory=list)
+
+
+class FileSource:
+    """A file that another program writes, whole or line by line."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self._seen, self._size = path, (0, 0), 0
+
+    @property
+    def words(self) -> str:
+        return shown(self.path)
+
+    def news(self) -> News:
+        """All rows of the file where it changed, those of before included."""
+        try:
+            about = self.path.stat()
+        except OSError:
+            gone = self._size > 0
+            self._size = 0
+            return News(said=[f"{self.words}: is gone; the readings stay, and it is waited for"] if gone else [])
+        if (about.st_mtime_ns, about.st_size) == self._seen:
+            return News()
+        shorter = about.st_size < self._size
+        self._seen, self._size = (about.st_mtime_ns, about.st_size), about.st_size
+        try:
+            found = rows_of(self.path, read_bytes(self.path))
+        except InputError as error:
+            return News(said=[str(error)])
+        if shorter:
+            found.said.append(f"{self.words}: became shorter; the readings of before stay")
+        return found
+
+
+class FolderSource:
+    """A folder into which another program puts files, each with one row or more."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self._files = path, dict[Path, FileSource]()
+        self.words = shown(path)
+
+    def news(self) -> News:
+        """All rows of the files that changed, in the order of their names."""
+        found = News()
+        for path in sorted(p for p in self.path.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file()):
+            one = self._files.setdefault(path, FileSource(path)).news()
+            found.rows += one.rows
+            found.said += one.said
+        return found
+
+
+class StreamSource:
+    """Lines of a pipe, read by a thread of their own. ended : whether the writer closed it."""
+
+    def __init__(self, stream: BinaryIO, name: str = "standard input") -> None:
+        self.words, self.ended = name, False
+        self._stream, self._data, self._read, self._lock = stream, b"", -1, Lock()
+        Thread(target=self._follow, daemon=True).start()
+
+    def _follow(self) -> None:
+        while some := os.read(self._stream.fileno(), 65536):
+            with self._lock:
+                self._data += some
+        with self._lock:
+            self._data += b"" if self._data.endswith(b"\n") or not self._data else b"\n"
+            self.ended = True
+
+    def news(self) -> News:
+        """All rows until now where something came."""
+        with self._lock:
+            data = self._data
+        if len(data) == self._read or not data:
+            return News()
+        self._read = len(data)
+        try:
+            return rows_of(Path(self.words), data)
+        except InputError as error:
+            return News(said=[str(error)])
+
+
+Source = FileSource | FolderSource | StreamSource
+
+
+def source_of(path: str, stdin: BinaryIO) -> Source:
+    """The source of this name; - is standard input. Raises InputError where its folder is not there."""
+    if path == "-":
+        return StreamSource(stdin)
+    place = Path(path)
+    if place.is_dir():
+        return FolderSource(place)
+    if not place.parent.is_dir():
+        raise InputError(f"{shown(place)}: its folder is not there; name a file, which need not be there yet, or -")
+    return FileSource(place)
+
+
+def rows_of(path: Path, data: bytes) -> News:
+    """Rows of a table whose last line may be half written, which is left for later. Raises InputError."""
+    text = not data.startswith(b"PK\x03\x04") and path.suffix.lower() not in (".xlsx", ".parquet")
+    whole = data[: data.rfind(b"\n") + 1] if text else data
+    said: list[str] = []
+    if whole.count(b"\n") < 2 and text:  # headings alone
+        return News()
+    try:
+        raw = read_table(path, whole)
+    except InputError:
+        if not text:
+            raise
+        whole, said = _without_odd_lines(path, whole)
+        raw = read_table(path, whole)
+    return News(list(_rows(raw)), said)
+
+
+def _rows(raw: RawTable) -> Iterator[Row]:
+    for line, cells in zip(raw.line, raw.cells, strict=True):
+        wide = tuple(cells) + ("",) * (len(raw.header) - len(cells))
+        yield Row(raw.header, raw.form.units, wide, f"{raw.path.name}, line {line}")
+
+
+def _without_odd_lines(path: Path, data: bytes) -> tuple[bytes, list[str]]:
+    """A table without the lines that make it none, as two writers of one file leave them; blank in their place.
+
+    Raises InputError where its beginning is none.
+    """
+    lines = data.splitlines(keepends=True)
+    good, said = 2, []
+    read_table(path, b"".join(lines[:good]))
+    kept = lines[:good]
+    for number, line in enumerate(lines[good:], good + 1):
+        try:
+            read_table(path, b"".join([*lines[:good], line]))
+            kept.append(line)
+        except InputError as error:
+            kept.append(b"\n")
+            why = str(error).removeprefix(f"{path}: ")
+            said.append(f"{shown(path)}, line {number}: is left aside ({why}); correct it there, or type the reading")
+    return b"".join(kept), said

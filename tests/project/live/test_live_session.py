@@ -1,0 +1,207 @@
+"""Readings as they come: judged before the next, kept whatever happens, calibrated as if the table had come whole."""
+
+import json
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import casadical
+from casadical.core.errors import InputError
+from casadical.core.files import csv_text
+from casadical.project.live import LiveSession
+from casadical.project.live.journal import journal
+from casadical.project.live.sources import FileSource, FolderSource, Row
+
+ROOT = Path(__file__).parents[3]
+SERIES = ROOT / "data/ur10_laser_tracker/series_C_random_poses.csv"
+JOINTS = [f"q{i}_rad" for i in range(1, 7)]
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> Path:
+    """A problem folder of the UR10 without measurements."""
+    folder = tmp_path / "arm"
+    folder.mkdir()
+    shutil.copy(ROOT / "problems/ur10/robot.toml", folder)
+    (folder / "problem.toml").write_text('casadical = 1\ntitle = "UR10"\nrobot = "robot.toml"\nloss = "linear"\n')
+    return folder
+
+
+def series(count: int, first: int = 0) -> list[list[str]]:
+    """Header and rows of real readings: joints and positions."""
+    lines = [line.split(",") for line in SERIES.read_text().splitlines()]
+    kept = [lines[0].index(name) for name in (*JOINTS, "x_mm", "y_mm", "z_mm")]
+    return [[line[k] for k in kept] for line in (lines[0], *lines[1 + first : 1 + first + count])]
+
+
+def measured(folder: Path, rows: list[list[str]], wrong: Callable[[int, list[float]], list[float]]) -> list[dict]:
+    """The readings of a session in which `wrong` spoils some."""
+    with journal(folder) as (course, add):
+        session = LiveSession(folder, course, add)
+        for k, cells in enumerate(rows[1:], 1):
+            values = wrong(k, [float(c) for c in cells])
+            session.take(Row(tuple(rows[0]), (), tuple(map(repr, values)), "test"))
+        return session.state()["readings"]
+
+
+def swapped(v: list[float]) -> list[float]:
+    return [*v[:6], v[7], v[6], v[8]]
+
+
+def in_metres(v: list[float]) -> list[float]:
+    return [*v[:6], *(1e-3 * c for c in v[6:])]
+
+
+def negative(v: list[float]) -> list[float]:
+    return [*v[:2], -v[2], *v[3:]]
+
+
+def behind(v: list[float]) -> list[float]:
+    return [v[0], v[1] + 0.1, *v[2:]]
+
+
+@pytest.mark.parametrize(
+    ("slip", "words"),
+    [
+        (swapped, "axes are swapped: x holds y, y holds x"),
+        (in_metres, "its position is in m"),
+        (negative, "joint 3 stood at .* its sign is wrong"),
+        (behind, "joint 2 stood at .* did not arrive"),
+    ],
+)
+def test_a_slip_is_named_when_it_comes_and_the_others_are_plausible(arm: Path, slip, words: str) -> None:
+    readings = measured(arm, series(12), lambda k, v: slip(v) if k == 10 else v)
+    assert [r["number"] for r in readings if r["state"] != "good"] == [10]
+    assert re.search(words, readings[9]["why"]), readings[9]["why"]
+
+
+def test_clean_readings_of_a_real_robot_are_not_doubted(arm: Path) -> None:
+    assert {r["state"] for r in measured(arm, series(30), lambda _, v: v)} == {"good"}
+
+
+def test_it_goes_on_where_it_was_and_ends_as_if_the_table_had_come_whole(arm: Path, tmp_path: Path) -> None:
+    rows = series(60)
+    whole = tmp_path / "whole"
+    shutil.copytree(arm, whole)
+    (whole / "measured.csv").write_text(csv_text(rows))
+    (whole / "problem.toml").write_text(
+        (arm / "problem.toml").read_text() + '\n[[measurements]]\nfile = "measured.csv"\n'
+    )
+    table = arm / "tracker.csv"
+    for count in (25, 60):  # a process that ends between the two
+        table.write_text(csv_text(rows[: 1 + count]))
+        with journal(arm) as (course, add):
+            session = LiveSession(arm, course, add)
+            assert len(course.readings) == (0 if count == 25 else 25)
+            session.feed(FileSource(table))
+    with (arm / "measured.jsonl").open("a") as file:
+        file.write('{"do": "read", "at"')  # killed while it wrote
+    with journal(arm) as (course, add):
+        assert len(course.readings) == 60
+    assert (arm / "measured.csv").read_text() == csv_text(rows)
+    ours, given = casadical.calibrate(arm, method="KM"), casadical.calibrate(whole, method="KM")
+    name = Path("results/KM.parameters.csv")
+    assert ours.files("results")[name] == given.files("results")[name]
+
+
+def test_a_reading_is_struck_out_with_its_reason_and_restored(arm: Path) -> None:
+    rows = series(8)
+    with journal(arm) as (course, add):
+        session = LiveSession(arm, course, add)
+        for cells in rows[1:]:
+            session.take(Row(tuple(rows[0]), (), tuple(cells), "test"))
+        with pytest.raises(InputError, match="reason"):
+            session.strike(3, " ")
+        session.strike(3, "the target <b>was</b> loose")
+        assert "leave_out = [4] # 4: the target" in (arm / "problem.toml").read_text()
+        assert session.state()["known"]["readings"] == 7
+        session.restore(3)
+        assert session.state()["known"]["readings"] == 8
+        session.repeat(2)
+        session.look_ahead()
+        assert session.state()["next"]["poses"][0] == session.state()["readings"][1]["joints"]
+    assert (
+        len(casadical.read_problem(arm).sets["identify"][0]) + len(casadical.read_problem(arm).sets["report"][0]) == 8
+    )
+
+
+def test_typed_readings_count_beside_those_of_a_file_in_other_units(arm: Path) -> None:
+    rows = series(6)
+    with journal(arm) as (course, add):
+        session = LiveSession(arm, course, add)
+        for cells in rows[1:6]:
+            session.take(Row(tuple(rows[0]), (), tuple(cells), "test"))
+        last = [float(c) for c in rows[6]]
+        values = dict(zip(session.fields, [*np.rad2deg(last[:6]), *last[6:]], strict=True))
+        with pytest.raises(InputError, match="q2_deg: give a number"):
+            session.type_in({**values, "q2_deg": np.nan})
+        assert session.type_in(values) == 6
+        assert session.state()["readings"][5]["state"] == "good"
+        assert session.type_in(values) is None  # the same again
+
+
+def test_files_as_others_write_them(arm: Path, tmp_path: Path) -> None:
+    rows = series(9)
+    table, folder = tmp_path / "t.csv", tmp_path / "many"
+    with journal(arm) as (course, add):
+        session, source = LiveSession(arm, course, add), FileSource(table)
+        assert session.feed(source) == ([], [])  # not there yet
+        text = csv_text(rows[:4])
+        table.write_text(text[:-9])  # the last line half written
+        assert len(session.feed(source)[0]) == 2
+        table.write_text(text)
+        assert len(session.feed(source)[0]) == 1
+        table.write_text(csv_text([rows[0], rows[4], *rows[1:4], rows[2]]))  # late, twice
+        found, said = session.feed(source)
+        assert len(found) == 1
+        assert ["copy" in s for s in said] == [True]
+        table.write_text(csv_text([*rows[:6], rows[6] + rows[7], rows[7]]))  # two writers of one file
+        found, said = session.feed(source)
+        assert len(found) == 2
+        assert any("line 7" in s and "left aside" in s for s in said)
+        table.unlink()
+        assert "is gone" in session.feed(source)[1][0]
+        folder.mkdir()
+        (folder / "8.csv").write_text(csv_text([rows[0], rows[8]]))
+        (folder / "note.md").write_text("x")
+        (folder / "9.csv").write_text(csv_text([rows[0][:3], rows[8][:3]]))
+        found, said = session.feed(FolderSource(folder))
+        assert len(found) == 1
+        assert "has the columns" in said[0]
+        assert len(course.readings) == 7
+
+
+def test_one_process_measures_into_a_folder_and_never_over_measurements(arm: Path) -> None:
+    with journal(arm), pytest.raises(InputError, match="another casadical"), journal(arm):
+        pass
+    (arm / "problem.toml").write_text('casadical = 1\ntitle = "t"\ndata = "real"\n[[measurements]]\nfile = "old.csv"\n')
+    with journal(arm) as (course, add), pytest.raises(InputError, match=r"old\.csv"):
+        LiveSession(arm, course, add)
+
+
+def test_a_pose_beyond_the_limits_is_doubted_and_a_lost_cell_is_said(arm: Path) -> None:
+    rows = series(8)
+    rows[6][1] = "44.0"
+    rows[7][6] = ""
+    with journal(arm) as (course, add):
+        session = LiveSession(arm, course, add)
+        for cells in rows[1:]:
+            session.take(Row(tuple(rows[0]), (), tuple(cells), "test"))
+        told = session.state()["readings"]
+    assert told[5]["state"] != "good"
+    assert "44" in told[5]["why"] or "degrees" in told[5]["why"]
+    assert told[6]["state"] == "unread"
+    assert {told[k]["state"] for k in (0, 1, 2, 3, 4, 7)} == {"good"}
+
+
+def test_the_journal_is_lines_of_json(arm: Path) -> None:
+    measured(arm, series(2), lambda _, v: v)
+    events = [json.loads(line) for line in (arm / "measured.jsonl").read_text().splitlines()]
+    assert [e["do"] for e in events] == ["begin", "read", "read"]
+    (arm / "measured.jsonl").write_text('{"do": "strike", "at": "", "id": 5, "why": "x"}\n')
+    with pytest.raises(InputError, match="line 1: no reading 5"), journal(arm):
+        pass
