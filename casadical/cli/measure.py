@@ -31,6 +31,15 @@ Follow = Annotated[
         "for standard input. Any table that casadical new understands.",
     ),
 ]
+Simulate = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N",
+        min=1,
+        help="Play an instrument in place of --follow: N made-up readings of a robot that departs a little from its "
+        "file, each at the pose that is planned next. The folder is marked synthetic.",
+    ),
+]
 Target = Annotated[float | None, typer.Option(min=0, metavar="MM", help="Wanted accuracy; says when it is reached.")]
 Finish = Annotated[
     bool, typer.Option("--finish", help="Calibrate when the readings end, into the folder `results` in ARM.")
@@ -42,6 +51,7 @@ PAUSE = 0.2
 def measure(
     folder: Folder,
     follow: Follow = None,
+    simulate: Simulate = None,
     target_mm: Target = None,
     room: Room = None,
     finish: Finish = False,
@@ -59,18 +69,20 @@ def measure(
     """
     from casadical.project.live.journal import journal
     from casadical.project.live.session import LiveSession
-    from casadical.project.live.sources import source_of
+    from casadical.project.live.sources import SimulatedSource, source_of
 
     console = plain(quiet)
-    source = source_of(follow, sys.stdin.buffer) if follow else None
+    if (follow is None) == (simulate is None):
+        raise InputError("--follow FILE, DIR or -, or --simulate N: give one of them, from which the readings come")
+    source: Source | None = source_of(follow, sys.stdin.buffer) if follow else None
+    target = None if target_mm is None else 1e-3 * target_mm
     with journal(folder) as (course, add):
-        session = LiveSession(folder, course, add, target=None if target_mm is None else 1e-3 * target_mm, room=room)
+        session = LiveSession(folder, course, add, target=target, room=room, data="synthetic" if simulate else "real")
         if course.readings:
             console.print(f"goes on after {len(course.readings)} readings that {folder} holds")
-        if source is None:
-            raise InputError("--follow: where do readings come from? Give a table, a folder of tables, or -")
+        played = SimulatedSource(session.robot, session.next_pose, simulate or 0, len(course.readings))
         with suppress(KeyboardInterrupt):
-            _follow(session, source, console)
+            _follow(session, source or played, console, PAUSE if source else 0.0)
         keep_json(json_file, session.state(), console)
     if finish:
         _finish(folder, console)
@@ -78,7 +90,7 @@ def measure(
         console.print(f"next: casadical check {folder}; casadical calibrate {folder} --out results")
 
 
-def _follow(session: LiveSession, source: Source, console: Console) -> None:
+def _follow(session: LiveSession, source: Source, console: Console, pause: float) -> None:
     """Take what comes, until the source ends."""
     while True:
         ended = getattr(source, "ended", False)
@@ -92,7 +104,7 @@ def _follow(session: LiveSession, source: Source, console: Console) -> None:
             console.print(session.outlook())
         if ended:
             return
-        time.sleep(PAUSE)
+        time.sleep(pause)
 
 
 def _finish(folder: Path, console: Console) -> None:

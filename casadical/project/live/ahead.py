@@ -21,6 +21,8 @@ from casadical.robot.robot import Robot
 
 # Poses that are chosen from, poses of the task, poses planned at once, and looked at beyond what is measured.
 POOL, TASK, BATCH, BEYOND = 300, 150, 8, 60
+# That are planned before anything is known; a pose is done that was measured within so much [rad or m].
+FIRST, DONE = 12, 0.02
 # Without a workspace poses stay so far above the plane that the robot stands on [m].
 CLEARANCE = 0.05
 # Of a coordinate [m], before readings tell it.
@@ -47,19 +49,19 @@ class Ahead:
 
 
 def look_ahead(
-    robot: Robot, found: Estimate | None, room: Workspace | None, target: float | None, near: Array | None
+    robot: Robot, found: Estimate | None, room: Workspace | None, target: float | None, before: Array
 ) -> Ahead:
     """The next poses of a robot, those first that are near to where it is.
 
-    found : None of too few readings; room : None: above the plane that it stands on; target : accuracy wanted [m];
-    near : joints where the robot stands. Raises InputError where the room allows no pose.
+    found : None of too few readings; room : None: above the plane that it stands on; target : accuracy wanted [m]
+    before : joints of all readings, shape (n, joints), where the robot stands last. Raises InputError where the room allows no pose.
     """
     m = found.m if found else None
     done = len(m) if m is not None else 0
     noise = Noise(found.sigma if found else NOISE)
     robot = replace(robot, targets=(), tool_name="")
     candidates, said = _candidates(robot, room, done)
-    count = BATCH if found else 12
+    count = BATCH if found else FIRST + len(before)
     chosen = select_poses(
         robot,
         candidates,
@@ -71,8 +73,11 @@ def look_ahead(
         free=_FREE,
         prior=found.prior if found else None,
     ).q
-    order = _nearest_first(robot, chosen, near)
-    to_go, words = None, f"at least {12 - done} more" if not found else ""
+    if not found and len(before):  # the same poses as after the reading before, less those that are done
+        away = np.abs(chosen[:, None] - before[None]).max(axis=2).min(axis=1)
+        chosen = chosen[away > DONE] if (away > DONE).any() else chosen
+    order = _nearest_first(robot, chosen, before[-1] if len(before) else None)
+    to_go, words = None, f"at least {max(1, FIRST - len(before))} more"
     if found:
         course = forecast(
             robot, done + BEYOND, workspace=room, measured=m, noise=noise, pool=POOL, free=_FREE, prior=found.prior

@@ -30,7 +30,7 @@ from casadical.pose_selection.workspace import Workspace
 from casadical.pose_selection.workspace_file import read_workspace
 from casadical.project.check.check import precheck
 from casadical.project.live.ahead import Ahead, look_ahead, task_readings
-from casadical.project.live.estimate import FEWEST, Estimate, counted
+from casadical.project.live.estimate import FEW, FEWEST, Estimate, counted
 from casadical.project.live.journal import Add, Course, Reading
 from casadical.project.live.reading_slips import slips_of
 from casadical.project.live.sources import Row, Source
@@ -40,7 +40,7 @@ from casadical.project.robot_columns import understood
 
 TABLE = "measured.csv"
 # Share of the reach that the model may leave before the whole table is doubted, and readings at which it is checked.
-GROSS, CHECKED = 0.003, (6, 10, 15, 25, 40, 60, 100, 200)
+GROSS, CHECKED = 0.003, (10, 15, 25, 40, 60, 100, 200)
 # A share of readings of which 95 % lie below is stated from so many on.
 FOR_QUANTILE = 20
 
@@ -265,7 +265,9 @@ class LiveSession:
         self._off = {}
         for i, k in enumerate(inside):
             n = numbers[k]
-            self._doubtful[n], self._off[n] = bool(out[i]), float(np.linalg.norm(off[i]))
+            self._doubtful[n] = bool(out[i])
+            if found is not None:
+                self._off[n] = float(np.linalg.norm(off[i]))
             if not out[i]:
                 self._words.pop(n, None)
             elif found is not None and (n == new or n not in was or n not in self._words):
@@ -299,12 +301,20 @@ class LiveSession:
     def look_ahead(self) -> None:
         """Plan the next poses with what is known by now; takes some tenths of a second."""
         with self.lock:
-            found, wish, near = self.estimate, self._wish, self._last()
+            found, wish = self.estimate, self._wish
+            before = self.m.q if self.m is not None else np.zeros((0, self.robot.n))
         robot = found.robot if found else self.robot
-        ahead = look_ahead(robot, found, self.room, self.target, near)
+        ahead = look_ahead(robot, found, self.room, self.target, before)
         with self.lock:
             self.ahead = ahead if wish is None else replace(ahead, q=np.vstack([wish, ahead.q]))
             self._wish = None
+
+    def next_pose(self) -> Array:
+        """Joints of the pose to measure next, shape (joints,) [rad or m]; planned now where nothing is."""
+        if self.ahead is None:
+            self.look_ahead()
+        assert self.ahead is not None
+        return np.asarray(self.ahead.q[0])
 
     def _last(self) -> Array | None:
         return None if self.m is None or not len(self.m) else self.m.q[-1]
@@ -344,10 +354,12 @@ class LiveSession:
         tables = [t for t in document.get("measurements", []) if t.get("file") == TABLE]
         if not tables:
             document["data"] = course.data
+            document["data"].comment(f"{TABLE}, by casadical measure")  # type: ignore[union-attr]
             document["title"] = f"{self.robot.name}, {'measured' if course.data == 'real' else 'SYNTHETIC poses'}"
             document["measurements"] = tomlkit.aot()
             document["measurements"].append(table := tomlkit.table())
             table["file"] = TABLE
+            table.add(tomlkit.nl())
             tables = [table]
         if sorted(struck) != sorted(tables[0].get("leave_out", [])):
             listed = tomlkit.array()
@@ -397,7 +409,7 @@ class LiveSession:
         enough = len(left) >= FOR_QUANTILE
         return {
             "readings": len(found), "noise_mm": 1e3 * found.sigma, "expected_mm": 1e3 * found.expected(task),
-            "left_out_mean_mm": float(left.mean()),
+            "left_out_mean_mm": float(left.mean()) if len(left) >= FEW else None,
             "promise_mm": float(np.quantile(left, 0.95, method="higher")) if enough else None,
         }  # fmt: skip
 
@@ -415,8 +427,8 @@ class LiveSession:
             text = f"{number}: {_verdict(self._reading_json(self.course.reading(number)))}"
             if self.unread:
                 return f"{text}\n   {self.unread}"
-            if self.estimate is None:
-                return f"{text}; judged from reading {FEWEST + 1} on"
+            if self.estimate is None or len(self.estimate) < FEW:
+                return text if self.estimate else f"{text}; judged from reading {FEWEST + 1} on"
             mean = 1e3 * float(np.linalg.norm(self.estimate.left_out, axis=1).mean())
             return f"{text}; {mean:.3f} mm mean of readings left out one by one"
 

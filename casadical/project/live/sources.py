@@ -6,15 +6,21 @@ Any table is taken that `casadical new` understands. A line counts once its line
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Lock, Thread
 from typing import BinaryIO
 
+import numpy as np
+
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError, shown
 from casadical.core.reading import read_bytes
 from casadical.measurements.raw_table import RawTable, read_table
+from casadical.pose_selection.candidates import expected
+from casadical.project.new.synthetic import NOISE, as_built
+from casadical.robot.robot import Robot
 
 # Files of a folder that may be tables.
 SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".asc", ".xlsx", ".parquet")
@@ -115,7 +121,37 @@ class StreamSource:
             return News(said=[str(error)])
 
 
-Source = FileSource | FolderSource | StreamSource
+class SimulatedSource:
+    """An instrument that is played: a robot that departs a little from its drawing, at the pose that is planned next.
+
+    pose : gives the next joints, shape (joints,) [rad or m]; count : of readings, after which it ends
+    """
+
+    words = "simulated"
+
+    def __init__(self, robot: Robot, pose: Callable[[], Array], count: int, seed: int = 0) -> None:
+        self._pose, self.left, self._rng = pose, count, np.random.default_rng(seed)
+        self._units, self._robot = robot.reading_units, as_built(robot, self._rng)
+
+    @property
+    def ended(self) -> bool:
+        """Whether all readings were given."""
+        return self.left == 0
+
+    def news(self) -> News:
+        """The next reading."""
+        if self.ended:
+            return News()
+        self.left -= 1
+        q = self._pose()
+        place = expected(self._robot, q[None], {}, self.words).position
+        assert place is not None
+        position = place[0] + self._rng.normal(0.0, NOISE, 3)
+        cells = [f"{v:.6f}" for v in q / list(self._units.values())] + [f"{1e3 * v:.4f}" for v in position]
+        return News([Row((*self._units, "x_mm", "y_mm", "z_mm"), (), tuple(cells), self.words)])
+
+
+Source = FileSource | FolderSource | StreamSource | SimulatedSource
 
 
 def source_of(path: str, stdin: BinaryIO) -> Source:
