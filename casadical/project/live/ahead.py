@@ -54,7 +54,8 @@ def look_ahead(
     """The next poses of a robot, those first that are near to where it is.
 
     found : None of too few readings; room : None: above the plane that it stands on; target : accuracy wanted [m]
-    before : joints of all readings, shape (n, joints), where the robot stands last. Raises InputError where the room allows no pose.
+    before : joints of all readings, shape (n, joints), where the robot stands last
+    Raises InputError where the room allows no pose.
     """
     m = found.m if found else None
     done = len(m) if m is not None else 0

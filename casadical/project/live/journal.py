@@ -73,7 +73,7 @@ class Course:
 def journal(folder: Path) -> Iterator[tuple[Course, Add]]:
     """What happened in a problem folder until now, and what adds to it; a line that was half written is cut off.
 
-    Raises InputError: another process measures into this folder, or a line is none of ours.
+    Raises InputError: another process measures into this folder, or a line that is no event.
     """
     path, course, end = folder / NAME, Course(), 0
     for k, line in enumerate(read_bytes(path).split(b"\n")[:-1] if path.exists() else (), 1):

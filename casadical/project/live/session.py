@@ -354,7 +354,7 @@ class LiveSession:
         tables = [t for t in document.get("measurements", []) if t.get("file") == TABLE]
         if not tables:
             document["data"] = course.data
-            document["data"].comment(f"{TABLE}, by casadical measure")  # type: ignore[union-attr]
+            document["data"].comment(f"{TABLE}, by casadical measure")
             document["title"] = f"{self.robot.name}, {'measured' if course.data == 'real' else 'SYNTHETIC poses'}"
             document["measurements"] = tomlkit.aot()
             document["measurements"].append(table := tomlkit.table())
