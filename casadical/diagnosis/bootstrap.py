@@ -26,12 +26,12 @@ LEAST = 0.01
 class _Problem:
     """At one rho: columns of all candidates, white and orthogonal to the base model, shape (rows, columns).
 
-    log_norm : what does not depend on sigma or cause; rows : how many numbers were measured
+    log_norm : what does not depend on sigma or cause; numbers : that tell of the noise
     """
 
     E: Array
     log_norm: float
-    rows: int
+    numbers: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ def noise_odds(case: Case, draws: int, rng: np.random.Generator) -> Iterator[Arr
     sigmas = np.arange(max(sigmas[0] - 1, 0), min(sigmas[-1] + 2, len(e.sigmas)))
     E = e.take(np.arange(e.width))
     projections = [e.projection(float(RHOS[k])) for k in rhos]
-    problems = [_Problem(p.columns(E), p.log_norm, e.count) for p in projections]
+    problems = [_Problem(p.columns(E), p.log_norm, e.count - e.absorbed) for p in projections]
     groups = [_groups(case, problem.E) for problem in problems]
     for first in range(0, draws, BATCH):
         noise = _noise(e, share, min(BATCH, draws - first), rng)
@@ -106,7 +106,7 @@ def _groups(case: Case, white: Array) -> list[_Group]:
 
 def _log_likelihoods(w: _Problem, Y: Array, groups: list[_Group], sigma: Array) -> tuple[Array, Array]:
     """Of each column of Y, shape (rows, draws): without any cause, and with some cause, shapes (draws,)."""
-    base = w.log_norm - w.rows * np.log(sigma)[:, None] - 0.5 * (Y**2).sum(axis=0) / sigma[:, None] ** 2
+    base = w.log_norm - w.numbers * np.log(sigma)[:, None] - 0.5 * (Y**2).sum(axis=0) / sigma[:, None] ** 2
     b = w.E.T @ Y
     something = np.full(Y.shape[1], -np.inf)
     signal = ((KAPPAS[None, :] / sigma[:, None]) ** 2).ravel()

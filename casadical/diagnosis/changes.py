@@ -6,6 +6,8 @@ of each joint), each part alone; what changed is then no longer known, and the o
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from casadical.core.arrays import Array
@@ -32,7 +34,8 @@ def changes(case: Case, prior: Prior) -> tuple[tuple[Change, ...], Prior]:
     """
     parts = _parts(case, prior)
     noise = Noise(max(robust_std(case.evidence.r), 1e-9), 0.0)
-    fit = new_fit(case.evidence, np.zeros(0, dtype=np.int64), noise)
+    # The parameters as they are, of which some are known.
+    fit = new_fit(replace(case.evidence, turn=None), np.zeros(0, dtype=np.int64), noise)
     factor: dict[tuple[str, int | None], float] = {}
     done: set[tuple[str, int | None]] = set()
     while True:

@@ -40,6 +40,11 @@ REPEATABILITY = "repeatability"
 DECLARED, DECLARED_TAIL = 0.2, 2.0
 
 
+# The data determine a direction of the base where its prior tells less of it than one part in so many; the prior is
+# then made so many times wider.
+DETERMINED, WIDER = 100.0, 100.0
+
+
 @dataclass(frozen=True)
 class KnownNoise:
     """What is known of the noise of a coordinate beside the fit.
@@ -81,6 +86,7 @@ class Evidence:
     alike : number of the unknown point that each pose shares with others, shape (n,), where there are such
     absorbed : numbers that the base model's parameters take, which tell nothing of the noise; with one number at a
         pose they are a large share, and a cause that follows noise would gain by them (compare REML: Harville 1977)
+    turn : of the base parameters, shape (P, P): parameters = turn @ (those of the model, each of one sigma one)
     """
 
     r: Array
@@ -98,6 +104,7 @@ class Evidence:
     size: Array | None = None
     alike: Array | None = None
     absorbed: float = 0.0
+    turn: Array | None = None
     cache: Cache = field(init=False, repr=False, default_factory=Cache)
 
     @property
@@ -113,11 +120,12 @@ class Evidence:
     @cached_property
     def model(self) -> LinearModel:
         """The same without the names of things."""
+        turned = self.turn is not None
         return LinearModel(
             self.r,
-            self.J,
-            self.delta0,
-            self.prior,
+            self.J if self.turn is None else self.J @ self.turn,
+            self.delta0 if self.turn is None else np.linalg.solve(self.turn, self.delta0),
+            np.ones_like(self.prior) if turned else self.prior,
             ArrayColumns(self.E) if isinstance(self.E, np.ndarray) else self.E,
             np.full(self.width, CHOSEN) if self.held is None else self.held,
             self.noise,
@@ -143,8 +151,15 @@ class Evidence:
         return self.model.projection({REPEATABILITY: rho})
 
     def restricted(self) -> Evidence:
-        """The problem in which the numbers that the base model takes tell nothing of the noise."""
-        return replace(self, absorbed=self.model.absorbed_by_base)
+        """The problem in which the numbers that the base model takes tell nothing of the noise.
+
+        Nor do the priors of what the data determine, which grow with the noise: how far a robot departs from them would
+        pass for noise. Directions of the parameters, in units of their priors, that the data determine get a wide one.
+        """
+        A = self.J.reshape(self.r.size, -1) * (self.prior / self.reference)
+        square, axes = np.linalg.eigh(A.T @ A)
+        more = replace(self, turn=self.prior[:, None] * axes * np.where(square > DETERMINED, WIDER, 1.0))
+        return replace(more, absorbed=more.model.absorbed_by_base)
 
     def take(self, columns: Array, poses: Array | slice = EVERY) -> Array:
         """Some of the candidates' columns at some poses, shape (poses, 3, len(columns)) [m per unit of size]."""
@@ -158,8 +173,20 @@ class Evidence:
 
     def with_base(self, columns: Array) -> Evidence:
         """The problem with these columns moved into the base model, as wide as they are held there."""
-        model = self.model.with_base(columns)
-        return replace(self, J=model.base, delta0=model.mean, prior=model.prior) if len(columns) else self
+        return self.with_known(self.take(columns), self.model.held[columns]) if len(columns) else self
+
+    def with_known(self, columns: Array, prior: Array) -> Evidence:
+        """The problem with further columns in the base model, shape (n, 3, k), of zero mean; prior : shape (k,)."""
+        turn = None if self.turn is None else np.diag(np.append(np.zeros_like(self.prior), prior))
+        if turn is not None and self.turn is not None:
+            turn[: len(self.turn), : len(self.turn)] = self.turn
+        return replace(
+            self,
+            J=np.concatenate([self.J, columns], axis=2),
+            delta0=np.append(self.delta0, np.zeros(len(prior))),
+            prior=np.append(self.prior, prior),
+            turn=turn,
+        )
 
     @property
     def marginals(self) -> Marginals:

@@ -93,9 +93,9 @@ class Problem:
     def __init__(self, e: Evidence, chosen: Array, order: Array) -> None:
         self.e, self.chosen, self._order, self._Jq = e, chosen, order, e.Jq[order]
         self._combined, widths = e.model.combined(chosen), e.model.held[chosen]
-        self._weights = e.reference / np.concatenate([e.prior, self._combined.one_of_each(widths)])
+        self._weights = e.reference / np.concatenate([e.model.prior, self._combined.one_of_each(widths)])
         self._lost = self._combined.left_out(np.log(e.reference / widths))
-        self._mean = np.concatenate([e.delta0, np.zeros(self._combined.width)])
+        self._mean = np.concatenate([e.model.mean, np.zeros(self._combined.width)])
         self._by_rows = e.r.size <= len(self._weights)
         self._kept: dict[int, Array] = {}
         self._known: dict[Form, Array] = {}
@@ -219,7 +219,7 @@ class Problem:
             if X is None:
                 poses = self._order[max(start - 1, 0) : start + step]
                 columns = self.e.model.columns.take(self.chosen, poses, self._combined)
-                X = np.concatenate([self.e.J[poses], columns, self.e.r[poses, :, None]], axis=2)
+                X = np.concatenate([self.e.model.base[poses], columns, self.e.r[poses, :, None]], axis=2)
                 if 24 * n * width <= MOST_BYTES:
                     self._kept[start] = X
             yield X, slice(start, min(start + step, n))

@@ -41,7 +41,8 @@ def predict_cause(case: Case, variant: tuple[Effect, ...], noise: Noise, poses: 
     # Unknown points of the campaign, which new poses do not see.
     points = np.zeros((*poses.J.shape[:2], old.J.shape[2] - poses.J.shape[2]))
     J = np.concatenate([poses.J, points], axis=2)
-    J = J if case.units is None else J @ case.units
+    for units in (case.units, old.turn):
+        J = J if units is None else J @ units
     columns = case.group(variant) if variant else np.zeros(0, dtype=np.int64)
     new = np.concatenate([J, E * widths(variant)], axis=2)
     fit = new_fit(replace(old, held=np.full(old.width, WIDE)), columns, noise, combined=False)

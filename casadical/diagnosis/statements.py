@@ -376,6 +376,9 @@ def _unknown(d: Diagnosis, more: Details) -> Iterator[Statement]:
             sets = d.case.observations.sets
             if len(sets) > 1 and any(m.sigma is None for m in sets):
                 words.append("so are the tables' noises, by which they are weighed: declare sigma_mm of each")
+    else:
+        words = [_resembles(d, more)] if d.verdict == "unknown" else []
+    if any(words):
         yield Statement("UNKNOWN", "; ".join(w for w in words if w), doubtful=True)
 
 

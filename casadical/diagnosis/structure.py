@@ -99,8 +99,8 @@ class _White:
         self.e = e = case.evidence.at(order[self.pick])
         repeat = joint_noise(self._form.repeatability(e.Jq))
         self._W = repeat.whitening({REPEATABILITY: noise.repeatability / noise.sigma}).W / noise.sigma
-        prior = np.concatenate([e.prior, e.model.held[columns]]) * noise.sigma / e.reference
-        A = self.rows(np.concatenate([e.J, e.take(columns)], axis=2) if len(columns) else e.J) * prior
+        prior = np.concatenate([e.model.prior, e.model.held[columns]]) * noise.sigma / e.reference
+        A = self.rows(np.concatenate([e.model.base, e.take(columns)], axis=2)) * prior
         # What a fit with priors takes: each direction by how far the data determine it.
         self._Q, square, _ = np.linalg.svd(A / noise.sigma * e.reference, full_matrices=False)
         self._taken = square**2 / (1 + square**2)

@@ -171,7 +171,10 @@ def calibrated(
     free = (free,) if isinstance(free, str) else tuple(free)
     if loss == "auto":
         by = partial(calibrated, prepared, free, priors=priors, progress=progress)
-        robust = by(loss="huber", screen=screen)
+        try:
+            robust = by(loss="huber", screen=screen)
+        except ConvergenceError:  # it creeps on few rows, where all that it is for are outliers
+            return by(loss="linear")
         return robust if robust.outliers else by(loss="linear")
     if loss not in ALL_LOSSES:
         raise InputError(f"loss {loss!r} is not known; allowed: {', '.join(ALL_LOSSES)}")

@@ -53,6 +53,18 @@ def test_log_evidence_is_the_normal_density(monkeypatch: pytest.MonkeyPatch, cho
                     assert grids[g, rho, sigma, kappa] + constant(e, also) == pytest.approx(expected, abs=1e-6)
 
 
+@pytest.mark.parametrize("off", [0.0, 1.0, 6.0])
+def test_noise_is_the_same_however_far_a_robot_departs_from_its_priors(off: float) -> None:
+    """Priors of what the data determine tell nothing of the noise: what is left does, over its degrees of freedom."""
+    rng = np.random.default_rng(4)
+    J, prior, white = rng.normal(size=(20, 3, 12)), np.full(12, 1e-3), 5e-6 * rng.normal(size=(20, 3))
+    e = Evidence(J @ (off * prior) + white, J, np.zeros((20, 3, 1)), np.zeros(12), prior, np.zeros((20, 3, 1)))
+    share = np.exp(e.restricted().log_base()[0])
+    rest = white.ravel() - J.reshape(60, 12) @ np.linalg.lstsq(J.reshape(60, 12), white.ravel(), rcond=None)[0]
+    left = np.sqrt((rest**2).sum() / (60 - 12))
+    assert np.exp((share * np.log(SIGMAS)).sum() / share.sum()) == pytest.approx(left, rel=0.03)
+
+
 def test_wider_noise_grid_holds_the_usual_one(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(grid, "NEGLIGIBLE", np.inf)
     e = small_problem()

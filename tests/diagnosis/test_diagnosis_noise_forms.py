@@ -27,7 +27,7 @@ def small(poses: int = 14) -> Evidence:
     e = case("kr210-P02").evidence.at(np.arange(poses))
     # Wide priors would make the covariance, by which it is checked, singular in double precision.
     prior = np.minimum(e.prior, 1e-4)
-    e = replace(e, E=np.zeros((poses, 3, 1)), held=None, known=KnownNoise(), absorbed=0.0)
+    e = replace(e, E=np.zeros((poses, 3, 1)), held=None, known=KnownNoise(), absorbed=0.0, turn=None)
     return replace(e, prior=prior, delta0=0 * prior)
 
 

@@ -13,6 +13,7 @@ from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.laws.problem import Problem, Scored, scaled
 from casadical.diagnosis.laws.refinement import refined_settings
 from casadical.diagnosis.linear_problem import Case
+from casadical.effects.base import CHOSEN
 from casadical.measurements.noise import Noise
 
 
@@ -37,16 +38,8 @@ def _columns(base: Evidence, laws: Sequence[Scored], train: Array) -> list[Array
     """Columns at all poses of the laws with the settings that are best for some of them, shape (n, 3, w) each."""
     found: list[Array] = []
     for law in laws:
-        J = np.concatenate([base.J, *found], axis=2)
-        known = sum(c.shape[2] for c in found)
-        e = replace(
-            base,
-            J=J,
-            delta0=np.concatenate([base.delta0, np.zeros(known)]),
-            prior=np.concatenate([base.prior, np.full(known, 8.0)]),
-            E=np.zeros((*base.r.shape, 1)),
-            held=None,
-        )
+        known = np.concatenate([np.zeros((*base.r.shape, 0)), *found], axis=2)
+        e = replace(base.with_known(known, np.full(known.shape[2], CHOSEN)), E=np.zeros((*base.r.shape, 1)), held=None)
         found.append(_best(Problem(e.at(train)), law, train))
     return found
 
