@@ -82,6 +82,18 @@ def read_bytes(path: str | Path, most: int = MOST_BYTES) -> bytes:
     return data
 
 
+def regular(path: str | Path) -> Path:
+    """A file that a library opens by its name. Raises InputError: no such file, a folder, a device, a FIFO."""
+    path = Path(path)
+    try:
+        _refuse_special(path, path.stat(), False)
+    except FileNotFoundError:
+        raise missing(path) from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{shown(path)}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    return path
+
+
 def unpacked(data: bytes, source: str, most: int = MOST_BYTES) -> bytes:
     """What gzip packed; other data as they are. Raises InputError: damaged, or more than `most` bytes unpacked."""
     if not data.startswith(b"\x1f\x8b"):

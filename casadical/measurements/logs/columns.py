@@ -9,6 +9,7 @@ import pandas as pd
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.core.reading import json_of
 from casadical.measurements.columns import in_seconds
 from casadical.measurements.headings import words_of
 from casadical.measurements.raw_table import RawTable
@@ -29,6 +30,7 @@ _QUANTITIES: Mapping[str, frozenset[str]] = {
 }
 _COMMANDED = WORDS["nominal"] | WORDS["log_commanded"]
 _FILLER = WORDS["filler"] | WORDS["measured"] | WORDS["joint"] | WORDS["log_filler"]
+NAMES = "Name them time_s, q1_rad, q2_rad, ... (_deg, _m, _mm), commands command1_rad, torque1_Nm or current1_A"
 SCALARS = ("voltage", "payload", "run")
 
 
@@ -50,10 +52,10 @@ class Logged:
     notes: tuple[str, ...] = ()
 
 
-def logged(raw: RawTable, names: Sequence[str] = ()) -> Logged:
-    """The log in a table of one column a number; names : of the robot's joints.
+def logged(raw: RawTable, names: Sequence[str] = (), listed: Sequence[str] = ()) -> Logged:
+    """The log in a table; names : of the robot's joints; listed : of the joints in columns of lists.
 
-    Raises InputError: no time, or no joint.
+    Raises InputError: no time, or lists of other lengths than the names.
     """
     source, frame = raw.path.name, raw.frame
     below = dict(zip(raw.header, raw.form.units, strict=False))
@@ -66,18 +68,39 @@ def logged(raw: RawTable, names: Sequence[str] = ()) -> Logged:
         if scalar := _scalar(heading):
             scalars.setdefault(scalar, _numbers(frame[heading]))
             continue
-        channel, joint, unit = _meaning(heading, names)
-        if channel and joint not in channels.get(channel, ()):
-            values = _numbers(frame[heading])
-            if np.isfinite(values).any():
+        lists = _lists(frame[heading], raw)
+        found = [(*_meaning(heading, names), frame[heading])] if lists is None else []
+        if lists is not None and (channel := _channel(words_of(heading)[0])):
+            those = listed or [str(k) for k in range(1, lists.shape[1] + 1)]
+            if len(those) != lists.shape[1]:
+                raise InputError(
+                    f"{source}: column {heading!r}: lists of {lists.shape[1]} numbers, {len(those)} joints"
+                )
+            found = [(channel, joint, "", column) for joint, column in zip(those, lists.T, strict=True)]
+        for channel, joint, unit, cells in found:
+            values = _numbers(pd.Series(cells))
+            if channel and joint not in channels.get(channel, ()) and np.isfinite(values).any():
                 channels.setdefault(channel, {})[joint] = values
                 units[channel, joint] = unit or _si_name(below.get(heading, ""))
-    if "position" not in channels:
-        raise InputError(
-            f"{source}: no column holds the positions of joints; there are {', '.join(raw.header[:40])}. Name them "
-            "q1_rad, q2_rad, ... (or _deg, _m, _mm), commands command1_rad, currents current1_A, torques torque1_Nm"
-        )
+    if not channels:
+        raise InputError(f"{source}: no column holds what joints did; there are {', '.join(raw.header[:40])}. {NAMES}")
     return Logged(_time(raw), channels, units, np.asarray(raw.line), source, scalars)
+
+
+def _lists(cells: pd.Series, raw: RawTable) -> Array | None:
+    """Columns of lists, in JSON or as Parquet has them, shape (n, k); None of others. Raises InputError."""
+    first = cells.iloc[0]
+    if isinstance(first, str) and first.lstrip().startswith("["):
+        rows = json_of(f"[{','.join(map(str, cells))}]", raw.path.name, list)
+    elif isinstance(first, np.ndarray | list) and np.ndim(first) == 1:
+        rows = list(cells)
+    else:
+        return None
+    odd = next((k for k, row in enumerate(rows) if len(row) != len(rows[0])), None)
+    if odd is not None:
+        sizes = f"a list of {len(rows[odd])} numbers, {len(rows[0])} in the first row"
+        raise InputError(f"{raw.path.name}: row {raw.line[odd]}, column {cells.name!r}: {sizes}; correct the row")
+    return np.array(rows, dtype=float)
 
 
 def _numbers(cells: pd.Series) -> Array:
@@ -95,15 +118,17 @@ def _meaning(heading: str, names: Sequence[str]) -> tuple[str, str, str]:
         return _CHANNEL.get(ours[1], ours[1]), ours[2], ours[3]
     words, unit = words_of(heading)
     joint, rest = _joint(words, names)
-    said = {*rest}
+    channel = _channel(rest)
+    return (channel, joint, _si_name(unit)) if channel and joint else ("", "", "")
+
+
+def _channel(words: Sequence[str]) -> str:
+    """What the words of a heading say that is logged; empty where it is nothing of a joint."""
+    said = {*words}
     channel = next((name for name, telling in _QUANTITIES.items() if said & telling), "")
     if said & _COMMANDED:
-        channel = {"position": "command", "speed": "command_speed", "": "command" if "action" in said else ""}.get(
-            channel, ""
-        )
-    if not channel or not joint:
-        return "", "", ""
-    return channel, joint, _si_name(unit)
+        return {"position": "command", "speed": "command_speed"}.get(channel, "")
+    return channel
 
 
 def _joint(words: Sequence[str], names: Sequence[str]) -> tuple[str, list[str]]:
@@ -139,9 +164,9 @@ def _time(raw: RawTable) -> Array:
     values = in_seconds(frame[whole[0]])
     fine = [name for name, _, unit in found if name != whole[0] and UNITS.get(unit, ("", 1.0))[1] == 1e-9]
     if fine:
-        return np.asarray((values - values[0]) + 1e-9 * _numbers(frame[fine[0]]))
+        return np.asarray(values + 1e-9 * _numbers(frame[fine[0]]))
     factor = UNITS[whole[2]][1] if UNITS.get(whole[2], ("",))[0] == "s" else stamp_factor(values)
-    return np.asarray((values - (values[0] if values[0] * factor > 1e6 else 0.0)) * factor)
+    return np.asarray(values * factor)
 
 
 def stamp_factor(stamps: Array) -> float:

@@ -184,7 +184,7 @@ def _refuse_malformed(log: JointLog) -> None:
     if log.command is None and log.torque is None and log.current is None:
         raise InputError(
             f"{log.source}: neither commands nor a torque or current, so nothing says what the joints should have "
-            "done; only their motion can be told. Log the commanded positions (command1_rad ...) or the currents "
+            "done; only their motion is known. Log the commanded positions (command1_rad ...) or the currents "
             "(current1_A ...) beside q1_rad ..."
         )
     faults = [

@@ -3,8 +3,9 @@
 import io
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -14,8 +15,10 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.reading import read_bytes, unpacked
 from casadical.measurements.angle_unit import RADIANS
-from casadical.measurements.logs.columns import FACTORS, LENGTHS, Logged, logged
+from casadical.measurements.logs.columns import FACTORS, LENGTHS, NAMES, Logged, logged
+from casadical.measurements.logs.findings import found_in, refuse_other_units, with_signs
 from casadical.measurements.logs.log import CHANNELS, JointLog
+from casadical.measurements.logs.systems import BAGS, STATE, bag, lerobot, sage
 from casadical.measurements.raw_table import RawTable
 from casadical.measurements.table_parts import read_columns
 
@@ -24,15 +27,26 @@ _OF_MOTION = ("position", "command", "speed", "command_speed")
 _HEADINGS = re.compile(r'[^\n"]*[A-Za-z][^\n"]*,[^\n"]*')
 
 
-def read_log(path: str | Path, robot: Arm | None = None) -> JointLog:
-    """A joint log from a file.
+def read_log(
+    path: str | Path,
+    robot: Arm | None = None,
+    *,
+    unit: Literal["deg", "rad", "percent"] | None = None,
+    effort: Literal["torque", "current"] = "torque",
+) -> JointLog:
+    """A joint log from a file of a controller, a simulator or a recorder.
 
     Parameters
     ----------
     path : str | Path
-        table (csv, csv.gz, parquet)
+        table (csv, csv.gz, parquet: joint-logs.md has the columns; RTDE's names are known, too), a folder of SAGE, a
+        Parquet file of a LeRobot dataset, a ROS bag (.db3, .mcap, .bag, or the folder with metadata.yaml)
     robot : Arm, optional
         its joints, by their names or their order, are those of the log; others are left out
+    unit : {"deg", "rad", "percent"}, optional
+        of angles whose unit the file does not say; percent: of half a joint's range about its middle
+    effort : {"torque", "current"}, default "torque"
+        what stands in the field effort, torque or torques
 
     Returns
     -------
@@ -55,8 +69,28 @@ def read_log(path: str | Path, robot: Arm | None = None) -> JointLog:
     (('joint 1',), 1.0)
     """
     path = Path(path)
-    names = [joint.name for joint in robot.joints] if robot else []
-    return assembled(logged(_table(path), [name for name in names if name]), robot)
+    log = _logged(path, [joint.name for joint in robot.joints if joint.name] if robot else [], unit)
+    if effort == "current" and "torque" in log.channels:
+        channels = {("current" if name == "torque" else name): columns for name, columns in log.channels.items()}
+        log = replace(log, channels=channels, notes=tuple(n for n in log.notes if "effort is read" not in n))
+    made = assembled(log, robot, unit)
+    refuse_other_units(made, robot)
+    made = with_signs(made)
+    return replace(made, findings=(*made.findings, *found_in(made)))
+
+
+def _logged(path: Path, names: Sequence[str], unit: str | None) -> Logged:
+    """What the file holds, by its form."""
+    if path.suffix.lower() in BAGS or (path / "metadata.yaml").exists():
+        return bag(path)
+    if path.is_dir() and (path / STATE).exists():
+        return sage(path)
+    if path.is_dir():
+        raise InputError(f"{path}: a folder without {STATE} (SAGE) and metadata.yaml (ROS 2); name the file of the log")
+    table = _table(path)
+    if {"action", "observation.state"} & {*table.header}:
+        return lerobot(path, table, unit)
+    return logged(table, names)
 
 
 def _table(path: Path) -> RawTable:
@@ -76,8 +110,11 @@ def _table(path: Path) -> RawTable:
     return read_columns(path)
 
 
-def assembled(log: Logged, robot: Arm | None) -> JointLog:
+def assembled(log: Logged, robot: Arm | None, unit: str | None = None) -> JointLog:
     """The log with its joints in the robot's order, in SI, its runs numbered."""
+    if "position" not in log.channels:
+        there = ", ".join(log.channels)
+        raise InputError(f"{log.source}: no column holds the positions of joints; there are {there}. {NAMES}")
     keys, names, notes = _joints(log, robot)
     kinds = _kinds(log, keys, robot)
     time, run, kept, odd = _clock(log)
@@ -88,7 +125,7 @@ def assembled(log: Logged, robot: Arm | None) -> JointLog:
             arrays[channel] = np.column_stack([columns.get(key, none) for key in keys])[kept]
             if np.isnan(arrays[channel]).all():
                 del arrays[channel]
-    notes += _into_si(log, keys, arrays, kinds)
+    notes += _into_si(log, keys, arrays, kinds, unit, robot)
     unsigned = "abs" in {log.units.get(("current", key)) for key in keys}
     arrays |= {name: log.scalars[name][kept] for name in ("voltage", "payload") if name in log.scalars}
     return JointLog(
@@ -167,20 +204,39 @@ def _clock(log: Logged) -> tuple[Array, Array, Array, tuple[str, ...]]:
         said.append(f"row {log.row[k]}: the time of the row before, as {stands.sum()} rows: left out as repeated")
     kept = np.flatnonzero(~stands)
     given = numbers[kept].astype(np.int64) if run is not None and not back.any() else starts[kept] + 1
-    return log.time[kept], given, kept, tuple(said)
+    start = log.time[0] if abs(log.time[0]) > 1e6 else 0.0
+    return log.time[kept] - start, given, kept, tuple(said)
 
 
-def _into_si(log: Logged, keys: Sequence[str], arrays: dict[str, Array], kinds: Sequence[str]) -> tuple[str, ...]:
+def _into_si(
+    log: Logged, keys: Sequence[str], arrays: dict[str, Any], kinds: Sequence[str], given: str | None, robot: Arm | None
+) -> tuple[str, ...]:
     """Changes the arrays to SI, column by column; sentences about units that no heading tells."""
     guessed: dict[str, list[str]] = {}
     for channel, values in arrays.items():
         for k, key in enumerate(keys):
             unit = log.units.get((channel, key), "")
             if not unit and channel in _OF_MOTION and kinds[k] == "revolute":
-                unit = _angle_unit(log, channel, keys)
-                guessed.setdefault(unit, []).append(f"{channel} {key}")
-            values[:, k] *= FACTORS.get(unit, 1.0)
+                unit = given or _angle_unit(log, channel, keys)
+                if not given:
+                    guessed.setdefault(unit, []).append(f"{channel} {key}")
+            if unit == "percent" and channel in _OF_MOTION:
+                values[:, k] = _of_range(values[:, k], robot, k, channel, log.source)
+            else:
+                values[:, k] *= FACTORS.get(unit, 1.0)
     return tuple(f"no heading tells the unit of {', '.join(c)}: by their size read as {u}" for u, c in guessed.items())
+
+
+def _of_range(values: Array, robot: Arm | None, k: int, channel: str, source: str) -> Array:
+    """Per cent of half the range of joint k, about its middle, as angles; a gripper's are of the whole range."""
+    if robot is None:
+        raise InputError(f'{source}: unit = "percent" needs the ranges of the joints: give the robot, too')
+    lower, upper = (ends[k] for ends in robot.limits)
+    half = (upper - lower) / 200
+    if channel.endswith("speed"):
+        return np.asarray(values * half)
+    whole = "gripper" in robot.joints[k].name and np.nanmin(values) >= 0
+    return np.asarray(lower + values * 2 * half if whole else (lower + upper) / 2 + values * half)
 
 
 def _angle_unit(log: Logged, channel: str, keys: Sequence[str]) -> str:

@@ -64,6 +64,7 @@ def test_degrees_and_millimetres_become_si(tmp_path) -> None:
     assert log.torque[0, 1] == 7.0
     assert np.isnan(log.torque[:, 0]).all()
     assert log.unit("speed", 1) == "m/s"
+    assert not log.current_unsigned  # a load that never changes its sign is none without a sign
 
 
 def test_missing_cells_are_nan_and_arrays_cannot_be_written(tmp_path) -> None:

@@ -1,0 +1,281 @@
+"""What a log says of itself: rate, jitter, lost and repeated samples, quanta, delays; and what is wrong with it."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from casadical.core.arm import Arm
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.measurements.angle_unit import MOST_TURNS
+from casadical.measurements.logs.log import JointLog
+
+DEGREES = float(np.rad2deg(1.0))
+# Steps longer than so many usual ones are gaps; positions that stand in a motion by so many quanta a row are repeated.
+GAP, MOVING = 1.5, 4.0
+# A joint moves if it covers so many quanta, or so much [rad or m] where no quantum is seen; it tells little below FEW.
+LEAST, FEW = 3.0, 50.0
+STILL = 1e-4
+# How far beyond its range an angle may be before another unit is asked for [rad].
+BEYOND = 0.3
+
+
+def quantum(column: Array) -> float:
+    """The step in which a column's numbers come, 0 where none is seen; shape (n,), in its unit."""
+    levels = np.unique(column[np.isfinite(column)])
+    steps = np.diff(levels)
+    steps = steps[steps > 1e-9 * max(float(np.abs(levels).max(initial=0.0)), 1e-12)]
+    if not len(steps):
+        return 0.0
+    least = float(np.median(steps[steps < 1.5 * steps.min()]))
+    near = steps[steps < 20 * least] / least
+    # By chance a third of all numbers are so near to whole ones.
+    enough = len(near) >= 8 or len(column) >= 10 * len(levels)
+    return least if enough and np.mean(np.abs(near - near.round()) < 0.15) > 0.9 else 0.0
+
+
+def found_in(log: JointLog) -> tuple[str, ...]:
+    """Sentences on a log, with numbers: what was understood first, then what is odd and what would help."""
+    return (*_understood(log), *_clock(log), *_readings(log), *_between(log))
+
+
+def _understood(log: JointLog) -> Iterator[str]:
+    units = {"rad": "rad"} | {unit: unit for k in range(len(log.joints)) for unit in (log.unit("position", k),)}
+    known = [name.replace("_", " ") for name in log.arrays]
+    if log.current_unsigned:
+        known[known.index("current")] = "current (unsigned)"
+    kinds = "" if len(units) == 1 else f" ({', '.join(log.kinds)})"
+    yield f"{len(log)} rows of {len(log.joints)} joints{kinds}, {', '.join(log.joints)}: {', '.join(known)}; SI units"
+    if log.torque is None and (log.current is None or log.current_unsigned):
+        yield (
+            "no torque and no signed current: causes are told from the response to commands alone; torque scale, "
+            "masses and rotor inertias are not. Log the motors' currents with their signs"
+        )
+    elif log.command is None:
+        yield (
+            "no commands: friction, load and inertia are told from the torque; delay, lag, servo gains and limits are "
+            "not. Log the commanded positions beside the readings"
+        )
+
+
+def _clock(log: JointLog) -> Iterator[str]:
+    runs, steps = list(log.runs()), np.diff(log.time)[np.diff(log.run) == 0]
+    seconds = [float(run.time[-1] - run.time[0]) for run in runs]
+    usual = steps[steps < GAP * log.step]
+    spread = f"{min(seconds):.1f} to {max(seconds):.1f} s" if len(runs) > 1 else f"{seconds[0]:.1f} s"
+    yield (
+        f"{len(runs)} run{'s' if len(runs) > 1 else ''} of {spread} at {1 / log.step:.2f} Hz; steps differ by "
+        f"{1e3 * float(np.std(usual)):.2g} ms (one sigma)"
+    )
+    gaps = steps[steps >= GAP * log.step]
+    if len(gaps):
+        lost = int(np.sum(np.round(gaps / log.step) - 1))
+        share = 100 * lost / (lost + len(log))
+        yield (
+            f"{lost} samples are lost ({share:.2g} %) in {len(gaps)} gaps, the longest {1e3 * gaps.max():.0f} ms: "
+            "speeds over a gap are left out"
+        )
+    repeated = repeated_rows(log)
+    if repeated.any():
+        rows = ", ".join(str(row) for row in log.row[repeated][:5])
+        yield (
+            f"{repeated.sum()} rows repeat the reading before while the arm moves ({100 * repeated.mean():.2g} %; rows "
+            f"{rows}{' ...' if repeated.sum() > 5 else ''}): the log took the same sample twice. Log at the rate of "
+            "the controller, or slower"
+        )
+
+
+def repeated_rows(log: JointLog) -> Array:
+    """Rows whose readings are all those of the row before, though the joints move through them, shape (n,) [bool]."""
+    q, same = log.position, np.zeros(len(log), dtype=bool)
+    inner = slice(1, -1)
+    measured = [values for values in (q, log.speed, log.current, log.torque) if values is not None]
+    same[inner] = np.all([((v[1:-1] == v[:-2]) | np.isnan(v[1:-1])).all(axis=1) for v in measured], axis=0)
+    steps = np.maximum([quantum(column) for column in q.T], 1e-9)
+    with np.errstate(invalid="ignore"):
+        moving = (np.abs(q[2:] - q[:-2]) > MOVING * steps).any(axis=1)
+    same[inner] &= moving & (log.run[2:] == log.run[:-2]) & (log.time[2:] - log.time[:-2] < 2 * GAP * log.step)
+    return same
+
+
+def _readings(log: JointLog) -> Iterator[str]:
+    """On the encoders, and on joints that tell little."""
+    steps = np.array([quantum(column) for column in log.position.T])
+    for kind, unit in (("revolute", "mrad"), ("prismatic", "mm")):
+        own = [f"{1e3 * steps[k]:.4g}" if steps[k] else "none" for k, each in enumerate(log.kinds) if each == kind]
+        if {*own} == {"none"}:
+            yield "no step is seen in positions: the encoders' quanta are below the noise, or were filtered away"
+        elif own:
+            yield f"positions come in steps of {own[0] if len({*own}) == 1 else ', '.join(own)} {unit}"
+    for k, name in enumerate(log.joints):
+        column = log.position[:, k]
+        covered = float(np.nanmax(column) - np.nanmin(column))
+        unit = "mrad" if log.kinds[k] == "revolute" else "mm"
+        if covered <= max(LEAST * steps[k], STILL):
+            yield (
+                f"{name} never moves ({1e3 * covered:.2g} {unit}): of it only the load that it holds is told, no "
+                "friction, inertia, play or delay. Move it to and fro, fast and slowly"
+            )
+        elif covered < FEW * steps[k]:
+            yield (
+                f"{name} moves by {covered / steps[k]:.0f} steps of its encoder ({1e3 * covered:.3g} {unit}): too "
+                f"little to tell more than its hysteresis. Move it by {1e3 * FEW * steps[k]:.0f} {unit} or more"
+            )
+        for channel in ("torque", "current"):
+            values = getattr(log, channel)
+            if values is not None and np.isfinite(values[:, k]).any() and np.nanstd(values[:, k]) == 0:
+                yield f"{channel} of {name} is {np.nanmean(values[:, k]):.4g} in every row: it is not measured. Log it"
+    first = {re.split(r"[_\W]", name)[0].casefold() for name in log.joints}
+    if {"left", "right"} <= first or {"l", "r"} <= first:
+        yield (
+            "joints of two arms stand in one log: each is told as if the other were not there. Name the robot's own "
+            "joints by its model, and give one log to each arm"
+        )
+
+
+def _between(log: JointLog) -> Iterator[str]:
+    """What the channels of a joint say of each other: delays, signs, order."""
+    if log.speed is not None and (found := _speed_delay(log)) is not None:
+        delay, scale = found
+        if abs(delay) > 0.25 * log.step:
+            way = "behind" if delay > 0 else "ahead of"
+            yield f"speeds are {1e3 * abs(delay):.1f} ms {way} positions: the delay of the log's own filter"
+        if not 0.8 < scale < 1.25:
+            yield (
+                f"speeds are {scale:.3g} times the slope of positions: their unit is another than their name says. "
+                "Correct the name of the column; here slopes of positions are taken"
+            )
+    if log.command is None:
+        return
+    if np.array_equal(log.command, log.position, equal_nan=True):
+        yield (
+            "commands are the readings to the last digit: the log holds one of them twice, so the response is not "
+            "told. Log what was sent to the drives"
+        )
+        return
+    alike = _alike(log)
+    for k, name in enumerate(log.joints):
+        if not np.isfinite(alike[k, k]):
+            continue
+        if alike[k, k] < -0.8:
+            yield (
+                f"{name}: command and reading count in opposite directions (correlation {alike[k, k]:.2f}): turn the "
+                "sign of one of the columns; until then its response is not told"
+            )
+            continue
+        best = int(np.nanargmax(np.abs(alike[k])))
+        if best != k and abs(alike[k, k]) < 0.5 and abs(alike[k, best]) > 0.98:
+            yield (
+                f"the command of {name} moves as the reading of {log.joints[best]} does (correlation "
+                f"{alike[k, best]:.3f}, with its own {alike[k, k]:.2f}): joints stand in another order in the "
+                "commands. Name the columns by their joints"
+            )
+
+
+def _alike(log: JointLog) -> Array:
+    """Correlations of commands (rows) and readings (columns), shape (joints, joints); NaN of joints at rest."""
+    assert log.command is not None
+    good = np.isfinite(log.command).all(axis=1) & np.isfinite(log.position).all(axis=1)
+    out = np.full((len(log.joints),) * 2, np.nan)
+    if good.sum() < 3:
+        return out
+    c, q = (values[good] - values[good].mean(axis=0) for values in (log.command, log.position))
+    sizes = [np.sqrt((values**2).mean(axis=0)) for values in (c, q)]
+    moves = np.outer(sizes[0] > STILL, sizes[1] > STILL)
+    np.divide(c.T @ q / len(c), np.outer(*sizes), out=out, where=moves)
+    return out
+
+
+def _speed_delay(log: JointLog) -> tuple[float, float] | None:
+    """How much later than the slope of the position the speed is [s], and its scale; None where nothing moves.
+
+    To first order v(t) = scale (q'(t) - delay q''(t)); both by least squares over all joints.
+    """
+    assert log.speed is not None
+    whole = np.zeros((2, 2))
+    right = np.zeros(2)
+    for run in log.runs():
+        if len(run) < 8 or run.speed is None:
+            continue
+        for q, v in zip(run.position.T, run.speed.T, strict=True):
+            slope = (q[4:] - q[:-4]) / (run.time[4:] - run.time[:-4])
+            bend = (slope[2:] - slope[:-2]) / (run.time[4:-2] - run.time[2:-4])
+            A = np.column_stack([slope[1:-1], -bend])
+            seen = v[3:-3]
+            good = np.isfinite(A).all(axis=1) & np.isfinite(seen)
+            whole, right = whole + A[good].T @ A[good], right + A[good].T @ seen[good]
+    if np.linalg.matrix_rank(whole) < 2 or right[0] <= 0:
+        return None
+    scale, delayed = np.linalg.solve(whole, right)
+    return (float(delayed / scale), float(scale)) if scale > 0 else None
+
+
+def with_signs(log: JointLog) -> JointLog:
+    """A torque or current that is never negative, though joints move both ways, is taken as unsigned."""
+    for channel in ("torque", "current"):
+        values = getattr(log, channel)
+        if values is None or (channel == "current" and log.current_unsigned) or np.nanmin(values) < 0:
+            continue
+        turned = np.diff(log.position, axis=0)
+        fro = (turned > 0).any(axis=0) & (turned < 0).any(axis=0)
+        # A load that never changes its sign is no size: sizes come near to zero.
+        seen = np.nan_to_num(values)
+        sizes = seen.min(axis=0) < 0.1 * seen.max(axis=0)
+        both = int((fro & sizes).sum())
+        if both < 2:
+            continue
+        said = (
+            f"{channel} is never negative, though {both} joints move to and fro: read as the absolute value of a "
+            "current, which tells friction and load by size alone. Log it with its sign"
+        )
+        changed: dict[str, Array | None] = {"torque": None if channel == "torque" else log.torque, "current": values}
+        return replace(log, **changed, current_unsigned=True, findings=(*log.findings, said))  # type: ignore[arg-type]
+    return log
+
+
+def refuse_other_units(log: JointLog, robot: Arm | None) -> None:
+    """Raises InputError where angles are in another unit than their columns say, all along or from some row on."""
+    for k, name in enumerate(log.joints):
+        if log.kinds[k] != "revolute":
+            continue
+        column = log.position[:, k]
+        top = int(np.nanargmax(np.abs(column)))
+        largest, known = abs(float(column[top])), f"{log.source}: row {log.row[top]}, position of {name}"
+        beyond = largest > MOST_TURNS * 2 * np.pi
+        if robot and not beyond:
+            lower, upper = (float(ends[k]) for ends in robot.limits)
+            inside = (lower - BEYOND <= np.deg2rad(column)) & (np.deg2rad(column) <= upper + BEYOND)
+            reach = max(abs(lower), abs(upper))
+            beyond = largest > 2 * reach + BEYOND and largest > np.pi and bool(inside[np.isfinite(column)].all())
+        if beyond:
+            raise InputError(
+                f"{known}: {largest:.6g} rad; such angles are degrees: name the columns q{k + 1}_deg, or give the unit"
+            )
+        _refuse_change(log, k)
+        if log.command is not None and np.nanstd(column) > STILL and np.nanstd(log.command[:, k]) > STILL:
+            ratio = float(np.nanstd(log.command[:, k]) / np.nanstd(column))
+            for factor, words in ((DEGREES, ("commands", "readings")), (1 / DEGREES, ("readings", "commands"))):
+                if abs(ratio / factor - 1) < 0.15:
+                    raise InputError(
+                        f"{log.source}: {words[0]} of {name} are {DEGREES:.1f} times its {words[1]}: degrees called "
+                        f"radians; name the columns of the {words[0]} with _deg"
+                    )
+
+
+def _refuse_change(log: JointLog, k: int) -> None:
+    """Raises InputError where a joint's readings change from radians to degrees between two rows."""
+    column = log.position[:, k]
+    before, after = np.abs(column[:-1]), np.abs(column[1:])
+    small = np.minimum(before, after)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.maximum(before, after) / small
+    at = np.flatnonzero((small > 0.02) & (np.abs(ratio / DEGREES - 1) < 0.1))
+    if len(at):
+        row = int(at[0])
+        raise InputError(
+            f"{log.source}: row {log.row[row + 1]}, position of {log.joints[k]}: {column[row + 1]:.5g} follows "
+            f"{column[row]:.5g}, {ratio[row]:.1f} times: the unit changes there (degrees and radians); convert the "
+            "rows of one of them, or give one file to each"
+        )

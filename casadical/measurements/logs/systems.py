@@ -1,0 +1,178 @@
+"""Logs of other systems: SAGE's folders, LeRobot's datasets, ROS bags; streams of their own times become one."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError, optional
+from casadical.core.reading import foreign, load_json, read_text, regular
+from casadical.measurements.logs.columns import Logged, logged
+from casadical.measurements.raw_table import RawTable, read_table
+from casadical.measurements.table_form import clean
+
+STATE, CONTROL, JOINTS = "state_motor.csv", "control.csv", "joint_list.txt"
+BAGS = (".db3", ".mcap", ".bag")
+# Messages with trajectories of a controller: fields that hold what was commanded, and what was measured.
+_COMMANDED, _MEASURED = ("reference", "desired"), ("feedback", "actual")
+_TOLD = ("command", "desired", "target", "reference", "goal", "leader", "action")
+_FIELDS = {"position": "position", "velocity": "speed", "effort": "torque"}
+
+
+def sage(folder: Path) -> Logged:
+    """A folder of SAGE: states, commands and the list of joints. Raises InputError."""
+    names = [clean(line) for line in read_text(folder / JOINTS).splitlines() if line.strip()]
+    states = logged(read_table(folder / STATE), listed=names)
+    if not (folder / CONTROL).exists():
+        return states
+    control = logged(read_table(folder / CONTROL), listed=names)
+    told = replace(control, channels={"command": control.channels.get("position", {})})
+    return replace(joined([states, told]), source=folder.name)
+
+
+def lerobot(path: Path, table: RawTable, unit: str | None) -> Logged:
+    """A Parquet file of a LeRobot dataset; unit : deg, rad or percent, of angles.
+
+    Raises InputError: where the unit is not given and not sure.
+    """
+    about = next((up / "meta" / "info.json" for up in path.parents[:4] if (up / "meta" / "info.json").exists()), None)
+    names: Sequence[str] = ()
+    if about:
+        features = load_json(about).get("features", {})
+        given = features.get("observation.state", features.get("action", {})).get("names") or ()
+        names = [
+            str(name).removesuffix(".pos") for name in (given.get("motors", ()) if isinstance(given, dict) else given)
+        ]
+    log = logged(table, listed=names)
+    sizes = [np.nanmax(np.abs(column)) for column in log.channels.get("position", {}).values()]
+    if not unit and max(sizes, default=0.0) <= 100.0:
+        raise InputError(
+            f"{path.name}: positions within -100 to 100 are degrees or, as LeRobot writes by default, per cent of each "
+            'joint\'s calibrated range; nothing here says which. Give unit = "deg", or "percent" with the robot'
+        )
+    return replace(log, units=dict.fromkeys(log.units, unit or "deg"))
+
+
+@dataclass
+class _Stream:
+    """Messages of one topic that name the same joints."""
+
+    topic: str
+    names: tuple[str, ...]
+    stamps: list[int]
+    received: list[int]
+    rows: dict[str, list[Any]]
+
+
+def bag(path: Path) -> Logged:
+    """The joint states of a ROS bag or an MCAP file, and the commands in it. Raises InputError."""
+    needed = f"{path}: reading bags needs rosbags: pip install 'casadical[logs]'"
+    highlevel, typesys = optional("rosbags.highlevel", needed), optional("rosbags.typesys", needed)
+    path = path if path.is_dir() else regular(path)
+    streams: dict[tuple[str, ...], _Stream] = {}
+    with foreign(f"{path}: not a readable bag"):
+        store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+        with highlevel.AnyReader([path], default_typestore=store) as reader:
+            topics = sorted({f"{c.topic} ({c.msgtype})" for c in reader.connections})
+            wanted = [c for c in reader.connections if c.msgtype.rsplit("/", 1)[-1] in _READERS]
+            for connection, received, data in reader.messages(wanted) if wanted else ():
+                message = reader.deserialize(data, connection.msgtype)
+                _keep(streams, connection.topic, connection.msgtype.rsplit("/", 1)[-1], message, received)
+    found = [_of_stream(stream, path) for stream in streams.values()]
+    if not any("position" in log.channels for log in found):
+        raise InputError(
+            f"{path}: no joint states; there are {', '.join(topics) or 'no topics'}; record /joint_states "
+            "(sensor_msgs/msg/JointState) and the controller's state, which has the commands"
+        )
+    return joined(sorted(found, key=lambda log: ("position" in log.channels, len(log.time)), reverse=True))
+
+
+def _states(topic: str, message: Any) -> Iterator[tuple[tuple[str, ...], str, Any]]:
+    told = any(word in topic.casefold() for word in _TOLD)
+    for field, channel in _FIELDS.items():
+        if not told or channel != "torque":
+            name = {"position": "command", "speed": "command_speed"}[channel] if told else channel
+            yield tuple(message.name), name, getattr(message, field)
+
+
+def _controller(_: str, message: Any) -> Iterator[tuple[tuple[str, ...], str, Any]]:
+    for fields, names in ((_COMMANDED, ("command", "command_speed", "")), (_MEASURED, ("position", "speed", "torque"))):
+        point = next((getattr(message, field) for field in fields if hasattr(message, field)), None)
+        for values, name in zip(("positions", "velocities", "effort"), names, strict=True):
+            if name:
+                yield tuple(message.joint_names), name, getattr(point, values, ())
+
+
+_READERS = {"JointState": _states, "JointTrajectoryControllerState": _controller}
+
+
+def _keep(streams: dict[tuple[str, ...], _Stream], topic: str, kind: str, message: Any, received: int) -> None:
+    stamp = message.header.stamp
+    for k, (names, channel, values) in enumerate(_READERS[kind](topic, message)):
+        stream = streams.setdefault((topic, *names), _Stream(topic, names, [], [], {}))
+        if not k:
+            stream.stamps.append(int(stamp.sec) * 10**9 + int(stamp.nanosec))
+            stream.received.append(received)
+        if len(values) == len(names):
+            stream.rows.setdefault(channel, []).append(values)
+
+
+def _of_stream(stream: _Stream, path: Path) -> Logged:
+    """A topic's messages as columns, timed by their stamps, or as they were received where these are not set."""
+    stamps, received = np.array(stream.stamps), np.array(stream.received)
+    notes = []
+    if stamped := bool((stamps > 0).all()):
+        late = (received - stamps) * 1e-6
+        if abs(np.median(late)) < 1e5:
+            low, high = np.quantile(late, (0.05, 0.95))
+            span = f"{np.median(late):.1f} ms after the stamp ({low:.1f} to {high:.1f} ms)"
+            notes.append(f"{stream.topic}: recorded {span}; the stamps are taken")
+    else:
+        notes.append(f"{stream.topic}: without stamps; times are those of recording, with its delay and jitter")
+    channels = {
+        name: dict(zip(stream.names, np.array(rows, dtype=float).T, strict=True))
+        for name, rows in stream.rows.items() if len(rows) == len(stamps) and np.any(np.asarray(rows))
+    }  # fmt: skip
+    if "torque" in channels:
+        notes.append(
+            f"{stream.topic}: effort is read as torque [N m]; some drivers write currents there (Universal Robots' "
+            'among them): then give effort = "current"'
+        )
+    units = {(name, joint): "rad" for name, columns in channels.items() for joint in columns}
+    row = np.arange(len(stamps)) + 1
+    return Logged((stamps if stamped else received) * 1e-9, channels, units, row, path.name, notes=tuple(notes))
+
+
+def joined(logs: Sequence[Logged]) -> Logged:
+    """Streams of their own times as one, at the times of the first; each row has what the others said last."""
+    first, *others = logs
+    start = first.time[0]
+    channels: dict[str, Mapping[str, Array]] = dict(first.channels)
+    units, notes, kept = dict(first.units), [*first.notes], np.ones(len(first.time), dtype=bool)
+    for other in others:
+        last = np.searchsorted(other.time, first.time, side="right") - 1
+        more = {name: columns for name, columns in other.channels.items() if {*columns} - {*channels.get(name, ())}}
+        if not more:
+            continue
+        kept &= last >= 0
+        for name, columns in more.items():
+            channels[name] = {j: c[np.maximum(last, 0)] for j, c in columns.items()} | dict(channels.get(name, {}))
+            units |= {(name, joint): other.units.get((name, joint), "") for joint in columns}
+        age = 1e3 * (first.time - other.time[np.maximum(last, 0)])[last >= 0]
+        if len(age):
+            what = ", ".join(name.replace("_", " ") for name in more)
+            notes.append(
+                f"{what}: of another stream, {np.median(age):.1f} ms (at most {age.max():.0f} ms) before its row"
+            )
+        notes += [note for note in other.notes if note not in notes]
+    if not kept.any():
+        raise InputError(f"{first.source}: its streams do not overlap in time; record them together")
+    which = np.flatnonzero(kept)
+    return replace(
+        first, time=(first.time - start)[which], units=units, row=first.row[which], notes=tuple(notes),
+        channels={n: {j: c[which] for j, c in columns.items()} for n, columns in channels.items()},
+        scalars={name: values[which] for name, values in first.scalars.items()},
+    )  # fmt: skip
