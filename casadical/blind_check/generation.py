@@ -71,8 +71,8 @@ def make(
     project : folder with problems/ and data/; executor : of `concurrent.futures`' kind, by default a process for each
         core
     show : called with a campaign's name, how many are done, and how many there are
-    also : further files that appear with them or not at all Raises InputError for too few campaigns, a folder that is
-        in use, or a key within the campaigns' folder.
+    also : further files that appear with them or not at all
+    Raises InputError for too few campaigns, a folder that is in use, or a key within the campaigns' folder.
     """
     folder, key_folder = Path(folder), Path(key)
     _check(folder, key_folder, n, poses)

@@ -29,8 +29,8 @@ def predict(
     A campaign that cannot be answered has a line that says why; it is tried again by the next call.
 
     out : file of answers, a line each; by default answers.METHOD.jsonl in the folder
-    by : diagnosis, or f-test, a textbook method to compare it with; executor, show : as of `make` Raises InputError for
-        no such folder or method, tables that cannot be read, or a file that answers another check.
+    by : diagnosis, or f-test, a textbook method to compare it with; executor, show : as of `make`
+    Raises InputError for no such folder or method, tables that cannot be read, or a file that answers another check.
     """
     folder = Path(folder)
     if by not in METHODS:

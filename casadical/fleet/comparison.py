@@ -77,8 +77,8 @@ def compare(
 
     same_tool : whether the same point of the same tool was measured, so that a moved one is a change
     same_frame : whether all positions are in one frame, so that a moved foot is a change
-    notes : what a reader must know of the campaigns Raises InputError: fewer than two campaigns, or of robots that
-        cannot be the same one.
+    notes : what a reader must know of the campaigns
+    Raises InputError: fewer than two campaigns, or of robots that cannot be the same one.
     """
     if len(campaigns) < 2:
         raise InputError(f"{len(campaigns)} campaign; a comparison needs two or more")

@@ -114,8 +114,9 @@ def estimate(
     """What measurements of any kind tell of all parameters; day : when they were measured [d].
 
     campaign : an identification, or a nominal robot and measurements, by which it is identified first
-    label : of the campaign; empty: the source of its measurements Raises InputError: known distances between touched
-        points, which cannot be compared; ConvergenceError: Ipopt finds no optimum.
+    label : of the campaign; empty: the source of its measurements
+    Raises InputError: known distances between touched points, which cannot be compared; ConvergenceError: Ipopt finds
+        no optimum.
     """
     found = campaign if isinstance(campaign, Identification) else identify(*campaign, loss="huber")
     fit = wide_fit(found)
@@ -171,8 +172,8 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
     The file does not say which poses were measured. How parameters that were not identified bend those that were is
     therefore computed at poses drawn from the readings on which it was learnt.
 
-    label : of the campaign; empty: that of the file; day : when it was measured [d] Raises InputError: a robot without
-        a covariance of its geometry.
+    label : of the campaign; empty: that of the file; day : when it was measured [d]
+    Raises InputError: a robot without a covariance of its geometry.
     """
     known = robot.knowledge
     if robot.tool.unknown == "pose":  # the poses drawn below are positions, which do not tell how the tool is turned

@@ -44,8 +44,8 @@ def tours() -> Any:
 def short_path(D: Array, before: Array | None = None) -> Array:
     """An order, shape (n,), of small total distance: the best of networkx's greedy tours from several starts.
 
-    D : distances, shape (n, n); before : distances from the pose before, shape (n,) Raises InputError where networkx is
-        missing.
+    D : distances, shape (n, n); before : distances from the pose before, shape (n,)
+    Raises InputError where networkx is missing.
     """
     n = len(D)
     if n < 3:

@@ -92,8 +92,8 @@ def train_networks(
     The set train is learnt from, the set choose decides, all others have no part in either.
 
     show : called with a line of progress that holds the loss
-    judged : poses whose errors are told, by set; None: all of the problem's Raises InputError: a method that is no
-        network, or data without positions.
+    judged : poses whose errors are told, by set; None: all of the problem's
+    Raises InputError: a method that is no network, or data without positions.
     """
     judged = dict(problem.parts()) if judged is None else judged
     trainers = network_methods()

@@ -52,8 +52,8 @@ class Engine:
     """A mechanism, effects included, compiled by MuJoCo, that can be brought to rest at one pose after the other.
 
     travels : whether it moves to every pose from the side it is approached from, which only friction and play need
-    factor : true over declared mass of the payload; gravity : in the measuring frame [m/s^2] Raises InputError: MuJoCo
-        is missing.
+    factor : true over declared mass of the payload; gravity : in the measuring frame [m/s^2]
+    Raises InputError: MuJoCo is missing.
     """
 
     def __init__(

@@ -62,7 +62,7 @@ class NetworkFunction:
     lower, upper : ends of the box, shape (n,) [rad or m]
     units : "rad" or "m" of each joint's reading; default: all rad
     key, out, unit, title : the names of the exported function and of its result, its unit, and what it is, in words
-        Raises InputError: a function of other shapes.
+    Raises InputError: a function of other shapes.
     """
 
     function: casadi.Function

@@ -37,8 +37,8 @@ def driver_file(sources: Sources, form: str, checksum: str = "") -> Written:
     """The calibrated robot as a driver reads it.
 
     form : `ur` (kinematics YAML of the UR ROS 2 description), `standard_dh`, `modified_dh` (CSV), or `xacro`
-    checksum : of the controller's own calibration, for `ur`: the driver compares it Raises InputError: another form, a
-        robot with closed loops, or one that has not the structure of the form.
+    checksum : of the controller's own calibration, for `ur`: the driver compares it
+    Raises InputError: another form, a robot with closed loops, or one that has not the structure of the form.
     """
     if form not in FORMS:
         raise InputError(f"--to {form}: not known; allowed: {', '.join(FORMS)}")

@@ -21,8 +21,8 @@ AT_MOST = 100
 def positions(xml: str, m: Measurements, payload_factor: float = 1.0) -> Array:
     """Equilibrium position of the site `measured`, shape (n, 3) [m], at readings and conditions that were logged.
 
-    xml : as `mjcf` writes it; payload_factor : true mass of the payload over the declared one Raises InputError: MuJoCo
-        is not installed, or readings of another robot; ConvergenceError: a loop cannot close.
+    xml : as `mjcf` writes it; payload_factor : true mass of the payload over the declared one
+    Raises InputError: MuJoCo is not installed, or readings of another robot; ConvergenceError: a loop cannot close.
     """
     model = EngineModel(xml)
     if model.arm != m.q.shape[1]:
