@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from casadical.blind_check.predictor import Session, unseen_positions
+from casadical.blind_check.prediction import Session, unseen_positions
 from casadical.blind_check.signal_size import RANK, column_space
 from casadical.core.arrays import Array
 from casadical.core.errors import ConvergenceError, optional

@@ -14,7 +14,7 @@ import pandas as pd
 from casadical.blind_check.campaign_plans import COLUMNS, POSES, Plan, draw_plans
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, Plant
 from casadical.blind_check.mujoco_physics.table import MEASURED, TRUE
-from casadical.blind_check.predictor import nominal
+from casadical.blind_check.prediction import nominal
 from casadical.blind_check.protocol import (
     KEY,
     MANIFEST,

@@ -24,7 +24,7 @@ from casadical.blind_check.mujoco_physics.plant import Building, home_frames
 from casadical.blind_check.mujoco_physics.statics import rated_torque
 from casadical.blind_check.mujoco_physics.stops import Warmup
 from casadical.blind_check.outcomes import Outcome, outcome
-from casadical.blind_check.predictor import answer_campaign
+from casadical.blind_check.prediction import answer_campaign
 from casadical.blind_check.recording import Subject
 from casadical.blind_check.worker_pool import completed, workers
 from casadical.core.arrays import Array

@@ -1,19 +1,144 @@
 """Answer a blind check: diagnose each campaign from its folder alone, and predict positions at its unseen poses."""
 
+import tomllib
 from collections.abc import Callable
 from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from casadical.blind_check.answers import json_line, read_answers, whole_lines
-from casadical.blind_check.predictor import METHODS, answer_campaign
 from casadical.blind_check.protocol import MANIFEST, ROBOTS, Manifest, read_manifest, read_table
 from casadical.blind_check.worker_pool import completed, workers
-from casadical.core.errors import InputError
+from casadical.core.arrays import Array
+from casadical.core.errors import ConvergenceError, InputError
 from casadical.core.files import appending
-from casadical.robot.robot_file import read_robot, to_toml
+from casadical.identification.accuracy import predicted
+from casadical.identification.identification import base_calibrated
+from casadical.identification.prepared import prepare
+from casadical.measurements.derived_columns import derive
+from casadical.measurements.measurements import Measurements
+from casadical.measurements.reading import from_table
+from casadical.robot.robot import Robot
+from casadical.robot.robot_file import read_robot, robot_from, to_toml
+
+METHODS = {
+    "diagnosis": ("prediction", "diagnosis"),
+    "f-test": ("f_test", "f_test"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """A campaign and its unseen poses.
+
+    robot : nominal; everything : all poses in the order in which the robot took them, positions of unseen ones zero
+    seen : mask, shape (all poses,)
+    """
+
+    name: str
+    robot: Robot
+    everything: Measurements
+    seen: Array
+
+    @property
+    def measured(self) -> Measurements:
+        return self.everything[self.seen]
+
+    def _with_columns(self, robot: Robot) -> Measurements:
+        """All poses with the columns that a robot's effects need; warmth is counted from the measured poses' mean."""
+        m, _ = derive(self.everything, robot.conditions)
+        columns = {k: c - c[self.seen].mean() if k.startswith("warmth") else c for k, c in m.conditions.items()}
+        return replace(m, conditions=columns)
+
+    def at_unseen(self, robot: Robot) -> Array:
+        """Positions of a robot at the unseen poses, shape (unseen, 3) [m]."""
+        return predicted(robot, self._with_columns(robot)[~self.seen])[0]
+
+    def fitted(self, robot: Robot, leave_out: Array) -> Robot:
+        """A robot, effects included, identified from the measured poses but those of the rows given."""
+        m = self._with_columns(robot)
+        m = m[self.seen & ~np.isin(m.row, leave_out)]
+        free = ("kinematic", "compliance", *dict.fromkeys(e.label for e in robot.effects))
+        return base_calibrated(prepare(robot, m), free).robot
+
+
+Method = Callable[[Session], dict[str, Any]]
+
+
+@lru_cache(maxsize=16)
+def nominal(model: str) -> Robot:
+    """The robot of a file's text; kept, because what CasADi derives from it is costly."""
+    return robot_from(tomllib.loads(model), "the folder's robot")
+
+
+def session(name: str, model: str, seen: pd.DataFrame, unseen: pd.DataFrame) -> Session:
+    """The session of a campaign's two tables; model : text of the nominal robot's file. Raises InputError."""
+    robot = nominal(model)
+    blank = unseen.assign(x_mm=0.0, y_mm=0.0, z_mm=0.0)
+    table = pd.concat([seen.assign(seen=1.0), blank.assign(seen=0.0)]).sort_values("pose", kind="stable")
+    joints = [j.kind for j in robot.joints]
+    everything = from_table(table.drop(columns="seen"), joints, "position", source=f"{name}.csv")
+    # Columns that follow from the order of all poses, the unseen ones among them.
+    everything, _ = derive(everything, ["progress", *(f"approach{j}" for j in range(1, robot.n + 1))])
+    return Session(name, robot, everything, table["seen"].to_numpy() == 1.0)
+
+
+def answer_campaign(by: str, name: str, model: str, seen: pd.DataFrame, unseen: pd.DataFrame) -> dict[str, Any]:
+    """The answer of one method to one campaign, as plain data; runs in a worker.
+
+    Where a campaign cannot be answered, the entry `failed` says why, and all others are answered still.
+    """
+    module, name_of = METHODS[by]
+    method: Method = getattr(import_module(f"{__package__}.{module}"), name_of)
+    try:
+        return method(session(name, model, seen, unseen))
+    except (InputError, ConvergenceError) as error:
+        return {"campaign": name, "failed": str(error)}
+
+
+def diagnosis(s: Session) -> dict[str, Any]:
+    """The answer of the diagnosis."""
+    from casadical.diagnosis.details import Details
+    from casadical.diagnosis.json_answer import as_json
+    from casadical.diagnosis.localisation import localise
+    from casadical.diagnosis.smooth_description import describe_unlisted
+    from casadical.project.diagnosis import Campaign, diagnose_campaign
+
+    diagnosed = diagnose_campaign(Campaign(s.robot, (s.measured,))).diagnosis
+    answer = as_json(diagnosed, s.name, Details(where=localise(diagnosed), unlisted=describe_unlisted(diagnosed)))
+    first = diagnosed.rankings[0]
+    posterior = {"none": first.none, "unknown": 0.0}
+    for candidate in diagnosed.case.candidates:
+        text = candidate.label if candidate.listed else "unknown"
+        posterior[text] = posterior.get(text, 0.0) + first.probability.get(candidate.label, 0.0)
+    if any(c.effect == "outliers" for c in diagnosed.causes):
+        # The screening has no probability: where it finds outliers it is sure, and the ranking is of the other poses.
+        posterior["outliers"] = next(c.confidence for c in diagnosed.causes if c.effect == "outliers")
+    out = np.array([o.row for o in diagnosed.outliers], dtype=int)
+    return answer | {
+        "posterior": {text: round(float(p), 5) for text, p in posterior.items() if p >= 1e-5},
+        "unseen": unseen_positions(s, diagnosed.identification.robot, diagnosed.apply(), out),
+    }
+
+
+def unseen_positions(s: Session, base: Robot, with_causes: Robot, leave_out: Array) -> dict[str, Any]:
+    """Positions at the unseen poses by the base model and by the robot with causes, in mm.
+
+    base : as calibrated on all poses; leave_out : rows of outliers, without which it is calibrated again
+    """
+    before = s.at_unseen(s.fitted(s.robot, leave_out) if len(leave_out) else base)
+    after = s.at_unseen(with_causes) if with_causes.effects else before
+    return {
+        name: [[round(float(x), 4) for x in row] for row in 1e3 * positions]
+        for name, positions in (("base_mm", before), ("with_causes_mm", after))
+    }
 
 
 def predict(

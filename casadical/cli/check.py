@@ -50,7 +50,7 @@ def check(
     """
     from casadical.core.telling.terminal import terminal
     from casadical.project.check import precheck
-    from casadical.project.check.target_repair import not_repaired, repaired
+    from casadical.project.check.repair import not_repaired, repaired
 
     console = wrapped(quiet)
     checks = []

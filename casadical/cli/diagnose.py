@@ -190,6 +190,6 @@ def _printed(found: CampaignDiagnosis, details: bool, file: Path | None, console
 
 def _report(answers: list[CampaignDiagnosis]) -> str:
     """The page of all, each with what a simulator says of its poses."""
-    from casadical.export.mjcf.replay_blocks import replay_blocks
+    from casadical.export.mjcf.replay import replay_blocks
 
     return html([found.page([*replay_blocks(found.diagnosis)]) for found in answers])

@@ -1,8 +1,7 @@
 """A small network that learns the error left after calibration. It can be used alone: it loads no kinematics."""
 
 from casadical.compensator.compensator import Compensator
-from casadical.compensator.iwo import InvasiveWeeds, iwo_minimise
-from casadical.compensator.iwo_settings import IwoSettings
+from casadical.compensator.iwo import InvasiveWeeds, IwoSettings, iwo_minimise
 from casadical.compensator.layout import JointBox, Layout
 from casadical.compensator.network import Network
 from casadical.compensator.saving import load_compensator, save_compensator

@@ -29,7 +29,7 @@ from casadical.identification.residuals import ALL_LOSSES
 from casadical.identification.result import Identification, without_poses
 from casadical.identification.solver import Progress
 from casadical.identification.tables import correlated, held_table, how_sure, parameter_tables
-from casadical.project.calibration_page import calibration_page
+from casadical.project.calibration_page import calibration_figures, calibration_page, used_poses, where_left
 from casadical.project.check.targets import unnamed_targets
 from casadical.project.networks import Networks, train_networks
 from casadical.project.outcome import (
@@ -45,7 +45,6 @@ from casadical.project.outcome import (
 )
 from casadical.project.problem import Carried, Problem, nothing_carried, read_problem, together
 from casadical.project.problem_file import BASE_METHODS, all_methods, base_methods
-from casadical.project.remaining_errors import calibration_figures, used_poses, where_left
 from casadical.project.robot_columns import unfitted
 from casadical.project.tables import Accuracies, error_tables, judged_on, network_tables, paper_tables, verdict
 from casadical.robot.robot import Robot

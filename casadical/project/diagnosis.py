@@ -28,8 +28,7 @@ from casadical.effects import Effect
 from casadical.effects.plugins import known_effects
 from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements
-from casadical.pose_selection.workspace import Workspace
-from casadical.pose_selection.workspace_file import read_workspace
+from casadical.pose_selection.workspace import Workspace, read_workspace
 from casadical.project.problem import Carried, nothing_carried, read_campaign, read_campaign_robot, tool_as_measured
 from casadical.project.problem_file import own_tables
 from casadical.project.sources import campaign_files

@@ -31,8 +31,7 @@ from casadical.pose_selection.pose_order import tours
 from casadical.pose_selection.pose_search import select_poses
 from casadical.pose_selection.selection import Selection
 from casadical.pose_selection.stopping_rule import forecast
-from casadical.pose_selection.workspace import Workspace
-from casadical.pose_selection.workspace_file import read_workspace
+from casadical.pose_selection.workspace import Workspace, read_workspace
 from casadical.project.problem import Carried, nothing_carried, read_campaign, read_campaign_robot
 from casadical.project.problem_file import tables_of
 from casadical.robot.robot import Robot

@@ -8,8 +8,8 @@ import numpy as np
 from c_bench import PRODUCTS, REALS, WORK, arms, casadi_c, lacking, line, run, section, targets
 
 from casadical.export import Sources, command_of, write_c
+from casadical.export.c.kernel import WARNINGS
 from casadical.export.c.tape_program import tape_program
-from casadical.export.c.toolchain import WARNINGS
 from casadical.robot.knowledge import ErrorBound
 
 

@@ -110,7 +110,7 @@ def kinds(place: Path) -> dict[str, Kind]:
     from casadical.export.controller.programs.program import read_target_program
     from casadical.export.controller.programs.target import Given
     from casadical.fleet.store import rows
-    from casadical.pose_selection.workspace_file import read_workspace
+    from casadical.pose_selection.workspace import read_workspace
     from casadical.project.new.new import new_problem
     from casadical.project.problem import read_problem
     from casadical.project.problem_file import result_in, tables_of

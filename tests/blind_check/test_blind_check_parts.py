@@ -17,8 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from casadical.blind_check import mujoco_physics, worker_pool
 from casadical.blind_check.mujoco_physics.causes_load import GravityCompensator
-from casadical.blind_check.mujoco_physics.causes_loose import CrackedLink
-from casadical.blind_check.mujoco_physics.causes_structure import LinkFlexure
+from casadical.blind_check.mujoco_physics.causes_structure import CrackedLink, LinkFlexure
 from casadical.blind_check.mujoco_physics.hidden import Hidden, cause
 from casadical.blind_check.mujoco_physics.plant import home_with_errors
 from casadical.blind_check.mujoco_physics.robot import mechanism

@@ -42,7 +42,7 @@ except SystemExit as end:
 """
 PREDICTING = """
 from casadical.blind_check.prediction import predict
-import casadical.blind_check.predictor, casadical.blind_check.f_test
+import casadical.blind_check.prediction, casadical.blind_check.f_test
 import casadical.diagnosis.diagnose, casadical.diagnosis.json_answer
 """
 
@@ -97,5 +97,5 @@ def test_a_user_who_calibrates_or_diagnoses_loads_nothing_of_the_blind_check(wor
 
 def test_predicting_loads_nothing_that_makes_campaigns() -> None:
     loaded = of_the_room(loaded_by(PREDICTING))
-    assert f"{ROOM}.predictor" in loaded
+    assert f"{ROOM}.prediction" in loaded
     assert [m for m in loaded if m.startswith((*PHYSICS, f"{ROOM}.recording", f"{ROOM}.generation"))] == []

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from cases import PRACTICE, ROOT, diagnosed, practice, robot
 
-from casadical.blind_check import predictor
+from casadical.blind_check import prediction
 from casadical.core.arrays import Array
 from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.refit import refit
@@ -24,7 +24,7 @@ from casadical.robot.robot_file import to_toml
 CAMPAIGNS = sorted(path.stem for path in PRACTICE.glob("*.csv"))
 
 
-class Recorded(predictor.Session):
+class Recorded(prediction.Session):
     """A session without unseen poses that keeps the robots which were to predict them."""
 
     def at_unseen(self, robot: Robot) -> Array:
@@ -62,8 +62,8 @@ def test_user_export_and_blind_check_have_the_same_robot(name: str, monkeypatch)
     applied = found.apply()
     exported = robot_to_write(folder, PRACTICE / f"{name}.csv")
     table = pd.read_csv(PRACTICE / f"{name}.csv")
-    s = predictor.session(name, to_toml(robot(name.split("-")[0])), table, table[:0])
-    predictor.diagnosis(Recorded(s.name, s.robot, s.everything, s.seen))
+    s = prediction.session(name, to_toml(robot(name.split("-")[0])), table, table[:0])
+    prediction.diagnosis(Recorded(s.name, s.robot, s.everything, s.seen))
     m, _ = derive(practice(name), applied.conditions)
     there = predicted(applied, m)[0]
     assert np.abs(there - predicted(exported, m)[0]).max() < 1e-9

@@ -12,7 +12,7 @@ from casadical.pose_selection import exchange, pose_search
 from casadical.pose_selection.candidates import Candidates, Circumstances
 from casadical.pose_selection.pose_order import TIME_PARTS, arranged
 from casadical.pose_selection.pose_search import select_poses
-from casadical.pose_selection.workspace_file import read_workspace
+from casadical.pose_selection.workspace import read_workspace
 
 ROBOT = planar()
 

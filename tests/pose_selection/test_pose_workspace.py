@@ -9,8 +9,7 @@ from pose_arms import elbow, planar, readings, with_loop
 from casadical import InputError
 from casadical.pose_selection import Workspace
 from casadical.pose_selection.candidates import draw
-from casadical.pose_selection.workspace import Box, Tracker, places_about
-from casadical.pose_selection.workspace_file import read_workspace
+from casadical.pose_selection.workspace import Box, Tracker, places_about, read_workspace
 
 BOX = Box(np.array([-0.2, -0.1, 0.1]), np.array([0.3, 0.5, 0.4]))
 

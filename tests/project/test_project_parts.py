@@ -11,8 +11,9 @@ import pytest
 
 from casadical import report
 from casadical.diagnosis.localisation import Localisation
-from casadical.project import remaining_errors
+from casadical.project import calibration_page
 from casadical.project.calibration import accuracy_without_prior
+from casadical.project.calibration_page import where_left
 from casadical.project.check.check import LACKS, outlook_findings
 from casadical.project.check.information import outlook
 from casadical.project.check.result import Precheck
@@ -22,7 +23,6 @@ from casadical.project.new.texts import Given, with_measured
 from casadical.project.outcome import made_readings, no_better
 from casadical.project.planning import plan
 from casadical.project.problem import read_problem
-from casadical.project.remaining_errors import where_left
 
 if TYPE_CHECKING:
     from casadical.project.check.information import Outlook
@@ -104,7 +104,7 @@ def test_too_few_poses_without_the_prior_are_no_error(calibrated: Any) -> None:
 def test_of_many_poses_some_tell_where_the_error_lies(calibrated: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     result = calibrated("planar").identification
     ways = {row.part for row in dict(where_left(result).tables())["approach"].itertuples()}
-    monkeypatch.setattr(remaining_errors, "MOST_LOCATED", 20)
+    monkeypatch.setattr(calibration_page, "MOST_LOCATED", 20)
     found = dict(where_left(result).tables())
     for name in ("regions", "time", "approach"):
         assert set(found[name].groupby("by").poses.sum()) <= {19, 20}  # the first pose was approached from nowhere

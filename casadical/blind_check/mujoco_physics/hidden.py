@@ -1,52 +1,36 @@
 """Hidden effects by their names: those of the diagnosis' list, and those that are on no list."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics import causes_drive, causes_load, causes_loose, causes_setup, causes_structure
+from casadical.blind_check.mujoco_physics import causes_drive, causes_load, causes_setup, causes_structure
 from casadical.blind_check.mujoco_physics.cause import Cause
 from casadical.core.errors import InputError
 
-LISTED: Mapping[str, type[Cause]] = {
-    "gear_eccentricity": causes_drive.GearEccentricity,
-    "transmission_ripple": causes_drive.TransmissionRipple,
-    "joint_scale": causes_drive.JointScale,
-    "joint_coupling": causes_drive.JointCoupling,
-    "joint_zero_step": causes_drive.JointZeroStep,
-    "thermal_growth": causes_structure.ThermalGrowth,
-    "thermal_zero_drift": causes_drive.ThermalZeroDrift,
-    "target_shift": causes_setup.TargetShift,
-    "payload_error": causes_structure.PayloadError,
-    "axis_wobble": causes_structure.AxisWobble,
-    "gravity_compensator": causes_load.GravityCompensator,
-    "nonlinear_stiffness": causes_load.NonlinearStiffness,
-    "backlash": causes_load.Backlash,
-    "friction_windup": causes_load.FrictionWindup,
-    "link_flexure": causes_structure.LinkFlexure,
-    "base_compliance": causes_structure.BaseCompliance,
-    "frame_drift": causes_setup.FrameDrift,
-    "outliers": causes_setup.Outliers,
-}
 
-UNLISTED: Mapping[str, type[Cause]] = {
-    "loose_flange": causes_loose.LooseFlange,
-    "tool_slip": causes_loose.ToolSlip,
-    "bearing_play": causes_loose.BearingPlay,
-    "hose_pull": causes_load.HosePull,
-    "cracked_link": causes_loose.CrackedLink,
-    "loose_anchor": causes_loose.LooseAnchor,
-    "thermal_bend": causes_structure.ThermalBend,
-    "encoder_pit": causes_drive.EncoderPit,
-    "damaged_tooth": causes_drive.DamagedTooth,
-    "loose_cargo": causes_loose.LooseCargo,
-    "tight_cable": causes_load.TightCable,
-    "lost_bits": causes_drive.LostBits,
-    "rubber_coupling": causes_load.RubberCoupling,
-    "range_offset": causes_setup.RangeOffset,
-}
+def _by_name(*kinds: type[Cause]) -> dict[str, type[Cause]]:
+    return {re.sub("(?<!^)(?=[A-Z])", "_", kind.__name__).lower(): kind for kind in kinds}
+
+
+LISTED: Mapping[str, type[Cause]] = _by_name(
+    causes_drive.GearEccentricity, causes_drive.TransmissionRipple, causes_drive.JointScale,
+    causes_drive.JointCoupling, causes_drive.JointZeroStep, causes_structure.ThermalGrowth,
+    causes_drive.ThermalZeroDrift, causes_setup.TargetShift, causes_structure.PayloadError,
+    causes_structure.AxisWobble, causes_load.GravityCompensator, causes_load.NonlinearStiffness,
+    causes_load.Backlash, causes_load.FrictionWindup, causes_structure.LinkFlexure, causes_structure.BaseCompliance,
+    causes_setup.FrameDrift, causes_setup.Outliers,
+)  # fmt: skip
+
+UNLISTED: Mapping[str, type[Cause]] = _by_name(
+    causes_structure.LooseFlange, causes_structure.ToolSlip, causes_structure.BearingPlay, causes_load.HosePull,
+    causes_structure.CrackedLink, causes_structure.LooseAnchor, causes_structure.ThermalBend,
+    causes_drive.EncoderPit, causes_drive.DamagedTooth, causes_structure.LooseCargo, causes_load.TightCable,
+    causes_drive.LostBits, causes_load.RubberCoupling, causes_setup.RangeOffset,
+)  # fmt: skip
 
 
 def sizes_in_words(sizes: Mapping[str, Any]) -> str:

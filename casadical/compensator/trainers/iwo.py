@@ -5,8 +5,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from casadical.compensator.iwo import InvasiveWeeds
-from casadical.compensator.iwo_settings import IwoSettings
+from casadical.compensator.iwo import InvasiveWeeds, IwoSettings
 from casadical.compensator.task import Task
 from casadical.compensator.trainers.base import Trainer
 from casadical.core.arrays import Array

@@ -12,7 +12,7 @@ from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.line_search import Line, Scan
 from casadical.diagnosis.page import diagnosis_page
 from casadical.diagnosis.spectrum import JointCurve, Spectrum
-from casadical.export.mjcf.replay_blocks import replay_blocks
+from casadical.export.mjcf.replay import replay_blocks
 from casadical.measurements.reading import read_measurements
 from casadical.project.problem import read_campaign_robot
 

@@ -21,7 +21,7 @@ from casadical.identification.pose_errors import (
     workspace,
 )
 from casadical.identification.result import LeftOut
-from casadical.project.remaining_errors import NETWORK_STYLES
+from casadical.project.calibration_page import NETWORK_STYLES
 
 
 @pytest.fixture(scope="module")

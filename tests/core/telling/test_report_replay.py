@@ -9,7 +9,7 @@ import pytest
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.drawing import draw
 from casadical.core.telling.figure import Figure
-from casadical.export.mjcf.replay_blocks import replay_blocks, replay_figure, stage_names
+from casadical.export.mjcf.replay import replay_blocks, replay_figure, stage_names
 from casadical.identification.accuracy import errors
 from casadical.identification.identification import identify
 

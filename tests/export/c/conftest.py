@@ -4,7 +4,7 @@ import export_models as models
 import pytest
 
 from casadical.export import load, write_c
-from casadical.export.c.toolchain import compilers
+from casadical.export.c.kernel import compilers
 
 
 @pytest.fixture(scope="session")

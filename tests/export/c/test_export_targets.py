@@ -5,9 +5,9 @@ import subprocess
 import export_targets as targets
 import pytest
 
+from casadical.export.c.kernel import WARNINGS
 from casadical.export.c.reference import correct, network
 from casadical.export.c.tape_program import tape_program
-from casadical.export.c.toolchain import WARNINGS
 
 
 def need(*tools):

@@ -14,12 +14,12 @@ from controller_arms import nominal_path, planted, poses, positions, rigid_motio
 from casadical import InputError, write_robot
 from casadical.compensator import Compensator
 from casadical.export import Sources, Status, command_of, load, write_c
+from casadical.export.c.kernel import compilers
 from casadical.export.c.language import Label
 from casadical.export.c.reference import bound, correct
 from casadical.export.c.self_test import comparison_inputs
 from casadical.export.c.structured_text import structured_text
 from casadical.export.c.tape_program import tape_program
-from casadical.export.c.toolchain import compilers
 from casadical.export.controller.commands import bound_of
 from casadical.export.controller.programs.correction import Cell, corrected_targets
 from casadical.export.controller.programs.program import read_target_program

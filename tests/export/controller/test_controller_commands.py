@@ -11,7 +11,7 @@ from controller_arms import nominal_path, planted, poses, positions, rigid_motio
 
 from casadical.compensator import Compensator, save_compensator
 from casadical.export import Sources, command_of, load, model_corrector, write_c
-from casadical.export.c.toolchain import compilers
+from casadical.export.c.kernel import compilers
 from casadical.export.controller.c_export import prefix_of
 from casadical.export.controller.correction import kernel_corrector
 from casadical.robot.robot_file import read_robot

@@ -10,8 +10,8 @@ from controller_arms import nominal_path, planted, poses, positions, rigid_motio
 from casadical.core.errors import InputError
 from casadical.effects import GearEccentricity, JointErrorCurve
 from casadical.export import load
+from casadical.export.c.kernel import compilers
 from casadical.export.c.products import mapped
-from casadical.export.c.toolchain import compilers
 from casadical.export.controller.commands import Sources, command_of, curves_of
 from casadical.export.controller.correction import model_corrector
 from casadical.robot.robot_file import read_robot, write_robot

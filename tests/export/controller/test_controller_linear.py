@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from casadical.core.errors import InputError
 from casadical.core.parts import Joint, Placement
 from casadical.export import Sources, Status, command_of, inverse_kinematics, model_corrector, write_c
-from casadical.export.c.toolchain import compilers
+from casadical.export.c.kernel import compilers
 from casadical.export.controller.c_export import poses_of, unreached
 from casadical.export.controller.commands import measured_range
 from casadical.export.controller.correction import kernel_corrector
