@@ -7,6 +7,7 @@ least squares, no priors, no unknown cause, every choice a claim. The shrink of 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,7 +22,6 @@ from casadical.diagnosis.linear_problem import make_case
 from casadical.effects import Effect
 from casadical.identification.identification import base_calibrated
 from casadical.identification.prepared import prepare
-from casadical.robot.robot import Robot
 
 SIGNIFICANT = 0.01
 MOST = 4
@@ -111,20 +111,14 @@ def f_test(s: Session) -> dict[str, Any]:
         together |= dict.fromkeys(effects)
         # A label is taken once; its columns stay where they are.
         case = replace(case, candidates=tuple(c for c in case.candidates if c.label != candidate.label))
-    out = case.m.row[~case.kept]
+    out, with_causes = case.m.row[~case.kept], s.robot
+    with suppress(ConvergenceError):  # then the nominal robot stays, without effects
+        with_causes = s.fitted(s.robot.with_effect(*together), out) if together else s.robot
     return {
         "campaign": s.name,
         "verdict": "explained" if causes else "none",
         "gap_mm": {"before": round(1e3 * before, 5), "after": round(1e3 * left.mean_length, 5)},
         "causes": causes,
         "posterior": {labels[0] if labels else "none": 1.0},
-        "unseen": unseen_positions(s, base.robot, _with_causes(s, tuple(together), out), out),
+        "unseen": unseen_positions(s, base.robot, with_causes, out),
     }
-
-
-def _with_causes(s: Session, effects: tuple[Effect, ...], leave_out: Array) -> Robot:
-    """The robot fitted with these effects; the nominal one, without effects, where the fit finds no optimum."""
-    try:
-        return s.fitted(s.robot.with_effect(*effects), leave_out) if effects else s.robot
-    except ConvergenceError:
-        return s.robot

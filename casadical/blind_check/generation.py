@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from casadical.blind_check.campaign_plans import COLUMNS, POSES, Plan, draw_plans
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, Plant
 from casadical.blind_check.mujoco_physics.table import MEASURED, TRUE
 from casadical.blind_check.prediction import nominal
@@ -26,7 +25,7 @@ from casadical.blind_check.protocol import (
     Secret,
     sha256,
 )
-from casadical.blind_check.recording import MUJOCO, Record, Simulator, Subject, record
+from casadical.blind_check.recording import COLUMNS, MUJOCO, POSES, Plan, Record, Simulator, Subject, draw_plans, record
 from casadical.blind_check.signal_size import base_jacobian, unabsorbed_rms
 from casadical.blind_check.worker_pool import completed, workers
 from casadical.core.arrays import Array

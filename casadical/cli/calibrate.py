@@ -5,19 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from casadical.cli.completion import losses, methods
-from casadical.cli.options import (
-    Details,
-    Frozen,
-    Json,
-    Prior,
-    PriorEffects,
-    Problems,
-    Quiet,
-    Report,
-    carried,
-    problems_of,
-)
+from casadical.cli import options as o
 from casadical.cli.progress import working
 from casadical.cli.terminal import WORSE, html, keep, with_json, wrapped
 from casadical.core.telling.blocks import next_step
@@ -35,7 +23,7 @@ Method = Annotated[
     str | None,
     typer.Option(
         metavar="METHOD",
-        autocompletion=methods,
+        autocompletion=o.methods,
         help="KM (kinematics only), SKCM (with joint compliance), or a network on what SKCM leaves, such as "
         "IWO-NN-SKCM (the paper's) or GP-NN-SKCM; docs/compensator.md has them all. Default: the problem's.",
     ),
@@ -44,7 +32,7 @@ Loss = Annotated[
     str | None,
     typer.Option(
         metavar="LOSS",
-        autocompletion=losses,
+        autocompletion=o.losses,
         help="linear; huber or soft_l1, which leave outliers out and name them; auto: huber where it finds any. "
         "Default: the problem's, which is auto unless it says otherwise.",
     ),
@@ -59,18 +47,18 @@ Split = Annotated[
 
 
 def calibrate(
-    problems: Problems,
+    problems: o.Problems,
     out: Out = None,
-    json_file: Json = None,
-    report_file: Report = None,
+    json_file: o.Json = None,
+    report_file: o.Report = None,
     method: Method = None,
     loss: Loss = None,
     seed: Split = None,
-    prior: Prior = None,
-    prior_effects: PriorEffects = None,
-    frozen: Frozen = False,
-    details: Details = False,
-    quiet: Quiet = False,
+    prior: o.Prior = None,
+    prior_effects: o.PriorEffects = None,
+    frozen: o.Frozen = False,
+    details: o.Details = False,
+    quiet: o.Quiet = False,
 ) -> None:
     """Identify a robot's parameters and report the accuracy on poses that were held out.
 
@@ -86,10 +74,10 @@ def calibrate(
     from casadical.project import calibration as work
 
     console = wrapped(quiet)
-    known = carried(prior, prior_effects, frozen)
+    known = o.carried(prior, prior_effects, frozen)
     done: list[work.Calibration] = []
     texts: dict[Path, Any] = {}
-    given = problems_of(problems)
+    given = o.problems_of(problems)
     for name, (source, tables) in given.items():
         with working(quiet, "reading", name) as show:
             done.append(

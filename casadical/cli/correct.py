@@ -5,19 +5,7 @@ from typing import Annotated
 
 import typer
 
-from casadical.cli.options import (
-    Compensator,
-    Json,
-    LeaveOut,
-    Limit,
-    Nominal,
-    Overwrite,
-    Payload,
-    Quiet,
-    Steps,
-    TcpError,
-    What,
-)
+from casadical.cli import options as o
 from casadical.cli.terminal import keep, plain, refuse_taken, with_json
 
 Model = Annotated[
@@ -80,15 +68,15 @@ def correct(
     model: Model,
     program: Program,
     out: Out,
-    nominal: Nominal = None,
-    compensator: Compensator = None,
-    steps: Steps = None,
-    what: What = "position",
-    limit: Limit = None,
-    payload: Payload = None,
+    nominal: o.Nominal = None,
+    compensator: o.Compensator = None,
+    steps: o.Steps = None,
+    what: o.What = "position",
+    limit: o.Limit = None,
+    payload: o.Payload = None,
     tool: Tool = None,
-    tcp_error: TcpError = None,
-    leave_out: LeaveOut = False,
+    tcp_error: o.TcpError = None,
+    leave_out: o.LeaveOut = False,
     trust: Trust = False,
     tcp: Frames = None,
     base: Frames = None,
@@ -99,9 +87,9 @@ def correct(
     external_still: Still = False,
     leave_unreached: Unreached = False,
     accuracy_off: AccuracyOff = False,
-    overwrite: Overwrite = False,
-    json_file: Json = None,
-    quiet: Quiet = False,
+    overwrite: o.Overwrite = False,
+    json_file: o.Json = None,
+    quiet: o.Quiet = False,
 ) -> None:
     """Rewrite the targets of a program so that the real tool reaches the nominal tool's positions, or poses.
 

@@ -7,22 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from casadical.cli.options import (
-    Campaigns,
-    Details,
-    Effects,
-    Frozen,
-    Json,
-    Prior,
-    PriorEffects,
-    Problem,
-    Quiet,
-    Report,
-    Room,
-    Seed,
-    carried,
-    effects_of,
-)
+from casadical.cli import options as o
 from casadical.cli.progress import DIAGNOSIS, working
 from casadical.cli.terminal import html, keep, with_json, wrapped
 from casadical.core.errors import InputError, shown
@@ -100,29 +85,29 @@ Bootstrap = Annotated[
 
 
 def diagnose(
-    problem: Problem,
-    campaigns: Campaigns = None,
+    problem: o.Problem,
+    campaigns: o.Campaigns = None,
     together: Together = False,
-    effects: Effects = None,
+    effects: o.Effects = None,
     laws: Laws = None,
     rival_laws: RivalLaws = False,
     nuisance_masses: OfMasses = False,
-    prior: Prior = None,
-    prior_effects: PriorEffects = None,
-    frozen: Frozen = False,
+    prior: o.Prior = None,
+    prior_effects: o.PriorEffects = None,
+    frozen: o.Frozen = False,
     measure_next: Next = None,
     next_n: NextN = 15,
-    room: Room = None,
+    room: o.Room = None,
     network: Network = False,
     highest_line: Line = None,
     bootstrap: Bootstrap = 0,
-    seed: Seed = 0,
+    seed: o.Seed = 0,
     out: Out = None,
     unlisted: Unlisted = False,
-    report_file: Report = None,
-    json_file: Json = None,
-    details: Details = False,
-    quiet: Quiet = False,
+    report_file: o.Report = None,
+    json_file: o.Json = None,
+    details: o.Details = False,
+    quiet: o.Quiet = False,
 ) -> None:
     """Explain the error that is left: where it lies, which effect causes it, and how far it shrinks with the effect.
 
@@ -139,12 +124,12 @@ def diagnose(
     if unlisted and out is None:
         raise InputError("--unlisted says what --out writes; give --out DIR, too")
     console = wrapped(quiet)
-    given = read_campaigns(problem, campaigns, carried(prior, prior_effects, frozen), together=together)
+    given = read_campaigns(problem, campaigns, o.carried(prior, prior_effects, frozen), together=together)
     if given[0].own_effects:
         console.print(f"Effects of the robot file are in the model, held at their values: {given[0].own_effects}.")
     workspace = given[0].workspace(room)
     options = Options(
-        effects_of(effects), seed, bootstrap, "nuisance" if nuisance_masses else "candidate", rival_laws,
+        o.effects_of(effects), seed, bootstrap, "nuisance" if nuisance_masses else "candidate", rival_laws,
         laws,
     )  # fmt: skip
     file = measure_next if len(given) == 1 else None

@@ -7,22 +7,7 @@ from typing import Annotated
 
 import typer
 
-from casadical.cli import completion as words
-from casadical.cli.options import (
-    Compensator,
-    Effects,
-    Json,
-    LeaveOut,
-    Limit,
-    Nominal,
-    Overwrite,
-    Payload,
-    Quiet,
-    Steps,
-    TcpError,
-    Tool,
-    What,
-)
+from casadical.cli import options as o
 from casadical.cli.progress import working
 from casadical.cli.terminal import keep, plain, print_written, refuse_taken, with_json
 
@@ -65,7 +50,7 @@ Languages = Annotated[
     typer.Option(
         "--language",
         metavar="NAMES",
-        autocompletion=words.languages,
+        autocompletion=o.languages,
         help="Languages to write besides the C, by commas; default: an FMU and structured text.",
     ),
 ]
@@ -87,7 +72,7 @@ Form = Annotated[
     typer.Option(
         "--to",
         metavar="FORM",
-        autocompletion=words.forms,
+        autocompletion=o.forms,
         help="mjcf (MuJoCo), urdf; kinematics of a driver: ur (YAML of the UR ROS 2 description), standard_dh, "
         "modified_dh (CSV), xacro (properties of joint origins). Default: by the ending of FILE.",
     ),
@@ -124,26 +109,26 @@ def export_c(
     robot: Robot,
     out: Folder,
     what: Product = "command",
-    nominal: Nominal = None,
-    compensator: Compensator = None,
+    nominal: o.Nominal = None,
+    compensator: o.Compensator = None,
     real: Real = "double",
-    steps: Steps = None,
-    correct: What = "position",
+    steps: o.Steps = None,
+    correct: o.What = "position",
     cycle: Cycle = None,
     rate: Rate = None,
     ramp: Ramp = None,
     precise: Precise = False,
-    limit: Limit = None,
-    payload: Payload = None,
-    tool: Tool = "shared",
-    tcp_error: TcpError = None,
+    limit: o.Limit = None,
+    payload: o.Payload = None,
+    tool: o.Tool = "shared",
+    tcp_error: o.TcpError = None,
     no_bound: NoBound = False,
-    leave_out: LeaveOut = False,
+    leave_out: o.LeaveOut = False,
     name: Prefix = None,
     language: Languages = None,
     overwrite: Replaced = False,
-    json_file: Json = None,
-    quiet: Quiet = False,
+    json_file: o.Json = None,
+    quiet: o.Quiet = False,
 ) -> None:
     """Write guarded C99 for a controller; it is compiled and compared with its reference before it is kept.
 
@@ -176,17 +161,17 @@ def export_model(
     source: Source,
     out: Out,
     form: Form = None,
-    nominal: Nominal = None,
+    nominal: o.Nominal = None,
     campaign: Campaign = None,
-    effects: Effects = None,
+    effects: o.Effects = None,
     into: Into = None,
     joints: Joints = None,
     springs: Springs = False,
     checksum: Checksum = "",
-    leave_out: LeaveOut = False,
-    overwrite: Overwrite = False,
-    json_file: Json = None,
-    quiet: Quiet = False,
+    leave_out: o.LeaveOut = False,
+    overwrite: o.Overwrite = False,
+    json_file: o.Json = None,
+    quiet: o.Quiet = False,
 ) -> None:
     """Write a calibrated robot as another program reads it: a MuJoCo model, a URDF, a driver's kinematics.
 

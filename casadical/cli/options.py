@@ -1,17 +1,37 @@
 """Arguments and options that several commands have, in the same words."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from casadical.cli import completion as words
 from casadical.core.errors import InputError, shown
 
 if TYPE_CHECKING:
     from casadical.project.diagnosis import EffectChoice
     from casadical.project.problem import Carried
+
+
+def _offered(module: str, name: str, *, listed: bool = False) -> Callable[[str], list[str]]:
+    """The words that a function or a constant of a module has; listed : by commas, of which the last is completed."""
+
+    def complete(incomplete: str) -> list[str]:
+        known = getattr(import_module(f"casadical.{module}"), name)
+        words: Iterable[str] = known() if callable(known) else known
+        before, comma, last = incomplete.rpartition(",") if listed else ("", "", incomplete)
+        return [f"{before}{comma}{word}" for word in words if word.lower().startswith(last.lower())]
+
+    return complete
+
+
+methods = _offered("project.problem_file", "all_methods")  # --method
+losses = _offered("project.problem_file", "all_losses")  # --loss
+criteria = _offered("project.planning", "all_criteria")  # --criterion
+languages = _offered("export.c.registry", "known_languages", listed=True)  # export c --language
+forms = _offered("export.model_file", "FORMS")  # export model --to
+effects = _offered("project.diagnosis", "all_effects", listed=True)  # --effects
 
 Nominal = Annotated[
     Path | None,
@@ -126,7 +146,7 @@ Effects = Annotated[
     str | None,
     typer.Option(
         metavar="NAMES",
-        autocompletion=words.effects,
+        autocompletion=effects,
         help="standard (the default), extended, or only these, by commas: names (backlash), labels "
         "(backlash@5), effect files (law.effect.toml, as diagnose --laws writes it, or one that defines effects).",
     ),

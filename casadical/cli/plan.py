@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from casadical.cli import completion as words
-from casadical.cli.options import Json, Prior, PriorEffects, Quiet, Room, Seed, carried, effects_of
+from casadical.cli.options import Json, Prior, PriorEffects, Quiet, Room, Seed, carried, criteria, effects_of
+from casadical.cli.options import effects as effect_words
 from casadical.cli.progress import PLAN, working
 from casadical.cli.terminal import keep, keep_json, with_json, wrapped
 from casadical.core.errors import InputError
@@ -40,7 +40,7 @@ For = Annotated[
     typer.Option(
         "--for",
         metavar="NAMES",
-        autocompletion=words.effects,
+        autocompletion=effect_words,
         help="Effects to identify as well: names or labels (backlash@5), by commas.",
     ),
 ]
@@ -54,7 +54,7 @@ Isolability = Annotated[
 ]
 Criterion = Annotated[
     str,
-    typer.Option(metavar="WORD", autocompletion=words.criteria, help="V (accuracy over all poses), D, A, or O1 to O5."),
+    typer.Option(metavar="WORD", autocompletion=criteria, help="V (accuracy over all poses), D, A, or O1 to O5."),
 ]
 Measured = Annotated[
     Path | None, typer.Option(metavar="FILE.csv", help="Poses already measured; the plan adds to them.")

@@ -1,7 +1,8 @@
 """The instructions of a CasADi SX function: the one place where they are read.
 
-All other ways to evaluate a function stand on this list: on numpy arrays here, as vectorised C in `vector_c`, changes
-without cancellation in `export.c.differences`, and the tape of the exported controllers in `export.c.tape`.
+All other ways to evaluate a function stand on this list: on numpy arrays here, as vectorised C in `compile_cache`,
+changes without cancellation in `export.controller.functions`, and the tape of the exported controllers in
+`export.c.tape`.
 """
 
 from __future__ import annotations
@@ -102,7 +103,7 @@ class SxInstructions:
 
 
 class Operation(NamedTuple):
-    """An operation on numpy arrays, and in the C of `vector_c`, where {0} and {1} are its operands."""
+    """An operation on numpy arrays, and in the C of `compile_cache`, where {0} and {1} are its operands."""
 
     numpy: Callable[..., Any]
     c: str

@@ -7,7 +7,7 @@ from typing import Any
 from casadical.core.errors import InputError
 from casadical.core.progress import Show, silent
 from casadical.core.reading import missing
-from casadical.core.telling.notebook import Shown
+from casadical.core.telling.result import Shown
 from casadical.effects.counterparts import Omission
 from casadical.export.controller.commands import Sources
 from casadical.export.controller.drivers import FORMS as DRIVERS
@@ -202,6 +202,6 @@ def _driver(source: Path, form: str, nominal: Path | None, checksum: str, show: 
     if nominal is None:
         raise InputError(f"--to {form}: needs the robot file from before the calibration, too: give --nominal")
     show("calibrating")
-    made = driver_file(Sources(calibrated(source).robot if source.is_dir() else source, nominal), form, checksum)
-    lines = tuple(f"LEFT OUT {line}" for line in made.lines)
-    return RobotModel(made.text, lines, {"form": form, "left_out": list(made.lines)})
+    robot = calibrated(source).robot if source.is_dir() else source
+    text, lost = driver_file(Sources(robot, nominal), form, checksum)
+    return RobotModel(text, tuple(f"LEFT OUT {line}" for line in lost), {"form": form, "left_out": list(lost)})

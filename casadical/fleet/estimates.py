@@ -16,7 +16,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.linear_gaussian.normal_equations import without_others
-from casadical.core.telling.notebook import Shown
+from casadical.core.telling.result import Shown
 from casadical.identification.error_bound import Doubts, doubts_of, evaluated
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.identification import identify

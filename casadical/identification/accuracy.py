@@ -8,7 +8,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.telling.blocks import mm
-from casadical.core.telling.notebook import Shown
+from casadical.core.telling.result import Shown
 from casadical.measurements.kinds.base import PositionsAt
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements

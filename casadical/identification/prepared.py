@@ -9,7 +9,7 @@ from typing import Literal
 
 from casadical.core.errors import InputError
 from casadical.core.estimated_masses import with_estimated_masses, with_payload, without_masses
-from casadical.core.telling.notebook import Shown
+from casadical.core.telling.result import Shown
 from casadical.core.transforms import frame
 from casadical.effects import LinkMasses, PayloadError
 from casadical.identification.placement import place_frames

@@ -16,7 +16,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.parameters import Parameter
-from casadical.core.telling.notebook import Shown
+from casadical.core.telling.result import Shown
 from casadical.effects import Effect
 from casadical.identification.least_squares import FRAMES
 from casadical.measurements.measurements import Measurements

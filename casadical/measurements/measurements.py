@@ -10,7 +10,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.telling.blocks import Table
-from casadical.core.telling.notebook import Shown, html
+from casadical.core.telling.result import Shown, html
 from casadical.measurements.kinds.registry import find_kind
 
 SETS = ("identify", "train", "choose", "report")

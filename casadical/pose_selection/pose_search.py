@@ -13,7 +13,7 @@ from casadical.measurements.noise import Noise
 from casadical.pose_selection.candidates import Candidates, Circumstances, candidates_at
 from casadical.pose_selection.criteria import Criterion
 from casadical.pose_selection.design_problem import DesignProblem, prepare
-from casadical.pose_selection.exchange import improve, search
+from casadical.pose_selection.experimental_design import improve, search
 from casadical.pose_selection.instruments import Instrument
 from casadical.pose_selection.pose_order import arranged
 from casadical.pose_selection.selection import Selection

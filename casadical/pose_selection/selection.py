@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.arrays import Array
-from casadical.core.telling.notebook import Shown
+from casadical.core.telling.result import Shown
 from casadical.identification.identifiability import Unidentifiable
 from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements

@@ -9,14 +9,13 @@ import pandas as pd
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.telling.blocks import mm
-from casadical.core.telling.notebook import Shown
+from casadical.core.telling.result import Shown
 from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 from casadical.pose_selection.candidates import Circumstances
 from casadical.pose_selection.design_problem import prepare
-from casadical.pose_selection.exchange import search
-from casadical.pose_selection.experimental_design import inverse
+from casadical.pose_selection.experimental_design import inverse, search
 from casadical.pose_selection.information import MM
 from casadical.pose_selection.instruments import Instrument
 from casadical.pose_selection.workspace import Workspace

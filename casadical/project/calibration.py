@@ -15,8 +15,7 @@ from casadical.core.files import claimed, json_text, write_together
 from casadical.core.progress import Show, silent
 from casadical.core.telling.blocks import Page, Table, Words, mm
 from casadical.core.telling.figure import Figure
-from casadical.core.telling.notebook import html
-from casadical.core.telling.result import Result
+from casadical.core.telling.result import Result, html
 from casadical.core.telling.terminal import plain_text
 from casadical.diagnosis.localisation import Localisation
 from casadical.identification.accuracy import Accuracy

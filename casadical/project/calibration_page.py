@@ -30,8 +30,8 @@ from casadical.measurements.noise import Noise
 from casadical.project.networks import Networks
 from casadical.project.outcome import left_out_table
 from casadical.project.problem import Problem
-from casadical.project.sources import problem_files
 from casadical.project.tables import Accuracies, error_tables, judged_on, network_tables, paper_tables, verdict
+from casadical.project.telling import problem_files
 from casadical.robot.robot import Robot
 
 BEFORE = "before"

@@ -31,7 +31,7 @@ from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.workspace import Workspace, read_workspace
 from casadical.project.problem import Carried, nothing_carried, read_campaign, read_campaign_robot, tool_as_measured
 from casadical.project.problem_file import own_tables
-from casadical.project.sources import campaign_files
+from casadical.project.telling import campaign_files
 from casadical.robot.effect_file import read_effects
 from casadical.robot.robot import Robot
 

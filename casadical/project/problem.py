@@ -14,7 +14,7 @@ import numpy as np
 from casadical.compensator.trainers.known import network_methods
 from casadical.core.arm import GRAVITY
 from casadical.core.errors import InputError, all_faults
-from casadical.core.telling.notebook import Shown
+from casadical.core.telling.result import Shown
 from casadical.identification.prior import Prior, carry_over
 from casadical.identification.residuals import AnyLoss
 from casadical.measurements.columns import Columns

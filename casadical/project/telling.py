@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeAlias, overload
 
 from casadical.core.errors import InputError
+from casadical.core.reading import load_toml
 from casadical.core.telling.blocks import Page
 from casadical.core.telling.drawing import dark as darkened
 from casadical.core.telling.drawing import draw
@@ -15,6 +17,7 @@ from casadical.diagnosis.figures import diagnosis_figures
 from casadical.diagnosis.result import Diagnosis
 from casadical.identification.figures import identification_figures
 from casadical.identification.result import Identification
+from casadical.project.problem import Problem
 
 if TYPE_CHECKING:
     from casadical.core.telling.drawing import Picture
@@ -82,3 +85,25 @@ def report(results: Sequence[WithPage | Page], command: Sequence[str] = ()) -> s
     '<!doctype html>'
     """
     return html_of([result if isinstance(result, Page) else result.page() for result in results], command)
+
+
+def problem_files(problem: Problem) -> list[Path]:
+    path = problem.folder / "problem.toml"
+    names = [problem.robot_file, *(problem.folder / table["file"] for table in problem.tables)]
+    return [*([path] if path.is_file() else []), *map(_short, names)]
+
+
+def campaign_files(source: Path, campaigns: Sequence[Path]) -> list[Path]:
+    """What a diagnosis was read from: problem.toml, the campaign's robot, or a robot file; and the campaigns."""
+    if source.is_file():
+        return [source, *campaigns]
+    path = source / "problem.toml"
+    file = load_toml(path)
+    robot = file.get("campaign_robot", file.get("robot", "robot.toml"))
+    return [path, _short(source / robot), *campaigns]
+
+
+def _short(path: Path) -> Path:
+    """Resolved, without ".."; relative to the working directory if it is below it."""
+    whole = path.resolve()
+    return whole.relative_to(Path.cwd()) if whole.is_relative_to(Path.cwd()) else whole

@@ -19,7 +19,7 @@ from casadical.core.arrays import Array
 from casadical.core.parameters import Parameters
 from casadical.core.parts import FourBar, Joint
 from casadical.core.telling.blocks import Table, Words
-from casadical.core.telling.notebook import Shown, html
+from casadical.core.telling.result import Shown, html
 from casadical.core.transforms import frame, from_xyz, to_xyz
 from casadical.effects import Effect
 from casadical.robot.knowledge import ErrorBound, Knowledge

@@ -20,10 +20,9 @@ import numpy as np
 import pandas as pd
 from kept import Row, add_options, rows_of
 
-from casadical.blind_check.campaign_plans import Plan, draw_plans
 from casadical.blind_check.generation import campaign_of
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, Plant
-from casadical.blind_check.recording import MUJOCO, Subject
+from casadical.blind_check.recording import MUJOCO, Plan, Subject, draw_plans
 from casadical.core.errors import CasadicalError
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.identification.accuracy import errors

@@ -12,7 +12,6 @@ import pytest
 from checks import ROOT
 from typer.testing import CliRunner
 
-from casadical.blind_check.campaign_plans import Plan
 from casadical.blind_check.generation import UNSEEN, campaign_of, with_poses_between
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, Plant, campaign, draw_effect, positions
 from casadical.blind_check.mujoco_physics.draw import impossible
@@ -20,6 +19,7 @@ from casadical.blind_check.mujoco_physics.fourbar import unfolded
 from casadical.blind_check.mujoco_physics.statics import placed, reflector, settle
 from casadical.blind_check.mujoco_physics.stops import Stops, draw_poses
 from casadical.blind_check.own_robot import RobotCheck, check_robot, subject_of
+from casadical.blind_check.recording import Plan
 from casadical.cli import app
 from casadical.core.errors import InputError
 from casadical.core.parts import Coupling

@@ -42,7 +42,7 @@ def test_a_plug_in_trains_a_method_of_a_problem(folder: Path, tmp_path: Path) ->
     kept = load_compensator(tmp_path / "out" / "RF-NN-SKCM.compensator.json")
     assert (kept.trainer, kept.helps) == ("random-features", entry["helps"])
     assert '"name":"RF-NN-SKCM' in (tmp_path / "r.html").read_text()
-    completed = run(site, program="from casadical.cli.completion import methods; print(methods('RF'))")
+    completed = run(site, program="from casadical.cli.options import methods; print(methods('RF'))")
     assert completed.stdout == "['RF-NN-SKCM']\n"
 
 

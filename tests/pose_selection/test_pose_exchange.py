@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from casadical import InputError, read_robot
-from casadical.pose_selection import exchange, forecast
-from casadical.pose_selection.exchange import search
-from casadical.pose_selection.experimental_design import Determinant, Linear, Spectral
+from casadical.pose_selection import experimental_design, forecast
+from casadical.pose_selection.experimental_design import Determinant, Linear, Spectral, search
 
 ROOT = Path(__file__).parents[2]
 
@@ -101,7 +100,9 @@ def test_gains_are_differences_of_values(kind, sign) -> None:
 def test_the_unit_of_the_rows_changes_nothing(monkeypatch, kind) -> None:
     """A search that took round-off for a gain went round for ever where the index was above one."""
     steps = []
-    monkeypatch.setattr(exchange, "_excursion", lambda *a, do=exchange._excursion: steps.append(a) or do(*a))
+    monkeypatch.setattr(
+        experimental_design, "_excursion", lambda *a, do=experimental_design._excursion: steps.append(a) or do(*a)
+    )
     found, counts = [], []
     for unit in (2.0**-10, 1.0, 2.0**10):
         # Every candidate twice: exchanging one for its twin gains nothing.

@@ -8,7 +8,7 @@ import pytest
 from pose_arms import planar
 
 from casadical.core.errors import InputError
-from casadical.pose_selection import exchange, pose_search
+from casadical.pose_selection import experimental_design, pose_search
 from casadical.pose_selection.candidates import Candidates, Circumstances
 from casadical.pose_selection.pose_order import TIME_PARTS, arranged
 from casadical.pose_selection.pose_search import select_poses
@@ -30,9 +30,9 @@ class Still:
 
 def test_an_exchange_goes_as_deep_as_it_is_told_step_by_step(monkeypatch: pytest.MonkeyPatch) -> None:
     tried: list[tuple[int, bool]] = []
-    monkeypatch.setattr(exchange, "_excursion", lambda _design, _n, reach, up: tried.append((reach, up)))
+    monkeypatch.setattr(experimental_design, "_excursion", lambda _design, _n, reach, up: tried.append((reach, up)))
     design: Any = Still()
-    exchange.improve(design, 3)
+    experimental_design.improve(design, 3)
     assert tried == [(1, True), (1, False), (2, True), (2, False), (3, True), (3, False)]
 
 

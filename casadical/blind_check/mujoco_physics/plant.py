@@ -13,7 +13,7 @@ import numpy as np
 
 from casadical.blind_check.mujoco_physics.rigid import Array, motion
 from casadical.core.errors import InputError
-from casadical.core.telling.notebook import Shown
+from casadical.core.telling.result import Shown
 
 _X, _Y, _Z, _0 = np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), np.array([0, 0, 1.0]), np.zeros(3)
 _KEYS = ("name", "modified_dh", "tool_m", "mass_kg", "com_m", "payload", "stiffness_Nm_per_rad", "joint_range_deg")

@@ -97,13 +97,9 @@ class _Step:
 
     def solved(self, factors: SX, r: SX) -> tuple[SX, SX]:
         """Joint step (n,) for a residual r (m,), and the squared error."""
-        J, L, inverse = self._unpacked(factors)
-        moved = casadi.mtimes(J.T, _solved(L, inverse, r))
-        return moved, casadi.sumsqr(r if self.reached == 3 else casadi.mtimes(J, moved))
-
-    def _unpacked(self, factors: SX) -> tuple[SX, SX, SX]:
         J = casadi.reshape(factors[: self.m * self.n], self.m, self.n)
-        return J, *_factors_of(factors[self.m * self.n :], self.m)
+        moved = casadi.mtimes(J.T, _solved(*_factors_of(factors[self.m * self.n :], self.m), r))
+        return moved, casadi.sumsqr(r if self.reached == 3 else casadi.mtimes(J, moved))
 
 
 class _PositionFirst(_Step):

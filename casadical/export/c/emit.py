@@ -7,7 +7,7 @@ list: the NumPy evaluation that the compiled C is compared with.
 
 import re
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from importlib.resources import files
 
 from casadical.export.c.coefficients import COEFFICIENTS, EXP_LIMIT, SQRT_GUESS, TAN_PI_8, Real, literal, turn_parts
@@ -27,21 +27,12 @@ def filled(text: str, values: dict[str, str]) -> str:
     return re.sub(r"@([\w:.\-]+)@", lambda match: values[match.group(1)], text)
 
 
-def functions_used(tapes: list[Tape]) -> list[str]:
-    """Elementary functions that the tapes call, in a fixed order."""
-    used = {node.op for tape in tapes for node in tape.nodes}
-    return [name for name in _CALLS if name in used]
-
-
 def elementary_functions(tapes: list[Tape], name: str, real: Real) -> str:
-    used = functions_used(tapes)
+    """C text of the static functions that the tapes call, in a fixed order; the same tables once."""
+    nodes = [node for tape in tapes for node in tape.nodes]
     values = constants(real) | {"name": name, "real": f"{name}_real"}
-    texts = [filled(template(f"{snippet}.c"), values) for snippet in used]
-    return "\n".join(texts + [_periodic(table, values, real) for table in tables_used(tapes)])
-
-
-def tables_used(tapes: Iterable[Tape]) -> list[tuple[float, ...]]:
-    return list(dict.fromkeys(node.table for tape in tapes for node in tape.nodes if node.table))
+    texts = [filled(template(f"{op}.c"), values) for op in _CALLS if any(node.op == op for node in nodes)]
+    return "\n".join([*texts, *(_periodic(t, values, real) for t in dict.fromkeys(n.table for n in nodes if n.table))])
 
 
 def table_name(table: tuple[float, ...]) -> str:

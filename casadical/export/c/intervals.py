@@ -23,27 +23,14 @@ def _products(a: Interval, b: Interval) -> Interval:
     return min(values), max(values)
 
 
-def _quotient(a: Interval, b: Interval) -> Interval:
-    if b[0] <= 0.0 <= b[1]:
-        return _EVERYTHING
-    return _products(a, (1.0 / b[1], 1.0 / b[0]))
-
-
 def _magnitude(a: Interval) -> Interval:
     return (0.0 if a[0] <= 0.0 <= a[1] else min(abs(a[0]), abs(a[1]))), max(abs(a[0]), abs(a[1]))
-
-
-def _product_node(node: Node, a: Interval, b: Interval) -> Interval:
-    if node.args[0] == node.args[1]:
-        low, high = _magnitude(a)
-        return low * low, high * high
-    return _products(a, b)
 
 
 _RULES: dict[str, Callable[..., Interval]] = {
     "add": lambda a, b: (a[0] + b[0], a[1] + b[1]),
     "sub": lambda a, b: (a[0] - b[1], a[1] - b[0]),
-    "div": _quotient,
+    "div": lambda a, b: _EVERYTHING if b[0] <= 0.0 <= b[1] else _products(a, (1.0 / b[1], 1.0 / b[0])),
     "neg": lambda a: (-a[1], -a[0]),
     "sqrt": lambda a: (math.sqrt(max(a[0], 0.0)), math.sqrt(max(a[1], 0.0))),
     "exp": lambda a: (math.exp(min(max(a[0], -44.0), 44.0)), math.exp(max(min(a[1], 44.0), -44.0))),
@@ -89,8 +76,11 @@ def _bound(node: Node, args: list[Interval], box: list[Interval], real: Real) ->
         return low - 1e-3 * (high - low), high + 1e-3 * (high - low)
     if node.op == "weighted_sum":
         return _weighted_sum(node.weights, args, real)
+    if node.op == "mul" and node.args[0] != node.args[1]:
+        return _products(*args)
     if node.op == "mul":
-        return _product_node(node, *args)
+        low, high = _magnitude(args[0])
+        return low * low, high * high
     return _RULES[node.op](*args)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.export.c.c_source import CommandNumbers, box_share, boxes, command_numbers
+from casadical.export.c.c_source import box_share, boxes, command_numbers
 from casadical.export.c.chord import prepared_size
 from casadical.export.c.coefficients import DTYPE
 from casadical.export.c.numpy_evaluation import run
@@ -130,18 +130,11 @@ def _chord(program: TapeProgram, command: Command, x: Array) -> tuple[Array, Arr
             taken = (step < command.steps) | (T(9) * moved[:, n] <= before)
             dq = np.where(taken[:, None], there, dq)
         fine &= wrong >= 0
-        status = _chord_status(numbers, T, work[:, end - 1], moved[:, n], limited, step_clamped)
+        status = np.where(step_clamped | (moved[:, n] > T(numbers.tolerance2)), Status.NOT_CONVERGED, Status.OK)
+        status = np.where(limited, Status.LIMITED, status)
+        status = np.where(work[:, end - 1] > T(numbers.weakness), Status.SINGULAR, status)
     dq[~fine] = 0
     return dq, np.where(fine, status, Status.NOT_FINITE)
-
-
-def _chord_status(
-    numbers: CommandNumbers, T: Any, weakness: Array, left: Array, limited: Array, clamped: Array
-) -> Array:
-    far = clamped | (left > T(numbers.tolerance2))
-    status = np.where(far, Status.NOT_CONVERGED, Status.OK)
-    status = np.where(limited, Status.LIMITED, status)
-    return np.where(weakness > T(numbers.weakness), Status.SINGULAR, status)
 
 
 @dataclass

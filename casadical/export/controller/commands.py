@@ -126,7 +126,7 @@ def command_of(
         lower=lower,
         upper=upper,
         jacobian_of=tool_function(rigid(without_curves(real)), "chain", orientation),
-        jacobian_at=bent_function(real) if _compliant(real) else None,
+        jacobian_at=bent_function(real) if any(j.compliance for j in real.joints) else None,
         network=network,
         bound=bound_of(sources, real)[0],
         limit_mm=limit_mm,
@@ -184,14 +184,10 @@ def bound_of(sources: Sources, own: Robot | None = None) -> tuple[ca.Function | 
     else:
         q = ca.SX.sym("q", real.n)
         torque = None if own is None else ca.Function("tau", [q], [own.torque(q, own.parameters.values)])
-        return _with_doubt(bound_function(real, real.bound, torque), sources.doubt_mm), ""
+        bound, doubt = bound_function(real, real.bound, torque), sources.doubt_mm
+        # An error of the tool's centre adds up with that of the robot in the worst case.
+        return ca.Function("bound", [q], [bound(q) + doubt], ["q"], ["bound_mm"]) if doubt else bound, ""
     return None, why
-
-
-def _with_doubt(bound: ca.Function, doubt_mm: float) -> ca.Function:
-    """The bound with an error of the tool's centre, which adds up with that of the robot in the worst case."""
-    q = ca.SX.sym("q", bound.numel_in(0))
-    return ca.Function("bound", [q], [bound(q) + doubt_mm], ["q"], ["bound_mm"]) if doubt_mm else bound
 
 
 def about_tool(sources: Sources) -> tuple[str, ...]:
@@ -315,10 +311,6 @@ def _loaded(robot: Robot, payload_kg: float | None) -> Robot:
             "add [payload] with mass_kg and com_mm to the robot file"
         )
     return replace(robot, payload=Body(payload_kg, robot.payload.com))
-
-
-def _compliant(robot: Robot) -> bool:
-    return any(j.compliance for j in robot.joints)
 
 
 def _refuse_other_robot(real: Robot, nominal: Robot, sources: Sources) -> None:

@@ -6,7 +6,7 @@ Each holds the geometry of a rigid arm in the robot's own base frame; what a for
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -25,16 +25,8 @@ _UR_MISFIT = np.deg2rad(3)
 _NEAR_PARALLEL = 1e-9  # sine of the angle between axes that have no common normal of their own
 
 
-@dataclass(frozen=True, eq=False)
-class Written:
-    """A driver's file. text : its content; lines : what it does not hold, in words and millimetres."""
-
-    text: str
-    lines: tuple[str, ...]
-
-
-def driver_file(sources: Sources, form: str, checksum: str = "") -> Written:
-    """The calibrated robot as a driver reads it.
+def driver_file(sources: Sources, form: str, checksum: str = "") -> tuple[str, tuple[str, ...]]:
+    """The calibrated robot as a driver reads it, and what that does not hold, in words and millimetres.
 
     form : `ur` (kinematics YAML of the UR ROS 2 description), `standard_dh`, `modified_dh` (CSV), or `xacro`
     checksum : of the controller's own calibration, for `ur`: the driver compares it
@@ -46,7 +38,8 @@ def driver_file(sources: Sources, form: str, checksum: str = "") -> Written:
     if whole.loops:
         raise InputError(f"{whole.name}: a four-bar has no place in a driver's kinematics; export c has one")
     real, nominal, _ = own_robots(replace(sources, leave_out=True))
-    return Written(FORMS[form](real, nominal, checksum), _not_held(replace(whole, payload=real.payload)))
+    frames = "base and tool of the measurement: the kinematics are those of the flange in the robot's own base frame"
+    return FORMS[form](real, nominal, checksum), (frames, *rest_of_rigid(replace(whole, payload=real.payload)))
 
 
 def standard_dh(robot: Robot, like: Array) -> tuple[Array, Array, Array]:
@@ -57,7 +50,8 @@ def standard_dh(robot: Robot, like: Array) -> tuple[Array, Array, Array]:
     numbers for each joint cannot hold. (Denavit and Hartenberg 1955; Hayati 1983 on parallel axes.)
     """
     frames = frames_at_zero(robot.joints)
-    base = frame(_aligned(np.eye(3), frames[0][:3, 2]), frames[0][:3, 3] - _along(frames[0]) * frames[0][:3, 2])
+    z, p = frames[0][:3, 2], frames[0][:3, 3]
+    base = frame(_aligned(np.eye(3), z), p - (z @ p) * z)
     at, rows = base, []
     for i in range(robot.n - 1):
         theta, d, a, alpha = row_of(at, frames[i + 1], like[i])
@@ -92,10 +86,6 @@ def standard_rows(theta: float, d: float, a: float, alpha: float) -> Array:
     c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
     R = np.array([[c, -s * ca, s * sa], [s, c * ca, -c * sa], [0, sa, ca]])
     return frame(R, np.array([a * c, a * s, d]))
-
-
-def _along(T: Array) -> float:
-    return float(T[:3, 2] @ T[:3, 3])
 
 
 def _aligned(R: Array, z: Array) -> Array:
@@ -155,11 +145,6 @@ def _xacro(real: Robot, _nominal: Robot, _: str) -> str:
             text = " ".join(repr(float(v)) for v in values)
             lines.append(f'  <xacro:property name="{name}_{what}" value="{text}"/>')
     return "\n".join([*lines, "</robot>"]) + "\n"
-
-
-def _not_held(whole: Robot) -> tuple[str, ...]:
-    frames = "base and tool of the measurement: the kinematics are those of the flange in the robot's own base frame"
-    return (frames, *rest_of_rigid(whole))
 
 
 FORMS: dict[str, Callable[[Robot, Robot, str], str]] = {

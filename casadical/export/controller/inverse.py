@@ -86,13 +86,9 @@ def freedom_of(robot: Robot) -> tuple[int, int]:
     """
     poses = np.random.default_rng(0).uniform(*robot.limits, (50, robot.n))
     J = np.nan_to_num(Newton(pose_function(robot)).evaluated(poses, np.zeros((len(poses), 12)))[1])
-    moved, both = (int((_strengths(part) > SINGULAR_POSE).sum()) for part in (J[:, :3], J))
+    greatest = (np.linalg.svd(part, compute_uv=False).max(axis=0) for part in (J[:, :3], J))
+    moved, both = (int((values > SINGULAR_POSE).sum()) for values in greatest)
     return moved, both - moved
-
-
-def _strengths(J: Array) -> Array:
-    """The greatest singular values of all poses, J : (k, m, n)."""
-    return np.asarray(np.linalg.svd(J, compute_uv=False).max(axis=0))
 
 
 class Newton:

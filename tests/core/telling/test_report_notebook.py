@@ -10,7 +10,7 @@ from casadical import plot
 from casadical.blind_check.mujoco_physics import Plant
 from casadical.core.errors import InputError
 from casadical.core.telling.blocks import Table, Words
-from casadical.core.telling.notebook import Shown, html
+from casadical.core.telling.result import Shown, html
 from casadical.diagnosis.isolability import Isolability
 from casadical.export.model_file import RobotModel
 from casadical.fleet.estimates import Estimate

@@ -16,7 +16,7 @@ from casadical.core.telling.blocks import Words
 from casadical.core.telling.page import provenance_of
 from casadical.diagnosis.page import diagnosis_page
 from casadical.project.problem import read_problem
-from casadical.project.sources import campaign_files, problem_files
+from casadical.project.telling import campaign_files, problem_files
 
 ROOT = Path(__file__).parents[3]
 

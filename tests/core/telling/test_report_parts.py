@@ -17,7 +17,7 @@ from casadical.diagnosis.spectrum import Spectrum
 from casadical.identification.figures import intervals
 from casadical.identification.pose_errors import STYLES
 from casadical.project.calibration_page import NETWORK_STYLES
-from casadical.project.sources import campaign_files
+from casadical.project.telling import campaign_files
 
 pytest.importorskip("plotly", reason="plotly is not installed (extra report)")
 
