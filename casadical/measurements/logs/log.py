@@ -14,7 +14,7 @@ from casadical.core.arrays import Array
 from casadical.core.errors import Fault, FaultsError, InputError
 from casadical.core.reading import LARGEST
 from casadical.core.telling.blocks import Table, Words
-from casadical.core.telling.notebook import Shown, html
+from casadical.core.telling.result import Shown, html
 
 # What is logged of each joint, with its unit for revolute and for prismatic joints.
 CHANNELS = {

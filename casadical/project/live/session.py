@@ -26,8 +26,7 @@ from casadical.measurements.column_map import Source as ColumnSource
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.raw_table import read_table
 from casadical.pose_selection.candidates import expected
-from casadical.pose_selection.workspace import Workspace
-from casadical.pose_selection.workspace_file import read_workspace
+from casadical.pose_selection.workspace import Workspace, read_workspace
 from casadical.project.check.check import precheck
 from casadical.project.live.ahead import Ahead, look_ahead, task_readings
 from casadical.project.live.estimate import FEW, FEWEST, Estimate, counted
