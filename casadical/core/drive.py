@@ -1,12 +1,15 @@
 """What is known of a robot's drives: the table [drive] of a robot file. What is left out is unknown, and no default."""
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import ConfigDict, Field
 
 from casadical.core.arrays import Array
-from casadical.core.schema import FaultError, Quantity, TomlTable
+from casadical.core.errors import InputError
+from casadical.core.reading import load_toml
+from casadical.core.schema import FaultError, Quantity, TomlTable, check
 
 # One number for all joints, or one of each.
 Each = Annotated[float, Field(ge=0)] | Annotated[list[Annotated[float, Field(ge=0)]], Field(min_length=1)] | None
@@ -91,3 +94,17 @@ class Drive(TomlTable):
         """As a file has it: what is known, by keys with units."""
         named = zip(self, self.keys(), strict=True)
         return {key: value for (_, value), key in named if value not in (None, "")}
+
+
+def read_drive(path: str | Path, joints: int) -> Drive:
+    """The table [drive] of a TOML file beside a log. Raises InputError: no such table, or what is wrong in it."""
+    path = Path(path)
+    table = load_toml(path).get("drive")
+    if not isinstance(table, dict):
+        raise InputError(f"{path.name}: has no table [drive]; write what is known of the drives into one")
+    drive = check(Drive, table, f"{path.name}, drive")
+    try:
+        drive.refuse_other(joints)
+    except FaultError as error:
+        raise InputError(f"{path.name}: {'.'.join(map(str, error.place))}: {error}") from None
+    return drive

@@ -10,7 +10,7 @@ import pytest
 import urdf_arms
 
 from casadical import Body, FourBar, InputError, Joint, Robot, read_robot, read_urdf, write_robot
-from casadical.core.drive import Drive
+from casadical.core.drive import Drive, read_drive
 from casadical.robot.dynamics import Dynamics, as_body, body_numbers, is_physical
 from casadical.robot.robot_file import robot_from
 
@@ -183,6 +183,17 @@ def test_faults_of_the_drive_are_named(line, said) -> None:
     with pytest.raises(InputError) as error:
         robot_from(tomllib.loads(text), "robot.toml")
     assert said in str(error.value)
+
+
+def test_drive_beside_a_log(tmp_path) -> None:
+    path = tmp_path / "drive.toml"
+    path.write_text("[drive]\nkp_Nm_per_rad = [10, 20]\n")
+    assert read_drive(path, 2).kp == [10, 20]
+    with pytest.raises(InputError, match=r"drive.toml: drive.kp: has 2 numbers; allowed: one, or one for each of 3"):
+        read_drive(path, 3)
+    path.write_text("kp = 3")
+    with pytest.raises(InputError, match=r"has no table \[drive\]"):
+        read_drive(path, 2)
 
 
 def test_inertia_that_no_body_has_is_refused_in_a_robot_file_and_unknown_in_a_urdf(tmp_path) -> None:

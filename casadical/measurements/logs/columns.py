@@ -69,7 +69,7 @@ def logged(raw: RawTable, names: Sequence[str] = (), listed: Sequence[str] = ())
             scalars.setdefault(scalar, _numbers(frame[heading]))
             continue
         lists = _lists(frame[heading], raw)
-        found = [(*_meaning(heading, names), frame[heading])] if lists is None else []
+        found = [(*meaning(heading, names), frame[heading])] if lists is None else []
         if lists is not None and (channel := _channel(words_of(heading)[0])):
             those = listed or [str(k) for k in range(1, lists.shape[1] + 1)]
             if len(those) != lists.shape[1]:
@@ -112,7 +112,7 @@ def _scalar(heading: str) -> str:
     return next((name for name in SCALARS if words & WORDS[f"log_{name}"]), "")
 
 
-def _meaning(heading: str, names: Sequence[str]) -> tuple[str, str, str]:
+def meaning(heading: str, names: Sequence[str]) -> tuple[str, str, str]:
     """Channel, joint (a number or a name) and unit of a column; no channel where it is none of a joint."""
     if ours := _OURS.fullmatch(heading.strip()):
         return _CHANNEL.get(ours[1], ours[1]), ours[2], ours[3]

@@ -15,12 +15,14 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.reading import read_bytes, unpacked
 from casadical.measurements.angle_unit import RADIANS
-from casadical.measurements.logs.columns import FACTORS, LENGTHS, NAMES, Logged, logged
+from casadical.measurements.headings import words_of
+from casadical.measurements.logs.columns import FACTORS, LENGTHS, NAMES, Logged, logged, meaning
 from casadical.measurements.logs.findings import found_in, refuse_other_units, with_signs
 from casadical.measurements.logs.log import CHANNELS, JointLog
-from casadical.measurements.logs.systems import BAGS, STATE, bag, lerobot, sage
+from casadical.measurements.logs.systems import BAGS, STATE, STATES, bag, lerobot, sage
 from casadical.measurements.raw_table import RawTable
-from casadical.measurements.table_parts import read_columns
+from casadical.measurements.table_parts import read_columns, table_parts
+from casadical.measurements.vocabulary import WORDS
 
 # Channels in units of angle or length.
 _OF_MOTION = ("position", "command", "speed", "command_speed")
@@ -79,16 +81,32 @@ def read_log(
     return replace(made, findings=(*made.findings, *found_in(made)))
 
 
+def is_log(path: str | Path) -> bool:
+    """Whether a file holds a log of joints in motion: by its form, or its headings: a time, joints, what moved them."""
+    path = Path(path)
+    if path.name == STATE or path.suffix.lower() in BAGS or any((path / n).exists() for n in (STATE, "metadata.yaml")):
+        return True
+    try:
+        headings = next(table_parts(path)).header
+    except InputError:
+        return False
+    if {"x_mm", "x_m", "distance_mm"} & {*headings}:  # measured poses
+        return False
+    found = {meaning(heading, ())[0] for heading in headings} | {STATES.get(heading, "") for heading in headings}
+    timed = any({*words_of(heading)[0]} & WORDS["time"] for heading in headings)
+    return timed and "position" in found and bool(found & {"command", "torque", "current"})
+
+
 def _logged(path: Path, names: Sequence[str], unit: str | None) -> Logged:
     """What the file holds, by its form."""
     if path.suffix.lower() in BAGS or (path / "metadata.yaml").exists():
         return bag(path)
-    if path.is_dir() and (path / STATE).exists():
-        return sage(path)
+    if path.name == STATE or (path / STATE).exists():
+        return sage(path.parent if path.name == STATE else path)
     if path.is_dir():
         raise InputError(f"{path}: a folder without {STATE} (SAGE) and metadata.yaml (ROS 2); name the file of the log")
     table = _table(path)
-    if {"action", "observation.state"} & {*table.header}:
+    if STATES.keys() & {*table.header}:
         return lerobot(path, table, unit)
     return logged(table, names)
 

@@ -15,6 +15,8 @@ from casadical.measurements.raw_table import RawTable, read_table
 from casadical.measurements.table_form import clean
 
 STATE, CONTROL, JOINTS = "state_motor.csv", "control.csv", "joint_list.txt"
+# Columns of LeRobot's datasets.
+STATES = {"action": "command", "observation.state": "position"}
 BAGS = (".db3", ".mcap", ".bag")
 # Messages with trajectories of a controller: fields that hold what was commanded, and what was measured.
 _COMMANDED, _MEASURED = ("reference", "desired"), ("feedback", "actual")

@@ -1,6 +1,7 @@
 """Logs of other systems: folders of SAGE, LeRobot's Parquet, ROS bags and MCAP written by rosbags itself."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -9,7 +10,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from casadical import InputError, Joint, Robot
-from casadical.measurements.logs.reading import read_log
+from casadical.measurements.logs.reading import is_log, read_log
 
 T = np.arange(200) / 50
 Q = np.column_stack([0.5 * np.sin(3 * T), 1.0 + 0.3 * np.cos(2 * T)])
@@ -175,3 +176,14 @@ def test_lerobot_in_per_cent_asks_and_takes_the_robots_ranges(tmp_path) -> None:
     assert read_log(path, ARM, unit="deg").command == pytest.approx(np.deg2rad(50 * Q), abs=1e-5)
     with pytest.raises(InputError, match="needs the ranges of the joints: give the robot"):
         read_log(path, unit="percent")
+
+
+def test_logs_are_told_from_tables_of_poses(tmp_path) -> None:
+    assert is_log(sage(tmp_path / "motion", Q.tolist()))
+    assert is_log(tmp_path / "motion" / "state_motor.csv")
+    assert is_log(lerobot(tmp_path, 1.0))
+    assert not is_log("data/planar/planar.csv")
+    assert not is_log("data/ur10_laser_tracker/series_C_random_poses.csv")
+    assert not is_log(next(iter(Path("data/campaigns/practice").glob("**/*.csv"))))
+    pd.DataFrame({"time_s": T, "q1_rad": Q[:, 0], "command1_rad": Q[:, 0]}).to_csv(tmp_path / "log.csv", index=False)
+    assert is_log(tmp_path / "log.csv")
