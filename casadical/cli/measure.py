@@ -41,6 +41,13 @@ Simulate = Annotated[
     ),
 ]
 Target = Annotated[float | None, typer.Option(min=0, metavar="MM", help="Wanted accuracy; says when it is reached.")]
+NoPage = Annotated[bool, typer.Option("--no-page", help="Print the answers; serve no page.")]
+Host = Annotated[
+    str,
+    typer.Option(metavar="ADDRESS", help="Where the page is served; another machine then needs the token it prints."),
+]
+Port = Annotated[int, typer.Option(min=0, max=65535, metavar="N", help="Port of the page; default: a free one.")]
+Every = Annotated[float, typer.Option(min=0, max=3600, metavar="S", help="Seconds between readings of --simulate.")]
 Finish = Annotated[
     bool, typer.Option("--finish", help="Calibrate when the readings end, into the folder `results` in ARM.")
 ]
@@ -55,6 +62,10 @@ def measure(
     target_mm: Target = None,
     room: Room = None,
     finish: Finish = False,
+    no_page: NoPage = False,
+    host: Host = "127.0.0.1",
+    port: Port = 0,
+    every: Every = 0.0,
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -63,16 +74,18 @@ def measure(
     Says of each reading whether it is plausible and, if not, which slip it looks like; what is known of the robot by
     now; the next pose. Readings are kept in ARM (measured.jsonl, measured.csv) as they come: it goes on where it was.
 
+    Serves a page for a browser or a phone and prints its address (needs the extra live); with --no-page it prints.
+
     Example: casadical measure arm --follow tracker.csv
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
     from casadical.project.live.journal import journal
-    from casadical.project.live.session import LiveSession
+    from casadical.project.live.session import LiveSession, finished
     from casadical.project.live.sources import SimulatedSource, source_of
 
     console = plain(quiet)
-    if (follow is None) == (simulate is None):
+    if (follow and simulate) or (no_page and not (follow or simulate)):
         raise InputError("--follow FILE, DIR or -, or --simulate N: give one of them, from which the readings come")
     source: Source | None = source_of(follow, sys.stdin.buffer) if follow else None
     target = None if target_mm is None else 1e-3 * target_mm
@@ -81,11 +94,17 @@ def measure(
         if course.readings:
             console.print(f"goes on after {len(course.readings)} readings that {folder} holds")
         played = SimulatedSource(session.robot, session.next_pose, simulate or 0, len(course.readings))
-        with suppress(KeyboardInterrupt):
-            _follow(session, source or played, console, PAUSE if source else 0.0)
+        source, pause = (played, every) if simulate else (source, PAUSE)
+        if no_page and source is not None:
+            with suppress(KeyboardInterrupt):
+                _follow(session, source, console, pause)
+        else:
+            from casadical.project.live.server import serve
+
+            serve(session, source, console.print, host=host, port=port, pause=pause)
         keep_json(json_file, session.state(), console)
     if finish:
-        _finish(folder, console)
+        console.print(finished(folder))
     else:
         console.print(f"next: casadical check {folder}; casadical calibrate {folder} --out results")
 
@@ -105,16 +124,3 @@ def _follow(session: LiveSession, source: Source, console: Console, pause: float
         if ended:
             return
         time.sleep(pause)
-
-
-def _finish(folder: Path, console: Console) -> None:
-    """Calibrate, as the command does on the folder, into its folder of results."""
-    from casadical.core.telling.terminal import terminal
-    from casadical.project.calibration import calibrate
-
-    found = calibrate(folder)
-    console.print(terminal(found.brief()))
-    if found.worse:
-        raise InputError(f"nothing was written: {found.worse}")
-    found.write(folder / "results")
-    console.print(f"wrote {folder / 'results'}")

@@ -41,12 +41,6 @@ class Ahead:
     to_go: int | None
     words: str
 
-    def arm(self, q: Array) -> list[list[float]]:
-        """Points of the arm at joints q, from its base to the target, in the base's frame [mm]."""
-        own = _in_base(self.robot)
-        points = places_about(own, q[None])[0][0]
-        return [[0.0, 0.0, 0.0], *(1e3 * points).round(1).tolist()]
-
 
 def look_ahead(
     robot: Robot, found: Estimate | None, room: Workspace | None, target: float | None, before: Array
@@ -116,13 +110,19 @@ def _candidates(robot: Robot, room: Workspace | None, seed: int) -> tuple[Array,
     rng = np.random.default_rng(seed)
     if room is not None:
         return draw(one_turn(robot), POOL, room, rng, to_ends=True), ""
-    own = one_turn(_in_base(robot))
+    own = one_turn(in_base(robot))
     with suppress(InputError):  # a robot that stands in its own plane
         return draw(own, POOL, Workspace(floor=0.0, clearance=CLEARANCE), rng, to_ends=True), ""
     return draw(own, POOL, Workspace(), rng, to_ends=True), "; floor and obstacles were not checked: --room FILE.toml"
 
 
-def _in_base(robot: Robot) -> Robot:
+def arms(robot: Robot, q: Array) -> Array:
+    """Points of the arm at joints q, shape (n, joints + 1, 3), from base to target [mm]."""
+    points = places_about(robot, q)[0]
+    return (1e3 * np.concatenate([np.zeros((len(q), 1, 3)), points], axis=1)).round(1)
+
+
+def in_base(robot: Robot) -> Robot:
     """The robot with the base's own frame as measuring frame."""
     return replace(robot, base=replace(robot.base, T=np.eye(4)))
 

@@ -134,8 +134,10 @@ def _turned(angle: float) -> float:
 
 def _joint_words(turning: bool, i: int, stood: float, read: float, before: float | None) -> tuple[str, str]:
     unit, factor = ("deg", 180 / np.pi) if turning else ("mm", 1e3)
+    if negative := abs(_turned(stood + read) if turning else stood + read) < SAME:
+        stood = -read
     where = f"joint {i + 1} stood at {stood * factor:.2f}, not {read * factor:.2f} {unit}"
-    if abs(_turned(stood + read) if turning else stood + read) < SAME:
+    if negative:
         return "joint sign", f"{where}: its sign is wrong"
     if before is not None and abs(stood - before) < SAME:
         return "joint", f"{where}: it did not arrive, it is where the reading before left it"

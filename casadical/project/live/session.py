@@ -6,7 +6,7 @@ that the folder can be calibrated at any time, and again after the process was k
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from threading import RLock
@@ -19,6 +19,7 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError, shown
 from casadical.core.files import csv_text, write_whole
 from casadical.core.reading import read_text
+from casadical.core.telling.terminal import plain_text
 from casadical.identification.plausibility import check_against
 from casadical.identification.prepared import all_compliant, undeclared
 from casadical.measurements.clock import clock_faults
@@ -27,8 +28,9 @@ from casadical.measurements.measurements import Measurements
 from casadical.measurements.raw_table import read_table
 from casadical.pose_selection.candidates import expected
 from casadical.pose_selection.workspace import Workspace, read_workspace
+from casadical.project.calibration import calibrate
 from casadical.project.check.check import precheck
-from casadical.project.live.ahead import Ahead, look_ahead, task_readings
+from casadical.project.live.ahead import Ahead, arms, in_base, look_ahead, task_readings
 from casadical.project.live.estimate import FEW, FEWEST, Estimate, counted
 from casadical.project.live.journal import Add, Course, Reading
 from casadical.project.live.reading_slips import slips_of
@@ -76,7 +78,7 @@ class LiveSession:
         self.checked: tuple[int, list[str]] = (0, [])
         self.m: Measurements | None = None
         self.unread = ""
-        self._task = task_readings(self.robot)
+        self._task, self._in_base = task_readings(self.robot), in_base(self.robot)
         self._odd: dict[int, str] = {}  # rows that cannot be read, and why
         self._doubtful: dict[int, bool] = {}
         self._words: dict[int, str] = {}
@@ -175,10 +177,9 @@ class LiveSession:
         """Make the pose of a reading the next one. Raises InputError."""
         with self.lock:
             self._known(number)
-            q = self._readings().get(number)
-            if q is None:
+            if number not in (read := self._read()):
                 raise InputError(f"reading {number}: its joints cannot be read; type the pose")
-            self._wish = q
+            self._wish = read[number][0]
 
     def _known(self, number: int) -> Reading:
         try:
@@ -186,9 +187,11 @@ class LiveSession:
         except ValueError:
             raise InputError(f"there is no reading {number}; the last is {len(self.course.readings)}") from None
 
-    def _readings(self) -> dict[int, Array]:
-        """Joints by number, as far as they are read."""
-        return {} if self.m is None else {self._number(row): q for row, q in zip(self.m.row, self.m.q, strict=True)}
+    def _read(self) -> dict[int, tuple[Array, Array]]:
+        """Joints and position by number, of the readings that can be read."""
+        if self.m is None or self.m.position is None:
+            return {}
+        return dict(zip(map(self._number, self.m.row), zip(self.m.q, self.m.position, strict=True), strict=True))
 
     def _number(self, row: int) -> int:
         return int(row) - 1 - bool(self.course.units)
@@ -373,7 +376,10 @@ class LiveSession:
     def state(self) -> dict[str, Any]:
         """All that a page shows, as plain data; angles [deg], lengths [mm]."""
         with self.lock:
-            readings = [self._reading_json(r) for r in self.course.readings]
+            read = self._read()
+            places = arms(self._in_base, np.array([q for q, _ in read.values()]))[:, -1].tolist() if read else []
+            points = dict(zip(read, places, strict=True))
+            readings = [{**self._reading_json(r, read), "point": points.get(r.number)} for r in self.course.readings]
             clock = list(clock_faults(self.m)) if self.m is not None else []
             found, ahead = self.estimate, self.ahead
             return {
@@ -384,11 +390,9 @@ class LiveSession:
                 "next": None if ahead is None else self._next_json(ahead),
             }  # fmt: skip
 
-    def _reading_json(self, r: Reading) -> dict[str, Any]:
-        at = self._readings().get(r.number)
-        where = None
-        if self.m is not None and self.m.position is not None and r.number in (ids := [*map(self._number, self.m.row)]):
-            where = (1e3 * self.m.position[ids.index(r.number)]).round(3).tolist()
+    def _reading_json(self, r: Reading, read: Mapping[int, tuple[Array, Array]]) -> dict[str, Any]:
+        """A reading; read : joints and positions by number."""
+        at, where = read.get(r.number, (None, None))
         state = "struck" if r.struck else "doubtful" if self._doubtful.get(r.number) else "good"
         if at is None and not r.struck:
             state = "unread"
@@ -397,7 +401,8 @@ class LiveSession:
             "number": r.number, "at": r.at, "from": r.source, "state": state,
             "why": r.struck or self._odd.get(r.number) or self._words.get(r.number, lost),
             "off_mm": round(1e3 * self._off[r.number], 4) if r.number in self._off else None,
-            "joints": None if at is None else self._joints(at), "position_mm": where,
+            "joints": None if at is None else self._joints(at),
+            "position_mm": None if where is None else (1e3 * where).round(3).tolist(),
         }  # fmt: skip
 
     def _joints(self, q: Array) -> list[float]:
@@ -416,14 +421,15 @@ class LiveSession:
         last = self._last()
         return {
             "poses": [self._joints(q) for q in ahead.q], "program": self._move(ahead.q[0]) if self._move else "",
-            "to_go": ahead.to_go, "words": ahead.words, "arm": ahead.arm(ahead.q[0]),
-            "arm_now": None if last is None else ahead.arm(last),
+            "to_go": ahead.to_go, "words": ahead.words, "arm": arms(self._in_base, ahead.q[:1])[0].tolist(),
+            "points": arms(self._in_base, ahead.q)[:, -1].tolist(),
+            "arm_now": None if last is None else arms(self._in_base, last[None])[0].tolist(),
         }  # fmt: skip
 
     def answer(self, number: int) -> str:
         """What a reading told, in a line or two."""
         with self.lock:
-            text = f"{number}: {_verdict(self._reading_json(self.course.reading(number)))}"
+            text = f"{number}: {_verdict(self._reading_json(self.course.reading(number), self._read()))}"
             if self.unread:
                 return f"{text}\n   {self.unread}"
             if self.estimate is None or len(self.estimate) < FEW:
@@ -449,6 +455,18 @@ def _verdict(told: dict[str, Any]) -> str:
     return {"good": f"plausible{off}", "doubtful": f"DOUBTFUL{off}: {told['why']}"}.get(
         told["state"], f"{told['state']}: {told['why']}"
     )
+
+
+def finished(folder: Path) -> str:
+    """Calibrate a folder, as the command does, into its folder `results`; what `casadical calibrate` prints.
+
+    Raises InputError, also where held-out poses are worse than before, and ConvergenceError; then nothing is written.
+    """
+    found = calibrate(folder)
+    if found.worse:
+        raise InputError(f"nothing was written: {found.worse}")
+    found.write(folder / "results")
+    return f"{plain_text(found.brief())}\nwrote {folder / 'results'}"
 
 
 def _refuse_measured(folder: Path) -> None:

@@ -168,7 +168,7 @@ def source_of(path: str, stdin: BinaryIO) -> Source:
 
 def rows_of(path: Path, data: bytes) -> News:
     """Rows of a table whose last line may be half written, which is left for later. Raises InputError."""
-    text = not data.startswith(b"PK\x03\x04") and path.suffix.lower() not in (".xlsx", ".parquet")
+    text = not data.startswith((b"PK\x03\x04", b"PAR1", b"\x1f\x8b"))
     whole = data[: data.rfind(b"\n") + 1] if text else data
     said: list[str] = []
     if whole.count(b"\n") < 2 and text:  # headings alone
