@@ -75,6 +75,7 @@ OWN_FILES = {
     "measurements/vocabulary.py": "a list of the package",
     "measurements/table_parts.py": "reads regular files of any size in parts",
     "export/c/emit.py": "templates of the package",
+    "project/live/server.py": "the package's own page",
     "cli/terminal.py": "the null device",
 }
 READS = {"read_text", "read_bytes", "open", "parse", "read_csv", "read_excel", "ParquetFile"}
