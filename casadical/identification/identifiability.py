@@ -53,13 +53,16 @@ class Identifiability:
     condition: float
 
 
-def analyse(J: Array, names: Sequence[str], always: int, held: dict[str, str]) -> Identifiability:
+def analyse(
+    J: Array, names: Sequence[str], always: int, held: dict[str, str], moved: str = "moves the measured points"
+) -> Identifiability:
     """Split the columns of a Jacobian into independent and dependent ones.
 
     J : shape (residuals, always + len(names)), in units of sigma per unit of scale; the first `always` columns
         (unknown points) are kept whatever the others are
     names : of the further columns, the preferred ones first
     held : name -> reason, for those that are not to be identified whatever the data
+    moved : what a parameter does to the data, in words
     """
     R: Array = np.asarray(np.linalg.qr(J, mode="r")) if len(J) > J.shape[1] else J
     length = np.linalg.norm(R, axis=0)
@@ -89,7 +92,7 @@ def analyse(J: Array, names: Sequence[str], always: int, held: dict[str, str]) -
     dropped = tuple(
         _carried(Unidentifiable(names[k - always], why), those)
         if names[k - always] in held
-        else Unidentifiable(names[k - always], why or _in_words(those), () if why else those)
+        else Unidentifiable(names[k - always], why or _in_words(those, moved), () if why else those)
         for (k, why), those in zip(reasons.items(), alike, strict=True)
     )
     condition = float(singular[0] / max(singular[-1], 1e-300)) if kept else 1.0
@@ -119,11 +122,11 @@ def _strongest(share: Array, names: Sequence[str]) -> tuple[str, ...]:
     return tuple(names[j] for j in np.argsort(-share)[:6] if share[j] > least)
 
 
-def _in_words(alike: tuple[str, ...]) -> str:
+def _in_words(alike: tuple[str, ...], moved: str) -> str:
     if not alike:
         return "the unknown points absorb it"
     verb = "does" if len(alike) == 1 else "do together"
-    return f"it moves the measured points exactly as {', '.join(alike)} {verb}"
+    return f"it {moved} exactly as {', '.join(alike)} {verb}"
 
 
 def drop_poor(
