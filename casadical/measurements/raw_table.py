@@ -123,7 +123,8 @@ def table_of(
     body = rest[place:]
     head_line = 0 if header is None else header[0]
     width = max(len(cells) for _, cells in body) if body else 0
-    names = tuple(f"column {k}" for k in range(1, width + 1)) if header is None else tuple(c.strip() for c in header[1])
+    given = [f"column {k}" for k in range(1, width + 1)] if header is None else header[1]
+    names = tuple(name.replace("\ufeff", "").strip() for name in given)  # pandas drops a mark of the byte order, too
     if long := next((name for name in names if len(name) > LONGEST_HEADING), ""):
         why = f"a heading of {len(long)} characters, {long[:30]!r}...; allowed: up to {LONGEST_HEADING}"
         raise InputError(f"{path}: not a readable CSV table: {why}")

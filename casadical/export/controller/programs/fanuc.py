@@ -52,7 +52,7 @@ class Fanuc(ProgramLanguage):
         for token in tokens:  # of the whole text
             token.start_pos, token.end_pos = _place(token) + begin.start(), (token.end_pos or 0) + begin.start()
         islands = [p for island in islands_of(GRAMMAR, tokens) for p in parts(island, "position")]
-        heads = [k for k in range(len(tokens) - 1) if tokens[k].value == "P" and tokens[k + 1].value == "["]
+        heads = [k for k in range(len(tokens) - 2) if tokens[k].value == "P" and tokens[k + 1].value == "["]
         read = {island.meta.start_pos: island for island in islands}
         targets = []
         for k in heads:

@@ -20,7 +20,8 @@ OTHER.-9: /./s
 """
 
 
-# Brackets in brackets of an island.
+_OPENING, _CLOSING = tuple("([{"), tuple(")]}")
+# Brackets in brackets: what is deeper and no island is left as a whole, else each of its beginnings is read to the end.
 DEEPEST = 20
 
 
@@ -36,25 +37,40 @@ def tokens_of(grammar: str, text: str) -> list[Token]:
 
 def islands_of(grammar: str, tokens: Sequence[Token]) -> Iterator[Tree[Token]]:
     """Each longest run of tokens that the grammar's `start` derives, in their order, without overlaps."""
-    parser, k = _parser(grammar), 0
+    parser, k, closed = _parser(grammar), 0, _closed(tokens)
     first = set(_expected(parser.parse_interactive(""))) - {"OTHER", "$END"}
     while k < len(tokens):
-        island, length = _longest(parser, tokens, k) if tokens[k].type in first else (None, 1)
+        island, length = _longest(parser, tokens, k, closed) if tokens[k].type in first else (None, 1)
         if island is not None:
             yield island
         k += length
 
 
-def _longest(parser: Lark, tokens: Sequence[Token], start: int) -> tuple[Tree[Token] | None, int]:
-    """The longest run from a token that is a whole island, and how many tokens it has; None and 1 where none is."""
-    run, ends, fed, depth = parser.parse_interactive(""), [], start, 0
+def _closed(tokens: Sequence[Token]) -> set[int]:
+    """Indices of the opening brackets that are closed."""
+    opened, found = [], set()
+    for k, token in enumerate(tokens):
+        if token.endswith(_OPENING):
+            opened.append(k)
+        elif token.endswith(_CLOSING) and opened:
+            found.add(opened.pop())
+    return found
+
+
+def _longest(parser: Lark, tokens: Sequence[Token], start: int, closed: set[int]) -> tuple[Tree[Token] | None, int]:
+    """The longest run from a token that is a whole island and how many tokens it has, or None and how many to pass."""
+    run, ends, fed, depth, deepest = parser.parse_interactive(""), [], start, 0, 0
     with suppress(UnexpectedInput):
         for fed in range(start, len(tokens)):
-            depth += tokens[fed].endswith(tuple("([{")) - tokens[fed].endswith(tuple(")]}"))
-            if depth > DEEPEST:  # brackets that are never closed: else every one of them is read to the end
+            opens = tokens[fed].endswith(_OPENING)
+            if opens and fed not in closed:
                 return None, 1
+            depth += opens - tokens[fed].endswith(_CLOSING)
+            deepest = max(deepest, depth)
             run.feed_token(tokens[fed])
-            if "$END" in _expected(run):  # where lookaheads are merged (LALR), the end may be refused all the same
+            if depth == 0 and "$END" in _expected(
+                run
+            ):  # where lookaheads are merged (LALR), the end may be refused all the same
                 ends.append(fed + 1)
         fed = len(tokens)
     runs = ((end, again) for end in reversed(ends) for again in (False, True) if again or end == fed)
@@ -65,7 +81,7 @@ def _longest(parser: Lark, tokens: Sequence[Token], start: int) -> tuple[Tree[To
                 for token in tokens[start:end]:
                     run.feed_token(token)
             return run.feed_eof(tokens[end - 1]), end - start  # type: ignore[no-untyped-call]
-    return None, 1
+    return None, max(fed - start, 1) if deepest > DEEPEST else 1
 
 
 def _expected(run: InteractiveParser) -> dict[str, object]:
