@@ -9,6 +9,7 @@ extra of users alone, with a command that needs it; of the first one also the sd
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tempfile
@@ -46,8 +47,9 @@ NEEDED: dict[str, tuple[tuple[str, ...], ...] | str] = {
 
 
 def run(*command: str | Path, cwd: Path) -> str:
-    """What a command prints; its failure ends the study."""
-    done = subprocess.run([*map(str, command)], cwd=cwd, capture_output=True, text=True, check=False)
+    """What a command prints, with what is installed alone; its failure ends the study."""
+    alone = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run([*map(str, command)], cwd=cwd, env=alone, capture_output=True, text=True, check=False)
     if done.returncode:
         sys.exit(f"{' '.join(map(str, command))}: {done.returncode}\n{done.stdout}{done.stderr}")
     return done.stdout
@@ -63,7 +65,6 @@ def installed(python: str, file: str, folder: Path) -> Path:
     uv = (sys.executable, "-m", "uv", "--quiet")
     run(*uv, "venv", "--python", python, "venv", cwd=folder)
     run(*uv, "pip", "install", "--python", "venv/bin/python", file, cwd=folder)
-    run("venv/bin/python", "-m", "compileall", "-q", next((folder / "venv/lib").glob("python*")), cwd=folder)
     return folder
 
 
@@ -71,6 +72,7 @@ def tried(python: str, file: Path, folder: Path) -> Path:
     """The example arm with the base install; prints a line."""
     installed(python, str(file), folder)
     site = next((folder / "venv/lib").glob("python*")) / "site-packages"
+    run("venv/bin/python", "-m", "compileall", "-q", site.parent, cwd=folder)
     begin = time.perf_counter()
     for step in ARM:
         said = run("venv/bin/casadical", *step, cwd=folder)
@@ -96,7 +98,7 @@ def tried_extra(python: str, wheel: Path, extra: str, folder: Path) -> None:
     if isinstance(work, str):
         run("venv/bin/python", "-c", work, cwd=folder)
     shown = "; ".join(" ".join(step[:2]) for step in work) if isinstance(work, tuple) else "from Python"
-    print(f"         [{extra}] {megabytes(folder / 'venv'):.0f} MB: {shown}: good", flush=True)
+    print(f"         [{extra}] {megabytes(folder / 'venv'):.0f} MB without byte code: {shown}: good", flush=True)
 
 
 def main(pythons: list[str]) -> None:
