@@ -128,7 +128,7 @@ def robot_to_write(
     Raises InputError, ConvergenceError.
     """
     if campaign is None:
-        return read_campaign_robot(source) if source.is_file() else calibrated(source).robot
+        return read_campaign_robot(source) if source.is_file() else calibrated(source).written_robot
     (given,) = read_campaigns(source, [campaign])
     asked = Options(effects_named(effects.split(",") if effects else ()))
     return diagnose_campaign(given, asked, show).diagnosis.apply()
@@ -172,7 +172,7 @@ def _urdf(source: Path, nominal: Path | None, leave_out: bool, show: Show) -> Ro
         raise InputError("--nominal has no part in a URDF; remove it")
     show("calibrating")
     calibration = calibrated(source) if source.is_dir() else None
-    robot = calibration.robot if calibration else robot_to_write(source)
+    robot = calibration.written_robot if calibration else robot_to_write(source)
     into = calibration.problem.urdf if calibration else None
     figures = geometry_alone(calibration) if calibration else None
     omissions = [Omission(e.label, "a URDF holds geometry and masses only") for e in robot.effects]
@@ -202,6 +202,6 @@ def _driver(source: Path, form: str, nominal: Path | None, checksum: str, show: 
     if nominal is None:
         raise InputError(f"--to {form}: needs the robot file from before the calibration, too: give --nominal")
     show("calibrating")
-    robot = calibrated(source).robot if source.is_dir() else source
+    robot = calibrated(source).written_robot if source.is_dir() else source
     text, lost = driver_file(Sources(robot, nominal), form, checksum)
     return RobotModel(text, tuple(f"LEFT OUT {line}" for line in lost), {"form": form, "left_out": list(lost)})

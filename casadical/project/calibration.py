@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,7 @@ from casadical.project.outcome import (
     left_out_table,
     made_readings,
     methods_worse,
+    refit_words,
     things_to_know,
     unused_columns,
     usual_held_out,
@@ -60,6 +61,8 @@ class Calibration(Result):
         each of them as SET/KIND/FILE), by state: "nominal", "placed" (base and tool fitted), "calibrated"
     networks : trained on what SKCM left, or None where the problem lists none
     without_prior : of the poses by which the last method is judged, had there been no prior; None without one
+    refitted : by method, of all poses of the tables: what is written, where the problem says so (`refit`); accuracies,
+        figures and words are of `identifications`, which have not seen the poses that are held out
 
     Examples
     --------
@@ -85,6 +88,12 @@ class Calibration(Result):
     accuracies: Accuracies
     networks: Networks | None = None
     without_prior: Accuracy | None = None
+    refitted: Mapping[str, Identification] = field(default_factory=dict)
+
+    @property
+    def written(self) -> Mapping[str, Identification]:
+        """By method, what the files hold: of all poses where the problem is fitted again, else `identifications`."""
+        return self.refitted or self.identifications
 
     @property
     def identification(self) -> Identification:
@@ -93,8 +102,13 @@ class Calibration(Result):
 
     @property
     def robot(self) -> Robot:
-        """Calibrated, by the last method."""
+        """Calibrated, by the last method; it has not seen the poses that are held out (`written` may have)."""
         return self.identification.robot
+
+    @property
+    def written_robot(self) -> Robot:
+        """Calibrated, by the last method, as it is written."""
+        return list(self.written.values())[-1].robot
 
     @property
     def worse(self) -> str:
@@ -113,6 +127,7 @@ class Calibration(Result):
             *error_tables(problem, self.accuracies, self.networks)[:1],
             *methods_worse(self.accuracies),
             *things_to_know(problem, self.identification, self.networks, self.accuracies),
+            *refit_words(self.refitted),
         ]
 
     def blocks(self) -> Sequence[Words | Table]:
@@ -126,6 +141,7 @@ class Calibration(Result):
             *verdict(problem, self.accuracies),
             *(Words(result.verdict) for result in self.identifications.values()),
             *methods_worse(self.accuracies),
+            *refit_words(self.refitted),
             how_sure(last),
             *left_out_table(self.identifications),
             *error_tables(problem, self.accuracies, self.networks),
@@ -182,6 +198,8 @@ class Calibration(Result):
         }
         if self.identification.tried:
             found["compliance_tried"] = self.identification.tried.to_json()
+        if self.refitted:
+            found["refit_poses"] = sum(len(m) for m in problem.whole)
         if self.networks:
             found["trained_on"] = self.networks.trained_on
             found["networks"] = {name: result.to_json() for name, result in self.networks.results.items()}
@@ -196,7 +214,7 @@ class Calibration(Result):
     def _method_json(self, method: str) -> dict[str, Any]:
         """A method with its errors on every set; where poses are far off, without these, too."""
         usual = usual_held_out(self.problem, self.identifications[method].robot)
-        told = self.identifications[method].to_json()
+        told = self.written[method].to_json()
         last = {key: told.pop(key) for key in ("parameters", "modified_dh")}
         sets = {
             name: {
@@ -218,7 +236,7 @@ class Calibration(Result):
         for name, trained in (self.networks.results if self.networks else {}).items():
             if trained.compensator is not None:
                 texts[folder / f"{name}.compensator.json"] = compensator_text(trained.compensator)
-        for name, result in self.identifications.items():
+        for name, result in self.written.items():
             origin = f"Calibrated by casadical, method {name}, from {problem.title} ({problem.origin})."
             robot = with_knowledge(result)
             said = [words.text for words in made_readings(problem) if words.text not in robot.notes]
@@ -314,7 +332,19 @@ def calibrate(
         trained = train_networks(problem, skcm, names, seed=problem.seed, show=progress, judged=used)
     told = together(used).items()
     accuracies = {k: {to: r.accuracy(*(used[n] for n in names)) for to, names in told} for k, r in results.items()}
-    return Calibration(problem, results, accuracies, trained, accuracy_without_prior(plain, results) if plain else None)
+    alone = accuracy_without_prior(plain, results) if plain else None
+    return Calibration(problem, results, accuracies, trained, alone, _refitted(problem, results, show))
+
+
+def _refitted(problem: Problem, results: Mapping[str, Identification], show: Show) -> dict[str, Identification]:
+    """By the same methods, of all poses; nothing where the problem does not say so, or networks learn what is left."""
+    if not problem.whole or problem.networks:
+        return {}
+    whole = replace(
+        problem, sets={"identify": problem.whole}, methods=tuple(m for m in problem.methods if m in results)
+    )
+    found = _identified(whole, lambda text: show(f"of all poses, {text}"), len(results))
+    return {method: found.get(method, list(found.values())[-1]) for method in results}
 
 
 def _identified(problem: Problem, show: Show, count: int) -> dict[str, Identification]:

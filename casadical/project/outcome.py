@@ -57,6 +57,14 @@ def things_to_know(
     yield from found[:THINGS]
 
 
+def refit_words(refitted: Mapping[str, Identification]) -> Iterator[Words]:
+    """That what is written is fitted to more poses than what is judged."""
+    for last in list(refitted.values())[-1:]:
+        poses = sum(len(m) for m in last.measurements) - len(last.outliers)
+        text = f"Robot files and parameters are fitted again, to all {poses} poses; errors are of the fit before that."
+        yield Words(text, "note")
+
+
 def compliance_words(last: Identification) -> Iterator[Words]:
     """What trying a compliance that no file declares gave, and how far gravity deflects a robot of unknown masses."""
     if last.tried:

@@ -74,6 +74,7 @@ class Problem(Shown):
     set_column : of the tables, that names each pose's set; None where the split is drawn
     tables : how the tables are to be understood, as problem.toml says it
     robot_file : what the robot was read from
+    whole : all poses of each table, to which the robots that are written are fitted; () where these are of `identify`
 
     Examples
     --------
@@ -104,6 +105,7 @@ class Problem(Shown):
     set_column: str | None = None
     tables: tuple[Mapping[str, Any], ...] = ()
     robot_file: Path = Path("robot.toml")
+    whole: tuple[Measurements, ...] = ()
 
     @property
     def _line(self) -> str:
@@ -182,9 +184,12 @@ def read_problem(
     robot, prior = carried(replace(_read_robot(place, urdf), sessions=file.sessions.sessions()))
     sets = file.sets if seed is None else file.sets.model_copy(update={"seed": seed})
     split: dict[str, list[Measurements]] = {}
+    whole: list[Measurements] = []
 
     def read(data: DataTable) -> None:
-        for name, part in _read(folder, data, robot, sets).items():
+        found, parts = _read(folder, data, robot, sets)
+        whole.append(found)
+        for name, part in parts.items():
             split.setdefault(name, []).append(part)
 
     all_faults(partial(read, data) for data in file.measurements)
@@ -207,6 +212,7 @@ def read_problem(
         set_column=sets.column,
         tables=tuple(data.understood for data in file.measurements),
         robot_file=place,
+        whole=tuple(whole) if sets.refit and len(split) > 1 else (),
     )
 
 
@@ -319,7 +325,8 @@ def _columns(raw: RawTable, data: DataTable, robot: Robot) -> Columns:
     return with_coupled(found.without(data.leave_out, "leave_out"), robot)
 
 
-def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> dict[str, Measurements]:
+def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> tuple[Measurements, dict[str, Measurements]]:
+    """A table's poses, and its sets."""
     path = folder / data.file
     if not path.exists():
         raise InputError(f"{path}: no such file; it is named in {folder / 'problem.toml'}")
@@ -329,7 +336,9 @@ def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> dict[
     refuse_nameless(found, robot)
     # Before the split: progress and the direction of approach follow from the order of all poses.
     found = _with_conditions(with_known_targets(found, robot), robot).with_separations(_separations(data))
-    return found.split(sets.sizes(), sets.seed) if sets.column is None else _by_column(found, columns, sets.column)
+    if sets.column is None:
+        return found, found.split(sets.sizes(), sets.seed)
+    return found, _by_column(found, columns, sets.column)
 
 
 def _with_conditions(m: Measurements, robot: Robot) -> Measurements:

@@ -95,6 +95,9 @@ class DataTable(_Strict):
 
 
 class SetsTable(_Strict):
+    """refit : whether the robots that are written are fitted to all poses, once judged."""
+
+    refit: bool = False
     seed: int = Field(default=0, ge=0, lt=2**63)
     column: str | None = None
     identify: float | None = Field(default=None, gt=0)
@@ -233,7 +236,7 @@ def file_with_tables(source: Path, tables: Sequence[str | Path]) -> ProblemFile:
     if not tables:
         return problem_file(source)
     if source.is_file():
-        file = ProblemFile(casadical=1, title="", robot=str(source.resolve()))
+        file = ProblemFile(casadical=1, title="", robot=str(source.resolve()), sets=SetsTable(refit=True))
     else:
         file = problem_file(source)
         file = file.model_copy(update={"robot": file.of_campaigns, "title": "", "paper": None})

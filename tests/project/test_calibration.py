@@ -3,12 +3,13 @@
 import dataclasses
 import json
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from casadical import InputError, calibrate, read_problem, read_robot
+from casadical import Calibration, InputError, calibrate, read_problem, read_robot
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.terminal import plain_text
 from casadical.identification import errors, residual_mm
@@ -67,6 +68,33 @@ def test_the_papers_tables_hold_one_standard_deviation(calibrated) -> None:
     assert rows.keys() == {"before", *left}
     for method, e in left.items():
         assert rows[method][2:5] == tuple(f"{v:.4f}" for v in (e.mean(), e.max(), e.std(ddof=1)))
+
+
+def test_what_is_written_is_fitted_to_all_poses_and_judged_before(tmp_path: Path) -> None:
+    """One of three times the poses; the held-out errors are those of the fit that has not seen them."""
+    folder = tmp_path / "planar"
+    shutil.copytree(PLANAR, folder)
+    text = (folder / "problem.toml").read_text().replace("../../data", str(ROOT / "data"))
+
+    def found(sets: str) -> Calibration:
+        (folder / "problem.toml").write_text(
+            re.sub(r"\[sets\]\n(.+\n)*", f"[sets]\nidentify = {0.7 if sets else 1}\n{sets}\n", text)
+        )
+        return calibrate(folder)
+
+    judged, again, every = (found(s) for s in ("report = 0.3", "report = 0.3\nrefit = true", ""))
+    same, more, whole = (c.parameters.values for c in (again.robot, again.written_robot, every.robot))
+    assert again.to_json()["methods"]["KM"]["sets"] == judged.to_json()["methods"]["KM"]["sets"]
+    np.testing.assert_array_equal(same, judged.robot.parameters.values)
+    np.testing.assert_allclose(more, whole, atol=1e-9)
+    assert abs(more - same).max() > 1e-6
+    assert "fitted again, to all 40 poses" in str(again)
+    assert "fitted again" not in str(judged)
+    files = {path.name: content for path, content in again.files("results").items()}
+    assert files["KM.parameters.csv"] == again.written["KM"].parameters.to_csv(index=False)
+    told = json.loads(files["result.json"])
+    assert told["refit_poses"] == 40
+    assert told["methods"]["KM"]["parameters"] == again.written["KM"].to_json()["parameters"]
 
 
 def test_files_are_written_all_or_none(calibrated, tmp_path: Path) -> None:

@@ -164,6 +164,7 @@ def problem_text(
     title = robot.name.replace('"', "'").replace("\\", "/")
     mark = f"                 # poses.csv is MADE UP: {poses} poses of the model itself (seed {seed}); put yours there"
     share = "identify = 0.7                     # used in the fit\nreport = 0.3                       # held out\n"
+    share += "refit = true                       # the robots that are written: once judged, fitted to all poses\n"
     compliant = any(j.compliance is not None for j in robot.joints)
     return _PROBLEM.format(
         title=title if given else f"{title}: SYNTHETIC poses, for a first run",
