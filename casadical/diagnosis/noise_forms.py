@@ -21,7 +21,7 @@ from casadical.diagnosis.evidence import RHOS
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_evidence import Form, Problem
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, Rival
-from casadical.diagnosis.thresholds import detection
+from casadical.diagnosis.thresholds import DETECT
 from casadical.measurements.noise import Noise
 
 # Of the instrument.
@@ -46,7 +46,7 @@ def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collec
     """
     if case.form.stays:
         return replace(ranking, noise_form=FOLLOWING)
-    seen = ranking.none <= (PLAIN if len(chosen) else detection(case.evidence.count // 3))
+    seen = ranking.none <= (PLAIN if len(chosen) else DETECT)
     if len(chosen) and not seen:
         return ranking
     prior = PRIOR_FURTHER if len(chosen) else PRIOR_FIRST

@@ -22,6 +22,7 @@ from casadical.diagnosis.settings_search import refined
 from casadical.diagnosis.structure import remainder_of
 from casadical.diagnosis.thresholds import (
     CLAIM,
+    DETECT,
     DETECT_FURTHER,
     FALSE_ALARMS,
     IN,
@@ -31,7 +32,6 @@ from casadical.diagnosis.thresholds import (
     OUT,
     SET_SHARE,
     SET_SIZE,
-    detection,
 )
 from casadical.effects import Effect, TransmissionRipple
 from casadical.measurements.noise import Noise
@@ -241,8 +241,7 @@ def _detected(state: State, ranking: Ranking, p_nothing: float | None) -> bool:
         return ranking.none <= DETECT_FURTHER
     if p_nothing is not None:
         return p_nothing <= FALSE_ALARMS
-    # A position is three numbers.
-    return ranking.none <= detection(state.case.evidence.count // 3)
+    return ranking.none <= DETECT
 
 
 def indistinguishable(ranking: Ranking, listed: Sequence[str]) -> tuple[str, ...]:

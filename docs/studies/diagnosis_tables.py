@@ -14,7 +14,6 @@ from casadical.project.problem import read_campaign_robot
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "diagnosis.md"
-POSES = (40, 100, 200)
 MOST = 40  # names in a row of a table
 READABLE = {"rad": (1e6, "urad"), "m": (1e6, "um"), "m/m": (1e6, "um/m"), "rad/rad": (1e6, "urad/rad")}
 READABLE |= {"rad/K": (1e6, "urad/K"), "1/K": (1e6, "1e-6/K"), "1/m": (1e6, "um/m^2"), "": (1e2, "% of great torque")}
@@ -101,12 +100,11 @@ def _physics(candidates: list[Candidate]) -> str:
 def _thresholds() -> str:
     d = rules
     first, further = which.PRIOR_FIRST, which.PRIOR_FURTHER
-    threshold = ", ".join(f"{d.detection(n):.2g}" for n in POSES)
     rows = [
         ("prior of nothing / a listed effect / the unknown, first cause", _shares(first)),
         ("the same, for a further cause", _shares(further)),
         ("prior factor of a further cause at a joint that has one", f"{which.SAME_JOINT:g}"),
-        (f"something is there if P(nothing) is at most, at {', '.join(map(str, POSES))} poses", threshold),
+        ("something is there if P(nothing) is at most", f"{d.DETECT:g}"),
         ("the same for a further cause", f"{d.DETECT_FURTHER:g}"),
         ("with a bootstrap: something is there if noise alone looks like it so often at most", f"{d.FALSE_ALARMS:g}"),
         ("one cause is claimed from a probability of", f"{d.CLAIM:g}"),
