@@ -13,13 +13,15 @@ import numpy as np
 
 from casadical.compensator.trainers.known import network_methods
 from casadical.core.arm import GRAVITY
-from casadical.core.errors import InputError, all_faults
+from casadical.core.errors import InputError, all_faults, shown
 from casadical.core.telling.result import Shown
 from casadical.identification.prior import Prior, carry_over
 from casadical.identification.residuals import AnyLoss
 from casadical.measurements.columns import Columns
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.registry import find_kind
+from casadical.measurements.logs.log import JointLog
+from casadical.measurements.logs.reading import read_log
 from casadical.measurements.measurements import SETS, Measurements
 from casadical.measurements.raw_table import RawTable
 from casadical.measurements.reading import from_columns, readings_alone, refuse_open
@@ -175,6 +177,10 @@ def read_problem(
     """
     folder = Path(folder)
     file, path = file_with_tables(folder, tables), folder / "problem.toml"
+    if not file.measurements and file.logs:
+        raise InputError(
+            f"{path}: holds joint logs, no measured poses; casadical diagnose {shown(folder)} looks at them"
+        )
     if not file.measurements:
         raise InputError(
             f"{path}: measurements: is missing; a calibration needs at least one table: [[measurements]], or a CSV "
@@ -249,6 +255,18 @@ def _read_robot(path: Path, urdf: UrdfTable) -> Robot:
         robot = read_urdf(path, urdf.base_link, urdf.tip_link, compliant=urdf.compliant)
         return with_tools(robot, urdf.tool) if urdf.tool else robot
     return read_robot(path)
+
+
+def read_problem_logs(folder: str | Path, robot: Robot) -> dict[str, tuple[JointLog, ...]]:
+    """Joint logs of a problem folder: identify, and report, of motions that are not fitted.
+
+    Raises InputError: a folder without logs, or what is wrong with one.
+    """
+    folder = Path(folder)
+    if (logs := problem_file(folder).logs) is None:
+        raise InputError(f"{shown(folder / 'problem.toml')}: no [logs]; give the files of joint logs after the folder")
+    named = {"identify": logs.identify, "report": logs.report}
+    return {name: tuple(read_log(folder / path, robot) for path in paths) for name, paths in named.items()}
 
 
 def tool_as_measured(robot: Robot, source: Path, sets: Iterable[Measurements]) -> Robot:

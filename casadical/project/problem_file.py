@@ -190,6 +190,19 @@ class Paper(_Strict):
         }
 
 
+class LogsTable(_Strict):
+    """Files of joint logs: whole motions that may be fitted, and those of the report."""
+
+    identify: list[str] = Field(min_length=1)
+    report: list[str] = []
+
+    @model_validator(mode="after")
+    def _apart(self) -> LogsTable:
+        if both := {*self.identify} & {*self.report}:
+            raise FaultError("report", f"{min(both)} is in identify, too; keep it in one of them")
+        return self
+
+
 class ProblemFile(_Strict):
     casadical: Literal[1]
     title: str
@@ -201,6 +214,7 @@ class ProblemFile(_Strict):
     loss: AnyLoss = "auto"
     paper: Paper | None = None
     measurements: list[DataTable] = []
+    logs: LogsTable | None = None
     sets: SetsTable = SetsTable()
     sessions: SessionsTable = SessionsTable()
 

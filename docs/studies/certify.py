@@ -13,8 +13,11 @@ from typing import Any
 import numpy as np
 import tomlkit
 
-from casadical import Calibration, Problem, calibrate, diagnose
+from casadical import Calibration, Problem, calibrate, diagnose, read_campaign_robot
 from casadical.identification.accuracy import errors
+from casadical.measurements.logs.findings import quantum
+from casadical.project.problem import read_problem_logs
+from casadical.project.problem_file import problem_file
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 TOLERANCE_MM = 0.002  # what another machine's rounding and solver build may move
@@ -64,6 +67,33 @@ def curves(problem: Problem) -> dict[str, Any]:
     }
 
 
+def figures_of_logs(folder: Path) -> dict[str, Any]:
+    """Figures of joint logs by set: what they are, and how far readings are from commands, joint by joint."""
+    found: dict[str, Any] = {}
+    for name, logs in read_problem_logs(folder, read_campaign_robot(folder)).items():
+        far = np.concatenate([log.position - log.command for log in logs])
+        found[name] = {
+            "logs": len(logs),
+            "rows": sum(map(len, logs)),
+            "seconds": round(float(sum(log.time[-1] - log.time[0] for log in logs)), 2),
+            "rate_Hz": round(1 / float(np.median([log.step for log in logs])), 3),
+            "quantum_mrad": round(1e3 * float(np.median([quantum(log.position[:, 1]) for log in logs])), 4),
+            "rms_mrad": [round(1e3 * float(v), 3) for v in np.sqrt((far**2).mean(axis=0))],
+        }
+    return found
+
+
+def certified_logs(folder: Path) -> str:
+    """The text of the certified.toml of a folder of logs."""
+    document = tomlkit.document()
+    document.add(
+        tomlkit.comment("Joint logs, readings less commands; made by docs/studies/certify.py, held by the tests.")
+    )
+    for name, content in figures_of_logs(folder).items():
+        document.add(name, tomlkit.item(content))
+    return tomlkit.dumps(document)
+
+
 def certified(calibration: Calibration) -> str:
     """The text of a problem's certified.toml."""
     document = tomlkit.document()
@@ -78,7 +108,8 @@ def certified(calibration: Calibration) -> str:
 
 def main(names: list[str]) -> None:
     for name in names or sorted(p.parent.name for p in PROBLEMS.glob("*/problem.toml")):
-        text = certified(calibrate(PROBLEMS / name))
+        logs = problem_file(PROBLEMS / name).logs
+        text = certified_logs(PROBLEMS / name) if logs else certified(calibrate(PROBLEMS / name))
         (PROBLEMS / name / "certified.toml").write_text(text, encoding="utf-8")
         print(f"problems/{name}/certified.toml")
 

@@ -78,7 +78,8 @@ def test_alike_is_no_more_than_alike() -> None:
 def test_a_problems_readme_names_its_own_command(folder: Path) -> None:
     """The command itself is run, with its figures, by tests/problems."""
     found = [shlex.split(b.text) for b in blocks(folder / "README.md") if b.text.startswith("casadical")]
-    assert found == [["casadical", "calibrate", f"problems/{folder.name}"]]
+    verb = "diagnose" if "[logs]" in (folder / "problem.toml").read_text(encoding="utf-8") else "calibrate"
+    assert found == [["casadical", verb, f"problems/{folder.name}"]]
 
 
 def test_the_problem_file_shown_is_one() -> None:

@@ -9,7 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from casadical import from_table, identify
+from casadical import InputError, from_table, identify, read_problem
+from casadical.project.problem import read_problem_logs
+from casadical.project.problem_file import LogsTable
 from casadical.robot.robot_file import read_robot
 
 ROOT = Path(__file__).parents[2]
@@ -19,7 +21,10 @@ FOLDERS = sorted(p for p in (ROOT / "problems").iterdir() if p.is_dir())
 EXTRA = {"hh800": ["campaign.robot.toml"]}  # the same arm with all joints compliant, as the campaigns have it
 
 
+LOGS = [p for p in FOLDERS if "logs" in tomllib.loads((p / "problem.toml").read_text())]
+
 every_problem = pytest.mark.parametrize("folder", FOLDERS, ids=lambda f: f.name)
+every_set_of_poses = pytest.mark.parametrize("folder", [p for p in FOLDERS if p not in LOGS], ids=lambda f: f.name)
 
 
 @every_problem
@@ -35,7 +40,7 @@ def test_readme_says_what_is_real(folder: Path) -> None:
     assert f"problems/{folder.name}" in text
 
 
-@every_problem
+@every_set_of_poses
 def test_certified_figures_hold(folder: Path, calibrated) -> None:
     expected = tomllib.loads((folder / "certified.toml").read_text())
     tolerance = expected.pop("tolerance_mm")
@@ -50,7 +55,30 @@ def test_certified_figures_hold(folder: Path, calibrated) -> None:
                 assert found[method][name] == figure, f"{method} {name}"
 
 
-@every_problem
+@pytest.mark.parametrize("folder", LOGS, ids=lambda f: f.name)
+def test_certified_figures_of_logs_hold(folder: Path) -> None:
+    expected = tomllib.loads((folder / "certified.toml").read_text())
+    found = import_module("certify").figures_of_logs(folder)
+    assert found.keys() == expected.keys() == {"identify", "report"}
+    for name, figures in expected.items():
+        assert found[name].keys() == figures.keys()
+        for key, figure in figures.items():
+            assert found[name][key] == pytest.approx(figure, abs=1e-3), f"{name} {key}"
+
+
+def test_folder_of_logs_is_no_calibration_and_names_its_command() -> None:
+    with pytest.raises(InputError, match=r"holds joint logs, no measured poses; take casadical diagnose .*so101"):
+        read_problem(ROOT / "problems" / "so101")
+    with pytest.raises(InputError, match=r"no \[logs\]; give the files of joint logs after the folder"):
+        read_problem_logs(ROOT / "problems" / "planar", read_robot(ROOT / "problems" / "planar" / "robot.toml"))
+
+
+def test_no_motion_may_be_fitted_and_reported() -> None:
+    with pytest.raises(ValueError, match=r"a\.csv is in identify, too"):
+        LogsTable(identify=["a.csv", "b.csv"], report=["a.csv"])
+
+
+@every_set_of_poses
 def test_no_pose_is_in_two_sets(folder: Path, calibrated) -> None:
     sets = calibrated(folder.name).problem.sets
     rows = [set(map(tuple, np.concatenate([m.q for m in parts]))) for parts in sets.values()]
