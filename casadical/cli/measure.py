@@ -17,6 +17,7 @@ from casadical.core.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from casadical.export.controller.programs.language import ProgramLanguage
     from casadical.project.live.session import LiveSession
     from casadical.project.live.sources import Source
 
@@ -41,6 +42,10 @@ Simulate = Annotated[
     ),
 ]
 Target = Annotated[float | None, typer.Option(min=0, metavar="MM", help="Wanted accuracy; says when it is reached.")]
+Program = Annotated[
+    str | None,
+    typer.Option(metavar="WORD", help="Give the next pose as a program line, too: krl, rapid, urscript or fanuc."),
+]
 NoPage = Annotated[bool, typer.Option("--no-page", help="Print the answers; serve no page.")]
 Host = Annotated[
     str,
@@ -62,6 +67,7 @@ def measure(
     target_mm: Target = None,
     room: Room = None,
     finish: Finish = False,
+    program: Program = None,
     no_page: NoPage = False,
     host: Host = "127.0.0.1",
     port: Port = 0,
@@ -85,12 +91,15 @@ def measure(
     from casadical.project.live.sources import SimulatedSource, source_of
 
     console = plain(quiet)
+    move = _language(program).move_line if program else None
     if (follow and simulate) or (no_page and not (follow or simulate)):
         raise InputError("--follow FILE, DIR or -, or --simulate N: give one of them, from which the readings come")
     source: Source | None = source_of(follow, sys.stdin.buffer) if follow else None
     target = None if target_mm is None else 1e-3 * target_mm
     with journal(folder) as (course, add):
-        session = LiveSession(folder, course, add, target=target, room=room, data="synthetic" if simulate else "real")
+        session = LiveSession(
+            folder, course, add, target=target, room=room, move=move, data="synthetic" if simulate else "real"
+        )
         if course.readings:
             console.print(f"goes on after {len(course.readings)} readings that {folder} holds")
         played = SimulatedSource(session.robot, session.next_pose, simulate or 0, len(course.readings))
@@ -107,6 +116,13 @@ def measure(
         console.print(finished(folder))
     else:
         console.print(f"next: casadical check {folder}; casadical calibrate {folder} --out results")
+
+
+def _language(word: str) -> ProgramLanguage:
+    """The language of this name. Raises InputError."""
+    from casadical.export.controller.programs.registry import language_named
+
+    return language_named(word)
 
 
 def _follow(session: LiveSession, source: Source, console: Console, pause: float) -> None:

@@ -51,14 +51,14 @@ class LiveSession:
 
     folder : with problem.toml, whose tables are replaced; course, add : of its journal (see `journal`)
     target : accuracy that is wanted [m]; room : file of a workspace; data : "real" or "synthetic", as problem.toml says
-    move : the line of a program that goes to joints [rad or m]; None: no program
+    move : the line of a program that goes to joints [deg or mm]; None: no program
 
     Raises InputError: its tables are other measurements, which would be lost.
     """
 
     def __init__(
         self, folder: Path, course: Course, add: Add, *, target: float | None = None, room: Path | None = None,
-        data: str = "real", move: Callable[[Array], str] | None = None,
+        data: str = "real", move: Callable[[Sequence[float]], str] | None = None,
     ) -> None:  # fmt: skip
         self.folder, self.course, self._add, self.target, self._data, self._move = (
             folder,
@@ -418,10 +418,9 @@ class LiveSession:
         }  # fmt: skip
 
     def _next_json(self, ahead: Ahead) -> dict[str, Any]:
-        last = self._last()
+        last, poses = self._last(), [self._joints(q) for q in ahead.q]
         return {
-            "poses": [self._joints(q) for q in ahead.q], "program": self._move(ahead.q[0]) if self._move else "",
-            "to_go": ahead.to_go, "words": ahead.words, "arm": arms(self._in_base, ahead.q[:1])[0].tolist(),
+            "poses": poses, "program": self._move(poses[0]) if self._move else "", "to_go": ahead.to_go, "words": ahead.words, "arm": arms(self._in_base, ahead.q[:1])[0].tolist(),
             "points": arms(self._in_base, ahead.q)[:, -1].tolist(),
             "arm_now": None if last is None else arms(self._in_base, last[None])[0].tolist(),
         }  # fmt: skip

@@ -6,6 +6,7 @@ decimals, as the controller prints them.
 """
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -85,6 +86,10 @@ class Fanuc(ProgramLanguage):
             target = target.leave(f"line {steps[number]} moves by it (INC), not to it")
         tool, base = (_frame(pick, known) for pick, known in zip(frames, (given.tools, given.bases), strict=True))
         return replace(target, tool=tool, base=base, about=f"tool {frames[0]}, base {frames[1]}")
+
+    def move_line(self, joints: Sequence[float]) -> str:
+        axes = ", ".join(f"J{i}= {value:.3f} deg" for i, value in enumerate(joints, 1))
+        return f"J P[1] 10% FINE ;\n/POS\nP[1]{{\n   GP1:\n    UF : 0, UT : 1,\n    {axes}\n}};"
 
     def matrix(self, values: Array) -> Array:
         return matrix_of_angles(values, _ORDER)

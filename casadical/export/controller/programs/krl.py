@@ -4,6 +4,7 @@ S: bit 0 wrist behind axis 1, bit 1 wrist in front of the line through axes 2 an
 taught by an absolutely accurate robot. T: bit i - 1 is 1 where the reading of joint i is negative.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -59,6 +60,9 @@ class Krl(ProgramLanguage):
             frames.placed(t if file is None else t.leave(f"{file} gives it another value"), name)
             for t, name, file in targets
         ]
+
+    def move_line(self, joints: Sequence[float]) -> str:
+        return f"PTP {{{', '.join(f'A{i} {value:.4f}' for i, value in enumerate(joints, 1))}}}"
 
     def matrix(self, values: Array) -> Array:
         return matrix_of_angles(values, _ORDER)

@@ -65,6 +65,10 @@ class ProgramLanguage(ABC):
         """The texts of the words that say the turns, one for each of `target.turn_text`."""
         raise NotImplementedError
 
+    def move_line(self, joints: Sequence[float]) -> str:
+        """A slow motion to joints [deg or mm], as lines of a program. Raises InputError where the language has none."""
+        raise InputError(f"{self.name}: has no motion in a line; give krl, rapid, urscript or fanuc")
+
     def frame(self, where: str, values: Array) -> Array:
         """A tool or base in a program, shape (4, 4) [m]. Raises InputError that begins with `where`."""
         if not np.isfinite(values).all():

@@ -4,6 +4,7 @@ confdata: the quarter turns of axes 1, 4 and 6, and cfx = 4 (wrist behind axis 1
 5 negative). Tool and work object are those of the motions that use a target.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -60,6 +61,10 @@ class Rapid(ProgramLanguage):
                 )
         module = _Module(self, source, tokens, given)
         return [module.placed(target, name) for target, name in module.targets()]
+
+    def move_line(self, joints: Sequence[float]) -> str:
+        axes = ",".join(f"{value:.4f}" for value in (*joints, *[0.0] * (6 - len(joints))))
+        return f"MoveAbsJ [[{axes}],[{','.join(['9E9'] * 6)}]]\\NoEOffs, v100, fine, tool0;"
 
     def matrix(self, values: Array) -> Array:
         q = values[3:]

@@ -21,6 +21,15 @@ def known_program_languages() -> dict[str, type[ProgramLanguage]]:
     return members(GROUP, ProgramLanguage, LANGUAGES)  # type: ignore[type-abstract]
 
 
+def language_named(word: str) -> ProgramLanguage:
+    """The language of a word in its name, or of a suffix. Raises InputError that lists the names."""
+    known = known_program_languages()
+    for kind in known.values():
+        if word.lower() in kind.__name__.lower() or f".{word.lower()}" in kind.suffixes:
+            return kind()
+    raise InputError(f"{word!r}: no such language of programs; allowed: {', '.join(k.name for k in known.values())}")
+
+
 def language_of(path: Path) -> ProgramLanguage:
     """The language of a file, by its suffix. Raises InputError that lists the suffixes."""
     known = known_program_languages()

@@ -7,6 +7,7 @@ pose_add) is relative to something that only the controller knows, and stays.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -59,6 +60,9 @@ class UrScript(ProgramLanguage):
         tool = given.tools.get("", only_one(source, "the tool centre point", tools))
         placed = [replace(t, tool=tool, about="set_tcp" if tools else "") for t in program.targets()]
         return [replace(t, base=given.bases.get("", np.eye(4))) for t in placed]
+
+    def move_line(self, joints: Sequence[float]) -> str:
+        return f"movej([{', '.join(f'{value:.6f}' for value in np.deg2rad(joints))}], a=0.5, v=0.3)"
 
     def matrix(self, values: Array) -> Array:
         angle = float(np.linalg.norm(values[3:]))
