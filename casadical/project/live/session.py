@@ -420,7 +420,8 @@ class LiveSession:
     def _next_json(self, ahead: Ahead) -> dict[str, Any]:
         last, poses = self._last(), [self._joints(q) for q in ahead.q]
         return {
-            "poses": poses, "program": self._move(poses[0]) if self._move else "", "to_go": ahead.to_go, "words": ahead.words, "arm": arms(self._in_base, ahead.q[:1])[0].tolist(),
+            "poses": poses, "program": self._move(poses[0]) if self._move else "", "to_go": ahead.to_go,
+            "words": ahead.words, "arm": arms(self._in_base, ahead.q[:1])[0].tolist(),
             "points": arms(self._in_base, ahead.q)[:, -1].tolist(),
             "arm_now": None if last is None else arms(self._in_base, last[None])[0].tolist(),
         }  # fmt: skip
