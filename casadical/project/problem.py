@@ -178,9 +178,7 @@ def read_problem(
     folder = Path(folder)
     file, path = file_with_tables(folder, tables), folder / "problem.toml"
     if not file.measurements and file.logs:
-        raise InputError(
-            f"{path}: holds joint logs, no measured poses; casadical diagnose {shown(folder)} looks at them"
-        )
+        raise InputError(f"{path}: holds joint logs, no measured poses; take casadical diagnose {shown(folder)}")
     if not file.measurements:
         raise InputError(
             f"{path}: measurements: is missing; a calibration needs at least one table: [[measurements]], or a CSV "
