@@ -44,16 +44,11 @@ def test_several_campaigns_are_answered_in_order(both: tuple[str, list[dict]]) -
     assert text.index("ur10e-P03") < text.index("ur10e-P06")
 
 
-def test_one_campaign_is_one_answer(tmp_path: Path, both: tuple[str, list[dict]]) -> None:
-    done = diagnosed(PROBLEM, P06, "--effects", FEW, "--json", tmp_path / "one.json", "--quiet")
+@pytest.mark.parametrize(("tables", "which"), [((P06,), 1), ((), 0)], ids=["given", "the folder's own"])
+def test_one_campaign_is_one_answer(tables: tuple, which: int, tmp_path: Path, both: tuple[str, list[dict]]) -> None:
+    done = diagnosed(PROBLEM, *tables, "--effects", FEW, "--json", tmp_path / "one.json", "--quiet")
     assert (done.returncode, done.stdout) == (0, "")
-    assert json.loads((tmp_path / "one.json").read_text()) == both[1][1]
-
-
-def test_without_tables_the_folder_has_its_own(tmp_path: Path, both: tuple[str, list[dict]]) -> None:
-    done = diagnosed(PROBLEM, "--effects", FEW, "--json", tmp_path / "own.json", "--quiet")
-    assert (done.returncode, done.stdout) == (0, "")
-    assert json.loads((tmp_path / "own.json").read_text()) == both[1][0]
+    assert json.loads((tmp_path / "one.json").read_text()) == both[1][which]
 
 
 def test_isolability_needs_no_positions(tmp_path: Path) -> None:

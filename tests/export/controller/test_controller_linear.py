@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from command_line import main as run
+from controller_arms import poses as readings
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
@@ -85,12 +86,6 @@ def poses(robot, q):
     return p + R.apply(robot.tool.T[:3, 3]), (R * Rotation.from_matrix(robot.tool.T[:3, :3])).as_matrix()
 
 
-def readings(robot, count, seed=1):
-    lower, upper = np.array([(j.lower, j.upper) for j in robot.joints]).T
-    middle, half = (lower + upper) / 2, (upper - lower) / 2
-    return np.random.default_rng(seed).uniform(middle - 0.8 * half, middle + 0.8 * half, (count, robot.n))
-
-
 def turned(A, B):
     """Angles between orientations [rad]."""
     return np.linalg.norm(A - B, axis=(1, 2)) / np.sqrt(2)
@@ -104,7 +99,7 @@ def test_the_freedom_of_an_arm_is_counted(name):
 @pytest.mark.parametrize("name", ["rail", "scara", "gantry", "five"])
 @pytest.mark.parametrize("orientation", [False, True])
 def test_the_real_tool_is_where_the_nominal_one_would_be(name, orientation):
-    nominal, q = arm(name), readings(arm(name), 200)
+    nominal, q = arm(name), readings(arm(name), 200, seed=1)
     real = planted(nominal)
     dq, status = model_corrector(command_of(Sources(real, nominal), 3, orientation=orientation)).correct(q)
     ok = status == Status.OK
@@ -138,7 +133,7 @@ def test_fewer_axes_turn_the_tool_as_near_as_they_can_beside_the_position(name):
 
 
 def test_what_a_planar_arm_cannot_move_is_left_and_said():
-    nominal, q = arm("planar"), readings(arm("planar"), 50)
+    nominal, q = arm("planar"), readings(arm("planar"), 50, seed=1)
     real = planted(nominal)
     dq, status = model_corrector(command_of(Sources(real, nominal))).correct(q)
     assert (status == Status.OK).mean() > 0.9
@@ -153,7 +148,7 @@ def test_what_a_planar_arm_cannot_move_is_left_and_said():
 
 
 def test_inverse_kinematics_of_a_rail_moves_it_in_metres():
-    robot, q = planted(arm("rail")), readings(arm("rail"), 20)
+    robot, q = planted(arm("rail")), readings(arm("rail"), 20, seed=1)
     p, R = poses(robot, q)
     found = inverse_kinematics(robot, p, R, start=q + 0.01)
     assert found.reached.all()
@@ -179,7 +174,7 @@ def test_the_c_has_the_bits_and_says_units_freedom_and_notes(exported):
     assert "q1 = -'A1' * / here" in head
     assert "joint limits of the robot file" in head
     assert "radians, q[2] in metres" in (exported / "scara.st").read_text()
-    robot, q = arm("scara"), readings(arm("scara"), 30)
+    robot, q = arm("scara"), readings(arm("scara"), 30, seed=1)
     kernel = kernel_corrector(exported)
     mine = model_corrector(command_of(Sources(planted(robot), robot), 2, orientation=True))
     assert kernel.units == ("rad", "rad", "m", "rad")
