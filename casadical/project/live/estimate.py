@@ -66,8 +66,16 @@ class Estimate:
         return np.asarray(MM**2 * (J @ self.covariance @ J.transpose(0, 2, 1)) + self.sigma**2 * np.eye(3))
 
     def misses(self, m: Measurements, position: Array) -> tuple[Array, Array]:
-        """Positions less predictions, shape (n, 3) [m], and their squares in units of their covariance, shape (n,)."""
+        """Positions less predictions, shape (n, 3) [m], and their squares in units of their covariance, shape (n,).
+
+        Where a four-bar cannot close, the latter are infinite.
+        """
         off = position - predicted(self.robot, m)[0]
+        if not (closed := np.isfinite(off).all(axis=1)).all():
+            square = np.full(len(m), np.inf)
+            if closed.any():
+                square[closed] = self.misses(m[np.flatnonzero(closed)], position[closed])[1]
+            return off, square
         return off, np.einsum("ni,ni->n", off, np.linalg.solve(self.covariances(m), off[..., None])[..., 0])
 
     def expected(self, task: Measurements) -> float:

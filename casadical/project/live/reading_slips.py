@@ -110,14 +110,16 @@ def _of_joints(found: Estimate, one: Measurements, m: Measurements, k: int) -> I
     assert one.position is not None
     y = one.position[0]
     p, _ = predicted(found.robot, _at(one, q.reshape(-1, n)))
-    best = np.linalg.norm(p - y, axis=1).reshape(n, PLACES).argmin(axis=1)
+    away = np.linalg.norm(p - y, axis=1).reshape(n, PLACES)  # not a number where a four-bar cannot close
+    best = np.nan_to_num(away, nan=np.inf).argmin(axis=1)
     at = q[np.arange(n), best]
     for _ in range(STEPS):
         some = _at(one, at)
         d = y - predicted(found.robot, some)[0]
         J = by_joints(found.robot, some)[np.arange(n), :, np.arange(n)]
         square = np.maximum((J**2).sum(axis=1), 1e-12)
-        at[np.arange(n), np.arange(n)] += np.clip((J * d).sum(axis=1) / square, -0.1, 0.1)
+        step = np.clip((J * d).sum(axis=1) / square, -0.1, 0.1)
+        at[np.arange(n), np.arange(n)] += np.nan_to_num(step)
     values = _measured(found, one, at, np.tile(y, (n, 1)))
     for i in range(n):
         turning, read = found.robot.joints[i].kind == "revolute", one.q[0, i]

@@ -205,3 +205,27 @@ def test_the_journal_is_lines_of_json(arm: Path) -> None:
     (arm / "measured.jsonl").write_text('{"do": "strike", "at": "", "id": 5, "why": "x"}\n')
     with pytest.raises(InputError, match="line 1: no reading 5"), journal(arm):
         pass
+
+
+def test_a_four_bar_that_cannot_close_on_the_way_to_an_explanation_stops_nothing(tmp_path: Path) -> None:
+    folder = tmp_path / "kr"
+    folder.mkdir()
+    shutil.copy(ROOT / "problems/kr210/robot.toml", folder)
+    (folder / "problem.toml").write_text('casadical = 1\ntitle = "t"\n')
+    m = casadical.read_problem(ROOT / "problems/kr210").sets["identify"][0]
+    lower, upper = casadical.read_robot(folder / "robot.toml").limits
+    with journal(folder) as (course, add):
+        session = LiveSession(folder, course, add)
+        names = (*session.robot.reading_units, "x_mm", "y_mm", "z_mm")
+        for k in range(11):
+            q, p = m.q[k].copy(), m.position[k].copy()
+            if k == 8:
+                q[2] = lower[2] + 0.01
+            if k == 9:
+                p += 3.0
+            if k == 10:
+                q[1:3] = upper[1], lower[2]
+            cells = [*np.rad2deg(q), *(1e3 * p)]
+            session.take(Row(names, (), tuple(f"{v:.6f}" for v in cells), "test"))
+        told = session.state()["readings"]
+    assert [r["state"] for r in told] == ["good"] * 8 + ["doubtful"] * 3
