@@ -116,7 +116,7 @@ def _missing(robot: Robot, log: JointLog) -> Iterator[str]:
     if log.torque is None and signed and (robot.drive is None or robot.drive.torque_per_ampere(robot.n) is None):
         yield (
             "currents stand at the motors, and no gear ratio or torque constant is known: friction and its causes are "
-            "told in ampere, masses and torque scale are not told apart. Give gear_ratio and "
+            "told in ampere; masses and the scale of torque are one unknown. Give gear_ratio and "
             "torque_constant_Nm_per_A in [drive], or log one run with a known payload"
         )
     for k, joint in enumerate(robot.joints):

@@ -41,8 +41,8 @@ def read_log(
     Parameters
     ----------
     path : str | Path
-        table (csv, csv.gz, parquet: joint-logs.md has the columns; RTDE's names are known, too), a folder of SAGE, a
-        Parquet file of a LeRobot dataset, a ROS bag (.db3, .mcap, .bag, or the folder with metadata.yaml)
+        table (csv, csv.gz, parquet; docs/log-files.md has the columns, RTDE's names are known, too), a folder of SAGE,
+        a Parquet file of a LeRobot dataset, a ROS bag (.db3, .mcap, .bag, or the folder with metadata.yaml)
     robot : Arm, optional
         its joints, by their names or their order, are those of the log; others are left out
     unit : {"deg", "rad", "percent"}, optional
