@@ -77,7 +77,7 @@ class LivePage:
                 if self.session.ahead is None:
                     await self._plan()
                 await self._look()
-            except Exception as error:  # a bug of ours must not end what keeps the readings
+            except Exception as error:  # a bug must not end what keeps the readings
                 self.session.said.append(f"this is a bug in casadical, and the readings are kept: {error!r}")
                 self._tell()
             await asyncio.sleep(self.pause)
