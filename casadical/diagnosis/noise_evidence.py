@@ -15,6 +15,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.linear_gaussian.columns import ArrayColumns, MovedColumns
+from casadical.core.linear_gaussian.model import axes_of_base, beside_base
 from casadical.core.linear_gaussian.noise import Axes
 from casadical.core.linear_gaussian.normal_equations import Joined, joined
 from casadical.diagnosis.evidence import REPEATABILITY, RHOS, Evidence, joint_noise, log_known
@@ -119,7 +120,7 @@ class Problem:
         ((fit, _),) = self._fits(form, [k])
         x = fit.root.T @ fit.z
         if self._by_rows:
-            return np.asarray(x.reshape(self.e.r.shape))
+            return np.asarray(x[: self.e.r.size].reshape(self.e.r.shape))
         axes = self._axes(form, [k])
         rest = ((form.moved(X[:, :, -1] - X[:, :, :-1] @ x, at), at) for X, at in self._parts())
         return np.concatenate(
@@ -189,20 +190,24 @@ class Problem:
         def moved(numbers: Array) -> Array:
             return axes.turned(form.moved(numbers.reshape(*self.e.r.shape, -1), every)).reshape(rows, -1)
 
-        y = moved(X[:, :, -1] - X[:, :, :-1] @ self._mean)
-        prior, log_width = moved(moved(self._prior_covariance).T), float(np.log(self._weights).sum())
+        P = self.e.model.base.shape[2]
+        y, base = moved(X[:, :, -1] - X[:, :, :-1] @ self._mean)[:, 0], moved(X[:, :, :P])
+        causes, log_width = moved(moved(self._covariance_of_causes).T), float(np.log(self._weights[P:]).sum())
         fits = []
         for precision, log_det in zip(axes.precision.reshape(len(near), rows), axes.log_det, strict=True):
             weight = np.sqrt(precision)
-            normal = np.eye(rows) + weight[:, None] * prior * weight
-            fit = joined(normal, weight * y[:, 0], 0.0, -0.5 * float(log_det) - log_width)
+            Q, of_base = axes_of_base(weight[:, None] * base, self._weights[:P])
+            left = np.append(weight * y, np.zeros(P))
+            normal = beside_base(Q, weight[:, None] * causes * weight)
+            fit = joined(normal, left - Q @ (Q.T @ left), 0.0, -0.5 * (float(log_det) + of_base) - log_width)
             fits.append((fit, -fit.square))
         return fits
 
     @cached_property
-    def _prior_covariance(self) -> Array:
-        """What the priors of the parameters do, in units of the noise, shape (3 n, 3 n)."""
-        wide = next(self._parts())[0][:, :, :-1].reshape(self.e.r.size, -1) / self._weights
+    def _covariance_of_causes(self) -> Array:
+        """What the priors of the causes' parameters do, in units of the noise, shape (3 n, 3 n)."""
+        P = self.e.model.base.shape[2]
+        wide = next(self._parts())[0][:, :, P:-1].reshape(self.e.r.size, -1) / self._weights[P:]
         return np.asarray(wide @ wide.T)
 
     def _axes(self, form: Form, near: Sequence[int]) -> Axes:

@@ -9,7 +9,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.linear_gaussian.columns import EVERY, Combined
-from casadical.core.linear_gaussian.model import LinearModel
+from casadical.core.linear_gaussian.model import LinearModel, axes_of_base, beside_base
 from casadical.core.linear_gaussian.noise import Ratio
 from casadical.core.linear_gaussian.normal_equations import NormalSums, normal_sums, root_of_inverse
 
@@ -158,8 +158,10 @@ class Fit:
             return None
         if rows > p and self._pulled is not None:
             return np.asarray(np.eye(rows) - self._pulled @ self._pulled.T)
-        wide = self._kept * self.prior
-        return np.linalg.inv(np.eye(rows) + wide @ wide.T)
+        first = p - self.combined.width
+        Q, _ = axes_of_base(self._kept[:, :first], 1 / self.prior[:first])
+        wide = self._kept[:, first:] * self.prior[first:]
+        return np.asarray((np.linalg.inv(beside_base(Q, wide @ wide.T)) - Q @ Q.T)[:rows, :rows])
 
     @cached_property
     def _missed(self) -> Array:

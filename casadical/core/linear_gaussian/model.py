@@ -81,13 +81,34 @@ class LinearModel:
         """What makes rows white and orthogonal to the base at one noise."""
         whitening = self.noise.whitening(ratios)
         weights = self.reference / self.prior
-        A = np.concatenate([(whitening @ self.base).reshape(self.residual.size, -1), np.diag(weights)])
-        # A parameter whose column is long is scaled first, so that rank is judged fairly.
-        scale = np.linalg.norm(A, axis=0)
-        Q, R = np.linalg.qr(A / scale)
-        log_det = whitening.log_det + 2 * float(np.log(np.abs(np.diag(R)) * scale).sum())
+        Q, log_det = axes_of_base((whitening @ self.base).reshape(self.residual.size, -1), weights)
         y = np.concatenate([(whitening @ self.residual[:, :, None]).ravel(), weights * self.mean])
-        return Projection(whitening, Q, y - Q @ (Q.T @ y), -0.5 * log_det)
+        return Projection(whitening, Q, y - Q @ (Q.T @ y), -0.5 * (whitening.log_det + log_det))
+
+
+def axes_of_base(A: Array, weights: Array) -> tuple[Array, float]:
+    """Orthogonal axes of the base's white columns with the rows of its priors behind, and their log determinant.
+
+    A : shape (rows, P); weights : one over the widths of the priors, shape (P,). The axes have the shape (rows + P, P).
+    """
+    A = np.concatenate([A, np.diag(weights)])
+    # A parameter whose column is long is scaled first, so that rank is judged fairly.
+    scale = np.linalg.norm(A, axis=0)
+    Q, R = np.linalg.qr(A / scale)
+    return Q, 2 * float(np.log(np.abs(np.diag(R)) * scale).sum())
+
+
+def beside_base(Q: Array, K: Array) -> Array:
+    """Covariance of white rows, and of those of the base's priors, orthogonal to the base: one, and what causes do.
+
+    Q : axes of the base, shape (rows + P, P); K : what the causes do by their priors, shape (rows, rows)
+    """
+    whole = np.zeros((len(Q), len(Q)))
+    whole[: len(K), : len(K)] = K
+    whole -= Q @ (Q.T @ whole)
+    whole -= (whole @ Q) @ Q.T
+    whole[np.diag_indices(len(Q))] += 1.0
+    return whole
 
 
 @dataclass(frozen=True, eq=False)
