@@ -21,6 +21,8 @@ WINDOW, STATES = 0.15, 500
 # Joints in another order or sign must lower the sum of logarithms of the shares of torque that are left by this much:
 # true models gained at most .37 in 40 logs. Friction that drives must be so great a share of a joint's torque.
 GAIN, DRIVEN = 0.8, 0.2
+# Torques so many times smaller than the model's stand at the motor's side.
+GEARED = 8.0
 # Coulomb friction turns its sign over such a speed [rad/s or m/s].
 SLOW = 0.01
 
@@ -100,7 +102,9 @@ def _friction(v: Array) -> Array:
 
 def contradictions(robot: Robot, log: JointLog) -> tuple[str, ...]:
     """Sentences: what a robot file does not say that the log would need, and joints in another order or sign."""
-    return (*_missing(robot, log), *_order(robot, log))
+    states = None if without_masses(robot) else states_of(log)
+    found = () if states is None else (*_side(robot, log, states), *_order(robot, log, states))
+    return (*_missing(robot, log), *found)
 
 
 def _missing(robot: Robot, log: JointLog) -> Iterator[str]:
@@ -128,11 +132,24 @@ def _missing(robot: Robot, log: JointLog) -> Iterator[str]:
             )
 
 
-def _order(robot: Robot, log: JointLog) -> Iterator[str]:
-    """A joint that counts the other way than the model, or two that stand in each other's place, by the torques."""
-    states = states_of(log)
-    if states is None or without_masses(robot):
+def _side(robot: Robot, log: JointLog, states: States) -> Iterator[str]:
+    """Torques that are so much smaller than the model's as a gear makes them, or so much greater."""
+    if log.torque is None:
         return
+    model = Dynamics(robot).torque(states.q, states.v, states.a)
+    sizes = [np.abs(each).mean(axis=0) for each in (model, states.tau)]
+    strong = (sizes[0] > 0.2 * sizes[0].max()) & (sizes[1] > 0)
+    ratio = float(np.median(sizes[0][strong] / sizes[1][strong])) if strong.any() else 1.0
+    if not 1 / GEARED < ratio < GEARED:
+        yield (
+            f"torques are {1 / ratio:.2g} times the model's: at the motor's side of the gears, or in another unit, and "
+            "no ratio is known; friction and its causes are told in the log's own unit, payload and masses are not. "
+            "Multiply the columns by the gear ratio, or log currents and give gear_ratio in [drive]"
+        )
+
+
+def _order(robot: Robot, log: JointLog, states: States) -> Iterator[str]:
+    """A joint that counts the other way than the model, or two that stand in each other's place, by the torques."""
     dynamics, n, names = Dynamics(robot), robot.n, log.joints
     against = "the torque or current of {} counts against its angle"
     plain = _left(dynamics, states)

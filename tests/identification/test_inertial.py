@@ -127,3 +127,11 @@ def test_what_a_robot_file_lacks_is_said_with_what_is_told_all_the_same() -> Non
     said = " ".join(contradictions(narrow, log))
     assert "a reads -" in said
     assert "its range is -0.2 to 0.2 rad" in said
+
+
+def test_torques_at_the_motors_side() -> None:
+    log = log_of(ARM)
+    (said,) = contradictions(ARM, replace(log, torque=log.torque / 100))
+    assert said.startswith("torques are 0.01")
+    assert "at the motor's side of the gears" in said
+    assert "Multiply the columns by the gear ratio" in said

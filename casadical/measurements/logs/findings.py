@@ -18,6 +18,8 @@ GAP, MOVING = 1.5, 4.0
 # A joint moves if it covers so many quanta, or so much [rad or m] where no quantum is seen; it tells little below FEW.
 LEAST, FEW = 3.0, 50.0
 STILL = 1e-4
+# A joint that never moves faster [rad/s or m/s] tells nothing that follows speed.
+TOO_SLOW = 0.02
 # How far beyond its range an angle may be before another unit is asked for [rad].
 BEYOND = 0.3
 
@@ -123,6 +125,11 @@ def _readings(log: JointLog) -> Iterator[str]:
                 f"{name} moves by {covered / steps[k]:.0f} steps of its encoder ({1e3 * covered:.3g} {unit}): too "
                 f"little to tell more than its hysteresis. Move it by {1e3 * FEW * steps[k]:.0f} {unit} or more"
             )
+        elif (fastest := _fastest(log, k)) < TOO_SLOW:
+            yield (
+                f"{name} moves at {1e3 * fastest:.2g} {unit}/s at most: too slow to tell viscous friction, lag or "
+                f"inertia; dry friction and load are told. Move it at {1e3 * 10 * TOO_SLOW:.0f} {unit}/s or more"
+            )
         for channel in ("torque", "current"):
             values = getattr(log, channel)
             if values is not None and np.isfinite(values[:, k]).any() and np.nanstd(values[:, k]) == 0:
@@ -133,6 +140,16 @@ def _readings(log: JointLog) -> Iterator[str]:
             "joints of two arms stand in one log: each is told as if the other were not there. Name the robot's own "
             "joints by its model, and give one log to each arm"
         )
+
+
+def _fastest(log: JointLog, k: int) -> float:
+    """The greatest speed of a joint over some rows [rad/s or m/s]."""
+    rows = max(1, min(len(log) - 1, round(0.1 / max(log.step, 1e-9))))
+    q, t = log.position[:, k], log.time
+    with np.errstate(invalid="ignore", divide="ignore"):
+        speed = np.abs(q[rows:] - q[:-rows]) / (t[rows:] - t[:-rows])
+    speed = speed[(log.run[rows:] == log.run[:-rows]) & np.isfinite(speed)]
+    return float(np.quantile(speed, 0.99)) if len(speed) else 0.0
 
 
 def _between(log: JointLog) -> Iterator[str]:

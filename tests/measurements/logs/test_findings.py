@@ -97,6 +97,10 @@ def test_speeds_of_another_unit_than_they_say(tmp_path) -> None:
     [
         ({"q2_rad": np.full(len(T), 0.3)}, "joint 2 never moves (0 mrad): of it only the load that it holds is told"),
         ({"q2_rad": np.round(3 * np.sin(T)) * 1.5e-3}, "joint 2 moves by 6 steps of its encoder (9 mrad): too little"),
+        (
+            {"q2_rad": np.round(0.1 * np.sin(0.1 * T) / 1e-4) * 1e-4},
+            "joint 2 moves at 10 mrad/s at most: too slow to tell viscous friction, lag or inertia",
+        ),
         ({"current2_A": np.full(len(T), 1.5)}, "current of joint 2 is 1.5 in every row: it is not measured"),
         ({"command2_rad": -motion(T)[:, 1]}, "joint 2: command and reading count in opposite directions"),
         (
