@@ -33,7 +33,7 @@ class Body:
     inertia: Array | None = None
 
     def moved(self, T: Array) -> Body:
-        """Seen from the frame in which T, shape (4, 4), is this body's own."""
+        """Seen from the frame in which T, shape (4, 4) [m], is this body's own."""
         R = T[:3, :3]
         inertia = None if self.inertia is None else R @ self.inertia @ R.T
         return Body(self.mass, R @ self.com + T[:3, 3], inertia)

@@ -129,7 +129,7 @@ def _table(path: Path) -> RawTable:
 
 
 def assembled(log: Logged, robot: Arm | None, unit: str | None = None) -> JointLog:
-    """The log with its joints in the robot's order, in SI, its runs numbered."""
+    """The log with its joints in the robot's order, in SI, its runs numbered. Raises InputError without positions."""
     if "position" not in log.channels:
         there = ", ".join(log.channels)
         raise InputError(f"{log.source}: no column holds the positions of joints; there are {there}. {NAMES}")

@@ -149,7 +149,10 @@ def _of_stream(stream: _Stream, path: Path) -> Logged:
 
 
 def joined(logs: Sequence[Logged]) -> Logged:
-    """Streams of their own times as one, at the times of the first; each row has what the others said last."""
+    """Streams of their own times as one, at the times of the first; each row has what the others said last.
+
+    Raises InputError if they do not overlap.
+    """
     first, *others = logs
     start = first.time[0]
     channels: dict[str, Mapping[str, Array]] = dict(first.channels)
