@@ -25,6 +25,7 @@ _OURS = (
     {"problem", "robot"}, {"campaign"}, {"forecast"}, {"targets", "corrected"}, {"folder", "files", "verified"},
     {"file", "robot", "left_out"}, {"withheld", "not_drawn"}, {"key_sha256"}, {"answers", "by"}, {"by", "figures"},
     {"changed", "changes", "campaigns"}, {"fleet", "robots", "types"},
+    {"robot", "fields", "readings"},
 )  # fmt: skip
 _MEASURED = {"x_mm", "x_m", "y_mm", "y_m", "z_mm", "z_m"}
 

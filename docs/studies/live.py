@@ -28,7 +28,7 @@ from casadical.measurements.noise import Noise
 from casadical.pose_selection.candidates import draw, expected
 from casadical.pose_selection.workspace import Workspace
 from casadical.project.live import LiveSession
-from casadical.project.live.ahead import in_base
+from casadical.project.live.ahead import candidates
 from casadical.project.live.estimate import estimate
 from casadical.project.live.journal import journal
 from casadical.project.live.sources import FileSource, Row
@@ -216,7 +216,7 @@ def adaptive() -> None:
         rng = np.random.default_rng([97, k])
         built = as_built(nominal, rng)
         task = draw(nominal, 300, Workspace(), rng)
-        pool = draw(in_base(nominal), 300, Workspace(floor=0.0, clearance=0.05), rng, to_ends=True)
+        pool, _ = candidates(nominal, None, k)
         fixed = select_poses(nominal, pool, MOST, noise=Noise(NOISE), restarts=1).q
         fixed = fixed[rng.permutation(MOST)]
         for name in found:

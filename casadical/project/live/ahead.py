@@ -24,7 +24,7 @@ POOL, TASK, BATCH, BEYOND = 300, 150, 8, 60
 # That are planned before anything is known; a pose is done that was measured within so much [rad or m].
 FIRST, DONE = 12, 0.02
 # Without a workspace poses stay so far above the plane that the robot stands on [m].
-CLEARANCE = 0.05
+CLEARANCE, LEAST = 0.05, 1e-6
 # Of a coordinate [m], before readings tell it.
 NOISE = 5e-5
 
@@ -55,16 +55,16 @@ def look_ahead(
     done = len(m) if m is not None else 0
     noise = Noise(found.sigma if found else NOISE)
     robot = replace(robot, targets=(), tool_name="")
-    candidates, said = _candidates(robot, room, done)
+    among, said = candidates(robot, room, done)
     count = BATCH if found else FIRST + len(before)
     chosen = select_poses(
         robot,
-        candidates,
+        among,
         count,
         measured=m,
         noise=noise,
         restarts=1,
-        pool=len(candidates),
+        pool=len(among),
         free=_FREE,
         prior=found.prior if found else None,
     ).q
@@ -105,14 +105,15 @@ def _nearest_first(robot: Robot, q: Array, near: Array | None) -> list[int]:
     return order
 
 
-def _candidates(robot: Robot, room: Workspace | None, seed: int) -> tuple[Array, str]:
-    """Poses that may be measured, shape (POOL, joints), and what was not checked."""
+def candidates(robot: Robot, room: Workspace | None, seed: int) -> tuple[Array, str]:
+    """Poses that may be measured, shape (POOL, joints), and what was not checked. Raises InputError of a room."""
     rng = np.random.default_rng(seed)
     if room is not None:
         return draw(one_turn(robot), POOL, room, rng, to_ends=True), ""
     own = one_turn(in_base(robot))
-    with suppress(InputError):  # a robot that stands in its own plane
-        return draw(own, POOL, Workspace(floor=0.0, clearance=CLEARANCE), rng, to_ends=True), ""
+    for clearance in (CLEARANCE, -LEAST):  # some robots have axes in the plane that they stand on
+        with suppress(InputError):
+            return draw(own, POOL, Workspace(floor=0.0, clearance=clearance), rng, to_ends=True), ""
     return draw(own, POOL, Workspace(), rng, to_ends=True), "; floor and obstacles were not checked: --room FILE.toml"
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
 
 import casadical
 from casadical.core.errors import InputError
@@ -229,3 +230,29 @@ def test_a_four_bar_that_cannot_close_on_the_way_to_an_explanation_stops_nothing
             session.take(Row(names, (), tuple(f"{v:.6f}" for v in cells), "test"))
         told = session.state()["readings"]
     assert [r["state"] for r in told] == ["good"] * 8 + ["doubtful"] * 3
+
+
+def test_poses_stay_above_the_plane_that_the_robot_stands_on(arm: Path) -> None:
+    """Also where an axis lies in that plane, as the KR 210's and the planar arm's do."""
+    for name in ("ur10", "kr210", "planar"):
+        shutil.copy(ROOT / f"problems/{name}/robot.toml", arm)
+        with journal(arm) as (course, add):
+            session = LiveSession(arm, course, add)
+            session.look_ahead()
+            told = session.state()["next"]
+        assert min(point[2] for point in told["points"]) >= 0.0, name
+        assert "not checked" not in told["words"]
+
+
+def test_the_command_prints_answers_and_keeps_its_figures(arm: Path) -> None:
+    table, kept = arm / "t.csv", arm / "state.json"
+    table.write_text(csv_text(series(3)))
+    assert run("measure", arm, "--no-page").returncode == 2
+    both = run("measure", arm, "--no-page", "--follow", table, "--simulate", 3)
+    assert "give one of them" in both.stderr
+    for _ in range(2):
+        ended = run("measure", arm, "--no-page", "--simulate", 1, "--program", "krl", "--json", kept)
+        assert (ended.returncode, ended.stderr) == (0, "")
+        assert "PTP {A1" in ended.stdout
+    assert [r["state"] for r in json.loads(kept.read_text())["readings"]] == ["good", "good"]
+    assert "goes on after 1 readings" in ended.stdout
