@@ -93,7 +93,7 @@ class Definition(TomlTable):
     """What an effect is; {joint} and {setting} in formulas, names of parameters and columns stand for their values."""
 
     name: str = Field(pattern=rf"^{_NAME.pattern}$", max_length=60)
-    on_list: Literal["standard", "extended", ""] = ""
+    on_list: Literal["standard", "extended", "motion", ""] = ""
     answers_as: str = ""
     acts_at: Literal["arm", "joints", "turning joints", "rigid joints", "payload", ""] = ""
     of_measurement: bool = False

@@ -44,7 +44,17 @@ SEAMS = {
     "distance": Seam(1, "m"),
     "energy": Seam(1, "J"),
     "payload shift": Seam(3, "m"),
+    "torque": Seam(1, "", True),
+    "torques": Seam(1, ""),
+    "response": Seam(1, "rad", True),
+    "responses": Seam(1, "rad"),
 }
+# Of joint logs, and what a formula there may name (see `motion`): of its own joint, at every sample.
+MOTION_SEAMS = ("torque", "torques", "response", "responses")
+MOTION = frozenset(
+    """q v a speed turned slip load tau friction drag inertia motor t time run zero mass mass_x mass_y mass_z link servo
+    command_speed command_acceleration side at_limit after_limit at_speed_limit after_speed_limit""".split()
+)
 # Columns by their name in a formula, where it is another one.
 COLUMNS = {"t": "progress", "payload": "payload_kg", "warmth": "warmth_0s"}
 COLUMN = re.compile(r"t|payload|warmth|warmth_\d+s|approach\d+|move\d+|(memory|play)\d+_\d+mrad")
@@ -168,6 +178,9 @@ def check_formula(text: str, seam: str, own: Collection[str]) -> Formula:
         raise InputError(f"formula {text!r}: seam {seam!r} needs {SEAMS[seam].components} of its components")
     there = {*own, *(_BEAM if seam in ("beam", "distance") else ())}
     there |= set(_POINT if seam in ("beam", "distance", "point") else ())
+    if seam in MOTION_SEAMS:
+        refuse_unknown(formula, lambda name: name in there | MOTION, ", ".join([*own, *sorted(MOTION)]))
+        return formula
     refuse_unknown(formula, lambda name: name in there or _known(name, seam), f"{', '.join(own)}, {ALLOWED}")
     return formula
 
@@ -201,6 +214,8 @@ _USUAL = (-4.0, 4.0)
 
 
 def _range_of(name: str) -> Interval:
+    if name in MOTION and name not in _RANGES:
+        return _USUAL
     return _RANGES.get("g" if re.fullmatch("g[xyz]", name) else re.sub(r"\d.*", "", name).rstrip("_"), _USUAL)
 
 

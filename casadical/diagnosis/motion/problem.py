@@ -1,0 +1,337 @@
+"""The linear problem of a joint log: rows are torques and position errors of windows, columns the base and the causes.
+
+Blocks are windows, with a row for each joint's torque and, where both were logged, one for its position error. Noise
+follows itself: each row is divided by its noise, and the share that stays from window to window is taken off, both as
+they are found in what the base leaves. With a reference, blocks of both logs are judged together: what is shared has
+wide priors, what differs from day to day has tight ones, and causes act in the log alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.linear_gaussian.columns import EVERY, Combined, Factors
+from casadical.diagnosis.candidates import Candidate
+from casadical.diagnosis.cross_validation import new_fit
+from casadical.diagnosis.evidence import Evidence
+from casadical.diagnosis.motion.base import Look, Part, base_of, bodies_of
+from casadical.effects.definition import DefinedEffect
+from casadical.effects.motion import MOTION_SEAMS, motion_columns, motion_effects
+from casadical.effects.settings import grid_points
+from casadical.measurements.noise import Noise
+
+# Of white rows, whose noise is about one.
+SIGMAS = np.geomspace(0.4, 2.5, 25)
+# Share of a coefficient of friction, and of the great torque, that differs from day to day.
+DAILY, DAILY_LEAST = 0.15, 0.01
+# Most of the noise that stays from a window to the next; rounds in which noise is found; least noise of a row.
+MOST_STAYS, ROUNDS, LEAST = 0.8, 3, 1e-9
+# Weight of a row that is so many times its noise away falls as Student's does.
+TAIL = 4.0
+WHITE = Noise(1.0, 0.0)
+NONE = np.zeros(0, dtype=np.int64)
+# Of what is on no list: places of its bumps, and size in units of the row's noise.
+BUMPS, UNLISTED = 8, 3.0
+# A variant, and of each parameter what it does: row -> windows.
+_Judged = tuple[Candidate, list[Mapping[int, Array]]]
+FRICTIONS = ("slip", "dip", "root", "at rest", "absolute")
+DRAGS = ("viscous",)
+
+
+@dataclass(frozen=True, eq=False)
+class RowColumns:
+    """Columns that act in one row of each block, or in few. of : row, its columns in rising order, values (columns, n)"""
+
+    made: Factors
+    rows: int
+    blocks: int
+    directions: Sequence[tuple[Array, Array]] = ()
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        return self.blocks, self.rows, self.made.width
+
+    def at(self, blocks: Array) -> RowColumns:
+        return replace(self, made=self.made.at(blocks), blocks=len(np.arange(self.blocks)[blocks]))
+
+    def only(self, columns: Array) -> RowColumns:
+        return replace(self, made=self.made.only(columns))
+
+    def after(self, column: int) -> RowColumns:
+        return self.only(np.arange(column, self.made.width))
+
+    def take(self, columns: Array, blocks: Array | slice = EVERY, every: Combined | None = None) -> Array:
+        taken = self.made.only(columns).at(blocks)
+        out = taken.columns_at(self.levers(blocks))
+        return np.asarray(every.combine(out) if every else out)
+
+    def factors(self, blocks: Array | slice = EVERY) -> Factors:
+        return self.made.at(blocks)
+
+    def levers(self, blocks: Array | slice = EVERY) -> Array:
+        return np.broadcast_to(np.eye(self.rows), (len(np.arange(self.blocks)[blocks]), self.rows, self.rows))
+
+
+@dataclass(frozen=True)
+class Following:
+    """Noise of each row, shape (rows,), and the share of it that stays from window to window; weight of each number."""
+
+    sigma: Array
+    stays: Array
+    weight: Array
+
+    def white(self, values: Array, first: Array) -> Array:
+        """Rows of blocks as white ones; values : shape (blocks, rows, ...); first : blocks that begin a run."""
+        tail = (1,) * (values.ndim - 2)
+        before = np.concatenate([values[:1], values[:-1]])
+        stays = np.where(first[:, None], 0.0, self.stays).reshape(*values.shape[:2], *tail)
+        scale = self.weight / (self.sigma * np.where(first[:, None], 1.0, np.sqrt(1 - self.stays**2)))
+        return np.asarray((values - stays * before) * scale.reshape(*values.shape[:2], *tail))
+
+
+@dataclass(frozen=True, eq=False)
+class MotionCase:
+    """The problem of a log, with its candidates.
+
+    judged : rows of blocks, white; candidates, variants, groups : as a ranking wants them, with columns of each variant
+    r : residual as it is, shape (blocks, rows); base : columns of the base, sizes in them, (blocks, rows, P)
+    E : columns of the variants, as they are; noise : of each row
+    of_log : blocks of the log itself, not of the reference; parts : of the base, behind the bodies
+    """
+
+    judged: Evidence
+    candidates: tuple[Candidate, ...]
+    variants: tuple[tuple[int, int], ...]
+    groups: tuple[Array, ...]
+    r: Array
+    base: Array
+    E: RowColumns
+    first: Array
+    noise: Following
+    of_log: Array
+    parts: tuple[Part, ...]
+
+    @cached_property
+    def by_label(self) -> Mapping[str, Candidate]:
+        """Candidates by label."""
+        return {c.label: c for c in self.candidates}
+
+    def group(self, label: str, variant: int) -> Array:
+        """Columns of a candidate's variant."""
+        at = next(k for k, c in enumerate(self.candidates) if c.label == label)
+        return self.groups[self.variants.index((at, variant))]
+
+    def fitted(self, columns: Array) -> tuple[Array, Array]:
+        """Coefficients of base and columns together, in sizes, shapes (P,) and (columns,)."""
+        fit = new_fit(self.judged, columns, WHITE, combined=False)
+        P = self.base.shape[2]
+        return fit.x[:P], fit.x[P:]
+
+    def left(self, columns: Array, x: Array, theta: Array) -> Array:
+        """What base and columns leave, as it is, shape (blocks, rows)."""
+        out = self.r - self.base @ x
+        return np.asarray(out - self.E.take(columns) @ theta if len(columns) else out)
+
+    def renewed(self, columns: Array = NONE) -> MotionCase:
+        """The case with its noise as it is found beside some causes."""
+        few = replace(self, E=self.E.only(columns)).with_noise(self.noise)
+        every = np.arange(len(columns))
+        for _ in range(ROUNDS):
+            few = few.with_noise(following(few.left(every, *few.fitted(every)), self.first))
+        return self.with_noise(few.noise)
+
+    def with_noise(self, noise: Following) -> MotionCase:
+        """The case with its rows white by another noise."""
+        judged = white_problem(self.r, self.base, self.E, self.first, noise)
+        return replace(self, judged=judged, noise=noise)
+
+
+def following(left: Array, first: Array) -> Following:
+    """The noise of each row, as it is in what was left, shape (blocks, rows)."""
+    sigma = np.maximum(1.4826 * np.median(np.abs(left), axis=0), 0.5 * left.std(axis=0)) + LEAST
+    weight = 1 / np.sqrt(1 + (left / (TAIL * sigma)) ** 2)
+    inner = ~first[1:]
+    a, b = (left * weight)[1:][inner], (left * weight)[:-1][inner]
+    stays = (a * b).sum(axis=0) / np.maximum((a * a).sum(axis=0), (b * b).sum(axis=0) + LEAST**2)
+    stays = np.clip(stays, 0.0, MOST_STAYS)
+    return Following(np.sqrt(((left * weight) ** 2).mean(axis=0)) + LEAST, stays, weight)
+
+
+def white_problem(r: Array, base: Array, E: RowColumns, first: Array, noise: Following) -> Evidence:
+    """Rows, base and columns, white."""
+    n, rows, P = base.shape
+    made = []
+    for row, columns, values in E.made.blocks:
+        own = Following(noise.sigma[row : row + 1], noise.stays[row : row + 1], noise.weight[:, row : row + 1])
+        made.append((row, columns, own.white(values.T[:, None], first)[:, 0].T))
+    columns_ = replace(E, made=Factors(tuple(made), E.made.width))
+    return Evidence(
+        noise.white(r, first), noise.white(base, first), np.zeros((n, rows, 1)), np.zeros(P), np.ones(P), columns_,
+        reference=1.0, near=(0,), sigmas=SIGMAS,
+    ).restricted()  # fmt: skip
+
+
+def motion_case(
+    looks: Sequence[Look], daily: Mapping[tuple[str, int, bool], float] | None = None,
+    chosen: Sequence[type[DefinedEffect]] | None = None,
+) -> MotionCase:  # fmt: skip
+    """The problem of a log, and of a reference behind it where there are two looks.
+
+    daily : one sigma of what each part of the base changes from the reference to the log; chosen : causes, all by default
+    """
+    log = looks[0]
+    rows = log.arm.joints * (1 if log.response is None else 2)
+    ends = np.cumsum([0, *(len(one.motion.windows) for one in looks)])
+    first = np.concatenate([one.motion.first for one in looks])
+    bodies = np.zeros((ends[-1], rows, int((log.arm.spread > 0).sum())))
+    columns: dict[tuple[str, int, bool], tuple[Part, Array]] = {}
+    for at, one in enumerate(looks):
+        bodies[ends[at] : ends[at + 1], : log.arm.joints] = bodies_of(one)
+        for part in base_of(one):
+            own = part.kind.startswith("before") and at > 0
+            key = (f"{part.kind}, reference", *part.key[1:]) if own else part.key
+            kept, values = columns.setdefault(key, (part, np.zeros((ends[-1], rows))))
+            row = part.joint + log.arm.joints * part.response
+            values[ends[at] : ends[at + 1], row] = one.motion.averaged(part.samples)
+            if daily and not at and not own:
+                today = replace(part, kind=f"{part.kind}, today", size=daily.get(part.key, part.size))
+                columns[today.key] = (today, np.where(np.arange(ends[-1])[:, None] < ends[1], values, 0.0))
+    parts = tuple(part for part, _ in columns.values())
+    J = np.concatenate([bodies, np.stack([p.size * v for p, v in columns.values()], axis=2)], axis=2)
+    residual = np.concatenate([_residual(one) for one in looks])
+    nothing = RowColumns(Factors((), 0), rows, int(ends[-1]))
+    noise = following(residual, first)
+    case = MotionCase(
+        white_problem(residual, J, nothing, first, noise), (), (), (), residual, J, nothing, first, noise,
+        np.arange(ends[-1]) < ends[1], parts,
+    ).renewed()  # fmt: skip
+    return case if chosen == () else with_candidates(case, log, chosen)
+
+
+def _residual(one: Look) -> Array:
+    torque = one.motion.averaged(one.torque)
+    return torque if one.response is None else np.concatenate([torque, one.motion.averaged(one.response)], axis=1)
+
+
+def day_to_day(reference: MotionCase) -> dict[tuple[str, int, bool], float]:
+    """One sigma of what each part of a log's base may differ by from a reference that was fitted alone."""
+    x = reference.fitted(NONE)[0][-len(reference.parts) :]
+    out = {}
+    for p, c in zip(reference.parts, x.tolist(), strict=True):
+        least = 0.1 * p.size if p.response else DAILY_LEAST
+        out[p.key] = min(DAILY * abs(c * p.size) + least, p.size)
+    return out
+
+
+def frictions(case: MotionCase, log: Look) -> dict[str, Array]:
+    """Friction as the base has it, of every sample and joint, in great torques: what is dry, and what grows with speed."""
+    x = case.fitted(NONE)[0][-len(case.parts) :]
+    out = {"friction": np.zeros_like(log.motion.q), "drag": np.zeros_like(log.motion.q)}
+    for p, c in zip(case.parts, x.tolist(), strict=True):
+        kind = "friction" if p.kind.startswith(FRICTIONS) else "drag" if p.kind.startswith(DRAGS) else ""
+        if kind and not p.response and len(p.samples) == len(log.motion.time):
+            out[kind][:, p.joint] += c * p.size * p.samples
+    return out
+
+
+def with_candidates(case: MotionCase, log: Look, chosen: Sequence[type[DefinedEffect]] | None = None) -> MotionCase:
+    """The case with candidates: the causes of the list, or chosen ones, and what is on no list."""
+    log = replace(log, frictions=frictions(case, log))
+    total, rows = case.r.shape
+    made: dict[int, list[tuple[int, Array]]] = {r: [] for r in range(rows)}
+    found: dict[str, Candidate] = {}
+    variants: list[tuple[int, int]] = []
+    groups: list[Array] = []
+    width = 0
+    for candidate, columns in (*_listed(log, rows, chosen), *_unlisted(log, case.noise.sigma)):
+        known = found.setdefault(candidate.label, replace(candidate, variants=()))
+        variants.append((list(found).index(candidate.label), len(known.variants)))
+        found[candidate.label] = replace(known, variants=(*known.variants, *candidate.variants))
+        groups.append(np.arange(width, width + len(columns)))
+        for column in columns:
+            for row, values in column.items():
+                made[row].append((width, np.pad(values, (0, total - len(values)))))
+            width += 1
+    E = _columns(made, width, rows, total)
+    case = replace(case, E=E, candidates=tuple(found.values()), variants=tuple(variants), groups=tuple(groups))
+    return case.with_noise(case.noise)
+
+
+def _listed(log: Look, rows: int, chosen: Sequence[type[DefinedEffect]] | None) -> Iterator[_Judged]:
+    """Each variant of each cause, as a candidate of its own, with what its parameters do to the rows."""
+    for kind in motion_effects().values() if chosen is None else chosen:
+        name = kind.answers_as or kind.name
+        for joint in range(1, log.arm.joints + 1) if kind.acts_at == "joints" else (None,):
+            for point in grid_points(kind):
+                effect = kind(joint, **point)
+                columns = columns_of(log, effect, rows)
+                if columns:
+                    yield Candidate(name if joint is None else f"{name}@{joint}", name, joint, ((effect,),)), columns
+
+
+def _columns(made: Mapping[int, list[tuple[int, Array]]], width: int, rows: int, total: int) -> RowColumns:
+    blocks = [
+        (row, np.array([c for c, _ in own]), np.stack([v for _, v in own])) for row, own in made.items() if own
+    ]
+    return RowColumns(Factors(tuple(blocks), width), rows, total)
+
+
+def columns_of(look: Look, effect: DefinedEffect, rows: int) -> list[Mapping[int, Array]]:
+    """Of each parameter, what one size does to each row's windows; none where its variables were not logged."""
+    n, out = look.arm.joints, [dict[int, Array]() for _ in effect.sizes()]
+    known = {**look.names, **arm_names(look, effect)}
+    for seam in MOTION_SEAMS:
+        if seam not in effect.formulas:
+            continue
+        if not set(effect.drivers) <= known.keys():
+            return []
+        where = range(n) if seam.endswith("s") else [(effect.joint or 1) - 1]
+        for j in where:
+            names = {k: known[k][:, j] for k in effect.drivers}
+            names = names or {"none": np.zeros(len(look.motion.time))}
+            for k, values in enumerate(motion_columns(effect, seam, names)):
+                row, own = j, look.motion.averaged(values)
+                if seam.startswith("response"):
+                    if look.response is not None:
+                        row = n + j
+                    else:
+                        own = own * look.gain[j] / look.great[j]
+                out[k][row] = own
+    whole = [column for column in out if any(np.abs(v).max() > 0 for v in column.values())]
+    return [*whole]
+
+
+def arm_names(look: Look, effect: DefinedEffect) -> dict[str, Array]:
+    """Variables of a cause's own link or joint, at every joint's torque."""
+    found: dict[str, Array] = {}
+    if "link" in effect.drivers and effect.joint:
+        own = slice(10 * effect.joint - 10, 10 * effect.joint)
+        found["link"] = look.Y[:, :, own] @ look.arm.inertial[own] / look.great
+    if "zero" in effect.drivers and effect.joint:
+        found["zero"] = look.by_angle(effect.joint - 1)
+    if {"friction", "drag"} & set(effect.drivers):
+        found |= {k: v for k, v in look.frictions.items() if k in effect.drivers}
+    return found
+
+
+def _unlisted(log: Look, sigma: Array) -> Iterator[_Judged]:
+    """Smooth functions of one variable at a row: of all joints' angles, own speed and load, and time."""
+    n = log.arm.joints
+    for row in range(len(sigma)):
+        j, what = row % n, "torque" if row < n else "response"
+        drivers = {k: log.names[k][:, j] for k in ("speed", "load", "t")}
+        drivers |= {f"q{k + 1}": log.names["turned"][:, k] for k in range(n)}
+        for name, values in drivers.items():
+            ends = np.quantile(values, [0.01, 0.99])
+            if ends[1] - ends[0] < 1e-6:
+                continue
+            centres = np.linspace(*ends, BUMPS)
+            wide = (centres[1] - centres[0]) * 1.2
+            bumps = [log.motion.averaged(np.exp(-0.5 * ((values - c) / wide) ** 2)) for c in centres]
+            label = f"smooth {what} of joint {j + 1} by {name}"
+            yield Candidate(label, "unknown", None, ((),), listed=False), [{row: UNLISTED * sigma[row] * b} for b in bumps]

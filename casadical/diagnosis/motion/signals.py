@@ -1,0 +1,233 @@
+"""A joint log as smooth signals on a uniform time, with their derivatives, and averages over short windows.
+
+Everything is smoothed alike, by one symmetric kernel, so that no signal is late against another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.measurements.logs import JointLog
+
+# Width of the smoothing kernel, of a window, and of what is left out at the ends of a run [s].
+SMOOTHED, WINDOW, EDGE = 0.08, 0.1, 0.15
+# Most samples a second, and most windows, that are judged; between runs there is about so much time [s].
+RATE, MOST_WINDOWS, PAUSE = 62.5, 1500, 10.0
+# A joint below this share of its usual speed, or this speed [rad/s], stands.
+STANDS, SLOW = 0.02, 2e-3
+# A joint has not moved in a run while it is within this of where it began [rad].
+UNMOVED = 5e-3
+
+# Dynamics of an arm: regressor Y of q, v and a, shapes (n, joints) -> (n, joints, parameters).
+Regressor = Callable[[Array, Array, Array], Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """What is known of an arm that moves.
+
+    regressor : of its inverse dynamics; inertial : parameters by the file, with payload, shape (p,); spread : one
+        sigma of each, ten a link; joints : how many; flange : number of the link that carries the payload, 0-based
+    per_ampere : torque at the joint by current, shape (joints,), or None; rotor : inertia at the joint [kg m^2]
+    ratio : of each gear; stiffness : of each gear [N m/rad], infinite where unknown
+    kp, kd, ki : of the servos at the joint, or None
+    delay : from the logged command to the servo, filters included [s], or None
+    limit : greatest torque that the drive allows, or infinite; rate : rows a second that the log should have
+    motor_side : whether the encoders are on the motors
+    """
+
+    regressor: Regressor
+    inertial: Array
+    spread: Array
+    joints: int
+    flange: int
+    per_ampere: Array | None = None
+    rotor: Array | None = None
+    ratio: Array | None = None
+    stiffness: Array | None = None
+    kp: Array | None = None
+    kd: Array | None = None
+    ki: Array | None = None
+    delay: float | None = None
+    limit: Array | None = None
+    rate: float | None = None
+    motor_side: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Signals of a log, shape (n, joints) each unless said otherwise; SI units.
+
+    time : since the log began, pauses included, shape (n,); run : number of each sample's, 1 ..., shape (n,)
+    position : measured; q, v, a : measured too, or commanded where the motion is taken from there
+    command, command_v, command_a : or None
+    torque : at the joints, or None; heat : temperature above the least, or None
+    memory : play operators of the angle, by width, -1 to 1; widths : of them [rad]
+    rest : time since the joint stood still; unmoved : 1 until it first moved in its run
+    windows : samples of each window, shape (windows, k); first : whether it is the first of its run
+    """
+
+    time: Array
+    run: Array
+    position: Array
+    q: Array
+    v: Array
+    a: Array
+    command: Array | None
+    command_v: Array | None
+    command_a: Array | None
+    torque: Array | None
+    heat: Array | None
+    memory: Mapping[float, Array]
+    rest: Array
+    unmoved: Array
+    windows: Array
+    first: Array
+
+    def averaged(self, values: Array) -> Array:
+        """Over each window, shape (windows, ...); values : of each sample, shape (n, ...)."""
+        return np.asarray(values[self.windows].mean(axis=1))
+
+    @property
+    def step(self) -> float:
+        """Between samples [s]."""
+        return float(np.median(np.diff(self.time)))
+
+    def by_run(self, change: Callable[[Array], Array], values: Array) -> Array:
+        """Something that has a memory, run by run."""
+        ends = [0, *(np.flatnonzero(np.diff(self.run)) + 1).tolist(), len(self.run)]
+        return np.concatenate([change(values[a:b]) for a, b in zip(ends[:-1], ends[1:], strict=True)])
+
+
+def motion_of(log: JointLog, arm: Arm, widths: tuple[float, ...], *, of_command: bool = False) -> Motion:
+    """The signals of a log; widths : of the memory [rad]; of_command : q is the command, for a log without torque.
+
+    Raises InputError for a log that is too short.
+    """
+    parts: list[dict[str, Array]] = []
+    start, torque = 0.0, _torque(log, arm)
+    for number, run in enumerate(log.runs(), 1):
+        own = None if torque is None else torque[log.run == run.run[0]]
+        part = _run(run, own, widths, of_command)
+        if part is not None:
+            part["time"] = part["time"] + start
+            part["run"] = np.full(len(part["time"]), float(number))
+            parts.append(part)
+        start += float(run.time[-1] - run.time[0]) + PAUSE
+    if not parts:
+        raise InputError(f"{log.source}: no run of two seconds or more; log 20 s or more of motion")
+    steps = [float(np.median(np.diff(p["time"]))) for p in parts]
+    seconds = sum(len(p["time"]) * s for p, s in zip(parts, steps, strict=True))
+    size = max(1, round(max(WINDOW, seconds / MOST_WINDOWS) / steps[0]))
+    windows, first, at = [], [], 0
+    for part in parts:
+        count = len(part["time"]) // size
+        windows.append(at + size * np.arange(count)[:, None] + np.arange(size))
+        first.append(np.arange(count) == 0)
+        at += len(part["time"])
+    whole = {k: np.concatenate([p[k] for p in parts]) for k in parts[0]}
+    memory = {w: whole.pop(f"memory {w}") for w in widths}
+    optional = {k: whole.get(k) for k in ("command", "command_v", "command_a", "torque", "heat")}
+    if optional["heat"] is not None:
+        optional["heat"] = optional["heat"] - optional["heat"].min(axis=0)
+    return Motion(**{**whole, **optional}, memory=memory, windows=np.concatenate(windows), first=np.concatenate(first))
+
+
+def _torque(log: JointLog, arm: Arm) -> Array | None:
+    if log.torque is not None:
+        return log.torque
+    if log.current is None or log.current_unsigned:
+        return None
+    return np.asarray(log.current * (1.0 if arm.per_ampere is None else arm.per_ampere))
+
+
+def _run(
+    run: JointLog, torque: Array | None, widths: tuple[float, ...], of_command: bool
+) -> dict[str, Array] | None:
+    step = run.step
+    t = np.arange(run.time[0], run.time[-1], step) if step else np.zeros(0)
+    if len(t) < 2.0 / max(step, 1e-9):
+        return None
+    edge, every = int(EDGE / step), max(1, int(1 / (step * RATE)))
+    kept = slice(edge, len(t) - edge, every)
+    kernel = _kernel(step)
+
+    def smooth(values: Array) -> Array:
+        columns = []
+        for column in values.T:
+            known = np.isfinite(column)
+            even = np.interp(t, run.time[known], column[known]) if known.any() else np.zeros(len(t))
+            padded = np.pad(even, len(kernel) // 2, mode="edge")
+            columns.append(np.convolve(padded, kernel, "valid"))
+        return np.column_stack(columns)
+
+    def rate(values: Array) -> Array:
+        return np.asarray(np.gradient(values, step, axis=0))
+
+    found: dict[str, Array] = {}
+    position = smooth(run.position)
+    if run.command is not None:
+        c = smooth(run.command)
+        found |= {"command": c, "command_v": rate(c), "command_a": rate(rate(c))}
+    q = found["command"] if of_command else position
+    v = rate(q)
+    found |= {"position": position, "q": q, "v": v, "a": rate(v)}
+    if torque is not None:
+        found["torque"] = smooth(torque)
+    if run.temperature is not None and np.isfinite(run.temperature).any(axis=0).all():
+        found["heat"] = smooth(run.temperature)
+    found |= {f"memory {w}": play(q, w) for w in widths}
+    usual = np.sqrt((v**2).mean(axis=0))
+    found["rest"] = step * _count_while(np.abs(v) < np.maximum(STANDS * usual, SLOW))
+    found["unmoved"] = np.minimum.accumulate(np.abs(q - q[0]) < UNMOVED, axis=0) * 1.0
+    return {"time": t[kept] - t[0], **{k: values[kept] for k, values in found.items()}}
+
+
+def _kernel(step: float) -> Array:
+    half = max(1, round(SMOOTHED / step / 2))
+    kernel = np.hanning(2 * half + 3)[1:-1]
+    return np.asarray(kernel / kernel.sum())
+
+
+def _count_while(there: Array) -> Array:
+    """Samples since a condition began to hold, shape as given."""
+    at = np.arange(len(there))[:, None]
+    return np.asarray(at - np.maximum.accumulate(np.where(there, -1, at), axis=0)).astype(float)
+
+
+def play(q: Array, width: float) -> Array:
+    """Where an angle lies in a play that it drags along, -1 to 1: the memory of dry friction (Iwan 1966)."""
+    out, centre = np.empty_like(q), q[0].copy()
+    for k, now in enumerate(q):
+        np.clip(centre, now - width, now + width, out=centre)
+        out[k] = now - centre
+    return np.asarray(out / width)
+
+
+def lagged(values: Array, within: float, step: float) -> Array:
+    """Values through a first-order filter."""
+    out, share = np.empty_like(values), step / (within + step)
+    now = values[0].copy()
+    for k, value in enumerate(values):
+        now += share * (value - now)
+        out[k] = now
+    return out
+
+
+def servo_error(torque: Array, arm: Arm, step: float) -> Array:
+    """Position error e that makes a servo give a torque, kd e' + kp e + ki int e dt = torque; shape as the torque."""
+    assert arm.kp is not None
+    n = torque.shape[1]
+    kp, kd, ki = arm.kp, np.zeros(n) if arm.kd is None else arm.kd, np.zeros(n) if arm.ki is None else arm.ki
+    e, out = np.where(ki > 0, 0.0, torque[0] / kp), np.empty_like(torque)
+    held = np.where(ki > 0, torque[0], 0.0)
+    for k, now in enumerate(torque):
+        e = (now - held + kd / step * e) / (kd / step + kp + ki * step)
+        held = held + ki * step * e
+        out[k] = e
+    return out
