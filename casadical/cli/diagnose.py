@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,7 +16,9 @@ from casadical.core.errors import InputError, shown
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from casadical.diagnosis.motion.result import LogDiagnosis
     from casadical.project.diagnosis import CampaignDiagnosis
+    from casadical.robot.robot import Robot
 
 Out = Annotated[
     Path | None,
@@ -73,6 +76,24 @@ Line = Annotated[
         "curves' harmonics, too (docs/diagnosis.md).",
     ),
 ]
+Reference = Annotated[
+    Path | None,
+    typer.Option(
+        "--reference",
+        metavar="LOG",
+        help="With joint logs: a log of the same arm in health on another day; what differs from it by more than a "
+        "day's friction is a cause.",
+    ),
+]
+DriveFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--drive",
+        metavar="FILE.toml",
+        help="With joint logs: what is known of the drives, a table [drive]; default: that of the robot file, or "
+        "drive.toml beside it.",
+    ),
+]
 Bootstrap = Annotated[
     int,
     typer.Option(
@@ -87,6 +108,8 @@ Bootstrap = Annotated[
 def diagnose(
     problem: o.Problem,
     campaigns: o.Campaigns = None,
+    reference: Reference = None,
+    drive: DriveFile = None,
     together: Together = False,
     effects: o.Effects = None,
     laws: Laws = None,
@@ -112,6 +135,8 @@ def diagnose(
     """Explain the error that is left: where it lies, which effect causes it, and how far it shrinks with the effect.
 
     Prints the verdict, the error before and after, and what must be known of them; with --details all that was found.
+    Tables of a controller's own log (time_s, command1_rad, q1_rad, current1_A ...) are diagnosed as such: why the
+    joints move otherwise than the model.
 
     Example: casadical diagnose arm CAMPAIGN.csv --details --report report.html
 
@@ -119,6 +144,9 @@ def diagnose(
     """
     from casadical.project.diagnosis import Options, diagnose_campaign, read_campaigns
 
+    if _are_logs(campaigns, reference):
+        _diagnose_logs(_with_drive(problem, drive), campaigns or [], reference, out, json_file, quiet)
+        return
     if room and measure_next is None:
         raise InputError("--room says where the poses of --next may lie; give --next FILE, too")
     if unlisted and out is None:
@@ -152,6 +180,49 @@ def diagnose(
     keep(with_json(texts, json_file, [answer.to_json() for answer in answers] if json_file else []), console)
     if not details:
         console.print("where it lies, how sure, what is left: --details, --out DIR or --report FILE.html", style="dim")
+
+
+def _are_logs(tables: list[Path] | None, reference: Path | None) -> bool:
+    """Whether all tables are logs of joints in motion. Raises InputError where some are, or a reference is for none."""
+    from casadical.measurements.logs.reading import is_log
+
+    logs = [is_log(path) for path in tables or []]
+    if any(logs) and not all(logs):
+        raise InputError("joint logs and tables of measured poses; diagnose them by a command each")
+    if reference and not any(logs):
+        raise InputError("--reference is the healthy log of a joint log; the tables are none (see docs/joint-logs.md)")
+    return any(logs)
+
+
+def _with_drive(problem: Path, drive: Path | None) -> Robot:
+    """The robot, with what is known of its drives. Raises InputError."""
+    from casadical.core.drive import read_drive
+    from casadical.project.problem import read_campaign_robot
+
+    robot = read_campaign_robot(problem)
+    beside = problem.parent / "drive.toml" if problem.is_file() else problem / "drive.toml"
+    path = drive or (beside if robot.drive is None and beside.is_file() else None)
+    return replace(robot, drive=read_drive(path, robot.n)) if path else robot
+
+
+def _diagnose_logs(
+    robot: Robot, logs: list[Path], reference: Path | None, out: Path | None, json_file: Path | None, quiet: bool
+) -> None:
+    from casadical.core.telling.terminal import terminal
+    from casadical.diagnosis.motion.result import diagnose_log
+    from casadical.measurements.logs.reading import read_log
+
+    console = wrapped(quiet)
+    healthy = read_log(reference, robot) if reference else None
+    answers: list[LogDiagnosis] = []
+    texts: dict[Path, str] = {}
+    for path in logs:
+        with working(quiet, "diagnosing", path.name) as show:
+            answers.append(diagnose_log(robot, read_log(path, robot), healthy, show))
+        console.print(terminal(answers[-1].blocks()))
+        if out:
+            texts |= answers[-1].files(out if len(logs) == 1 else out / path.name.partition(".")[0])
+    keep(with_json(texts, json_file, [answer.to_json() for answer in answers] if json_file else []), console)
 
 
 def _printed(found: CampaignDiagnosis, details: bool, file: Path | None, console: Console) -> dict[Path, str]:

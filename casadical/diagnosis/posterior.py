@@ -3,15 +3,16 @@
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.statistics import first_of_best, ranked
+from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import likely_noise
-from casadical.diagnosis.evidence import KAPPA_WEIGHTS
-from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS, Evidence
 from casadical.measurements.noise import Noise
 
 # Before any data: nothing, one of the listed effects, something on no list; and the same once causes were found.
@@ -68,12 +69,32 @@ class Rival:
     noise: Noise
 
 
+class Judged(Protocol):
+    """What a ranking is of: candidates, the place of each variant's candidate and its own there, columns of each."""
+
+    @property
+    def judged(self) -> Evidence:
+        """The linear problem."""
+
+    @property
+    def candidates(self) -> tuple[Candidate, ...]:
+        """Possible causes."""
+
+    @property
+    def variants(self) -> Sequence[tuple[int, int]]:
+        """Number of the candidate, and of its variant."""
+
+    @property
+    def groups(self) -> Sequence[Array]:
+        """Columns of each variant."""
+
+
 # The rivals at a ranking: of a case, the columns of the causes that are in the model already, and the most likely
 # settings of each candidate beside them, by label.
-Rivals = Callable[[Case, Array, Mapping[str, int]], Sequence[Rival]]
+Rivals = Callable[[Any, Array, Mapping[str, int]], Sequence[Rival]]
 
 
-def no_rivals(_case: Case, _chosen: Array, _variant: Mapping[str, int]) -> Sequence[Rival]:
+def no_rivals(_case: Judged, _chosen: Array, _variant: Mapping[str, int]) -> Sequence[Rival]:
     """The candidates of the case alone."""
     return ()
 
@@ -83,7 +104,7 @@ SAME_JOINT = 0.05
 
 
 def rank(
-    case: Case,
+    case: Judged,
     chosen: Array,
     skip: frozenset[str] = frozenset(),
     covered: frozenset[str] = frozenset(),
@@ -121,7 +142,7 @@ def rank(
 
 
 def prior_weights(
-    case: Case, prior: Mapping[str, float], skip: frozenset[str], covered: frozenset[str] = frozenset()
+    case: Judged, prior: Mapping[str, float], skip: frozenset[str], covered: frozenset[str] = frozenset()
 ) -> dict[str, float]:
     """Listed effects share alike, then each its joints; so do the rarer ones, and all smooth forms have as much."""
     open_ = [c for c in case.candidates if c.label not in skip | covered]

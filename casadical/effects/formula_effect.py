@@ -51,10 +51,11 @@ SEAMS = {
 }
 # Of joint logs, and what a formula there may name (see `motion`): of its own joint, at every sample.
 MOTION_SEAMS = ("torque", "torques", "response", "responses")
-MOTION = frozenset(
-    """q v a speed turned slip load tau friction drag inertia motor t time run zero mass mass_x mass_y mass_z link servo
-    command_speed command_acceleration side at_limit after_limit at_speed_limit after_speed_limit""".split()
-)
+MOTION = frozenset({
+    "q", "v", "a", "speed", "turned", "slip", "load", "tau", "friction", "drag", "inertia", "motor", "t", "time", "run",
+    "zero", "mass", "mass_x", "mass_y", "mass_z", "link", "servo", "command_speed", "command_acceleration", "side",
+    "at_limit", "after_limit", "at_speed_limit", "after_speed_limit",
+})  # fmt: skip
 # Columns by their name in a formula, where it is another one.
 COLUMNS = {"t": "progress", "payload": "payload_kg", "warmth": "warmth_0s"}
 COLUMN = re.compile(r"t|payload|warmth|warmth_\d+s|approach\d+|move\d+|(memory|play)\d+_\d+mrad")

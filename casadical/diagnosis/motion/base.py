@@ -12,17 +12,18 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.motion.signals import Arm, Motion, lagged, servo_error
+from casadical.diagnosis.motion.arm import Arm
+from casadical.diagnosis.motion.signals import Motion, lagged, servo_error
 
 # Widths of the friction's memory: over the measured angle, and over the command of a servo that yields [rad].
 MEASURED, COMMANDED = (3e-4, 3e-3, 2e-2), (4e-3, 1.2e-2, 3e-2, 6e-2, 1e-1)
 # Speeds at which friction dips [rad/s], and how fast it relaxes at rest [s].
 DIPS, RELAXES = (0.05, 0.3), (0.3, 2.0)
 # One sigma of a friction's coefficient, in great torques; of an offset; of the torque and the rotor as known.
-FRICTION, OFFSET, SCALE, ROTOR = 0.3, 0.1, 0.02, 0.05
+FRICTION, OFFSET, SCALE, ROTOR, ANY_ROTOR = 0.3, 0.1, 0.02, 0.05, 1.0
 # Of the servo: share of its gain, and of the gear's stiffness; delay that is known and that is not [s]; square of a
 # filter's time [s^2]; a constant, and what changes with direction [rad].
-GAIN, GEAR, DELAY, ANY_DELAY, FILTER, CONSTANT, SIDE = 0.1, 0.3, 1e-3, 0.03, 2e-4, 1e-3, 1e-4
+GAIN, GEAR, DELAY, ANY_DELAY, FILTER, CONSTANT, SIDE = 0.15, 0.5, 1e-3, 0.03, 2e-4, 1e-3, 2e-4
 # Of a servo whose gain is roughly known and whose torque nobody logged.
 ROUGH = 0.2
 # A payload that nobody declared, as a share of the arm's mass; where its mass centre is [m].
@@ -78,24 +79,25 @@ def look(motion: Motion, arm: Arm, great: Array | None = None) -> Look:
     m = motion
     Y = arm.regressor(m.q, m.v, m.a)
     model = Y @ arm.inertial
-    rotor = np.zeros(arm.joints) if arm.rotor is None else arm.rotor
+    delay = np.zeros(arm.joints) if arm.delay is None else arm.delay
     servo, kp = None, np.ones(arm.joints) if arm.kp is None else arm.kp
     if m.torque is not None:
         torque = m.torque
     else:
         assert m.command is not None
         kp = _gain(m, model, arm)
+        assert m.command_v is not None
         error = m.command - m.position
-        torque = kp * (error - (arm.delay or 0.0) * m.command_v)
+        torque = kp * (error - delay * m.command_v)
         servo = model / kp
     great = np.quantile(np.abs(torque), 0.99, axis=0) + 1e-9 if great is None else great
     response = None
     if m.torque is not None and m.command is not None:
-        response, servo = _response(m, arm, torque)
+        response, servo = _response(m, arm, torque, delay)
     names = _variables(m, arm, great, torque, model, Y)
     if servo is not None:
         names["servo"] = servo
-    residual = (torque - model - rotor * m.a) / great
+    residual = (torque - model - arm.rotor * m.a) / great
     return Look(m, arm, great, residual, response, names, Y, kp)
 
 
@@ -111,12 +113,14 @@ def _gain(m: Motion, model: Array, arm: Arm) -> Array:
     return np.asarray(1 / np.where(good, slope, usual))
 
 
-def _response(m: Motion, arm: Arm, torque: Array) -> tuple[Array, Array | None]:
+def _response(m: Motion, arm: Arm, torque: Array, delay: Array) -> tuple[Array, Array | None]:
     """What the servo's own law leaves of the position error, and its part that yields to the torque, if it is known."""
     assert m.command is not None
-    left = m.command - m.position - (arm.delay or 0.0) * m.command_v
-    if arm.stiffness is not None:
-        left = left - torque / arm.stiffness
+    assert m.command_v is not None
+    assert m.command_a is not None
+    left = m.command - m.position - delay * m.command_v
+    if arm.joint_stiffness is not None:
+        left = left - torque / arm.joint_stiffness
     if arm.kp is None:
         return left, None
     forward = arm.regressor(m.command, m.command_v, m.command_a) @ arm.inertial
@@ -137,21 +141,20 @@ def _variables(m: Motion, arm: Arm, great: Array, torque: Array, model: Array, Y
         "q": m.q, "v": m.v, "a": m.a, "speed": m.v / fast, "slip": slip, "load": model / great,
         "turned": (m.q - m.q.mean(axis=0)) / (np.abs(m.q - m.q.mean(axis=0)).max(axis=0) + 1e-9),
         "time": m.time[:, None] * ones, "t": (m.time / m.time[-1])[:, None] * ones, "run": m.run[:, None] * ones,
-        "side": np.tanh(20 * torque / great),
+        "side": np.tanh(20 * (model if m.torque is None else torque) / great),
     }  # fmt: skip
-    if arm.rotor is not None:
-        known["inertia"] = arm.rotor * m.a / great
+    known["inertia"] = arm.rotor * m.a / great
     if m.torque is not None:  # not the measured one, which would explain its own noise
-        known["tau"] = known["load"] + known.get("inertia", 0.0)
-    if arm.ratio is not None:
-        known["motor"] = arm.ratio * m.q
+        known["tau"] = known["load"] + known["inertia"]
+    if arm.gear_ratio is not None:
+        known["motor"] = arm.gear_ratio * m.q
     if m.command is not None:
         assert m.command_v is not None
         assert m.command_a is not None
         known |= {"command_speed": m.command_v, "command_acceleration": m.command_a}
     kg = LOAD * float(arm.inertial[::10].sum())
     for k, name in enumerate(("mass", "mass_x", "mass_y", "mass_z")):
-        known[name] = kg * (AWAY if k else 1.0) * Y[:, :, arm.flange * 10 + k] / great
+        known[name] = kg * (AWAY if k else 1.0) * Y[:, :, 10 * arm.joints - 10 + k] / great
     for name, of in (("limit", m.torque), ("speed_limit", m.v)):
         if of is not None:
             at = np.sign(of) * (np.abs(of) > NEAR_LIMIT * np.abs(of).max(axis=0))
@@ -169,8 +172,7 @@ def base_of(look: Look) -> list[Part]:
 
 def bodies_of(look: Look) -> Array:
     """What one sigma of each inertial parameter does to each window's torques, shape (windows, joints, parameters)."""
-    Y = look.motion.averaged(look.Y) / look.great[:, None]
-    return np.asarray((Y * look.arm.spread)[:, :, look.arm.spread > 0])
+    return np.asarray(look.motion.averaged(look.Y) / look.great[:, None] @ look.arm.spread)
 
 
 def _friction(look: Look, j: int) -> list[Part]:
@@ -196,8 +198,7 @@ def _friction(look: Look, j: int) -> list[Part]:
     found.append(Part("offset", j, OFFSET, np.ones(len(speed))))
     scale = SCALE if m.torque is not None else ROUGH if look.arm.kp is not None else 1.0
     found.append(Part("scale", j, scale, names["load"][:, j]))
-    if "inertia" in names:
-        found.append(Part("rotor", j, ROTOR, names["inertia"][:, j]))
+    found.append(Part("rotor", j, ROTOR if look.arm.rotor_known else ANY_ROTOR, names["inertia"][:, j]))
     return found
 
 
@@ -208,7 +209,7 @@ def _servo(look: Look, j: int) -> list[Part]:
     columns = {
         "delay": (names["command_speed"], delay), "filter": (names["command_acceleration"], FILTER),
         "constant": (np.ones_like(m.q), CONSTANT), "side": (names["slip"], SIDE), "load": (names["load"], SIDE),
-        "squared load": (names["load"] * np.abs(names["load"]), SIDE),
+        "play": (names["side"], SIDE), "squared load": (names["load"] * np.abs(names["load"]), SIDE),
     }  # fmt: skip
     if "servo" in names:
         columns["gain"] = (names["servo"], GAIN)
@@ -216,8 +217,8 @@ def _servo(look: Look, j: int) -> list[Part]:
         for s in (0.0, 0.03, 0.1, 0.4):
             yielded = m.by_run(lambda u, s=s: lagged(u, s, m.step), m.torque)  # type: ignore[misc]
             columns[f"yields {s}"] = (yielded / look.great, 5e-3)
-    if arm.stiffness is not None and np.isfinite(arm.stiffness[j]):
-        columns["gear"] = (m.torque / arm.stiffness, GEAR)
+    if arm.joint_stiffness is not None and np.isfinite(arm.joint_stiffness[j]):
+        columns["gear"] = (m.torque / arm.joint_stiffness, GEAR)
         # Friction between motor and gear is not transmitted.
-        columns["gear by load"] = (names["load"] * look.great / arm.stiffness, GEAR)
+        columns["gear by load"] = (names["load"] * look.great / arm.joint_stiffness, GEAR)
     return [Part(kind, j, size, values[:, j], True) for kind, (values, size) in columns.items()]

@@ -25,6 +25,8 @@ from casadical.effects.motion import MOTION_SEAMS, motion_columns, motion_effect
 from casadical.effects.settings import grid_points
 from casadical.measurements.noise import Noise
 
+# Noise is what is left where the base is so many times freer than its priors.
+FREE = 8.0
 # Of white rows, whose noise is about one.
 SIGMAS = np.geomspace(0.4, 2.5, 25)
 # Share of a coefficient of friction, and of the great torque, that differs from day to day.
@@ -32,7 +34,7 @@ DAILY, DAILY_LEAST = 0.15, 0.01
 # Most of the noise that stays from a window to the next; rounds in which noise is found; least noise of a row.
 MOST_STAYS, ROUNDS, LEAST = 0.8, 3, 1e-9
 # Weight of a row that is so many times its noise away falls as Student's does.
-TAIL = 4.0
+TAIL = 8.0
 WHITE = Noise(1.0, 0.0)
 NONE = np.zeros(0, dtype=np.int64)
 # Of what is on no list: places of its bumps, and size in units of the row's noise.
@@ -45,7 +47,7 @@ DRAGS = ("viscous",)
 
 @dataclass(frozen=True, eq=False)
 class RowColumns:
-    """Columns that act in one row of each block, or in few. of : row, its columns in rising order, values (columns, n)"""
+    """Columns of which each acts in few rows of a block. made : with the rows as variables in between"""
 
     made: Factors
     rows: int
@@ -102,6 +104,8 @@ class MotionCase:
     r : residual as it is, shape (blocks, rows); base : columns of the base, sizes in them, (blocks, rows, P)
     E : columns of the variants, as they are; noise : of each row
     of_log : blocks of the log itself, not of the reference; parts : of the base, behind the bodies
+    scale : what one of each joint's first row is in the log's own unit, A or N m, or rad where unit is None
+    over : of the log's windows, shape (blocks, joints), angle, speed, load and time
     """
 
     judged: Evidence
@@ -115,6 +119,14 @@ class MotionCase:
     noise: Following
     of_log: Array
     parts: tuple[Part, ...]
+    scale: Array
+    unit: str | None
+    over: tuple[Array, ...]
+
+    @property
+    def joints(self) -> int:
+        """Of the arm."""
+        return len(self.scale)
 
     @cached_property
     def by_label(self) -> Mapping[str, Candidate]:
@@ -139,11 +151,12 @@ class MotionCase:
 
     def renewed(self, columns: Array = NONE) -> MotionCase:
         """The case with its noise as it is found beside some causes."""
-        few = replace(self, E=self.E.only(columns)).with_noise(self.noise)
-        every = np.arange(len(columns))
+        few, every, noise = replace(self, E=self.E.only(columns)), np.arange(len(columns)), self.noise
         for _ in range(ROUNDS):
-            few = few.with_noise(following(few.left(every, *few.fitted(every)), self.first))
-        return self.with_noise(few.noise)
+            few = few.with_noise(noise)
+            fit = new_fit(replace(few.judged, reference=1 / FREE), every, WHITE, combined=False)
+            noise = following(few.left(every, fit.x[: self.base.shape[2]], fit.x[self.base.shape[2] :]), self.first)
+        return self.with_noise(noise)
 
     def with_noise(self, noise: Following) -> MotionCase:
         """The case with its rows white by another noise."""
@@ -153,10 +166,10 @@ class MotionCase:
 
 def following(left: Array, first: Array) -> Following:
     """The noise of each row, as it is in what was left, shape (blocks, rows)."""
-    sigma = np.maximum(1.4826 * np.median(np.abs(left), axis=0), 0.5 * left.std(axis=0)) + LEAST
+    sigma = np.maximum(1.4826 * np.median(np.abs(left), axis=0), 0.2 * left.std(axis=0)) + LEAST
     weight = 1 / np.sqrt(1 + (left / (TAIL * sigma)) ** 2)
     inner = ~first[1:]
-    a, b = (left * weight)[1:][inner], (left * weight)[:-1][inner]
+    a, b = (left * weight**2)[1:][inner], (left * weight**2)[:-1][inner]
     stays = (a * b).sum(axis=0) / np.maximum((a * a).sum(axis=0), (b * b).sum(axis=0) + LEAST**2)
     stays = np.clip(stays, 0.0, MOST_STAYS)
     return Following(np.sqrt(((left * weight) ** 2).mean(axis=0)) + LEAST, stays, weight)
@@ -182,20 +195,21 @@ def motion_case(
 ) -> MotionCase:  # fmt: skip
     """The problem of a log, and of a reference behind it where there are two looks.
 
-    daily : one sigma of what each part of the base changes from the reference to the log; chosen : causes, all by default
+    daily : one sigma of what each part of the base changes from the reference to the log
+    chosen : causes, all by default
     """
     log = looks[0]
     rows = log.arm.joints * (1 if log.response is None else 2)
     ends = np.cumsum([0, *(len(one.motion.windows) for one in looks)])
     first = np.concatenate([one.motion.first for one in looks])
-    bodies = np.zeros((ends[-1], rows, int((log.arm.spread > 0).sum())))
+    bodies = np.zeros((ends[-1], rows, log.arm.spread.shape[1]))
     columns: dict[tuple[str, int, bool], tuple[Part, Array]] = {}
     for at, one in enumerate(looks):
         bodies[ends[at] : ends[at + 1], : log.arm.joints] = bodies_of(one)
         for part in base_of(one):
             own = part.kind.startswith("before") and at > 0
             key = (f"{part.kind}, reference", *part.key[1:]) if own else part.key
-            kept, values = columns.setdefault(key, (part, np.zeros((ends[-1], rows))))
+            values = columns.setdefault(key, (part, np.zeros((ends[-1], rows))))[1]
             row = part.joint + log.arm.joints * part.response
             values[ends[at] : ends[at + 1], row] = one.motion.averaged(part.samples)
             if daily and not at and not own:
@@ -208,9 +222,19 @@ def motion_case(
     noise = following(residual, first)
     case = MotionCase(
         white_problem(residual, J, nothing, first, noise), (), (), (), residual, J, nothing, first, noise,
-        np.arange(ends[-1]) < ends[1], parts,
+        np.arange(ends[-1]) < ends[1], parts, *_told(log),
     ).renewed()  # fmt: skip
     return case if chosen == () else with_candidates(case, log, chosen)
+
+
+def _told(log: Look) -> tuple[Array, str | None, tuple[Array, ...]]:
+    """What a report says of the log: scale and unit of its residual, and over what it is looked at."""
+    arm, unit, scale = log.arm, None, log.great / log.gain
+    if log.motion.torque is not None:
+        unit = "N m" if arm.per_ampere is None else "A"
+        scale = log.great / (1.0 if arm.per_ampere is None else arm.per_ampere)
+    over = tuple(log.motion.averaged(log.names[k]) for k in ("q", "v", "load", "time"))
+    return scale, unit, over
 
 
 def _residual(one: Look) -> Array:
@@ -229,7 +253,7 @@ def day_to_day(reference: MotionCase) -> dict[tuple[str, int, bool], float]:
 
 
 def frictions(case: MotionCase, log: Look) -> dict[str, Array]:
-    """Friction as the base has it, of every sample and joint, in great torques: what is dry, and what grows with speed."""
+    """Friction as the base has it, shape (samples, joints), in great torques: what is dry, what grows with speed."""
     x = case.fitted(NONE)[0][-len(case.parts) :]
     out = {"friction": np.zeros_like(log.motion.q), "drag": np.zeros_like(log.motion.q)}
     for p, c in zip(case.parts, x.tolist(), strict=True):
@@ -248,7 +272,7 @@ def with_candidates(case: MotionCase, log: Look, chosen: Sequence[type[DefinedEf
     variants: list[tuple[int, int]] = []
     groups: list[Array] = []
     width = 0
-    for candidate, columns in (*_listed(log, rows, chosen), *_unlisted(log, case.noise.sigma)):
+    for candidate, columns in (*_listed(log, chosen), *_unlisted(log, case.noise.sigma)):
         known = found.setdefault(candidate.label, replace(candidate, variants=()))
         variants.append((list(found).index(candidate.label), len(known.variants)))
         found[candidate.label] = replace(known, variants=(*known.variants, *candidate.variants))
@@ -262,26 +286,24 @@ def with_candidates(case: MotionCase, log: Look, chosen: Sequence[type[DefinedEf
     return case.with_noise(case.noise)
 
 
-def _listed(log: Look, rows: int, chosen: Sequence[type[DefinedEffect]] | None) -> Iterator[_Judged]:
+def _listed(log: Look, chosen: Sequence[type[DefinedEffect]] | None) -> Iterator[_Judged]:
     """Each variant of each cause, as a candidate of its own, with what its parameters do to the rows."""
     for kind in motion_effects().values() if chosen is None else chosen:
         name = kind.answers_as or kind.name
         for joint in range(1, log.arm.joints + 1) if kind.acts_at == "joints" else (None,):
             for point in grid_points(kind):
                 effect = kind(joint, **point)
-                columns = columns_of(log, effect, rows)
+                columns = columns_of(log, effect)
                 if columns:
                     yield Candidate(name if joint is None else f"{name}@{joint}", name, joint, ((effect,),)), columns
 
 
 def _columns(made: Mapping[int, list[tuple[int, Array]]], width: int, rows: int, total: int) -> RowColumns:
-    blocks = [
-        (row, np.array([c for c, _ in own]), np.stack([v for _, v in own])) for row, own in made.items() if own
-    ]
+    blocks = [(row, np.array([c for c, _ in own]), np.stack([v for _, v in own])) for row, own in made.items() if own]
     return RowColumns(Factors(tuple(blocks), width), rows, total)
 
 
-def columns_of(look: Look, effect: DefinedEffect, rows: int) -> list[Mapping[int, Array]]:
+def columns_of(look: Look, effect: DefinedEffect) -> list[Mapping[int, Array]]:
     """Of each parameter, what one size does to each row's windows; none where its variables were not logged."""
     n, out = look.arm.joints, [dict[int, Array]() for _ in effect.sizes()]
     known = {**look.names, **arm_names(look, effect)}
@@ -330,8 +352,11 @@ def _unlisted(log: Look, sigma: Array) -> Iterator[_Judged]:
             ends = np.quantile(values, [0.01, 0.99])
             if ends[1] - ends[0] < 1e-6:
                 continue
-            centres = np.linspace(*ends, BUMPS)
+            centres = np.linspace(ends[0], ends[1], BUMPS)
             wide = (centres[1] - centres[0]) * 1.2
             bumps = [log.motion.averaged(np.exp(-0.5 * ((values - c) / wide) ** 2)) for c in centres]
             label = f"smooth {what} of joint {j + 1} by {name}"
-            yield Candidate(label, "unknown", None, ((),), listed=False), [{row: UNLISTED * sigma[row] * b} for b in bumps]
+            yield (
+                Candidate(label, "unknown", None, ((),), listed=False),
+                [{row: UNLISTED * sigma[row] * b} for b in bumps],
+            )

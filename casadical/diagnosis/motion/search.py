@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -14,10 +14,10 @@ from casadical.diagnosis.thresholds import CLAIM, DETECT_FURTHER, LEAST_ALIKE, S
 
 # Something is there if "nothing" is less probable than this.
 DETECT = 0.02
-# A cause explains at least this share of what the base leaves, where it acts; most causes that are looked for.
-VISIBLE, MOST = 0.4, 6
-# A further cause gains so much log evidence.
-GAIN = 12.0
+# A cause is at least so large over what is left, where it acts; most causes that are looked for.
+VISIBLE, MOST = 0.75, 5
+# A cause gains so much log evidence, and one that is short in time so much: there every friction has flaws.
+CERTAIN, LOCAL = 40.0, 80.0
 Verdict = Literal["explained", "ambiguous", "unknown", "none"]
 
 
@@ -36,7 +36,7 @@ class Found:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What a search found. ranking : the last one; rankings : each; alike : what is not told apart, with probabilities"""
+    """What a search found. rankings : of each step; alike : what is not told apart, with probabilities"""
 
     case: MotionCase
     verdict: Verdict
@@ -57,21 +57,11 @@ def columns_of(case: MotionCase, found: tuple[Found, ...]) -> Array:
 
 
 def share_of(case: MotionCase, columns: Array, own: Array) -> float:
-    """How large a cause's part of the residual is, as a share of what is left, in the row where it is most."""
+    """How large a cause's part of the residual is, over what all leave, in the row where it is most."""
     x, theta = case.fitted(columns)
     left = case.left(columns, x, theta)[case.of_log]
-    mine = np.isin(columns, own)
-    part = (case.E.take(columns[mine]) @ theta[mine])[case.of_log]
-    # What the base could take over is no part of it.
-    base = case.base[case.of_log]
-    out = []
-    for row in np.flatnonzero(np.abs(part).max(axis=0) > 0):
-        A = base[:, row] / case.noise.sigma[row]
-        y = part[:, row] / case.noise.sigma[row]
-        seen = np.linalg.lstsq(np.vstack([A, np.eye(A.shape[1])]), np.concatenate([y, np.zeros(A.shape[1])]), rcond=None)[0]
-        rest = (y - A @ seen) * case.noise.sigma[row]
-        out.append(float(np.sqrt((rest**2).mean() / ((left[:, row] ** 2).mean() + 1e-30))))
-    return max(out, default=0.0)
+    part = (case.E.take(own) @ theta[np.isin(columns, own)])[case.of_log]
+    return float(np.sqrt((part**2).mean(axis=0) / (left**2).mean(axis=0)).max())
 
 
 def search(case: MotionCase) -> Outcome:
@@ -79,26 +69,45 @@ def search(case: MotionCase) -> Outcome:
     found: tuple[Found, ...] = ()
     rankings: tuple[Ranking, ...] = ()
     while True:
-        named = [f for f in found if f.share >= VISIBLE]
+        named = [f for f in found if f.share >= 1]
         last: Verdict = "explained" if named else "none"
-        ranking = rank(case, columns_of(case, found), frozenset(f.label for f in found))
+        skip, chosen = frozenset(f.label for f in found), columns_of(case, found)
+        ranking = rank(case, chosen, skip)
+        # Beside the likeliest one the noise is what it is; without it, it would take a cause for noise.
+        own = case.group(ranking.order[0], ranking.variant[ranking.order[0]])
+        case = case.renewed(np.union1d(chosen, own))
+        ranking = rank(case, chosen, skip)
         rankings, top, there = (*rankings, ranking), ranking.order[0], 1 - ranking.none
-        if ranking.none > (DETECT_FURTHER if found else DETECT) or ranking.log_factor[top] < GAIN or len(found) == MOST:
+        if ranking.none > (DETECT_FURTHER if found else DETECT) or len(found) == MOST:
+            return Outcome(case, last, found, rankings)
+        if ranking.log_factor[top] < (LOCAL if case.by_label[top].name == "contact" else CERTAIN):
             return Outcome(case, last, found, rankings)
         share = _share(case, found, ranking, top)
         listed = [k for k in ranking.order if case.by_label[k].listed]
-        p = ranking.probability[top] / there
-        if share >= VISIBLE and top not in listed:
+        p = sum(ranking.probability[k] for k in ranking.order if twins(case, k, top)) / there
+        if share >= 1 and top not in listed:
             return Outcome(case, last if named else "unknown", found, rankings)
-        if share >= VISIBLE and p < CLAIM:
-            alike = [(k, ranking.probability[k] / there) for k in listed if ranking.probability[k] > LEAST_ALIKE * there]
+        if share >= 1 and p < CLAIM:
+            alike = [
+                (k, ranking.probability[k] / there) for k in listed if ranking.probability[k] > LEAST_ALIKE * there
+            ]
             whole = sum(p for _, p in alike[:SET_SIZE])
             verdict: Verdict = "ambiguous" if whole > SET_SHARE else "unknown"
             return Outcome(case, last if named else verdict, found, rankings, tuple(alike))
         found = (*found, Found(top, ranking.variant[top], p, share))
-        case = case.renewed(columns_of(case, found))
+
+
+def twins(case: MotionCase, one: str, other: str) -> bool:
+    """Whether two labels are one cause, or two names of what is the same in the data at usual sizes."""
+    a, b = case.by_label[one], case.by_label[other]
+    names = {a.name, b.name}
+    if one == other or (names == {"lag", "transport_delay"} and a.joint == b.joint):
+        return True
+    last = case.by_label.get(f"link_mass@{case.joints}")
+    return names == {"payload", "link_mass"} and last is not None and last.label in (one, other)
 
 
 def _share(case: MotionCase, found: tuple[Found, ...], ranking: Ranking, label: str) -> float:
+    """What of a cause can be seen, over what is needed to name it."""
     own = case.group(label, ranking.variant[label])
-    return share_of(case, np.union1d(columns_of(case, found), own), own)
+    return share_of(case, np.union1d(columns_of(case, found), own), own) / VISIBLE

@@ -6,13 +6,16 @@ Everything is smoothed alike, by one symmetric kernel, so that no signal is late
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.measurements.logs import JointLog
+from casadical.diagnosis.motion.arm import Arm
+from casadical.measurements.logs.log import JointLog
 
 # Width of the smoothing kernel, of a window, and of what is left out at the ends of a run [s].
 SMOOTHED, WINDOW, EDGE = 0.08, 0.1, 0.15
@@ -22,41 +25,6 @@ RATE, MOST_WINDOWS, PAUSE = 62.5, 1500, 10.0
 STANDS, SLOW = 0.02, 2e-3
 # A joint has not moved in a run while it is within this of where it began [rad].
 UNMOVED = 5e-3
-
-# Dynamics of an arm: regressor Y of q, v and a, shapes (n, joints) -> (n, joints, parameters).
-Regressor = Callable[[Array, Array, Array], Array]
-
-
-@dataclass(frozen=True, eq=False)
-class Arm:
-    """What is known of an arm that moves.
-
-    regressor : of its inverse dynamics; inertial : parameters by the file, with payload, shape (p,); spread : one
-        sigma of each, ten a link; joints : how many; flange : number of the link that carries the payload, 0-based
-    per_ampere : torque at the joint by current, shape (joints,), or None; rotor : inertia at the joint [kg m^2]
-    ratio : of each gear; stiffness : of each gear [N m/rad], infinite where unknown
-    kp, kd, ki : of the servos at the joint, or None
-    delay : from the logged command to the servo, filters included [s], or None
-    limit : greatest torque that the drive allows, or infinite; rate : rows a second that the log should have
-    motor_side : whether the encoders are on the motors
-    """
-
-    regressor: Regressor
-    inertial: Array
-    spread: Array
-    joints: int
-    flange: int
-    per_ampere: Array | None = None
-    rotor: Array | None = None
-    ratio: Array | None = None
-    stiffness: Array | None = None
-    kp: Array | None = None
-    kd: Array | None = None
-    ki: Array | None = None
-    delay: float | None = None
-    limit: Array | None = None
-    rate: float | None = None
-    motor_side: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +69,7 @@ class Motion:
     def by_run(self, change: Callable[[Array], Array], values: Array) -> Array:
         """Something that has a memory, run by run."""
         ends = [0, *(np.flatnonzero(np.diff(self.run)) + 1).tolist(), len(self.run)]
-        return np.concatenate([change(values[a:b]) for a, b in zip(ends[:-1], ends[1:], strict=True)])
+        return np.concatenate([change(values[a:b]) for a, b in pairwise(ends)])
 
 
 def motion_of(log: JointLog, arm: Arm, widths: tuple[float, ...], *, of_command: bool = False) -> Motion:
@@ -132,10 +100,16 @@ def motion_of(log: JointLog, arm: Arm, widths: tuple[float, ...], *, of_command:
         at += len(part["time"])
     whole = {k: np.concatenate([p[k] for p in parts]) for k in parts[0]}
     memory = {w: whole.pop(f"memory {w}") for w in widths}
-    optional = {k: whole.get(k) for k in ("command", "command_v", "command_a", "torque", "heat")}
-    if optional["heat"] is not None:
-        optional["heat"] = optional["heat"] - optional["heat"].min(axis=0)
-    return Motion(**{**whole, **optional}, memory=memory, windows=np.concatenate(windows), first=np.concatenate(first))
+    optional: dict[str, Any] = {k: whole.pop(k, None) for k in ("command", "command_v", "command_a", "torque", "heat")}
+    heat = optional.pop("heat")
+    return Motion(
+        **whole,
+        **optional,
+        heat=None if heat is None else heat - heat.min(axis=0),
+        memory=memory,
+        windows=np.concatenate(windows),
+        first=np.concatenate(first),
+    )
 
 
 def _torque(log: JointLog, arm: Arm) -> Array | None:
@@ -146,9 +120,7 @@ def _torque(log: JointLog, arm: Arm) -> Array | None:
     return np.asarray(log.current * (1.0 if arm.per_ampere is None else arm.per_ampere))
 
 
-def _run(
-    run: JointLog, torque: Array | None, widths: tuple[float, ...], of_command: bool
-) -> dict[str, Array] | None:
+def _run(run: JointLog, torque: Array | None, widths: tuple[float, ...], of_command: bool) -> dict[str, Array] | None:
     step = run.step
     t = np.arange(run.time[0], run.time[-1], step) if step else np.zeros(0)
     if len(t) < 2.0 / max(step, 1e-9):

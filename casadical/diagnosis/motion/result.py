@@ -1,0 +1,260 @@
+"""The diagnosis of a joint log as a result: which cause, at which joint, how sure, how far the gap shrinks with it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.core.progress import Show
+from casadical.core.telling.blocks import Table, Words
+from casadical.core.telling.result import Result
+from casadical.diagnosis.motion.arm import Arm, arm_of
+from casadical.diagnosis.motion.base import COMMANDED, MEASURED, look
+from casadical.diagnosis.motion.instrument import Fault, faults_of
+from casadical.diagnosis.motion.problem import day_to_day, motion_case
+from casadical.diagnosis.motion.search import Found, Outcome, columns_of, search
+from casadical.diagnosis.motion.signals import motion_of
+from casadical.effects.motion import motion_effects
+from casadical.measurements.logs.log import JointLog
+from casadical.robot.robot import Robot
+
+# Where a cause is said to act: over these, in so many parts; a part stands out by this factor.
+OVER, PARTS, OUT = ("angle", "speed", "load", "time"), 4, 1.5
+# Rivals that are shown, and least probability of one.
+SHOWN, LEAST = 3, 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class LogDiagnosis(Result):
+    """What a joint log tells.
+
+    log : that was diagnosed; arm : what was known of it; outcome : of the search
+    faults : of the instrument itself; reference : source of the healthy log, empty without one
+    """
+
+    kept_as: ClassVar[str] = "log_diagnosis"
+
+    log: JointLog
+    arm: Arm
+    outcome: Outcome
+    faults: tuple[Fault, ...]
+    reference: str = ""
+
+    @property
+    def named(self) -> tuple[Found, ...]:
+        """Causes that are claimed."""
+        return tuple(f for f in self.outcome.found if f.share >= 1)
+
+    @property
+    def verdict(self) -> str:
+        """explained, ambiguous, unknown or none."""
+        return "explained" if self.faults else self.outcome.verdict
+
+    @property
+    def _line(self) -> str:
+        return f" {self.log.source}: {self.verdict}" + (f", {', '.join(self._labels)}" if self._labels else "")
+
+    @property
+    def _labels(self) -> list[str]:
+        return [*(f.name for f in self.faults), *(f.label for f in self.named)]
+
+    @property
+    def level(self) -> str:
+        """What was judged: torque, or the position error alone."""
+        return "torque" if self.outcome.case.unit is not None else "position"
+
+    def gap(self) -> tuple[Array, Array, Array]:
+        """Rms of each joint's residual: of the model alone, with the base fitted, with the causes too [A, N m or rad].
+
+        Of torques where they were logged, else of the position error.
+        """
+        case, o = self.outcome.case, self.outcome
+        n, scale = self.arm.joints, o.case.scale
+        base = case.fitted(columns_of(case, ()))
+        columns = columns_of(case, o.found)
+        rows = (case.r, case.left(columns_of(case, ()), *base), case.left(columns, *case.fitted(columns)))
+        nominal, before, after = (np.sqrt((r[case.of_log, :n] ** 2).mean(axis=0)) * scale for r in rows)
+        return nominal, before, after
+
+    def blocks(self) -> Sequence[Words | Table]:
+        """What `casadical diagnose ARM LOG` prints."""
+        return [Words(self._sentence(), "verdict"), *self._faults(), self._gap_table(), *self._causes(), *self._notes()]
+
+    def _sentence(self) -> str:
+        parts = [f.sentence for f in self.faults]
+        parts += [f"{told(f.label)} (probability {f.probability:.2f})" for f in self.named]
+        if parts:
+            return f"{self.log.source}: {'; '.join(parts)}."
+        if self.outcome.verdict == "ambiguous":
+            those = ", ".join(f"{label} {p:.2f}" for label, p in self.outcome.alike[:SHOWN])
+            return f"{self.log.source}: something is there; this log does not tell {those} apart."
+        if self.outcome.verdict == "unknown":
+            return f"{self.log.source}: something is there that no listed cause explains: {self._smooth()}."
+        return f"{self.log.source}: nothing but a usual arm; no cause is large enough to be named."
+
+    def _smooth(self) -> str:
+        """The form of what is on no list."""
+        return next(iter(self.outcome.rankings[-1].order))
+
+    def _faults(self) -> Iterator[Words]:
+        yield from (Words(f.remedy, "warning") for f in self.faults)
+
+    def _gap_table(self) -> Table:
+        nominal, before, after = self.gap()
+        unit = self.outcome.case.unit or "mrad"
+        factor = 1.0 if self.outcome.case.unit else 1e3
+        rows = [
+            (name, *(f"{factor * v[j]:.3g}" for v in (nominal, before, after)), self._where(j))
+            for j, name in enumerate(self.log.joints[: self.arm.joints])
+        ]
+        title = f"Residual of each joint, rms [{unit}]: the model alone, with usual friction, with the causes"
+        return Table(title, ("joint", "model", "usual arm", "with causes", "most at"), rows, frozenset({1, 2, 3}))
+
+    def _where(self, j: int) -> str:
+        """Where what the base leaves of a joint is greatest, over angle, speed, load and time."""
+        case = self.outcome.case
+        none = columns_of(case, ())
+        left = case.left(none, *case.fitted(none))[case.of_log, j] ** 2
+        found = []
+        for name, values in zip(OVER, case.over, strict=True):
+            edges = np.quantile(values[:, j], np.linspace(0, 1, PARTS + 1))
+            part = np.clip(np.searchsorted(edges, values[:, j], side="right") - 1, 0, PARTS - 1)
+            mean = np.array([left[part == k].mean() if (part == k).any() else 0.0 for k in range(PARTS)])
+            k = int(mean.argmax())
+            found.append((float(np.sqrt(mean[k] / left.mean())), f"{name} {edges[k]:.3g} to {edges[k + 1]:.3g}"))
+        worst = max(found)
+        return worst[1] if worst[0] > OUT else ""
+
+    def _causes(self) -> Iterator[Table]:
+        ranking = self.outcome.rankings[0]
+        rows = [
+            (label, f"{ranking.probability[label]:.2f}", f"{ranking.log_factor[label]:.0f}", told(label))
+            for label in ranking.order[:SHOWN]
+            if ranking.probability[label] > LEAST
+        ]
+        rows += [("none", f"{ranking.none:.2f}", "", "nothing but a usual arm")]
+        yield Table(
+            "What fits", ("cause", "probability", "log evidence", "what the log shows"), rows, frozenset({1, 2})
+        )
+
+    def _notes(self) -> Iterator[Words]:
+        small = [f.label for f in self.outcome.found if f.share < 1]
+        if small:
+            yield Words(f"Seen, but too small to be named: {', '.join(small)}.", "note")
+        yield from (Words(text, "note") for text in cannot_tell(self.log, self.arm, bool(self.reference)))
+
+    def to_json(self) -> dict[str, Any]:
+        """The verdict and all figures."""
+        nominal, before, after = self.gap()
+        ranking = self.outcome.rankings[0]
+        causes = [{"effect": f.name, "joint": None, "probability": 1.0} for f in self.faults]
+        causes += [_plain(f.label, f.probability) for f in self.named]
+        if self.verdict == "ambiguous":
+            causes += [_plain(label, p) for label, p in self.outcome.alike]
+        total = {"before": float(np.sqrt((before**2).mean())), "after": float(np.sqrt((after**2).mean()))}
+        return {
+            "log": self.log.source,
+            "reference": self.reference,
+            "verdict": self.verdict,
+            "causes": causes,
+            "gap": {**total, "unit": self.outcome.case.unit or "rad"},
+            "joints": [
+                {"joint": name, "model": float(a), "usual": float(b), "after": float(c)}
+                for name, a, b, c in zip(self.log.joints, nominal, before, after, strict=False)
+            ],
+            "ranking": [
+                {**_plain(k, ranking.probability[k]), "log_evidence": ranking.log_factor[k]} for k in ranking.order[:10]
+            ],
+            "none": ranking.none,
+            "cannot_tell": list(cannot_tell(self.log, self.arm, bool(self.reference))),
+        }
+
+
+def _plain(label: str, probability: float) -> dict[str, Any]:
+    name, _, joint = label.partition("@")
+    return {"effect": name, "joint": int(joint) if joint else None, "probability": float(probability)}
+
+
+def told(label: str) -> str:
+    """A cause in words."""
+    name, _, joint = label.partition("@")
+    kind = motion_effects().get(name)
+    if kind is None:
+        return f"on no list: {label}"
+    return f"joint {joint}: {kind.signature}" if joint else kind.signature
+
+
+def cannot_tell(log: JointLog, arm: Arm, compared: bool) -> Iterator[str]:
+    """What such a log cannot tell, and what to log for it."""
+    if not compared:
+        yield (
+            "Friction of this arm alone has no usual value: that it has grown is told with a healthy log of the same "
+            "arm (--reference LOG)."
+        )
+    if log.torque is None and (log.current is None or log.current_unsigned):
+        yield "Torque scale and servo stiffness look alike without a signed current (current1_A ...) or torque."
+    elif arm.kp is None:
+        yield "Servo stiffness needs the gains: kp, kd, ki of the table [drive] of the robot file."
+    if log.command is None:
+        yield "Delay, lag, servo stiffness and play need the commands: log command1_rad ..."
+    if arm.dynamics.given.drive is None or arm.dynamics.given.drive.encoder_side != "joint":
+        yield "Play and compliance behind an encoder on the motor do not reach it; link lengths and the tool never do."
+    if len({*np.unique(log.run).tolist()}) < 2:
+        yield "A zero that jumps between runs needs two runs or more in one table (column run)."
+    speed = np.abs(np.diff(log.position, axis=0)).max(axis=0) if len(log) > 1 else np.zeros(1)
+    if still := [name for name, v in zip(log.joints, speed, strict=True) if not v > 0]:
+        yield f"{', '.join(still)} never moved: of such a joint only the load at rest is told."
+
+
+def diagnose_log(
+    robot: Robot, log: JointLog, reference: JointLog | None = None, show: Show = lambda _: None
+) -> LogDiagnosis:
+    """Why an arm moves otherwise than its model.
+
+    Parameters
+    ----------
+    robot : Robot
+        with masses, and what is known of its drives
+    log : JointLog
+        of one arm, with the commands, or a torque or current, or both
+    reference : JointLog, optional
+        of the same arm in health on another day: what differs from it by more than a day's friction is a cause
+
+    Raises
+    ------
+    InputError
+        a log that is too short, or has other joints than the robot
+    """
+    arm = arm_of(robot)
+    for one in filter(None, (log, reference)):
+        if len(one.joints) != arm.joints:
+            raise InputError(
+                f"{one.source}: has {len(one.joints)} joints ({', '.join(one.joints)}), the robot {robot.name!r} has "
+                f"{arm.joints}; name the columns by the robot's joints, or by their numbers"
+            )
+    show("signals and rigid bodies")
+    of_command = log.torque is None and (log.current is None or log.current_unsigned or arm.per_ampere is None)
+    if of_command and log.command is None:
+        raise InputError(
+            f"{log.source}: a current without a torque constant, and no commands; give torque_constant_Nm_per_A and "
+            "gear_ratio in [drive] of the robot file, or log command1_rad ..."
+        )
+    if of_command:
+        log = replace(log, torque=None, current=None)
+        reference = reference and replace(reference, torque=None, current=None)
+    widths = COMMANDED if of_command else MEASURED
+    if reference is None:
+        case = motion_case([look(motion_of(log, arm, widths, of_command=of_command), arm)])
+    else:
+        healthy = look(motion_of(reference, arm, widths, of_command=of_command), arm)
+        own = look(motion_of(log, arm, widths, of_command=of_command), arm, healthy.great)
+        daily = day_to_day(motion_case([healthy], chosen=()))
+        case = motion_case([own, healthy], daily)
+    show(f"evidence of {len(case.candidates)} candidates")
+    outcome = search(case)
+    return LogDiagnosis(log, arm, outcome, faults_of(log, arm, reference), reference.source if reference else "")

@@ -1,0 +1,179 @@
+"""Joint logs with causes from other friction laws than the diagnosis has: what is named, and what is not."""
+
+import ast
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+import casadical.diagnosis.motion
+from casadical import Body, InputError, Joint, Robot
+from casadical.cli.root import app
+from casadical.core.drive import Drive
+from casadical.core.telling.terminal import plain_text
+from casadical.diagnosis.motion.result import diagnose_log
+from casadical.measurements.logs.log import JointLog
+from casadical.robot.dynamics import Dynamics
+
+RATE, SECONDS = 100.0, 12.0
+STIFF, DAMPED, PER_AMPERE = np.array([9e3, 9e3, 3e3]), np.array([300.0, 300.0, 100.0]), 10.0
+
+
+@pytest.fixture(scope="module")
+def robot():
+    inertia = np.diag([0.05, 0.05, 0.02])
+    joints = (
+        Joint(d=0.3, body=Body(8.0, np.array([0.0, 0.0, -0.1]), inertia)),
+        Joint(alpha=np.pi / 2, body=Body(6.0, np.array([0.2, 0.0, 0.0]), inertia)),
+        Joint(a=0.5, body=Body(4.0, np.array([0.2, 0.02, 0.0]), inertia)),
+    )
+    drive = Drive(
+        kp_Nm_per_rad=STIFF.tolist(), kd_Nms_per_rad=DAMPED.tolist(), gear_ratio=100.0, torque_constant_Nm_per_A=0.1,
+        rotor_inertia_kgm2=1e-4, delay_s=0.004, log_rate_Hz=RATE, encoder_side="joint",
+    )  # fmt: skip
+    return Robot(name="three joints", joints=joints, drive=drive)
+
+
+def simulated(robot, seed, fault=None, runs=2):
+    """A log: friction by a bristle model, noise that follows itself; fault : changes torque, command and time."""
+    rng, parts = np.random.default_rng(seed), []
+    dry, viscous = np.array([6.0, 8.0, 3.0]) * rng.uniform(0.9, 1.1, 3), np.array([5.0, 6.0, 2.0])
+    for run in range(1, runs + 1):
+        t = np.arange(0, SECONDS, 1 / RATE)
+        w, phase = rng.uniform(0.5, 2.5, (3, 3, 1)), rng.uniform(0, 6, (3, 3, 1))
+        q = (np.array([0.5, 0.25, 0.15])[:, None, None] * np.sin(w * t + phase)).sum(axis=0).T
+        q += np.array([0.0, 0.7, -0.8])
+        v, a = (np.gradient(q, 1 / RATE, axis=0), np.gradient(np.gradient(q, 1 / RATE, axis=0), 1 / RATE, axis=0))
+        bristle = np.zeros_like(q)
+        for k in range(1, len(t)):
+            bristle[k] = np.clip(bristle[k - 1] + (q[k] - q[k - 1]) / 2e-3, -1, 1)
+        rough = np.zeros_like(q)
+        for k in range(1, len(t)):
+            rough[k] = 0.97 * rough[k - 1] + rng.normal(0, 0.05, 3)
+        friction = dry * bristle * (1 + 0.2 * np.exp(-np.abs(v) / 0.1)) + viscous * np.tanh(v) + 0.02 * v**3
+        tau = Dynamics(robot).torque(q, v, a) + friction + rough
+        late = np.zeros(3)
+        if fault is not None:
+            tau, late = fault(run, t, q, v, tau)
+        servo = np.zeros_like(q)
+        for k in range(1, len(t)):
+            servo[k] = (tau[k] + DAMPED * RATE * servo[k - 1]) / (STIFF + DAMPED * RATE)
+        command = (
+            q + servo + 0.004 * v + np.array([np.interp(t + d, t, x) - x for d, x in zip(late, q.T, strict=True)]).T
+        )
+        read = np.round(q / 1e-5) * 1e-5
+        parts.append((t, command, read, tau / PER_AMPERE + rng.normal(0, 0.02, tau.shape), np.full(len(t), run)))
+    t, command, read, current, run = (np.concatenate(x) for x in zip(*parts, strict=True))
+    return JointLog(t, ("1", "2", "3"), read, command=command, current=current, run=run, source=f"log {seed}")
+
+
+def ripple(run, t, q, v, tau):
+    tau[:, 1] += 6.0 * np.sin(9 * q[:, 1] + 1) + 1.5 * np.sin(18 * q[:, 1])
+    return tau, np.zeros(3)
+
+
+def contact(run, t, q, v, tau):
+    tau[:, 2] += 12.0 * (run == 2) * np.sin(np.pi * np.clip((t - 5) / 1.2, 0, 1)) ** 0.5
+    return tau, np.zeros(3)
+
+
+def late(run, t, q, v, tau):
+    return tau, np.array([0.0, 0.03, 0.0])
+
+
+def late_all(run, t, q, v, tau):
+    return tau, np.full(3, 0.03)
+
+
+def drier(run, t, q, v, tau):
+    tau[:, 0] += 8.0 * np.tanh(v[:, 0] / 5e-3)
+    return tau, np.zeros(3)
+
+
+def foreign(run, t, q, v, tau):
+    tau[:, 1] += 8.0 * np.sin(2.3 * q[:, 0])
+    return tau, np.zeros(3)
+
+
+@pytest.mark.parametrize(("fault", "labels"), [
+    (ripple, ["ripple@2"]), (contact, ["contact@3"]), (late, ["transport_delay@2"]), (late_all, ["transport_delay"]),
+])  # fmt: skip
+def test_named(robot, fault, labels):
+    found = diagnose_log(robot, simulated(robot, 1, fault))
+    assert [f.label for f in found.named] in (labels, [label.replace("transport_delay", "lag") for label in labels])
+    assert found.verdict == "explained"
+    before, after = found.gap()[1:]
+    assert after.sum() < 1.001 * before.sum()
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_of_a_healthy_arm_nothing_is_named(robot, seed):
+    assert diagnose_log(robot, simulated(robot, seed)).verdict == "none"
+
+
+def test_friction_that_has_grown_is_told_with_a_reference_alone(robot):
+    log = simulated(robot, 1, drier)
+    assert not diagnose_log(robot, log).named
+    assert [f.label for f in diagnose_log(robot, log, simulated(robot, 7)).named] == ["coulomb_friction@1"]
+
+
+def test_what_is_on_no_list_is_not_named(robot):
+    found = diagnose_log(robot, simulated(robot, 1, foreign))
+    assert not found.named
+    assert found.verdict in ("unknown", "ambiguous")
+
+
+def test_faults_of_the_log_itself(robot):
+    log = simulated(robot, 2)
+    kept = np.random.default_rng(0).uniform(size=len(log)) > 0.05
+    assert [f.name for f in diagnose_log(robot, log[kept]).faults] == ["lost_samples"]
+    slow = JointLog(log.time * 1.04, log.joints, log.position, log.command, current=log.current, run=log.run)
+    assert [f.name for f in diagnose_log(robot, slow).faults] == ["clock_scale"]
+
+
+def test_the_command_recognises_a_log(robot, tmp_path):
+    from casadical import write_robot
+
+    log = simulated(robot, 1, contact)
+    table = {"time_s": log.time, "run": log.run}
+    for k in range(3):
+        table |= {f"command{k + 1}_rad": log.command[:, k], f"q{k + 1}_rad": log.position[:, k]}
+        table[f"current{k + 1}_A"] = log.current[:, k]
+    pd.DataFrame(table).to_csv(tmp_path / "motion.csv", index=False)
+    write_robot(robot, tmp_path / "arm.toml")
+    out = tmp_path / "found.json"
+    told = CliRunner().invoke(
+        app, ["diagnose", str(tmp_path / "arm.toml"), str(tmp_path / "motion.csv"), "--json", str(out)]
+    )
+    assert told.exit_code == 0, told.output
+    assert "joint 3: a torque in a short part of one run" in " ".join(told.output.split())
+    found = json.loads(out.read_text())
+    assert found["verdict"] == "explained"
+    assert found["causes"][0]["effect"] == "contact"
+    assert found["causes"][0]["joint"] == 3
+
+
+def test_it_says_what_such_a_log_cannot_tell(robot):
+    log = simulated(robot, 2)
+    told = plain_text(diagnose_log(robot, log).blocks(), 100)
+    assert "--reference LOG" in " ".join(told.split())
+    silent = JointLog(log.time, log.joints, log.position, current=log.current, run=log.run)
+    assert any("log command1_rad" in text for text in diagnose_log(robot, silent).to_json()["cannot_tell"])
+    with pytest.raises(InputError, match="has 2 joints"):
+        diagnose_log(robot, log.of_joints([0, 1]))
+
+
+def test_no_second_engine():
+    """Evidence, noise and fits come from the one linear-Gaussian model: nothing here inverts or factors on its own."""
+    folder = Path(casadical.diagnosis.motion.__file__).parent
+    calls = {
+        node.attr for path in folder.glob("*.py") for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Attribute)
+    }  # fmt: skip
+    assert not calls & {"cholesky", "lstsq", "eigh", "svd", "inv", "slogdet", "qr"}
+    imports = "".join(path.read_text() for path in folder.glob("*.py"))
+    for engine in ("diagnosis.evidence", "diagnosis.posterior", "diagnosis.cross_validation", "linear_gaussian"):
+        assert engine in imports
