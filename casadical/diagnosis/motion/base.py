@@ -163,7 +163,7 @@ def _variables(m: Motion, arm: Arm, great: Array, torque: Array, model: Array, Y
 
 
 def base_of(look: Look) -> list[Part]:
-    """The base's columns of a log, in great torques and rad, but for the rigid bodies."""
+    """The base's columns of a log, in great torques and rad, without the rigid bodies."""
     parts = [p for j in range(look.arm.joints) for p in _friction(look, j)]
     if look.response is not None:
         parts += [p for j in range(look.arm.joints) for p in _servo(look, j)]

@@ -95,7 +95,7 @@ class LogDiagnosis(Result):
             return f"{self.log.source}: something is there; this log does not tell {those} apart."
         if self.outcome.verdict == "unknown":
             return f"{self.log.source}: something is there that no listed cause explains: {self._smooth()}."
-        return f"{self.log.source}: nothing but a usual arm; no cause is large enough to be named."
+        return f"{self.log.source}: a usual arm; no cause is large enough to be named."
 
     def _smooth(self) -> str:
         """The form of what is on no list."""
@@ -137,7 +137,7 @@ class LogDiagnosis(Result):
             for label in ranking.order[:SHOWN]
             if ranking.probability[label] > LEAST
         ]
-        rows += [("none", f"{ranking.none:.2f}", "", "nothing but a usual arm")]
+        rows += [("none", f"{ranking.none:.2f}", "", "a usual arm")]
         yield Table(
             "What fits", ("cause", "probability", "log evidence", "what the log shows"), rows, frozenset({1, 2})
         )

@@ -36,7 +36,7 @@ class Found:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What a search found. rankings : of each step; alike : what is not told apart, with probabilities"""
+    """What a search found. rankings : of each step; alike : what the log does not distinguish, with probabilities"""
 
     case: MotionCase
     verdict: Verdict
@@ -73,7 +73,7 @@ def search(case: MotionCase) -> Outcome:
         last: Verdict = "explained" if named else "none"
         skip, chosen = frozenset(f.label for f in found), columns_of(case, found)
         ranking = rank(case, chosen, skip)
-        # Beside the likeliest one the noise is what it is; without it, it would take a cause for noise.
+        # Beside the most probable one the noise is what it is; without it, it would take a cause for noise.
         own = case.group(ranking.order[0], ranking.variant[ranking.order[0]])
         case = case.renewed(np.union1d(chosen, own))
         ranking = rank(case, chosen, skip)
