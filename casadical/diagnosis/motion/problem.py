@@ -183,10 +183,12 @@ def white_problem(r: Array, base: Array, E: RowColumns, first: Array, noise: Fol
         own = Following(noise.sigma[row : row + 1], noise.stays[row : row + 1], noise.weight[:, row : row + 1])
         made.append((row, columns, own.white(values.T[:, None], first)[:, 0].T))
     columns_ = replace(E, made=Factors(tuple(made), E.made.width))
-    return Evidence(
+    judged = Evidence(
         noise.white(r, first), noise.white(base, first), np.zeros((n, rows, 1)), np.zeros(P), np.ones(P), columns_,
         reference=1.0, near=(0,), sigmas=SIGMAS,
-    ).restricted()  # fmt: skip
+    )  # fmt: skip
+    # Priors stay as they are, unlike in `restricted`: that a delay is known to a millisecond is what tells another one.
+    return replace(judged, absorbed=judged.model.absorbed_by_base)
 
 
 def motion_case(
