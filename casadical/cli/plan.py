@@ -95,6 +95,15 @@ PlacesFile = Annotated[
     ),
 ]
 KnownPlaces = Annotated[bool, typer.Option(help="The wires' ends will be measured, too.")]
+Iso9283 = Annotated[
+    bool,
+    typer.Option(
+        "--iso9283",
+        help="Plan a test by ISO 9283 instead: five poses in the largest cube of the standard, 30 visits each, three "
+        "approach paths, drift over 8 hours; written to --out (default: iso9283.csv).",
+    ),
+]
+Cube = Annotated[float | None, typer.Option(min=10, max=5000, help="With --iso9283: side of the cube.")]
 
 
 def plan(
@@ -122,6 +131,8 @@ def plan(
     prior: Prior = None,
     prior_effects: PriorEffects = None,
     known_places: KnownPlaces = False,
+    iso9283: Iso9283 = False,
+    cube_mm: Cube = None,
     seed: Seed = 0,
     json_file: Json = None,
     quiet: Quiet = False,
@@ -142,6 +153,12 @@ def plan(
         _refuse_given({"-n": n, "--out": out, "--measured": measured, "--room": room, "--payloads": payloads})
         _refuse_given({"--wires": wires, "--sockets": sockets, "--places": places, "--target-mm": target_mm})
         _isolability(problem, poses, effects, json_file, quiet)
+        return
+    if iso9283:
+        _refuse_given(
+            {"-n": n, "--for": effects, "--measured": measured, "--wires": wires, "--sockets": sockets}, "--iso9283"
+        )
+        _iso9283(problem, out or Path("iso9283.csv"), cube_mm, room, seed, quiet)
         return
     if poses:
         raise InputError(f"{poses[0]}: POSES are asked about with --isolability; give measured ones with --measured")
@@ -168,11 +185,29 @@ def plan(
     keep(with_json(planned.files(place) if place else {}, json_file, planned.to_json()), console)
 
 
-def _refuse_given(options: dict[str, object]) -> None:
-    """Refuse what a look at given poses has no use for. Raises InputError."""
+def _refuse_given(options: dict[str, object], mode: str = "--isolability") -> None:
+    """Refuse what another question than that of poses to calibrate with has no use for. Raises InputError."""
+    why = "looks at given poses" if mode == "--isolability" else "has poses of its own"
     for name, value in options.items():
         if value is not None:
-            raise InputError(f"{name}: has no effect with --isolability, which looks at given poses; leave it out")
+            raise InputError(f"{name}: has no effect with {mode}, which {why}; leave it out")
+
+
+def _iso9283(problem: Path, out: Path, cube_mm: float | None, room: Path | None, seed: int, quiet: bool) -> None:
+    """The table of a test by the standard."""
+    from casadical.core.telling.terminal import terminal
+    from casadical.pose_selection.workspace_file import read_workspace
+    from casadical.project.iso9283 import planned_test, words_of_plan
+    from casadical.project.planning import robot_of
+
+    console = wrapped(quiet)
+    robot = robot_of(problem)
+    with working(quiet, "poses of the standard"):
+        planned = planned_test(
+            robot, 1e-3 * cube_mm if cube_mm else None, read_workspace(room, robot) if room else None, seed
+        )
+    console.print(terminal(words_of_plan(robot, *planned)))
+    keep({out: planned[0].to_csv(index=False)}, console)
 
 
 def _isolability(

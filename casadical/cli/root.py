@@ -8,6 +8,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from casadical import __version__
 from casadical.cli.calibrate import calibrate
+from casadical.cli.certificate import certificate
 from casadical.cli.check import check
 from casadical.cli.compare import compare
 from casadical.cli.correct import correct
@@ -126,7 +127,7 @@ def _root(
     pass
 
 
-for command in (new, measure, check, calibrate, verify, compare, fleet, diagnose, plan, correct):
+for command in (new, measure, check, calibrate, verify, compare, fleet, diagnose, plan, correct, certificate):
     app.command(cls=Command)(guarded(command, also=("folder",) if command is new else ()))
 export_app.command("c", cls=Command)(guarded(export_c))
 export_app.command("model", cls=Command)(guarded(export_model))

@@ -46,6 +46,14 @@ Mujoco = Annotated[
         "diagnosed causes. Two thirds of the poses are fitted, the others replayed.",
     ),
 ]
+Iso9283 = Annotated[
+    bool,
+    typer.Option(
+        "--iso9283",
+        help="The table is a test by ISO 9283, as `casadical plan --iso9283` plans it: AP, RP, variation with the "
+        "approach, drift.",
+    ),
+]
 Out = Annotated[
     Path | None,
     typer.Option(
@@ -60,6 +68,7 @@ def verify(
     tables: Tables = None,
     promised_mm: Promised = None,
     mujoco: Mujoco = False,
+    iso9283: Iso9283 = False,
     effects: Effects = None,
     seed: Split = None,
     out: Out = None,
@@ -88,6 +97,11 @@ def verify(
     from casadical.project import verification
 
     console = wrapped(quiet)
+    if iso9283:
+        found = verification.iso9283(robot, tables)
+        console.print(terminal(found.blocks()))
+        keep_json(json_file, found.to_json(), console)
+        return
     with working(quiet, "fitting base and tool", tables[0].name):
         checked = verification.verify(robot, tables, promised_mm)
     console.print(terminal(checked.blocks()))

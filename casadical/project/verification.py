@@ -22,6 +22,7 @@ from casadical.identification.result import LeftOut, rows_in_words
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.project.check.targets import with_targets_of_rows
+from casadical.project.iso9283 import Iso9283, evaluated_table
 from casadical.project.problem import read_campaign
 from casadical.project.problem_file import result_in
 from casadical.robot.robot_file import read_robot
@@ -119,7 +120,7 @@ class Verification(Result):
         if few and self.without is not None and self.without <= self.limit:
             return (next_step("when the rows that are far off are measured again", "verify", *self.sources),)
         robot, *tables = self.sources
-        return (next_step("to learn what changed", "compare", _problem_of(robot) or robot, *tables),)
+        return (next_step("to learn what changed", "compare", problem_of(robot) or robot, *tables),)
 
     def to_json(self) -> dict[str, Any]:
         """The same as plain data."""
@@ -203,6 +204,22 @@ def verify(
         sources=(place, *map(Path, given)),
         notes=notes,
     )
+
+
+def iso9283(robot: str | Path, tables: Sequence[str | Path]) -> Iso9283:
+    """What a table of a test by ISO 9283 says, beside what the calibration states.
+
+    robot : as of `verify`; tables : one, as `casadical plan --iso9283` plans it
+    Raises InputError: several tables, or what is wrong in the one.
+    """
+    if len(tables) != 1:
+        raise InputError(f"{len(tables)} tables; a test by ISO 9283 is one")
+    place = Path(robot)
+    place = result_in(place) if place.is_dir() else place
+    stated = None
+    with suppress(InputError):
+        stated = promised_rms(place)
+    return evaluated_table(Path(tables[0]), read_robot(place), stated)
 
 
 @dataclass(frozen=True)
@@ -304,7 +321,7 @@ def promised_rms(robot: Path, kind: str = POSITION) -> float:
     return held[0]
 
 
-def _problem_of(robot: Path) -> Path | None:
+def problem_of(robot: Path) -> Path | None:
     """The problem folder of a calibration, beside its results or here: its poses tell more than its robot file."""
     results = robot.parent
     with suppress(OSError, ValueError, KeyError, TypeError):

@@ -1,0 +1,50 @@
+"""The command `casadical certificate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from casadical.cli.options import Json, Quiet
+from casadical.cli.progress import working
+from casadical.cli.terminal import keep, with_json, wrapped
+from casadical.core.telling.terminal import terminal
+
+
+def certificate(
+    results: Annotated[Path, typer.Argument(metavar="RESULTS", help="Folder that `casadical calibrate --out` wrote.")],
+    details: Annotated[
+        Path,
+        typer.Option(metavar="FILE.toml", help="Issuer, instrument, conditions, tolerance: docs/certificate.md."),
+    ],
+    out: Annotated[Path | None, typer.Option(metavar="FILE.pdf", help="Two pages (needs fpdf2).")] = None,
+    problem: Annotated[
+        Path | None,
+        typer.Option(metavar="PROBLEM_DIR", help="What was calibrated; default: as result.json names it."),
+    ] = None,
+    iso9283: Annotated[
+        Path | None,
+        typer.Option("--iso9283", metavar="TABLE.csv", help="A test that `casadical plan --iso9283` planned."),
+    ] = None,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Print certificate data of a calibration: results with uncertainty, budget, decision; in English or German.
+
+    The uncertainty is that of the rms position error over the held-out poses, by a budget as the GUM asks for. These
+    are data for a certificate: no accreditation is stated.
+
+    Example: casadical certificate results --details certificate.toml --out cert.pdf
+
+    Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug in casadical.
+    """
+    from casadical.project.certificate import certificate as certified
+
+    console = wrapped(quiet)
+    with working(quiet, "uncertainty"):
+        found = certified(results, details, problem=problem, iso9283=iso9283)
+    console.print(terminal(found.blocks()))
+    texts: dict[Path, str | bytes] = {out: found.pdf()} if out else {}
+    keep(with_json(texts, json_file, found.to_json()), console)

@@ -1,0 +1,172 @@
+"""Pages as a PDF: words, tables and pictures of points, one page of paper for each; what a user wrote is only text."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, date, datetime
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from casadical.core.errors import InputError, optional
+from casadical.core.telling.blocks import Page, Table, Words
+from casadical.core.telling.drawing import COLOURS
+from casadical.core.telling.figure import Figure
+
+# fpdf is imported when a PDF is made.
+if TYPE_CHECKING:
+    from fpdf import FPDF
+
+    Sheet: TypeAlias = FPDF
+else:
+    Sheet = Any
+
+NEEDED = "a PDF needs fpdf2, which is not installed: pip install 'casadical[certificate]'"
+# Of an A4 page [mm]: its sides, its foot, and the text's width.
+SIDE, FOOT, WIDTH, END = 18.0, 14.0, 174.0, 297.0 - 18.0
+# Sizes of type that are tried until everything is on its page.
+SIZES = (1.0, 0.94, 0.88, 0.82, 0.76, 0.7)
+_KINDS = {"title": ("B", 15), "verdict": ("B", 10), "warning": ("B", 8.5), "error": ("B", 8.5), "note": ("I", 8)}
+# Letters that the fonts of every reader have not, and what stands for them.
+_LETTERS = str.maketrans({"–": "-", "—": "-", "μ": "µ", "“": '"', "”": '"', "„": '"', "’": "'", "≤": "<=", "≥": ">="})
+
+
+def pdf_of(pages: Sequence[Page], *, language: str = "en", day: date | None = None) -> bytes:
+    """The file; day : of its making, which alone makes two files of one result differ.
+
+    Raises InputError where fpdf2 is not installed, or a page's words have no room on it.
+    """
+    for size in SIZES:
+        sheet, full = _drawn(pages, size)
+        if full is None:
+            break
+    else:
+        raise InputError(f"page {full}: its words have no room on a page; shorten the longest fields")
+    made = datetime(day.year, day.month, day.day, tzinfo=UTC) if day else datetime(2000, 1, 1, tzinfo=UTC)
+    sheet.set_creation_date(made)
+    sheet.set_lang(language)
+    sheet.set_title(_text(pages[0].title))
+    sheet.set_producer("casadical")
+    return bytes(sheet.output())
+
+
+def _text(words: str) -> str:
+    """As the built-in fonts have it; other letters are shown by their codes."""
+    return " ".join(words.translate(_LETTERS).split()).encode("latin-1", "backslashreplace").decode("latin-1")
+
+
+def _drawn(pages: Sequence[Page], size: float) -> tuple[Sheet, int | None]:
+    """The pages in a size of type; the number of the first that is too full."""
+    sheet: Sheet = optional("fpdf", NEEDED).FPDF(format="A4")
+    sheet.set_auto_page_break(False)
+    sheet.set_margins(SIDE, SIDE, SIDE)
+    full = None
+    for number, page in enumerate(pages, 1):
+        sheet.add_page()
+        _words(sheet, Words(page.title, "title"), size)
+        _words(sheet, Words(page.subtitle, "note"), size)
+        for section in page.sections:
+            sheet.ln(2 * size)
+            _line(sheet, section.title, "B", 10.5 * size)
+            figures = [b for b in section.blocks if isinstance(b, Figure)]
+            for block in section.blocks:
+                if isinstance(block, Words):
+                    _words(sheet, block, size)
+                elif isinstance(block, Table):
+                    _table(sheet, block, size)
+            if figures:
+                _figures(sheet, figures, size)
+        if sheet.get_y() > END and full is None:
+            full = number
+        sheet.set_y(-FOOT)
+        _line(sheet, " · ".join((*page.badges, f"{number} / {len(pages)}")), "", 7.5, "muted")
+    return sheet, full
+
+
+def _ink(sheet: Sheet, role: str = "ink") -> None:
+    sheet.set_text_color(*_rgb(role))
+
+
+def _rgb(role: str) -> tuple[int, int, int]:
+    light = COLOURS[role][0]
+    return int(light[1:3], 16), int(light[3:5], 16), int(light[5:7], 16)
+
+
+def _line(sheet: Sheet, text: str, style: str, size: float, role: str = "ink") -> None:
+    sheet.set_font("helvetica", style, size)
+    _ink(sheet, role)
+    sheet.multi_cell(WIDTH, 0.45 * size, _text(text), new_x="LMARGIN", new_y="NEXT", align="L")
+
+
+def _words(sheet: Sheet, block: Words, size: float) -> None:
+    style, points = _KINDS.get(block.kind, ("", 8.5))
+    _line(sheet, f"{block.mark} {block.text}".strip(), style, points * size, "muted" if block.kind == "note" else "ink")
+    sheet.ln(0.6 * size)
+
+
+def _table(sheet: Sheet, table: Table, size: float) -> None:
+    """Cells wrap in columns as wide as their longest words ask for."""
+    sheet.ln(0.5 * size)
+    if table.title:
+        _line(sheet, table.title, "B", 8.5 * size)
+    sheet.set_font("helvetica", "", 8 * size)
+    rows = [table.columns, *table.rows] if any(table.columns) else [*table.rows]
+    longest = [max(sheet.get_string_width(_text(str(row[k]))) for row in rows) + 3 for k in range(len(rows[0]))]
+    over = sum(longest) - WIDTH
+    if over > 0:
+        widest = int(np.argmax(longest))
+        longest[widest] = max(longest[widest] - over, 25.0)
+        longest = [WIDTH * w / sum(longest) for w in longest]
+    _ink(sheet)
+    sheet.set_draw_color(*_rgb("line"))
+    sheet.set_fill_color(*_rgb("paper"))
+    align = tuple("RIGHT" if k in table.numbers else "LEFT" for k in range(len(longest)))
+    with sheet.table(
+        col_widths=tuple(longest), width=sum(longest), align="LEFT", text_align=align, line_height=3.9 * size,
+        first_row_as_headings=any(table.columns), borders_layout="HORIZONTAL_LINES", padding=0.4, markdown=False,
+    ) as grid:  # fmt: skip
+        for row in rows:
+            line = grid.row()
+            for cell in row:
+                line.cell(_text(str(cell)))
+
+
+def _figures(sheet: Sheet, figures: Sequence[Figure], size: float) -> None:
+    """Side by side."""
+    wide, top = (WIDTH - 6 * (len(figures) - 1)) / len(figures), sheet.get_y() + 2
+    high = 62.0 * size
+    for k, figure in enumerate(figures):
+        _figure(sheet, figure, SIDE + k * (wide + 6), top, wide, high)
+    sheet.set_xy(SIDE, top + high + 2)
+    for caption in dict.fromkeys(f.caption for f in figures if f.caption):
+        _words(sheet, Words(caption, "note"), size)
+
+
+def _figure(sheet: Sheet, figure: Figure, left: float, top: float, wide: float, high: float) -> None:
+    """Points over two axes of equal scale."""
+    sheet.set_font("helvetica", "B", 8)
+    _ink(sheet)
+    sheet.set_xy(left, top)
+    sheet.cell(wide, 4, _text(figure.title))
+    x0, y0, w, h = left + 11, top + 5, wide - 12, high - 13
+    x, y = (np.concatenate([np.asarray(getattr(s, axis), dtype=float) for s in figure.series]) for axis in "xy")
+    scale = min(w / max(np.ptp(x), 1e-9), h / max(np.ptp(y), 1e-9)) * 0.94
+    middle = (x.max() + x.min()) / 2, (y.max() + y.min()) / 2
+    sheet.set_draw_color(*_rgb("line"))
+    sheet.rect(x0, y0, w, h)
+    for s in figure.series:
+        roles = [s.colour] * len(s.x) if isinstance(s.colour, str) else s.colour
+        for u, v, role in zip(s.x, s.y, roles, strict=True):
+            sheet.set_fill_color(*_rgb(role))
+            at = x0 + w / 2 + (u - middle[0]) * scale, y0 + h / 2 - (v - middle[1]) * scale
+            sheet.circle(x=at[0], y=at[1], radius=0.55, style="F")
+    sheet.set_font("helvetica", "", 6.5)
+    _ink(sheet, "muted")
+    for value, across in ((x.min(), True), (x.max(), True), (y.min(), False), (y.max(), False)):
+        if across:
+            sheet.set_xy(x0 + w / 2 + (value - middle[0]) * scale - 8, y0 + h + 0.5)
+        else:
+            sheet.set_xy(left - 5, y0 + h / 2 - (value - middle[1]) * scale - 1.5)
+        sheet.cell(16, 3, f"{value:.3g}", align="C" if across else "R")
+    sheet.set_xy(x0, y0 + h + 3.5)
+    sheet.cell(w, 3, _text(f"{figure.x.title}; {figure.y.title}"), align="C")

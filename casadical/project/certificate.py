@@ -1,0 +1,410 @@
+"""Certificate data of a calibration: what was measured, how, with which uncertainty, and what follows for a tolerance.
+
+It is data for a certificate, in the form that an auditor asks for. It never says that a laboratory is accredited.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import date
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.core.reading import load_json, load_toml
+from casadical.core.schema import LENGTH, TomlTable, check
+from casadical.core.telling.blocks import Page, Section, Table, Words, mm
+from casadical.core.telling.figure import Axis, Figure, Series
+from casadical.core.telling.page import provenance_of
+from casadical.core.telling.pdf import pdf_of
+from casadical.core.telling.result import Result
+from casadical.identification.accuracy import errors
+from casadical.identification.plausibility import check_against
+from casadical.measurements.measurements import Measurements
+from casadical.project.certificate_words import words_of
+from casadical.project.iso9283 import Iso9283, evaluated_table
+from casadical.project.problem import Problem, read_problem
+from casadical.project.problem_file import result_in
+from casadical.project.uncertainty_budget import Budget, Conditions, Contribution, budget_of, repeats_of
+from casadical.project.verification import problem_of, promised_rms
+from casadical.robot.robot import Robot
+from casadical.robot.robot_file import read_robot
+
+# Figures of the results and of the measurements agree so well, if both are of one calibration.
+AGREE = 1e-3
+PER_MILLION = 1e-6
+# Poses whose heights differ by a smaller share of their extent are shown from above.
+FLAT = 0.02
+Text = Annotated[str, Field(max_length=300)]
+Positive = Annotated[float, Field(ge=0.0, le=1e6)]
+
+
+class InstrumentTable(TomlTable):
+    """[instrument] of certificate.toml."""
+
+    name: Text = ""
+    serial: Text = ""
+    calibrated: Text = ""
+    traceability: Text = ""
+    noise: Annotated[float | None, LENGTH] = None
+    scale_um_per_m: Positive = 0.0
+
+
+class ConditionsTable(TomlTable):
+    """[conditions]: temperature while measuring, and by how much it may differ where the result is used."""
+
+    place: Text = ""
+    temperature_degC: Annotated[float | None, Field(ge=-273.15, le=1e4)] = None
+    range_K: Positive = 0.0
+    expansion_um_per_m_K: Positive = 12.0
+    repeatability: Annotated[float | None, LENGTH] = None
+
+
+class DecisionTable(TomlTable):
+    """[decision]: the tolerance of the rms position error."""
+
+    tolerance: Annotated[float | None, LENGTH] = None
+
+
+class Details(TomlTable):
+    """What certificate.toml holds."""
+
+    casadical: Literal[1]
+    language: Literal["en", "de"] = "en"
+    number: Text = ""
+    issued: Text = ""
+    issuer: Text = ""
+    customer: Text = ""
+    operator: Text = ""
+    robot_serial: Text = ""
+    measured_on: Text = ""
+    remarks: Annotated[list[Text], Field(max_length=6)] = Field(default_factory=list)
+    instrument: InstrumentTable = Field(default_factory=InstrumentTable)
+    conditions: ConditionsTable = Field(default_factory=ConditionsTable)
+    decision: DecisionTable = Field(default_factory=DecisionTable)
+
+    @property
+    def known(self) -> Conditions:
+        """What the budget needs of it, SI; a range is that of an even distribution."""
+        c, i = self.conditions, self.instrument
+        for name, value in (("instrument.noise", i.noise), ("conditions.repeatability", c.repeatability),
+                            ("decision.tolerance", self.decision.tolerance)):  # fmt: skip
+            if value is not None and value <= 0:
+                raise InputError(f"{name}_mm = {1e3 * value:g}: it must be above zero, or left out")
+        growth = PER_MILLION * c.expansion_um_per_m_K * c.range_K / np.sqrt(3)
+        return Conditions(i.noise or 0.0, PER_MILLION * i.scale_um_per_m, c.repeatability or 0.0, float(growth))
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate(Result):
+    """Certificate data of a robot's calibration.
+
+    Parameters
+    ----------
+    problem : Problem
+        whose results they are
+    method : str
+        by which the robot was calibrated
+    details : Details
+        what the operator stated
+    before : Budget
+        of the nominal robot, base and tool placed
+    after : Budget
+        of the calibrated robot
+    places : Array, shape (n, 3) [m]
+        of the held-out poses, in the robot's base frame
+    errors : tuple[Array, Array]
+        at these, before and after, shapes (n,) [m]
+    files : tuple[Path, ...]
+        from which it was made
+    iso9283 : Iso9283, optional
+        of a test by the standard
+    """
+
+    problem: Problem
+    method: str
+    details: Details
+    before: Budget
+    after: Budget
+    places: Array
+    errors: tuple[Array, Array]
+    files_: tuple[Path, ...]
+    iso9283: Iso9283 | None = None
+
+    @property
+    def decision(self) -> Literal["", "conforms", "open", "fails"]:
+        """By the guarded tolerance: E + U within it, E - U beyond it, or neither; "" without a tolerance."""
+        tolerance, after = self.details.decision.tolerance, self.after
+        if tolerance is None:
+            return ""
+        if after.error + after.expanded <= tolerance:
+            return "conforms"
+        return "fails" if after.resolved and after.error - after.expanded > tolerance else "open"
+
+    @property
+    def missing(self) -> list[str]:
+        """Statements that are not there, by key of the words about them."""
+        d = self.details
+        empty = {"traceability": d.instrument.traceability, "calibrated": d.instrument.calibrated,
+                 "temperature": d.conditions.temperature_degC, "tolerance": d.decision.tolerance}  # fmt: skip
+        return [key for key, value in empty.items() if value is None or value == ""]
+
+    def pages(self) -> list[Page]:
+        """Two pages of paper."""
+        w, d = words_of(self.details.language), self.details
+        badge = (w["data"], f"casadical, {w['number']} {d.number or '-'}")
+        first = (
+            Section(w["object"], [self._fields(w)]),
+            Section(w["results"], [self._results(w), Words(w["measurand"])]),
+            Section(w["decided"], self._decided(w)),
+            Section(w["unstated"], [Words(w[f"no_{key}"], "warning") for key in self.missing] or [Words(w["all"])]),
+        )
+        figures = [self._picture(w, k) for k in (0, 1)]
+        second = [
+            Section(w["budget"], [self.budget_table(w), Words(w["formula"]), Words(w["expanded"].format(
+                k=f"{self.after.factor:.2f}", freedom=_many(self.after.freedom)))]),
+            Section(w["pictures"], figures),
+        ]  # fmt: skip
+        if self.iso9283:
+            second.append(Section("ISO 9283:1998", self._iso(w, self.iso9283)))
+        made = provenance_of(self.files_)
+        rows = [(Path(path).name, code[:32]) for path, code in made.files]
+        second.append(Section(w["files"], [Table("", (w["file"], "SHA-256 (32)"), rows)]))
+        title = f"{w['title']}: {self.problem.robot.name}"
+        return [Page("Certificate", title, w["about"], first, badges=badge),
+                Page("Certificate", w["second"], w["about"], second, badges=badge)]  # fmt: skip
+
+    def pdf(self) -> bytes:
+        """The file of two pages. Raises InputError."""
+        day = None
+        if self.details.issued:
+            try:
+                day = date.fromisoformat(self.details.issued)
+            except ValueError:
+                raise InputError(f"issued = {self.details.issued!r}: write the day as 2026-03-14") from None
+        return pdf_of(self.pages(), language=self.details.language, day=day)
+
+    def blocks(self) -> list[Words | Table]:
+        """What the terminal shows: results, decision and budget, in English."""
+        w = words_of("en")
+        return [Words(self._line.strip(), "verdict"), *self._decided(w), self.budget_table(w),
+                *(Words(w[f"no_{key}"], "warning") for key in self.missing)]  # fmt: skip
+
+    @property
+    def _line(self) -> str:
+        return (
+            f" Certificate data of {self.problem.robot.name}: rms position error {_stated(self.before)} before, "
+            f"{_stated(self.after)} after ({self.method}, {self.after.n} held-out poses)."
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """The same as plain data; lengths in mm, squares in mm^2."""
+        return {
+            "certificate": self.details.number,
+            "robot": self.problem.robot.name,
+            "method": self.method,
+            "data": self.problem.data,
+            **{name: _budget_json(b) for name, b in (("before", self.before), ("after", self.after))},
+            "decision": self.decision,
+            "missing": self.missing,
+            "details": self.details.model_dump(),
+            "iso9283": self.iso9283.to_json() if self.iso9283 else None,
+        }
+
+    def _fields(self, w: Mapping[str, str]) -> Table:
+        d, c, i = self.details, self.details.conditions, self.details.instrument
+        degrees = "" if c.temperature_degC is None else f"{c.temperature_degC:g} °C, +- {c.range_K:g} K"
+        method = f"{self.method} ({w[self.method] if self.method in w else w['other']}), {self._version}"
+        rows = [
+            (w["number"], d.number), (w["issued"], d.issued), (w["issuer"], d.issuer), (w["customer"], d.customer),
+            (w["robot"], f"{self.problem.robot.name}, {w['serial']} {d.robot_serial or '-'}"),
+            (w["measured"], f"{d.measured_on}, {d.operator}".strip(", ")),
+            (w["origin"], w[self.problem.data or "unstated_origin"]),
+            (w["instrument"], f"{i.name}, {w['serial']} {i.serial or '-'}"),
+            (w["calibrated"], i.calibrated), (w["traceability"], i.traceability),
+            (w["place"], c.place), (w["temperature"], degrees), (w["method"], method),
+            (w["space"], self._space(w)), *((w["remark"], text) for text in d.remarks),
+        ]  # fmt: skip
+        return Table("", ("", ""), [(name, text or w["not_stated"]) for name, text in rows])
+
+    @property
+    def _version(self) -> str:
+        return "casadical " + next((v for name, v in provenance_of(()).versions if name == "casadical"), "")
+
+    def _space(self, w: Mapping[str, str]) -> str:
+        low, high = 1e3 * self.places.min(axis=0), 1e3 * self.places.max(axis=0)
+        span = ", ".join(f"{c} {a + 0.0:.0f} .. {b:.0f}" for c, a, b in zip("xyz", low, high, strict=True))
+        return w["space_of"].format(n=self.after.n, span=span)
+
+    def _results(self, w: Mapping[str, str]) -> Table:
+        rows = [
+            (w[name], _stated(b), f"{mm(b.rms)}", f"{mm(b.worst)}", str(b.n))
+            for name, b in (("before", self.before), ("after", self.after))
+        ]
+        return Table("", ("", w["error"], w["rms"], w["worst"], "n"), rows, frozenset({2, 3, 4}), frozenset({1}))
+
+    def _decided(self, w: Mapping[str, str]) -> list[Words | Table]:
+        if not self.decision:
+            return [Words(w["no_decision"])]
+        tolerance = mm(self.details.decision.tolerance or 0.0)
+        given = {"T": tolerance, "U": mm(self.after.expanded), "E": mm(self.after.error)}
+        return [Words(w[self.decision].format(**given), "verdict"), Words(w["rule"].format(**given))]
+
+    def budget_table(self, w: Mapping[str, str]) -> Table:
+        """A row a source: what it adds to E^2, its standard uncertainty there, and its share in u(E)."""
+        after = self.after
+        rows = [(w["mean_square"], "", f"{1e6 * after.rms**2:.4g}", "", "", "")]
+        rows += [
+            (
+                w[f"of_{line.source}"] + (f" ({w['not_stated']})" if not line.stated else ""), line.kind,
+                f"{1e6 * line.square:+.3g}" if line.square else "0", f"{1e6 * line.u:.2g}", _many(line.freedom),
+                mm(after.u(line)) if after.resolved else "-",
+            )
+            for line in after.lines
+        ]  # fmt: skip
+        rows += [
+            ("E, u(E)", "", f"{1e6 * after.square:.4g}", f"{1e6 * after.u_square:.2g}", _many(after.freedom),
+             mm(after.u()) if after.resolved else "-"),
+            ("E, U = k u(E)", f"k = {after.factor:.2f}", f"E = {mm(after.error)} mm", "", "", mm(after.expanded)),
+        ]  # fmt: skip
+        head = (w["source"], w["type"], w["adds"], w["u_square"], w["freedom"], w["share"])
+        return Table("", head, rows, frozenset({2, 3, 4, 5}), frozenset({len(rows) - 1}))
+
+    def _picture(self, w: Mapping[str, str], k: int) -> Figure:
+        """Held-out poses from the side, or from above where they are flat, coloured by the error."""
+        e, most = self.errors[k], (1.0, 2.0, 3.0)
+        rms = float(np.sqrt(np.mean(e**2)))
+        roles = ("sky", "blue", "orange", "red")
+        colour = [roles[int(np.searchsorted(most, v / rms))] for v in e]
+        x, y, z = self.places.T
+        flat = np.ptp(z) < FLAT * np.ptp(self.places)
+        r, up = (x, y) if flat else (np.hypot(x, y), z)
+        order = np.argsort(e)
+        series = Series("points", 1e3 * r[order], 1e3 * up[order], colour=[colour[i] for i in order])
+        name = w[("before", "after")[k]]
+        title = f"{name}: rms {mm(rms)} mm"
+        across, height = ("x [mm]", "y [mm]") if flat else (w["distance"], w["height"])
+        return Figure(name, title, [series], Axis(across), Axis(height), caption=w["caption"])
+
+    def _iso(self, w: Mapping[str, str], iso: Iso9283) -> list[Words | Table]:
+        table = replace(iso.table(), title="")
+        drift = f"dAP = {mm(iso.drift[0])} mm, dRP = {mm(iso.drift[1])} mm. " if iso.drift else ""
+        beside = "" if iso.model is None else w["iso_model"].format(model=mm(iso.model))
+        return [table, Words(drift + beside + w["iso"])]
+
+
+def _stated(b: Budget) -> str:
+    """E +- U, or its upper limit where it is not resolved."""
+    return f"{mm(b.error)} ± {mm(b.expanded)} mm" if b.resolved else f"<= {mm(b.error + b.expanded)} mm"
+
+
+def _many(freedom: float) -> str:
+    return f"{freedom:.0f}" if freedom < 1000 else "> 1000"
+
+
+def _budget_json(b: Budget) -> dict[str, Any]:
+    def line(c: Contribution) -> dict[str, Any]:
+        return {"source": c.source, "type": c.kind, "adds_mm2": 1e6 * c.square, "u_mm2": 1e6 * c.u,
+                "freedom": c.freedom, "stated": c.stated}  # fmt: skip
+
+    return {"error_mm": 1e3 * b.error, "U_mm": 1e3 * b.expanded, "k": b.factor, "freedom": b.freedom,
+            "resolved": b.resolved, "poses": b.n, "rms_mm": 1e3 * b.rms, "worst_mm": 1e3 * b.worst,
+            "budget": [line(c) for c in b.lines]}  # fmt: skip
+
+
+def certificate(
+    results: str | Path, details: str | Path, *, problem: str | Path | None = None, iso9283: str | Path | None = None
+) -> Certificate:
+    """Certificate data of a calibration's results.
+
+    Parameters
+    ----------
+    results : str | Path
+        folder as `casadical calibrate --out` writes it, or the robot file in it
+    details : str | Path
+        certificate.toml
+    problem : str | Path, optional
+        folder that was calibrated; None: as result.json names it, beside the results or here
+    iso9283 : str | Path, optional
+        table of a test, as `casadical plan --iso9283` plans it
+
+    Returns
+    -------
+    Certificate
+        two pages, plain data and words
+
+    Raises
+    ------
+    InputError
+        results and measurements that do not belong together, no held-out positions, details that cannot be
+
+    Examples
+    --------
+    >>> (details := Path("certificate.toml")).write_text("casadical = 1")
+    13
+    >>> found = casadical.certificate("results", details, problem="problems/planar")
+    >>> found.after.n, found.decision, found.missing[0], found.pdf()[:5]
+    (15, '', 'traceability', b'%PDF-')
+    """
+    place = Path(results)
+    place = result_in(place) if place.is_dir() else place
+    said = check(Details, load_toml(details), str(details))
+    folder = Path(problem) if problem is not None else problem_of(place)
+    if folder is None:
+        raise InputError(f"{place}: the problem folder that was calibrated is not beside it; name it with --problem")
+    stated = load_json(place.parent / "result.json")
+    found, robot, method = read_problem(folder), read_robot(place), place.name.removesuffix(".robot.toml")
+    sets = [m.positions_alone() for m in found.sets.get("report", ()) if m.position is not None]
+    if not sets:
+        raise InputError(f"{folder}: no measured positions were held out; a certificate needs [sets] report")
+    _refuse_others(stated, method, robot, sets, place)
+    for m in sets:
+        check_against(found.robot, m)
+    every = [m for parts in found.sets.values() for m in parts]
+    budget = partial(budget_of, held_out=sets, known=said.known, repeats=repeats_of(robot, every))
+    nominal = budget(found.robot, groups=("base", "tool"))
+    own = budget(robot)
+    p = np.concatenate([m.position for m in sets if m.position is not None])
+    T = robot.base.T
+    e = tuple(np.concatenate([errors(r, m) for m in sets]) for r in (_placed(found.robot, sets), robot))
+    iso = evaluated_table(Path(iso9283), robot, _promised(place)) if iso9283 else None
+    tables = [path for t in found.tables if (path := folder / str(t["file"])).is_file()]
+    files = (place, place.parent / "result.json", Path(details), *tables, *([Path(iso9283)] if iso9283 else []))
+    return Certificate(found, method, said, nominal, own, (p - T[:3, 3]) @ T[:3, :3], (e[0], e[1]), files, iso)
+
+
+def _placed(robot: Robot, sets: Sequence[Measurements]) -> Robot:
+    from casadical.identification.identification import identify
+
+    groups = [g for g in ("base", "tool") if g in robot.parameters.groups]
+    return identify(robot, sets, groups).robot if groups else robot
+
+
+def _promised(place: Path) -> float | None:
+    try:
+        return promised_rms(place)
+    except InputError:
+        return None
+
+
+def _refuse_others(
+    stated: Mapping[str, Any], method: str, robot: Robot, sets: Sequence[Measurements], place: Path
+) -> None:
+    """Raises InputError where the measurements do not give the figures of the results: another seed, another table."""
+    report = dict(stated.get("methods", {}).get(method, {}).get("sets", {})).get("report", {})
+    n, mean = report.get("n"), report.get("mean_mm")
+    own = np.concatenate([errors(robot, m) for m in sets])
+    if not isinstance(mean, int | float) or (n == len(own) and abs(1e3 * own.mean() - mean) > AGREE * mean + 1e-5):
+        given = f"{mean:.4f}" if isinstance(mean, int | float) else "none"
+        raise InputError(
+            f"{place.parent / 'result.json'}: its held-out poses have a mean error of {given} mm, the measurements "
+            f"give {1e3 * own.mean():.4f} mm: they were measured or split otherwise (--seed); calibrate again"
+        )
+    if n != len(own):
+        raise InputError(f"{place.parent / 'result.json'}: {n} held-out poses, the problem has {len(own)}")

@@ -1,0 +1,299 @@
+"""Tests by ISO 9283:1998: the poses of the standard's cube, and what a table that was measured at them says.
+
+The table has a row a visit: `test` (accuracy, directions or drift), `pose` (1 to 5), `cycle`, of directions `path` (1
+to 3), of drift `group` (0 at the start), the command cx_mm, cy_mm, cz_mm in the robot's base frame and the measured
+x_mm, y_mm, z_mm. Formulas, with a bar for the mean over a pose's n visits and c for the command (sections 7.2, 7.3):
+
+    AP = |p_bar - p_c|                        accuracy of a pose
+    RP = l_bar + 3 S_l, l_j = |p_j - p_bar|   repeatability, S_l with n - 1
+    vAP = max |p_bar_h - p_bar_k|             multi-directional variation, over the approach paths h and k
+    dAP = max |AP_0 - AP_T|, dRP likewise     drift, over the groups after the first
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.core.telling.blocks import Table, Words, mm
+from casadical.core.telling.result import Result
+from casadical.identification.accuracy import predicted
+from casadical.measurements.columns import Columns
+from casadical.measurements.measurements import unmeasured
+from casadical.measurements.raw_table import read_table
+from casadical.pose_selection.candidates import draw, expected
+from casadical.pose_selection.closures import held_in
+from casadical.pose_selection.workspace import Workspace
+from casadical.robot.robot import Robot
+
+CYCLES, PATHS, GROUPS, OF_GROUP = 30, 3, 49, 10
+# Sides of the standard's cube [m], and where P2 to P5 lie on its diagonals: 10 % from the ends (section 6.8).
+CUBES, INWARDS = (1.0, 0.63, 0.4, 0.25), 0.1
+# Centres tried for each size; readings that hold P1, from which the others are reached by damped Newton steps.
+CENTRES, EACH = 12, 20
+STEPS, STEP, DAMPED, CLOSE = 30, 1e-6, 1e-8, 1e-6
+TESTS = ("accuracy", "directions", "drift")
+FEWEST = 2
+
+
+def poses_in(centre: Array, side: float) -> Array:
+    """P1 to P5 on the plane C1-C2-C7-C8 of a cube, shape (5, 3) [m]; P1 is the centre of the cube."""
+    h = side / 2 * (1 - 2 * INWARDS)
+    return np.asarray(centre + h * np.array([[0, 0, 0], [-1, -1, -1], [-1, 1, -1], [1, 1, 1], [1, -1, 1]]))
+
+
+def planned_test(
+    robot: Robot, side: float | None = None, workspace: Workspace | None = None, seed: int = 0
+) -> tuple[pd.DataFrame, Array, float]:
+    """The table of a test, without what is measured; the cube's centre in the base frame [m], and its side [m].
+
+    side : of the cube [m]; None: the largest of the standard that the robot holds
+    Raises InputError: no cube is within reach.
+    """
+    room, rng = workspace or Workspace(), np.random.default_rng(seed)
+    inside = expected(robot, draw(robot, 500, room, rng), {}, "position").position
+    assert inside is not None
+    order = np.argsort(np.linalg.norm(inside - np.median(inside, axis=0), axis=1))
+    R, origin = robot.base.T[:3, :3], robot.base.T[:3, 3]
+    for size in (side,) if side else CUBES:
+        for middle in inside[order[: 20 * CENTRES : 20]]:
+            local = (middle - origin) @ R
+            places = poses_in(local, size) @ R.T + origin
+            q, _ = held_in(robot, places[:1], EACH, room, rng)
+            held = _one_orientation(robot, q, places, room) if len(q) else None
+            if held is not None:
+                return _table(robot, held, poses_in(local, size)), local, size
+    wanted = "of the standard" if side is None else f"of {1e3 * side:.0f} mm"
+    raise InputError(f"{robot.name}: no cube {wanted} is within its reach in one orientation; give --cube-mm or --room")
+
+
+def _one_orientation(robot: Robot, q: Array, places: Array, room: Workspace) -> Array | None:
+    """Readings that hold the places in the orientation of the first, shape (5, joints); None: there are none.
+
+    q : readings that hold the first, shape (k, joints). A robot of fewer than six joints turns as it must.
+    """
+    R = predicted(robot, unmeasured(q))[1]
+    rows, (lower, upper) = 6 if robot.n >= 6 else 3, room.ranges(robot)
+    held, good = [q], np.ones(len(q), dtype=bool)
+    for place in places[1:]:
+        now = held[0]
+        for _ in range(STEPS):
+            r = _off(robot, now, place, R)[:, :rows]
+            J = np.stack([_off(robot, now + STEP * e, place, R)[:, :rows] - r for e in np.eye(robot.n)], axis=2) / STEP
+            Jt = J.transpose(0, 2, 1)
+            step = Jt @ np.linalg.solve(J @ Jt + DAMPED * np.eye(rows), r[:, :, None])
+            now = robot.coupled(np.clip(now - np.clip(step[:, :, 0], -0.3, 0.3), lower, upper))
+        good &= (np.abs(_off(robot, now, place, R)[:, :rows]).max(axis=1) < CLOSE) & room.allows(robot, now)
+        held.append(now)
+    some = np.flatnonzero(good)
+    if not len(some):
+        return None
+    every = np.stack(held)[:, some]
+    return np.asarray(every[:, int(np.argmin(np.ptp(every, axis=0).max(axis=1)))])
+
+
+def _off(robot: Robot, q: Array, place: Array, R: Array) -> Array:
+    """Distance from a place and turn from orientations, shape (k, 6) [m and rad]."""
+    p, now = predicted(robot, unmeasured(q))
+    return np.hstack([p - place, 0.5 * np.cross(R.transpose(0, 2, 1), now.transpose(0, 2, 1)).sum(axis=1)])
+
+
+def words_of_plan(robot: Robot, table: pd.DataFrame, centre: Array, side: float) -> list[Words]:
+    """What the operator must know of a planned test."""
+    x, y, z = (f"{1e3 * v:.0f}" for v in centre)
+    return [
+        Words(
+            f"A test of {robot.name} by ISO 9283:1998: {len(table)} visits of five poses in a cube of "
+            f"{1e3 * side:.0f} mm about ({x}, {y}, {z}) mm in the base frame.",
+            "verdict",
+        ),
+        Words(
+            "Command cx_mm, cy_mm, cz_mm in one orientation, at rated load and 100 % of the rated speed, after the "
+            "warm-up that the maker states; the readings are those of the model in one orientation: put in those of "
+            "the controller where it reaches the poses otherwise. Visits of `directions` come from three paths that "
+            "are perpendicular to each other; a group of `drift` follows every "
+            "ten minutes for 8 hours. Fill in x_mm, y_mm, z_mm in the frame in which the robot was calibrated."
+        ),
+    ]
+
+
+def _table(robot: Robot, q: Array, command: Array) -> pd.DataFrame:
+    """Every visit in the order of the standard: P5 to P1 in each cycle; P1, P2 and P4 from three paths; P1 for 8 h."""
+    rows: list[tuple[str, int, int, int, int]] = []
+    rows += [("accuracy", p, c, 0, 0) for c in range(1, CYCLES + 1) for p in (5, 4, 3, 2, 1)]
+    rows += [("directions", p, c, h, 0) for p in (1, 2, 4) for c in range(1, CYCLES + 1) for h in range(1, PATHS + 1)]
+    rows += [("drift", 1, c, 0, g) for g in range(GROUPS) for c in range(1, OF_GROUP + 1)]
+    table = pd.DataFrame(rows, columns=["test", "pose", "cycle", "path", "group"])
+    at = table["pose"].to_numpy() - 1
+    for j, (key, factor) in enumerate(robot.reading_units.items()):
+        table[key] = (q[at, j] / factor).round(5)
+    for i, axis in enumerate("xyz"):
+        table[f"c{axis}_mm"] = (1e3 * command[at, i]).round(4)
+    for axis in "xyz":
+        table[f"{axis}_mm"] = ""
+    return table
+
+
+@dataclass(frozen=True)
+class PoseFigures:
+    """Of one pose and n visits [m]: accuracy AP with its parts, shape (3,), repeatability RP, the mean place."""
+
+    pose: int
+    n: int
+    AP: float
+    parts: tuple[float, float, float]
+    RP: float
+    mean: tuple[float, float, float]
+
+
+def pose_figures(pose: int, p: Array, command: Array) -> PoseFigures:
+    """AP and RP of visits p, shape (n, 3) [m], to a command, shape (3,) [m]. Raises InputError: a single visit."""
+    if len(p) < FEWEST:
+        raise InputError(f"pose {pose}: {len(p)} visit; RP needs {FEWEST} or more, the standard {CYCLES}")
+    mean = p.mean(axis=0)
+    length = np.linalg.norm(p - mean, axis=1)
+    off = mean - command
+    RP = float(length.mean() + 3 * length.std(ddof=1))
+    x, y, z = map(float, off)
+    return PoseFigures(pose, len(p), float(np.linalg.norm(off)), (x, y, z), RP, (mean[0], mean[1], mean[2]))
+
+
+@dataclass(frozen=True, eq=False)
+class Iso9283(Result):
+    """What a table says by the standard, beside what the calibration says of the same visits; lengths in m.
+
+    accuracy : of each pose; directions : vAP by pose; drift : dAP and dRP; model : rms error of the calibrated model
+    at the mean places; promised : rms that the calibration states
+    """
+
+    robot: str
+    accuracy: tuple[PoseFigures, ...]
+    directions: Mapping[int, float]
+    drift: tuple[float, float] | None = None
+    model: float | None = None
+    promised: float | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def worst(self) -> tuple[float, float]:
+        """Greatest AP and RP [m]."""
+        return max(f.AP for f in self.accuracy), max(f.RP for f in self.accuracy)
+
+    def blocks(self) -> list[Words | Table]:
+        """As `casadical verify --iso9283` prints it."""
+        AP, RP = self.worst
+        said = f"ISO 9283 figures of {self.robot}: AP {mm(AP)} mm, RP {mm(RP)} mm (the greatest of the poses)"
+        said += f", vAP {mm(max(self.directions.values()))} mm" if self.directions else ""
+        said += f", dAP {mm(self.drift[0])} mm, dRP {mm(self.drift[1])} mm" if self.drift else ""
+        found: list[Words | Table] = [Words(f"{said}.", "verdict"), self.table()]
+        if self.model is not None:
+            text = f"The calibrated model leaves {mm(self.model)} mm rms at the mean places"
+            text += (
+                f"; its calibration stated {mm(self.promised)} mm for single held-out poses" if self.promised else ""
+            )
+            found.append(Words(f"{text}. AP is the error of the commands, RP that of the robot in itself."))
+        return [*found, *(Words(f"note: {note}.", "note") for note in self.notes)]
+
+    def table(self) -> Table:
+        """A row a pose."""
+        rows = [
+            (f"P{f.pose}", str(f.n), mm(f.AP), *(f"{1e3 * v:+.4f}" for v in f.parts), mm(f.RP),
+             mm(self.directions[f.pose]) if f.pose in self.directions else "-")
+            for f in self.accuracy
+        ]  # fmt: skip
+        head = ("pose", "n", "AP [mm]", "APx", "APy", "APz", "RP [mm]", "vAP [mm]")
+        return Table("ISO 9283:1998", head, rows, frozenset(range(1, 8)))
+
+    def to_json(self) -> dict[str, Any]:
+        """The same as plain data; lengths in mm."""
+        return {
+            "robot": self.robot,
+            "poses": [
+                {"pose": f.pose, "n": f.n, "AP_mm": 1e3 * f.AP, "parts_mm": [1e3 * v for v in f.parts],
+                 "RP_mm": 1e3 * f.RP, "vAP_mm": 1e3 * self.directions[f.pose] if f.pose in self.directions else None}
+                for f in self.accuracy
+            ],
+            "dAP_mm": 1e3 * self.drift[0] if self.drift else None,
+            "dRP_mm": 1e3 * self.drift[1] if self.drift else None,
+            "model_rms_mm": None if self.model is None else 1e3 * self.model,
+            "promised_rms_mm": None if self.promised is None else 1e3 * self.promised,
+            "notes": list(self.notes),
+        }  # fmt: skip
+
+
+def evaluated_table(path: Path, robot: Robot, promised: float | None = None) -> Iso9283:
+    """What a table of a test says. Raises InputError: a missing column, no finite number, a test without visits.
+
+    robot : calibrated, whose base frame is that of the commands; promised : rms of its calibration [m]
+    """
+    columns = Columns.of_file(read_table(path))
+    measured, command = columns.vector(""), columns.vector("c")
+    local = (measured - robot.base.T[:3, 3]) @ robot.base.T[:3, :3]
+    pose = columns.column("pose").astype(int)
+    names = [str(word).strip().lower() for word in columns.table.get("test", pd.Series(["accuracy"] * len(pose)))]
+    if wrong := sorted(set(names) - set(TESTS)):
+        raise InputError(f"{columns.source}: column 'test': {wrong[0]!r}; allowed: {', '.join(TESTS)}")
+    test = np.array(names)
+    if not (test == "accuracy").any():
+        raise InputError(f"{columns.source}: no visit of the test 'accuracy', which AP and RP are of")
+    accuracy = _by_pose(pose, local, command, test == "accuracy")
+    directions: dict[int, float] = {}
+    for k in np.unique(pose[test == "directions"]):
+        own = (test == "directions") & (pose == k)
+        path_ = columns.column("path")
+        means = [local[own & (path_ == h)].mean(axis=0) for h in np.unique(path_[own])]
+        directions[int(k)] = max((float(np.linalg.norm(a - b)) for a, b in combinations(means, 2)), default=0.0)
+    drift = None
+    if (test == "drift").any():
+        group = columns.column("group")
+        each = [_by_pose(pose, local, command, (test == "drift") & (group == g)) for g in np.unique(group)
+                if ((test == "drift") & (group == g)).any()]  # fmt: skip
+        drift = _drift(each)
+    few = [f"P{f.pose}" for f in accuracy if f.n < CYCLES]
+    notes = [f"fewer visits than the {CYCLES} of the standard at {', '.join(few)}"] if few else []
+    if np.median([f.AP for f in accuracy]) > 0.05 * robot.reach:
+        notes.append(
+            "AP is as great as if the instrument stood elsewhere: positions are taken to the base frame by the base of "
+            "the robot file; measure with the instrument where it stood, or calibrate from there"
+        )
+    model = _model_error(robot, columns, test == "accuracy", measured, accuracy)
+    return Iso9283(robot.name, accuracy, directions, drift, model, promised, tuple(notes))
+
+
+def _by_pose(pose: Array, p: Array, command: Array, own: Array) -> tuple[PoseFigures, ...]:
+    return tuple(
+        pose_figures(int(k), p[own & (pose == k)], command[own & (pose == k)].mean(axis=0))
+        for k in np.unique(pose[own])
+    )
+
+
+def _drift(groups: Sequence[Sequence[PoseFigures]]) -> tuple[float, float]:
+    (first, *later) = groups
+    then = {f.pose: f for f in first}
+    both = [(then[f.pose], f) for row in later for f in row if f.pose in then]
+    return (
+        max((abs(a.AP - b.AP) for a, b in both), default=0.0),
+        max((abs(a.RP - b.RP) for a, b in both), default=0.0),
+    )
+
+
+def _model_error(
+    robot: Robot, columns: Columns, own: Array, measured: Array, accuracy: Sequence[PoseFigures]
+) -> float | None:
+    """Rms distance of the mean places from the calibrated model's [m]; None where the table has no joint readings."""
+    if any(key not in columns.table for key in robot.reading_units):
+        return None
+    q = columns.joints([j.kind for j in robot.joints])[own]
+    p = expected(robot, q, {}, "position").position
+    assert p is not None
+    pose = columns.column("pose")[own]
+    off = [np.linalg.norm((measured[own] - p)[pose == f.pose].mean(axis=0)) for f in accuracy]
+    return float(np.sqrt(np.mean(np.square(off))))

@@ -1,0 +1,233 @@
+"""The accuracy of a robot's model over the space in which it was measured, with the uncertainty of that figure (GUM).
+
+The measurand is E, the rms distance between where the model says that the tool is and where it stands, over the space
+that the poses stand for, base placed as well as can be. With held-out errors e_i at n poses, of which k numbers placed
+the base (JCGM 100:2008, sections 4 and 5):
+
+    E^2 = 3n / (3n - k) mean(e_i^2) - 3 (s_n^2 + s_r^2) + R^2 (u_s^2 + u_t^2)
+
+s_n, s_r : noise of the instrument and repeatability, of a coordinate; R : rms distance of the poses from their centre;
+u_s : of the instrument's scale; u_t : of the robot's growth with temperature. The last two are hidden: an instrument
+that measures everything too long leaves no residual. u(E) = u(E^2) / (2 E), and U = k u(E) with the quantile of
+Student's t for 95.45 % at the effective degrees of freedom (Welch and Satterthwaite), 2 where they are many.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.core.statistics import student_t
+from casadical.identification.accuracy import errors, residual_mm
+from casadical.identification.error_bound import evaluated
+from casadical.identification.identification import calibrated
+from casadical.identification.prepared import prepare
+from casadical.measurements.measurements import STANDS, Measurements, same_readings, unmeasured
+from casadical.robot.error_bound import doubted
+from casadical.robot.robot import Robot
+
+# Of 95.45 %, which is k = 2 with many degrees of freedom.
+QUANTILE = 0.97725
+# Degrees of freedom of a noise that a data sheet states: it is known to 25 % (JCGM 100:2008, G.4.2).
+STATED = 8.0
+# Held-out poses without which a mean square has no scatter that is known.
+LEAST = 8
+SPACE = 300
+ENDLESS = 1e6
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What the readings do not tell, standard uncertainties; zero: not stated.
+
+    noise : of a coordinate as the instrument reads it [m]; scale : of its lengths [1]
+    repeatability : of the robot, of a coordinate [m]; used where the table has no repeated readings
+    growth : of the robot's lengths by the temperatures in which the result is to hold [1]
+    """
+
+    noise: float = 0.0
+    scale: float = 0.0
+    repeatability: float = 0.0
+    growth: float = 0.0
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """One line of the budget.
+
+    source : instrument, repeatability, model, frames, temperature or sampling
+    kind : A, of readings, or B, of other knowledge; stated : false where nobody said anything of it
+    square : what it adds to E^2 [m^2]; u : its standard uncertainty there [m^2]; freedom : its degrees of freedom
+    """
+
+    source: str
+    kind: str
+    square: float
+    u: float
+    freedom: float = ENDLESS
+    stated: bool = True
+
+
+@dataclass(frozen=True)
+class Budget:
+    """E with its uncertainty; lengths in m.
+
+    rms, worst : of the n held-out errors as the instrument reads them; lines : of the budget
+    """
+
+    n: int
+    rms: float
+    worst: float
+    lines: tuple[Contribution, ...]
+
+    @property
+    def square(self) -> float:
+        """E^2 [m^2]; below zero where the errors are smaller than the noise that was stated."""
+        return self.rms**2 + sum(line.square for line in self.lines)
+
+    @property
+    def error(self) -> float:
+        """E [m]."""
+        return float(np.sqrt(max(self.square, 0.0)))
+
+    @property
+    def u_square(self) -> float:
+        """Standard uncertainty of E^2 [m^2]."""
+        return float(np.sqrt(sum(line.u**2 for line in self.lines)))
+
+    @property
+    def freedom(self) -> float:
+        """Effective degrees of freedom."""
+        told = sum(line.u**4 / line.freedom for line in self.lines)
+        return float(self.u_square**4 / told) if told else ENDLESS
+
+    @property
+    def factor(self) -> float:
+        """k."""
+        return student_t(QUANTILE, max(1, int(min(self.freedom, ENDLESS))))
+
+    @property
+    def resolved(self) -> bool:
+        """Whether E is seen beside its uncertainty; where not, only its upper limit is."""
+        return self.square > self.factor * self.u_square
+
+    def u(self, line: Contribution | None = None) -> float:
+        """Standard uncertainty of E, or the share of one line in it [m]."""
+        size = self.u_square if line is None else line.u
+        return size / (2 * self.error) if self.resolved else float("nan")
+
+    @property
+    def expanded(self) -> float:
+        """U [m]: E +- U; where E is not resolved, E + U is the upper limit."""
+        if self.resolved:
+            return self.factor * self.u()
+        return float(np.sqrt(max(self.square + self.factor * self.u_square, 0.0))) - self.error
+
+
+def repeats_of(robot: Robot, sets: Sequence[Measurements]) -> tuple[float, float]:
+    """Scatter of a coordinate where the robot came back to a reading [m], degrees of freedom; zeros without repeats.
+
+    robot : by which the small differences of the readings are taken out
+    """
+    square = freedom = 0.0
+    for m in sets:
+        if m.position is None:
+            continue
+        reading, left = same_readings(m.q, STANDS), 1e-3 * residual_mm(robot, m)
+        counts = np.bincount(reading)
+        means = np.stack([np.bincount(reading, left[:, i]) for i in range(3)], axis=1) / counts[:, None]
+        square += float(((left - means[reading]) ** 2).sum())
+        freedom += 3.0 * float((counts - 1).sum())
+    return (float(np.sqrt(square / freedom)), freedom) if freedom else (0.0, 0.0)
+
+
+def budget_of(
+    robot: Robot,
+    held_out: Sequence[Measurements],
+    known: Conditions,
+    repeats: tuple[float, float] = (0.0, 0.0),
+    groups: Sequence[str] = ("base",),
+) -> Budget:
+    """E of a robot's model at held-out positions, with all that makes it unsure.
+
+    robot : as it is judged; groups : of parameters that are fitted to these poses first, those that it has
+    repeats : as of `repeats_of`
+    Raises InputError: fewer than `LEAST` poses, or no positions.
+    """
+    sets = [m.positions_alone() for m in held_out]
+    n = sum(map(len, sets))
+    if n < LEAST:
+        raise InputError(f"{n} held-out poses; a statement of uncertainty needs {LEAST} or more: [sets] report")
+    prepared = prepare(robot, sets)
+    placed, k = prepared.robot, 0
+    if own := [g for g in groups if g in robot.parameters.groups]:
+        fitted = calibrated(prepared, own, loss="linear")
+        placed, k = fitted.robot, len(fitted.names)
+    e = np.concatenate([errors(placed, m) for m in prepared.sets])
+    p = np.concatenate([m.position for m in prepared.sets if m.position is not None])
+    made_up = 3 * n / max(3 * n - k, 1)
+    whole, mean = made_up * float(np.std(e**2, ddof=1)) / np.sqrt(n), made_up * float(np.mean(e**2))
+    spread = float(np.mean(((p - p.mean(axis=0)) ** 2).sum(axis=1)))
+    (s, freedom), noise = repeats, known.noise
+    if freedom:  # what repeats scatter holds the noise, too
+        noise = 0.0
+    else:
+        s, freedom = known.repeatability, STATED
+    by_noise = [3 * v**2 for v in (noise, s)]
+    random = sum(by_noise) / 3
+    # Of the scatter of e^2 noise makes this much by itself; the rest is that of the space.
+    own_part = (6 * random**2 + 4 * random * max(mean - 3 * random, 0.0)) / n
+    lines = (
+        Contribution(
+            "instrument", "B", -by_noise[0] + known.scale**2 * spread,
+            float(np.hypot(by_noise[0] * np.sqrt(2 / STATED), np.sqrt(2) * known.scale**2 * spread)),
+            STATED if by_noise[0] else ENDLESS, known.noise > 0 or known.scale > 0,
+        ),
+        Contribution(
+            "repeatability", "A" if repeats[1] else "B", -by_noise[1],
+            float(np.hypot(by_noise[1] * np.sqrt(2 / freedom), np.sqrt(min(own_part, whole**2)))),
+            freedom if by_noise[1] else n - 1.0, s > 0,
+        ),
+        Contribution("model", "B", 0.0, _beyond(robot, sets)),
+        Contribution("frames", "A", mean - mean / made_up, mean / 3 * np.sqrt(2 * k) / n, 3.0 * n - k),
+        Contribution("temperature", "B", known.growth**2 * spread, np.sqrt(2) * known.growth**2 * spread,
+                     stated=known.growth > 0),
+        Contribution("sampling", "A", 0.0, float(np.sqrt(max(whole**2 - own_part, 0.0))), n - 1.0),
+    )  # fmt: skip
+    return Budget(n, float(np.sqrt(np.mean(e**2))), float(e.max()), lines)
+
+
+def _beyond(robot: Robot, sets: Sequence[Measurements]) -> float:
+    """How much greater E^2 may be over the whole ranges of the readings than at these poses, one sigma [m^2].
+
+    By what the robot file says may be off: its bound, else its covariance. Half the width of an even distribution.
+    """
+    if robot.bound is not None:
+        wide, names, factor = doubted(robot), robot.bound.names, robot.bound.factor
+    elif robot.knowledge is not None and (blocks := robot.knowledge.covariance):
+        wide, names = robot, tuple(n for b in blocks for n in b.names)
+        factor = np.zeros((len(names), len(names)))
+        for block in blocks:
+            at = [names.index(n) for n in block.names]
+            values, V = np.linalg.eigh(block.matrix)
+            factor[np.ix_(at, at)] = V * np.sqrt(np.maximum(values, 0.0) * robot.knowledge.misfit)
+    else:
+        return 0.0
+    placing = [k for k, n in enumerate(names) if wide.parameters[n].group == "base"]
+    factor = np.delete(factor, placing, axis=0)
+    names = tuple(n for k, n in enumerate(names) if k not in placing)
+    q = np.concatenate([m.q for m in sets])
+    drawn = np.random.default_rng(0).uniform(q.min(axis=0), q.max(axis=0), (SPACE, robot.n))
+    scale = np.array([wide.parameters[n].scale for n in names])[:, None]
+
+    def mean_square(some: Measurements) -> float:
+        J = 1e-3 * evaluated(wide, [some], names)[1]
+        J = J[np.isfinite(J).all(axis=(1, 2))]
+        return float(((J @ (factor / scale)) ** 2).sum() / max(len(J), 1))
+
+    own: Array = np.array([mean_square(m) * len(m) for m in sets])
+    return abs(mean_square(unmeasured(drawn)) - float(own.sum()) / len(q)) / np.sqrt(3)
