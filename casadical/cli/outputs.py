@@ -24,8 +24,8 @@ _SET = (
 _OURS = (
     {"problem", "robot"}, {"campaign"}, {"forecast"}, {"targets", "corrected"}, {"folder", "files", "verified"},
     {"file", "robot", "left_out"}, {"withheld", "not_drawn"}, {"key_sha256"}, {"answers", "by"}, {"by", "figures"},
-    {"changed", "changes", "campaigns"}, {"fleet", "robots", "types"},
-    {"robot", "fields", "readings"},
+    {"changed", "changes", "campaigns"}, {"fleet", "robots", "types"}, {"robot", "fields", "readings"},
+    {"certificate", "decision"}, {"dAP_mm", "poses"}, {"touches", "verdict"},
 )  # fmt: skip
 _MEASURED = {"x_mm", "x_m", "y_mm", "y_m", "z_mm", "z_m"}
 

@@ -196,18 +196,13 @@ def _refuse_given(options: dict[str, object], mode: str = "--isolability") -> No
 def _iso9283(problem: Path, out: Path, cube_mm: float | None, room: Path | None, seed: int, quiet: bool) -> None:
     """The table of a test by the standard."""
     from casadical.core.telling.terminal import terminal
-    from casadical.pose_selection.workspace_file import read_workspace
-    from casadical.project.iso9283 import planned_test, words_of_plan
-    from casadical.project.planning import robot_of
+    from casadical.project.planning import iso9283_plan
 
     console = wrapped(quiet)
-    robot = robot_of(problem)
     with working(quiet, "poses of the standard"):
-        planned = planned_test(
-            robot, 1e-3 * cube_mm if cube_mm else None, read_workspace(room, robot) if room else None, seed
-        )
-    console.print(terminal(words_of_plan(robot, *planned)))
-    keep({out: planned[0].to_csv(index=False)}, console)
+        words, table = iso9283_plan(problem, cube_mm, room, seed)
+    console.print(terminal(words))
+    keep({out: table.to_csv(index=False)}, console)
 
 
 def _isolability(

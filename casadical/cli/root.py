@@ -33,6 +33,8 @@ MOVED = {
     "export driver": "export model ROBOT.toml --to ur|standard_dh|modified_dh|xacro",
 }
 
+# Outputs of commands beside those that have the same name everywhere.
+OUTPUTS = {"new": ("folder",), "verify": ("update", "chart", "poses")}
 
 _TYPE = re.compile(r" <([^>]*)>")
 
@@ -128,7 +130,7 @@ def _root(
 
 
 for command in (new, measure, check, calibrate, verify, compare, fleet, diagnose, plan, correct, certificate):
-    app.command(cls=Command)(guarded(command, also=("folder",) if command is new else ()))
+    app.command(cls=Command)(guarded(command, also=OUTPUTS.get(command.__name__, ())))
 export_app.command("c", cls=Command)(guarded(export_c))
 export_app.command("model", cls=Command)(guarded(export_model))
 for of_round in (withheld_robot, withheld_make, withheld_predict, withheld_score):

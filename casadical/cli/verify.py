@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from casadical.cli.options import Effects, Json, Quiet, effects_of
+from casadical.cli.options import Effects, Json, Quiet, Report, Room, effects_of
 from casadical.cli.progress import DIAGNOSIS, working
-from casadical.cli.terminal import NOT_VALID, keep, keep_json, plain, with_json, wrapped
+from casadical.cli.terminal import NOT_VALID, html, keep, keep_json, plain, with_json, wrapped
 from casadical.core.errors import InputError
 from casadical.core.telling.terminal import terminal
 
@@ -60,7 +60,37 @@ Out = Annotated[
         metavar="DIR", help="With --mujoco: write the models here, CAMPAIGN.STAGE.xml (0 is the nominal one)."
     ),
 ]
-Split = Annotated[int | None, typer.Option(min=0, help="With --mujoco: seed of the split of the poses; default: 0.")]
+Split = Annotated[
+    int | None,
+    typer.Option(min=0, help="Of the split of the poses with --mujoco, of the draws with --touches; default: 0."),
+]
+Touches = Annotated[
+    int | None,
+    typer.Option(
+        min=2, max=50, metavar="N",
+        help="Without tables plan N touches that tell most about zeros, tool, foot; with tables (one a day, in the "
+        "frame of the calibration) say whether the robot is valid on the last day, and what moved.",
+    ),
+]  # fmt: skip
+Poses = Annotated[
+    Path | None, typer.Option(metavar="FILE.csv", help="With --touches: the planned poses; default: touches.csv.")
+]
+Tolerance = Annotated[
+    float | None,
+    typer.Option(min=0, help="With --touches: rms error that is allowed; default: twice what the file states."),
+]
+NoiseMm = Annotated[float | None, typer.Option(min=0, help="With --touches: noise of a coordinate, one sigma.")]
+Fleet = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE.json", help="With --touches: what `casadical fleet --json` wrote, whose changes count."),
+]
+Update = Annotated[
+    Path | None,
+    typer.Option(metavar="ROBOT.toml", help="With --touches: write the corrected robot where that is better."),
+]
+Chart = Annotated[
+    Path | None, typer.Option(metavar="FILE.csv", help="With --touches: a row a day, with control limits.")
+]
 
 
 def verify(
@@ -69,6 +99,15 @@ def verify(
     promised_mm: Promised = None,
     mujoco: Mujoco = False,
     iso9283: Iso9283 = False,
+    touches: Touches = None,
+    poses: Poses = None,
+    tolerance_mm: Tolerance = None,
+    noise_mm: NoiseMm = None,
+    fleet: Fleet = None,
+    room: Room = None,
+    update: Update = None,
+    chart: Chart = None,
+    report_file: Report = None,
     effects: Effects = None,
     seed: Split = None,
     out: Out = None,
@@ -80,6 +119,8 @@ def verify(
     Base and tool are fitted again, because the instrument stands elsewhere. The rms error is compared with that of the
     held-out poses of the calibration. The replay needs MuJoCo: pip install 'casadical[mujoco]'.
 
+    With --touches five points touched in the frame of the calibration say the same every day.
+
     Example: casadical verify results/KM.robot.toml ten.csv
 
     Exit codes: 0 still valid, or replayed, 2 bad input, 3 no optimum found, 5 no longer valid, 70 a bug in casadical.
@@ -89,9 +130,23 @@ def verify(
             raise InputError("--promised-mm has no part in a replay with --mujoco; remove it")
         _replay(robot, tables, effects, seed or 0, out, json_file, quiet)
         return
-    for option, value in (("--effects", effects), ("--seed", seed), ("--out", out)):
+    for option, value in (("--effects", effects), ("--out", out)):
         if value is not None:
             raise InputError(f"{option} is of a replay; give --mujoco, too, or remove it")
+    if touches is not None:
+        if tables:
+            asked = {"tolerance_mm": tolerance_mm, "noise_mm": noise_mm, "fleet": fleet}
+            _touched(robot, tables, asked, (update, chart, report_file, json_file), seed or 0, quiet)
+        else:
+            _plan_touches(robot, touches, poses or Path("touches.csv"), noise_mm, room, quiet)
+        return
+    given: dict[str, object] = {
+        "--poses": poses, "--tolerance-mm": tolerance_mm, "--noise-mm": noise_mm, "--fleet": fleet, "--room": room,
+        "--update": update, "--chart": chart, "--report": report_file,
+    }  # fmt: skip
+    for option, other in given.items():
+        if other is not None:
+            raise InputError(f"{option} is of touches; give --touches N, too, or remove it")
     if not tables:
         raise InputError("which poses? give a table of some ten that were measured later")
     from casadical.project import verification
@@ -107,6 +162,47 @@ def verify(
     console.print(terminal(checked.blocks()))
     keep_json(json_file, checked.to_json(), console)
     if not checked.valid:
+        raise typer.Exit(NOT_VALID)
+
+
+def _plan_touches(robot: Path, n: int, out: Path, noise_mm: float | None, room: Path | None, quiet: bool) -> None:
+    from casadical.fleet.touches import plan_touches
+
+    console = wrapped(quiet)
+    with working(quiet, "choosing touches"):
+        table = plan_touches(robot, n, noise_mm=noise_mm, room=room)
+    console.print(
+        f"{n} touches that tell most about zeros, tool and foot. Touch them every day in the frame of the calibration, "
+        "put x_mm, y_mm, z_mm into a copy whose name has the day (2026-03-14.csv), and give the copies to this command."
+    )
+    keep({out: table.to_csv(index=False)}, console)
+
+
+def _touched(
+    robot: Path,
+    tables: list[Path],
+    asked: dict[str, Any],
+    outputs: tuple[Path | None, Path | None, Path | None, Path | None],
+    seed: int,
+    quiet: bool,
+) -> None:
+    """Judge the last of several days."""
+    from casadical.fleet.touches import touched
+
+    update, chart, report, json_file = outputs
+    console = wrapped(quiet)
+    with working(quiet, "what changed", tables[-1].name):
+        found = touched(robot, tables, **asked, seed=seed)
+    console.print(terminal(found.blocks()))
+    texts: dict[Path, str] = {chart: found.chart_csv()} if chart else {}
+    if update and found.better:
+        texts[update] = found.updated_text()
+    elif update:
+        console.print(f"{update} is not written: {found.why_not_updated}")
+    if report:
+        texts[report] = html([found.page()])
+    keep(with_json(texts, json_file, found.to_json()), console)
+    if found.verdict != "valid":
         raise typer.Exit(NOT_VALID)
 
 

@@ -91,7 +91,7 @@ class Details(TomlTable):
 
     @property
     def known(self) -> Conditions:
-        """What the budget needs of it, SI; a range is that of an even distribution."""
+        """What the budget needs of it, SI; a range is that of an even distribution. Raises InputError: zero or less."""
         c, i = self.conditions, self.instrument
         for name, value in (("instrument.noise", i.noise), ("conditions.repeatability", c.repeatability),
                             ("decision.tolerance", self.decision.tolerance)):  # fmt: skip

@@ -108,7 +108,7 @@ _WORDS = {
     "share": ("u(E) [mm]", "u(E) [mm]"),
     "of_instrument": ("instrument: noise, scale", "Messgerät: Rauschen, Maßstab"),
     "of_repeatability": ("repeatability", "Wiederholbarkeit"),
-    "of_model": ("model away from the poses", "Modell abseits der Posen"),
+    "of_model": ("model between the poses", "Modell zwischen den Posen"),
     "of_frames": ("frames fitted", "Koordinatensysteme angepasst"),
     "of_temperature": ("temperature", "Temperatur"),
     "of_sampling": ("sampling of the space", "Stichprobe des Raums"),

@@ -7,7 +7,7 @@ x_mm, y_mm, z_mm. Formulas, with a bar for the mean over a pose's n visits and c
     AP = |p_bar - p_c|                        accuracy of a pose
     RP = l_bar + 3 S_l, l_j = |p_j - p_bar|   repeatability, S_l with n - 1
     vAP = max |p_bar_h - p_bar_k|             multi-directional variation, over the approach paths h and k
-    dAP = max |AP_0 - AP_T|, dRP likewise     drift, over the groups after the first
+    dAP = max |AP_0 - AP_T|, dRP alike        drift, over the groups after the first
 """
 
 from __future__ import annotations
@@ -61,12 +61,15 @@ def planned_test(
     room, rng = workspace or Workspace(), np.random.default_rng(seed)
     inside = expected(robot, draw(robot, 500, room, rng), {}, "position").position
     assert inside is not None
-    order = np.argsort(np.linalg.norm(inside - np.median(inside, axis=0), axis=1))
     R, origin = robot.base.T[:3, :3], robot.base.T[:3, 3]
+    farthest = float(np.linalg.norm(inside - origin, axis=1).max())
+    order = np.argsort(np.linalg.norm(inside - np.median(inside, axis=0), axis=1))
     for size in (side,) if side else CUBES:
         for middle in inside[order[: 20 * CENTRES : 20]]:
             local = (middle - origin) @ R
             places = poses_in(local, size) @ R.T + origin
+            if np.linalg.norm(places - origin, axis=1).max() > 1.05 * farthest:
+                continue
             q, _ = held_in(robot, places[:1], EACH, room, rng)
             held = _one_orientation(robot, q, places, room) if len(q) else None
             if held is not None:

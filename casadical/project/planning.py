@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import pandas as pd
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.progress import Show, silent
+from casadical.core.telling.blocks import Words
 from casadical.diagnosis.candidates import named
 from casadical.effects import Effect, Session
 from casadical.identification.identification import identify
@@ -32,6 +34,7 @@ from casadical.pose_selection.pose_search import select_poses
 from casadical.pose_selection.selection import Selection
 from casadical.pose_selection.stopping_rule import forecast
 from casadical.pose_selection.workspace import Workspace, read_workspace
+from casadical.project.iso9283 import planned_test, words_of_plan
 from casadical.project.problem import Carried, nothing_carried, read_campaign, read_campaign_robot
 from casadical.project.problem_file import tables_of
 from casadical.robot.robot import Robot
@@ -39,6 +42,8 @@ from casadical.robot.robot_file import read_robot
 
 # Of a coordinate that a laser tracker measures, one sigma.
 TRACKER_MM = 0.02
+# Of touches, in the joint that differs most, as a share of its range.
+APART = 0.05
 
 
 def robot_of(path: Path) -> Robot:
@@ -293,3 +298,27 @@ def plan(
     if chosen and order:
         chosen = chosen.ordered()
     return MeasurementPlan(ahead, chosen, target, workspace is not None, instrument, noise or Noise())
+
+
+def poses_of_changes(
+    robot: Robot, n: int, prior: Prior, noise: Noise, room: Path | None, measured: Measurements | None, seed: int
+) -> pd.DataFrame:
+    """Poses that tell most about changes of a calibrated robot, a row each, by V over all poses.
+
+    prior : of what may change, about the robot's values; measured : poses of the same day, to which these add
+    Raises InputError.
+    """
+    workspace = read_workspace(room, robot) if room else None
+    chosen = select_poses(
+        robot, None, n, workspace=workspace, measured=measured, free=prior.free, noise=noise, prior=prior, seed=seed,
+        min_distance=APART,
+    )  # fmt: skip
+    return chosen.table
+
+
+def iso9283_plan(path: Path, cube_mm: float | None, room: Path | None, seed: int) -> tuple[list[Words], pd.DataFrame]:
+    """A test by ISO 9283 of a problem folder's or a file's robot: what to know, and its table. Raises InputError."""
+    robot = robot_of(path)
+    side, workspace = 1e-3 * cube_mm if cube_mm else None, read_workspace(room, robot) if room else None
+    table, centre, size = planned_test(robot, side, workspace, seed)
+    return words_of_plan(robot, table, centre, size), table

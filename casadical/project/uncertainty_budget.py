@@ -36,7 +36,8 @@ QUANTILE = 0.97725
 STATED = 8.0
 # Held-out poses without which a mean square has no scatter that is known.
 LEAST = 8
-SPACE = 300
+# Poses between which E is interpolated, each and one of its nearest.
+SPACE, NEAR = 300, 5
 ENDLESS = 1e6
 
 
@@ -202,7 +203,7 @@ def budget_of(
 
 
 def _beyond(robot: Robot, sets: Sequence[Measurements]) -> float:
-    """How much greater E^2 may be over the whole ranges of the readings than at these poses, one sigma [m^2].
+    """How much E^2 may differ between the poses from what it is at them, one sigma [m^2].
 
     By what the robot file says may be off: its bound, else its covariance. Half the width of an even distribution.
     """
@@ -221,7 +222,11 @@ def _beyond(robot: Robot, sets: Sequence[Measurements]) -> float:
     factor = np.delete(factor, placing, axis=0)
     names = tuple(n for k, n in enumerate(names) if k not in placing)
     q = np.concatenate([m.q for m in sets])
-    drawn = np.random.default_rng(0).uniform(q.min(axis=0), q.max(axis=0), (SPACE, robot.n))
+    rng = np.random.default_rng(0)
+    some = q[rng.permutation(len(q))[:SPACE]]
+    far = np.stack([np.linalg.norm(q - one, axis=1) for one in some])
+    near = np.argsort(far, axis=1)[np.arange(len(some)), rng.integers(1, NEAR + 1, len(some))]
+    drawn = some + rng.uniform(size=(len(some), 1)) * (q[near] - some)
     scale = np.array([wide.parameters[n].scale for n in names])[:, None]
 
     def mean_square(some: Measurements) -> float:
@@ -230,4 +235,4 @@ def _beyond(robot: Robot, sets: Sequence[Measurements]) -> float:
         return float(((J @ (factor / scale)) ** 2).sum() / max(len(J), 1))
 
     own: Array = np.array([mean_square(m) * len(m) for m in sets])
-    return abs(mean_square(unmeasured(drawn)) - float(own.sum()) / len(q)) / np.sqrt(3)
+    return float(abs(mean_square(unmeasured(drawn)) - float(own.sum()) / len(q)) / np.sqrt(3))

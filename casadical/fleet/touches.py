@@ -1,0 +1,454 @@
+"""Five touches a day: which poses tell most of what usually changes, and what the touches say of a calibrated robot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.core.files import csv_text
+from casadical.core.reading import load_json
+from casadical.core.telling.blocks import Page, Section, Table, Tile, Words, mm, next_step
+from casadical.core.telling.figure import Axis, Figure, Rule, Series
+from casadical.core.telling.result import Result
+from casadical.fleet.campaigns import day_of
+from casadical.fleet.estimates import date_text
+from casadical.fleet.touch_model import CRASH, MM, OFTEN, UNKNOWN, Draws, TouchModel, limit_of
+from casadical.identification.prior import Prior
+from casadical.measurements.measurements import Measurements
+from casadical.measurements.noise import Noise
+from casadical.project.planning import poses_of_changes
+from casadical.project.problem import read_campaign
+from casadical.project.problem_file import result_in
+from casadical.robot.knowledge import Covariance, ErrorBound, Knowledge
+from casadical.robot.robot import Robot
+from casadical.robot.robot_file import read_robot, to_toml
+
+# A robot is said to be valid where that is so probable, and not to be where its error is above with this probability.
+VALID, INVALID = 0.99, 0.9
+# A change is named where it is so probable; a correction is written where it is better with this probability, and
+# takes away more than this share of the error that the file states.
+NAMED, BETTER, WORTH = 0.9, 0.95, 0.2
+# Without a tolerance: so many times the error that the robot file states.
+TIMES = 2.0
+# Touches this far from the robot file are those of another frame or another robot [m].
+ELSEWHERE = 0.03
+# Days that are taken into account.
+LAST = 30
+FEWEST, MORE = 2, 2
+Verdict = Literal["valid", "open", "changed"]
+
+
+@dataclass(frozen=True, eq=False)
+class Touches(Result):
+    """What touches of one or several days say of a calibrated robot.
+
+    Parameters
+    ----------
+    given : Robot
+        as its file has it
+    model : TouchModel
+        with all days, the last one is judged
+    draws : Draws
+        of what may have changed
+    tolerance : float
+        of the rms error over the task [m]
+    more : DataFrame, optional
+        touches that would tell more, where these are not enough
+    notes : tuple[str, ...]
+        what was assumed
+    sources : tuple[Path, ...]
+        robot file and tables
+    """
+
+    given: Robot
+    model: TouchModel
+    draws: Draws
+    tolerance: float
+    more: pd.DataFrame | None = None
+    notes: tuple[str, ...] = ()
+    sources: tuple[Path, ...] = ()
+
+    @cached_property
+    def errors(self) -> Array:
+        """Of today, over the task, as the instrument reads them and as probable as they are, shape (draws,) [m]."""
+        whole = self.model.size_of(self.draws.d + self.draws.x, self.draws.extra)
+        return np.asarray(np.hypot(self.model.rest, whole) / MM)
+
+    @cached_property
+    def change(self) -> Array:
+        """Part of it that changed since the calibration, shape (draws,) [m]."""
+        return self.model.size_of(self.draws.d, self.draws.extra) / MM
+
+    @property
+    def probability(self) -> float:
+        """That the error is within the tolerance."""
+        return float(np.mean(self.errors <= self.tolerance))
+
+    @property
+    def verdict(self) -> Verdict:
+        """Still valid, no longer, or open."""
+        if self.probability >= VALID:
+            return "valid"
+        return "changed" if 1 - self.probability >= INVALID else "open"
+
+    @property
+    def label(self) -> str:
+        """What changed most probably; "" for nothing."""
+        labels, counts = np.unique(self.draws.label.astype(str), return_counts=True)
+        return str(labels[int(np.argmax(counts))])
+
+    @cached_property
+    def departure(self) -> tuple[Array, Array]:
+        """Mean departure of the parameters today and its covariance, in units of scale, shapes (p,) and (p, p)."""
+        known = self.draws.d[self.draws.label != UNKNOWN]
+        return known.mean(axis=0), np.atleast_2d(np.cov(known.T))
+
+    @cached_property
+    def gain(self) -> tuple[float, float, float]:
+        """Rms error that is expected as the robot is and corrected [m], and how probable the correction is better."""
+        d = self.departure[0]
+        before, after = self.change, self.model.size_of(self.draws.d - d, self.draws.extra) / MM
+        return float(np.sqrt(np.mean(before**2))), float(np.sqrt(np.mean(after**2))), float(np.mean(after < before))
+
+    @property
+    def better(self) -> bool:
+        """Whether the corrected robot is better than leaving it."""
+        before, after, sure = self.gain
+        return sure >= BETTER and before - after > WORTH * self.model.stated / MM
+
+    @cached_property
+    def moved(self) -> list[tuple[str, float, float, str]]:
+        """Parameters of the most probable change: name, amount, standard error, unit."""
+        if self.label in ("", UNKNOWN):
+            return []
+        own = self.draws.d[self.draws.label == self.label]
+        rows = []
+        for k, name in enumerate(self.model.names):
+            if np.any(own[:, k]):
+                p = self.model.robot.parameters[name]
+                mean, std = (p.readable(float(v) * p.scale) for v in (own[:, k].mean(), own[:, k].std()))
+                rows.append((name, mean, std, p.readable_unit))
+        if self.label == "lengths":  # all grow alike
+            p = max((self.model.robot.parameters[r[0]] for r in rows), key=lambda p: abs(p.value))
+            share = own[:, self.model.names.index(p.name)] * p.scale / p.value
+            return [("all lengths", 1e6 * float(share.mean()), 1e6 * float(share.std()), "um/m")]
+        return sorted(rows, key=lambda r: -abs(r[1]) / max(r[2], 1e-12))
+
+    def corrected(self) -> Robot:
+        """The robot with the mean departure, what is known of it widened by how unsure that is."""
+        d, C = self.departure
+        scale = np.array([self.model.robot.parameters[n].scale for n in self.model.names])
+        values = {n: self.given.parameters[n].value + v for n, v in zip(self.model.names, d * scale, strict=True)
+                  if v and n in self.given.parameters.names}  # fmt: skip
+        note = f"Corrected by touches of {self.model.days[-1].source}: {self._change_in_words}"
+        robot = replace(self.given.with_values(values), notes=(*self.given.notes, note))
+        return replace(robot, knowledge=_wider(self.given.knowledge, self.model.names, C * np.outer(scale, scale)),
+                       bound=_wider_bound(self.given.bound, self.model.names, C, scale))  # fmt: skip
+
+    @property
+    def why_not_updated(self) -> str:
+        """Why leaving the robot as it is is as good."""
+        before, after, sure = self.gain
+        left = f"of a change of {mm(before)} mm {mm(after)} mm would be left, less with a probability of {sure:.2f}"
+        return f"{left}; leaving it is as good"
+
+    def updated_text(self) -> str:
+        """Text of the corrected robot's file. Raises InputError where leaving it is as good."""
+        if not self.better:
+            raise InputError(f"no corrected robot is written: {self.why_not_updated}")
+        return to_toml(self.corrected(), f"Corrected by casadical from {len(self.model.days[-1])} touches.")
+
+    @property
+    def _change_in_words(self) -> str:
+        label = self.label
+        sure = f"probability {self.draws.share(label):.2f}"
+        if not label:
+            return f"nothing changed that these touches show ({sure})"
+        words = _WORDS.get(label, label.replace("@", " of joint ").replace("_", " "))
+        since = int(np.median(self.draws.since[self.draws.label == label]))
+        return f"{words} ({sure}, since {self.model.days[since - 1].source})"
+
+    def blocks(self) -> list[Words | Table]:
+        """In words."""
+        head = {"valid": "STILL VALID", "changed": "NO LONGER VALID", "open": "NOT CERTAIN"}[self.verdict]
+        low, high = np.quantile(self.errors, [0.025, 0.975])
+        known = float(np.quantile(self.errors, VALID))
+        found: list[Words | Table] = [
+            Words(
+                f"{head}: the rms error is within {mm(self.tolerance)} mm with a probability of {self.probability:.3f} "
+                f"({len(self.model.days[-1])} touches of {self.model.days[-1].source})",
+                "verdict",
+            ),
+            Words(
+                f"Error to expect over the poses on which the robot was learnt: {mm(low)} to {mm(high)} mm (95 %), "
+                f"below {mm(known)} mm with 99 %; the robot file states {mm(self.model.stated / MM)} mm."
+            ),
+            Words(f"Most probable: {self._change_in_words}."),
+        ]
+        if self.moved:
+            rows = [(n, f"{v:+.4g}", f"{s:.2g}", unit) for n, v, s, unit in self.moved[:8]]
+            found.append(Table("What moved", ("parameter", "by", "std error", "unit"), rows, frozenset({1, 2})))
+        before, after, sure = self.gain
+        if self.better:
+            text = f"Corrected, {mm(after)} mm of {mm(before)} mm of change would be left"
+            found.append(Words(f"{text} (better with a probability of {sure:.3f}): --update."))
+        if self.more is not None:
+            found.append(self._more())
+        found += [Words(f"note: {note}.", "note") for note in self.notes]
+        return [*found, *self.next]
+
+    def _more(self) -> Table:
+        assert self.more is not None
+        keys = list(self.given.reading_units)
+        rows = [tuple(f"{v:.3f}" for v in row) for row in self.more[keys].to_numpy(dtype=float)]
+        title = f"These are not enough to decide; touch {len(rows)} more and add them to the table"
+        return Table(title, tuple(keys), rows, frozenset(range(len(keys))))
+
+    @property
+    def next(self) -> tuple[Words, ...]:
+        """What to do now."""
+        if (self.verdict == "valid" and not self.better) or not self.sources:
+            return ()
+        robot, *tables = self.sources
+        if self.better:
+            return (next_step("to correct it", "verify", robot, *tables, "--touches", len(self.model.days[-1]),
+                              "--update", "corrected.robot.toml"),)  # fmt: skip
+        if self.verdict == "open":
+            return ()
+        return (next_step("when ten poses are measured anywhere", "compare", robot, "TEN.csv"),)
+
+    def to_json(self) -> dict[str, Any]:
+        """The same as plain data; lengths in mm."""
+        low, high = np.quantile(self.errors, [0.025, 0.975])
+        before, after, sure = self.gain
+        labels, counts = np.unique(self.draws.label.astype(str), return_counts=True)
+        return {
+            "touches": len(self.model.days[-1]),
+            "robot": self.given.name,
+            "verdict": self.verdict,
+            "probability": self.probability,
+            "tolerance_mm": MM * self.tolerance,
+            "error_mm": [MM * float(low), MM * float(high)],
+            "stated_mm": self.model.stated,
+            "changes": {str(n) or "nothing": float(c / counts.sum()) for n, c in zip(labels, counts, strict=True)},
+            "moved": [{"name": n, "value": v, "std_error": s, "unit": u} for n, v, s, u in self.moved],
+            "correction": {"before_mm": MM * before, "after_mm": MM * after, "better": sure, "written": self.better},
+            "more_deg_or_mm": [] if self.more is None else [list(map(float, r)) for r in self._more().rows],
+            "chart": [dict(zip(_COLUMNS, row, strict=True)) for row in self.rows()],
+            "notes": list(self.notes),
+            "next": [step.code for step in self.next],
+        }
+
+    def rows(self) -> list[tuple[str, str, int, float, float, float, float | str, str]]:
+        """A row a day: see the columns of the chart."""
+        T2, found = self.model.charted(), []
+        for k, m in enumerate(self.model.days):
+            own = self.model.left[(self.model.day == k + 1)[::3]]
+            limit = float(limit_of(np.array(3 * len(m))))
+            T = float(self.model.temperatures[k])
+            rms = float(np.sqrt((own**2).sum(axis=1).mean()))
+            day = date_text(self.model.dates[k] if self.model.dates else None)
+            within = "yes" if T2[k] <= limit else "no"
+            found.append((day, m.source, len(m), rms, float(T2[k]), limit, T if np.isfinite(T) else "", within))
+        return found
+
+    @property
+    def charted_within(self) -> list[bool]:
+        """Of each day, whether it is within its limit."""
+        return [row[-1] == "yes" for row in self.rows()]
+
+    def chart_csv(self) -> str:
+        """The chart as a table."""
+        return csv_text([_COLUMNS, *([f"{v:.5g}" if isinstance(v, float) else v for v in row] for row in self.rows())])
+
+    def page(self) -> Page:
+        """The chart on one page."""
+        rows = self.rows()
+        x = list(range(1, len(rows) + 1))
+        colour = ["blue" if row[-1] == "yes" else "red" for row in rows]
+        tip = "%{customdata}<br>T2 / limit %{y:.2f}"
+        points = Series("points", x, [r[4] / r[5] for r in rows], colour=colour, size=9,
+                        facts=[f"{r[0]} {r[1]}" for r in rows], tip=tip)  # fmt: skip
+        course = Series("line", x, [r[4] / r[5] for r in rows], colour="grey", width=1)
+        centre = float(np.mean([3 * r[2] / r[5] for r in rows]))
+        marks = [Rule("y", 1.0, "red", "solid", 1.5, "limit"), Rule("y", centre, "green", "dot", 1.5)]
+        caption = (
+            "What each day's touches depart from what the robot file and the days before say, T2 over its limit, which "
+            "is passed once in 370 days while nothing changes. Dotted: what is usual."
+        )
+        labels = (
+            Axis("day", ticks=x, labels=[r[0] or r[1] for r in rows]) if len(rows) <= 12 else Axis("day", whole=True)
+        )
+        chart = Figure("chart", "Touches day by day", [course, points], labels, Axis("T2 / limit", begins=True),
+                       340, caption, marks=marks)  # fmt: skip
+        table = Table("Every day", [c.replace("_", " ") for c in _COLUMNS],
+                      [[f"{v:.4g}" if isinstance(v, float) else str(v) for v in r] for r in rows],
+                      frozenset({2, 3, 4, 5, 6}), folded=len(rows) > 12)  # fmt: skip
+        tiles = (
+            Tile("Valid", f"{100 * self.probability:.1f}", "%", f"within {mm(self.tolerance)} mm"),
+            Tile("Change", mm(float(np.sqrt(np.mean(self.change**2)))), "mm", "rms over the task, expected"),
+        )
+        sections = (Section("Today", self.blocks()), Section("Control chart", [chart, table]))
+        return Page("Touches", self.given.name, f"{len(rows)} days", sections, tiles, (), self.sources)
+
+
+_WORDS = {
+    CRASH: "zeros and tool together, as after a crash", UNKNOWN: "nothing that usually changes explains it",
+    "lengths": "all lengths, as by warmth", "joint_zero": "zero",
+}  # fmt: skip
+_COLUMNS = ("day", "table", "touches", "rms_mm", "T2", "limit", "temperature_degC", "within")
+
+
+def _wider(known: Knowledge | None, names: Sequence[str], C: Array) -> Knowledge | None:
+    """Covariances with that of a correction, as far as they have its parameters."""
+    if known is None:
+        return None
+    blocks = []
+    for block in known.covariance:
+        own = [n for n in block.names if n in names]
+        at, here = [names.index(n) for n in own], [block.names.index(n) for n in own]
+        matrix = block.matrix.copy()
+        matrix[np.ix_(here, here)] += C[np.ix_(at, at)]
+        blocks.append(Covariance(block.names, matrix))
+    return replace(known, covariance=tuple(blocks))
+
+
+def _wider_bound(bound: ErrorBound | None, names: Sequence[str], C: Array, scale: Array) -> ErrorBound | None:
+    """The bound with the covariance of a correction among its second moments."""
+    if bound is None:
+        return None
+    values, V = np.linalg.eigh(C)
+    own = V[:, values > 1e-9 * max(values.max(), 1e-300)] * np.sqrt(values[values > 1e-9 * max(values.max(), 1e-300)])
+    wide = np.zeros((len(bound.names), own.shape[1]))
+    for n, row in zip(names, scale[:, None] * own, strict=True):
+        if n in bound.names:
+            wide[bound.names.index(n)] = row
+    return replace(bound, factor=np.hstack([bound.factor, wide]))
+
+
+def changes_in_fleet(path: Path) -> Mapping[str, float]:
+    """How often each kind of change is met, with those that a fleet's JSON counts. Raises InputError."""
+    robots = load_json(path).get("robots")
+    if not isinstance(robots, list):
+        raise InputError(f"{path}: holds no robots; give what `casadical fleet PLANT --json FILE` wrote")
+    words = [str(row.get("changes", "")) for row in robots if isinstance(row, dict)]
+    return {kind: often + sum(text.count(kind) for text in words) for kind, often in OFTEN.items()}
+
+
+def usual_changes(robot: Robot) -> Prior:
+    """What usually changes, as a prior: zeros, tool and foot, each about its value."""
+    model = TouchModel(robot, (), tuple(p.name for p in robot.parameters if p.prior > 0), np.zeros((0, 0)), 0.0)
+    sizes = {n: float(s) * robot.parameters[n].scale for c in model.usual if c.kind != "lengths"
+             for n, s in zip(c.names, c.sizes, strict=True)}  # fmt: skip
+    return Prior(tuple(sizes), {n: (robot.parameters[n].value, s) for n, s in sizes.items()})
+
+
+def plan_touches(
+    robot: str | Path,
+    n: int = 5,
+    *,
+    noise_mm: float | None = None,
+    room: Path | None = None,
+    touched: Measurements | None = None,
+    seed: int = 0,
+) -> pd.DataFrame:
+    """The poses that tell most about what usually changes: zeros, tool, foot; by the V criterion over all poses.
+
+    robot : file as `calibrate --out` writes it, or that folder; touched : what was touched today, to which these add
+    noise_mm : of a coordinate; None: as the file's bound leaves unexplained, or 0.1; room : file of a workspace
+    Returns a table, a row a touch. Raises InputError.
+    """
+    arm = _robot_of(Path(robot))[1]
+    rest = MM * arm.bound.rest / np.sqrt(3) if arm.bound else 0.0
+    noise = Noise(1e-3 * float(np.hypot(noise_mm or (0.0 if rest else 0.1), rest)))
+    return poses_of_changes(arm, n, usual_changes(arm), noise, room, touched, seed)
+
+
+def _robot_of(robot: Path) -> tuple[Path, Robot]:
+    """The file and the robot in it, without effects of an instrument."""
+    place = result_in(robot) if robot.is_dir() else robot
+    whole = read_robot(place)
+    gone = [e for e in whole.effects if e.from_kind]
+    return place, whole.with_only(e for e in whole.effects if not e.from_kind) if gone else whole
+
+
+def touched(
+    robot: str | Path,
+    tables: Sequence[str | Path],
+    *,
+    tolerance_mm: float | None = None,
+    noise_mm: float | None = None,
+    fleet: str | Path | None = None,
+    seed: int = 0,
+) -> Touches:
+    """What touched points of one or several days say of a calibrated robot, in the frame of its calibration.
+
+    robot : as of `plan_touches`; tables : a table a day, the last one is judged, the others are its history
+    tolerance_mm : of the rms error over the poses on which the robot was learnt; None: TIMES what the file states
+    noise_mm : of a coordinate, None: not known; fleet : what `casadical fleet --json` wrote
+    Raises InputError: no positions, fewer than two of them, another frame or robot, a file without covariance.
+    """
+    place, arm = _robot_of(Path(robot))
+    paths = [Path(t) for t in tables]
+    days = [(p, read_campaign(place, p, arm, later=True, words=True)) for p in paths]
+    notes: list[str] = []
+    for p, m in days:
+        if m.position is None:
+            raise InputError(f"{p}: measurements of kind {m.kind}; touches are positions, or poses")
+        if len(m) < FEWEST:
+            raise InputError(f"{p}: {len(m)} touch; {FEWEST} or more are needed")
+        if m.lost:
+            notes.append(f"{m.source}: row {', '.join(map(str, m.lost))} left out, a cell is no number")
+    kept = _without_copies([(p, m.positions_alone()) for p, m in days], notes)
+    dates = [day_of(p) for p, _ in kept]
+    if all(d is not None for d in dates):
+        kept = [
+            pair
+            for _, _, pair in sorted((d or 0.0, k, pair) for k, (d, pair) in enumerate(zip(dates, kept, strict=True)))
+        ]
+        if [p for p, _ in kept][-1] != paths[-1]:
+            notes.append(f"by its date {kept[-1][0].name} is the last day, which is judged")
+    else:
+        notes.append("no date in every table's name: the days are in the order given")
+    kept = kept[-LAST:]
+    weights = OFTEN if fleet is None else changes_in_fleet(Path(fleet))
+    model = TouchModel.of(arm, [m for _, m in kept], None if noise_mm is None else 1e-3 * noise_mm,
+                          weights=weights, dates=tuple(day_of(p) for p, _ in kept))  # fmt: skip
+    left = 1e-3 * np.linalg.norm(model.left, axis=1)
+    today = left[(model.day == len(kept))[::3]]
+    if (far := float(np.median(today))) > ELSEWHERE:
+        raise InputError(
+            f"{kept[-1][0]}: the touches are {mm(far)} mm (median) from where {place.name} has them: the instrument "
+            "stands elsewhere, or it is another robot; touch in the frame of the calibration, or measure ten poses "
+            "anywhere and leave --touches out"
+        )
+    if np.isfinite(model.temperatures).any():
+        notes.append("temperature is logged: lengths are taken to grow by 12 +- 6 um/m a kelvin")
+    found = Touches(arm, model, model.drawn(seed), 1e-3 * tolerance_mm if tolerance_mm else TIMES * model.stated / MM,
+                    None, tuple(notes), (place, *(p for p, _ in kept)))  # fmt: skip
+    named = not found.label or found.draws.share(found.label) >= NAMED
+    if found.verdict == "open" or (found.verdict == "changed" and not named):
+        more = plan_touches(place, MORE, noise_mm=noise_mm, touched=kept[-1][1], seed=seed)
+        return replace(found, more=more)
+    return found
+
+
+def _without_copies(days: list[tuple[Path, Measurements]], notes: list[str]) -> list[tuple[Path, Measurements]]:
+    """Without tables that are an earlier one to the last digit."""
+    kept: list[tuple[Path, Measurements]] = []
+    for path, m in days:
+        same = [p for p, o in kept if all(np.array_equal(a, o.arrays[k]) for k, a in m.arrays.items())
+                and np.array_equal(o.q, m.q)]  # fmt: skip
+        if same:
+            notes.append(f"{path.name} is left out: the same readings as {same[0].name}, to the last digit")
+        else:
+            kept.append((path, m))
+    return kept

@@ -1,0 +1,203 @@
+"""Five touches: planned, judged with and without a history, corrected where that is better, charted."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from command_line import main
+
+from casadical import InputError, Joint, Placement, Robot, identify, read_robot, write_robot
+from casadical.core.transforms import frame, from_rpy
+from casadical.fleet.touches import plan_touches, touched
+from casadical.identification.accuracy import predicted
+from casadical.measurements.measurements import Measurements, unmeasured
+from casadical.project.calibration import with_knowledge
+
+RIGHT = np.pi / 2
+NOISE = 2e-5
+
+
+def arm() -> Robot:
+    """Six joints about 1.4 m long."""
+    rows = [(0, 0, 0.4), (-RIGHT, 0.05, 0), (0, 0.5, 0), (-RIGHT, 0.03, 0.5), (RIGHT, 0, 0), (-RIGHT, 0, 0.1)]
+    joints = tuple(Joint(alpha=a, a=length, d=d, lower=-2.5, upper=2.5) for a, length, d in rows)
+    tool = Placement(frame(np.eye(3), np.array([0.03, 0.02, 0.15])), "position")
+    base = Placement(frame(from_rpy(np.array([0.1, 0.0, 0.4])), np.array([1.0, 0.3, 0.0])), "pose")
+    return Robot("six joints", joints, base=base, tool=tool)
+
+
+def read(robot: Robot, q: np.ndarray, seed: int) -> Measurements:
+    rng = np.random.default_rng(seed)
+    m = unmeasured(q)
+    return replace(m, position=predicted(robot, m)[0] + NOISE * rng.normal(size=(len(q), 3)))
+
+
+def moved(robot: Robot, by: dict[str, float]) -> Robot:
+    return robot.with_values({n: robot.parameters[n].value + v for n, v in by.items()})
+
+
+def grown(robot: Robot, share: float) -> Robot:
+    lengths = [p for p in robot.parameters if p.unit == "m" and p.group in ("geometry", "tool")]
+    return moved(robot, {p.name: share * p.value for p in lengths})
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Robot, np.ndarray]:
+    """A calibrated robot's file, the robot as it is, and five planned readings."""
+    folder = tmp_path_factory.mktemp("touches")
+    rng = np.random.default_rng(5)
+    names = [p.name for p in arm().parameters if p.group in ("geometry", "tool")]
+    true = moved(arm(), {n: 3e-4 * rng.normal() for n in names})
+    found = identify(arm(), read(true, rng.uniform(-2.5, 2.5, (80, 6)), 1), method="KM")
+    file = folder / "six.robot.toml"
+    write_robot(with_knowledge(found), file)
+    plan = plan_touches(file, 5)
+    return file, true, np.deg2rad(plan[[f"q{j}_deg" for j in range(1, 7)]].to_numpy(dtype=float))
+
+
+def day(folder: Path, number: int, robot: Robot, q: np.ndarray, **more: float) -> Path:
+    m = read(robot, q, 100 + number)
+    assert m.position is not None
+    table = pd.DataFrame(np.rad2deg(m.q), columns=[f"q{j}_deg" for j in range(1, 7)])
+    for k, axis in enumerate("xyz"):
+        table[f"{axis}_mm"] = 1e3 * m.position[:, k]
+    path = folder / f"2026-03-{number:02d}.csv"
+    table.assign(**more).to_csv(path, index=False)
+    return path
+
+
+def error(model: Robot, real: Robot) -> float:
+    m = unmeasured(np.random.default_rng(9).uniform(-2.5, 2.5, (300, 6)))
+    return float(np.sqrt(((predicted(model, m)[0] - predicted(real, m)[0]) ** 2).sum(axis=1).mean()))
+
+
+def test_the_same_robot_is_valid_and_a_crash_is_found_and_corrected(place, tmp_path):
+    file, true, q = place
+    same = [day(tmp_path, k, true, q) for k in (1, 2)]
+    found = touched(file, same)
+    assert found.verdict == "valid"
+    assert not found.better
+    assert found.next == ()
+    hit = moved(true, {"theta3": 4e-4})
+    found = touched(file, [*same, day(tmp_path, 3, hit, q)])
+    assert found.verdict == "changed"
+    assert (found.label, found.draws.share("joint_zero@3") > 0.95) == ("joint_zero@3", True)
+    (name, amount, std_error, unit), *_ = found.moved
+    assert (name, unit) == ("theta3", "deg")
+    assert abs(amount - np.rad2deg(4e-4)) < 4 * std_error
+    low, high = np.quantile(found.errors, [0.005, 0.995])
+    assert low < np.hypot(error(read_robot(file), hit), NOISE * np.sqrt(3)) < high
+    assert found.better
+    (tmp_path / "new.robot.toml").write_text(found.updated_text())
+    new = read_robot(tmp_path / "new.robot.toml")
+    assert error(new, hit) < 0.25 * error(read_robot(file), hit)
+    assert touched(tmp_path / "new.robot.toml", [tmp_path / "2026-03-03.csv"]).verdict == "valid"
+    assert new.bound is not None
+    assert new.knowledge is not None
+    before = read_robot(file).knowledge.std_errors["theta3"]
+    assert new.knowledge.std_errors["theta3"] > before
+    assert "Corrected by touches of 2026-03-03.csv" in new.notes[-1]
+
+
+@pytest.mark.parametrize(
+    ("by", "label"),
+    [({"tool_x": 5e-4, "tool_y": 3e-4}, "tool"), ({"base_x": 4e-4, "base_rz": 4e-4}, "foot")],
+)
+def test_another_tool_and_a_moved_foot_are_told_apart(place, tmp_path, by, label):
+    file, true, q = place
+    days = [day(tmp_path, k, true, q) for k in (1, 2)]
+    found = touched(file, [*days, day(tmp_path, 3, moved(true, by), q)])
+    assert found.label == label
+    assert found.verdict == "changed"
+
+
+def test_a_logged_temperature_explains_growth(place, tmp_path):
+    file, true, q = place
+    days = [day(tmp_path, k, true, q, temperature_degC=20.0) for k in (1, 2)]
+    days.append(day(tmp_path, 3, grown(true, 1.2e-4), q, temperature_degC=30.0))
+    told = touched(file, days)
+    assert told.draws.share("") > 0.5
+    assert "temperature is logged" in " ".join(told.notes)
+    assert told.charted_within[-1]
+    days = [day(tmp_path, k, true if k < 3 else grown(true, 1.2e-4), q) for k in (1, 2, 3)]
+    silent = touched(file, days)
+    assert silent.label == "lengths"
+    assert abs(silent.moved[0][1] - 120) < 4 * silent.moved[0][2]
+    assert silent.rows()[-1][4] > 2 * told.rows()[-1][4]
+
+
+def test_where_touches_do_not_decide_two_more_are_named(place, tmp_path):
+    file, true, q = place
+    tolerance = 1.25 * touched(file, [day(tmp_path, 1, true, q)]).model.stated
+    found = touched(file, [day(tmp_path, 1, true, q[:2])], tolerance_mm=tolerance)
+    assert found.verdict == "open"
+    assert found.more is not None
+    assert len(found.more) == 2
+    assert "touch 2 more" in found.blocks()[-2 if found.notes else -1].title
+    more = np.deg2rad(found.more[[f"q{j}_deg" for j in range(1, 7)]].to_numpy(dtype=float))
+    again = touched(file, [day(tmp_path, 1, true, np.vstack([q, more]))], tolerance_mm=tolerance)
+    assert again.probability > found.probability
+
+
+def test_a_fleet_whose_tools_are_hit_makes_the_tool_more_probable(place, tmp_path):
+    file, true, q = place
+    robots = [{"changes": "tool"}] * 30
+    (tmp_path / "fleet.json").write_text(json.dumps({"robots": robots}))
+    table = day(tmp_path, 1, moved(true, {"tool_z": 2e-4}), q[:3])
+    plain, known = (touched(file, [table], fleet=f) for f in (None, tmp_path / "fleet.json"))
+    assert known.draws.share("tool") > plain.draws.share("tool")
+    (tmp_path / "fleet.json").write_text("{}")
+    with pytest.raises(InputError, match="holds no robots"):
+        touched(file, [table], fleet=tmp_path / "fleet.json")
+
+
+def test_the_command_plans_judges_charts_and_corrects(place, tmp_path, monkeypatch, capfd):
+    file, true, q = place
+    monkeypatch.chdir(tmp_path)
+    assert main(monkeypatch, "verify", file.parent, "--touches", 3) == 0
+    assert len(pd.read_csv("touches.csv")) == 3
+    hit = moved(true, {"theta2": -5e-4})
+    days = [day(tmp_path, k, true if k < 3 else hit, q) for k in (1, 2, 3)]
+    kept = ("--update", "new.robot.toml", "--chart", "chart.csv", "--report", "page.html", "--json", "touched.json")
+    assert main(monkeypatch, "verify", file, *days, "--touches", 5, *kept) == 5
+    said = capfd.readouterr().out
+    assert "NO LONGER VALID" in said
+    assert "joint zero of joint 2" in said
+    chart = pd.read_csv("chart.csv")
+    assert chart["within"].tolist() == ["yes", "yes", "no"]
+    assert chart["day"].tolist() == ["2026-03-01", "2026-03-02", "2026-03-03"]
+    told = json.loads(Path("touched.json").read_text())
+    assert (told["verdict"], told["correction"]["written"]) == ("changed", True)
+    assert "Touches day by day" in Path("page.html").read_text()
+    assert main(monkeypatch, "verify", "new.robot.toml", days[2], "--touches", 5, "--update", "no.robot.toml") == 0
+    assert "is not written" in capfd.readouterr().out
+    assert not Path("no.robot.toml").exists()
+    assert main(monkeypatch, "verify", file, days[0], "--chart", "c.csv") == 2
+    assert "give --touches N" in capfd.readouterr().err
+
+
+def test_bad_touches_are_refused_or_said(place, tmp_path):
+    file, true, q = place
+    first = day(tmp_path, 1, true, q)
+    copy = tmp_path / "2026-03-02.csv"
+    copy.write_bytes(first.read_bytes())
+    assert "same readings as 2026-03-01.csv" in " ".join(touched(file, [first, copy]).notes)
+    late = day(tmp_path, 3, true, q)
+    notes = touched(file, [late, first]).notes
+    assert "by its date 2026-03-03.csv is the last day" in " ".join(notes)
+    with pytest.raises(InputError, match="2 or more"):
+        touched(file, [day(tmp_path, 4, true, q[:1])])
+    elsewhere = replace(true, base=replace(true.base, T=frame(np.eye(3), np.array([0.0, 2.0, 0.0])) @ true.base.T))
+    with pytest.raises(InputError, match=re.escape("the instrument stands elsewhere, or it is another robot")):
+        touched(file, [day(tmp_path, 5, elsewhere, q)])
+    bare = tmp_path / "bare.robot.toml"
+    write_robot(arm(), bare)
+    with pytest.raises(InputError, match="does not say how far it may be off"):
+        touched(bare, [first])
+    broken = tmp_path / "2026-03-06.csv"
+    broken.write_text(re.sub(r",[^,\n]*\n(?=[^\n]*\n?$)", ",\n", first.read_text()))
+    assert "left out, a cell is no number" in " ".join(touched(file, [broken]).notes)

@@ -1,0 +1,157 @@
+"""Certificate data: a budget whose sum is right, a decision with a guard band, fields as text, both languages."""
+
+import json
+import re
+import zlib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import ROOT, main
+
+from casadical import InputError, calibrate, certificate, read_problem
+from casadical.measurements.measurements import unmeasured
+from casadical.project.uncertainty_budget import Conditions, budget_of, repeats_of
+
+PLANAR = ROOT / "problems" / "planar"
+MARKUP = "<b>Lab</b> & **Sons** {x} %s [link](http://x)"
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("results")
+    calibrate(PLANAR).write(folder)
+    return folder
+
+
+def details(folder: Path, text: str = "") -> Path:
+    path = folder / "certificate.toml"
+    path.write_text(f"casadical = 1\n{text}", encoding="utf-8")
+    return path
+
+
+def text_of(pdf: bytes) -> str:
+    """Words of a PDF of fpdf2, whose streams are deflated and whose letters are Latin-1."""
+    streams = re.findall(rb"stream\r?\n(.*?)\r?\nendstream", pdf, re.DOTALL)
+    drawn = b"".join(zlib.decompress(s) for s in streams).decode("latin-1")
+    words = (re.sub(r"\\([()\\])", r"\1", t) for t in re.findall(r"\(((?:\\.|[^()\\])*)\) Tj", drawn))
+    return " ".join(words)
+
+
+def test_the_command_writes_two_pages_with_fields_as_text(results, tmp_path, monkeypatch, capfd):
+    said = f'issuer = "{MARKUP}"\ncustomer = "Łódź"\n[instrument]\nname = "T"\nnoise_mm = 0.01\n'
+    given = details(tmp_path, said + "[decision]\ntolerance_mm = 0.1")
+    out, kept = tmp_path / "cert.pdf", tmp_path / "cert.json"
+    options = ("--details", given, "--problem", PLANAR, "--out", out, "--json", kept)
+    assert main(monkeypatch, "certificate", results, *options) == 0
+    assert "CONFORMS" in capfd.readouterr().out
+    pdf = out.read_bytes()
+    assert len(re.findall(rb"/Type /Page\b", pdf)) == 2
+    text = text_of(pdf)
+    assert MARKUP in text
+    assert r"\u0141ód" in text  # a letter that the fonts have not
+    assert "certificate data" in text
+    assert "Traceability of the instrument is not stated" in text
+    assert "SYNTHETIC" in text
+    assert "accredited" not in text
+    assert "They state no accreditation" in text
+    told = json.loads(kept.read_text())
+    assert told["missing"] == ["traceability", "calibrated", "temperature"]
+    assert main(monkeypatch, "certificate", results, *options) == 0  # its own file is replaced
+    assert out.read_bytes() == pdf
+
+
+def test_the_same_in_german_with_everything_stated(results, tmp_path):
+    said = 'language = "de"\n[instrument]\ntraceability = "PTB"\ncalibrated = "2026"\n[conditions]\n'
+    found = certificate(
+        results, details(tmp_path, said + "temperature_degC = 21\n[decision]\ntolerance_mm = 0.001"), problem=PLANAR
+    )
+    assert found.missing == []
+    assert found.decision == "fails"
+    text = text_of(found.pdf())
+    assert "NICHT KONFORM" in text
+    assert "Zertifikatsdaten" in text
+    assert "bescheinigen keine Akkreditierung" in text
+
+
+def test_the_lines_of_the_budget_add_up(results, tmp_path):
+    said = "[instrument]\nnoise_mm = 0.01\nscale_um_per_m = 10\n[conditions]\ntemperature_degC = 20\nrange_K = 3\n"
+    found = certificate(results, details(tmp_path, said), problem=PLANAR)
+    after = found.after
+    assert {line.source for line in after.lines} == {
+        "instrument", "repeatability", "model", "frames", "temperature", "sampling"
+    }  # fmt: skip
+    assert after.square == pytest.approx(after.rms**2 + sum(line.square for line in after.lines))
+    assert after.u() ** 2 == pytest.approx(sum(after.u(line) ** 2 for line in after.lines))
+    assert after.expanded == pytest.approx(after.factor * after.u())
+    assert after.error < found.before.error / 20
+    # By hand: nothing was fitted, noise of 10 um in three coordinates is taken out, scale and growth are put in.
+    p = np.concatenate([m.position for m in found.problem.sets["report"]])
+    spread = np.mean(((p - p.mean(axis=0)) ** 2).sum(axis=1))
+    grown = (12e-6 * 3) ** 2 / 3
+    assert after.square == pytest.approx(after.rms**2 - 3e-10 + spread * (1e-10 + grown))
+
+
+@pytest.mark.parametrize(("tolerance", "word"), [(0.028, "open"), (0.06, "conforms"), (0.005, "fails")])
+def test_a_tolerance_is_guarded_by_the_uncertainty(results, tmp_path, tolerance, word):
+    given = details(tmp_path, f"[decision]\ntolerance_mm = {tolerance}")
+    assert certificate(results, given, problem=PLANAR).decision == word
+
+
+def test_errors_below_the_noise_that_is_stated_have_an_upper_limit_only(results, tmp_path):
+    found = certificate(results, details(tmp_path, "[instrument]\nnoise_mm = 0.05"), problem=PLANAR)
+    assert not found.after.resolved
+    assert found.after.square < 0
+    assert "<= 0.0" in found.blocks()[0].text
+    assert text_of(found.pdf())
+
+
+def test_repeats_tell_the_scatter_of_a_coordinate():
+    robot = read_problem(PLANAR).robot
+    rng = np.random.default_rng(0)
+    q = np.repeat(rng.uniform(-1, 1, (40, 2)), 10, axis=0)
+    m = unmeasured(q)
+    m = replace(m, position=2e-5 * rng.normal(size=(400, 3)))
+    s, freedom = repeats_of(robot, [m])
+    assert freedom == 3 * 40 * 9
+    assert s == pytest.approx(2e-5, rel=0.05)
+    assert repeats_of(robot, [m[::10]]) == (0.0, 0.0)
+    with_repeats = budget_of(robot, [m], Conditions(noise=1.0), (s, freedom), ())
+    assert next(line.square for line in with_repeats.lines if line.source == "instrument") == 0.0
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('language = "fr"', "language = 'fr'"),
+        ('issued = "last May"', "write the day as 2026-03-14"),
+        ("[instrument]\nnoise_mm = -1", "above zero"),
+        ("[instrument]\nnoise = 1", "write its unit too"),
+        ("[decision]\ntolerance_mm = 0", "above zero"),
+        ('[instrument]\nnam = "x"', "is name meant?"),
+        (f'issuer = "{"x" * 400}"', "at most 300"),
+    ],
+)
+def test_details_that_cannot_be_are_refused_in_a_sentence(results, tmp_path, text, words):
+    with pytest.raises(InputError, match=re.escape(words)):
+        certificate(results, details(tmp_path, text), problem=PLANAR).pdf()
+
+
+def test_long_words_shrink_to_two_pages(results, tmp_path):
+    long = " ".join(["word"] * 59)
+    said = f'issuer = "{long}"\ncustomer = "{"W" * 300}"\nremarks = ["{long}", "{long}", "{long}", "{long}"]'
+    pdf = certificate(results, details(tmp_path, said), problem=PLANAR).pdf()
+    assert len(re.findall(rb"/Type /Page\b", pdf)) == 2
+    assert text_of(pdf).count("word") == 5 * 59
+
+
+def test_results_of_other_measurements_are_refused(results, tmp_path):
+    told = json.loads((results / "result.json").read_text())
+    told["methods"]["KM"]["sets"]["report"]["mean_mm"] *= 1.1
+    (tmp_path / "result.json").write_text(json.dumps(told))
+    (tmp_path / "KM.robot.toml").write_text((results / "KM.robot.toml").read_text())
+    with pytest.raises(InputError, match="measured or split otherwise"):
+        certificate(tmp_path, details(tmp_path), problem=PLANAR)
+    with pytest.raises(InputError, match="name it with --problem"):
+        certificate(tmp_path, details(tmp_path))
