@@ -27,7 +27,6 @@ from casadical.identification.error_bound import evaluated
 from casadical.identification.identification import calibrated
 from casadical.identification.prepared import prepare
 from casadical.measurements.measurements import STANDS, Measurements, same_readings, unmeasured
-from casadical.robot.error_bound import doubted
 from casadical.robot.robot import Robot
 
 # Of 95.45 %, which is k = 2 with many degrees of freedom.
@@ -205,20 +204,17 @@ def budget_of(
 def _beyond(robot: Robot, sets: Sequence[Measurements]) -> float:
     """How much E^2 may differ between the poses from what it is at them, one sigma [m^2].
 
-    By what the robot file says may be off: its bound, else its covariance. Half the width of an even distribution.
+    By the covariance of the robot file, as another campaign may find it. Half the width of an even distribution.
     """
-    if robot.bound is not None:
-        wide, names, factor = doubted(robot), robot.bound.names, robot.bound.factor
-    elif robot.knowledge is not None and (blocks := robot.knowledge.covariance):
-        wide, names = robot, tuple(n for b in blocks for n in b.names)
-        factor = np.zeros((len(names), len(names)))
-        for block in blocks:
-            at = [names.index(n) for n in block.names]
-            values, V = np.linalg.eigh(block.matrix)
-            factor[np.ix_(at, at)] = V * np.sqrt(np.maximum(values, 0.0) * robot.knowledge.misfit)
-    else:
+    if robot.knowledge is None or not (blocks := robot.knowledge.covariance):
         return 0.0
-    placing = [k for k, n in enumerate(names) if wide.parameters[n].group == "base"]
+    names = tuple(n for b in blocks for n in b.names)
+    factor = np.zeros((len(names), len(names)))
+    for block in blocks:
+        at = [names.index(n) for n in block.names]
+        values, V = np.linalg.eigh(block.matrix)
+        factor[np.ix_(at, at)] = V * np.sqrt(np.maximum(values, 0.0) * robot.knowledge.misfit)
+    placing = [k for k, n in enumerate(names) if robot.parameters[n].group == "base"]
     factor = np.delete(factor, placing, axis=0)
     names = tuple(n for k, n in enumerate(names) if k not in placing)
     q = np.concatenate([m.q for m in sets])
@@ -227,10 +223,10 @@ def _beyond(robot: Robot, sets: Sequence[Measurements]) -> float:
     far = np.stack([np.linalg.norm(q - one, axis=1) for one in some])
     near = np.argsort(far, axis=1)[np.arange(len(some)), rng.integers(1, NEAR + 1, len(some))]
     drawn = some + rng.uniform(size=(len(some), 1)) * (q[near] - some)
-    scale = np.array([wide.parameters[n].scale for n in names])[:, None]
+    scale = np.array([robot.parameters[n].scale for n in names])[:, None]
 
     def mean_square(some: Measurements) -> float:
-        J = 1e-3 * evaluated(wide, [some], names)[1]
+        J = 1e-3 * evaluated(robot, [some], names)[1]
         J = J[np.isfinite(J).all(axis=(1, 2))]
         return float(((J @ (factor / scale)) ** 2).sum() / max(len(J), 1))
 
