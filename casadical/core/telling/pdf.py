@@ -109,7 +109,7 @@ def _table(sheet: Sheet, table: Table, size: float) -> None:
     sheet.ln(0.5 * size)
     if table.title:
         _line(sheet, table.title, "B", 8.5 * size)
-    sheet.set_font("helvetica", "", 8 * size)
+    sheet.set_font("helvetica", "B", 8 * size)
     rows = [table.columns, *table.rows] if any(table.columns) else [*table.rows]
     longest = [max(sheet.get_string_width(_text(str(row[k]))) for row in rows) + 3 for k in range(len(rows[0]))]
     over = sum(longest) - WIDTH
@@ -117,6 +117,7 @@ def _table(sheet: Sheet, table: Table, size: float) -> None:
         widest = int(np.argmax(longest))
         longest[widest] = max(longest[widest] - over, 25.0)
         longest = [WIDTH * w / sum(longest) for w in longest]
+    sheet.set_font("helvetica", "", 8 * size)
     _ink(sheet)
     sheet.set_draw_color(*_rgb("line"))
     sheet.set_fill_color(*_rgb("paper"))
@@ -167,6 +168,6 @@ def _figure(sheet: Sheet, figure: Figure, left: float, top: float, wide: float, 
             sheet.set_xy(x0 + w / 2 + (value - middle[0]) * scale - 8, y0 + h + 0.5)
         else:
             sheet.set_xy(left - 5, y0 + h / 2 - (value - middle[1]) * scale - 1.5)
-        sheet.cell(16, 3, f"{value:.3g}", align="C" if across else "R")
+        sheet.cell(16, 3, f"{value:.0f}", align="C" if across else "R")
     sheet.set_xy(x0, y0 + h + 3.5)
     sheet.cell(w, 3, _text(f"{figure.x.title}; {figure.y.title}"), align="C")
