@@ -29,8 +29,7 @@ from casadical.identification.accuracy import predicted
 from casadical.measurements.columns import Columns
 from casadical.measurements.measurements import unmeasured
 from casadical.measurements.raw_table import read_table
-from casadical.pose_selection.candidates import draw, expected
-from casadical.pose_selection.closures import held_in
+from casadical.pose_selection.candidates import draw, expected, held_in
 from casadical.pose_selection.workspace import Workspace
 from casadical.robot.robot import Robot
 
