@@ -28,8 +28,6 @@ from casadical.pose_selection.pose_search import select_poses as select_poses
 from casadical.pose_selection.selection import Selection as Selection
 from casadical.project.calibration import Calibration as Calibration
 from casadical.project.calibration import calibrate as calibrate
-from casadical.project.certificate import Certificate as Certificate
-from casadical.project.certificate import certificate as certificate
 from casadical.project.problem import Problem as Problem
 from casadical.project.problem import read_campaign as read_campaign
 from casadical.project.problem import read_campaign_robot as read_campaign_robot

@@ -2,7 +2,7 @@
 
 The robot file says where the points should be. What is measured departs from that by y = J x + r + J d + noise: x, the
 errors that the calibration left, with the second moment of the file's bound (or its covariance); r, what nothing
-explains, the same whenever a pose comes back; daily differences; growth with a logged temperature; and changes d since
+explains, the same at every visit of a pose; daily differences; growth with a logged temperature; and changes d since
 some day, each along few columns. Given one change all is Gaussian; causes, days, sizes and the noise's share are summed
 over with the weights of `casadical compare`. The error of today is drawn from what comes of it.
 """

@@ -343,14 +343,6 @@ def certificate(
     ------
     InputError
         results and measurements that do not belong together, no held-out positions, details that cannot be
-
-    Examples
-    --------
-    >>> (details := Path("certificate.toml")).write_text("casadical = 1")
-    13
-    >>> found = casadical.certificate("results", details, problem="problems/planar")
-    >>> found.after.n, found.decision, found.missing[0], found.pdf()[:5]
-    (15, '', 'traceability', b'%PDF-')
     """
     place = Path(results)
     place = result_in(place) if place.is_dir() else place

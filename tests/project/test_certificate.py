@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from command_line import ROOT, main
 
-from casadical import InputError, calibrate, certificate, read_problem
+from casadical import InputError, calibrate, read_problem
 from casadical.measurements.measurements import unmeasured
+from casadical.project.certificate import certificate
 from casadical.project.uncertainty_budget import Conditions, budget_of, repeats_of
 
 PLANAR = ROOT / "problems" / "planar"
