@@ -33,42 +33,17 @@ SCALARS = ("voltage", "payload")
 class JointLog(Shown):
     """What was logged of an arm in motion, row by row; SI units, NaN where a cell is missing.
 
-    Parameters
-    ----------
-    time : Array, shape (n,) [s]
-        of each row; it grows within a run, and may begin again in the next one
-    joints : tuple[str, ...]
-        names of the joints, in the order of the columns below
-    position : Array, shape (n, joints) [rad or m]
-        as the encoders read
-    command : Array, shape (n, joints) [rad or m], optional
-        commanded position
-    command_speed, speed : Array, shape (n, joints) [rad/s or m/s], optional
-        commanded speed, and the measured one
-    torque : Array, shape (n, joints) [N m or N], optional
-        of the drive, as the controller says
-    current : Array, shape (n, joints) [A], optional
-        of the motor
-    temperature : Array, shape (n, joints) [degC], optional
-    current_unsigned : bool, default False
-        whether the current is an absolute value, or a raw one of unknown sign
-    voltage : Array, shape (n,) [V], optional
-    payload : Array, shape (n,) [kg], optional
-    run : Array, shape (n,), optional
-        number of the run of each row; the rows of a run stand together
-    kinds : tuple[str, ...], default ()
-        of each joint, revolute or prismatic; all revolute where none are given
-    row : Array, shape (n,), optional
-        line of the source of each row, for messages
-    source : str, default "log"
-        file name or description
-    findings : tuple[str, ...], default ()
-        sentences: what was understood, and what is odd
-
-    Raises
-    ------
-    InputError
-        arrays that do not fit each other, a time that does not grow, or nothing to diagnose
+    time : shape (n,) [s]: grows within a run, and may begin again in the next one
+    joints : names, in the order of the columns of what follows, each of shape (n, joints)
+    position : as the encoders read [rad or m]; command : as sent to the drives; speed, command_speed [rad/s or m/s]
+    torque : of the drive, as the controller says [N m or N]; current : of the motor [A]; temperature [degC]
+    current_unsigned : whether the current is an absolute value, or a raw one of unknown sign
+    voltage : shape (n,) [V]; payload : shape (n,) [kg]; run : shape (n,): number of each row's run, whose rows stand
+        together
+    kinds : of each joint, revolute or prismatic; all revolute where none are given
+    row : shape (n,): line of the source, for messages; source : file name or description
+    findings : sentences: what was understood, and what is odd
+    Raises InputError: arrays that do not fit each other, a time that does not grow, or nothing to diagnose.
 
     Examples
     --------

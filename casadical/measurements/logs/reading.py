@@ -38,27 +38,13 @@ def read_log(
 ) -> JointLog:
     """A joint log from a file of a controller, a simulator or a recorder.
 
-    Parameters
-    ----------
-    path : str | Path
-        table (csv, csv.gz, parquet; docs/log-files.md has the columns, RTDE's names are known, too), a folder of SAGE,
-        a Parquet file of a LeRobot dataset, a ROS bag (.db3, .mcap, .bag, or the folder with metadata.yaml)
-    robot : Arm, optional
-        its joints, by their names or their order, are those of the log; others are left out
-    unit : {"deg", "rad", "percent"}, optional
-        of angles whose unit the file does not say; percent: of half a joint's range about its middle
-    effort : {"torque", "current"}, default "torque"
-        what stands in the field effort, torque or torques
-
-    Returns
-    -------
-    JointLog
-        in SI; its findings say what was understood, and what is odd
-
-    Raises
-    ------
-    InputError
-        a file that cannot be used; it names file, row and column where something is wrong, and what to do
+    path : table (csv, csv.gz, parquet; docs/log-files.md has the columns, RTDE's names are known, too), a folder of
+        SAGE, a Parquet file of a LeRobot dataset, a ROS bag (.db3, .mcap, .bag, or the folder with metadata.yaml)
+    robot : its joints, by their names or their order, are those of the log; others are left out
+    unit : of angles whose unit the file does not say; percent: of half a joint's range about its middle
+    effort : what stands in the field effort, torque or torques
+    Returns the log in SI; its findings say what was understood, and what is odd.
+    Raises InputError: a file that cannot be used; it names file, row and column, and what to do.
 
     Examples
     --------
