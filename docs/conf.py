@@ -142,8 +142,17 @@ def _short_sidebar(_app: Any, env: Any) -> None:
         names.parent.remove(names)
 
 
+def _narrow(_app: Any, _name: str, _template: str, context: dict[str, Any], _tree: Any) -> None:
+    """On a phone the index has one column, and long names break."""
+    context["metatags"] += (
+        "<style>@media (max-width: 46em) {.indextable td {display: block; width: auto; overflow-wrap: anywhere}"
+        " .domainindex-table {display: block; overflow-x: auto}}</style>"
+    )
+
+
 def setup(app: Any) -> None:
     """Sphinx calls it."""
+    app.connect("html-page-context", _narrow)
     app.connect("env-updated", _short_sidebar)
     app.connect("source-read", _to_gallery)
     app.connect("source-read", _all_pages)

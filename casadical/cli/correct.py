@@ -7,6 +7,8 @@ import typer
 
 from casadical.cli import options as o
 from casadical.cli.terminal import keep, plain, refuse_taken, with_json
+from casadical.core.telling.blocks import next_step
+from casadical.core.telling.terminal import terminal
 
 Model = Annotated[
     Path, typer.Argument(metavar="DIR_OR_MODEL", help="A folder that `casadical export c` wrote, or a robot file.")
@@ -113,3 +115,6 @@ def correct(
     for line in made.lines:
         console.print(line)
     keep(with_json(made.files, json_file, made.figures), console)
+    if model.is_file():
+        when = "when some ten poses were measured again"
+        console.print(terminal([next_step(when, "verify", model, "later.csv")]))

@@ -10,6 +10,8 @@ import typer
 from casadical.cli import options as o
 from casadical.cli.progress import working
 from casadical.cli.terminal import keep, plain, print_written, refuse_taken, with_json
+from casadical.core.telling.blocks import next_step
+from casadical.core.telling.terminal import terminal
 
 Robot = Annotated[Path, typer.Argument(metavar="ROBOT.toml", help="A calibrated robot file.")]
 Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the files; other files in it stay.")]
@@ -155,6 +157,9 @@ def export_c(
     console = plain(quiet)
     console.print(made.report())
     print_written(json_file, console)
+    if what == "command":
+        step = next_step("to correct an offline program by it", "correct", out, "program.csv", "--out", "corrected.csv")
+        console.print(terminal([step]))
 
 
 def export_model(

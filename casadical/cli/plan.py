@@ -12,6 +12,8 @@ from casadical.cli.options import effects as effect_words
 from casadical.cli.progress import PLAN, working
 from casadical.cli.terminal import keep, keep_json, with_json, wrapped
 from casadical.core.errors import InputError
+from casadical.core.telling.blocks import next_step
+from casadical.core.telling.terminal import terminal
 
 if TYPE_CHECKING:
     from casadical.project.planning import Places
@@ -146,7 +148,6 @@ def plan(
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
-    from casadical.core.telling.terminal import terminal
     from casadical.project.planning import Wanted, circumstances_of, plan_problem, planned_with
 
     if isolability:
@@ -183,6 +184,10 @@ def plan(
     console.print(terminal(planned.blocks()))
     console.print(planned_with(problem, measured, prior))
     keep(with_json(planned.files(place) if place else {}, json_file, planned.to_json()), console)
+    if place:
+        tables = (*([measured] if measured else []), place)
+        step = next_step("when what was measured stands beside these readings", "calibrate", problem, *tables)
+        console.print(terminal([step]))
 
 
 def _refuse_given(options: dict[str, object], mode: str = "--isolability") -> None:

@@ -73,3 +73,8 @@ def test_every_tutorial_is_a_notebook_that_runs_where_the_repository_is(site) ->
     done = command_line.python(program, ROOT)
     assert done.returncode == 0, done.stderr
     assert "mm after" in done.stdout
+
+
+def test_the_index_has_one_column_on_a_phone(site) -> None:
+    """Beside each other its columns of long names are wider than 400 px."""
+    assert ".indextable td {display: block" in (site.folder / "genindex.html").read_text(encoding="utf-8")
