@@ -29,6 +29,21 @@ from types import SimpleNamespace
 from casadical.blind_check.scoring import draw_confusion
 draw_confusion(SimpleNamespace(confusion={"backlash": {"backlash": 3}, "none": {"none": 2}}), Path("confusion.png"))
 """
+PAGE = """
+from casadical.project.live.server import LivePage, bound
+import starlette, sse_starlette, uvicorn
+print(LivePage, bound("127.0.0.1", 0).getsockname()[0])
+"""
+LOG = """
+import numpy, pandas
+from casadical.measurements.logs.reading import read_log
+import rosbags
+t = numpy.arange(0, 2, 0.01)
+motion = {f"{name}{i}_rad": 0.3 * numpy.sin(t + i) for name in ("q", "command") for i in range(1, 4)}
+table = pandas.DataFrame({"time_s": t, **motion})
+table.to_parquet("log.parquet")
+print(read_log("log.parquet"))
+"""
 # What needs the extra: commands, or a program.
 NEEDED: dict[str, tuple[tuple[str, ...], ...] | str] = {
     "urdf": (
@@ -40,6 +55,8 @@ NEEDED: dict[str, tuple[tuple[str, ...], ...] | str] = {
     "plots": PICTURE,
     "report": (("calibrate", "arm", "--report", "arm.html"),),
     "fleet": (("fleet", ".", "--store", "store.parquet", "--no-diagnose"),),
+    "live": PAGE,
+    "logs": LOG,
     "plan": (("plan", "arm", "--order", "--out", "plan.csv"),),
     "withheld": (("withheld", "arm", "--poses", "40", "--n", "4"),),
     "mujoco": (("verify", "arm", "arm/poses.csv", "--mujoco"),),
