@@ -1,6 +1,7 @@
 """What lies at the top, what no file may name, and what every module says of itself."""
 
 import ast
+import gzip
 import lzma
 import re
 from pathlib import Path
@@ -28,7 +29,7 @@ def test_the_top_level_is_as_agreed() -> None:
 def named_in(path: Path) -> list[str]:
     """Registries and paths of a machine that a file names."""
     raw = (ROOT / path).read_bytes()
-    text = (lzma.decompress(raw) if path.suffix == ".xz" else raw).decode("utf-8")
+    text = {".xz": lzma.decompress, ".gz": gzip.decompress}.get(path.suffix, bytes)(raw).decode("utf-8")
     machine = MACHINE_PATH.search(text)
     return [host for host in HOSTS if host in text] + ([machine[0]] if machine else [])
 
