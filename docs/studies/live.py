@@ -31,7 +31,7 @@ from casadical.project.live import LiveSession
 from casadical.project.live.ahead import candidates
 from casadical.project.live.estimate import estimate
 from casadical.project.live.journal import journal
-from casadical.project.live.sources import FileSource, Row
+from casadical.project.live.sources import FileSource, Row, rows_of
 from casadical.project.new.synthetic import NOISE, as_built, one_turn
 from casadical.robot.robot import Robot
 
@@ -83,12 +83,14 @@ def times() -> None:
     print("                 of the clock               | of one processor | of the clock")
     print("robot    poses   median    95 %         max |   median    95 % | next pose: 95 %   doubted")
     for robot in ("ur10", "kr210"):
-        q, y = real_or_simulated(robot)
+        problem = read_problem(ROOT / "problems" / robot)
+        table = problem.folder / problem.tables[0]["file"]
+        rows = rows_of(table, table.read_bytes()).rows
         answers, plans, own = [], [], []
         with session(robot) as live:
             for k in range(100):
                 start, processor = time.perf_counter(), time.process_time()
-                live.take(row(live.robot, q[k], y[k]))
+                live.take(rows[k])
                 state = live.state()
                 answers.append(time.perf_counter() - start)
                 own.append(time.process_time() - processor)

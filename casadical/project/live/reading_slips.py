@@ -123,8 +123,10 @@ def _of_joints(found: Estimate, one: Measurements, m: Measurements, k: int) -> I
     values = _measured(found, one, at, np.tile(y, (n, 1)))
     for i in range(n):
         turning, read = found.robot.joints[i].kind == "revolute", one.q[0, i]
-        stood = read + (_turned(at[i, i] - read) if turning else at[i, i] - read)
-        if lower[i] - 0.02 <= stood <= upper[i] + 0.02 and abs(stood - read) > SAME / 4:
+        turns = (-2 * np.pi, 0.0, 2 * np.pi) if turning else (0.0,)
+        places = [at[i, i] + turn for turn in turns if lower[i] - 0.02 <= at[i, i] + turn <= upper[i] + 0.02]
+        stood = min(places, key=lambda place, read=read: abs(place - read), default=read)  # type: ignore[misc]
+        if abs(stood - read) > SAME / 4:
             kind, words = _joint_words(turning, i, stood, read, m.q[k - 1, i] if k else None)
             yield Slip(kind, words, float(values[i]))
 

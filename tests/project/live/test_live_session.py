@@ -209,27 +209,21 @@ def test_the_journal_is_lines_of_json(arm: Path) -> None:
 
 
 def test_a_four_bar_that_cannot_close_on_the_way_to_an_explanation_stops_nothing(tmp_path: Path) -> None:
-    folder = tmp_path / "kr"
+    folder = tmp_path / "hh800"
     folder.mkdir()
-    shutil.copy(ROOT / "problems/kr210/robot.toml", folder)
+    shutil.copy(ROOT / "problems/hh800/robot.toml", folder)
     (folder / "problem.toml").write_text('casadical = 1\ntitle = "t"\n')
-    m = casadical.read_problem(ROOT / "problems/kr210").sets["identify"][0]
-    lower, upper = casadical.read_robot(folder / "robot.toml").limits
+    m = casadical.read_problem(ROOT / "problems/hh800").sets["identify"][0]
     with journal(folder) as (course, add):
         session = LiveSession(folder, course, add)
-        names = (*session.robot.reading_units, "x_mm", "y_mm", "z_mm")
+        units = session.robot.reading_units
         for k in range(11):
-            q, p = m.q[k].copy(), m.position[k].copy()
-            if k == 8:
-                q[2] = lower[2] + 0.01
-            if k == 9:
-                p += 3.0
-            if k == 10:
-                q[1:3] = upper[1], lower[2]
-            cells = [*np.rad2deg(q), *(1e3 * p)]
-            session.take(Row(names, (), tuple(f"{v:.6f}" for v in cells), "test"))
+            q = m.q[k] * np.where((k == 10) & (np.arange(session.robot.n) == 0), -1, 1)
+            cells = [*(q / list(units.values())), *(1e3 * m.position[k])]
+            session.take(Row((*units, "x_mm", "y_mm", "z_mm"), (), tuple(f"{v:.6f}" for v in cells), "test"))
         told = session.state()["readings"]
-    assert [r["state"] for r in told] == ["good"] * 8 + ["doubtful"] * 3
+    assert [r["number"] for r in told if r["state"] != "good"] == [11]
+    assert "joint 1 stood at -96.29, not 96.29 deg: its sign is wrong" in told[10]["why"]
 
 
 def test_poses_stay_above_the_plane_that_the_robot_stands_on(arm: Path) -> None:
