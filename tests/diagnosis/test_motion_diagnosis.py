@@ -114,6 +114,23 @@ def test_of_a_healthy_arm_nothing_is_named(robot, seed):
     assert diagnose_log(robot, simulated(robot, seed)).verdict == "none"
 
 
+def test_with_commands_alone_the_position_error_is_judged(robot):
+    log = simulated(robot, 2)
+    found = diagnose_log(robot, JointLog(log.time, log.joints, log.position, log.command, run=log.run))
+    assert found.verdict == "none"
+    assert found.to_json()["gap"]["unit"] == "rad"
+    model, usual, _ = found.gap()
+    np.testing.assert_array_less(usual, 0.2 * model)
+
+
+def test_a_joint_that_never_moves_is_no_cause(robot):
+    log = simulated(robot, 2)
+    held, command = log.position.copy(), log.command.copy()
+    held[:, 2], command[:, 2] = 0.1, 0.1
+    still = JointLog(log.time, log.joints, held, command, current=log.current, run=log.run)
+    assert any("3 never moved" in text for text in diagnose_log(robot, still).to_json()["cannot_tell"])
+
+
 def test_friction_that_has_grown_is_told_with_a_reference_alone(robot):
     log = simulated(robot, 1, drier)
     assert not diagnose_log(robot, log).named

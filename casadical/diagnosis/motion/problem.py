@@ -31,8 +31,8 @@ FREE = 8.0
 SIGMAS = np.geomspace(0.4, 2.5, 25)
 # Share of a coefficient of friction, and of the great torque, that differs from day to day.
 DAILY, DAILY_LEAST = 0.15, 0.01
-# Most of the noise that stays from a window to the next; rounds in which noise is found; least noise of a row.
-MOST_STAYS, ROUNDS, LEAST = 0.8, 3, 1e-9
+# Most of the noise that stays from a window to the next; rounds in which noise is found, and least of a torque.
+MOST_STAYS, ROUNDS, LEAST = 0.8, 3, 1e-6
 # Weight of a row that is so many times its noise away falls as Student's does.
 TAIL = 8.0
 WHITE = Noise(1.0, 0.0)
@@ -104,6 +104,7 @@ class MotionCase:
     r : residual as it is, shape (blocks, rows); base : columns of the base, sizes in them, (blocks, rows, P)
     E : columns of the variants, as they are; noise : of each row
     of_log : blocks of the log itself, not of the reference; parts : of the base, behind the bodies
+    floor : least noise of each row, from the readings' steps
     scale : what one of each joint's first row is in the log's own unit, A or N m, or rad where unit is None
     over : of the log's windows, shape (blocks, joints), angle, speed, load and time
     """
@@ -119,6 +120,7 @@ class MotionCase:
     noise: Following
     of_log: Array
     parts: tuple[Part, ...]
+    floor: Array
     scale: Array
     unit: str | None
     over: tuple[Array, ...]
@@ -155,7 +157,9 @@ class MotionCase:
         for _ in range(ROUNDS):
             few = few.with_noise(noise)
             fit = new_fit(replace(few.judged, reference=1 / FREE), every, WHITE, combined=False)
-            noise = following(few.left(every, fit.x[: self.base.shape[2]], fit.x[self.base.shape[2] :]), self.first)
+            noise = following(
+                few.left(every, fit.x[: self.base.shape[2]], fit.x[self.base.shape[2] :]), self.first, self.floor
+            )
         return self.with_noise(noise)
 
     def with_noise(self, noise: Following) -> MotionCase:
@@ -164,15 +168,16 @@ class MotionCase:
         return replace(self, judged=judged, noise=noise)
 
 
-def following(left: Array, first: Array) -> Following:
-    """The noise of each row, as it is in what was left, shape (blocks, rows)."""
-    sigma = np.maximum(1.4826 * np.median(np.abs(left), axis=0), 0.2 * left.std(axis=0)) + LEAST
+def following(left: Array, first: Array, floor: Array) -> Following:
+    """The noise of each row, as it is in what was left, shape (blocks, rows); floor : least of each row."""
+    sigma = np.maximum(1.4826 * np.median(np.abs(left), axis=0), 0.2 * left.std(axis=0))
+    sigma = np.maximum(sigma, floor)
     weight = 1 / np.sqrt(1 + (left / (TAIL * sigma)) ** 2)
     inner = ~first[1:]
     a, b = (left * weight**2)[1:][inner], (left * weight**2)[:-1][inner]
-    stays = (a * b).sum(axis=0) / np.maximum((a * a).sum(axis=0), (b * b).sum(axis=0) + LEAST**2)
+    stays = (a * b).sum(axis=0) / np.maximum((a * a).sum(axis=0), (b * b).sum(axis=0) + 1e-300)
     stays = np.clip(stays, 0.0, MOST_STAYS)
-    return Following(np.sqrt(((left * weight) ** 2).mean(axis=0)) + LEAST, stays, weight)
+    return Following(np.maximum(np.sqrt(((left * weight) ** 2).mean(axis=0)), floor), stays, weight)
 
 
 def white_problem(r: Array, base: Array, E: RowColumns, first: Array, noise: Following) -> Evidence:
@@ -221,12 +226,20 @@ def motion_case(
     J = np.concatenate([bodies, np.stack([p.size * v for p, v in columns.values()], axis=2)], axis=2)
     residual = np.concatenate([_residual(one) for one in looks])
     nothing = RowColumns(Factors((), 0), rows, int(ends[-1]))
-    noise = following(residual, first)
+    floor = _floor(log)
+    noise = following(residual, first, floor)
     case = MotionCase(
         white_problem(residual, J, nothing, first, noise), (), (), (), residual, J, nothing, first, noise,
-        np.arange(ends[-1]) < ends[1], parts, *_told(log),
+        np.arange(ends[-1]) < ends[1], parts, floor, *_told(log),
     ).renewed()  # fmt: skip
     return case if chosen == () else with_candidates(case, log, chosen)
+
+
+def _floor(log: Look) -> Array:
+    """Noise of each row that readings in steps have at least: a joint at rest repeats its error, window by window."""
+    step = log.motion.quantum / np.sqrt(12)
+    at_torque = log.gain * step / log.great if log.motion.torque is None else np.full(log.arm.joints, LEAST)
+    return at_torque if log.response is None else np.concatenate([at_torque, step])
 
 
 def _told(log: Look) -> tuple[Array, str | None, tuple[Array, ...]]:

@@ -17,7 +17,8 @@ DETECT = 0.02
 # A cause is at least so large over what is left, where it acts; most causes that are looked for.
 VISIBLE, MOST = 0.75, 5
 # A cause gains so much log evidence, and one that is short in time so much: there every friction has flaws.
-CERTAIN, LOCAL = 40.0, 80.0
+# Where no torque was logged, the servo's gain and friction are known far worse, and it gains so many times more.
+CERTAIN, LOCAL, WITHOUT_TORQUE = 40.0, 80.0, 2.5
 Verdict = Literal["explained", "ambiguous", "unknown", "none"]
 
 
@@ -80,7 +81,8 @@ def search(case: MotionCase) -> Outcome:
         rankings, top, there = (*rankings, ranking), ranking.order[0], 1 - ranking.none
         if ranking.none > (DETECT_FURTHER if found else DETECT) or len(found) == MOST:
             return Outcome(case, last, found, rankings)
-        if ranking.log_factor[top] < (LOCAL if case.by_label[top].name == "contact" else CERTAIN):
+        least = (LOCAL if case.by_label[top].name == "contact" else CERTAIN) * (1.0 if case.unit else WITHOUT_TORQUE)
+        if ranking.log_factor[top] < least:
             return Outcome(case, last, found, rankings)
         share = _share(case, found, ranking, top)
         listed = [k for k in ranking.order if case.by_label[k].listed]

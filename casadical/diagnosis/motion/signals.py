@@ -25,6 +25,8 @@ RATE, MOST_WINDOWS, PAUSE = 62.5, 1500, 10.0
 STANDS, SLOW = 0.02, 2e-3
 # A joint has not moved in a run while it is within this of where it began [rad].
 UNMOVED = 5e-3
+# No reading is finer than this [rad].
+LEAST_QUANTUM = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +39,7 @@ class Motion:
     torque : at the joints, or None; heat : temperature above the least, or None
     memory : play operators of the angle, by width, -1 to 1; widths : of them [rad]
     rest : time since the joint stood still; unmoved : 1 until it first moved in its run
+    quantum : smallest step of each joint's readings, shape (joints,)
     windows : samples of each window, shape (windows, k); first : whether it is the first of its run
     """
 
@@ -54,6 +57,7 @@ class Motion:
     memory: Mapping[float, Array]
     rest: Array
     unmoved: Array
+    quantum: Array
     windows: Array
     first: Array
 
@@ -107,9 +111,17 @@ def motion_of(log: JointLog, arm: Arm, widths: tuple[float, ...], *, of_command:
         **optional,
         heat=None if heat is None else heat - heat.min(axis=0),
         memory=memory,
+        quantum=_quantum(log.position),
         windows=np.concatenate(windows),
         first=np.concatenate(first),
     )
+
+
+def _quantum(position: Array) -> Array:
+    """The smallest step of each joint's readings, LEAST_QUANTUM at least."""
+    steps = np.abs(np.diff(position, axis=0))
+    smallest = np.where(steps > LEAST_QUANTUM, steps, np.inf).min(axis=0)
+    return np.asarray(np.where(np.isfinite(smallest), smallest, LEAST_QUANTUM))
 
 
 def _torque(log: JointLog, arm: Arm) -> Array | None:
