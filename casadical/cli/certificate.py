@@ -16,9 +16,12 @@ from casadical.core.telling.terminal import terminal
 def certificate(
     results: Annotated[Path, typer.Argument(metavar="RESULTS", help="Folder that `casadical calibrate --out` wrote.")],
     details: Annotated[
-        Path,
-        typer.Option(metavar="FILE.toml", help="Issuer, instrument, conditions, tolerance: docs/certificate.md."),
-    ],
+        Path | None,
+        typer.Option(
+            metavar="FILE.toml",
+            help="Issuer, instrument, conditions, tolerance; default: nothing is stated, which the pages say.",
+        ),
+    ] = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE.pdf", help="Two pages (needs fpdf2).")] = None,
     problem: Annotated[
         Path | None,

@@ -279,10 +279,10 @@ class Touches(Result):
                         facts=[f"{r[0]} {r[1]}" for r in rows], tip=tip)  # fmt: skip
         course = Series("line", x, [r[4] / r[5] for r in rows], colour="grey", width=1)
         centre = float(np.mean([3 * r[2] / r[5] for r in rows]))
-        marks = [Rule("y", 1.0, "red", "solid", 1.5, "limit"), Rule("y", centre, "green", "dot", 1.5)]
+        marks = [Rule("y", 1.0, "red", "solid", 1.5), Rule("y", centre, "green", "dot", 1.5)]
         caption = (
             "What each day's touches depart from what the robot file and the days before say, T2 over its limit, which "
-            "is passed once in 370 days while nothing changes. Dotted: what is usual."
+            "is passed once in 370 days while nothing changes: the red line. Dotted: what is usual."
         )
         labels = (
             Axis("day", ticks=x, labels=[r[0] or r[1] for r in rows]) if len(rows) <= 12 else Axis("day", whole=True)

@@ -27,6 +27,7 @@ from casadical.core.telling.result import Result
 from casadical.identification.accuracy import errors
 from casadical.identification.plausibility import check_against
 from casadical.measurements.measurements import Measurements
+from casadical.project.calibration import calibrate, with_knowledge
 from casadical.project.certificate_words import words_of
 from casadical.project.iso9283 import Iso9283, evaluated_table
 from casadical.project.problem import Problem, read_problem
@@ -125,6 +126,8 @@ class Certificate(Result):
         from which it was made
     iso9283 : Iso9283, optional
         of a test by the standard
+    refit : int
+        poses to which the robot file was fitted once it was judged; 0: it is the one that was judged
     """
 
     problem: Problem
@@ -136,6 +139,7 @@ class Certificate(Result):
     errors: tuple[Array, Array]
     files_: tuple[Path, ...]
     iso9283: Iso9283 | None = None
+    refit: int = 0
 
     @property
     def decision(self) -> Literal["", "conforms", "open", "fails"]:
@@ -161,7 +165,7 @@ class Certificate(Result):
         badge = (w["data"], f"casadical, {w['number']} {d.number or '-'}")
         first = (
             Section(w["object"], [self._fields(w)]),
-            Section(w["results"], [self._results(w), Words(w["measurand"])]),
+            Section(w["results"], [self._results(w), Words(w["measurand"]), *self._refit(w)]),
             Section(w["decided"], self._decided(w)),
             Section(w["unstated"], [Words(w[f"no_{key}"], "warning") for key in self.missing] or [Words(w["all"])]),
         )
@@ -193,7 +197,7 @@ class Certificate(Result):
     def blocks(self) -> list[Words | Table]:
         """What the terminal shows: results, decision and budget, in English."""
         w = words_of("en")
-        return [Words(self._line.strip(), "verdict"), *self._decided(w), self.budget_table(w),
+        return [Words(self._line.strip(), "verdict"), *self._refit(w), *self._decided(w), self.budget_table(w),
                 *(Words(w[f"no_{key}"], "warning") for key in self.missing)]  # fmt: skip
 
     @property
@@ -213,6 +217,7 @@ class Certificate(Result):
             **{name: _budget_json(b) for name, b in (("before", self.before), ("after", self.after))},
             "decision": self.decision,
             "missing": self.missing,
+            "refit_poses": self.refit,
             "details": self.details.model_dump(),
             "iso9283": self.iso9283.to_json() if self.iso9283 else None,
         }
@@ -248,6 +253,9 @@ class Certificate(Result):
             for name, b in (("before", self.before), ("after", self.after))
         ]
         return Table("", ("", w["error"], w["rms"], w["worst"], "n"), rows, frozenset({2, 3, 4}), frozenset({1}))
+
+    def _refit(self, w: Mapping[str, str]) -> list[Words]:
+        return [Words(w["refit"].format(n=self.refit))] if self.refit else []
 
     def _decided(self, w: Mapping[str, str]) -> list[Words | Table]:
         if not self.decision:
@@ -319,7 +327,11 @@ def _budget_json(b: Budget) -> dict[str, Any]:
 
 
 def certificate(
-    results: str | Path, details: str | Path, *, problem: str | Path | None = None, iso9283: str | Path | None = None
+    results: str | Path,
+    details: str | Path | None = None,
+    *,
+    problem: str | Path | None = None,
+    iso9283: str | Path | None = None,
 ) -> Certificate:
     """Certificate data of a calibration's results.
 
@@ -327,8 +339,8 @@ def certificate(
     ----------
     results : str | Path
         folder as `casadical calibrate --out` writes it, or the robot file in it
-    details : str | Path
-        certificate.toml
+    details : str | Path, optional
+        certificate.toml; None: nothing is stated
     problem : str | Path, optional
         folder that was calibrated; None: as result.json names it, beside the results or here
     iso9283 : str | Path, optional
@@ -346,7 +358,7 @@ def certificate(
     """
     place = Path(results)
     place = result_in(place) if place.is_dir() else place
-    said = check(Details, load_toml(details), str(details))
+    said = Details(casadical=1) if details is None else check(Details, load_toml(details), str(details))
     folder = Path(problem) if problem is not None else problem_of(place)
     if folder is None:
         raise InputError(f"{place}: the problem folder that was calibrated is not beside it; name it with --problem")
@@ -355,6 +367,9 @@ def certificate(
     sets = [m.positions_alone() for m in found.sets.get("report", ()) if m.position is not None]
     if not sets:
         raise InputError(f"{folder}: no measured positions were held out; a certificate needs [sets] report")
+    file_robot, refit = robot, int(stated.get("refit_poses", 0))
+    if refit:  # the file's robot has seen the held-out poses: that of the others is judged, as it was then
+        robot = with_knowledge(calibrate(replace(found, whole=()), method=method).identification)
     _refuse_others(stated, method, robot, sets, place)
     for m in sets:
         check_against(found.robot, m)
@@ -365,10 +380,10 @@ def certificate(
     p = np.concatenate([m.position for m in sets if m.position is not None])
     T = robot.base.T
     e = tuple(np.concatenate([errors(r, m) for m in sets]) for r in (_placed(found.robot, sets), robot))
-    iso = evaluated_table(Path(iso9283), robot, _promised(place)) if iso9283 else None
+    iso = evaluated_table(Path(iso9283), file_robot, _promised(place)) if iso9283 else None
     tables = [path for t in found.tables if (path := folder / str(t["file"])).is_file()]
-    files = (place, place.parent / "result.json", Path(details), *tables, *([Path(iso9283)] if iso9283 else []))
-    return Certificate(found, method, said, nominal, own, (p - T[:3, 3]) @ T[:3, :3], (e[0], e[1]), files, iso)
+    files = (place, place.parent / "result.json", *tables, *(Path(p) for p in (details, iso9283) if p))
+    return Certificate(found, method, said, nominal, own, (p - T[:3, 3]) @ T[:3, :3], (e[0], e[1]), files, iso, refit)
 
 
 def _placed(robot: Robot, sets: Sequence[Measurements]) -> Robot:

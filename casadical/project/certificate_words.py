@@ -68,6 +68,11 @@ _WORDS = {
         "Posen, Basis angepasst; Rauschen des Messgeräts und Wiederholbarkeit sind abgezogen. U ist die erweiterte "
         "Unsicherheit, Überdeckung etwa 95 %.",
     ),
+    "refit": (
+        "E is that of the robot fitted without the held-out poses; once judged, the robot file was fitted to all {n}.",
+        "E gilt für den ohne die zurückgehaltenen Posen angepassten Roboter; danach wurde die Roboterdatei an alle {n} "
+        "angepasst.",
+    ),
     "no_decision": (
         "No tolerance was stated, so no conformity is stated.",
         "Ohne Toleranz gibt es keine Konformitätsaussage.",

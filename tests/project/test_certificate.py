@@ -13,6 +13,7 @@ from command_line import ROOT, main
 from casadical import InputError, calibrate, read_problem
 from casadical.measurements.measurements import unmeasured
 from casadical.project.certificate import certificate
+from casadical.project.new import new_problem
 from casadical.project.uncertainty_budget import Conditions, budget_of, repeats_of
 
 PLANAR = ROOT / "problems" / "planar"
@@ -156,3 +157,15 @@ def test_results_of_other_measurements_are_refused(results, tmp_path):
         certificate(tmp_path, details(tmp_path), problem=PLANAR)
     with pytest.raises(InputError, match="name it with --problem"):
         certificate(tmp_path, details(tmp_path))
+
+
+def test_a_robot_that_was_fitted_again_to_all_poses_is_judged_as_it_was_before(tmp_path):
+    new_problem(tmp_path / "arm")
+    calibrated = calibrate(tmp_path / "arm")
+    calibrated.write(tmp_path / "results")
+    found = certificate(tmp_path / "results", problem=tmp_path / "arm")
+    assert found.refit == 60
+    own = 1e3 * found.errors[1].mean()
+    assert own == pytest.approx(1e3 * calibrated.accuracies["SKCM"]["report"]["calibrated"].mean, rel=1e-3)
+    assert "fitted to all 60" in text_of(found.pdf())
+    assert len(found.missing) == 4
