@@ -363,6 +363,8 @@ class LiveSession:
             table["file"] = TABLE
             table.add(tomlkit.nl())
             tables = [table]
+        if "data" not in document:
+            document["data"] = course.data
         if sorted(struck) != sorted(tables[0].get("leave_out", [])):
             listed = tomlkit.array()
             listed.extend(sorted(struck))

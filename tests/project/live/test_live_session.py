@@ -200,9 +200,12 @@ def test_a_pose_beyond_the_limits_is_doubted_and_a_lost_cell_is_said(arm: Path) 
 
 
 def test_the_journal_is_lines_of_json(arm: Path) -> None:
+    with (arm / "problem.toml").open("a") as file:  # how the table is to be understood, said beforehand
+        file.write('[[measurements]]\nfile = "measured.csv"\nkind = "position"\n')
     measured(arm, series(2), lambda _, v: v)
     events = [json.loads(line) for line in (arm / "measured.jsonl").read_text().splitlines()]
     assert [e["do"] for e in events] == ["begin", "read", "read"]
+    assert casadical.read_problem(arm).data == "real"
     (arm / "measured.jsonl").write_text('{"do": "strike", "at": "", "id": 5, "why": "x"}\n')
     with pytest.raises(InputError, match="line 1: no reading 5"), journal(arm):
         pass
