@@ -144,8 +144,17 @@ def diagnose(
     """
     from casadical.project.diagnosis import Options, diagnose_campaign, read_campaigns
 
-    if _are_logs(campaigns, reference):
-        _diagnose_logs(_with_drive(problem, drive), campaigns or [], reference, out, json_file, quiet)
+    tables = campaigns or _logs_of(problem)
+    if _are_logs(tables, reference, drive):
+        of_poses = {
+            "--together": together, "--effects": effects, "--laws": laws, "--rival-laws": rival_laws, "--prior": prior,
+            "--nuisance-masses": nuisance_masses, "--next": measure_next, "--room": room, "--network": network,
+            "--highest-line": highest_line, "--bootstrap": bootstrap, "--unlisted": unlisted, "--report": report_file,
+            "--details": details,
+        }  # fmt: skip
+        if unfit := [name for name, value in of_poses.items() if value]:
+            raise InputError(f"{', '.join(unfit)}: of tables of measured poses; joint logs have --out and --json")
+        _diagnose_logs(_with_drive(problem, drive), tables, reference, out, json_file, quiet)
         return
     if room and measure_next is None:
         raise InputError("--room says where the poses of --next may lie; give --next FILE, too")
@@ -182,15 +191,24 @@ def diagnose(
         console.print("where it lies, how sure, what is left: --details, --out DIR or --report FILE.html", style="dim")
 
 
-def _are_logs(tables: list[Path] | None, reference: Path | None) -> bool:
-    """Whether all tables are logs of joints in motion. Raises InputError where some are, or a reference is for none."""
+def _logs_of(problem: Path) -> list[Path]:
+    """The joint logs that a problem folder gives to be fitted."""
+    from casadical.project.problem_file import problem_file
+
+    logs = problem_file(problem).logs if (problem / "problem.toml").is_file() else None
+    return [problem / path for path in logs.identify] if logs else []
+
+
+def _are_logs(tables: list[Path], reference: Path | None, drive: Path | None) -> bool:
+    """Whether all tables are logs of joints in motion. Raises InputError where some are, or an option is for none."""
     from casadical.measurements.logs.reading import is_log
 
-    logs = [is_log(path) for path in tables or []]
+    logs = [is_log(path) for path in tables]
     if any(logs) and not all(logs):
         raise InputError("joint logs and tables of measured poses; diagnose them by a command each")
-    if reference and not any(logs):
-        raise InputError("--reference is the healthy log of a joint log; the tables are none (see docs/joint-logs.md)")
+    for name, given in (("--reference", reference), ("--drive", drive)):
+        if given and not any(logs):
+            raise InputError(f"{name} goes with a joint log; the tables are none (see docs/joint-logs.md)")
     return any(logs)
 
 
@@ -220,6 +238,7 @@ def _diagnose_logs(
         with working(quiet, "diagnosing", path.name) as show:
             answers.append(diagnose_log(robot, read_log(path, robot), healthy, show))
         console.print(terminal(answers[-1].blocks()))
+        console.print()
         if out:
             texts |= answers[-1].files(out if len(logs) == 1 else out / path.name.partition(".")[0])
     keep(with_json(texts, json_file, [answer.to_json() for answer in answers] if json_file else []), console)

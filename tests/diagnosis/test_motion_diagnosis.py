@@ -171,6 +171,29 @@ def test_the_command_recognises_a_log(robot, tmp_path):
     assert found["verdict"] == "explained"
     assert found["causes"][0]["effect"] == "contact"
     assert found["causes"][0]["joint"] == 3
+    refused = CliRunner().invoke(
+        app, ["diagnose", str(tmp_path / "arm.toml"), str(tmp_path / "motion.csv"), "--details"]
+    )
+    assert "--details: of tables of measured poses" in str(refused.exception)
+
+
+def test_a_folder_with_logs_is_diagnosed_by_those_to_be_fitted(robot, tmp_path):
+    from casadical import write_robot
+
+    log = simulated(robot, 1)
+    for name in ("fitted", "kept"):
+        columns = [log.time[:600], *log.command[:600].T, *log.position[:600].T]
+        headings = ["time_s", *(f"{word}{k}_rad" for word in ("command", "q") for k in (1, 2, 3))]
+        pd.DataFrame(dict(zip(headings, columns, strict=True))).to_csv(tmp_path / f"{name}.csv", index=False)
+    write_robot(robot, tmp_path / "robot.toml")
+    text = (
+        'casadical = 1\ntitle = "arm"\nrobot = "robot.toml"\n[logs]\nidentify = ["fitted.csv"]\nreport = ["kept.csv"]\n'
+    )
+    (tmp_path / "problem.toml").write_text(text)
+    told = CliRunner().invoke(app, ["diagnose", str(tmp_path)])
+    assert told.exit_code == 0, told.output
+    assert "fitted.csv" in told.output
+    assert "kept.csv" not in told.output
 
 
 def test_it_says_what_such_a_log_cannot_tell(robot):
