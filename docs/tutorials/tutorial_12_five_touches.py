@@ -6,30 +6,41 @@ A simulated arm is calibrated, touched at five planned points on three days, and
 turns by 0.02 degrees. Five touches say so, and correct the robot file. All data here are made up.
 """
 
+import json
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from casadical import Measurements, calibrate, read_problem, read_robot
-from casadical.fleet.touches import plan_touches, touched
-from casadical.identification.accuracy import predicted
-from casadical.project.new import new_problem
+from casadical import Measurements, read_robot
+from casadical.identification import predicted
 
+COMMAND = [sys.executable, "-c", "from casadical.cli import main; main()"]
 folder = Path(tempfile.mkdtemp())
-new_problem(folder / "arm")
-calibrate(folder / "arm").write(folder / "results")
+
+
+def casadical(*words):
+    """A command as in a shell, in the folder; its exit code."""
+    done = subprocess.run([*COMMAND, *map(str, words)], cwd=folder, capture_output=True, text=True, check=False)
+    print(done.stdout or done.stderr)
+    return done.returncode
+
+
+assert casadical("new", "arm", "--example") == 0
+assert casadical("calibrate", "arm", "--out", "results", "--quiet") == 0
 robot = read_robot(folder / "results" / "SKCM.robot.toml")
-print(read_problem(folder / "arm"))
 
 # %%
 # Which five?
 # -----------
-# Those that tell most about zeros, tool and foot. From a shell: ``casadical verify results --touches 5``.
+# Those that tell most about zeros, tool and foot.
 
-plan = plan_touches(folder / "results", 5)
-print(plan.round(2))
+assert casadical("verify", "results", "--touches", "5") == 0
+plan = pd.read_csv(folder / "touches.csv")
+print(plan.round(2).to_string(index=False))
 q = np.deg2rad(plan[list(robot.reading_units)].to_numpy(dtype=float))
 assert q.shape == (5, 6)
 
@@ -47,37 +58,37 @@ def touch(day, real):
     m = Measurements(q=q, kind="position", position=np.zeros((5, 3)))
     xyz = 1e3 * predicted(real, m)[0] + 0.02 * rng.normal(size=(5, 3))
     table = pd.DataFrame(np.rad2deg(q), columns=list(robot.reading_units))
-    path = folder / f"{day}.csv"
-    table.assign(x_mm=xyz[:, 0], y_mm=xyz[:, 1], z_mm=xyz[:, 2]).to_csv(path, index=False)
-    return path
+    table.assign(x_mm=xyz[:, 0], y_mm=xyz[:, 1], z_mm=xyz[:, 2]).to_csv(folder / f"{day}.csv", index=False)
 
 
-days = [touch("2026-03-02", robot), touch("2026-03-03", robot)]
-second = touched(folder / "results", days)
-print(second)
-assert second.verdict == "valid"
+touch("2026-03-02", robot)
+touch("2026-03-03", robot)
+days = ["2026-03-02.csv", "2026-03-03.csv"]
+assert casadical("verify", "results", *days, "--touches", "5") == 0
 
 # %%
 # The crash
 # ---------
-days.append(touch("2026-03-04", hit))
-third = touched(folder / "results", days)
-for block in third.blocks()[:3]:
-    print(block.text)
-name, amount, std_error, unit = third.moved[0]
-print(f"{name}: {amount:+.4f} +- {std_error:.4f} {unit}")
-assert third.label == "joint_zero@3"
-assert abs(amount - 0.02) < 4 * std_error
+# Exit code 5: no longer valid.
+
+touch("2026-03-04", hit)
+words = ("--touches", "5", "--update", "corrected.robot.toml", "--json", "found.json")
+assert casadical("verify", "results", *days, "2026-03-04.csv", *words) == 5
+found = json.loads((folder / "found.json").read_text())
+assert max(found["changes"], key=found["changes"].get) == "joint_zero@3"
+(moved,) = found["moved"]
+assert abs(moved["value"] - 0.02) < 4 * moved["std_error"]
 
 # %%
 # Corrected
 # ---------
-# The corrected robot is written where that is better than leaving it: ``--update corrected.robot.toml``.
+# The corrected robot is written where that is better than leaving it.
 
-assert third.better
-new = third.corrected()
+assert found["correction"]["written"]
+new = read_robot(folder / "corrected.robot.toml")
 left = new.parameters["theta3"].value - hit.parameters["theta3"].value
 print(f"{np.rad2deg(left):+.4f} deg are left")
 assert abs(np.rad2deg(left)) < 0.005
-print(third.chart_csv())
-assert not third.charted_within[-1]
+chart = pd.DataFrame(found["chart"])
+print(chart[["day", "rms_mm", "T2", "limit", "within"]].to_string(index=False))
+assert list(chart["within"]) == ["yes", "yes", "no"]
