@@ -93,6 +93,8 @@ def _as_lists(*arguments: Any) -> None:
             inside = True
         elif inside and line.startswith(" "):
             out.append(f"  {_plain(line.strip())}")
+        elif line.startswith("    ") and out and out[-1]:  # a sentence that goes on
+            out.append(_plain(line.strip()))
         else:
             out += [""] if inside else []
             inside = False
@@ -144,7 +146,7 @@ def _short_sidebar(_app: Any, env: Any) -> None:
 
 def _narrow(_app: Any, _name: str, _template: str, context: dict[str, Any], _tree: Any) -> None:
     """On a phone the index has one column, and long names break."""
-    context["metatags"] += (
+    context["metatags"] = context.get("metatags", "") + (
         "<style>@media (max-width: 46em) {.indextable td {display: block; width: auto; overflow-wrap: anywhere}"
         " .domainindex-table {display: block; overflow-x: auto}}</style>"
     )

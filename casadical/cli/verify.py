@@ -130,7 +130,8 @@ def verify(
             raise InputError("--promised-mm has no part in a replay with --mujoco; remove it")
         _replay(robot, tables, effects, seed or 0, out, json_file, quiet)
         return
-    for option, value in (("--effects", effects), ("--out", out)):
+    of_replay = {"--effects": effects, "--out": out, "--seed": seed if touches is None else None}
+    for option, value in of_replay.items():
         if value is not None:
             raise InputError(f"{option} is of a replay; give --mujoco, too, or remove it")
     if touches is not None:

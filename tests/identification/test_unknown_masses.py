@@ -165,7 +165,7 @@ def test_a_rigid_model_calls_no_row_an_outlier_that_the_compliant_one_explains()
     robot, fit, _ = sagging()
     rigid = identify(robot, fit, method="KM")
     assert rigid.outliers == tuple((0, i) for i in WRONG)
-    assert "standard errors of rigid ones are too small" in rigid.verdict
+    assert "the standard errors of KM are too small" in rigid.verdict
 
 
 def test_a_rigid_robot_stays_rigid() -> None:
