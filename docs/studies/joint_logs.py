@@ -1,0 +1,735 @@
+"""Joint logs with hidden causes, made in MuJoCo, and what `casadical diagnose ARM LOG` says of them.
+
+python docs/studies/joint_logs.py make DIR (3 minutes), then: run DIR (10 minutes of CPU), then: score DIR. Synthetic data.
+
+Written without having read the diagnosis. Two arms: the six axes of problems/ur10e, with currents, and the SO-101 of
+data/so101_logs, half with torques, half with commands and readings only. Causes act in the simulation (forces, servo),
+those of the clock and of lost samples on the log. `make` prints the sha256 of the key before anything is diagnosed.
+"""
+
+import copy
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import time
+import tomllib
+import xml.etree.ElementTree as ET
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pandas as pd
+
+ROOT = Path(__file__).parents[2]
+SEED, LOGS, STEP, ROW = 20261123, 72, 0.001, 8
+LISTED = (
+    "payload coulomb_friction viscous_friction load_friction transport_delay lag torque_constant ripple saturation spring "
+    "contact zero_offset_step servo_stiffness clock_scale lost_samples warm_up"
+).split()
+# On no list: a stick in one direction near one angle; a push in a fixed rhythm; drag by another joint's motion; gusts.
+UNLISTED = ["one_way_stick", "periodic_push", "drag_of_other", "gusts"]
+INSTRUMENT = ("clock_scale", "lost_samples")
+GLOBAL = ("payload", "clock_scale", "lost_samples", "warm_up")
+TWINS = [{"transport_delay", "lag"}, {"payload", "link_mass"}]
+ARMS = {
+    "ur10e": {
+        "kp": [24000.0, 26000.0, 9000.0, 2400.0, 2000.0, 1600.0],
+        "kd": [900.0, 1000.0, 300.0, 55.0, 48.0, 40.0],
+        "rotor": [1.63, 1.63, 0.82, 0.31, 0.31, 0.31],
+        "limit": [330.0, 330.0, 150.0, 54.0, 54.0, 54.0],
+        "dry": [14.0, 15.0, 9.0, 3.2, 3.0, 2.6],
+        "viscous": [18.0, 19.0, 10.0, 3.0, 2.7, 2.2],
+        "load": 0.045,
+        "bristle": 6e-4,
+        "delay": 0.004,
+        "lag": 0.003,
+        "quantum": 1e-4,
+        "per_A": [12.524, 12.524, 10.504, 9.09, 9.09, 9.09],
+        "noise": [1.3, 1.5, 0.8, 0.3, 0.28, 0.25],
+        "range": [[-1.5, 1.5], [-2.2, -0.7], [-1.7, 1.7], [-2.0, 0.5], [-1.8, 1.8], [-2.0, 2.0]],
+        "speed": 1.5,
+        "payload": (0.15, 2.5),
+    },
+    "so101": {
+        "kp": [15.0, 11.5, 9.0, 14.0, 15.0, 15.0],
+        "kd": [0.6] * 6,
+        "rotor": [0.028] * 6,
+        "limit": [2.6] * 6,
+        "dry": [0.10, 0.13, 0.10, 0.09, 0.07, 0.06],
+        "viscous": [0.05] * 6,
+        "load": 0.09,
+        "bristle": 6e-3,
+        "delay": 0.022,
+        "lag": 0.004,
+        "quantum": 0.001533981,
+        "per_A": [1.0] * 6,
+        "noise": [0.02] * 6,
+        "range": [[-1.2, 1.2], [-1.2, 0.9], [-0.9, 1.2], [-1.2, 1.2], [-1.5, 1.5], [0.0, 1.2]],
+        "speed": 1.6,
+        "payload": (0.02, 0.25),
+    },
+}
+LONG = {"ur10e": [0.2, 0.62, 0.57, 0.12, 0.12, 0.08], "so101": []}
+
+
+def urdf_of(arm: str) -> str:
+    """What the user has: the SO-101's file without shapes; the UR10e of its robot file, links as rods."""
+    if arm == "so101":
+        tree = ET.parse(ROOT / "data/so101_logs/so101.urdf").getroot()
+        for link in tree.iter("link"):
+            for shape in [*link.findall("visual"), *link.findall("collision")]:
+                link.remove(shape)
+        return ET.tostring(tree, encoding="unicode")
+    with (ROOT / "problems/ur10e/robot.toml").open("rb") as file:
+        joints = tomllib.load(file)["joint"]
+    text = ['<robot name="ur10e"><link name="base"/>']
+    for i, joint in enumerate(joints):
+        body, alpha = joint["body"], np.radians(joint.get("alpha_deg", 0.0))
+        a, d, mass = joint.get("a_mm", 0.0) / 1e3, joint.get("d_mm", 0.0) / 1e3, body["mass_kg"]
+        xyz = [a, -np.sin(alpha) * d, np.cos(alpha) * d]
+        thin, slim = mass * 0.06**2 / 2, mass * (0.06**2 / 4 + LONG[arm][i] ** 2 / 12)
+        com = " ".join(f"{x / 1e3:.6f}" for x in body["com_mm"])
+        inertia = (thin, slim, slim) if i in (1, 2) else (slim, slim, slim)
+        text.append(
+            f'<link name="link_{i + 1}"><inertial><origin xyz="{com}"/><mass value="{mass}"/><inertia ixx="{inertia[0]:.6g}" ixy="0" '
+            f'ixz="0" iyy="{inertia[1]:.6g}" iyz="0" izz="{inertia[2]:.6g}"/></inertial></link><joint name="joint_{i + 1}" type="revolute">'
+            f'<parent link="{f"link_{i}" if i else "base"}"/><child link="link_{i + 1}"/><origin xyz="{xyz[0]:.6f} {xyz[1]:.6f} {xyz[2]:.6f}" '
+            f'rpy="{alpha:.8f} 0 0"/><axis xyz="0 0 1"/><limit lower="-6.2" upper="6.2" effort="330" velocity="3"/></joint>'
+        )
+    return "\n".join([*text, "</robot>"])
+
+
+def drive_of(arm: str) -> str:
+    """What the user knows of the drives, as a table [drive]."""
+    of = ARMS[arm]
+    lines = ["[drive]", 'servo = "position, P and D"', f"kp_Nm_per_rad = {of['kp']}", f"kd_Nms_per_rad = {of['kd']}"]
+    lines += [
+        f"torque_limit_Nm = {of['limit']}",
+        f"rotor_inertia_at_joint_kgm2 = {of['rotor']}",
+        'encoder_side = "joint"',
+    ]
+    lines += [
+        f"encoder_quantum_rad = {of['quantum']}",
+        f"delay_s = {of['delay']}",
+        f"command_filter_s = {of['lag']}",
+        "log_rate_Hz = 125",
+    ]
+    if arm == "ur10e":
+        lines += [
+            "gear_ratio = 101",
+            f"torque_constant_Nm_per_A = {[round(k / 101, 6) for k in of['per_A']]}",
+            "current_quantum_A = 0.01",
+        ]
+        lines[1] = (
+            'servo = "position: kp e + kd (command_v - v), and feed-forward of the rigid bodies of this URDF along the command"'
+        )
+    return "\n".join(lines) + "\n"
+
+
+def model_of(arm: str, spread: dict | None, payload: float = 0.0) -> mujoco.MjModel:
+    """MuJoCo's model of the URDF; masses and mass centres off by `spread`, with a payload on the last link of the arm."""
+    tree = ET.fromstring(urdf_of(arm))
+    ET.SubElement(
+        ET.SubElement(tree, "mujoco"),
+        "compiler",
+        fusestatic="true",
+        balanceinertia="true",
+        boundinertia="1e-7",
+        boundmass="1e-6",
+    )
+    if payload:
+        last = (
+            "link_6"
+            if arm == "ur10e"
+            else [j.find("parent").get("link") for j in tree.iter("joint") if j.get("name") == "gripper"][0]
+        )
+        link = ET.SubElement(ET.SubElement(tree, "link", name="load"), "inertial")
+        ET.SubElement(link, "origin", xyz="0.01 0 0.06" if arm == "ur10e" else "0 0 -0.06")
+        ET.SubElement(link, "mass", value=f"{payload}")
+        small = f"{payload * 0.0009}"
+        ET.SubElement(link, "inertia", ixx=small, iyy=small, izz=small, ixy="0", ixz="0", iyz="0")
+        held = ET.SubElement(tree, "joint", name="holds", type="fixed")
+        ET.SubElement(held, "parent", link=last)
+        ET.SubElement(held, "child", link="load")
+    if spread:
+        for link, factor, shift in zip(
+            [x for x in tree.iter("link") if x.find("inertial/mass") is not None], spread["mass"], spread["com"]
+        ):
+            if link.get("name") == "load":
+                continue
+            mass, inertia, origin = (link.find(f"inertial/{x}") for x in ("mass", "inertia", "origin"))
+            mass.set("value", f"{float(mass.get('value')) * factor}")
+            for key, value in inertia.attrib.items():
+                inertia.set(key, f"{float(value) * factor}")
+            at = np.array(origin.get("xyz", "0 0 0").split(), float) + shift
+            origin.set("xyz", " ".join(f"{x:.7f}" for x in at))
+    model = mujoco.MjModel.from_xml_string(ET.tostring(tree, encoding="unicode"))
+    model.opt.timestep, model.dof_armature[:] = STEP, ARMS[arm]["rotor"]
+    model.jnt_limited[:] = 0
+    model.dof_damping[:] = model.dof_frictionloss[:] = 0
+    return model
+
+
+def arm_of(arm: str, rng: np.random.Generator) -> dict:
+    """One arm as it truly is."""
+    of, n = ARMS[arm], 6
+    scale = np.mean(LONG[arm] or 0.1)
+    return {
+        "spread": {"mass": np.exp(rng.normal(0, 0.04, 12)), "com": rng.normal(0, 0.01, (12, 3)) * scale},
+        "dry": np.array(of["dry"]) * np.exp(rng.normal(0, 0.2, n)),
+        "asymmetry": rng.normal(0, 0.03, n),
+        "viscous": np.array(of["viscous"]) * np.exp(rng.normal(0, 0.2, n)),
+        "load": of["load"] * np.exp(rng.normal(0, 0.25, n)),
+        "static": 1 + rng.uniform(0.05, 0.3, n),
+        "stribeck": rng.uniform(0.02, 0.06, n),
+        "bristle": of["bristle"] * rng.uniform(0.6, 1.6, n),
+        "ripple": np.array(of["dry"]) * rng.uniform(0.01, 0.05, n),
+        "ripple_n": rng.choice([1.0, 2.0, 4.0, 100.0], n),
+        "ripple_at": rng.uniform(0, 6.28, n),
+        "kt": 1 + rng.normal(0, 0.01, n),
+        "kp": np.array(of["kp"]) * (1 + rng.normal(0, 0.05 if arm == "so101" else 0.0, n)),
+        "kd": np.array(of["kd"]) * 1.0,
+    }
+
+
+def day_of(truth: dict, arm: str, rng: np.random.Generator) -> dict:
+    """The same arm on one day: frictions some 10 % otherwise, noise, warmth, motion; and no cause."""
+    of, day = ARMS[arm], copy.deepcopy(truth)
+    for what in ("dry", "viscous", "load"):
+        day[what] = day[what] * np.exp(rng.normal(0, 0.05) + rng.normal(0, 0.07, 6))
+    warm = rng.uniform(0.5, 3.0)
+    day |= {
+        "arm": arm,
+        "warm": warm,
+        "cold": 0.0,
+        "cold_s": 20.0,
+        "limit": np.array(of["limit"]),
+        "payload": 0.0,
+        "noise": rng.uniform(0.7, 1.5),
+    }
+    day |= {
+        "delay": of["delay"] + rng.normal(0, 0.0005, 6),
+        "lag": of["lag"] + np.zeros(6),
+        "kind": "",
+        "joint": 0,
+        "size": 0.0,
+        "at": 0.0,
+    }
+    day |= {"seed": int(rng.integers(1 << 31)), "torque": True}
+    return day
+
+
+def motion(arm: str, seed: int) -> np.ndarray:
+    """Commands of six joints at 250 Hz: (samples, 6). Three runs of 16 to 19 s, one second of rest between them."""
+    rng, of = np.random.default_rng([seed, 1]), ARMS[arm]
+    lengths = rng.uniform(16, 19, 3) + 1
+    total = int(sum(lengths) * 250)
+    low, high = np.array(of["range"]).T
+    out, home = np.empty((total, 6)), rng.uniform(low, high)
+    for j in range(6):
+        t, q, row = 0, home[j], []
+        while t < total:
+            ends = np.cumsum(lengths) * 250
+            left = min((e for e in ends if e > t), default=total) - t
+            target = rng.uniform(low[j], high[j])
+            duration = max(1.9 * abs(target - q) / (of["speed"] * rng.choice([0.25, 0.6, 1.0])), 0.5)
+            n, rest = int(duration * 250), int(rng.choice([0.0, 0.1, 0.6]) * 250)
+            if n + rest > left - 270:
+                n, target, rest = 1, q, int(left) - 1
+            s = np.linspace(0, 1, n + 1)[1:]
+            row += [q + (target - q) * s**3 * (10 - 15 * s + 6 * s * s), np.full(max(rest, 0), target)]
+            t, q = t + n + max(rest, 0), target
+        out[:, j] = np.concatenate(row)[:total]
+    return out
+
+
+def ends_of(seed: int) -> np.ndarray:
+    """Times (s) at which the three runs end."""
+    return np.cumsum(np.random.default_rng([seed, 1]).uniform(16, 19, 3) + 1)
+
+
+def shaped(command: np.ndarray, day: dict) -> np.ndarray:
+    """The command as the servo has it: delayed and filtered."""
+    t, out = np.arange(len(command)) / 250, np.empty_like(command)
+    for j in range(6):
+        u = np.interp(t - day["delay"][j], t, command[:, j])
+        keep, x = np.exp(-0.004 / max(day["lag"][j], 1e-4)), u[0]
+        for k in range(len(u)):
+            x = keep * x + (1 - keep) * u[k]
+            out[k, j] = x
+    return out
+
+
+def rigid(model: mujoco.MjModel, u: np.ndarray) -> np.ndarray:
+    """Torques of the rigid bodies along u, 250 Hz."""
+    data, v = mujoco.MjData(model), np.gradient(u, 0.004, axis=0)
+    a, out = np.gradient(v, 0.004, axis=0), np.empty_like(u)
+    for k in range(len(u)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = u[k], v[k], a[k]
+        mujoco.mj_inverse(model, data)
+        out[k] = data.qfrc_inverse
+    return out
+
+
+def put(day: dict, kind: str, joint: int, level: float, top: np.ndarray, rng: np.random.Generator) -> dict:
+    """A day with a cause of a size from barely visible (level 0) to clear (1). `top`: greatest torque of each joint (N m)."""
+    d, of, j = copy.deepcopy(day), ARMS[day["arm"]], joint
+    sized = lambda low, high: float(low * (high / low) ** level)
+    sign = float(rng.choice([-1, 1]))
+    ranges = {
+        "coulomb_friction": (0.12, 1.5),
+        "viscous_friction": (0.2, 2.5),
+        "load_friction": (0.5, 5.0),
+        "warm_up": (0.1, 0.8),
+    }
+    ranges |= {
+        "transport_delay": (0.002, 0.05),
+        "lag": (0.003, 0.08),
+        "torque_constant": (0.03, 0.3),
+        "servo_stiffness": (0.08, 0.5),
+    }
+    ranges |= {
+        "ripple": (0.08, 1.2),
+        "spring": (0.15, 2.0),
+        "contact": (0.5, 6.0),
+        "payload": of["payload"],
+        "zero_offset_step": (0.003, 0.04),
+    }
+    ranges |= {"clock_scale": (0.003, 0.05), "lost_samples": (0.006, 0.08), "saturation": (0.03, 0.45)}
+    size = sized(*ranges.get(kind, (0.3, 3.0)))
+    d |= {
+        "kind": kind,
+        "joint": j,
+        "size": size,
+        "at": float(rng.uniform(*np.array(of["range"])[j] * 0.6)),
+        "sign": sign,
+    }
+    if kind in ("coulomb_friction", "viscous_friction", "load_friction"):
+        d[{"c": "dry", "v": "viscous", "l": "load"}[kind[0]]][j] *= 1 + size
+    elif kind == "transport_delay":
+        d["delay"][j] += size
+    elif kind == "lag":
+        d["lag"][j] += size
+    elif kind == "torque_constant":
+        d["kt"][j] *= 1 + sign * size
+    elif kind == "servo_stiffness":
+        d["kp"][j], d["kd"][j] = d["kp"][j] * (1 + sign * size), d["kd"][j] * (1 + sign * size)
+    elif kind == "warm_up":
+        d |= {"cold": size, "warm": 12 * size, "cold_s": float(rng.uniform(12, 40))}
+    elif kind == "payload":
+        d["payload"] = size
+    elif kind == "saturation":
+        d["limit"] = d["limit"].copy()
+        d["limit"][j] = (1 - size) * top[j]
+    elif kind == "ripple":
+        d["cog_n"], d["cog_at"] = (
+            float(rng.choice([1, 2, 3, 6, 8, 101 if day["arm"] == "ur10e" else 20])),
+            float(rng.uniform(0, 6.28)),
+        )
+    elif kind in ("contact", "one_way_stick", "gusts", "periodic_push", "drag_of_other", "spring"):
+        d["phase"], d["other"], d["one_sided"] = (
+            float(rng.uniform(0, 1)),
+            (j + int(rng.integers(1, 5))) % 6,
+            bool(rng.integers(2)),
+        )
+    return d
+
+
+def outside(days: list[dict], t: float, q: np.ndarray, v: np.ndarray, gust: np.ndarray) -> np.ndarray:
+    """Torques (logs, 6) of what touches the arms: spring, hose, contact, cogging, and what is on no list."""
+    out = np.zeros_like(q)
+    for i, d in enumerate(days):
+        kind, j = d["kind"], d["joint"]
+        scale = d["size"] * ARMS[d["arm"]]["dry"][j]
+        x = q[i, j] - d["at"]
+        if kind == "spring":
+            out[i, j] = -scale * (max(x, 0.0) * 2 if d["one_sided"] else x)
+        elif kind == "contact":
+            start = ends_of(d["seed"])[1] - 17 + 8 * d["phase"] if "start" not in d else d["start"]
+            d["start"] = start
+            if start < t < start + 4:
+                out[i, j] = -np.clip(60 * scale * max(d["sign"] * x, 0.0), 0, 3 * scale) * d["sign"]
+        elif kind == "ripple":
+            out[i, j] = scale * np.sin(d["cog_n"] * q[i, j] + d["cog_at"])
+        elif kind == "one_way_stick":
+            out[i, j] = -2 * scale * d["sign"] * np.exp(-((x / 0.12) ** 2)) * np.clip(d["sign"] * v[i, j] / 0.01, 0, 1)
+        elif kind == "periodic_push":
+            out[i, j] = d["sign"] * scale * ((t / (1.3 + 2 * d["phase"])) % 1 < 0.15)
+        elif kind == "drag_of_other":
+            out[i, j] = -scale * np.tanh(v[i, d["other"]] / 0.1)
+        elif kind == "gusts":
+            out[i, j] = scale * gust[i]
+    return out
+
+
+def simulate(days: list[dict]) -> list[dict]:
+    """All days of one arm at once, at 1 kHz: logged rows (time, run, command, q, v, torque) without noise."""
+    arm, n = days[0]["arm"], len(days)
+    models = [model_of(arm, d["spread"], d["payload"]) for d in days]
+    datas, nominal = [mujoco.MjData(m) for m in models], model_of(arm, None)
+    commands = [motion(arm, d["seed"]) for d in days]
+    servo = [shaped(c, d) for c, d in zip(commands, days)]
+    total = max(map(len, servo))
+    hold = lambda x: np.concatenate([x, np.repeat(x[-1:], total + 1 - len(x), 0)])
+    u = np.stack([hold(x) for x in servo], 1)
+    forward = np.stack([hold(rigid(nominal, x)) if arm == "ur10e" else np.zeros((total + 1, 6)) for x in servo], 1)
+    p = {k: np.stack([np.broadcast_to(d[k], 6) for d in days]) for k in P_ARRAYS}
+    q, v, z, gust = u[0].copy(), np.zeros((n, 6)), np.zeros((n, 6)), np.zeros(n)
+    load, ends = np.abs(forward[0]), np.stack([ends_of(d["seed"]) for d in days])
+    rngs, rows = [np.random.default_rng([d["seed"], 2]) for d in days], np.empty((total * 4 // ROW, n, 18))
+    zero = np.array([d["sign"] * d["size"] * (d["kind"] == "zero_offset_step") if d["kind"] else 0.0 for d in days])
+    joint, every = np.array([d["joint"] for d in days]), np.arange(n)
+    for k in range(total * 4 // ROW * ROW):
+        t, at, part = k * STEP, k // 4, (k % 4) / 4
+        want, rate = u[at] + (u[at + 1] - u[at]) * part, (u[at + 1] - u[at]) / 0.004
+        seen = q.copy()
+        if arm == "ur10e":  # the encoder of the servo itself jumps; that of the SO-101 jumps against the host
+            seen[every, joint] += zero * (t > ends[:, 0])
+        push = (
+            p["kp"] * (want - seen)
+            + p["kd"] * ((rate if arm == "ur10e" else 0) - v)
+            + forward[at]
+            + (forward[at + 1] - forward[at]) * part
+        )
+        push = np.clip(push, -p["limit"], p["limit"])
+        if k % ROW == 0:
+            logged = seen.copy()
+            if arm == "so101":
+                logged[every, joint] += zero * (t > ends[:, 0])
+            rows[k // ROW] = np.concatenate([logged, v, push], 1)
+        if k % 20 == 0:
+            gust = 0.97 * gust + 0.24 * np.array([r.normal() for r in rngs])
+        friction, z = bristles(p, t, q, v, z, load)
+        torque = p["kt"] * push - friction + outside(days, t, q, v, gust)
+        for i, (m, d) in enumerate(zip(models, datas)):
+            if k == 0:
+                d.qpos[:] = q[i]
+            d.qfrc_applied[:] = torque[i]
+            mujoco.mj_step(m, d)
+            q[i], v[i] = d.qpos, d.qvel
+            load[i] += 0.05 * (np.abs(d.qfrc_bias) - load[i])
+    return [table(d, rows[:, i], commands[i], ends[i]) for i, d in enumerate(days)]
+
+
+P_ARRAYS = "kp kd limit kt dry asymmetry viscous load static stribeck bristle ripple ripple_n ripple_at warm cold cold_s".split()
+
+
+def bristles(
+    p: dict, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray, load: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Friction (N m) by LuGre with Stribeck's dip, load and warmth, and the bristles' deflections after this step."""
+    cold = 1 + p["cold"] * np.exp(-t / p["cold_s"])
+    slide = (p["dry"] + p["load"] * load) * cold * (1 + p["asymmetry"] * np.sign(v))
+    level = slide * (1 + (p["static"] - 1) * np.exp(-((v / p["stribeck"]) ** 2)))
+    stiff = p["dry"] / p["bristle"]
+    new = (z + v * STEP) / (1 + STEP * stiff * np.abs(v) / level)
+    curved = (
+        p["viscous"]
+        * cold
+        * (1 - 0.006 * p["warm"] * (1 - np.exp(-t / 40)))
+        * v
+        * (1 - 0.12 * np.abs(v) / (1 + np.abs(v)))
+    )
+    own = p["ripple"] * np.sin(p["ripple_n"] * q + p["ripple_at"])
+    return stiff * new + 0.002 * stiff * (new - z) / STEP + curved + own, new
+
+
+def table(day: dict, rows: np.ndarray, command: np.ndarray, ends: np.ndarray) -> dict:
+    """Rows of one log, without noise: those in the pauses between runs are not logged."""
+    t = np.arange(len(rows)) * STEP * ROW
+    run, starts = np.searchsorted(ends, t, side="right"), np.concatenate([[0], ends])
+    used = (run < 3) & (t < ends[np.minimum(run, 2)] - 0.6)
+    c = np.stack([np.interp(t, np.arange(len(command)) / 250, command[:, j]) for j in range(6)], 1)
+    return {
+        "time": (t - starts[np.minimum(run, 3)])[used],
+        "run": run[used] + 1,
+        "all": t[used],
+        "c": c[used],
+        "x": rows[used],
+    }
+
+
+def written(day: dict, clean: dict, path: Path) -> None:
+    """The log as a controller writes it: noise that follows itself, quanta, jitter, lost rows; faults of the clock."""
+    of, rng = ARMS[day["arm"]], np.random.default_rng([day["seed"], 3])
+    n, x = len(clean["time"]), clean["x"]
+    keep, noise = rng.uniform(0.5, 0.9), rng.normal(size=(n, 6))
+    follow = np.zeros((n, 6))
+    for k in range(1, n):
+        follow[k] = keep * follow[k - 1] + np.sqrt(1 - keep**2) * noise[k]
+    drift = np.cumsum(rng.normal(0, 1, (n, 6)), 0) / np.sqrt(n) * 0.25
+    scatter = np.array(of["noise"]) * day["noise"] * (0.8 * follow + 0.5 * rng.normal(size=(n, 6)) + drift)
+    jitter = rng.normal(0, 2e-5, n)
+    factor = 1 + day["sign"] * day["size"] if day["kind"] == "clock_scale" else 1.0
+    out = {"time_s": (clean["time"] + jitter) * factor, "run": clean["run"]}
+    for j in range(6):
+        step, unit = of["quantum"], of["per_A"][j]
+        out[f"command{j + 1}_rad"] = clean["c"][:, j].round(6)
+        out[f"q{j + 1}_rad"] = (np.round((x[:, j] + rng.normal(0, step / 3, n)) / step) * step).round(7)
+        out[f"v{j + 1}_rad_s"] = (x[:, 6 + j] + rng.normal(0, 0.002 + step * 3, n)).round(4)
+        if day["arm"] == "ur10e":
+            out[f"current{j + 1}_A"] = (np.round((x[:, 12 + j] + scatter[:, j]) / unit / 0.01) * 0.01).round(3)
+            warmth = 25 + day["warm"] * (1 - np.exp(-clean["all"] / 40)) - 12 * day["cold"]
+            out[f"temperature{j + 1}_degC"] = (np.round((warmth + rng.normal(0, 0.05, n)) * 4) / 4).round(2)
+        elif day["torque"]:
+            out[f"torque{j + 1}_Nm"] = (np.round((x[:, 12 + j] + scatter[:, j]) / 0.01) * 0.01).round(3)
+    frame = pd.DataFrame(out)
+    lost = rng.random(n) < 0.001
+    if day["kind"] == "lost_samples":
+        length = int(rng.integers(4, 25))
+        for start in rng.integers(0, n - length, max(int(day["size"] * n / length), 1)):
+            lost[start : start + length] = True
+    frame[~lost].to_csv(path, index=False)
+
+
+def windows(log: dict, what: np.ndarray) -> np.ndarray:
+    """Averages over 0.1 s."""
+    n = len(what) // 12 * 12
+    return what[:n].reshape(-1, 12, *what.shape[1:]).mean(1)
+
+
+def visible(day: dict, log: dict, twin: dict, reference: bool) -> bool:
+    """Whether an ideal observer would see the cause, from two simulations that differ in nothing else.
+
+    In one channel of one joint (torque, position error), window by window of 0.1 s: what the cause changes, less what
+    masses, frictions, servo gains and delay within their priors (frictions 12 % from day to day with a reference,
+    50 % without) can make of it, is at least half of the usual noise, and 4 sigma at 0.07 effective samples a row.
+    """
+    if day["kind"] == "clock_scale":
+        return bool(day["size"] >= 0.005)
+    if day["kind"] == "lost_samples":
+        return bool(day["size"] >= 0.01)
+    of, daily = ARMS[day["arm"]], 0.12 if reference else 0.5
+    v, tau = windows(twin, twin["x"][:, 6:12]), windows(twin, twin["x"][:, 12:])
+    a = np.gradient(v, 0.096, axis=0)
+    for j in range(6):
+        dry = np.tanh(v[:, j] / 0.03)
+        low = tau[:, j] - of["dry"][j] * dry - of["viscous"][j] * v[:, j]
+        base = np.stack(
+            [
+                of["noise"][j] + 0 * dry,
+                daily * of["dry"][j] * dry,
+                daily * of["viscous"][j] * v[:, j],
+                daily * of["load"] * np.abs(low) * dry,
+                0.08 * low,
+                0.08 * (of["rotor"][j] + 0.02 * of["limit"][j] / 10) * a[:, j],
+            ],
+            1,
+        )
+        change = [
+            ("e", windows(log, log["x"][:, j] - log["c"][:, j]) - windows(twin, twin["x"][:, j] - twin["c"][:, j]))
+        ]
+        if day["torque"]:
+            change.append(("torque", windows(log, log["x"][:, 12 + j]) - tau[:, j]))
+        for channel, delta in change:
+            if channel == "torque":
+                # some 3 % of friction and a third of the scatter stay in windows of a good base model
+                columns, noise = base, np.hypot(0.5 * of["noise"][j] * day["noise"], 0.08 * of["dry"][j])
+            else:
+                gain = np.stack([0.15 * tau[:, j] / of["kp"][j], 0.001 * v[:, j], 0.0003 * a[:, j]], 1)
+                columns, noise = (
+                    np.concatenate([base / of["kp"][j], gain], 1),
+                    np.hypot(0.3 * of["quantum"], 0.08 * of["dry"][j] / of["kp"][j]),
+                )
+            sigma = noise / np.sqrt(0.07 * 12)
+            system = np.concatenate([columns / sigma, np.eye(columns.shape[1])])
+            target = np.concatenate([delta / sigma, np.zeros(columns.shape[1])])
+            rest = target - system @ np.linalg.lstsq(system, target, rcond=None)[0]
+            left = rest[: len(delta)] * sigma
+            if np.sqrt(np.mean(left**2)) >= 0.5 * noise and np.sum(rest**2) >= 16:
+                return True
+    return False
+
+
+def drawn() -> list[dict]:
+    """All logs: arm, cause, joint, level, with a reference or not."""
+    rng = np.random.default_rng(SEED)
+    clean, other = LOGS // 3, LOGS // 8
+    named = LOGS - clean - other
+    kinds = [""] * clean + [str(x) for _ in range(3) for x in rng.permutation(UNLISTED)][:other]
+    kinds += [str(x) for _ in range(4) for x in rng.permutation(LISTED)][:named]
+    order = rng.permutation(LOGS)
+    with_reference, shuffled = rng.permutation(np.arange(LOGS) % 2 == 0), [kinds[k] for k in order]
+    out = []
+    for i, kind in enumerate(shuffled):
+        joint = int(rng.choice([0, 1, 2, 3, 4] if kind not in ("payload", "warm_up") else [1]))
+        if kind in ("load_friction", "torque_constant", "saturation", "servo_stiffness", "zero_offset_step"):
+            joint = int(rng.choice([1, 2, 3]))  # where a load acts
+        out.append(
+            {
+                "id": f"J{i + 1:03}",
+                "arm": ("ur10e", "so101")[i % 2],
+                "kind": kind,
+                "joint": joint,
+                "level": float(rng.uniform()),
+            }
+        )
+        out[-1] |= {"reference": bool(with_reference[i]), "torque": i % 4 != 1}
+    return out
+
+
+def make(folder: Path, arm: str) -> None:
+    """Logs and key of one arm."""
+    todo, days, slots = [x for x in drawn() if x["arm"] == arm], [], []
+    for entry in todo:
+        rng = np.random.default_rng([SEED, int(entry["id"][1:])])
+        truth = arm_of(arm, rng)
+        day, other = day_of(truth, arm, rng), day_of(truth, arm, rng)
+        day["torque"] = other["torque"] = entry["torque"]
+        top = np.abs(rigid(model_of(arm, truth["spread"]), motion(arm, day["seed"]))).max(0) + 0.5 * day["dry"]
+        hidden = put(day, entry["kind"], entry["joint"], entry["level"], top, rng) if entry["kind"] else day
+        slot = {"log": len(days)}
+        days.append(hidden)
+        for name, extra, wanted in (
+            ("twin", day, entry["kind"] and entry["kind"] not in INSTRUMENT),
+            ("reference", other, entry["reference"]),
+        ):
+            if wanted:
+                slot[name] = len(days)
+                days.append(extra)
+        slots.append(slot)
+    logs, key = simulate(days), []
+    (folder / f"{arm}.urdf").write_text(urdf_of(arm))
+    (folder / f"{arm}.drive.toml").write_text(drive_of(arm))
+    for entry, slot in zip(todo, slots):
+        day, log = days[slot["log"]], logs[slot["log"]]
+        written(day, log, folder / f"{entry['id']}.csv.gz")
+        if entry["reference"]:
+            written(days[slot["reference"]], logs[slot["reference"]], folder / f"{entry['id']}.reference.csv.gz")
+        seen = bool(entry["kind"]) and visible(day, log, logs[slot.get("twin", slot["log"])], entry["reference"])
+        key.append(entry | {"size": day["size"], "visible": seen})
+    (folder / f"key-{arm}.json").write_text(json.dumps(key, indent=1))
+
+
+def diagnosed(folder: Path, entry: dict) -> None:
+    """The command's answer of one log, its CPU seconds and memory."""
+    name, arm = entry["id"], entry["arm"]
+    command = [
+        "nice",
+        sys.executable,
+        "-c",
+        "from casadical.cli import main; main()",
+        "diagnose",
+        f"{arm}.urdf",
+        f"{name}.csv.gz",
+    ]
+    command += ["--drive", f"{arm}.drive.toml", "--json", f"{name}.json", "--quiet"]
+    if entry["reference"]:
+        command += ["--reference", f"{name}.reference.csv.gz"]
+    child = subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL, stderr=(folder / f"{name}.err").open("w"))
+    _, status, usage = os.wait4(child.pid, 0)
+    child.returncode = os.waitstatus_to_exitcode(status)
+    cost = {"cpu": usage.ru_utime + usage.ru_stime, "MB": usage.ru_maxrss / 1024, "exit": child.returncode}
+    (folder / f"{name}.cost.json").write_text(json.dumps(cost))
+
+
+def right(claim: dict, entry: dict) -> bool:
+    """Whether a claim is the hidden cause, at its joint; twin names as the documentation has them."""
+    twins = (
+        [*TWINS, {"servo_stiffness", "torque_constant"}] if entry["arm"] == "so101" and not entry["torque"] else TWINS
+    )
+    same = claim["effect"] == entry["kind"] or any({claim["effect"], entry["kind"]} <= pair for pair in twins)
+    return same and (entry["kind"] in GLOBAL or claim["joint"] == entry["joint"] + 1)
+
+
+def score(folder: Path) -> None:
+    """Everything, printed."""
+    key, table = key_of(folder), []
+    for entry in key:
+        cost = json.loads((folder / f"{entry['id']}.cost.json").read_text())
+        path = folder / f"{entry['id']}.json"
+        answer = json.loads(path.read_text()) if path.exists() else {"verdict": f"exit {cost['exit']}", "causes": []}
+        claims = [c for c in answer["causes"] if c["probability"] >= 0.5] if answer["verdict"] == "explained" else []
+        table.append(
+            entry | cost | {"verdict": answer["verdict"], "claims": claims, "right": [right(c, entry) for c in claims]}
+        )
+        said = ", ".join(f"{c['effect']}@{c['joint']}" if c["joint"] else c["effect"] for c in claims)
+        hidden = f"{entry['kind']}@{entry['joint'] + 1}" if entry["kind"] not in ("", *GLOBAL) else entry["kind"] or "-"
+        mark = "".join("+" if r else "x" for r in table[-1]["right"])
+        channel = "current" if entry["arm"] == "ur10e" else "torque" if entry["torque"] else "command"
+        print(
+            f"{entry['id']} {entry['arm']:5} {channel:7} {'ref' if entry['reference'] else '-':3} {hidden:20} {entry['size']:7.3g} "
+            f"{'visible' if entry['visible'] else '-':7} {answer['verdict']:9} {mark:3} {said}"
+        )
+    print()
+    summary(table)
+    print("\nby channel and reference")
+    for arm, torque in (("ur10e", True), ("so101", True), ("so101", False)):
+        for reference in (True, False):
+            print(f"{arm}, {'with' if torque else 'no'} torque, {'with' if reference else 'no'} reference: ", end="")
+            summary(
+                [
+                    x
+                    for x in table
+                    if (x["arm"], x["torque"] or x["arm"] == "ur10e", x["reference"]) == (arm, torque, reference)
+                ],
+                one=True,
+            )
+    print("\ncause                 logs visible named(visible) named right  wrong claims  other verdicts")
+    for kind in ["", *LISTED, *UNLISTED]:
+        of = [x for x in table if x["kind"] == kind]
+        if not of:
+            continue
+        seen = [x for x in of if x["visible"]]
+        wrong = Counter(f"{c['effect']}" for x in of for c, r in zip(x["claims"], x["right"]) if not r)
+        rest = Counter(x["verdict"] for x in of if not x["claims"])
+        print(
+            f"{kind or 'clean':20} {len(of):5} {len(seen):7} {sum(any(x['right']) for x in seen):14} {sum(any(x['right']) for x in of):11}  "
+            f"{', '.join(f'{k} {n}' for k, n in wrong.items()) or '-'}; {', '.join(f'{k} {n}' for k, n in rest.items()) or '-'}"
+        )
+
+
+def summary(table: list[dict], one: bool = False) -> None:
+    """The figures of the study."""
+    claims = [r for x in table for r in x["right"]]
+    clean, other = [x for x in table if not x["kind"]], [x for x in table if x["kind"] in UNLISTED]
+    single = [x for x in table if x["kind"] in LISTED]
+    seen = [x for x in single if x["visible"]]
+    alone = [r for x in single for r in x["right"]]
+    lines = [
+        f"claims right {sum(claims)} of {len(claims)}",
+        f"those of logs with a listed cause {sum(alone)} of {len(alone)}",
+        f"false alarms on clean logs {sum(bool(x['claims']) for x in clean)} of {len(clean)}",
+        f"unlisted claimed as listed {sum(bool(x['claims']) for x in other)} of {len(other)}",
+        f"named where visible {sum(any(x['right']) for x in seen)} of {len(seen)} (not visible, named {sum(any(x['right']) for x in single) - sum(any(x['right']) for x in seen)} of {len(single) - len(seen)})",
+        f"verdict unknown or ambiguous on visible unlisted {sum(x['verdict'] in ('unknown', 'ambiguous') for x in other if x['visible'])} of {sum(x['visible'] for x in other)}",
+        f"CPU a log {np.median([x['cpu'] for x in table]):.1f} s median, {max(x['cpu'] for x in table):.1f} s greatest; memory {np.median([x['MB'] for x in table]):.0f} MB, {max(x['MB'] for x in table):.0f} MB",
+    ]
+    print("; ".join(lines[:5]) if one else "\n".join(lines))
+
+
+def key_of(folder: Path) -> list[dict]:
+    """The key of both arms, ordered."""
+    return sorted(
+        (x for arm in ARMS for x in json.loads((folder / f"key-{arm}.json").read_text())), key=lambda x: x["id"]
+    )
+
+
+def main() -> None:
+    task, folder = sys.argv[1], Path(sys.argv[2])
+    folder.mkdir(parents=True, exist_ok=True)
+    if task == "make":
+        jobs = [subprocess.Popen([sys.executable, __file__, f"make-{arm}", str(folder)]) for arm in ARMS]
+        if any(job.wait() for job in jobs):
+            sys.exit(1)
+    elif task.startswith("make-"):
+        make(folder, task[5:])
+    elif task == "run":
+        began = time.perf_counter()
+        todo = [x for x in key_of(folder) if not (folder / f"{x['id']}.cost.json").exists()]
+        with ThreadPoolExecutor(2) as pool:
+            list(pool.map(lambda x: diagnosed(folder, x), todo))
+        print(f"{time.perf_counter() - began:.0f} s", file=sys.stderr)
+    if task in ("make", "score"):
+        digest = hashlib.sha256(json.dumps(key_of(folder), sort_keys=True).encode()).hexdigest()
+        print(f"{LOGS} logs (synthetic), seed {SEED}; sha256 of the key {digest}")
+    if task == "score":
+        score(folder)
+
+
+if __name__ == "__main__":
+    main()
