@@ -1,6 +1,6 @@
 """Joint logs with hidden causes, made in MuJoCo, and what `casadical diagnose ARM LOG` says of them.
 
-python docs/studies/joint_logs.py make DIR (3 minutes), then: run DIR (10 minutes of CPU), then: score DIR. Synthetic data.
+python docs/studies/joint_logs.py make DIR (3 minutes), run DIR (10 of CPU), score DIR, baseline DIR. Synthetic data.
 
 Written without having read the diagnosis. Two arms: the six axes of problems/ur10e, with currents, and the SO-101 of
 data/so101_logs, half with torques, half with commands and readings only. Causes act in the simulation (forces, servo),
@@ -26,11 +26,25 @@ import pandas as pd
 
 ROOT = Path(__file__).parents[2]
 SEED, LOGS, STEP, ROW = 20261123, 72, 0.001, 8
-LISTED = (
-    "payload coulomb_friction viscous_friction load_friction transport_delay lag torque_constant ripple saturation spring "
-    "contact zero_offset_step servo_stiffness clock_scale lost_samples warm_up"
-).split()
-# On no list: a stick in one direction near one angle; a push in a fixed rhythm; drag by another joint's motion; gusts.
+LISTED = [
+    "payload",
+    "coulomb_friction",
+    "viscous_friction",
+    "load_friction",
+    "transport_delay",
+    "lag",
+    "torque_constant",
+    "ripple",
+    "saturation",
+    "spring",
+    "contact",
+    "zero_offset_step",
+    "servo_stiffness",
+    "clock_scale",
+    "lost_samples",
+    "warm_up",
+]
+# On no list: a stick one way near one angle; a push in a fixed rhythm; drag by another joint's motion; gusts.
 UNLISTED = ["one_way_stick", "periodic_push", "drag_of_other", "gusts"]
 INSTRUMENT = ("clock_scale", "lost_samples")
 GLOBAL = ("payload", "clock_scale", "lost_samples", "warm_up")
@@ -94,12 +108,15 @@ def urdf_of(arm: str) -> str:
         thin, slim = mass * 0.06**2 / 2, mass * (0.06**2 / 4 + LONG[arm][i] ** 2 / 12)
         com = " ".join(f"{x / 1e3:.6f}" for x in body["com_mm"])
         inertia = (thin, slim, slim) if i in (1, 2) else (slim, slim, slim)
-        text.append(
-            f'<link name="link_{i + 1}"><inertial><origin xyz="{com}"/><mass value="{mass}"/><inertia ixx="{inertia[0]:.6g}" ixy="0" '
-            f'ixz="0" iyy="{inertia[1]:.6g}" iyz="0" izz="{inertia[2]:.6g}"/></inertial></link><joint name="joint_{i + 1}" type="revolute">'
-            f'<parent link="{f"link_{i}" if i else "base"}"/><child link="link_{i + 1}"/><origin xyz="{xyz[0]:.6f} {xyz[1]:.6f} {xyz[2]:.6f}" '
-            f'rpy="{alpha:.8f} 0 0"/><axis xyz="0 0 1"/><limit lower="-6.2" upper="6.2" effort="330" velocity="3"/></joint>'
-        )
+        diagonal = " ".join(f'{axis}="{value:.6g}"' for axis, value in zip(("ixx", "iyy", "izz"), inertia, strict=True))
+        at, parent = " ".join(f"{x:.6f}" for x in xyz), f"link_{i}" if i else "base"
+        text += [
+            f'<link name="link_{i + 1}"><inertial><origin xyz="{com}"/><mass value="{mass}"/>',
+            f'<inertia {diagonal} ixy="0" ixz="0" iyz="0"/></inertial></link>',
+            f'<joint name="joint_{i + 1}" type="revolute"><parent link="{parent}"/><child link="link_{i + 1}"/>',
+            f'<origin xyz="{at}" rpy="{alpha:.8f} 0 0"/><axis xyz="0 0 1"/>',
+            '<limit lower="-6.2" upper="6.2" effort="330" velocity="3"/></joint>',
+        ]
     return "\n".join([*text, "</robot>"])
 
 
@@ -145,7 +162,7 @@ def model_of(arm: str, spread: dict | None, payload: float = 0.0) -> mujoco.MjMo
         last = (
             "link_6"
             if arm == "ur10e"
-            else [j.find("parent").get("link") for j in tree.iter("joint") if j.get("name") == "gripper"][0]
+            else next(j.find("parent").get("link") for j in tree.iter("joint") if j.get("name") == "gripper")
         )
         link = ET.SubElement(ET.SubElement(tree, "link", name="load"), "inertial")
         ET.SubElement(link, "origin", xyz="0.01 0 0.06" if arm == "ur10e" else "0 0 -0.06")
@@ -276,9 +293,8 @@ def rigid(model: mujoco.MjModel, u: np.ndarray) -> np.ndarray:
 
 
 def put(day: dict, kind: str, joint: int, level: float, top: np.ndarray, rng: np.random.Generator) -> dict:
-    """A day with a cause of a size from barely visible (level 0) to clear (1). `top`: greatest torque of each joint (N m)."""
+    """A day with a cause of a size from barely visible (level 0) to clear (1). `top`: greatest torques (N m)."""
     d, of, j = copy.deepcopy(day), ARMS[day["arm"]], joint
-    sized = lambda low, high: float(low * (high / low) ** level)
     sign = float(rng.choice([-1, 1]))
     ranges = {
         "coulomb_friction": (0.12, 1.5),
@@ -300,7 +316,8 @@ def put(day: dict, kind: str, joint: int, level: float, top: np.ndarray, rng: np
         "zero_offset_step": (0.003, 0.04),
     }
     ranges |= {"clock_scale": (0.003, 0.05), "lost_samples": (0.006, 0.08), "saturation": (0.03, 0.45)}
-    size = sized(*ranges.get(kind, (0.3, 3.0)))
+    low, high = ranges.get(kind, (0.3, 3.0))
+    size = float(low * (high / low) ** level)
     d |= {
         "kind": kind,
         "joint": j,
@@ -372,9 +389,12 @@ def simulate(days: list[dict]) -> list[dict]:
     models = [model_of(arm, d["spread"], d["payload"]) for d in days]
     datas, nominal = [mujoco.MjData(m) for m in models], model_of(arm, None)
     commands = [motion(arm, d["seed"]) for d in days]
-    servo = [shaped(c, d) for c, d in zip(commands, days)]
+    servo = [shaped(c, d) for c, d in zip(commands, days, strict=True)]
     total = max(map(len, servo))
-    hold = lambda x: np.concatenate([x, np.repeat(x[-1:], total + 1 - len(x), 0)])
+
+    def hold(x: np.ndarray) -> np.ndarray:
+        return np.concatenate([x, np.repeat(x[-1:], total + 1 - len(x), 0)])
+
     u = np.stack([hold(x) for x in servo], 1)
     forward = np.stack([hold(rigid(nominal, x)) if arm == "ur10e" else np.zeros((total + 1, 6)) for x in servo], 1)
     p = {k: np.stack([np.broadcast_to(d[k], 6) for d in days]) for k in P_ARRAYS}
@@ -405,17 +425,35 @@ def simulate(days: list[dict]) -> list[dict]:
             gust = 0.97 * gust + 0.24 * np.array([r.normal() for r in rngs])
         friction, z = bristles(p, t, q, v, z, load)
         torque = p["kt"] * push - friction + outside(days, t, q, v, gust)
-        for i, (m, d) in enumerate(zip(models, datas)):
+        for i, (m, d) in enumerate(zip(models, datas, strict=True)):
             if k == 0:
                 d.qpos[:] = q[i]
             d.qfrc_applied[:] = torque[i]
             mujoco.mj_step(m, d)
             q[i], v[i] = d.qpos, d.qvel
             load[i] += 0.05 * (np.abs(d.qfrc_bias) - load[i])
-    return [table(d, rows[:, i], commands[i], ends[i]) for i, d in enumerate(days)]
+    return [table(rows[:, i], commands[i], ends[i]) for i in range(n)]
 
 
-P_ARRAYS = "kp kd limit kt dry asymmetry viscous load static stribeck bristle ripple ripple_n ripple_at warm cold cold_s".split()
+P_ARRAYS = [
+    "kp",
+    "kd",
+    "limit",
+    "kt",
+    "dry",
+    "asymmetry",
+    "viscous",
+    "load",
+    "static",
+    "stribeck",
+    "bristle",
+    "ripple",
+    "ripple_n",
+    "ripple_at",
+    "warm",
+    "cold",
+    "cold_s",
+]
 
 
 def bristles(
@@ -438,7 +476,7 @@ def bristles(
     return stiff * new + 0.002 * stiff * (new - z) / STEP + curved + own, new
 
 
-def table(day: dict, rows: np.ndarray, command: np.ndarray, ends: np.ndarray) -> dict:
+def table(rows: np.ndarray, command: np.ndarray, ends: np.ndarray) -> dict:
     """Rows of one log, without noise: those in the pauses between runs are not logged."""
     t = np.arange(len(rows)) * STEP * ROW
     run, starts = np.searchsorted(ends, t, side="right"), np.concatenate([[0], ends])
@@ -486,7 +524,7 @@ def written(day: dict, clean: dict, path: Path) -> None:
     frame[~lost].to_csv(path, index=False)
 
 
-def windows(log: dict, what: np.ndarray) -> np.ndarray:
+def windows(what: np.ndarray) -> np.ndarray:
     """Averages over 0.1 s."""
     n = len(what) // 12 * 12
     return what[:n].reshape(-1, 12, *what.shape[1:]).mean(1)
@@ -495,16 +533,16 @@ def windows(log: dict, what: np.ndarray) -> np.ndarray:
 def visible(day: dict, log: dict, twin: dict, reference: bool) -> bool:
     """Whether an ideal observer would see the cause, from two simulations that differ in nothing else.
 
-    In one channel of one joint (torque, position error), window by window of 0.1 s: what the cause changes, less what
-    masses, frictions, servo gains and delay within their priors (frictions 12 % from day to day with a reference,
-    50 % without) can make of it, is at least half of the usual noise, and 4 sigma at 0.07 effective samples a row.
+    In one channel of one joint (torque, position error), in windows of 0.1 s, what the cause changes is at least half of
+    the usual noise, and an observer who knows the priors of masses, frictions (12 % from day to day with a reference,
+    50 % without), gains and delay sees it at 4 sigma with 0.07 effective samples a row.
     """
     if day["kind"] == "clock_scale":
         return bool(day["size"] >= 0.005)
     if day["kind"] == "lost_samples":
         return bool(day["size"] >= 0.01)
     of, daily = ARMS[day["arm"]], 0.12 if reference else 0.5
-    v, tau = windows(twin, twin["x"][:, 6:12]), windows(twin, twin["x"][:, 12:])
+    v, tau = windows(twin["x"][:, 6:12]), windows(twin["x"][:, 12:])
     a = np.gradient(v, 0.096, axis=0)
     for j in range(6):
         dry = np.tanh(v[:, j] / 0.03)
@@ -520,11 +558,9 @@ def visible(day: dict, log: dict, twin: dict, reference: bool) -> bool:
             ],
             1,
         )
-        change = [
-            ("e", windows(log, log["x"][:, j] - log["c"][:, j]) - windows(twin, twin["x"][:, j] - twin["c"][:, j]))
-        ]
+        change = [("e", windows(log["x"][:, j] - log["c"][:, j]) - windows(twin["x"][:, j] - twin["c"][:, j]))]
         if day["torque"]:
-            change.append(("torque", windows(log, log["x"][:, 12 + j]) - tau[:, j]))
+            change.append(("torque", windows(log["x"][:, 12 + j]) - tau[:, j]))
         for channel, delta in change:
             if channel == "torque":
                 # some 3 % of friction and a third of the scatter stay in windows of a good base model
@@ -539,8 +575,7 @@ def visible(day: dict, log: dict, twin: dict, reference: bool) -> bool:
             system = np.concatenate([columns / sigma, np.eye(columns.shape[1])])
             target = np.concatenate([delta / sigma, np.zeros(columns.shape[1])])
             rest = target - system @ np.linalg.lstsq(system, target, rcond=None)[0]
-            left = rest[: len(delta)] * sigma
-            if np.sqrt(np.mean(left**2)) >= 0.5 * noise and np.sum(rest**2) >= 16:
+            if np.sqrt(np.mean(delta**2)) >= 0.5 * noise and np.sum(rest**2) >= 16:
                 return True
     return False
 
@@ -595,7 +630,7 @@ def make(folder: Path, arm: str) -> None:
     logs, key = simulate(days), []
     (folder / f"{arm}.urdf").write_text(urdf_of(arm))
     (folder / f"{arm}.drive.toml").write_text(drive_of(arm))
-    for entry, slot in zip(todo, slots):
+    for entry, slot in zip(todo, slots, strict=True):
         day, log = days[slot["log"]], logs[slot["log"]]
         written(day, log, folder / f"{entry['id']}.csv.gz")
         if entry["reference"]:
@@ -675,7 +710,7 @@ def score(folder: Path) -> None:
         if not of:
             continue
         seen = [x for x in of if x["visible"]]
-        wrong = Counter(f"{c['effect']}" for x in of for c, r in zip(x["claims"], x["right"]) if not r)
+        wrong = Counter(f"{c['effect']}" for x in of for c, r in zip(x["claims"], x["right"], strict=True) if not r)
         rest = Counter(x["verdict"] for x in of if not x["claims"])
         print(
             f"{kind or 'clean':20} {len(of):5} {len(seen):7} {sum(any(x['right']) for x in seen):14} {sum(any(x['right']) for x in of):11}  "
