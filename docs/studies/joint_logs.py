@@ -1,6 +1,6 @@
 """Joint logs with hidden causes, made in MuJoCo, and what `casadical diagnose ARM LOG` says of them.
 
-python docs/studies/joint_logs.py make DIR (3 minutes), run DIR (10 of CPU), score DIR, baseline DIR. Synthetic data.
+python docs/studies/joint_logs.py make DIR (3 minutes), run DIR (10 of CPU), score DIR. Synthetic data.
 
 Written without having read the diagnosis. Two arms: the six axes of problems/ur10e, with currents, and the SO-101 of
 data/so101_logs, half with torques, half with commands and readings only. Causes act in the simulation (forces, servo),
@@ -142,13 +142,14 @@ def drive_of(arm: str) -> str:
             "current_quantum_A = 0.01",
         ]
         lines[1] = (
-            'servo = "position: kp e + kd (command_v - v), and feed-forward of the rigid bodies of this URDF along the command"'
+            'servo = "position: kp e + kd (command_v - v), and feed-forward of the rigid bodies '
+            'of this URDF along the command"'
         )
     return "\n".join(lines) + "\n"
 
 
 def model_of(arm: str, spread: dict | None, payload: float = 0.0) -> mujoco.MjModel:
-    """MuJoCo's model of the URDF; masses and mass centres off by `spread`, with a payload on the last link of the arm."""
+    """MuJoCo's model of the URDF; masses and mass centres off by `spread`; with a payload on the last link."""
     tree = ET.fromstring(urdf_of(arm))
     ET.SubElement(
         ET.SubElement(tree, "mujoco"),
@@ -174,7 +175,10 @@ def model_of(arm: str, spread: dict | None, payload: float = 0.0) -> mujoco.MjMo
         ET.SubElement(held, "child", link="load")
     if spread:
         for link, factor, shift in zip(
-            [x for x in tree.iter("link") if x.find("inertial/mass") is not None], spread["mass"], spread["com"]
+            [x for x in tree.iter("link") if x.find("inertial/mass") is not None],
+            spread["mass"],
+            spread["com"],
+            strict=False,
         ):
             if link.get("name") == "load":
                 continue
@@ -533,8 +537,8 @@ def windows(what: np.ndarray) -> np.ndarray:
 def visible(day: dict, log: dict, twin: dict, reference: bool) -> bool:
     """Whether an ideal observer would see the cause, from two simulations that differ in nothing else.
 
-    In one channel of one joint (torque, position error), in windows of 0.1 s, what the cause changes is at least half of
-    the usual noise, and an observer who knows the priors of masses, frictions (12 % from day to day with a reference,
+    In one channel of one joint (torque, position error), in windows of 0.1 s, the cause changes at least half of the
+    usual noise, and an observer who knows the priors of masses, frictions (12 % from day to day with a reference,
     50 % without), gains and delay sees it at 4 sigma with 0.07 effective samples a row.
     """
     if day["kind"] == "clock_scale":
@@ -640,6 +644,89 @@ def make(folder: Path, arm: str) -> None:
     (folder / f"key-{arm}.json").write_text(json.dumps(key, indent=1))
 
 
+def baseline(folder: Path) -> None:
+    """Per joint least squares and BIC over friction models and single causes, on the same logs."""
+    began, table = time.process_time(), []
+    for entry in key_of(folder):
+        log = observed(folder / f"{entry['id']}.csv.gz", entry)
+        other = observed(folder / f"{entry['id']}.reference.csv.gz", entry) if entry["reference"] else None
+        best = max((claim for j in range(6) for claim in by_bic(log, other, j)), key=lambda x: x[0])
+        claims = [{"effect": best[1], "joint": best[2]}] if best[0] > 5 else []
+        one = {"verdict": "", "claims": claims, "right": [right(c, entry) for c in claims], "cpu": 0, "MB": 0}
+        table.append(entry | one)
+    print(
+        "\nbaseline: joint by joint Coulomb and viscous friction, with or without Stribeck and load terms, at most one"
+    )
+    print(
+        "cause (not payload, saturation, clock, lost samples), least squares; the best is named where BIC falls by 10"
+    )
+    summary(table)
+    print(f"CPU {time.process_time() - began:.0f} s for all")
+
+
+def observed(path: Path, entry: dict) -> dict:
+    """Windows of 0.1 s of a log: torque less the rigid bodies of the user's file, angle, speed, time."""
+    table, of, model = pd.read_csv(path), ARMS[entry["arm"]], model_of(entry["arm"], None)
+
+    def pick(what: str) -> np.ndarray:
+        return np.stack([table[what.replace("#", str(j + 1))] for j in range(6)], 1)
+
+    q, v, c = pick("q#_rad"), pick("v#_rad_s"), pick("command#_rad")
+    if entry["arm"] == "ur10e":
+        torque = pick("current#_A") * of["per_A"]
+    else:
+        torque = pick("torque#_Nm") if entry["torque"] else (c - q) * of["kp"] - v * of["kd"]
+    time_s, run = table["time_s"].to_numpy() / 1.0, table["run"].to_numpy()
+    out = {
+        k: windows(x)
+        for k, x in {"q": q, "v": v, "torque": torque, "e": c - q, "t": time_s + 17 * run, "run": run}.items()
+    }
+    out["a"] = np.gradient(out["v"], 0.096, axis=0)
+    data, rigid_torque = mujoco.MjData(model), np.empty_like(out["q"])
+    for k in range(len(rigid_torque)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = out["q"][k], out["v"][k], out["a"][k]
+        mujoco.mj_inverse(model, data)
+        rigid_torque[k] = data.qfrc_inverse
+    return out | {"rigid": rigid_torque}
+
+
+def by_bic(log: dict, other: dict | None, j: int) -> list[tuple[float, str, int]]:
+    """Half of the fall of BIC for each single cause at joint j."""
+    parts = [log] if other is None else [log, other]
+
+    def get(what: str) -> np.ndarray:
+        return np.concatenate([p[what][:, j] if p[what].ndim > 1 else p[what] for p in parts])
+
+    here = np.concatenate([np.full(len(p["t"]), p is log) for p in parts]).astype(float)
+    q, v, a, t, run, low, torque, e = (get(x) for x in ("q", "v", "a", "t", "run", "rigid", "torque", "e"))
+    dry, n = np.tanh(v / 0.03), len(q)
+    base = np.stack([1 + 0 * q, here, dry, v, low, a], 1)
+    extra = [(dry * np.exp(-((v / 0.05) ** 2)))[:, None], (np.abs(low) * dry)[:, None]]
+    models = [np.concatenate([base, *more], 1) for more in ([], extra[:1], extra[1:], extra)]
+
+    def bic(y: np.ndarray, x: np.ndarray) -> float:
+        left = y - x @ np.linalg.lstsq(x, y, rcond=None)[0]
+        return float(n * np.log(np.mean(left**2)) + x.shape[1] * np.log(n))
+
+    causes = {"warm_up": [here * dry * np.exp(-t / 25)], "zero_offset_step": [here * (run > 1)], "spring": [here * q]}
+    causes |= {f"ripple{k}": [here * np.sin(k * q), here * np.cos(k * q)] for k in (1, 2, 3, 6, 8, 20, 101)}
+    causes |= {f"contact{k}": [here * (np.abs(t - 17 - 4 * k) < 2)] for k in range(12)}
+    if other is not None:
+        causes |= {"coulomb_friction": [here * dry], "viscous_friction": [here * v], "torque_constant": [here * torque]}
+        causes |= {"load_friction": [here * np.abs(low) * dry]}
+    best = min(models, key=lambda x: bic(torque, x))
+    found = [
+        (k, bic(torque, best) - bic(torque, np.column_stack([best, *x])))
+        for k, x in causes.items()
+        if k != "torque_constant"
+    ]
+    servo = np.stack([1 + 0 * q, torque, v, a], 1)
+    if other is not None:
+        for name, column in (("transport_delay", v), ("servo_stiffness", torque)):
+            found.append((name, bic(e, servo) - bic(e, np.column_stack([servo, here * column]))))
+    return [(gain / 2, name.rstrip("0123456789"), j + 1) for name, gain in found]
+
+
 def diagnosed(folder: Path, entry: dict) -> None:
     """The command's answer of one log, its CPU seconds and memory."""
     name, arm = entry["id"], entry["arm"]
@@ -674,6 +761,7 @@ def right(claim: dict, entry: dict) -> bool:
 def score(folder: Path) -> None:
     """Everything, printed."""
     key, table = key_of(folder), []
+    print(ABOUT)
     for entry in key:
         cost = json.loads((folder / f"{entry['id']}.cost.json").read_text())
         path = folder / f"{entry['id']}.json"
@@ -687,7 +775,8 @@ def score(folder: Path) -> None:
         mark = "".join("+" if r else "x" for r in table[-1]["right"])
         channel = "current" if entry["arm"] == "ur10e" else "torque" if entry["torque"] else "command"
         print(
-            f"{entry['id']} {entry['arm']:5} {channel:7} {'ref' if entry['reference'] else '-':3} {hidden:20} {entry['size']:7.3g} "
+            f"{entry['id']} {entry['arm']:5} {channel:7} {'ref' if entry['reference'] else '-':3} "
+            f"{hidden:20} {entry['size']:7.3g} "
             f"{'visible' if entry['visible'] else '-':7} {answer['verdict']:9} {mark:3} {said}"
         )
     print()
@@ -713,9 +802,18 @@ def score(folder: Path) -> None:
         wrong = Counter(f"{c['effect']}" for x in of for c, r in zip(x["claims"], x["right"], strict=True) if not r)
         rest = Counter(x["verdict"] for x in of if not x["claims"])
         print(
-            f"{kind or 'clean':20} {len(of):5} {len(seen):7} {sum(any(x['right']) for x in seen):14} {sum(any(x['right']) for x in of):11}  "
-            f"{', '.join(f'{k} {n}' for k, n in wrong.items()) or '-'}; {', '.join(f'{k} {n}' for k, n in rest.items()) or '-'}"
+            f"{kind or 'clean':20} {len(of):5} {len(seen):7} {named(seen):14} {named(of):11}  "
+            f"{counted(wrong)}; {counted(rest)}"
         )
+
+
+def named(table: list[dict]) -> int:
+    """Logs whose hidden cause is among the claims."""
+    return sum(any(x["right"]) for x in table)
+
+
+def counted(what: Counter) -> str:
+    return ", ".join(f"{k} {n}" for k, n in what.items()) or "-"
 
 
 def summary(table: list[dict], one: bool = False) -> None:
@@ -725,16 +823,29 @@ def summary(table: list[dict], one: bool = False) -> None:
     single = [x for x in table if x["kind"] in LISTED]
     seen = [x for x in single if x["visible"]]
     alone = [r for x in single for r in x["right"]]
+    hidden, strange = [x for x in single if not x["visible"]], [x for x in other if x["visible"]]
+    cpu, memory = [x["cpu"] for x in table], [x["MB"] for x in table]
     lines = [
         f"claims right {sum(claims)} of {len(claims)}",
         f"those of logs with a listed cause {sum(alone)} of {len(alone)}",
         f"false alarms on clean logs {sum(bool(x['claims']) for x in clean)} of {len(clean)}",
         f"unlisted claimed as listed {sum(bool(x['claims']) for x in other)} of {len(other)}",
-        f"named where visible {sum(any(x['right']) for x in seen)} of {len(seen)} (not visible, named {sum(any(x['right']) for x in single) - sum(any(x['right']) for x in seen)} of {len(single) - len(seen)})",
-        f"verdict unknown or ambiguous on visible unlisted {sum(x['verdict'] in ('unknown', 'ambiguous') for x in other if x['visible'])} of {sum(x['visible'] for x in other)}",
-        f"CPU a log {np.median([x['cpu'] for x in table]):.1f} s median, {max(x['cpu'] for x in table):.1f} s greatest; memory {np.median([x['MB'] for x in table]):.0f} MB, {max(x['MB'] for x in table):.0f} MB",
+        f"named where visible {named(seen)} of {len(seen)} (not visible, named {named(hidden)} of {len(hidden)})",
+        f"unknown or ambiguous where an unlisted cause is visible "
+        f"{sum(x['verdict'] in ('unknown', 'ambiguous') for x in strange)} of {len(strange)}",
     ]
+    if max(cpu):
+        lines += [f"CPU a log {np.median(cpu):.1f} s median, {max(cpu):.1f} s greatest"]
+        lines += [f"memory a log {np.median(memory):.0f} MB median, {max(memory):.0f} MB greatest"]
     print("; ".join(lines[:5]) if one else "\n".join(lines))
+
+
+ABOUT = f"""Three runs a log, 50 s, 125 Hz; one cause; {LOGS // 3} clean, {LOGS // 8} with a cause on no list. + right, x wrong.
+Columns: log, arm, channel, reference, hidden cause@joint, size, visible or not, verdict, claims.
+Sizes: share by which friction, gain or constant is off; s (delay, lag); rad (zero); kg (payload); share of rows or time
+(lost samples, clock); part of the greatest torque (saturation); of the joint's dry friction (what else is a torque).
+Visible: from two simulations that differ in the cause alone, see visible() of joint_logs.py; no diagnosis enters.
+"""
 
 
 def key_of(folder: Path) -> list[dict]:
@@ -764,6 +875,7 @@ def main() -> None:
         print(f"{LOGS} logs (synthetic), seed {SEED}; sha256 of the key {digest}")
     if task == "score":
         score(folder)
+        baseline(folder)
 
 
 if __name__ == "__main__":
