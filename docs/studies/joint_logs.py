@@ -840,8 +840,8 @@ def summary(table: list[dict], one: bool = False) -> None:
     print("; ".join(lines[:5]) if one else "\n".join(lines))
 
 
-ABOUT = f"""Three runs a log, 50 s, 125 Hz; one cause; {LOGS // 3} clean, {LOGS // 8} with a cause on no list. + right, x wrong.
-Columns: log, arm, channel, reference, hidden cause@joint, size, visible or not, verdict, claims.
+ABOUT = f"""Three runs a log, 50 s, 125 Hz; {LOGS // 3} clean, {LOGS // 8} with a cause on no list. + right, x wrong.
+One cause a log. Columns: log, arm, channel, reference, hidden cause@joint, size, visible or not, verdict, claims.
 Sizes: share by which friction, gain or constant is off; s (delay, lag); rad (zero); kg (payload); share of rows or time
 (lost samples, clock); part of the greatest torque (saturation); of the joint's dry friction (what else is a torque).
 Visible: from two simulations that differ in the cause alone, see visible() of joint_logs.py; no diagnosis enters.
