@@ -766,7 +766,7 @@ def score(folder: Path) -> None:
         cost = json.loads((folder / f"{entry['id']}.cost.json").read_text())
         path = folder / f"{entry['id']}.json"
         answer = json.loads(path.read_text()) if path.exists() else {"verdict": f"exit {cost['exit']}", "causes": []}
-        claims = [c for c in answer["causes"] if c["probability"] >= 0.5] if answer["verdict"] == "explained" else []
+        claims = [c for c in [*answer["causes"], *answer.get("fits", [])] if c["probability"] >= 0.5]
         table.append(
             entry | cost | {"verdict": answer["verdict"], "claims": claims, "right": [right(c, entry) for c in claims]}
         )

@@ -1,4 +1,4 @@
-"""The diagnosis of a joint log as a result: which cause, at which joint, how sure, how far the gap shrinks with it."""
+"""The diagnosis of a joint log as a result: the residual of each joint, where it is greatest, what fits, how sure."""
 
 from __future__ import annotations
 
@@ -46,14 +46,16 @@ class LogDiagnosis(Result):
     reference: str = ""
 
     @property
-    def named(self) -> tuple[Found, ...]:
-        """Causes that are claimed."""
+    def fitting(self) -> tuple[Found, ...]:
+        """Causes that fit, which is no claim: of blind logs too few were right (docs/joint-logs.md)."""
         return tuple(f for f in self.outcome.found if f.share >= 1)
 
     @property
     def verdict(self) -> str:
-        """explained, ambiguous, unknown or none."""
-        return "explained" if self.faults else self.outcome.verdict
+        """explained by the log's own faults, unknown where more is there than a usual arm has, or none."""
+        if self.faults:
+            return "explained"
+        return "none" if self.outcome.verdict == "none" else "unknown"
 
     @property
     def _line(self) -> str:
@@ -61,7 +63,7 @@ class LogDiagnosis(Result):
 
     @property
     def _labels(self) -> list[str]:
-        return [*(f.name for f in self.faults), *(f.label for f in self.named)]
+        return [f.name for f in self.faults]
 
     @property
     def level(self) -> str:
@@ -86,20 +88,13 @@ class LogDiagnosis(Result):
         return [Words(self._sentence(), "verdict"), *self._faults(), self._gap_table(), *self._causes(), *self._notes()]
 
     def _sentence(self) -> str:
-        parts = [f.sentence for f in self.faults]
-        parts += [f"{told(f.label)} (probability {f.probability:.2f})" for f in self.named]
-        if parts:
-            return f"{self.log.source}: {'; '.join(parts)}."
-        if self.outcome.verdict == "ambiguous":
-            those = ", ".join(f"{label} {p:.2f}" for label, p in self.outcome.alike[:SHOWN])
-            return f"{self.log.source}: something is there; this log does not tell {those} apart."
-        if self.outcome.verdict == "unknown":
-            return f"{self.log.source}: something is there that no listed cause explains: {self._smooth()}."
-        return f"{self.log.source}: a usual arm; no cause is large enough to be named."
-
-    def _smooth(self) -> str:
-        """The form of what is on no list."""
-        return next(iter(self.outcome.rankings[-1].order))
+        said = [f.sentence for f in self.faults]
+        most = next(iter(self.outcome.rankings[0].order), "")
+        if self.fitting:
+            said.append(f"more is there than in a usual arm; what fits best: {told(self.fitting[0].label)}")
+        elif self.outcome.verdict != "none":
+            said.append(f"more is there than in a usual arm; what fits best: {told(most)}")
+        return f"{self.log.source}: {'; '.join(said) or 'no more than a usual arm may have'}."
 
     def _faults(self) -> Iterator[Words]:
         yield from (Words(f.remedy, "warning") for f in self.faults)
@@ -130,7 +125,7 @@ class LogDiagnosis(Result):
         worst = max(found)
         return worst[1] if worst[0] > OUT else ""
 
-    def _causes(self) -> Iterator[Table]:
+    def _causes(self) -> Iterator[Words | Table]:
         ranking = self.outcome.rankings[0]
         rows = [
             (label, f"{ranking.probability[label]:.2f}", f"{ranking.log_factor[label]:.0f}", told(label))
@@ -138,6 +133,7 @@ class LogDiagnosis(Result):
             if ranking.probability[label] > LEAST
         ]
         rows += [("none", f"{ranking.none:.2f}", "", "a usual arm")]
+        yield Words("No cause is named: of blind logs too few names were right; take what fits as a hint.", "note")
         yield Table(
             "What fits", ("cause", "probability", "log evidence", "what the log shows"), rows, frozenset({1, 2})
         )
@@ -145,7 +141,7 @@ class LogDiagnosis(Result):
     def _notes(self) -> Iterator[Words]:
         small = [f.label for f in self.outcome.found if f.share < 1]
         if small:
-            yield Words(f"Seen, but too small to be named: {', '.join(small)}.", "note")
+            yield Words(f"Seen, but small: {', '.join(small)}.", "note")
         yield from (Words(text, "note") for text in cannot_tell(self.log, self.arm, bool(self.reference)))
 
     def to_json(self) -> dict[str, Any]:
@@ -153,15 +149,14 @@ class LogDiagnosis(Result):
         nominal, before, after = self.gap()
         ranking = self.outcome.rankings[0]
         causes = [{"effect": f.name, "joint": None, "probability": 1.0} for f in self.faults]
-        causes += [_plain(f.label, f.probability) for f in self.named]
-        if self.verdict == "ambiguous":
-            causes += [_plain(label, p) for label, p in self.outcome.alike]
         total = {"before": float(np.sqrt((before**2).mean())), "after": float(np.sqrt((after**2).mean()))}
         return {
             "log": self.log.source,
             "reference": self.reference,
             "verdict": self.verdict,
             "causes": causes,
+            "fits": [_plain(f.label, f.probability) for f in self.fitting],
+            "alike": [_plain(label, p) for label, p in self.outcome.alike],
             "gap": {**total, "unit": self.outcome.case.unit or "rad"},
             "joints": [
                 {"joint": name, "model": float(a), "usual": float(b), "after": float(c)}
