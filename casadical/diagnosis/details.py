@@ -66,29 +66,14 @@ def analyse(
 ) -> Details:
     """All that `casadical diagnose` reports besides the diagnosis; some seconds, with networks minutes.
 
-    Parameters
-    ----------
-    found : Diagnosis
-        a diagnosis
-    poses : int, default NEXT
-        how many to choose to be measured next
-    workspace : Workspace, optional
-        where the next poses may lie
-    networks : bool, default False
-        whether to train networks, instead of the causes and after them
-    highest_line : float, optional
-        up to which frequency lines of joint error curves are looked for [cycles a turn], see `spectrum`
-    laws : bool, optional
-        whether the missing law is searched for; by default where the verdict is unknown
-    file : str, default ""
-        name of the file that the next poses are written to, for the page
-    show : Show, optional
-        called with a line of progress
-
-    Raises
-    ------
-    ConvergenceError
-        Ipopt finds no optimum
+    poses : how many to choose to be measured next
+    workspace : where the next poses may lie
+    networks : whether to train networks, instead of the causes and after them
+    highest_line : up to which frequency lines of joint error curves are looked for [cycles a turn], see `spectrum`
+    laws : whether the missing law is searched for; by default where the verdict is unknown
+    file : name of the file that the next poses are written to, for the page
+    show : called with a line of progress
+    Raises ConvergenceError: Ipopt finds no optimum.
 
     Examples
     --------

@@ -59,45 +59,24 @@ def diagnose(
 ) -> Diagnosis:
     """Diagnose the gap that calibration leaves on a campaign.
 
-    Parameters
-    ----------
-    robot : Robot | Prepared | Identification
-        nominal model, with the compliances that it should have, which is calibrated on the campaign first; or robot,
-        measurements and prior together, as `prepare` gives them; or an identification, whose own measurements are
-        diagnosed unless others of the same robot are given
-    m : Measurements | Sequence[Measurements], optional
-        one set of any kind, or several that were measured of the same robot, each with noise of its own; an unknown
+    robot : nominal model, with the compliances that it should have, which is calibrated on the campaign first; or
+        robot, measurements and prior together, as `prepare` gives them; or an identification, whose own measurements
+        are diagnosed unless others of the same robot are given
+    m : one set of any kind, or several that were measured of the same robot, each with noise of its own; an unknown
         tool turns freely where orientations were measured, and these are left aside where they contradict the model
-    effects : Sequence[str | Effect | type[Effect]] | {"standard", "extended"}, default "standard"
-        "standard" or "extended", or names (backlash), labels (backlash@5) and own effects
-    seed : int, default 0
-        of everything random
-    bootstrap : int, default 0
-        draws of noise alone that calibrate whether something is there (2000 take some seconds); 0 for none
-    prior : Robot | Prior, optional
-        the same robot as another campaign found it, whose effects are in the base model with their values and
-        covariance as a prior; what changed is found first (`Diagnosis.changes`). Or as of `carry_over`, with its
-        robot
-    masses : Masses, default "candidate"
-        whether wrong declared masses of links are a cause that may be named, or are in the base model, free within
+    effects : "standard" or "extended", or names (backlash), labels (backlash@5) and own effects
+    seed : of everything random
+    bootstrap : draws of noise alone that calibrate whether something is there (2000 take some seconds); 0 for none
+    prior : the same robot as another campaign found it, whose effects are in the base model with their values and
+        covariance as a prior; what changed is found first (`Diagnosis.changes`). Or as of `carry_over`, with its robot
+    masses : whether wrong declared masses of links are a cause that may be named, or are in the base model, free within
         the robot's `body_width`, and never named, as those are always that nobody declared
-    rivals : Rivals, default no_rivals
-        what competes with the candidates at every ranking, as a search for laws does (see `posterior.Rival`)
-    laws : bool, default True
-        whether the causes that are found must hold against the best law of a form that is on no list (1 to 2 s for
+    rivals : what competes with the candidates at every ranking, as a search for laws does (see `posterior.Rival`)
+    laws : whether the causes that are found must hold against the best law of a form that is on no list (1 to 2 s for
         100 poses); where it wins, the verdict is unknown
-    show : Show, optional
-        called with a line of progress
-
-    Returns
-    -------
-    Diagnosis
-        verdict, causes and gap; what costs more is computed when asked for
-
-    Raises
-    ------
-    InputError
-        where the measurements cannot carry a diagnosis
+    show : called with a line of progress
+    Returns verdict, causes and gap; what costs more is computed when asked for.
+    Raises InputError: where the measurements cannot carry a diagnosis.
 
     Examples
     --------

@@ -111,28 +111,12 @@ def isolability(
 ) -> Isolability:
     """Isolability of effects at the poses of a (planned) campaign; positions are not looked at.
 
-    Parameters
-    ----------
-    robot : Robot | Diagnosis
-        nominal; or a diagnosis, whose candidates are judged at its own poses, calibrated geometry and noise
-    m : Measurements, optional
-        poses, measured or planned; None of a diagnosis: its own
-    effects : Sequence[str | Effect | type[Effect]] | {"standard", "extended"}, default "standard"
-        as of `diagnose`
-    noise : Noise, default USUAL_NOISE
-        that is expected
-    whole : bool, default False
-        whether an effect counts as one cause in all its joints together, not joint by joint
-
-    Returns
-    -------
-    Isolability
-        what each effect would show, and which look alike
-
-    Raises
-    ------
-    InputError
-        a name that is no effect, or where poses are missing
+    robot : nominal; or a diagnosis, whose candidates are judged at its own poses, calibrated geometry and noise
+    m : poses, measured or planned; None of a diagnosis: its own
+    effects : as of `diagnose`
+    noise : that is expected
+    whole : whether an effect counts as one cause in all its joints together, not joint by joint
+    Raises InputError: a name that is no effect, or where poses are missing.
 
     Examples
     --------

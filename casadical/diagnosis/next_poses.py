@@ -52,31 +52,17 @@ def next_poses(
     factor in favour of the truth among the labels, of this pose and those before it, the smallest of all truths;
     and, empty, the columns to be logged, those of the campaign's own kinds of measurement among them.
 
-    Parameters
-    ----------
-    found : Diagnosis | Case
-        a diagnosis, or the case of one
-    n : int
-        how many poses
-    labels : Sequence[str], default ()
-        causes to distinguish, as the case's candidates name them; "none" for no cause at all; by default those that
-        the diagnosis has in question (`Diagnosis.in_question`), and an empty table where there are none
-    seed : int, default 0
-        of the drawn poses
-    beside : Sequence[str], optional
-        others from which each of them is to be distinguished as well, but not from each other; by default "none", and
-        with the default labels the most probable other cause
-    workspace : Workspace, optional
-        where poses may lie; by default the robot's own ranges, loops as open as they were in the campaign
-    payloads : Sequence[float], default ()
-        states [kg] that can be mounted; by default none, the declared one and the campaign's
-    pool : int, default POOL
-        how many poses are drawn to choose from; the campaign's own are added
-
-    Raises
-    ------
-    InputError
-        fewer than two labels or one that the case does not know
+    found : a diagnosis, or the case of one
+    n : how many poses
+    labels : causes to distinguish, as the case's candidates name them; "none" for no cause at all; by default those
+        that the diagnosis has in question (`Diagnosis.in_question`), and an empty table where there are none
+    seed : of the drawn poses
+    beside : others from which each of them is to be distinguished as well, but not from each other; by default "none",
+        and with the default labels the most probable other cause
+    workspace : where poses may lie; by default the robot's own ranges, loops as open as they were in the campaign
+    payloads : states [kg] that can be mounted; by default none, the declared one and the campaign's
+    pool : how many poses are drawn to choose from; the campaign's own are added
+    Raises InputError: fewer than two labels or one that the case does not know.
 
     Examples
     --------

@@ -73,24 +73,14 @@ def settings_of(effect: Effect) -> dict[str, float]:
 class Cause:
     """One cause.
 
-    Parameters
-    ----------
-    effect : str
-        name of the effect
-    joint : int | None
-        its joint, 1-based; None where it belongs to none
-    confidence : float
-        its posterior probability
-    shrink : float
-        share by which the held-out gap falls when it is added
-    shrink_interval : tuple[float, float]
-        of `shrink`, 95 %
-    indistinguishable : tuple[str, ...]
-        labels (name or name@joint) that this data cannot tell from it
-    effects : tuple[Effect, ...], default ()
-        the symbolic effects with their most likely settings
-    estimates : dict[str, tuple[float, float, str]], optional
-        parameter -> (value, standard error, unit) [SI]
+    effect : name of the effect
+    joint : its joint, 1-based; None where it belongs to none
+    confidence : its posterior probability
+    shrink : share by which the held-out gap falls when it is added
+    shrink_interval : of `shrink`, 95 %
+    indistinguishable : labels (name or name@joint) that this data cannot tell from it
+    effects : the symbolic effects with their most likely settings
+    estimates : parameter -> (value, standard error, unit) [SI]
 
     Examples
     --------
@@ -192,46 +182,26 @@ class Diagnosis(Result):
     What costs more is asked for by name: `refit` and `apply` below, and in `casadical.diagnosis` `analyse`, `localise`,
     `isolability`, `describe_unlisted`, `check_refit`, `network_gaps` and `next_poses`.
 
-    Parameters
-    ----------
-    verdict : Verdict
-        none, explained, ambiguous, unknown
-    causes : tuple[Cause, ...]
-        the largest shrink first
-    gap : Gap
-        held-out, before and after the causes
-    noise : Noise
-        instrument and joint repeatability
-    account : NoiseAccount
-        how large that is of a coordinate, beside what was declared and what repeated poses say, and what it follows
-    unknown_rest : float
-        share of the gap that is there to be explained and that no named cause explains
-    course : DataFrame
-        how far the gap falls with each cause added (see `held_out_gap.course`)
-    replicates : Replicates
-        scatter of repeated poses, of which there may be none
-    rankings : tuple[Ranking, ...]
-        what each step saw
-    outliers : tuple[Outlier, ...]
-        poses that were left out
-    missing : dict[str, tuple[str, ...]]
-        label -> columns that would be needed to judge it
-    case : Case
-        the linear problem that it was computed from
-    identification : Identification
-        of the base model
-    seed : int, default 0
-        of everything random
-    p_nothing : float, optional
-        how often noise alone would look as much like some cause; None without a bootstrap
-    prior : Prior, optional
-        what another campaign told, before these data, or None
-    changes : tuple[Change, ...], default ()
-        what of it changed
-    cause_set : CauseSet, optional
-        probability of the causes as a set; None where none is named
-    law : Round, optional
-        laws that were compared with all causes together; None where there was none to compare
+    verdict : none, explained, ambiguous, unknown
+    causes : the largest shrink first
+    gap : held-out, before and after the causes
+    noise : instrument and joint repeatability
+    account : how large that is of a coordinate, beside what was declared and what repeated poses say, and what it
+        follows
+    unknown_rest : share of the gap that is there to be explained and that no named cause explains
+    course : how far the gap falls with each cause added (see `held_out_gap.course`)
+    replicates : scatter of repeated poses, of which there may be none
+    rankings : what each step saw
+    outliers : poses that were left out
+    missing : label -> columns that would be needed to judge it
+    case : the linear problem that it was computed from
+    identification : of the base model
+    seed : of everything random
+    p_nothing : how often noise alone would look as much like some cause; None without a bootstrap
+    prior : what another campaign told, before these data, or None
+    changes : what of it changed
+    cause_set : probability of the causes as a set; None where none is named
+    law : laws that were compared with all causes together; None where there was none to compare
 
     Examples
     --------

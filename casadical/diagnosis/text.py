@@ -41,12 +41,7 @@ def titled(title: str, page: str) -> RenderableType:
 def page_of(d: Diagnosis, more: Details | None = None) -> str:
     """The page as plain text, at most `WIDTH` characters wide.
 
-    Parameters
-    ----------
-    d : Diagnosis
-        a diagnosis
-    more : Details, optional
-        what `analyse` computed; None: what the diagnosis alone tells
+    more : what `analyse` computed; None: what the diagnosis alone tells
 
     Examples
     --------

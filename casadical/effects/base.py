@@ -34,10 +34,7 @@ class Effect:
 
     Further fields are settings, in which the effect is not linear (see `setting`).
 
-    Parameters
-    ----------
-    joint : int, optional
-        number of the joint, 1-based, of effects that belong to a joint
+    joint : number of the joint, 1-based, of effects that belong to a joint
 
     Examples
     --------
@@ -97,10 +94,7 @@ class Effect:
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
         """The effect with its settings on a grid, by default all combinations, wherever it may act (`acts_at`).
 
-        Parameters
-        ----------
-        arm : Arm
-            rows, loops, loads and limits of a robot; a `Robot` is one
+        arm : rows, loops, loads and limits of a robot; a `Robot` is one
         """
         place = cls.acts_at or ("arm" if cls.angle is Effect.angle else "joints")
         rigid = [j for j in arm.numbers if not arm.joints[j - 1].compliance]

@@ -16,24 +16,14 @@ from casadical.core.transforms import Symbolic, apply
 class Context:
     """What an effect may look at; every entry but the first is symbolic.
 
-    Parameters
-    ----------
-    arm : Arm
-        rows, masses, limits, loops, payload
-    torque_scale : Symbolic, shape (n,) [N m or N]
-        great gravity torques on each joint (see `Robot.torque_scale`)
-    q : Symbolic, shape (n,) [rad or m]
-        joint readings
-    conditions : Mapping[str, Symbolic]
-        logged columns by name (payload_kg, temperature_degC, progress, approach1, ...)
-    values : Mapping[str, Symbolic]
-        the value of every parameter of the model, by name [SI]
-    frames : tuple[Symbolic, ...]
-        T_01..T_0n, the rigid links' frames in the robot's base frame, each (4, 4)
-    gravity : Symbolic, shape (3,) [m/s^2]
-        in the robot's base frame
-    torque : Symbolic, shape (n,) [N m or N], optional
-        of gravity on the actuated joints; None at the seam `energy`, which makes it
+    arm : rows, masses, limits, loops, payload
+    torque_scale : shape (n,) [N m or N]: great gravity torques on each joint (see `Robot.torque_scale`)
+    q : shape (n,) [rad or m]: joint readings
+    conditions : logged columns by name (payload_kg, temperature_degC, progress, approach1, ...)
+    values : the value of every parameter of the model, by name [SI]
+    frames : T_01..T_0n, the rigid links' frames in the robot's base frame, each (4, 4)
+    gravity : shape (3,) [m/s^2]: in the robot's base frame
+    torque : shape (n,) [N m or N]: of gravity on the actuated joints; None at the seam `energy`, which makes it
 
     Examples
     --------
@@ -65,17 +55,7 @@ class Context:
         return self.torque[joint - 1] / self.torque_scale[joint - 1]
 
     def moment(self, link: int) -> Symbolic:
-        """Moment [N m] of all weight from a link (1-based) on, about its origin; in the base frame, shape (3,).
-
-        Parameters
-        ----------
-        link : int
-            1-based
-
-        Returns
-        -------
-        Symbolic, shape (3,) [N m]
-        """
+        """Moment [N m] of all weight from a link (1-based) on, about its origin; in the base frame, shape (3,)."""
         origin = self.frames[link - 1][:3, 3]
         joints = self.arm.joints
         loads = [(j.body.mass, apply(T, ca.DM(j.body.com))) for j, T in zip(joints, self.frames, strict=True) if j.body]

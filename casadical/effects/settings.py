@@ -32,25 +32,15 @@ def setting(
 ) -> Any:
     """A field of an effect in which it is not linear.
 
-    Parameters
-    ----------
-    default : Any
-        value where none is given
-    grid : Sequence[Any] | str, default ()
-        values of the candidates; between them the diagnosis refines a setting of type float, by factors; "near": the
+    default : value where none is given
+    grid : values of the candidates; between them the diagnosis refines a setting of type float, by factors; "near": the
         joints right before and behind the effect's own one
-    steps : bool, default False
-        whether it is refined by steps, shares of the grid's first value, rather than by factors
-    signed : bool, default False
-        whether it may be below zero
-    given : bool, default False
-        whether only a user can know it (a gear ratio): it is not refined
-    joint : bool, default False
-        whether it is the number of a joint
-    whole : bool, default False
-        whether whole numbers are more probable than others
-    tried : Sequence[float], default ()
-        values that are tried once a cause is found, beside whole numbers, before it is named
+    steps : whether it is refined by steps, shares of the grid's first value, rather than by factors
+    signed : whether it may be below zero
+    given : whether only a user can know it (a gear ratio): it is not refined
+    joint : whether it is the number of a joint
+    whole : whether whole numbers are more probable than others
+    tried : values that are tried once a cause is found, beside whole numbers, before it is named
 
     Examples
     --------

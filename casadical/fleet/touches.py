@@ -50,22 +50,13 @@ Verdict = Literal["valid", "open", "changed"]
 class Touches(Result):
     """What touches of one or several days say of a calibrated robot.
 
-    Parameters
-    ----------
-    given : Robot
-        as its file has it
-    model : TouchModel
-        with all days, the last one is judged
-    draws : Draws
-        of what may have changed
-    tolerance : float
-        of the rms error over the task [m]
-    more : DataFrame, optional
-        touches that would tell more, where these are not enough
-    notes : tuple[str, ...]
-        what was assumed
-    sources : tuple[Path, ...]
-        robot file and tables
+    given : as its file has it
+    model : with all days, the last one is judged
+    draws : of what may have changed
+    tolerance : of the rms error over the task [m]
+    more : touches that would tell more, where these are not enough
+    notes : what was assumed
+    sources : robot file and tables
     """
 
     given: Robot

@@ -55,14 +55,8 @@ def summarise(errors: Array) -> Accuracy:
 def predicted(robot: Robot, m: Measurements, values: Mapping[str, float] | None = None) -> tuple[Array, Array]:
     """Positions, shape (n, 3) [m], and orientations, shape (n, 3, 3), of the robot as it is.
 
-    Parameters
-    ----------
-    robot : Robot
-        the robot
-    m : Measurements
-        poses and their conditions
-    values : Mapping[str, float], optional
-        instead of its own, by parameter name [SI]
+    m : poses and their conditions
+    values : instead of its own, by parameter name [SI]
 
     Examples
     --------
@@ -81,21 +75,8 @@ def predicted(robot: Robot, m: Measurements, values: Mapping[str, float] | None 
 def residual_mm(robot: Robot, m: Measurements) -> Array:
     """Measured less computed positions, shape (n, 3) [mm] (paper, eq. 9).
 
-    Parameters
-    ----------
-    robot : Robot
-        the robot
-    m : Measurements
-        poses with their observations
-
-    Returns
-    -------
-    Array, shape (n, 3) [mm]
-
-    Raises
-    ------
-    InputError
-        where the measurements do not say where the point is
+    m : poses with their observations
+    Raises InputError: where the measurements do not say where the point is.
 
     Examples
     --------
@@ -113,16 +94,7 @@ def errors(robot: Robot, m: Measurements) -> Array:
     Position and pose: the distance between the points. Distances: the absolute difference. Contact: the distance from
     the mean of all poses at the same point, which is all that can be known of it.
 
-    Parameters
-    ----------
-    robot : Robot
-        the robot
-    m : Measurements
-        poses with their observations
-
-    Returns
-    -------
-    Array, shape (n,) [m]
+    m : poses with their observations
 
     Examples
     --------

@@ -39,42 +39,21 @@ def identify(
 ) -> Identification:
     """Identify parameters of a robot from measurements.
 
-    Parameters
-    ----------
-    robot : Robot
-        nominal model
-    measurements : Measurements | Sequence[Measurements]
-        one set, or several of different kinds, each with its own sigma
-    free : Iterable[str], optional
-        parameters by group (base, geometry, loop, tool, compliance), union (kinematic, placement), name or pattern
-    method : {"KM", "SKCM"}, optional
-        the paper's KM (kinematics only, joints rigid) or SKCM (with compliance, also where the robot file declares
+    robot : nominal model
+    measurements : one set, or several of different kinds, each with its own sigma
+    free : parameters by group (base, geometry, loop, tool, compliance), union (kinematic, placement), name or pattern
+    method : the paper's KM (kinematics only, joints rigid) or SKCM (with compliance, also where the robot file declares
         none, if the measurements carry it), instead of `free`
-    loss : {"auto", "linear", "huber", "soft_l1"}, default "auto"
-        the robust ones, huber and soft_l1, leave poses that noise explains once in 100 000 out of a last solve; auto is
-        huber where that finds such poses, else linear, as in the command `calibrate`
-    priors : bool | Mapping[str, tuple[float, float]], default False
-        whether departures from nominal are held back by the robot's prior widths; or name -> (mean, one sigma) [SI]
-        of parameters with another prior, the others' being the robot's own
-    prior : Robot | Prior, optional
-        the same robot from another campaign, whose effects are put into the model and freed, with their values and
+    loss : the robust ones, huber and soft_l1, leave poses that noise explains once in 100 000 out of a last solve; auto
+        is huber where that finds such poses, else linear, as in the command `calibrate`
+    priors : whether departures from nominal are held back by the robot's prior widths; or name -> (mean, one sigma)
+        [SI] of parameters with another prior, the others' being the robot's own
+    prior : the same robot from another campaign, whose effects are put into the model and freed, with their values and
         covariance as a prior, and all other parameters held back by the robot's own priors; or as of `carry_over`
-    screen : bool, default True
-        whether a robust loss leaves far poses out of further solves, or only gives them less weight
-    progress : Callable[[int, float], None], optional
-        called with iteration number and cost
-
-    Returns
-    -------
-    Identification
-        the result: parameters with standard errors, accuracy, predictions
-
-    Raises
-    ------
-    InputError
-        where the measurements do not fit the robot
-    ConvergenceError
-        where Ipopt finds no optimum
+    screen : whether a robust loss leaves far poses out of further solves, or only gives them less weight
+    progress : called with iteration number and cost
+    Raises InputError: where the measurements do not fit the robot.
+    Raises ConvergenceError: where Ipopt finds no optimum.
 
     References
     ----------

@@ -80,34 +80,19 @@ class Tried:
 class Identification(Result):
     """What was identified, from what, and how sure it is.
 
-    Parameters
-    ----------
-    given : Robot
-        the robot as handed in
-    start : Robot
-        with its frames placed
-    robot : Robot
-        calibrated
-    measurements : tuple[Measurements, ...]
-        what was used
-    method : str
-        KM, SKCM, or the parameters that were free
-    loss : Loss
-        of the residuals
-    identifiability : Identifiability
-        which parameters are independent, which are not and why
-    problem : LeastSquares
-        the least squares that was solved
-    solution : Solution
-        where the solver ended
-    variance : float
-        of a residual, in units of the sigmas used
-    degrees_of_freedom : int
-        residuals and priors less variables
-    outliers : tuple[tuple[int, int], ...], default ()
-        (set, pose) indices of poses that a robust loss left out
-    tried : Tried, optional
-        whether the data carry a compliance that the robot file does not declare
+    given : the robot as handed in
+    start : with its frames placed
+    robot : calibrated
+    measurements : what was used
+    method : KM, SKCM, or the parameters that were free
+    loss : of the residuals
+    identifiability : which parameters are independent, which are not and why
+    problem : the least squares that was solved
+    solution : where the solver ended
+    variance : of a residual, in units of the sigmas used
+    degrees_of_freedom : residuals and priors less variables
+    outliers : (set, pose) indices of poses that a robust loss left out
+    tried : whether the data carry a compliance that the robot file does not declare
 
     Examples
     --------
@@ -315,15 +300,8 @@ class Identification(Result):
     def correlations(self, above: float = 0.95) -> pd.DataFrame:
         """Pairs of identified parameters whose estimates are correlated by more than `above`, the strongest first.
 
-        Parameters
-        ----------
-        above : float, default 0.95
-            least absolute correlation that is listed
-
-        Returns
-        -------
-        DataFrame
-            one row a pair: two names, and their correlation
+        above : least absolute correlation that is listed
+        Returns one row a pair: two names, and their correlation.
         """
         C = self.covariance / np.outer(self.standard_errors, self.standard_errors)
         i, j = np.nonzero(np.tril(np.abs(C) > above, -1))
@@ -346,12 +324,8 @@ class Identification(Result):
         The covariance is that of the model's position; a new measurement adds its own noise. It holds the parameters
         that were not identified too, by their covariance in the robot's file or else their priors (see `prediction`).
 
-        Parameters
-        ----------
-        q : Array, shape (n, joints) [rad or m]
-            joint readings
-        conditions : Mapping[str, Array], optional
-            logged columns by name, each of shape (n,)
+        q : shape (n, joints) [rad or m]: joint readings
+        conditions : logged columns by name, each of shape (n,)
         """
         q = np.atleast_2d(q)
         m = unmeasured(q, conditions)

@@ -39,18 +39,11 @@ _NO_CONDITIONS = r"q\d+_(deg|rad|mm|m)|weight|set|tool|session"
 class Columns:
     """Columns of one table, converted to SI; every error (InputError) says where.
 
-    Parameters
-    ----------
-    table : DataFrame
-        headers without blanks around them, empty columns left out
-    source : str
-        file name or description
-    row : Array, shape (n,)
-        line of the file at which each row stands
-    empty : tuple[str, ...], default ()
-        headers of columns without a cell, which are left out
-    taken : tuple[str, ...], default ()
-        of those that others were made of
+    table : headers without blanks around them, empty columns left out
+    source : file name or description
+    row : shape (n,): line of the file at which each row stands
+    empty : headers of columns without a cell, which are left out
+    taken : of those that others were made of
 
     Examples
     --------

@@ -26,12 +26,8 @@ def derive(m: Measurements, names: Iterable[str]) -> tuple[Measurements, tuple[s
     within 0.3 rad of it (Dahl 1968); play2_300mrad, joint 2's reading as what it takes along with a play of 0.3 rad to
     each side has it (a relay with play is a step of it).
 
-    Parameters
-    ----------
-    m : Measurements
-        campaign with its logged columns
-    names : Iterable[str]
-        columns to derive: progress, warmth_600s, approach2, move2, memory2_300mrad, play2_300mrad and their like
+    m : campaign with its logged columns
+    names : columns to derive: progress, warmth_600s, approach2, move2, memory2_300mrad, play2_300mrad and their like
 
     Examples
     --------

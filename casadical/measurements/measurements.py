@@ -30,53 +30,27 @@ FIELDS = ("position", "orientation", "distance", "target", "other", "label")
 class Measurements(Shown):
     """Poses of one robot and what was observed at them, all of one kind; SI units.
 
-    Parameters
-    ----------
-    q : Array, shape (n, joints) [rad or m]
-        joint readings
-    kind : str
-        what was observed: position, pose, distance, pair_distance, contact, or that of a plug-in
-    position : Array, shape (n, 3) [m], optional
-        of kinds position and pose
-    orientation : Array, shape (n, 3, 3), optional
-        of kind pose
-    distance : Array, shape (n,) [m], optional
-        of kinds distance and pair_distance
-    target : Array, shape (n, 3) [m], optional
-        known far end of a distance; None where it is to be identified
-    other : Array, shape (n, joints) [rad or m], optional
-        readings at the other end of a pair distance
-    label : Array, shape (n,), optional
-        which unknown point is touched, of kind contact
-    extra : Mapping[str, Array], optional
-        further observed arrays by name, each of shape (n, ...), of kinds that need others than these
-    separations : tuple[tuple[str, str, float], ...], default ()
-        for kind contact, (label, label, distance [m]) between touched points that are known
-    separation_sigma : float, default 2e-05
-        how well they are known [m]
-    conditions : Mapping[str, Array], optional
-        logged columns by name, each of shape (n,)
-    sigma : float, optional
-        one sigma of a coordinate [m]; None: estimated from the fit
-    sigma_angle : float, optional
-        one sigma of an angle [rad]; None: estimated from the fit
-    weight : Array, shape (n,), optional
-        factor on each pose's residual
-    row : Array, shape (n,), optional
-        line of the source at which each pose stands, for messages
-    source : str, default "table"
-        file name or description
-    unused : tuple[str, ...], default ()
-        columns that were left out: of words, or without a cell
-    copies : tuple[int, ...], default ()
-        lines that repeat another to the last digit and were left out
-    lost : tuple[int, ...], default ()
-        lines that were left out because a reading or a position is not there
-
-    Raises
-    ------
-    InputError
-        arrays that do not fit the kind or each other
+    q : shape (n, joints) [rad or m]: joint readings
+    kind : what was observed: position, pose, distance, pair_distance, contact, or that of a plug-in
+    position : shape (n, 3) [m]: of kinds position and pose
+    orientation : shape (n, 3, 3): of kind pose
+    distance : shape (n,) [m]: of kinds distance and pair_distance
+    target : shape (n, 3) [m]: known far end of a distance; None where it is to be identified
+    other : shape (n, joints) [rad or m]: readings at the other end of a pair distance
+    label : shape (n,): which unknown point is touched, of kind contact
+    extra : further observed arrays by name, each of shape (n, ...), of kinds that need others than these
+    separations : for kind contact, (label, label, distance [m]) between touched points that are known
+    separation_sigma : how well they are known [m]
+    conditions : logged columns by name, each of shape (n,)
+    sigma : one sigma of a coordinate [m]; None: estimated from the fit
+    sigma_angle : one sigma of an angle [rad]; None: estimated from the fit
+    weight : shape (n,): factor on each pose's residual
+    row : shape (n,): line of the source at which each pose stands, for messages
+    source : file name or description
+    unused : columns that were left out: of words, or without a cell
+    copies : lines that repeat another to the last digit and were left out
+    lost : lines that were left out because a reading or a position is not there
+    Raises InputError: arrays that do not fit the kind or each other.
 
     Examples
     --------

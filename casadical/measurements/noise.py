@@ -9,17 +9,9 @@ from casadical.core.errors import InputError
 class Noise:
     """Noise of a campaign.
 
-    Parameters
-    ----------
-    sigma : float, default 2e-05
-        of a measured coordinate, one sigma [m]
-    repeatability : float, default 0.0
-        of how a joint repeats its reading, one sigma [rad or m]
-
-    Raises
-    ------
-    InputError
-        a sigma that is not positive, or a negative repeatability
+    sigma : of a measured coordinate, one sigma [m]
+    repeatability : of how a joint repeats its reading, one sigma [rad or m]
+    Raises InputError: a sigma that is not positive, or a negative repeatability.
 
     Examples
     --------

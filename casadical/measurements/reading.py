@@ -40,32 +40,14 @@ def read_measurements(
     system maps (see `casadical.measurements.stored`), unless what a row says depends on others: rows of points and
     relative poses, tools, sessions, columns that are moved by some rows.
 
-    Parameters
-    ----------
-    path : str | Path
-        table, as text in any usual form, .xlsx (needs openpyxl) or .parquet (needs pyarrow)
-    joints : int | Sequence[str]
-        number of joints, or the kind of each ("revolute", "prismatic")
-    kind : str, optional
-        what was observed; by default what the columns say
-    columns : Mapping[str, str | Source], optional
-        our name -> name in the file, where the file's headers differ from ours and do not tell it themselves
-    point_from : Sequence[str], default ()
-        columns that together name the touched point, of kind contact
-    sigma_mm : float, optional
-        one sigma of a measured coordinate [mm]; None: estimated from the fit
-    sigma_deg : float, optional
-        one sigma of a measured angle [deg]; None: estimated from the fit
-
-    Returns
-    -------
-    Measurements
-        poses with their readings, observations and logged columns
-
-    Raises
-    ------
-    InputError
-        a table that cannot be used; it names the file, row and column where something is wrong
+    path : table, as text in any usual form, .xlsx (needs openpyxl) or .parquet (needs pyarrow)
+    joints : number of joints, or the kind of each ("revolute", "prismatic")
+    kind : what was observed; by default what the columns say
+    columns : our name -> name in the file, where the file's headers differ from ours and do not tell it themselves
+    point_from : columns that together name the touched point, of kind contact
+    sigma_mm : one sigma of a measured coordinate [mm]; None: estimated from the fit
+    sigma_deg : one sigma of a measured angle [deg]; None: estimated from the fit
+    Raises InputError: a table that cannot be used; it names the file, row and column where something is wrong.
 
     Examples
     --------
@@ -137,30 +119,10 @@ def from_table(
 ) -> Measurements:
     """Measurements from a pandas table; arguments and errors as of `read_measurements`.
 
-    Parameters
-    ----------
-    table : DataFrame
-        with the columns of docs/measurements.md
-    joints : int | Sequence[str]
-        as of `read_measurements`
-    kind : str, optional
-        as of `read_measurements`
-    columns : Mapping[str, str], optional
-        as of `read_measurements`
-    sigma_mm, sigma_deg : float, optional
-        as of `read_measurements`
-    source : str, default "table"
-        what messages call the table
-
-    Returns
-    -------
-    Measurements
-        poses with their readings, observations and logged columns
-
-    Raises
-    ------
-    InputError
-        the table names no usable poses; row and column are named
+    table : with the columns of docs/measurements.md
+    joints, kind, columns, sigma_mm, sigma_deg : as of `read_measurements`
+    source : what messages call the table
+    Raises InputError: the table names no usable poses; row and column are named.
 
     Examples
     --------

@@ -106,28 +106,16 @@ class Details(TomlTable):
 class Certificate(Result):
     """Certificate data of a robot's calibration.
 
-    Parameters
-    ----------
-    problem : Problem
-        whose results they are
-    method : str
-        by which the robot was calibrated
-    details : Details
-        what the operator stated
-    before : Budget
-        of the nominal robot, base and tool placed
-    after : Budget
-        of the calibrated robot
-    places : Array, shape (n, 3) [m]
-        of the held-out poses, in the robot's base frame
-    errors : tuple[Array, Array]
-        at these, before and after, shapes (n,) [m]
-    files : tuple[Path, ...]
-        from which it was made
-    iso9283 : Iso9283, optional
-        of a test by the standard
-    refit : int
-        poses to which the robot file was fitted once it was judged; 0: it is the one that was judged
+    problem : whose results they are
+    method : by which the robot was calibrated
+    details : what the operator stated
+    before : of the nominal robot, base and tool placed
+    after : of the calibrated robot
+    places : shape (n, 3) [m]: of the held-out poses, in the robot's base frame
+    errors : at these, before and after, shapes (n,) [m]
+    files : from which it was made
+    iso9283 : of a test by the standard
+    refit : poses to which the robot file was fitted once it was judged; 0: it is the one that was judged
     """
 
     problem: Problem
@@ -335,26 +323,12 @@ def certificate(
 ) -> Certificate:
     """Certificate data of a calibration's results.
 
-    Parameters
-    ----------
-    results : str | Path
-        folder as `casadical calibrate --out` writes it, or the robot file in it
-    details : str | Path, optional
-        certificate.toml; None: nothing is stated
-    problem : str | Path, optional
-        folder that was calibrated; None: as result.json names it, beside the results or here
-    iso9283 : str | Path, optional
-        table of a test, as `casadical plan --iso9283` plans it
-
-    Returns
-    -------
-    Certificate
-        two pages, plain data and words
-
-    Raises
-    ------
-    InputError
-        results and measurements that do not belong together, no held-out positions, details that cannot be
+    results : folder as `casadical calibrate --out` writes it, or the robot file in it
+    details : certificate.toml; None: nothing is stated
+    problem : folder that was calibrated; None: as result.json names it, beside the results or here
+    iso9283 : table of a test, as `casadical plan --iso9283` plans it
+    Raises InputError: results and measurements that do not belong together, no held-out positions, details that cannot
+        be.
     """
     place = Path(results)
     place = result_in(place) if place.is_dir() else place

@@ -34,52 +34,27 @@ SMALLEST_GEAR = 0.05
 class Robot(Shown, Arm):
     """An arm with its model and its parameters.
 
-    Parameters
-    ----------
-    name : str
-        as reports call it
-    joints : tuple[Joint, ...]
-        from the base to the flange
-    base : Placement, optional
-        base frame in the measuring frame
-    tool : Placement, optional
-        measured point in the flange frame
-    loops : tuple[FourBar, ...], default ()
-        closed loops that drive a joint
-    gravity : Array, shape (3,) [m/s^2], optional
-    gravity_frame : {"measuring", "base"}, default "measuring"
-        frame in which gravity is given
-    payload : Body, optional
-        declared load in the flange frame; None: none
-    widths : Mapping[str, Width], optional
-        bounds and priors of groups of parameters
-    body_width : BodyWidth, optional
-        one sigma of declared masses and mass centres
-    tool_name : str, default ""
-        name of the measured point, where there are several
-    targets : tuple[Target, ...], default ()
-        further measured points on the flange
-    masses : {"declared", "estimated"}, default "declared"
-        whether the links' masses are known, or estimates that tell no stiffness
-    drive : Drive, optional
-        what is known of the drives
-    sessions : Sessions, optional
-        what is found again in each session of a campaign
-    effects : tuple[Effect, ...], default ()
-        what was added to the base model, see `with_effect`
-    effect_values : Mapping[str, float], optional
-        parameter name -> value [SI] of those effects
-    notes : tuple[str, ...], default ()
-        what a reader of results must know (assumed masses, sources)
-    knowledge : Knowledge, optional
-        how well the values are known, and on what range they were learnt
-    bound : ErrorBound, optional
-        of the error that remains with these values
-
-    Raises
-    ------
-    InputError
-        parts that do not fit each other, with the joint and the value
+    name : as reports call it
+    joints : from the base to the flange
+    base : base frame in the measuring frame
+    tool : measured point in the flange frame
+    loops : closed loops that drive a joint
+    gravity : shape (3,) [m/s^2]
+    gravity_frame : frame in which gravity is given
+    payload : declared load in the flange frame; None: none
+    widths : bounds and priors of groups of parameters
+    body_width : one sigma of declared masses and mass centres
+    tool_name : name of the measured point, where there are several
+    targets : further measured points on the flange
+    masses : whether the links' masses are known, or estimates that tell no stiffness
+    drive : what is known of the drives
+    sessions : what is found again in each session of a campaign
+    effects : what was added to the base model, see `with_effect`
+    effect_values : parameter name -> value [SI] of those effects
+    notes : what a reader of results must know (assumed masses, sources)
+    knowledge : how well the values are known, and on what range they were learnt
+    bound : of the error that remains with these values
+    Raises InputError: parts that do not fit each other, with the joint and the value.
 
     Examples
     --------
@@ -223,10 +198,7 @@ class Robot(Shown, Arm):
     def with_only(self, effects: Iterable[Effect]) -> Robot:
         """A robot whose model holds only these of its effects.
 
-        Parameters
-        ----------
-        effects : Iterable[Effect]
-            those of this robot's effects that stay
+        effects : those of this robot's effects that stay
         """
         kept = tuple(effects)
         gone = {p.name for e in self.effects if e not in kept for p in e.parameters()}
@@ -238,15 +210,8 @@ class Robot(Shown, Arm):
     def with_values(self, values: Mapping[str, float]) -> Robot:
         """A robot whose nominal values are these, by parameter name [SI]; nothing is known of the new ones.
 
-        Parameters
-        ----------
-        values : Mapping[str, float]
-            parameter name -> nominal value [SI]
-
-        Raises
-        ------
-        InputError
-            no such parameter, or a value that is not finite
+        values : parameter name -> nominal value [SI]
+        Raises InputError: no such parameter, or a value that is not finite.
         """
         for name in values:
             self.parameters.index_of(name)
@@ -270,15 +235,8 @@ class Robot(Shown, Arm):
 
         The other's base may stand elsewhere, and its tool may be turned.
 
-        Parameters
-        ----------
-        other : Robot
-            a robot of the same structure
-
-        Returns
-        -------
-        Array, shape (P,) [SI]
-            values in the order of `parameters`
+        other : a robot of the same structure
+        Returns shape (P,) [SI]: values in the order of `parameters`.
         """
         values = dict(zip(other.parameters.names, other.parameters.values, strict=True))
         moved, turned = (np.linalg.solve(a.T, b.T) for a, b in ((self.base, other.base), (self.tool, other.tool)))

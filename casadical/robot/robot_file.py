@@ -32,23 +32,9 @@ VERSION = 2
 def read_robot(path: str | Path, effects: Sequence[type[Effect]] = ()) -> Robot:
     """A robot from its TOML file, with its effects and what is known of their values.
 
-    Parameters
-    ----------
-    path : str | Path
-        robot file
-    effects : Sequence[type[Effect]], default ()
-        classes of your own, besides those that are installed (see `casadical.effects.plugins`); a file runs no
+    effects : classes of your own, besides those that are installed (see `casadical.effects.plugins`); a file runs no
         other code
-
-    Returns
-    -------
-    Robot
-        the nominal robot, or a calibrated one, effects and what is known of their values included
-
-    Raises
-    ------
-    InputError
-        a file that is no robot; it names the file, the key, the value and what is allowed
+    Raises InputError: a file that is no robot; it names the file, the key, the value and what is allowed.
 
     Examples
     --------
@@ -101,21 +87,10 @@ def with_tools(robot: Robot, tools: Sequence[ToolTable]) -> Robot:
 def write_robot(robot: Robot, path: str | Path, comment: str = "", effects: Sequence[type[Effect]] = ()) -> None:
     """Write a robot as TOML that `read_robot` reads again; the file appears whole or not at all.
 
-    Parameters
-    ----------
-    robot : Robot
-        the robot
-    path : str | Path
-        file to write; one that is there is replaced
-    comment : str, default ""
-        text of the comment at the file's head
-    effects : Sequence[type[Effect]], default ()
-        classes of your own, as of `read_robot`
-
-    Raises
-    ------
-    InputError
-        an effect that is not installed, and so could not be read again
+    path : file to write; one that is there is replaced
+    comment : text of the comment at the file's head
+    effects : classes of your own, as of `read_robot`
+    Raises InputError: an effect that is not installed, and so could not be read again.
 
     Examples
     --------
@@ -213,7 +188,6 @@ def _deg(value: float) -> float:
 
 
 def _frame_table(placement: Placement) -> dict[str, Any]:
-    """A frame as a file has it."""
     return {
         "xyz_mm": [_mm(v) for v in placement.T[:3, 3]],
         "rpy_deg": [_deg(v) for v in to_rpy(placement.T[:3, :3])],
@@ -238,7 +212,6 @@ def _body_table(body: Body) -> dict[str, Any]:
 
 
 def _joint_table(joint: Joint) -> dict[str, Any]:
-    """A row."""
     table: dict[str, Any] = {"name": joint.name} if joint.name else {}
     table |= {"alpha_deg": _deg(joint.alpha), "a_mm": _mm(joint.a)}
     if joint.beta is not None:
@@ -265,7 +238,6 @@ def _joint_table(joint: Joint) -> dict[str, Any]:
 
 
 def _loop_table(loop: FourBar) -> dict[str, Any]:
-    """A four-bar."""
     return {
         "driven": loop.driven,
         "carrier": loop.carrier,

@@ -52,29 +52,17 @@ Kept = Literal["law", "smooth", "causes", "base"]
 class Discovery(Result):
     """The answer to: which law is missing?
 
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        of the same data
-    rounds : tuple[Round, ...]
-        each beside what was in the model before
-    case : Case
-        with the laws among its candidates
-    laws : tuple[Scored, ...]
-        that were claimed
-    causes : tuple[Effect, ...]
-        listed effects beside them
-    noise : Noise
-        that they leave
-    values : dict[str, tuple[float, float, str]]
-        of the laws' factors: (value, standard error, unit) [SI] by parameter
-    gap : dict[Kept, float]
-        mean held-out error [m] of the base model, with the diagnosis's causes, with the laws (and causes beside
+    diagnosis : of the same data
+    rounds : each beside what was in the model before
+    case : with the laws among its candidates
+    laws : that were claimed
+    causes : listed effects beside them
+    noise : that they leave
+    values : of the laws' factors: (value, standard error, unit) [SI] by parameter
+    gap : mean held-out error [m] of the base model, with the diagnosis's causes, with the laws (and causes beside
         them), with causes and smooth forms; only those that there are
-    shrink : tuple[float, tuple[float, float]] | None
-        share by which it falls with the laws, and a 95 % interval; settings were chosen again in each fold
-    smooth : Unlisted | None
-        the smooth description, None without one
+    shrink : share by which it falls with the laws, and a 95 % interval; settings were chosen again in each fold
+    smooth : the smooth description, None without one
 
     Examples
     --------

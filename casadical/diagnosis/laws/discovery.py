@@ -42,28 +42,8 @@ def discover(
 ) -> Discovery:
     """Diagnose a campaign and search for the law of what no listed effect explains.
 
-    Parameters
-    ----------
-    robot : Robot | Identification
-        as of `diagnose`
-    m : Measurements, optional
-        as of `diagnose`
-    effects : str | Sequence[str | Effect | type[Effect]], default "standard"
-        as of `diagnose`
-    seed : int, default 0
-        as of `diagnose`
-    show : Show, optional
-        as of `diagnose`
-
-    Returns
-    -------
-    Discovery
-        laws, their rivals and what each leaves
-
-    Raises
-    ------
-    InputError
-        the measurements cannot carry a diagnosis
+    robot, m, effects, seed, show : as of `diagnose`
+    Raises InputError: the measurements cannot carry a diagnosis.
 
     Examples
     --------

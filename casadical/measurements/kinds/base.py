@@ -19,25 +19,12 @@ PositionsAt = Callable[[Array], Array]
 class PoseExpression:
     """What a residual may use at one pose, as CasADi expressions in metres and radians.
 
-    Parameters
-    ----------
-    model : Callable[[Symbolic], Symbolic]
-        readings -> (position, orientation), under this pose's conditions
-    q : Symbolic
-        joint readings
-    point : Symbolic | None, shape (3,)
-        departure of the unknown point from its start, where the kind has one
+    model : readings -> (position, orientation), under this pose's conditions
+    q : joint readings
+    point : shape (3,): departure of the unknown point from its start, where the kind has one
 
-    Attributes
-    ----------
-    p
-        measured point of the model, shape (3,)
-    R
-        its orientation, shape (3, 3)
-    joints
-        number of joints
-    observed
-        what the residual took of the pose's observed numbers, by name
+    Its fields: `p`, the measured point of the model, shape (3,), and `R`, its orientation, shape (3, 3); `joints`,
+    their number; `observed`, what the residual took of the pose's observed numbers, by name.
 
     Examples
     --------
@@ -98,26 +85,15 @@ class PoseExpression:
 class MeasurementKind(ABC):
     """A kind of measurement; one instance serves all tables.
 
-    Attributes
-    ----------
-    name
-        as in problem.toml
-    columns, unknown
-        its row of the table in docs/measurements.md
-    pattern
-        of the columns that it reads, which are no conditions
-    fill
-        columns that a table of poses to be measured leaves empty for it
-    arrays
-        names of the arrays that it needs: fields of `Measurements`, else entries of its `extra`
-    lengths, angles
-        numbers that are observed at a pose [m] and [rad], at least one and at most six together
-    places
-        whether its unknown points are places, between which distances may be known
-    by_row
-        whether `read` takes each row on its own, so that a table greater than memory can be read in parts
-    has_scale
-        whether it determines the scale: not where robots of one shape and any size fit alike
+    name : as in problem.toml
+    columns, unknown : its row of the table in docs/measurements.md
+    pattern : of the columns that it reads, which are no conditions
+    fill : columns that a table of poses to be measured leaves empty for it
+    arrays : names of the arrays that it needs: fields of `Measurements`, else entries of its `extra`
+    lengths, angles : numbers that are observed at a pose [m] and [rad], at least one and at most six together
+    places : whether its unknown points are places, between which distances may be known
+    by_row : whether `read` takes each row on its own, so that a table greater than memory can be read in parts
+    has_scale : whether it determines the scale: not where robots of one shape and any size fit alike
 
     Examples
     --------

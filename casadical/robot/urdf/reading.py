@@ -49,23 +49,12 @@ def read_urdf(
     unknown). Joints keep their zero, sign and range; a continuous one gets +-360 deg. Down is -z of the file's root
     link. Links on fixed joints, and side branches at zero reading, count as mass of the link that carries them.
 
-    Parameters
-    ----------
-    path : str | Path
-        URDF file
-    base_link : str, optional
-        first end of the chain; None: the root
-    tip_link : str, optional
-        last end of the chain; None: the only end that moves
-    compliant : Collection[int], default ()
-        joints (1-based, counted from the base link) whose drives give under load; their compliance, of which a URDF
-        says nothing, starts at zero
-
-    Raises
-    ------
-    InputError
-        no parser installed, no file, malformed XML, no such link, a branching chain, no moving joint, a joint that
-        floats, or has no axis or no range
+    base_link : first end of the chain; None: the root
+    tip_link : last end of the chain; None: the only end that moves
+    compliant : joints (1-based, counted from the base link) whose drives give under load; their compliance, of which a
+        URDF says nothing, starts at zero
+    Raises InputError: no parser installed, no file, malformed XML, no such link, a branching chain, no moving joint, a
+        joint that floats, or has no axis or no range.
 
     Examples
     --------
