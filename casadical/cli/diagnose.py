@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from casadical.cli import options as o
 from casadical.cli.progress import DIAGNOSIS, working
 from casadical.cli.terminal import html, keep, with_json, wrapped
-from casadical.core.errors import InputError, shown
+from casadical.core.errors import shown
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from casadical.diagnosis.motion.result import LogDiagnosis
-    from casadical.project.diagnosis import CampaignDiagnosis
-    from casadical.robot.robot import Robot
+    from casadical.core.telling.result import Result
+    from casadical.project.diagnosis import Campaign, CampaignDiagnosis, LogCampaign, Options
 
 Out = Annotated[
     Path | None,
@@ -105,7 +104,19 @@ Bootstrap = Annotated[
 ]
 
 
+# Options that only one kind of table has.
+MODES = {
+    "joint logs": ("reference", "drive"),
+    "measured poses": (
+        "together", "effects", "laws", "rival_laws", "nuisance_masses", "prior", "prior_effects", "frozen",
+        "measure_next", "next_n", "room", "network", "highest_line", "bootstrap", "seed", "unlisted", "report_file",
+        "details",
+    ),
+}  # fmt: skip
+
+
 def diagnose(
+    context: typer.Context,
     problem: o.Problem,
     campaigns: o.Campaigns = None,
     reference: Reference = None,
@@ -142,106 +153,68 @@ def diagnose(
 
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug in casadical.
     """
-    from casadical.project.diagnosis import Options, diagnose_campaign, read_campaigns
+    from casadical.project.diagnosis import Options, read_campaigns, read_logs
 
-    tables = campaigns or _logs_of(problem)
-    if _are_logs(tables, reference, drive):
-        of_poses = {
-            "--together": together, "--effects": effects, "--laws": laws, "--rival-laws": rival_laws, "--prior": prior,
-            "--nuisance-masses": nuisance_masses, "--next": measure_next, "--room": room, "--network": network,
-            "--highest-line": highest_line, "--bootstrap": bootstrap, "--unlisted": unlisted, "--report": report_file,
-            "--details": details,
-        }  # fmt: skip
-        if unfit := [name for name, value in of_poses.items() if value]:
-            raise InputError(f"{', '.join(unfit)}: of tables of measured poses; joint logs have --out and --json")
-        _diagnose_logs(_with_drive(problem, drive), tables, reference, out, json_file, quiet)
+    logs = read_logs(problem, campaigns, reference, drive)
+    o.refuse_of_others(context, "joint logs" if logs else "measured poses", MODES)
+    if logs:
+        _diagnose_logs(logs, out, json_file, quiet)
         return
-    if room and measure_next is None:
-        raise InputError("--room says where the poses of --next may lie; give --next FILE, too")
-    if unlisted and out is None:
-        raise InputError("--unlisted says what --out writes; give --out DIR, too")
+    o.need(room, measure_next, "--room says where the poses of --next may lie; give --next FILE, too")
+    o.need(unlisted, out, "--unlisted says what --out writes; give --out DIR, too")
     console = wrapped(quiet)
     given = read_campaigns(problem, campaigns, o.carried(prior, prior_effects, frozen), together=together)
     if given[0].own_effects:
         console.print(f"Effects of the robot file are in the model, held at their values: {given[0].own_effects}.")
-    workspace = given[0].workspace(room)
     options = Options(
-        o.effects_of(effects), seed, bootstrap, "nuisance" if nuisance_masses else "candidate", rival_laws,
-        laws,
-    )  # fmt: skip
+        o.effects_of(effects), seed, bootstrap, "nuisance" if nuisance_masses else "candidate", rival_laws, laws
+    )
     file = measure_next if len(given) == 1 else None
     answers: list[CampaignDiagnosis] = []
     texts: dict[Path, str] = {}
     for campaign in given:
-        with working(quiet, "diagnosing", campaign.name, DIAGNOSIS) as show:
-            answer = diagnose_campaign(campaign, options, show).analysed(
-                poses=next_n, workspace=workspace, networks=network, highest_line=highest_line,
-                file=file.name if file else "", show=show,
-            )  # fmt: skip
-            if out:
-                show("the robot with its causes")
-                texts |= answer.files(out if len(given) == 1 else out / campaign.name, unlisted=unlisted)
+        answer, files = _answered(
+            campaign, options, out and (out if len(given) == 1 else out / campaign.name), unlisted, quiet,
+            poses=next_n, workspace=campaign.workspace(room), networks=network, highest_line=highest_line,
+            file=file.name if file else "",
+        )  # fmt: skip
         answers.append(answer)
-        texts |= _printed(answer, details, file, console)
+        texts |= {**files, **_printed(answer, details, file, console)}
     if report_file:
-        with working(quiet, "writing the report"):
-            texts[report_file] = _report(answers)
+        texts[report_file] = _report(answers, quiet)
     keep(with_json(texts, json_file, [answer.to_json() for answer in answers] if json_file else []), console)
     if not details:
         console.print("where it lies, how sure, what is left: --details, --out DIR or --report FILE.html", style="dim")
 
 
-def _logs_of(problem: Path) -> list[Path]:
-    """The joint logs that a problem folder gives to be fitted."""
-    from casadical.project.problem_file import problem_file
-
-    logs = problem_file(problem).logs if (problem / "problem.toml").is_file() else None
-    return [problem / path for path in logs.identify] if logs else []
-
-
-def _are_logs(tables: list[Path], reference: Path | None, drive: Path | None) -> bool:
-    """Whether all tables are logs of joints in motion. Raises InputError where some are, or an option is for none."""
-    from casadical.measurements.logs.reading import is_log
-
-    logs = [is_log(path) for path in tables]
-    if any(logs) and not all(logs):
-        raise InputError("joint logs and tables of measured poses; diagnose them by a command each")
-    for name, given in (("--reference", reference), ("--drive", drive)):
-        if given and not any(logs):
-            raise InputError(f"{name} goes with a joint log; the tables are none (see docs/joint-logs.md)")
-    return any(logs)
-
-
-def _with_drive(problem: Path, drive: Path | None) -> Robot:
-    """The robot, with what is known of its drives. Raises InputError."""
-    from casadical.core.drive import read_drive
-    from casadical.project.problem import read_campaign_robot
-
-    robot = read_campaign_robot(problem)
-    beside = problem.parent / "drive.toml" if problem.is_file() else problem / "drive.toml"
-    path = drive or (beside if robot.drive is None and beside.is_file() else None)
-    return replace(robot, drive=read_drive(path, robot.n)) if path else robot
-
-
-def _diagnose_logs(
-    robot: Robot, logs: list[Path], reference: Path | None, out: Path | None, json_file: Path | None, quiet: bool
-) -> None:
+def _diagnose_logs(campaign: LogCampaign, out: Path | None, json_file: Path | None, quiet: bool) -> None:
     from casadical.core.telling.terminal import terminal
-    from casadical.diagnosis.motion.result import diagnose_log
-    from casadical.measurements.logs.reading import read_log
 
     console = wrapped(quiet)
-    healthy = read_log(reference, robot) if reference else None
-    answers: list[LogDiagnosis] = []
+    answers: list[Result] = []
     texts: dict[Path, str] = {}
-    for path in logs:
+    for path in campaign.logs:
         with working(quiet, "diagnosing", path.name) as show:
-            answers.append(diagnose_log(robot, read_log(path, robot), healthy, show))
+            answers.append(campaign.diagnosed(path, show))
         console.print(terminal(answers[-1].blocks()))
         console.print()
         if out:
-            texts |= answers[-1].files(out if len(logs) == 1 else out / path.name.partition(".")[0])
+            texts |= answers[-1].files(out if len(campaign.logs) == 1 else out / path.name.partition(".")[0])
     keep(with_json(texts, json_file, [answer.to_json() for answer in answers] if json_file else []), console)
+
+
+def _answered(
+    campaign: Campaign, options: Options, out: Path | None, unlisted: bool, quiet: bool, **asked: Any
+) -> tuple[CampaignDiagnosis, Mapping[Path, str]]:
+    """A diagnosis with its details, and its files; asked : as of `CampaignDiagnosis.analysed`."""
+    from casadical.project.diagnosis import diagnose_campaign
+
+    with working(quiet, "diagnosing", campaign.name, DIAGNOSIS) as show:
+        answer = diagnose_campaign(campaign, options, show).analysed(**asked, show=show)
+        if out is None:
+            return answer, {}
+        show("the robot with its causes")
+        return answer, answer.files(out, unlisted=unlisted)
 
 
 def _printed(found: CampaignDiagnosis, details: bool, file: Path | None, console: Console) -> dict[Path, str]:
@@ -263,8 +236,9 @@ def _printed(found: CampaignDiagnosis, details: bool, file: Path | None, console
     return {}
 
 
-def _report(answers: list[CampaignDiagnosis]) -> str:
+def _report(answers: list[CampaignDiagnosis], quiet: bool) -> str:
     """The page of all, each with what a simulator says of its poses."""
     from casadical.export.mjcf.replay import replay_blocks
 
-    return html([found.page([*replay_blocks(found.diagnosis)]) for found in answers])
+    with working(quiet, "writing the report"):
+        return html([found.page([*replay_blocks(found.diagnosis)]) for found in answers])

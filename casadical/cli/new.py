@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from casadical.cli.options import Json, Quiet
+from casadical.cli.options import Json, Quiet, need
 from casadical.cli.terminal import print_written, with_json, wrapped
 from casadical.core.errors import InputError
 
@@ -74,10 +74,8 @@ def new(
 
     if example and (urdf or dh or data):
         raise InputError("--example brings its own robot and poses; leave --urdf, --dh and --data out")
-    if convention is not None and dh is None:
-        raise InputError("--convention is of a table of DH rows; give --dh FILE.csv, too")
-    if urdf is None and (base_link or tip_link):
-        raise InputError("--base-link and --tip-link are of a URDF; give --urdf FILE, too")
+    need(convention, dh, "--convention is of a table of DH rows; give --dh FILE.csv, too")
+    need(base_link or tip_link, urdf, "--base-link and --tip-link are of a URDF; give --urdf FILE, too")
     console = wrapped(quiet)
 
     def answer(problem: "Problem", files: list[Path]) -> dict[Path, str]:

@@ -1,6 +1,6 @@
 """Arguments and options that several commands have, in the same words."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -175,6 +175,26 @@ Frozen = Annotated[
     ),
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace FILE if it is there.")]
+
+
+def refuse_of_others(context: typer.Context, mode: str, modes: Mapping[str, Sequence[str]]) -> None:
+    """Raises InputError for what was given, but is for other modes of the command than this one.
+
+    modes : names of the parameters that some modes have and others have not, by the mode in words
+    """
+    for parameter in context.command.params:
+        theirs = [other for other, names in modes.items() if parameter.name in names]
+        source = context.get_parameter_source(parameter.name or "")
+        if theirs and mode not in theirs and source is not None and source.name == "COMMANDLINE":
+            name = parameter.opts[0]
+            name = name if name.startswith("-") else name.upper()
+            raise InputError(f"{name}: is for {' or '.join(theirs)}, not for {mode}; leave it out")
+
+
+def need(given: object, other: object, words: str) -> None:
+    """Raises InputError of these words where something was given that says nothing without another option."""
+    if given and not other:
+        raise InputError(words)
 
 
 def problems_of(paths: Sequence[Path]) -> dict[str, tuple[Path, list[Path]]]:

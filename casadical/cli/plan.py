@@ -7,7 +7,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from casadical.cli.options import Json, Prior, PriorEffects, Quiet, Room, Seed, carried, criteria, effects_of
+from casadical.cli.options import (
+    Json,
+    Prior,
+    PriorEffects,
+    Quiet,
+    Room,
+    Seed,
+    carried,
+    criteria,
+    effects_of,
+    refuse_of_others,
+)
 from casadical.cli.options import effects as effect_words
 from casadical.cli.progress import PLAN, working
 from casadical.cli.terminal import keep, keep_json, with_json, wrapped
@@ -107,8 +118,20 @@ Iso9283 = Annotated[
 ]
 Cube = Annotated[float | None, typer.Option(min=10, max=5000, help="With --iso9283: side of the cube.")]
 
+CALIBRATION = "poses to calibrate with (--measured: those that there are)"
+MODES = {
+    CALIBRATION: (
+        "n", "out", "effects", "criterion", "room", "measured", "payloads", "every_payload", "both_approaches",
+        "repeats", "noise_mm", "joint_noise_urad", "min_distance", "target_mm", "order", "wires", "sockets", "places",
+        "prior", "prior_effects", "known_places", "seed", "json_file",
+    ),
+    "--isolability": ("poses", "effects", "json_file"),
+    "--iso9283": ("out", "room", "cube_mm", "seed"),
+}  # fmt: skip
+
 
 def plan(
+    context: typer.Context,
     problem: Problem,
     poses: Poses = None,
     n: Number = None,
@@ -150,31 +173,19 @@ def plan(
     """
     from casadical.project.planning import Wanted, circumstances_of, plan_problem, planned_with
 
+    mode = "--isolability" if isolability else "--iso9283" if iso9283 else CALIBRATION
+    refuse_of_others(context, mode, MODES)
     if isolability:
-        _refuse_given({"-n": n, "--out": out, "--measured": measured, "--room": room, "--payloads": payloads})
-        _refuse_given({"--wires": wires, "--sockets": sockets, "--places": places, "--target-mm": target_mm})
         _isolability(problem, poses, effects, json_file, quiet)
         return
     if iso9283:
-        _refuse_given(
-            {"-n": n, "--for": effects, "--measured": measured, "--wires": wires, "--sockets": sockets}, "--iso9283"
-        )
         _iso9283(problem, out or Path("iso9283.csv"), cube_mm, room, seed, quiet)
         return
-    if poses:
-        raise InputError(f"{poses[0]}: POSES are asked about with --isolability; give measured ones with --measured")
     wanted = Wanted(
-        tuple(effects.split(",")) if effects else (),
-        criterion,
-        room,
+        tuple(effects.split(",")) if effects else (), criterion, room,
         circumstances_of(payloads, every_payload, both_approaches, repeats),
-        noise_mm,
-        joint_noise_urad,
-        min_distance,
-        target_mm,
-        order,
-        _places(wires, sockets, places, known_places),
-    )
+        noise_mm, joint_noise_urad, min_distance, target_mm, order, _places(wires, sockets, places, known_places),
+    )  # fmt: skip
     with working(quiet, "choosing poses", steps=PLAN) as show:
         planned = plan_problem(
             problem, n, wanted, measured, carried(prior, prior_effects, frozen=False), seed=seed, show=show
@@ -188,14 +199,6 @@ def plan(
         tables = (*([measured] if measured else []), place)
         step = next_step("when what was measured stands beside these readings", "calibrate", problem, *tables)
         console.print(terminal([step]))
-
-
-def _refuse_given(options: dict[str, object], mode: str = "--isolability") -> None:
-    """Refuse what another question than that of poses to calibrate with has no use for. Raises InputError."""
-    why = "looks at given poses" if mode == "--isolability" else "has poses of its own"
-    for name, value in options.items():
-        if value is not None:
-            raise InputError(f"{name}: has no effect with {mode}, which {why}; leave it out")
 
 
 def _iso9283(problem: Path, out: Path, cube_mm: float | None, room: Path | None, seed: int, quiet: bool) -> None:

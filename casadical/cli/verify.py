@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from casadical.cli.options import Effects, Json, Quiet, Report, Room, effects_of
+from casadical.cli.options import Effects, Json, Quiet, Report, Room, effects_of, refuse_of_others
 from casadical.cli.progress import DIAGNOSIS, working
 from casadical.cli.terminal import NOT_VALID, html, keep, keep_json, plain, with_json, wrapped
 from casadical.core.errors import InputError
@@ -92,8 +92,20 @@ Chart = Annotated[
     Path | None, typer.Option(metavar="FILE.csv", help="With --touches: a row a day, with control limits.")
 ]
 
+# Each with what it has beside robot, tables and quiet; the first that is asked for counts.
+MODES = {
+    "--mujoco": ("mujoco", "effects", "seed", "out", "json_file"),
+    "--touches N with tables": (
+        "touches", "tolerance_mm", "noise_mm", "fleet", "update", "chart", "report_file", "seed", "json_file",
+    ),
+    "--touches N without tables": ("touches", "poses", "noise_mm", "room", "seed"),
+    "--iso9283": ("iso9283", "json_file"),
+    "a check of some ten poses": ("promised_mm", "json_file"),
+}  # fmt: skip
+
 
 def verify(
+    context: typer.Context,
     robot: Robot,
     tables: Tables = None,
     promised_mm: Promised = None,
@@ -125,29 +137,18 @@ def verify(
 
     Exit codes: 0 still valid, or replayed, 2 bad input, 3 no optimum found, 5 no longer valid, 70 a bug in casadical.
     """
+    given = (mujoco, touches is not None and bool(tables), touches is not None, iso9283, True)
+    refuse_of_others(context, next(mode for mode, own in zip(MODES, given, strict=True) if own), MODES)
     if mujoco:
-        if promised_mm is not None:
-            raise InputError("--promised-mm has no part in a replay with --mujoco; remove it")
         _replay(robot, tables, effects, seed or 0, out, json_file, quiet)
         return
-    of_replay = {"--effects": effects, "--out": out, "--seed": seed if touches is None else None}
-    for option, value in of_replay.items():
-        if value is not None:
-            raise InputError(f"{option} is of a replay; give --mujoco, too, or remove it")
     if touches is not None:
         if tables:
             asked = {"tolerance_mm": tolerance_mm, "noise_mm": noise_mm, "fleet": fleet}
             _touched(robot, tables, asked, (update, chart, report_file, json_file), seed or 0, quiet)
         else:
-            _plan_touches(robot, touches, poses or Path("touches.csv"), noise_mm, room, quiet)
+            _plan_touches(robot, touches, poses or Path("touches.csv"), noise_mm, room, seed or 0, quiet)
         return
-    given: dict[str, object] = {
-        "--poses": poses, "--tolerance-mm": tolerance_mm, "--noise-mm": noise_mm, "--fleet": fleet, "--room": room,
-        "--update": update, "--chart": chart, "--report": report_file,
-    }  # fmt: skip
-    for option, other in given.items():
-        if other is not None:
-            raise InputError(f"{option} is of touches; give --touches N, too, or remove it")
     if not tables:
         raise InputError("which poses? give a table of some ten that were measured later")
     from casadical.project import verification
@@ -166,12 +167,14 @@ def verify(
         raise typer.Exit(NOT_VALID)
 
 
-def _plan_touches(robot: Path, n: int, out: Path, noise_mm: float | None, room: Path | None, quiet: bool) -> None:
+def _plan_touches(
+    robot: Path, n: int, out: Path, noise_mm: float | None, room: Path | None, seed: int, quiet: bool
+) -> None:
     from casadical.fleet.touches import plan_touches
 
     console = wrapped(quiet)
     with working(quiet, "choosing touches"):
-        table = plan_touches(robot, n, noise_mm=noise_mm, room=room)
+        table = plan_touches(robot, n, noise_mm=noise_mm, room=room, seed=seed)
     console.print(
         f"{n} touches that tell most about zeros, tool and foot. Touch them every day in the frame of the calibration, "
         "put x_mm, y_mm, z_mm into a copy whose name has the day (2026-03-14.csv), and give the copies to this command."

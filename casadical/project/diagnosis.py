@@ -9,6 +9,8 @@ from typing import Any, Literal
 
 from rich.console import RenderableType
 
+from casadical.core.drive import read_drive
+from casadical.core.errors import InputError
 from casadical.core.progress import Show, silent
 from casadical.core.telling.blocks import Block, Page, Table, Words
 from casadical.core.telling.figure import Figure
@@ -20,6 +22,7 @@ from casadical.diagnosis.isolability import isolability
 from casadical.diagnosis.json_answer import as_json, diagnosis_files
 from casadical.diagnosis.laws.answer import Discovery
 from casadical.diagnosis.laws.contest import law_rivals
+from casadical.diagnosis.motion.result import LogDiagnosis, diagnose_log
 from casadical.diagnosis.page import diagnosis_page
 from casadical.diagnosis.posterior import no_rivals
 from casadical.diagnosis.result import Diagnosis
@@ -27,10 +30,12 @@ from casadical.diagnosis.text import brief, page_of, titled
 from casadical.effects import Effect
 from casadical.effects.plugins import known_effects
 from casadical.identification.prior import Prior
+from casadical.measurements.logs.log import JointLog
+from casadical.measurements.logs.reading import is_log, read_log
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.workspace import Workspace, read_workspace
 from casadical.project.problem import Carried, nothing_carried, read_campaign, read_campaign_robot, tool_as_measured
-from casadical.project.problem_file import own_tables
+from casadical.project.problem_file import own_tables, problem_file
 from casadical.project.telling import campaign_files
 from casadical.robot.effect_file import read_effects
 from casadical.robot.robot import Robot
@@ -225,6 +230,46 @@ def diagnose_campaign(campaign: Campaign, options: Options | None = None, show: 
         show=show,
     )
     return CampaignDiagnosis(campaign, asked, found)
+
+
+@dataclass(frozen=True, eq=False)
+class LogCampaign:
+    """Joint logs of one robot, of which each is diagnosed.
+
+    robot : with what is known of its drives; logs : their files
+    healthy : of the same robot in health on another day, if there is one
+    """
+
+    robot: Robot
+    logs: tuple[Path, ...]
+    healthy: JointLog | None = None
+
+    def diagnosed(self, log: Path, show: Show = silent) -> LogDiagnosis:
+        """Why the arm moves otherwise than its model in one of the logs. Raises InputError."""
+        return diagnose_log(self.robot, read_log(log, self.robot), self.healthy, show)
+
+
+def read_logs(
+    folder: Path, tables: Sequence[Path] | None = None, reference: Path | None = None, drive: Path | None = None
+) -> LogCampaign | None:
+    """The joint logs of a problem folder, or those that are given; None where the tables are of measured poses.
+
+    reference : a log of the same robot in health
+    drive : a file with what is known of the drives; None: the robot file, or drive.toml beside it
+    Raises InputError: logs and measured poses together, or what is wrong with robot, drives or reference.
+    """
+    if not tables and (folder / "problem.toml").is_file() and (own := problem_file(folder).logs):
+        tables = [folder / path for path in own.identify]
+    logs = [is_log(path) for path in tables or ()]
+    if not any(logs):
+        return None
+    if not all(logs):
+        raise InputError("joint logs and tables of measured poses; diagnose them by a command each")
+    robot = read_campaign_robot(folder)
+    beside = folder.parent / "drive.toml" if folder.is_file() else folder / "drive.toml"
+    if path := drive or (beside if robot.drive is None and beside.is_file() else None):
+        robot = replace(robot, drive=read_drive(path, robot.n))
+    return LogCampaign(robot, tuple(tables or ()), read_log(reference, robot) if reference else None)
 
 
 def isolability_of(campaign: Campaign, effects: EffectChoice) -> tuple[RenderableType, dict[str, Any]]:

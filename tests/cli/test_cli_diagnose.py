@@ -63,10 +63,24 @@ def test_isolability_needs_no_positions(tmp_path: Path) -> None:
     assert 0 < design["effects"]["hose_drag"]["absorbed"] < 1
 
 
-def test_isolability_refuses_options_of_a_choice_of_poses() -> None:
-    done = run("plan", PROBLEM, "--isolability", "--measured", "poses.csv")
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("plan", PROBLEM, "--isolability", "--measured", "poses.csv"), "--measured: is for poses to calibrate with"),
+        (("plan", PROBLEM, "--isolability", "--seed", "0"), "--seed: is for poses to calibrate with"),
+        (("plan", PROBLEM, "--iso9283", "--criterion", "D"), "--criterion: is for poses to calibrate with"),
+        (("plan", PROBLEM, P03), "POSES: is for --isolability"),
+        (("verify", PROBLEM, P03, "--mujoco", "--chart", "a.csv"), "--chart: is for --touches N with tables"),
+        (("verify", PROBLEM, P03, "--update", "a.toml"), "--update: is for --touches N with tables"),
+        (("verify", PROBLEM, "--touches", "5", "--json", "a.json"), "not for --touches N without tables"),
+        (("diagnose", PROBLEM, P03, "--reference", P06), "--reference: is for joint logs"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_an_option_of_another_mode_is_refused(arguments: tuple[object, ...], message: str, tmp_path: Path) -> None:
+    done = run(*arguments, folder=tmp_path)
     assert done.returncode == 2
-    assert "--measured: has no effect with --isolability" in done.stderr
+    assert message in " ".join(done.stderr.split())
 
 
 @pytest.mark.parametrize(

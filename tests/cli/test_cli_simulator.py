@@ -88,7 +88,10 @@ WRONG = {
     "a hash of a URDF": (["export", "model", PLANAR, "--out", "x.urdf", "--hash", "a"], "give --to ur"),
     "a campaign of a URDF": (["export", "model", PLANAR, "--out", "x.urdf", "--campaign", "c.csv"], "give --to mjcf"),
     "a driver without its drawing": (["export", "model", PLANAR, "--out", "x.yaml"], "give --nominal"),
-    "a replay without a simulator": (["verify", PLANAR, "x.csv", "--seed", "1"], "--seed is of a replay"),
+    "a replay without a simulator": (
+        ["verify", PLANAR, "x.csv", "--seed", "1"],
+        "--seed: is for --mujoco or --touches",
+    ),
     "a check without poses": (["verify", PLANAR], "which poses?"),
     "no such campaign": (["verify", PLANAR, "none.csv", "--mujoco"], "none.csv: no such file"),
 }

@@ -174,7 +174,7 @@ def test_the_command_recognises_a_log(robot, tmp_path):
     refused = CliRunner().invoke(
         app, ["diagnose", str(tmp_path / "arm.toml"), str(tmp_path / "motion.csv"), "--details"]
     )
-    assert "--details: of tables of measured poses" in str(refused.exception)
+    assert "--details: is for measured poses, not for joint logs" in str(refused.exception)
 
 
 def test_a_folder_with_logs_is_diagnosed_by_those_to_be_fitted(robot, tmp_path):
