@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from casadical.core.arrays import Array
 from casadical.core.statistics import ranked
 from casadical.diagnosis.cross_validation import partitioned_errors, shrink_interval
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.result import CauseSet
 from casadical.diagnosis.search import End, State, Step, indistinguishable, next_cause
-from casadical.diagnosis.thresholds import CLAIM, DETECT_FURTHER, LEAST_ALIKE
+from casadical.diagnosis.thresholds import CLAIM, DETECT_FURTHER, LEAST_ALIKE, SET_SIZE
 from casadical.measurements.noise import Noise
 
 # Probabilities below this are not distinguished.
@@ -123,6 +125,20 @@ def _lower(e: Evidence, columns: Sequence[Array], noises: Sequence[Noise], seed:
     """Lower end of the interval of the shrink from one model to another."""
     before, after = (partitioned_errors(e, c, noise, seed) for c, noise in zip(columns, noises, strict=True))
     return shrink_interval(before, after, seed)[0]
+
+
+def with_further(found: CauseSet | None, state: State, seed: int) -> CauseSet | None:
+    """The set with the names of one more cause, where one is there and most of its probability is with few of them."""
+    last = state.rankings[-1]
+    said = {k for step in state.steps for k in step.labels}
+    likely = [k for k in state.listed(last) if k not in said and last.probability[k] >= LEAST_ALIKE][:SET_SIZE]
+    further = {k: last.probability[k] for k in likely}
+    if not found or last.none > DETECT_FURTHER or sum(further.values()) < LIKELY:
+        return found
+    effects = state.by_label[likely[0]].variants[last.variant[likely[0]]]
+    columns = np.union1d(state.columns(), state.case.group(effects))
+    errors = partitioned_errors(state.case.evidence, columns, last.noise[likely[0]], seed)
+    return replace(found, further=further, further_gap=float(errors.mean()))
 
 
 def cause_set(state: State) -> CauseSet | None:

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.claims import cause_set, named
+from casadical.diagnosis.claims import cause_set, named, with_further
 from casadical.diagnosis.cross_validation import estimates, partitioned_errors, partitions, remainders, shrink_interval
 from casadical.diagnosis.held_out_gap import Stage, course
 from casadical.diagnosis.linear_problem import Case
@@ -54,7 +54,7 @@ def conclude(
     causes = sorted([*causes, *outliers], key=lambda c: -c.shrink)
     shrinks = course(case, _stages(state, noise), partitions(case.evidence, seed), noise, seed)
     verdict, rest = _verdict(state, end, gap, bool(causes), shrinks)
-    exactly = cause_set(state)
+    exactly = with_further(cause_set(state), state, seed)
     if verdict == "explained" and exactly and exactly.probability < SET_CLAIM and _remainder(state) > MISMATCH:
         verdict = "ambiguous"
     if verdict == "explained" and richer:
@@ -195,6 +195,6 @@ def _verdict(state: State, end: End, gap: Gap, found: bool, shrinks: pd.DataFram
 
 def _remainder(state: State) -> float:
     """Evidence of the remainder, as a share of that of the causes."""
-    claimed = sum(s.ranking.log_factor[s.labels[0]] for s in state.steps)
+    claimed = state.log_gain
     last = state.rankings[-1]
     return last.log_factor[last.order[0]] / claimed if claimed > 0 else 0.0

@@ -125,6 +125,8 @@ def _set(s: CauseSet) -> dict[str, Any]:
             if s.names
             else {}
         ),
+        **({"further": {k: round(p, 4) for k, p in s.further.items()}} if s.further else {}),
+        **({"further_gap_mm": _mm(s.further_gap)} if s.further else {}),
     }
 
 

@@ -135,6 +135,8 @@ class CauseSet:
     one_more : probability of a further cause beside them; members : of each cause, by label, whatever the others are
     others : the most probable other sets, forms on no list among them, each with its probability
     names : of a cause that these data do not tell from one or two others: each label with its probability, by the first
+    further : listed names of one more cause, where one is there that is not claimed: each label with its probability
+    further_gap : error on poses held out with the best of them beside the named ones [m]
     """
 
     probability: float
@@ -142,6 +144,8 @@ class CauseSet:
     members: Mapping[str, float]
     others: tuple[tuple[tuple[str, ...], float], ...] = ()
     names: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    further: Mapping[str, float] = field(default_factory=dict)
+    further_gap: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -105,6 +105,11 @@ class State:
             known[key] = ranking if also else with_noise_forms(ranking, self.case, chosen, joints)
         return known[key]
 
+    @property
+    def log_gain(self) -> float:
+        """Log evidence of its causes, over none."""
+        return sum(s.ranking.log_factor[s.labels[0]] for s in self.steps)
+
     def most_probable_set(self) -> tuple[tuple[str, ...], frozenset[str]]:
         """Listed causes that explain together what the last ranking gives to no single one, and those in doubt."""
         return most_probable_set(
@@ -161,23 +166,40 @@ def search_with_forms(
     neither changes; with a noise that follows itself fitted before the causes, it would follow these.
     """
     state, end, p_nothing = search(case, seed, bootstrap, show, rivals)
-    for _ in range(MOST_FORMS if case.observations.plain else 0):
-        form, noise, gain = best_following(state.case, state.columns())
-        if form.stays == state.case.form.stays or gain < FORM_GAIN:
-            break
+    if not case.observations.plain:
+        return state, end, p_nothing
+
+    lines = set[tuple[int, float]]()  # that were seen so far
+
+    def where_noise_follows(beside: State, least: float = 0.0) -> tuple[State, End] | None:
+        """Causes under the noise that follows itself best beside those of a state; None where it does not, or none.
+
+        least : log evidence that both need, over plain noise without causes
+        """
+        form, noise, gain = best_following(beside.case, beside.columns())
+        if form.stays == beside.case.form.stays or gain < FORM_GAIN:
+            return None
         show(f"causes where the noise follows itself, by {form.stays:g}")
-        lines = remainder_of(state.case, state.columns(), noise, form).lines
+        lines.update(remainder_of(beside.case, beside.columns(), noise, form).lines)
         other, other_end, _ = search(_with_lines(case.with_form(form), lines), seed, 0, show, rivals)
-        if not other.steps or other.rankings[0].none > FORM_NONE:
+        there = other.steps and other.rankings[0].none <= FORM_NONE and gain + other.log_gain > least
+        return (other, other_end) if there else None
+
+    # What has so many parameters follows such noise, too, if that had no turn before.
+    if any(e.parts for s in state.steps for e in s.effects):
+        state, end = where_noise_follows(State(case), state.log_gain) or (state, end)
+    for _ in range(MOST_FORMS):
+        found = where_noise_follows(state)
+        if not found:
             break
-        state, end = other, other_end
+        state, end = found
     return state, end, p_nothing
 
 
-def _with_lines(case: Case, lines: Sequence[tuple[int, float]]) -> Case:
+def _with_lines(case: Case, lines: Iterable[tuple[int, float]]) -> Case:
     """The case with sines of joints' angles among the settings of their ripple: (joint, cycles a turn) each."""
     labels = {c.label for c in case.candidates}
-    for joint, cycles in lines:
+    for joint, cycles in sorted(lines):
         ripple = TransmissionRipple(joint, cycles=cycles)
         if ripple.label in labels:
             case = case.with_variants(ripple.label, [(ripple,)])

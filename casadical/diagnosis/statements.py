@@ -26,7 +26,7 @@ LITTLE = 0.1
 TIED = "\u00a0"
 # Words before what is said about something, where it is a sentence of its own; the most important first.
 SUBJECTS = {
-    "CHECK": "", "NOISE": "", "PRIOR": "Prior: ", "CANNOT": "These data cannot ", "UNKNOWN": "Left: ",
+    "CHECK": "", "NOISE": "", "MORE": "", "PRIOR": "Prior: ", "CANNOT": "These data cannot ", "UNKNOWN": "Left: ",
     "LAW": "Law: ", "AFTER": "", "OUT": "", "WHERE": "Where: ", "RULED": "Ruled ", "NEXT": "Next: ", "MISSING": "",
     "GRAVITY": "In the model: ", "ASSUMED": "Assumed: ",
 }  # fmt: skip
@@ -37,7 +37,7 @@ class Statement:
     """One statement.
 
     about : VERDICT, PRIOR, GAP, NOISE, ASSUMED, GRAVITY, CHECK, WHERE, WHICH (then come the causes, see `cause_rows`),
-        SET, AFTER, LAYERS (then come these, see `layer_rows`), CANNOT, RULED, UNKNOWN, LAW, OUT, MISSING, NEXT
+        SET, MORE, AFTER, LAYERS (then come these, see `layer_rows`), CANNOT, RULED, UNKNOWN, LAW, OUT, MISSING, NEXT
     doubtful : whether it is a warning
     """
 
@@ -279,7 +279,20 @@ def _which(d: Diagnosis) -> Iterator[Statement]:
         if d.cause_set.probability < SET_CLAIM and d.cause_set.others:
             sets = [f"{' + '.join(labels) or 'none of them'} {p:.2f}" for labels, p in d.cause_set.others]
             yield Statement("SET", f"instead: {', '.join(sets)}", d.verdict != "explained")
+    if one_more := _one_more(d):
+        yield Statement("MORE", one_more, doubtful=True)
     yield from _near_threshold(d)
+
+
+def _one_more(d: Diagnosis) -> str:
+    """One more cause that is there without being claimed: its names, and the gap that the best of them leaves."""
+    if not d.cause_set or not d.cause_set.further:
+        return ""
+    names = " or ".join(f"{k} ({p:.2f})" for k, p in d.cause_set.further.items())
+    return (
+        f"one more cause is there with probability {d.cause_set.one_more:.2f}, and is not claimed: {names}; with the "
+        f"first {d.gap.after * 1e3:.3f} -> {d.cause_set.further_gap * 1e3:.3f} mm on poses held out"
+    )
 
 
 def _near_threshold(d: Diagnosis) -> Iterator[Statement]:

@@ -127,7 +127,7 @@ class _White:
         found = [*self._followed(), *self._close()]
         among = [replace(s, log_chance=s.log_chance + log(len(found))) for s in found]
         sure = sorted((s for s in among if s.log_chance < log(CHANCE)), key=lambda s: s.log_chance)
-        each = {s.over: s for s in reversed(sure)}
+        each = {s.line[0] if s.line else s.over: s for s in reversed(sure)}  # of a joint's lines the surest
         lines = {s.line[0]: s.line for s in reversed(sure) if s.line}
         tails = self.freedom >= LIKE_NOISE * (self.e.count - taken)
         return Remainder(tuple([*reversed(each.values())][:MOST]), tails and self._isotropic(), tuple(lines.values()))

@@ -181,3 +181,10 @@ def test_a_line_is_found_beneath_noise_that_follows_itself() -> None:
     assert d.causes[0].effects[0].cycles == pytest.approx(50, abs=0.3)  # type: ignore[attr-defined]
     assert d.case.form.stays == pytest.approx(0.75, abs=0.2)
     assert d.rankings[0].none < 0.01
+
+
+def test_a_curve_of_many_harmonics_does_not_take_what_is_a_line_and_such_noise() -> None:
+    """The curve follows both; the noise has its turn before it."""
+    d = diagnose(robot("ur10e"), path(1e-4), ["transmission_ripple", "joint_error_curve"], laws=False)
+    assert [c.label for c in d.causes] == ["transmission_ripple@2"]
+    assert d.case.form.stays == pytest.approx(0.75, abs=0.2)

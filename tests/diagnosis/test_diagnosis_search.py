@@ -11,7 +11,7 @@ from numpy_physics import disturbances
 
 from casadical.core.arrays import Array
 from casadical.diagnosis.candidates import candidates_of
-from casadical.diagnosis.claims import cause_set
+from casadical.diagnosis.claims import cause_set, with_further
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.json_answer import as_json, diagnosis_files
 from casadical.diagnosis.limits import ruled_out
@@ -108,6 +108,19 @@ def test_what_is_on_no_list_is_no_set_of_listed_causes() -> None:
 def made_up(shares: dict[str, float], none: float = 1e-6) -> Ranking:
     noise = dict.fromkeys(("", *shares), Noise(2e-5, 0.0))
     return Ranking(none, shares, {}, {}, dict.fromkeys(shares, 0), noise)
+
+
+@pytest.mark.parametrize("none", [1e-4, 0.4])
+def test_one_more_cause_that_is_there_has_names_and_leaves_a_gap(none: float) -> None:
+    own = case("kr210-P02")
+    last = made_up({"backlash@1": 0.55, "friction_windup@1": 0.44, "frame_drift": 0.01}, none)
+    step = Step(last, ("frame_drift",), own.candidates[0].variants[0])
+    state = State(own, (step,), (step.ranking, last))
+    found = with_further(cause_set(state), state, 0)
+    assert found is not None
+    there = none < 0.05
+    assert found.further == ({"backlash@1": 0.55, "friction_windup@1": 0.44} if there else {})
+    assert (found.further_gap > 0) == there
 
 
 def test_a_member_with_several_names_counts_as_one() -> None:

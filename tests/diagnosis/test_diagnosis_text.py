@@ -232,6 +232,20 @@ def test_probability_of_a_right_choice(share: float, gain: float) -> None:
     assert probability_after(share, 0.0) == max(share, 1 - share)
 
 
+def test_one_more_cause_is_said_with_its_names_and_the_gap_it_leaves(fixed: Diagnosis) -> None:
+    more = {"backlash@1": 0.55, "friction_windup@1": 0.44}
+    one = CauseSet(0.01, 0.99, {}, further=more, further_gap=40e-6)
+    d = replace(fixed, cause_set=one)
+    words = (
+        "one more cause is there with probability 0.99, and is not claimed: backlash@1 (0.55) or friction_windup@1 "
+        "(0.44); with the first 0.046 -> 0.040 mm on poses held out"
+    )
+    assert words in " ".join(page_of(d).split())
+    assert "One more cause" in plain_text(brief("arm", d))
+    answer = as_json(d, "arm")["set"]
+    assert (answer["further"], answer["further_gap_mm"]) == (more, 0.04)
+
+
 @pytest.mark.parametrize(("probability", "said"), [(0.972, True), (0.999, False)])
 def test_a_claim_at_its_threshold_is_said_as_such(fixed: Diagnosis, probability: float, *, said: bool) -> None:
     cause = replace(fixed.causes[1], confidence=probability)
