@@ -30,7 +30,7 @@ class MappedFunction:
     def __init__(self, name: str, point: ca.SX, shared: ca.SX, outputs: Sequence[ca.SX]) -> None:
         whole = ca.cse([ca.densify(output) for output in outputs])
         each, symbols, once = ca.extract_parametric(whole, shared, {})
-        self._once = Buffered(ca.Function(name + "_once", [shared], [ca.vertcat(ca.SX(0, 1), *once)]))
+        self._shared = Buffered(ca.Function(name + "_once", [shared], [ca.vertcat(ca.SX(0, 1), *once)]))
         self._each = ca.Function(name, [point, shared, ca.vertcat(ca.SX(0, 1), *symbols)], each)
         self._mapped: dict[int, Buffered] = {}
         self._evaluated = self._tried = 0
@@ -44,7 +44,7 @@ class MappedFunction:
         """Outputs side by side; points : shape (a, n); shared : shape (b,)."""
         n = points.shape[1]
         self._compile(n)
-        (once,) = self._once(shared)
+        (once,) = self._shared(shared)
         if self._machine_code:
             return self._machine_code(points, shared, once)
         if n <= CHUNK:

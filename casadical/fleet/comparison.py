@@ -88,9 +88,9 @@ def compare(
     campaigns = with_common_noise(campaigns)
     names, told, candidates = shared_information(campaigns, same_tool=same_tool, same_frame=same_frame)
     times = times_of(campaigns)
-    accepted, left, instead = changes_in(told, candidates, times, dated=first.day is not None)
+    accepted, left, swap = changes_in(told, candidates, times, dated=first.day is not None)
     model = _beside(told, accepted)
-    changes = tuple(_change(told, accepted, k, first, instead) for k in range(len(accepted)))
+    changes = tuple(_change(told, accepted, k, first, swap) for k in range(len(accepted)))
     return Comparison(
         tuple(campaigns),
         names,
@@ -178,8 +178,8 @@ def changes_in(
     chance = float(1 / (1 + np.exp(np.clip(score - other, -500, 500))))
     if chance < 0.5:
         return accepted, left, (ROBOT, chance)
-    instead = [a.candidate.label for a in accepted if a.candidate.label not in labels]
-    return swapped, more, (" with ".join(instead), 1 - chance)
+    swap = [a.candidate.label for a in accepted if a.candidate.label not in labels]
+    return swapped, more, (" with ".join(swap), 1 - chance)
 
 
 def _chain(
@@ -292,7 +292,7 @@ def _change(
     accepted: Sequence[_Accepted],
     k: int,
     first: Estimate,
-    instead: tuple[str, float] = ("", 0.0),
+    swap: tuple[str, float] = ("", 0.0),
 ) -> Change:
     change = accepted[k]
     candidate, top = change.candidate, change.own
@@ -312,7 +312,7 @@ def _change(
             rivals[label] = replace(old, probability=more)
         else:
             rivals[label] = Rival(label, h.course, int(h.since[best]), more)
-    other, chance = instead if ROBOT in (candidate.kind, instead[0]) else ("", 0.0)
+    other, chance = swap if ROBOT in (candidate.kind, swap[0]) else ("", 0.0)
     rivals = {label: replace(r, probability=(1 - chance) * r.probability) for label, r in rivals.items()}
     if other:
         rivals[other] = Rival(other, "jump", int(top.since[at]), chance)

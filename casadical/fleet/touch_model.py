@@ -109,7 +109,7 @@ class TouchModel:
     dates: tuple[float | None, ...] = ()
 
     @staticmethod
-    def of(robot: Robot, days: Sequence[Measurements], noise: float | None = None, **more: Any) -> TouchModel:
+    def of_robot(robot: Robot, days: Sequence[Measurements], noise: float | None = None, **more: Any) -> TouchModel:
         """By the bound of a robot file, or its covariance and the noise [m]. Raises InputError: it has neither."""
         wide = doubted(robot)
         names = tuple(p.name for p in wide.parameters if p.prior > 0)

@@ -251,11 +251,6 @@ class Touches(Result):
             found.append((day, m.source, len(m), rms, float(T2[k]), limit, T if np.isfinite(T) else "", within))
         return found
 
-    @property
-    def charted_within(self) -> list[bool]:
-        """Of each day, whether it is within its limit."""
-        return [row[-1] == "yes" for row in self.rows()]
-
     def chart_csv(self) -> str:
         """The chart as a table."""
         return csv_text([_COLUMNS, *([f"{v:.5g}" if isinstance(v, float) else v for v in row] for row in self.rows())])
@@ -411,7 +406,7 @@ def touched(
         notes.append("no date in every table's name: the days are in the order given")
     kept = kept[-LAST:]
     weights = OFTEN if fleet is None else changes_in_fleet(Path(fleet))
-    model = TouchModel.of(arm, [m for _, m in kept], None if noise_mm is None else 1e-3 * noise_mm,
+    model = TouchModel.of_robot(arm, [m for _, m in kept], None if noise_mm is None else 1e-3 * noise_mm,
                           weights=weights, dates=tuple(day_of(p) for p, _ in kept))  # fmt: skip
     left = 1e-3 * np.linalg.norm(model.left, axis=1)
     today = left[(model.day == len(kept))[::3]]

@@ -25,7 +25,9 @@ from casadical.core.telling.page import provenance_of
 from casadical.core.telling.pdf import pdf_of
 from casadical.core.telling.result import Result
 from casadical.identification.accuracy import errors
+from casadical.identification.identification import calibrated
 from casadical.identification.plausibility import check_against
+from casadical.identification.prepared import prepare
 from casadical.measurements.measurements import Measurements
 from casadical.project.calibration import calibrate, with_knowledge
 from casadical.project.certificate_words import words_of
@@ -361,10 +363,8 @@ def certificate(
 
 
 def _placed(robot: Robot, sets: Sequence[Measurements]) -> Robot:
-    from casadical.identification.identification import identify
-
     groups = [g for g in ("base", "tool") if g in robot.parameters.groups]
-    return identify(robot, sets, groups).robot if groups else robot
+    return calibrated(prepare(robot, sets), groups, loss="auto").robot if groups else robot
 
 
 def _promised(place: Path) -> float | None:

@@ -30,8 +30,6 @@ INERTIA, GUESSED_INERTIA, ROTOR, GUESSED_ROTOR = 0.3, 1.0, 0.1, 2.0
 # Rotor inertia where none is stated, as a share of the links' at the joint in the middle of its range, and where these
 # are small, of those at the strongest joint.
 ROTOR_SHARE, LEAST_SHARE = 0.3, 0.03
-# Coordinates of a body: logarithm of its mass / 2, centre, logarithms of three lengths, three shears.
-COORDINATES = ("mass", "x", "y", "z", "length_x", "length_y", "length_z", "shear_xy", "shear_xz", "shear_yz")
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,12 +116,6 @@ class Dynamics:
         return np.asarray(np.maximum(ROTOR_SHARE * inertia, LEAST_SHARE * inertia.max()))
 
     @cached_property
-    def coordinate_names(self) -> tuple[str, ...]:
-        """Of the coordinates of `at`: what of which link, then rotor1 .. rotorn."""
-        links = tuple(f"{name}{i}" for i in self.robot.numbers for name in COORDINATES)
-        return (*links, *(f"rotor{i}" for i in self.robot.numbers))
-
-    @cached_property
     def sigma(self) -> Array:
         """One sigma of each coordinate as the robot file states the bodies, shape (11 n,) [1 or m]."""
         width, drive = self.robot.body_width, self.robot.drive
@@ -162,28 +154,11 @@ def body_numbers(body: Body) -> Array:
     return np.array([body.mass, *(body.mass * body.com), *about[np.triu_indices(3)]])
 
 
-def as_body(numbers: Array) -> Body:
-    """The body with these ten numbers, shape (10,); its mass must not be zero."""
-    mass, com = float(numbers[0]), numbers[1:4] / numbers[0]
-    about = np.zeros((3, 3))
-    about[np.triu_indices(3)] = numbers[4:]
-    about = about + np.triu(about, 1).T
-    return Body(mass, com, about - mass * (com @ com * np.eye(3) - np.outer(com, com)))
-
-
-def is_physical(numbers: Array) -> bool:
-    """Whether ten numbers, shape (10,), are those of a body: its pseudo-inertia is positive definite."""
-    xx, xy, xz, yy, yz, zz = numbers[4:]
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    pseudo = np.empty((4, 4))
-    pseudo[:3, :3] = np.trace(inertia) / 2 * np.eye(3) - inertia
-    pseudo[3], pseudo[:, 3] = [*numbers[1:4], 0.0], [*numbers[1:4], numbers[0]]
-    pseudo[3, 3] = numbers[0]
-    return bool(np.linalg.eigvalsh(pseudo)[0] > 0)
-
-
 def _moved(body: Body, coordinates: Array) -> Array:
-    """The ten numbers of a body deformed by ten coordinates: the affine image of its density, and so a body."""
+    """The ten numbers of a body deformed by ten coordinates: the affine image of its density, and so a body.
+
+    coordinates : logarithm of its mass / 2, centre, logarithms of three lengths, three shears
+    """
     half, centre, lengths, shears = coordinates[0], coordinates[1:4], coordinates[4:7], coordinates[7:]
     stretch = np.diag(np.exp(lengths))
     stretch[np.triu_indices(3, 1)] = shears

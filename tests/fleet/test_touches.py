@@ -122,7 +122,7 @@ def test_a_logged_temperature_explains_growth(place, tmp_path):
     told = touched(file, days)
     assert told.draws.share("") > 0.5
     assert "temperature is logged" in " ".join(told.notes)
-    assert told.charted_within[-1]
+    assert told.rows()[-1][-1] == "yes"
     days = [day(tmp_path, k, true if k < 3 else grown(true, 1.2e-4), q) for k in (1, 2, 3)]
     silent = touched(file, days)
     assert silent.label == "lengths"
@@ -177,7 +177,7 @@ def test_the_command_plans_judges_charts_and_corrects(place, tmp_path, monkeypat
     assert "is not written" in capfd.readouterr().out
     assert not Path("no.robot.toml").exists()
     assert main(monkeypatch, "verify", file, days[0], "--chart", "c.csv") == 2
-    assert "give --touches N" in capfd.readouterr().err
+    assert "--chart: is for --touches N with tables" in capfd.readouterr().err
 
 
 def test_bad_touches_are_refused_or_said(place, tmp_path):

@@ -18,7 +18,7 @@ import pandas as pd
 
 from casadical.blind_check.mujoco_physics.fourbar import unfolded
 from casadical.blind_check.mujoco_physics.plant import Plant, perturb
-from casadical.blind_check.mujoco_physics.stops import Warmup, draw_poses, spread_poses
+from casadical.blind_check.mujoco_physics.stops import Warmup, draw_poses
 from numpy_physics.campaigns import campaign
 from numpy_physics.disturbance import Disturbance
 from numpy_physics.disturbances_drive import GearEccentricity, TransmissionRipple
@@ -116,3 +116,17 @@ def hh800_twin(
     )
     table.insert(1, "set", np.repeat(list(SETS), list(SETS.values())))
     return table
+
+
+def spread_poses(
+    plant: Plant, n: int, rng: np.random.Generator, ranges: np.ndarray, crank_distance_m: tuple[float, float] | None
+) -> np.ndarray:
+    """As ``draw_poses``, but spread evenly: each next pose is, of 30 drawn, the one farthest from those before."""
+    drawn = draw_poses(plant, 30 * n, rng, ranges, crank_distance_m)
+    unit = (drawn - ranges[:, 0]) / (ranges[:, 1] - ranges[:, 0])
+    chosen = [0]
+    for k in range(1, n):
+        block = np.arange(30 * k, 30 * (k + 1))
+        nearest = np.linalg.norm(unit[block, None] - unit[None, chosen], axis=-1).min(1)
+        chosen.append(int(block[np.argmax(nearest)]))
+    return drawn[chosen]

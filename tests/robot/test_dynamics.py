@@ -11,7 +11,7 @@ import urdf_arms
 
 from casadical import Body, FourBar, InputError, Joint, Robot, read_robot, read_urdf, write_robot
 from casadical.core.drive import Drive, read_drive
-from casadical.robot.dynamics import Dynamics, as_body, body_numbers, is_physical
+from casadical.robot.dynamics import Dynamics, body_numbers
 from casadical.robot.robot_file import robot_from
 
 STATES = np.random.default_rng(3).normal(size=(3, 20, 7))
@@ -34,6 +34,26 @@ def arm_file(tmp_path, seed=2, n=6):
     path = tmp_path / "arm.urdf"
     path.write_text(urdf_arms.robot(*parts))
     return path
+
+
+def as_body(numbers: np.ndarray) -> Body:
+    """The body with these ten numbers, shape (10,); its mass must not be zero."""
+    mass, com = float(numbers[0]), numbers[1:4] / numbers[0]
+    about = np.zeros((3, 3))
+    about[np.triu_indices(3)] = numbers[4:]
+    about = about + np.triu(about, 1).T
+    return Body(mass, com, about - mass * (com @ com * np.eye(3) - np.outer(com, com)))
+
+
+def is_physical(numbers: np.ndarray) -> bool:
+    """Whether ten numbers, shape (10,), are those of a body: its pseudo-inertia is positive definite."""
+    xx, xy, xz, yy, yz, zz = numbers[4:]
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    pseudo = np.empty((4, 4))
+    pseudo[:3, :3] = np.trace(inertia) / 2 * np.eye(3) - inertia
+    pseudo[3], pseudo[:, 3] = [*numbers[1:4], 0.0], [*numbers[1:4], numbers[0]]
+    pseudo[3, 3] = numbers[0]
+    return bool(np.linalg.eigvalsh(pseudo)[0] > 0)
 
 
 @pytest.fixture

@@ -84,20 +84,6 @@ def draw_poses(
     )
 
 
-def spread_poses(
-    plant: Plant, n: int, rng: np.random.Generator, ranges: Array, crank_distance_m: tuple[float, float] | None
-) -> Array:
-    """As ``draw_poses``, but spread evenly: each next pose is, of 30 drawn, the one farthest from those before."""
-    drawn = draw_poses(plant, 30 * n, rng, ranges, crank_distance_m)
-    unit = (drawn - ranges[:, 0]) / (ranges[:, 1] - ranges[:, 0])
-    chosen = [0]
-    for k in range(1, n):
-        block = np.arange(30 * k, 30 * (k + 1))
-        nearest = np.linalg.norm(unit[block, None] - unit[None, chosen], axis=-1).min(1)
-        chosen.append(int(block[np.argmax(nearest)]))
-    return drawn[chosen]
-
-
 def draw_stops(
     q: Array,
     seeds: Sequence[np.random.SeedSequence],

@@ -36,7 +36,7 @@ from casadical.project.check.plausible import (
 from casadical.project.check.repair import MIRRORED, in_words, left_mm, other_lengths
 from casadical.project.check.result import Precheck
 from casadical.project.check.slips import Slips, search_slips
-from casadical.project.check.targets import Misnamed, Targets, middles, misnamed, recognised, whole_table
+from casadical.project.check.targets import Targets, WrongNames, middles, recognised, whole_table, wrong_names
 from casadical.project.problem import Problem, read_problem
 from casadical.project.robot_columns import computed, unfitted, unmeasured
 from casadical.robot.robot import Robot
@@ -76,7 +76,7 @@ def precheck(
     found, slips = _data_findings(problem.robot, sets, others, table, standard)
     usable = not any(f.topic in ("data", "units") and f.level == "error" for f in found)
     targets = recognised(problem.robot, table) if table is not None else None
-    wrong = misnamed(problem.robot, table) if table is not None else None
+    wrong = wrong_names(problem.robot, table) if table is not None else None
     if wrong or (targets and targets.turning):  # what contradicts one target, or wrong names, says nothing
         found, usable, slips = [f for f in found if f.topic not in ("units", "repeats", "rows")], False, None
     found = [*_target_findings(targets, wrong, sets[0].source), *found]
@@ -116,7 +116,7 @@ def precheck(
     )  # fmt: skip
 
 
-def _target_findings(targets: Targets | None, wrong: Misnamed | None, source: str) -> list[Finding]:
+def _target_findings(targets: Targets | None, wrong: WrongNames | None, source: str) -> list[Finding]:
     """Of several targets that nobody named, or of rows that name another one."""
     if wrong:
         return [Finding("error", "targets", wrong.in_words(source))]

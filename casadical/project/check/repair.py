@@ -256,7 +256,7 @@ def repaired(found: Precheck) -> str:
         shown = difference(texts)
         write_together(texts)
         return f"{shown}\nrepaired: {targets.count} targets, named {', '.join(targets.names)}"
-    if wrong := found.misnamed:
+    if wrong := found.wrong_names:
         rows = [wrong.row[wrong.meant == k] for k in range(len(wrong.names))]
         texts = file_with_names(found.folder, wrong.names, rows)
         shown = difference(texts)

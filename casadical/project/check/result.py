@@ -11,7 +11,7 @@ from casadical.project.check.coverage import JointCoverage
 from casadical.project.check.findings import Finding, Level
 from casadical.project.check.information import Outlook
 from casadical.project.check.slips import Slips
-from casadical.project.check.targets import Misnamed, Targets
+from casadical.project.check.targets import Targets, WrongNames
 from casadical.robot.robot import Robot
 
 # So many findings fit the screen.
@@ -29,7 +29,7 @@ class Precheck(Result):
     joints : covered ranges in the set that is fitted; margin : smallest one of the four-bars
     outlooks : for each method; none where the data are unusable
     nominal : the robot; slips : what explains data that contradict it, where several slips were searched for
-    targets : several on one flange, that the table does not name; misnamed : rows that name another one
+    targets : several on one flange, that the table does not name; wrong_names : rows that name another one
     tables : given in place of the folder's own
     """
 
@@ -46,7 +46,7 @@ class Precheck(Result):
     nominal: Robot | None = None
     slips: Slips | None = None
     targets: Targets | None = None
-    misnamed: Misnamed | None = None
+    wrong_names: WrongNames | None = None
     tables: tuple[Path, ...] = ()
 
     def of_level(self, level: Level) -> tuple[Finding, ...]:
@@ -86,7 +86,7 @@ class Precheck(Result):
         """What to do now; only the errors are to be corrected, where they have no repair."""
         if self.ok:
             return (next_step("to calibrate", "calibrate", self.folder, *self.tables, "--out", "results"),)
-        known = self.misnamed or (self.targets and self.targets.which is not None)
+        known = self.wrong_names or (self.targets and self.targets.which is not None)
         if not self.tables and (known or (self.slips and self.slips.explains)):
             return (next_step("to write the best repair and see what it changes", "check", self.folder, "--repair"),)
         return ()

@@ -243,7 +243,7 @@ LARGE = 0.85
 
 
 @dataclass(frozen=True, eq=False)
-class Misnamed:
+class WrongNames:
     """names : of all targets; given, meant : index of the name in each row, shape (n,); row : of the file"""
 
     names: tuple[str, ...]
@@ -265,7 +265,7 @@ class Misnamed:
         )
 
 
-def misnamed(robot: Robot, m: Measurements) -> Misnamed | None:
+def wrong_names(robot: Robot, m: Measurements) -> WrongNames | None:
     """Rows whose point lies where another target is, by a search that begins with a part of the rows; None of none.
 
     robot : with several targets; m : all rows of one table, in the order of the file
@@ -288,7 +288,7 @@ def misnamed(robot: Robot, m: Measurements) -> Misnamed | None:
     if (meant == given).all():
         return None
     names = (robot.tool_name, *(t.name for t in robot.targets))
-    return Misnamed(names, given, meant, m.row)
+    return WrongNames(names, given, meant, m.row)
 
 
 def _search(robot: Robot, m: Measurements, given: Array, rows: slice, nearer: float = NEARER) -> Array:
