@@ -35,7 +35,7 @@ class _Problem:
 
 
 @dataclass(frozen=True, eq=False)
-class _Group:
+class Group:
     """Columns of one setting of a cause: weight of its cause, eigenvalues and vectors of its columns at one rho."""
 
     columns: Array
@@ -72,16 +72,16 @@ def noise_odds(case: Case, draws: int, rng: np.random.Generator) -> Iterator[Arr
     problems = [_Problem(p.columns(E), p.log_norm, e.count - e.absorbed) for p in projections]
     groups = [_groups(case, problem.E) for problem in problems]
     for first in range(0, draws, BATCH):
-        noise = _noise(e, share, min(BATCH, draws - first), rng)
+        noise = noise_alone(e, share, min(BATCH, draws - first), rng)
         total = [
-            _log_likelihoods(problem, projection.columns(noise), own, e.sigmas[sigmas])
+            log_likelihoods(problem, projection.columns(noise), own, e.sigmas[sigmas])
             for problem, projection, own in zip(problems, projections, groups, strict=True)
         ]
         nothing, something = (np.logaddexp.reduce([t[s] for t in total], axis=0) for s in (0, 1))
         yield something - nothing - np.log(PRIOR_FIRST["none"])
 
 
-def _noise(e: Evidence, share: Array, count: int, rng: np.random.Generator) -> Array:
+def noise_alone(e: Evidence, share: Array, count: int, rng: np.random.Generator) -> Array:
     """Noise alone as columns, shape (n, 3, count) [m]; its size by chance as probable as the data make it."""
     rho, sigma = np.unravel_index(rng.choice(share.size, count, p=share.ravel()), share.shape)
     joints = RHOS[rho] * rng.standard_normal((len(e.r), e.Jq.shape[2], count))
@@ -91,7 +91,7 @@ def _noise(e: Evidence, share: Array, count: int, rng: np.random.Generator) -> A
     return np.asarray(e.sigmas[sigma] * (white + e.Jq @ joints))
 
 
-def _groups(case: Case, white: Array) -> list[_Group]:
+def _groups(case: Case, white: Array) -> list[Group]:
     """Every setting of every cause; the settings of a cause share its prior."""
     weights = prior_weights(case, PRIOR_FIRST, frozenset())
     groups = []
@@ -100,11 +100,11 @@ def _groups(case: Case, white: Array) -> list[_Group]:
         value, vector = np.linalg.eigh(E.T @ E)
         candidate = case.candidates[c]
         log_weight = float(np.log(weights[candidate.label] / len(candidate.variants)))
-        groups.append(_Group(columns, log_weight, np.maximum(value, 0), vector))
+        groups.append(Group(columns, log_weight, np.maximum(value, 0), vector))
     return groups
 
 
-def _log_likelihoods(w: _Problem, Y: Array, groups: list[_Group], sigma: Array) -> tuple[Array, Array]:
+def log_likelihoods(w: _Problem, Y: Array, groups: list[Group], sigma: Array) -> tuple[Array, Array]:
     """Of each column of Y, shape (rows, draws): without any cause, and with some cause, shapes (draws,)."""
     base = w.log_norm - w.numbers * np.log(sigma)[:, None] - 0.5 * (Y**2).sum(axis=0) / sigma[:, None] ** 2
     b = w.E.T @ Y

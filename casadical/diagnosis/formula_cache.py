@@ -24,7 +24,7 @@ from casadical.effects import Effect
 
 PACKAGE = Path(__file__).parents[1]
 # Rooms on whose code a formula depends.
-_ROOMS = ("core", "effects", "robot", "diagnosis")
+ROOMS = ("core", "effects", "robot", "diagnosis")
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ class KeptFormulas:
 
     def __init__(self, s: Seams) -> None:
         self._arm = s.exact.arm
-        name = hashlib.sha256(f"{ca.CasadiMeta.version()} {_code()} {s.key}".encode()).hexdigest()[:32]
+        name = hashlib.sha256(f"{ca.CasadiMeta.version()} {code_hash()} {s.key}".encode()).hexdigest()[:32]
         folder = private_folder()
         self.path = None if folder is None else folder / f"formulas-{name}.json"
         self._known: dict[str, Any] = {}
@@ -112,7 +112,7 @@ def kept_formulas(s: Seams) -> KeptFormulas:
 
 
 @lru_cache(maxsize=1)
-def _code() -> str:
+def code_hash() -> str:
     """Hash of the code that composes formulas."""
-    files = sorted(path for room in _ROOMS for kind in ("*.py", "*.toml") for path in (PACKAGE / room).rglob(kind))
+    files = sorted(path for room in ROOMS for kind in ("*.py", "*.toml") for path in (PACKAGE / room).rglob(kind))
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()

@@ -19,17 +19,17 @@ from casadical.robot.statics import deflections, gravity_torques
 
 
 @lru_cache(maxsize=4096)
-def _formula(s: Seams, template: Effect, settings: tuple[str, ...]) -> Formula | None:
-    """As `_composed`; kept for other processes."""
+def formula_of(s: Seams, template: Effect, settings: tuple[str, ...]) -> Formula | None:
+    """As `composed`; kept for other processes."""
     kept = kept_formulas(s)
     if not kept.keeps(template):
-        return _composed(s, template, settings)
+        return composed(s, template, settings)
     if (template, settings) not in kept:
-        kept.add(template, settings, _composed(s, template, settings))
+        kept.add(template, settings, composed(s, template, settings))
     return kept[template, settings]
 
 
-def _composed(s: Seams, template: Effect, settings: tuple[str, ...]) -> Formula | None:
+def composed(s: Seams, template: Effect, settings: tuple[str, ...]) -> Formula | None:
     """The formula of an effect whose settings of these names are inputs; None where it must know their values."""
     symbols: dict[str, Any] = {name: ca.SX.sym(name) for name in settings}
     conditions = tuple(dict.fromkeys((*s.exact.conditions, *template.conditions)))
@@ -101,12 +101,12 @@ def plan(s: Seams, effects: tuple[Effect, ...]) -> tuple[Part, ...]:
     parts = []
     for (template, names), which in _templates(effects).items():
         width = len(template.sizes())
-        if formula := _formula(s, template, names):
+        if formula := formula_of(s, template, names):
             settings = [np.array([getattr(effects[k], name) for k in which]) for name in names]
             parts.append(Part(formula, settings, starts[which], width))
             continue
         for k in which:
-            known = _formula(s, effects[k], ())
+            known = formula_of(s, effects[k], ())
             assert known
             parts.append(Part(known, [], starts[[k]], width))
     kept_formulas(s).write()

@@ -59,12 +59,12 @@ class LeastSquares:
     sigmas: tuple[tuple[float, float], ...]
     fixed_loads: bool = False
     known: tuple[tuple[tuple[str, ...], Array], ...] = ()
-    _kept: Kept = field(default_factory=Kept, init=False, repr=False)
+    kept: Kept = field(default_factory=Kept, init=False, repr=False)
 
     @property
     def labels(self) -> tuple[str, ...]:
         """Names of all unknown points."""
-        return self._kept.once("labels", self._labels)
+        return self.kept.once("labels", self._labels)
 
     def _labels(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(name for k in range(len(self.sets)) for name in self.pose_labels(k)))
@@ -76,7 +76,7 @@ class LeastSquares:
     @property
     def points(self) -> Array:
         """Start of every unknown point, shape (K, 3) [m]."""
-        return self._kept.once("points", self._points)
+        return self.kept.once("points", self._points)
 
     def _points(self) -> Array:
         start: dict[str, Array] = {}
@@ -88,7 +88,7 @@ class LeastSquares:
 
     @property
     def blocks(self) -> tuple[Block, ...]:
-        return self._kept.once("blocks", self._blocks)
+        return self.kept.once("blocks", self._blocks)
 
     def _blocks(self) -> tuple[Block, ...]:
         index = {name: k for k, name in enumerate(self.labels)}
@@ -222,14 +222,14 @@ class LeastSquares:
         A line search asks for further points where it did not step to the last one, which its gradient would show:
         there residuals are evaluated without derivatives.
         """
-        last = self._kept.sums
-        if last.point is None or last.holds(v) or self._kept.gradient.holds(last.point):
+        last = self.kept.sums
+        if last.point is None or last.holds(v) or self.kept.gradient.holds(last.point):
             return self._sums(v).cost + 0.5 * self.prior_square(v)
-        return float(self._kept.cost(v, self._cost))
+        return float(self.kept.cost(v, self._cost))
 
     def gradient(self, v: Array) -> tuple[Array, Array]:
         """Gradient and Gauss-Newton Hessian of the cost at v, shapes (size,) and (size, size)."""
-        both: tuple[Array, Array] = self._kept.gradient(v, self._gradient)
+        both: tuple[Array, Array] = self.kept.gradient(v, self._gradient)
         return both
 
     def _gradient(self, v: Array) -> tuple[Array, Array]:
@@ -244,7 +244,7 @@ class LeastSquares:
 
         As good as the whole Jacobian, and as small as the variables are; the sums at v come with it.
         """
-        last = self._kept.sums
+        last = self.kept.sums
         known: Sums | None = last.answer if last.holds(v) else None
         if known is None or known.triangle is None:
             known = last.keep(v, self._summed(v, triangle=True))
@@ -273,7 +273,7 @@ class LeastSquares:
         return [np.concatenate(some) if len(some) > 1 else some[0] for some in of_set.values()]
 
     def _sums(self, v: Array) -> Sums:
-        sums: Sums = self._kept.sums(v, self._summed)
+        sums: Sums = self.kept.sums(v, self._summed)
         return sums
 
     def _summed(self, v: Array, *, triangle: bool = False) -> Sums:
@@ -317,7 +317,7 @@ class LeastSquares:
         """
         if self.residual_count * self.size > KEPT:
             return self._evaluated(v)
-        parts: tuple[_Part, ...] = self._kept.parts(v, lambda v: tuple(self._evaluated(v)))
+        parts: tuple[_Part, ...] = self.kept.parts(v, lambda v: tuple(self._evaluated(v)))
         return parts
 
     def _evaluated(self, v: Array) -> Iterator[_Part]:
@@ -420,13 +420,13 @@ class LeastSquares:
     def with_names(self, names: Sequence[str]) -> LeastSquares:
         """With others of the robot's parameters: data and, of some of the same, the sums at the start stay."""
         other = replace(self, names=tuple(names))
-        if "blocks" in self._kept.made:
+        if "blocks" in self.kept.made:
             blocks = tuple(block.with_names(self.robot, other.names) for block in self.blocks)
-            other._kept.made.update(labels=self.labels, points=self.points, blocks=blocks)
+            other.kept.made.update(labels=self.labels, points=self.points, blocks=blocks)
         place_of = {name: k for k, name in enumerate(self.names)}
-        if (sums := self._kept.sums.at_zero) and place_of.keys() >= set(other.names):
+        if (sums := self.kept.sums.at_zero) and place_of.keys() >= set(other.names):
             columns = [*(place_of[n] for n in other.names), *range(len(self.names), self.size)]
-            other._kept.sums(np.zeros(other.size), lambda _: sums.for_variables(columns))
+            other.kept.sums(np.zeros(other.size), lambda _: sums.for_variables(columns))
             other.gradient(np.zeros(other.size))
         return other
 

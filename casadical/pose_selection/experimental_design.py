@@ -79,13 +79,13 @@ class Design(ABC):
 
     def best_to_add(self) -> int | None:
         """The candidate that gains most; None where none is open."""
-        gain = np.where(self.closed > 0, -np.inf, self._gains(np.flatnonzero(self.closed == 0), 1))
+        gain = np.where(self.closed > 0, -np.inf, self.gains(np.flatnonzero(self.closed == 0), 1))
         k = first_of_best(gain)
         return k if np.isfinite(gain[k]) else None
 
     def worst(self) -> int:
         """Position in `chosen` of the candidate whose removal costs least."""
-        gain = self._gains(np.array(self.chosen), -1)
+        gain = self.gains(np.array(self.chosen), -1)
         return first_of_best(gain[self.chosen])
 
     def snapshot(self) -> dict[str, Any]:
@@ -109,7 +109,7 @@ class Design(ABC):
         """The same after rows A, shape (m, p), were added (1) or taken away (-1)."""
 
     @abstractmethod
-    def _gains(self, which: Array, sign: int) -> Array:
+    def gains(self, which: Array, sign: int) -> Array:
         """What adding (1) or removing (-1) each of these gains, in any unit, shape (N,); -inf for others."""
 
 
@@ -159,7 +159,7 @@ class Determinant(_Inverse):
     def value(self) -> float:
         return float(np.linalg.slogdet(self.M)[1] / (2 * self.p))
 
-    def _gains(self, which: Array, sign: int) -> Array:
+    def gains(self, which: Array, sign: int) -> Array:
         return self._volumes(which, sign)
 
 
@@ -190,7 +190,7 @@ class Linear(_Inverse):
         Q = self._times(self.C @ WU) @ S @ P.transpose(0, 2, 1)
         self.L = self.L - Q - Q.transpose(0, 2, 1) + P @ S @ (U.T @ WU) @ S @ P.transpose(0, 2, 1)
 
-    def _gains(self, which: Array, sign: int) -> Array:
+    def gains(self, which: Array, sign: int) -> Array:
         if not self._regular():
             return self._volumes(which, sign)
         gains = np.full(self.N, -np.inf)
@@ -228,7 +228,7 @@ class Spectral(Design):
     def _update(self, A: Array, sign: int) -> None:  # noqa: ARG002 - eigenvalues are computed again
         self._refresh()
 
-    def _gains(self, which: Array, sign: int) -> Array:
+    def gains(self, which: Array, sign: int) -> Array:
         gains = np.full(self.N, -np.inf)
         along = self.rows[which].reshape(-1, self.p) @ self.V
         first_order = sign * (along**2 @ self._slope(self.w)).reshape(len(which), self.m).sum(axis=1)
@@ -271,7 +271,7 @@ def improve(design: Design, depth: int = DEPTH) -> None:
     while reach <= min(depth, n):
         before, value = design.snapshot(), design.value
         for up in (True, False):
-            _excursion(design, n, reach, up)
+            excursion(design, n, reach, up)
             if design.value > value + LEAST_GAIN and len(design.chosen) == n:
                 break
             design.restore(before)
@@ -281,7 +281,7 @@ def improve(design: Design, depth: int = DEPTH) -> None:
         reach = 1
 
 
-def _excursion(design: Design, n: int, reach: int, up: bool) -> None:
+def excursion(design: Design, n: int, reach: int, up: bool) -> None:
     for growing in (True, False) if up else (False, True):
         target = n + reach * ((growing and up) - ((not growing) and not up))
         while len(design.chosen) < target:

@@ -142,7 +142,7 @@ def test_the_greatest_torque_of_a_balancer_is_the_slope_of_its_energy(post: floa
     lever, rest = 0.3, 0.1
     any_: Any = GravityCompensator
     kind = {f.name: 0.0 for f in fields(any_)} | {"post": post}
-    found = any_(**kind)._greatest(lever, rest)
+    found = any_(**kind).greatest(lever, rest)
 
     def slope(angle: float) -> float:
         def energy(a: float) -> float:

@@ -24,8 +24,8 @@ def odds_in_full(c, r: np.ndarray) -> float:
 def test_odds_of_noise_are_those_of_the_full_judgement(monkeypatch: pytest.MonkeyPatch) -> None:
     c = case("kr210-P08", *FEW)
     drawn = []
-    noise = bootstrap._noise
-    monkeypatch.setattr(bootstrap, "_noise", lambda *a: drawn.append(noise(*a)) or drawn[-1])
+    noise = bootstrap.noise_alone
+    monkeypatch.setattr(bootstrap, "noise_alone", lambda *a: drawn.append(noise(*a)) or drawn[-1])
     (odds,) = bootstrap.noise_odds(c, 6, np.random.default_rng(3))
     for k in range(6):
         assert odds[k] == pytest.approx(

@@ -30,7 +30,7 @@ def columns(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Columns
     monkeypatch.setenv("CASADICAL_CACHE", str(tmp_path))
 
     def forget() -> None:
-        for function in (formulas.plan, formulas._formula, formula_cache.kept_formulas, formula_cache._code):
+        for function in (formulas.plan, formulas.formula_of, formula_cache.kept_formulas, formula_cache.code_hash):
             function.cache_clear()
 
     def made(effects: list[Effect] = EFFECTS, name: str = "kr210") -> Array:
@@ -44,13 +44,13 @@ def columns(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Columns
 
 def test_kept_formulas_give_the_same_bits_and_are_not_composed_again(columns, monkeypatch):
     first = columns()
-    monkeypatch.delattr(formulas, "_composed")
+    monkeypatch.delattr(formulas, "composed")
     np.testing.assert_array_equal(columns(), first)
 
 
 def test_other_code_composes_anew(columns: Columns, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     columns()
-    monkeypatch.setattr(formula_cache, "_ROOMS", ("core",))
+    monkeypatch.setattr(formula_cache, "ROOMS", ("core",))
     columns()
     assert len(list(tmp_path.glob("formulas-*.json"))) == 2
 

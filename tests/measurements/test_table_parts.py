@@ -121,7 +121,7 @@ def test_a_robot_is_identified_without_keeping_data_jacobian_or_residuals(tmp_pa
     assert is_mapped(poses.q)
     found = identify(robot, poses, method="KM")
     assert found.names == usual.names
-    assert found.problem._kept.sums.answer.residuals is None
+    assert found.problem.kept.sums.answer.residuals is None
     np.testing.assert_allclose(found.solution.v, usual.solution.v, atol=1e-6)
     np.testing.assert_allclose(found.standard_errors, usual.standard_errors, rtol=1e-6)
     assert found.variance == pytest.approx(usual.variance, rel=1e-9)

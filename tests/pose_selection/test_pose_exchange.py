@@ -86,7 +86,7 @@ def test_gains_are_differences_of_values(kind, sign) -> None:
     d = design(kind, A, weight=weight)
     d.start(list(range(8)))
     which = np.arange(8, 20) if sign > 0 else np.arange(8)
-    gains = d._gains(which, sign)
+    gains = d.gains(which, sign)
     for k in which:
         other = design(kind, A, weight=weight)
         other.start([*range(8), k] if sign > 0 else [i for i in range(8) if i != k])
@@ -101,7 +101,7 @@ def test_the_unit_of_the_rows_changes_nothing(monkeypatch, kind) -> None:
     """A search that took round-off for a gain went round for ever where the index was above one."""
     steps = []
     monkeypatch.setattr(
-        experimental_design, "_excursion", lambda *a, do=experimental_design._excursion: steps.append(a) or do(*a)
+        experimental_design, "excursion", lambda *a, do=experimental_design.excursion: steps.append(a) or do(*a)
     )
     found, counts = [], []
     for unit in (2.0**-10, 1.0, 2.0**10):

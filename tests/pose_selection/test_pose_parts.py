@@ -30,7 +30,7 @@ class Still:
 
 def test_an_exchange_goes_as_deep_as_it_is_told_step_by_step(monkeypatch: pytest.MonkeyPatch) -> None:
     tried: list[tuple[int, bool]] = []
-    monkeypatch.setattr(experimental_design, "_excursion", lambda _design, _n, reach, up: tried.append((reach, up)))
+    monkeypatch.setattr(experimental_design, "excursion", lambda _design, _n, reach, up: tried.append((reach, up)))
     design: Any = Still()
     experimental_design.improve(design, 3)
     assert tried == [(1, True), (1, False), (2, True), (2, False), (3, True), (3, False)]

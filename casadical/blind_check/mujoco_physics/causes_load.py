@@ -102,10 +102,10 @@ class GravityCompensator(Cause):
         mechanism = mark(mechanism, plant, 1, "post", shoulder + post)
         mechanism = mark(mechanism, plant, 2, "lug", shoulder + 0.2 * arm)
         rest = 0.8 * (self.post - 1) * lever
-        stiffness = self.size * rated_torque(plant)[1] / self._greatest(lever, rest)
+        stiffness = self.size * rated_torque(plant)[1] / self.greatest(lever, rest)
         return replace(mechanism, cords=(*mechanism.cords, Cord("balancer", "post", "lug", stiffness, (0.0, rest))))
 
-    def _greatest(self, lever: float, rest: float) -> float:
+    def greatest(self, lever: float, rest: float) -> float:
         """Greatest torque per stiffness over all angles between post and lug [m^2]."""
         angle = np.linspace(0, np.pi, 181)
         length = lever * np.sqrt(1 + self.post**2 - 2 * self.post * np.cos(angle))
