@@ -10,8 +10,11 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from pydantic import ValidationError
 from scipy import stats
+from scipy.spatial.transform import Rotation
 
 import casadical as ca_package
 from casadical.core import lazy, private_folder, threads
@@ -23,6 +26,7 @@ from casadical.core.parts import Joint
 from casadical.core.schema import TomlTable
 from casadical.core.statistics import first_of_best, known_digits, ranked, student_t
 from casadical.core.sx_instructions import SxInstructions
+from casadical.core.transforms import from_rpy, to_rpy
 
 
 @pytest.mark.parametrize(("freedom", "within"), [(3, 5e-3), (5, 1e-3), (15, 1e-5), (100, 1e-7)])
@@ -169,3 +173,26 @@ def test_digits_that_rounding_decides_are_left_out() -> None:
     assert str(known_digits(-1e-12, 0.01, 6)) == "0.0", "no sign is left"
     assert known_digits(7.5, 0.0, 6) == 7.5
     assert known_digits(1e-300, 1e-301, 2) == 1e-300
+
+
+angle = st.floats(-np.pi, np.pi)
+SAMPLING = settings(deadline=None, max_examples=200, derandomize=True)
+
+
+@SAMPLING
+@given(st.tuples(angle, angle, angle).map(np.array))
+def test_from_rpy_turns_about_fixed_axes(rpy):
+    np.testing.assert_allclose(from_rpy(rpy), Rotation.from_euler("xyz", rpy).as_matrix(), rtol=0, atol=1e-15)
+
+
+@SAMPLING
+@given(angle, angle, st.floats(-18, 0).map(lambda e: 10**e), st.sampled_from([1, -1]))
+def test_to_rpy_gives_the_same_rotation_at_every_pitch(roll, yaw, off, sign):
+    R = Rotation.from_euler("xyz", [roll, sign * (np.pi / 2 - off), yaw]).as_matrix()
+    rpy = to_rpy(R)
+    np.testing.assert_allclose(from_rpy(rpy), R, rtol=0, atol=3e-15)
+    assert abs(rpy[1]) <= np.pi / 2
+
+
+def test_yaw_is_zero_at_pitch_90_deg():
+    np.testing.assert_allclose(to_rpy(from_rpy(np.array([0.3, np.pi / 2, 0.5]))), [-0.2, np.pi / 2, 0], atol=1e-15)
