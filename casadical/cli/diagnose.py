@@ -48,7 +48,6 @@ Laws = Annotated[
         "Default: where the verdict is unknown, and as a rival of all causes that were found; --no-laws: never.",
     ),
 ]
-RivalLaws = Annotated[bool, typer.Option("--rival-laws", help="Laws compete at every ranking of causes.")]
 OfMasses = Annotated[
     bool,
     typer.Option(
@@ -108,7 +107,7 @@ Bootstrap = Annotated[
 MODES = {
     "joint logs": ("reference", "drive"),
     "measured poses": (
-        "together", "effects", "laws", "rival_laws", "nuisance_masses", "prior", "prior_effects", "frozen",
+        "together", "effects", "laws", "nuisance_masses", "prior", "prior_effects", "frozen",
         "measure_next", "next_n", "room", "network", "highest_line", "bootstrap", "seed", "unlisted", "report_file",
         "details",
     ),
@@ -124,7 +123,6 @@ def diagnose(
     together: Together = False,
     effects: o.Effects = None,
     laws: Laws = None,
-    rival_laws: RivalLaws = False,
     nuisance_masses: OfMasses = False,
     prior: o.Prior = None,
     prior_effects: o.PriorEffects = None,
@@ -166,9 +164,7 @@ def diagnose(
     given = read_campaigns(problem, campaigns, o.carried(prior, prior_effects, frozen), together=together)
     if given[0].own_effects:
         console.print(f"Effects of the robot file are in the model, held at their values: {given[0].own_effects}.")
-    options = Options(
-        o.effects_of(effects), seed, bootstrap, "nuisance" if nuisance_masses else "candidate", rival_laws, laws
-    )
+    options = Options(o.effects_of(effects), seed, bootstrap, "nuisance" if nuisance_masses else "candidate", laws)
     file = measure_next if len(given) == 1 else None
     answers: list[CampaignDiagnosis] = []
     texts: dict[Path, str] = {}

@@ -17,7 +17,6 @@ from casadical.diagnosis.evidence import ALL_SIGMAS
 from casadical.diagnosis.laws.contest import laws_before_causes, replaces_causes
 from casadical.diagnosis.linear_problem import Case, better_ratios, make_case
 from casadical.diagnosis.observations import Ratios
-from casadical.diagnosis.posterior import Rivals, no_rivals
 from casadical.diagnosis.result import Change, Diagnosis
 from casadical.diagnosis.search import State, search_with_forms
 from casadical.effects import Effect
@@ -53,7 +52,6 @@ def diagnose(
     bootstrap: int = 0,
     prior: Robot | Prior | None = None,
     masses: Masses = "candidate",
-    rivals: Rivals = no_rivals,
     laws: bool = True,
     show: Show = silent,
 ) -> Diagnosis:
@@ -71,7 +69,6 @@ def diagnose(
         covariance as a prior; what changed is found first (`Diagnosis.changes`). Or as of `carry_over`, with its robot
     masses : whether wrong declared masses of links are a cause that may be named, or are in the base model, free within
         the robot's `body_width`, and never named, as those are always that nobody declared
-    rivals : what competes with the candidates at every ranking, as a search for laws does (see `posterior.Rival`)
     laws : whether the causes that are found must hold against the best law of a form that is on no list (1 to 2 s for
         100 poses); where it wins, the verdict is unknown
     show : called with a line of progress
@@ -87,7 +84,7 @@ def diagnose(
     if bootstrap < 0:
         raise InputError(f"bootstrap is {bootstrap}; give the number of draws, 2000 say, or 0 for none")
     prepared = _prepared(robot, m, prior, masses)
-    return _Question(prepared, effects, seed, bootstrap, rivals, laws, show).answer()
+    return _Question(prepared, effects, seed, bootstrap, laws, show).answer()
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +95,6 @@ class _Question:
     effects: Sequence[str | Effect | type[Effect]] | Literal["standard", "extended"]
     seed: int
     bootstrap: int
-    rivals: Rivals
     laws: bool
     show: Show
 
@@ -140,7 +136,7 @@ class _Question:
     def searched(self, case: Case) -> Diagnosis:
         """The causes in a case."""
         case = replace(case, assumed=_assumed(case, self.base, self.prepared.sets))
-        state, end, p_nothing = search_with_forms(case, self.seed, self.bootstrap, self.show, self.rivals)
+        state, end, p_nothing = search_with_forms(case, self.seed, self.bootstrap, self.show)
         return conclude(self.base, state, end, self.seed, p_nothing)
 
     def answer(self) -> Diagnosis:

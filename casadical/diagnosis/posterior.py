@@ -1,9 +1,9 @@
 """Which cause: posteriors over none, every listed cause and the unknown, step by step while the gap shrinks."""
 
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -89,16 +89,6 @@ class Judged(Protocol):
         """Columns of each variant."""
 
 
-# The rivals at a ranking: of a case, the columns of the causes that are in the model already, and the most likely
-# settings of each candidate beside them, by label.
-Rivals = Callable[[Any, Array, Mapping[str, int]], Sequence[Rival]]
-
-
-def no_rivals(_case: Judged, _chosen: Array, _variant: Mapping[str, int]) -> Sequence[Rival]:
-    """The candidates of the case alone."""
-    return ()
-
-
 # A further cause at a joint that has one already is more likely a flaw of the first one's equation.
 SAME_JOINT = 0.05
 
@@ -108,13 +98,11 @@ def rank(
     chosen: Array,
     skip: frozenset[str] = frozenset(),
     covered: frozenset[str] = frozenset(),
-    rivals: Rivals = no_rivals,
 ) -> Ranking:
     """Posterior over the next cause.
 
     chosen : columns of causes that are in the model already; skip : their labels, no longer candidates
     covered : labels of those that a cause in the model holds already, no candidates either
-    rivals : what else competes; together they have the prior of the unknown
     """
     judged = [k for k, (c, _) in enumerate(case.variants) if case.candidates[c].label not in skip | covered]
     grids = case.judged.log_grids([case.groups[k] for k in judged], chosen) + np.log(KAPPA_WEIGHTS)
@@ -132,9 +120,6 @@ def rank(
             best = int(own[first_of_best(log_variant[own], logs=True)])
             variant[candidate.label] = case.variants[judged[best]][1]
             noise[candidate.label] = likely_noise(grids[best], case.judged.sigmas)
-    for rival in rivals(case, chosen, variant):
-        weights[rival.label] = prior["unknown"]
-        factor[rival.label], noise[rival.label] = rival.log_factor, rival.noise
     mass = {k: float(np.log(weights[k])) + f for k, f in factor.items()}
     logs = np.array([np.log(prior["none"]), *mass.values()])
     share = np.exp(logs - log_sum(logs))

@@ -17,7 +17,7 @@ from casadical.diagnosis.cause_sets import most_probable_set
 from casadical.diagnosis.cross_validation import remainders
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_forms import best_following, with_noise_forms
-from casadical.diagnosis.posterior import Ranking, Rivals, no_rivals, rank
+from casadical.diagnosis.posterior import Ranking, rank
 from casadical.diagnosis.settings_search import refined
 from casadical.diagnosis.structure import remainder_of
 from casadical.diagnosis.thresholds import (
@@ -61,14 +61,12 @@ class Step:
 class State:
     """How far a search has come: the case with its outliers, the causes in the model, the ranking of each round.
 
-    rivals : what competes with the case's candidates at every ranking
     doubted : labels of causes that are in the model so that others can be judged beside them, but are not named
     """
 
     case: Case
     steps: tuple[Step, ...] = ()
     rankings: tuple[Ranking, ...] = ()
-    rivals: Rivals = no_rivals
     doubted: frozenset[str] = frozenset()
 
     @cached_property
@@ -99,9 +97,9 @@ class State:
         )
         # A search asks for the same ranking again when it looks at its causes once more.
         known: dict[object, Ranking] = self.case.judged.cache.rankings
-        key = (chosen.tobytes(), skip, covered, self.rivals, not also, joints)
+        key = (chosen.tobytes(), skip, covered, not also, joints)
         if key not in known:
-            ranking = rank(self.case, chosen, skip, covered, self.rivals)
+            ranking = rank(self.case, chosen, skip, covered)
             known[key] = ranking if also else with_noise_forms(ranking, self.case, chosen, joints)
         return known[key]
 
@@ -157,15 +155,13 @@ class State:
         return state
 
 
-def search_with_forms(
-    case: Case, seed: int, bootstrap: int, show: Show, rivals: Rivals = no_rivals
-) -> tuple[State, End, float | None]:
+def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tuple[State, End, float | None]:
     """The same as `search`, under the form of noise that is most probable beside the causes that are found under it.
 
     Noise that follows itself is looked for beside the causes of each search, and these again where it is found, until
     neither changes; with a noise that follows itself fitted before the causes, it would follow these.
     """
-    state, end, p_nothing = search(case, seed, bootstrap, show, rivals)
+    state, end, p_nothing = search(case, seed, bootstrap, show)
     if not case.observations.plain:
         return state, end, p_nothing
 
@@ -181,7 +177,7 @@ def search_with_forms(
             return None
         show(f"causes where the noise follows itself, by {form.stays:g}")
         lines.update(remainder_of(beside.case, beside.columns(), noise, form).lines)
-        other, other_end, _ = search(_with_lines(case.with_form(form), lines), seed, 0, show, rivals)
+        other, other_end, _ = search(_with_lines(case.with_form(form), lines), seed, 0, show)
         there = other.steps and other.rankings[0].none <= FORM_NONE and gain + other.log_gain > least
         return (other, other_end) if there else None
 
@@ -206,15 +202,12 @@ def _with_lines(case: Case, lines: Iterable[tuple[int, float]]) -> Case:
     return case
 
 
-def search(
-    case: Case, seed: int, bootstrap: int, show: Show, rivals: Rivals = no_rivals
-) -> tuple[State, End, float | None]:
+def search(case: Case, seed: int, bootstrap: int, show: Show) -> tuple[State, End, float | None]:
     """The last state, why it is the last, and the bootstrap's p-value of "nothing" (None without a bootstrap).
 
     bootstrap : draws of noise alone, 0 for none; show : called with a line of progress
-    rivals : what competes with the case's candidates at every ranking
     """
-    state, p_nothing = State(case, rivals=rivals), None
+    state, p_nothing = State(case), None
     end: End = "none"
     while len(state.steps) < MOST_CAUSES:
         show(f"cause {len(state.steps) + 1}: evidence of {len(state.by_label)} candidates")

@@ -21,10 +21,8 @@ from casadical.diagnosis.figures import diagnosis_figures
 from casadical.diagnosis.isolability import isolability
 from casadical.diagnosis.json_answer import as_json, diagnosis_files
 from casadical.diagnosis.laws.answer import Discovery
-from casadical.diagnosis.laws.contest import law_rivals
 from casadical.diagnosis.motion.result import LogDiagnosis, diagnose_log
 from casadical.diagnosis.page import diagnosis_page
-from casadical.diagnosis.posterior import no_rivals
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.text import brief, page_of, titled
 from casadical.effects import Effect
@@ -121,15 +119,14 @@ def read_campaigns(
 class Options:
     """How a campaign is diagnosed; each as in `casadical.diagnose`.
 
-    rival_laws : whether laws compete at every ranking; laws : whether the missing law is searched for; by default
-        where the verdict is unknown, and as a rival of all causes together; asked for, it is told in full
+    laws : whether the missing law is searched for; by default where the verdict is unknown, and as a rival of all
+        causes together; asked for, it is told in full
     """
 
     effects: EffectChoice = "standard"
     seed: int = 0
     bootstrap: int = 0
     masses: Masses = "candidate"
-    rival_laws: bool = False
     laws: bool | None = None
 
 
@@ -225,7 +222,6 @@ def diagnose_campaign(campaign: Campaign, options: Options | None = None, show: 
         bootstrap=asked.bootstrap,
         prior=campaign.prior,
         masses=asked.masses,
-        rivals=law_rivals if asked.rival_laws else no_rivals,
         laws=asked.laws is not False,
         show=show,
     )

@@ -1,7 +1,6 @@
 """Causes that hide each other, an error of a joint's own angle that is no listed one, the table of layers."""
 
 import re
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,17 +9,18 @@ import pytest
 from cases import case, diagnose, robot, simulated
 from numpy_physics import disturbances
 
-from casadical.core.arrays import Array
+from casadical.core.progress import silent
 from casadical.diagnosis import search
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.cause_table import layers
 from casadical.diagnosis.claims import cause_set, with_further
+from casadical.diagnosis.conclusion import conclude
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.json_answer import as_json, diagnosis_files
 from casadical.diagnosis.limits import ruled_out
-from casadical.diagnosis.linear_problem import Case, make_case
-from casadical.diagnosis.posterior import PRIOR_FURTHER, Ranking, Rival, rank
+from casadical.diagnosis.linear_problem import make_case
+from casadical.diagnosis.posterior import Ranking
 from casadical.diagnosis.search import State, Step, indistinguishable, next_cause
 from casadical.diagnosis.smooth_description import describe_unlisted
 from casadical.diagnosis.text import page_of
@@ -81,21 +81,20 @@ def test_the_sets_that_remain_are_those_that_differ_by_one_cause() -> None:
 @pytest.mark.parametrize(("odds", "verdict"), [(3.0, "ambiguous"), (0.3, "explained")])
 def test_a_set_that_is_improbable_is_no_explanation(odds: float, verdict: str) -> None:
     """Whether something more is there is open: neither detected nor excluded."""
-
-    def rivals(case: Case, chosen: Array, _variant: Mapping[str, int]) -> list[Rival]:
-        if not len(chosen):
-            return []
-        alone = rank(case, chosen)
-        more = odds * PRIOR_FURTHER["none"] / PRIOR_FURTHER["unknown"]
-        return [Rival("law", float(np.log(more)), alone.noise[""])]
-
-    d = diagnose(robot("ur10e"), simulated("ur10e", 12, disturbances.GearEccentricity(4, 150e-6), n=60), rivals=rivals)
+    plain = diagnose(robot("ur10e"), simulated("ur10e", 12, disturbances.GearEccentricity(4, 150e-6), n=60))
+    state, end, _ = search.search(plain.case, 0, 0, silent)
+    last = state.rankings[-1]
+    probability = {k: p / (1 + odds) for k, p in last.probability.items()} | {"law": odds * last.none / (1 + odds)}
+    factor = {**last.log_factor, "law": 0.5 * state.log_gain}
+    law = replace(last, none=last.none / (1 + odds), probability=probability, log_factor=factor)
+    noise = {**last.noise, "law": last.noise[""]}
+    state = replace(state, rankings=(*state.rankings[:-1], replace(law, noise=noise)))
+    d = conclude(plain.identification, state, end, 0)
     assert (d.verdict, [c.label for c in d.causes]) == (verdict, ["gear_eccentricity@4"])
     assert d.cause_set is not None
     (labels, p), *_ = d.cause_set.others
     assert labels == ("gear_eccentricity@4", "law")
-    # Other forms of noise are part of "no further cause".
-    assert p / d.cause_set.probability == pytest.approx(odds / np.exp(d.rankings[-1].log_noise))
+    assert p / d.cause_set.probability == pytest.approx(odds)
     assert as_json(d, "campaign")["set"]["others"][0] == {"causes": list(labels), "probability": round(p, 4)}
     words = " ".join(page_of(d).split())
     assert ("instead: gear_eccentricity@4 + law" in words) == (verdict == "ambiguous")
@@ -203,29 +202,6 @@ def test_a_bump_in_a_joints_own_angle_is_unknown_and_its_joint_named(tmp_path: P
     found, unseen = diagnose(r, moved[:75]), replace(moved, position=exact.position + wrong)[75:]
     base, mapped = (errors(found.apply(unlisted=u), unseen).mean() for u in (None, describe_unlisted(found)))
     assert mapped < 0.7 * base
-
-
-@pytest.mark.parametrize(("gain", "verdict"), [(3.0, "unknown"), (-12.0, "explained")])
-def test_a_rival_competes_at_every_ranking(gain: float, verdict: str) -> None:
-    """A law from outside, more or less probable than the best listed cause; it names no cause."""
-    asked: list[int] = []
-
-    def rivals(case: Case, chosen: Array, _variant: Mapping[str, int]) -> list[Rival]:
-        asked.append(len(chosen))
-        best = rank(case, chosen)
-        label = best.order[0]
-        # The law pays like the unknown does: per listed cause there is less prior.
-        return [Rival("law", best.log_factor[label] + gain if not len(chosen) else -1.0, best.noise[label])]
-
-    hidden = disturbances.GearEccentricity(4, 150e-6)
-    d = diagnose(robot("ur10e"), simulated("ur10e", 12, hidden, n=60), rivals=rivals)
-    assert d.verdict == verdict
-    assert asked[0] == 0
-    assert max(asked) > 0 or verdict == "unknown"
-    assert [c.label for c in d.causes] == ([] if verdict == "unknown" else ["gear_eccentricity@4"])
-    assert "law" in d.rankings[0].probability
-    assert as_json(d, "campaign")["verdict"] == verdict
-    assert ("most like law" in " ".join(page_of(d).split())) == (verdict == "unknown")
 
 
 def test_a_jump_of_the_last_poses_among_noise_with_heavy_tails_is_no_cause() -> None:

@@ -8,7 +8,7 @@ takes the place of causes only where it predicts poses held out better, too.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from casadical.diagnosis.laws.problem import ABOVE, Round, Scored
 from casadical.diagnosis.laws.search import search_laws
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_forms import noise_forms
-from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, Rival, rank
+from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, rank
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.settings_search import refined
 
@@ -101,20 +101,6 @@ def _refined_rival(case: Case, candidate: Candidate, ranking: Ranking, chosen: A
     grids = more.evidence.log_grids([more.group(variant), more.group(better)], chosen) + np.log(KAPPA_WEIGHTS)
     before, after = log_sum(grids.reshape(2, -1), axis=1)
     return label, score + float(after - before)
-
-
-def law_rivals(case: Case, chosen: Array, variant: Mapping[str, int]) -> Sequence[Rival]:
-    """The most probable laws beside what is in the model, for `diagnose(..., rivals=law_rivals)`; some seconds each.
-
-    A law that is a listed effect by another name is none.
-
-    chosen : columns of the causes in the model; variant : the most likely settings of each candidate, by label
-    """
-    best: dict[str, Scored] = {}
-    for s in search_laws(case, chosen):
-        best.setdefault(s.law.label, s)
-    first = list(best.values())[:MOST]
-    return [Rival(s.law.label, s.score, s.noise) for s in first if not aliases(case, chosen, s, variant)]
 
 
 def aliases(case: Case, chosen: Array, law: Scored, variant: Mapping[str, int]) -> tuple[str, ...]:
