@@ -65,8 +65,24 @@ AccuracyOff = Annotated[
     bool, typer.Option("--accuracy-off", help="The controller's own absolute accuracy has been switched off.")
 ]
 
+# What a folder or a file of the robot has, and a program of each kind.
+MODELS = {
+    "a robot file": (
+        "nominal", "compensator", "steps", "what", "limit", "payload", "tool", "tcp_error", "leave_out", "root",
+        "flange",
+    ),
+    "a folder, which was exported with it": ("trust",),
+}  # fmt: skip
+PROGRAMS = {
+    "a program in a controller's language": (
+        "tcp", "base", "root", "flange", "data", "nearest", "external_still", "leave_unreached", "accuracy_off",
+    ),
+    "a CSV": (),
+}  # fmt: skip
+
 
 def correct(
+    context: typer.Context,
     model: Model,
     program: Program,
     out: Out,
@@ -106,8 +122,12 @@ def correct(
     casadical.
     """
     from casadical.export.controller.program_file import OfLanguage, WithRobot, correct_file
+    from casadical.export.controller.programs.csv_table import CsvTable
+    from casadical.export.controller.programs.registry import language_of
 
     refuse_taken(out, overwrite)
+    o.refuse_of_others(context, [*MODELS][model.is_dir()], MODELS)
+    o.refuse_of_others(context, [*PROGRAMS][isinstance(language_of(program), CsvTable)], PROGRAMS)
     robot = WithRobot(nominal, compensator, payload, steps, what, limit, tool, leave_out, tcp_error)
     language = OfLanguage(tcp, base, root, flange, data, nearest, external_still, leave_unreached, accuracy_off)
     made = correct_file(model, program, out, robot, language, trust=trust)

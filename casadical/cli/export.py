@@ -106,8 +106,19 @@ Checksum = Annotated[
     str, typer.Option("--hash", metavar="WORD", help="For ur: the hash of the controller's own calibration, calib_...")
 ]
 
+# What each product has beside the options of all.
+PRODUCTS = {
+    "--what command": (
+        "nominal", "compensator", "steps", "correct", "cycle", "rate", "ramp", "precise", "limit", "payload", "tool",
+        "tcp_error", "no_bound", "leave_out",
+    ),
+    "--what network": ("compensator",),
+    "--what curves": (),
+}  # fmt: skip
+
 
 def export_c(
+    context: typer.Context,
     robot: Robot,
     out: Folder,
     what: Product = "command",
@@ -143,6 +154,8 @@ def export_c(
     from casadical.export.controller import c_export
     from casadical.export.controller.commands import Sources
 
+    if (product := f"--what {what}") in PRODUCTS:
+        o.refuse_of_others(context, product, PRODUCTS)
     made = c_export.export_c(
         Sources(robot, nominal, compensator, payload, tool, leave_out, tcp_error, not no_bound),  # type: ignore[arg-type]
         out,

@@ -145,28 +145,13 @@ def export_c(
 
 
 def product_of(sources: Sources, what: str, asked: OfCommand) -> Product:
-    """The correction of commands, the network alone, or the joints' error curves alone.
-
-    Raises InputError where an option has no part in it.
-    """
+    """The correction of commands, the network alone, or the joints' error curves alone. Raises InputError."""
     if what not in ("network", "command", "curves"):
         raise InputError(f"--what {what}: not known; allowed: network, command, curves")
-    if what == "network" and (sources.nominal or sources.payload_kg is not None):
-        raise InputError("--nominal and --payload have no part in a network alone; remove them, or give --what command")
-    if what == "curves" and (sources.nominal or sources.compensator or sources.payload_kg is not None):
-        raise InputError("--nominal, --compensator and --payload have no part in curves alone; remove them")
-    oriented = wants_pose(asked.correct)
     if what == "command":
+        oriented = wants_pose(asked.correct)
         command = command_of(sources, asked.steps, orientation=oriented, limit_mm=asked.limit_mm, precise=asked.precise)
         return replace(command, limits=replace(command.limits, **asked.times))
-    if oriented:
-        raise InputError(f"--correct {asked.correct}: is for --what command; {what} corrects nothing")
-    if asked.times:
-        raise InputError(f"--cycle, --rate and --ramp have no part in {what} alone; remove them")
-    if asked.precise:
-        raise InputError(f"--precise: is for --what command; {what} compares no robots")
-    if asked.limit_mm is not None:
-        raise InputError(f"--limit {asked.limit_mm:g}: is for --what command; {what} has no bound")
     return network_of(sources) if what == "network" else curves_of(sources)
 
 

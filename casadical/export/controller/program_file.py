@@ -10,14 +10,12 @@ from typing import Any, cast
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.core.errors import InputError
 from casadical.core.reading import missing, read_bytes
 from casadical.export.c.manifest import read_manifest
 from casadical.export.controller.c_export import no_bound, poses_of, unreached, wants_pose
 from casadical.export.controller.commands import Sources, Tool, about_tool, followed, measured_range, robot_of
-from casadical.export.controller.correction import Corrector, kernel_corrector
+from casadical.export.controller.correction import kernel_corrector
 from casadical.export.controller.programs.correction import Cell, refuse_accuracy
-from casadical.export.controller.programs.csv_table import CsvTable
 from casadical.export.controller.programs.language import ProgramLanguage, text_of
 from casadical.export.controller.programs.program import assumptions, corrected_program, read_target_program, report_of
 from casadical.export.controller.programs.registry import language_of
@@ -40,6 +38,10 @@ class WithRobot:
     tool: str | None = None
     leave_out: bool = False
     tcp_mm: float | None = None
+
+    def sources(self, model: Path) -> Sources:
+        tool = cast(Tool, self.tool or "shared")
+        return Sources(model, self.nominal, self.compensator, self.payload, tool, self.leave_out, self.tcp_mm)
 
 
 @dataclass(frozen=True)
@@ -91,11 +93,9 @@ def correct_file(
     oriented = wants_pose(robot.correct)
     if not model.exists():
         raise missing(model, "folder or robot file")
-    folder = _of_folder(model, robot, language, trust) if model.is_dir() else None
-    sources = None if folder else _of_robot(model, robot, trust)
+    folder = kernel_corrector(model, trust=trust) if model.is_dir() else None
+    sources = None if folder else robot.sources(model)
     spoken = language_of(program)
-    if isinstance(spoken, CsvTable):
-        _refuse_of_language(language, program)
     cell = Cell(
         sources,
         robot.steps or 2,
@@ -120,46 +120,12 @@ def correct_file(
     return CorrectedFile(lines, {**beside, out: result.content()}, result.to_json())
 
 
-def _of_folder(folder: Path, given: WithRobot, language: OfLanguage, trust: bool) -> Corrector:
-    decided = {
-        "--nominal": given.nominal,
-        "--compensator": given.compensator,
-        "--payload": given.payload,
-        "--steps": given.steps,
-        "--correct": None if given.correct == "position" else given.correct,
-        "--limit": given.limit,
-        "--tool": given.tool,
-        "--leave-out": given.leave_out or None,
-        "--tcp-error": given.tcp_mm,
-        "--root": language.root,
-        "--flange": language.flange,
-    }
-    for option, value in decided.items():
-        if value is not None:
-            raise InputError(f"{option} was decided when {folder} was exported; give it with a robot file only")
-    return kernel_corrector(folder, trust=trust)
-
-
-def _of_robot(model: Path, given: WithRobot, trust: bool) -> Sources:
-    if trust:
-        raise InputError(f"--trust: is for a folder with C; {model} is a file, and nothing is compiled")
-    tool = cast(Tool, given.tool or "shared")
-    return Sources(model, given.nominal, given.compensator, given.payload, tool, given.leave_out, given.tcp_mm)
-
-
 def _of_sources(sources: Sources, oriented: bool) -> list[str]:
     """What is said of the robot files that a correction is made from."""
     robot = robot_of(sources.robot)
     lines = [f"LEFT OUT {line}" for line in followed(sources)[1]]
     lines += filter(None, [poses_of(robot) if oriented else "", unreached(robot)])
     return [*lines, *measured_range(robot), *about_tool(sources), *no_bound(sources)]
-
-
-def _refuse_of_language(language: OfLanguage, program: Path) -> None:
-    for name, value in vars(language).items():
-        if value:
-            option = f"--{name.replace('_', '-')}"
-            raise InputError(f"{option}: is for programs in a controller's language; {program} is a CSV")
 
 
 def _transforms(language: ProgramLanguage, option: str, entries: Sequence[str] | None) -> dict[str, Array]:

@@ -84,7 +84,7 @@ def test_what_is_printed(files, tmp_path, monkeypatch, capfd):
         (("--cycle", 2000), "a cycle of 2000 ms; allowed: 0.01 to 1000 ms"),
         (("--ramp", 0.5, "--cycle", 800), "a ramp of 0.5 s; with a cycle of 800 ms allowed: 0.8 to 80000 s"),
         (("--rate", 100), "a rate of 100 rad/s; with a cycle of 4 ms allowed: 0.00025 to 37.5 rad/s"),
-        (("--what", "curves", "--cycle", 2), "have no part in curves"),
+        (("--what", "curves", "--cycle", 2), "--cycle: is for --what command, not for --what curves"),
     ):
         assert run(monkeypatch, *(arguments if "curves" not in option else arguments[:3] + arguments[5:]), *option) == 2
         assert words in " ".join(capfd.readouterr().err.split())
@@ -214,15 +214,24 @@ WRONG = {
     "real": (["export", "c", "ROBOT", "--real", "half"], "allowed: float, double"),
     "no nominal": (["export", "c", "ROBOT"], "--nominal NOMINAL.toml"),
     "no network": (["export", "c", "ROBOT", "--what", "network"], "--compensator"),
-    "payload of a network": (["export", "c", "ROBOT", "--what", "network", "--payload", "3"], "no part in a network"),
+    "payload of a network": (
+        ["export", "c", "ROBOT", "--what", "network", "--payload", "3"],
+        "--payload: is for --what command",
+    ),
     "steps": (["export", "c", "ROBOT", "--steps", "11"], "--steps"),
-    "precise network": (["export", "c", "ROBOT", "--what", "network", "--precise"], "compares no robots"),
+    "precise network": (
+        ["export", "c", "ROBOT", "--what", "network", "--precise"],
+        "--precise: is for --what command, not for --what network",
+    ),
     "name": (["export", "c", "ROBOT", "--nominal", "NOMINAL", "--name", "1-2"], "cannot prefix"),
     "no robot": (["export", "c", "none.toml", "--nominal", "NOMINAL"], "none.toml"),
     "no model": (["correct", "nowhere", "job.csv"], "no such folder"),
     "no export": (["correct", "FOLDER", "job.csv"], "no manifest.json"),
-    "nominal twice": (["correct", "FOLDER", "job.csv", "--nominal", "NOMINAL"], "when"),
-    "steps twice": (["correct", "FOLDER", "job.csv", "--steps", "3"], "--steps was decided when"),
+    "nominal twice": (["correct", "FOLDER", "job.csv", "--nominal", "NOMINAL"], "--nominal: is for a robot file"),
+    "steps twice": (
+        ["correct", "FOLDER", "job.csv", "--steps", "3"],
+        "--steps: is for a robot file, not for a folder, which was exported with it",
+    ),
     "no program": (["correct", "ROBOT", "job.csv", "--nominal", "NOMINAL"], "job.csv: no such file"),
 }
 

@@ -127,7 +127,7 @@ def test_bad_input_is_refused_with_the_reason(robot, nominal, tmp_path, monkeypa
     write_robot(robot, tmp_path / "robot.toml")
     given = ["export", "c", tmp_path / "robot.toml", "--what", "curves", "--out", tmp_path / "c"]
     assert run(monkeypatch, *given, "--nominal", nominal_path("ur10")) == 2
-    assert "have no part in curves alone" in capfd.readouterr().err
+    assert "--nominal: is for --what command, not for --what curves" in capfd.readouterr().err
     text = (tmp_path / "robot.toml").read_text()
     line = next(line for line in text.splitlines() if line.startswith("s3_q2"))
     (tmp_path / "robot.toml").write_text(text.replace(line, "s3_q2 = nan"))
