@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -196,7 +197,7 @@ def _touched(
     update, chart, report, json_file = outputs
     console = wrapped(quiet)
     with working(quiet, "what changed", tables[-1].name):
-        found = touched(robot, tables, **asked, seed=seed)
+        found = replace(touched(robot, tables, **asked, seed=seed), update=update)
     console.print(terminal(found.blocks()))
     texts: dict[Path, str] = {chart: found.chart_csv()} if chart else {}
     if update and found.better:

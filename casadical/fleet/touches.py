@@ -57,6 +57,7 @@ class Touches(Result):
     more : touches that would tell more, where these are not enough
     notes : what was assumed
     sources : robot file and tables
+    update : where the corrected robot is to be written, if it is better
     """
 
     given: Robot
@@ -66,6 +67,7 @@ class Touches(Result):
     more: pd.DataFrame | None = None
     notes: tuple[str, ...] = ()
     sources: tuple[Path, ...] = ()
+    update: Path | None = None
 
     @cached_property
     def errors(self) -> Array:
@@ -190,7 +192,8 @@ class Touches(Result):
         before, after, sure = self.gain
         if self.better:
             text = f"Corrected, {mm(after)} mm of {mm(before)} mm of change would be left"
-            found.append(Words(f"{text} (better with a probability of {sure:.3f}): --update."))
+            hint = "" if self.update else ": --update"
+            found.append(Words(f"{text} (better with a probability of {sure:.3f}){hint}."))
         if self.more is not None:
             found.append(self._more())
         found += [Words(f"note: {note}.", "note") for note in self.notes]
@@ -209,6 +212,9 @@ class Touches(Result):
         if (self.verdict == "valid" and not self.better) or not self.sources:
             return ()
         robot, *tables = self.sources
+        if self.better and self.update:
+            return (next_step("on later days", "verify", self.update, "DAY.csv", "--touches",
+                              len(self.model.days[-1])),)  # fmt: skip
         if self.better:
             return (next_step("to correct it", "verify", robot, *tables, "--touches", len(self.model.days[-1]),
                               "--update", "corrected.robot.toml"),)  # fmt: skip

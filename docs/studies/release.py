@@ -57,6 +57,10 @@ NEEDED: dict[str, tuple[tuple[str, ...], ...] | str] = {
     "fleet": (("fleet", ".", "--store", "store.parquet", "--no-diagnose"),),
     "live": PAGE,
     "logs": LOG,
+    "certificate": (
+        ("calibrate", "arm", "--out", "results"),
+        ("certificate", "results", "--out", "cert.pdf"),
+    ),
     "plan": (("plan", "arm", "--order", "--out", "plan.csv"),),
     "withheld": (("withheld", "arm", "--poses", "40", "--n", "4"),),
     "mujoco": (("verify", "arm", "arm/poses.csv", "--mujoco"),),

@@ -167,6 +167,8 @@ def test_the_command_plans_judges_charts_and_corrects(place, tmp_path, monkeypat
     said = capfd.readouterr().out
     assert "NO LONGER VALID" in said
     assert "joint zero of joint 2" in said
+    assert "--update" not in said  # it was given
+    assert f"casadical verify new.robot.toml DAY.csv --touches {len(q)}" in said
     chart = pd.read_csv("chart.csv")
     assert chart["within"].tolist() == ["yes", "yes", "no"]
     assert chart["day"].tolist() == ["2026-03-01", "2026-03-02", "2026-03-03"]
