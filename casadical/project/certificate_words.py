@@ -119,12 +119,14 @@ _WORDS = {
     "of_sampling": ("sampling of the space", "Stichprobe des Raums"),
     "mean_square": ("mean square of the held-out errors", "mittleres Quadrat der Abweichungen"),
     "formula": (
-        "E² = 3n/(3n - k) mean(e²) - 3 (s_n² + s_r²) + R² (u_s² + u_t²);  u(E) = u(E²) / (2 E);  u(E²) is the root of "
-        "the sum of squares. e: held-out errors at n poses, k numbers place the base; s_n noise, s_r repeatability of "
-        "a coordinate; R: rms distance of the poses from their centre; u_s scale, u_t growth.",
-        "E² = 3n/(3n - k) Mittel(e²) - 3 (s_n² + s_r²) + R² (u_s² + u_t²);  u(E) = u(E²) / (2 E);  u(E²): Wurzel der "
-        "Quadratsumme. e: Abweichungen an n Posen, k Zahlen legen die Basis fest; s_n Rauschen, s_r Wiederholbarkeit "
-        "je Koordinate; R: mittlerer Abstand der Posen von ihrer Mitte; u_s Maßstab, u_t Ausdehnung.",
+        "E² = (3n + t)/(3n - k) mean(e²) - 3 (s_n² + s_r²) + R² (u_s² + u_t²);  u(E) = u(E²) / (2 E);  u(E²) is the "
+        "root of the sum of squares. e: held-out errors at n poses, k numbers fitted to them, t of them the tool's; "
+        "s_n noise, s_r repeatability of a coordinate; R: rms distance of the poses from their centre; u_s scale, u_t "
+        "growth.",
+        "E² = (3n + t)/(3n - k) Mittel(e²) - 3 (s_n² + s_r²) + R² (u_s² + u_t²);  u(E) = u(E²) / (2 E);  u(E²): Wurzel "
+        "der Quadratsumme. e: Abweichungen an n Posen, k Zahlen daran angepasst, t davon das Werkzeug; s_n Rauschen, "
+        "s_r Wiederholbarkeit je Koordinate; R: mittlerer Abstand der Posen von ihrer Mitte; u_s Maßstab, u_t "
+        "Ausdehnung.",
     ),
     "expanded": (
         "U = k u(E), k = {k}: Student's t for 95.45 % at {freedom} effective degrees of freedom (Welch-Satterthwaite).",

@@ -1,11 +1,12 @@
 """The accuracy of a robot's model over the space in which it was measured, with the uncertainty of that figure (GUM).
 
 The measurand is E, the rms distance between where the model says that the tool is and where it stands, over the space
-that the poses stand for, base placed as well as can be. With held-out errors e_i at n poses, of which k numbers placed
-the base (JCGM 100:2008, sections 4 and 5):
+that the poses stand for, base placed as well as can be. With held-out errors e_i at n poses, to which k numbers were
+fitted, t of them not the base's (JCGM 100:2008, sections 4 and 5):
 
-    E^2 = 3n / (3n - k) mean(e_i^2) - 3 (s_n^2 + s_r^2) + R^2 (u_s^2 + u_t^2)
+    E^2 = (3n + t) / (3n - k) mean(e_i^2) - 3 (s_n^2 + s_r^2) + R^2 (u_s^2 + u_t^2)
 
+Elsewhere the base may be placed again, but the tool stays as these n poses told it.
 s_n, s_r : noise of the instrument and repeatability, of a coordinate; R : rms distance of the poses from their centre;
 u_s : of the instrument's scale; u_t : of the robot's growth with temperature. The last two are hidden: an instrument
 that measures everything too long leaves no residual. u(E) = u(E^2) / (2 E), and U = k u(E) with the quantile of
@@ -163,13 +164,14 @@ def budget_of(
     if n < LEAST:
         raise InputError(f"{n} held-out poses; a statement of uncertainty needs {LEAST} or more: [sets] report")
     prepared = prepare(robot, sets)
-    placed, k = prepared.robot, 0
+    placed, k, t = prepared.robot, 0, 0
     if own := [g for g in groups if g in robot.parameters.groups]:
         fitted = calibrated(prepared, own, loss="linear")
         placed, k = fitted.robot, len(fitted.names)
+        t = sum(robot.parameters[name].group != "base" for name in fitted.names)
     e = np.concatenate([errors(placed, m) for m in prepared.sets])
     p = np.concatenate([m.position for m in prepared.sets if m.position is not None])
-    made_up = 3 * n / max(3 * n - k, 1)
+    made_up = (3 * n + t) / max(3 * n - k, 1)
     whole, mean = made_up * float(np.std(e**2, ddof=1)) / np.sqrt(n), made_up * float(np.mean(e**2))
     spread = float(np.mean(((p - p.mean(axis=0)) ** 2).sum(axis=1)))
     (s, freedom), noise = repeats, known.noise
