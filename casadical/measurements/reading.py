@@ -168,6 +168,8 @@ def _measured(
     patterns = [k.pattern for k in kinds().values()]
     columns.refuse_faults(each, "|".join(patterns))
     q = columns.joints(each)
+    if not len(q):
+        raise InputError(f"{source}: no row is left; at least one pose is needed")
     if whole:
         refuse_other_unit(q, each, [*map(str, columns.table)], source, columns.row)
     arrays = observed.read(columns, q)

@@ -9,24 +9,30 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.identification.least_squares import LeastSquares
+from casadical.identification.prior import Prior
+from casadical.identification.reduction import independent_parameters
+from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
-from casadical.pose_selection.candidates import draw
+from casadical.pose_selection.candidates import Circumstances, draw, expected
+from casadical.pose_selection.design_problem import prepare
+from casadical.pose_selection.experimental_design import search
+from casadical.pose_selection.information import MM
+from casadical.pose_selection.instruments import Instrument
 from casadical.pose_selection.pose_order import distances
-from casadical.pose_selection.pose_search import select_poses
 from casadical.pose_selection.stopping_rule import forecast
 from casadical.pose_selection.workspace import Workspace, places_about
-from casadical.project.live.estimate import Estimate
+from casadical.project.live.estimate import Estimate, known_at_first
 from casadical.project.new.synthetic import one_turn
 from casadical.robot.robot import Robot
 
 # Poses that are chosen from, poses of the task, poses planned at once, and looked at beyond what is measured.
 POOL, TASK, BATCH, BEYOND = 300, 150, 8, 60
-# That are planned before anything is known; a pose is done that was measured within so much [rad or m].
-FIRST, DONE = 12, 0.02
+# Before anything is known so many are said to be needed. Of those that gain this share of the best one's gain, the
+# nearest is next.
+FIRST, SHARE = 12, 0.5
 # Without a workspace poses stay so far above the plane that the robot stands on [m].
 CLEARANCE, LEAST = 0.05, 1e-6
-# Of a coordinate [m], before readings tell it.
-NOISE = 5e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,47 +49,48 @@ class Ahead:
 
 
 def look_ahead(
-    robot: Robot, found: Estimate | None, room: Workspace | None, target: float | None, before: Array
+    robot: Robot, found: Estimate | None, room: Workspace | None, target: float | None, m: Measurements | None
 ) -> Ahead:
-    """The next poses of a robot, those first that are near to where it is.
+    """The next poses of a robot: one that gains much and is near to where the robot is, then the others.
 
     found : None of too few readings; room : None: above the plane that it stands on; target : accuracy wanted [m]
-    before : joints of all readings, shape (n, joints), where the robot stands last
+    m : all readings, at the last of which the robot stands
     Raises InputError where the room allows no pose.
     """
-    m = found.m if found else None
-    done = len(m) if m is not None else 0
-    noise = Noise(found.sigma if found else NOISE)
     robot = replace(robot, targets=(), tool_name="")
-    among, said = candidates(robot, room, done)
-    count = BATCH if found else FIRST + len(before)
-    chosen = select_poses(
-        robot,
-        among,
-        count,
-        measured=m,
-        noise=noise,
-        restarts=1,
-        pool=len(among),
-        free=_FREE,
-        prior=found.prior if found else None,
-    ).q
-    if not found and len(before):  # the same poses as after the reading before, less those that are done
-        away = np.abs(chosen[:, None] - before[None]).max(axis=2).min(axis=1)
-        chosen = chosen[away > DONE] if (away > DONE).any() else chosen
-    order = _nearest_first(robot, chosen, before[-1] if len(before) else None)
+    before = m.q if m is not None else np.zeros((0, robot.n))
+    among, said = candidates(robot, room, len(before))
+    names, information, sigma = found.known if found else known_at_first(robot, m)
+    free, prior = _independent(robot, names, information, among)
+    wires = None
+    if m is not None and m.distance is not None and m.target is not None:
+        wires = Instrument("wires", np.unique(m.target.round(6), axis=0), known=True)
+    problem = prepare(
+        robot, BATCH, "V", candidates=among, workspace=Workspace(), circumstances=Circumstances(), measured=None,
+        free=free, interest=(), task=None, noise=Noise(sigma), pool=len(among), rng=np.random.default_rng(0),
+        instrument=wires, prior=prior,
+    )  # fmt: skip
+    design = problem.design(problem.pool, "V", 0.0)
+    chosen = search(design, BATCH, 1, 0)
+    design.start([])
+    q, gain = problem.pool.q[chosen], design.gains(chosen, 1)[chosen]
     to_go, words = None, f"at least {max(1, FIRST - len(before))} more"
     if found:
         course = forecast(
-            robot, done + BEYOND, workspace=room, measured=m, noise=noise, pool=POOL, free=_FREE, prior=found.prior
+            robot, BEYOND, workspace=room, noise=Noise(sigma), pool=POOL, free=free, instrument=wires, prior=prior
         )
-        last = course.enough(target) if target else course.stop()
-        to_go = None if last is None else max(0, last - done)
+        to_go = course.enough(target) if target else course.stop()
         words = _words(to_go, target, 1e3 * float(course.error[0]))
-    return Ahead(robot, chosen[order], to_go, f"{words}{said}")
+    return Ahead(robot, q[_order(robot, q, gain, before)], to_go, f"{words}{said}")
 
 
-_FREE = ("kinematic", "compliance")
+def _independent(robot: Robot, names: tuple[str, ...], information: Array, q: Array) -> tuple[tuple[str, ...], Prior]:
+    """Parameters that readings q tell apart, and what is known of them where the others are held."""
+    m = expected(robot, q, {}, "planned")
+    kept = independent_parameters(LeastSquares(robot, (m,), names, "linear", False, ((MM, MM),))).independent
+    at, scale = [names.index(n) for n in kept], np.array([robot.parameters[n].scale for n in kept])
+    covariance = np.linalg.inv(information[np.ix_(at, at)]) * np.outer(scale, scale)
+    return tuple(kept), Prior(known=((tuple(kept), covariance),))
 
 
 def _words(to_go: int | None, target: float | None, now: float) -> str:
@@ -94,12 +101,15 @@ def _words(to_go: int | None, target: float | None, now: float) -> str:
     return f"{expected_now}; enough: {goal}" if to_go == 0 else f"{expected_now}; about {to_go} more until {goal}"
 
 
-def _nearest_first(robot: Robot, q: Array, near: Array | None) -> list[int]:
-    """An order of short travel, each pose the nearest to the one before."""
-    D = distances(robot, q if near is None else np.vstack([q, near]))
-    left, at, order = set(range(len(q))), len(q) if near is not None else 0, []
+def _order(robot: Robot, q: Array, gain: Array, before: Array) -> list[int]:
+    """An order of short travel that begins with a pose that gains much, each then the nearest to the one before."""
+    n, last = len(q), before[-1:] if len(before) else q[[np.argmax(gain)]]
+    D = distances(robot, np.vstack([q, last]))
+    order: list[int] = []
+    left, at = set(range(n)), n
     while left:
-        at = min(left, key=lambda k: D[at, k])
+        among = left if order else [k for k in left if gain[k] >= SHARE * gain.max()]
+        at = min(among, key=lambda k: D[at, k])
         left.remove(at)
         order.append(at)
     return order

@@ -45,12 +45,13 @@ def slips_of(found: Estimate, m: Measurements, k: int, before: Array | None = No
 
     before : shift of the target that an earlier doubtful reading showed, shape (3,) [m]
     """
-    assert m.position is not None
     one = m[[k]]
-    exact = [s for s in (*_of_position(found, m, k), *_of_readings(found, m, k)) if s.surprise <= found.limit]
+    exact = [s for s in (*_of_observed(found, m, k), *_of_readings(found, m, k)) if s.surprise <= found.limit]
     exact = sorted(exact, key=lambda s: s.surprise)[:MOST]
     if any(s.kind == "unmoved" for s in exact):
         return [s for s in exact if s.kind == "unmoved"]
+    if one.position is None:  # any joint explains a single number
+        return exact
     joints = [] if exact else [s for s in _of_joints(found, one, m, k) if s.surprise <= found.limit]
     target = _of_target(found, one, before)
     if before is not None and target and "again" in target[0].words:
@@ -58,16 +59,31 @@ def slips_of(found: Estimate, m: Measurements, k: int, before: Array | None = No
     return [*exact, *sorted(joints, key=lambda s: s.surprise)[:MOST]] or target
 
 
-def _measured(found: Estimate, one: Measurements, q: Array, position: Array) -> Array:
-    """Surprise of positions at readings in place of the given ones, shape (n,)."""
-    some = one[np.zeros(len(q), dtype=int)]
-    return found.misses(replace(some, q=q, position=position), position)[1]
+def _several(m: Measurements, k: int, n: int, **changed: Array) -> Measurements:
+    """The k-th reading n times, with some arrays changed."""
+    some = m[np.full(n, k)]
+    return replace(some, **changed)  # type: ignore[arg-type]
 
 
-def _of_position(found: Estimate, m: Measurements, k: int) -> Iterator[Slip]:
-    """Coordinates swapped, with another sign, or in another unit; those of another reading."""
-    assert m.position is not None
-    y, made = m.position[k], []
+def _of_observed(found: Estimate, m: Measurements, k: int) -> Iterator[Slip]:
+    """What the instrument said: axes, signs, another unit, an orientation of another convention, another far end."""
+    if m.position is not None:
+        yield from _of_position(found, m, k, m.position[k])
+    elif m.distance is not None and m.target is not None:
+        made = [(f"its distance is in {name}", m.distance[k] * factor, m.target[k]) for factor, name in UNITS]
+        others = np.unique(m.target, axis=0)
+        far = others[np.linalg.norm(others - m.target[k], axis=1) > SAME]
+        where = [", ".join(f"{1e3 * c:.0f}" for c in place) for place in far]
+        made += [(f"its distance is to {w} mm", m.distance[k], place) for w, place in zip(where, far, strict=True)]
+        words, distance, target = zip(*made, strict=True)
+        values = found.misses(_several(m, k, len(made), distance=np.array(distance), target=np.array(target)))[1]
+        for n, (each, value) in enumerate(zip(words, values, strict=True)):
+            yield Slip("unit" if n < len(UNITS) else "target", each, float(value))
+
+
+def _of_position(found: Estimate, m: Measurements, k: int, y: Array) -> Iterator[Slip]:
+    """Coordinates swapped, with another sign, or in another unit; of a full pose also its orientation."""
+    made = []
     for order in permutations(range(3)):
         if order != (0, 1, 2):
             said = ", ".join(f"{'xyz'[i]} holds {'xyz'[order.index(i)]}" for i in range(3) if order[i] != i)
@@ -76,19 +92,28 @@ def _of_position(found: Estimate, m: Measurements, k: int) -> Iterator[Slip]:
         turned = y * np.where(np.isin(range(3), axes), -1, 1)
         made.append(("sign", f"the sign of {' and '.join('xyz'[i] for i in axes)} is wrong", turned))
     made += [("unit", f"its position is in {name}", y * factor) for factor, name in UNITS]
-    q = np.repeat(m.q[[k]], len(made), axis=0)
-    values = _measured(found, m[[k]], q, np.array([position for *_, position in made]))
-    yield from (Slip(kind, words, float(v)) for (kind, words, _), v in zip(made, values, strict=True))
+    some = _several(m, k, len(made), position=np.array([position for *_, position in made]))
+    for (kind, words, _), value in zip(made, found.misses(some)[1], strict=True):
+        yield Slip(kind, words, float(value))
+    if m.orientation is None:
+        return
+    R = m.orientation[k]
+    inverse = _several(m, k, 2, position=np.array([-R.T @ y, y]), orientation=np.array([R.T, R.T]))
+    whole, turn = (float(v) for v in found.misses(inverse)[1])
+    yield Slip("inverse", "it is the inverse pose: of the fixed frame as the tool sees it", whole)
+    yield Slip("inverse", "its orientation is the inverse: of the fixed frame as the tool sees it", turn)
+    if min(whole, turn) > found.limit:
+        alone = replace(m[[k]], kind="position", orientation=None)
+        words = "its position is plausible, its orientation is not: did the target turn, or are its angles others?"
+        yield Slip("orientation", words, float(found.misses(alone)[1][0]))
 
 
 def _of_readings(found: Estimate, m: Measurements, k: int) -> Iterator[Slip]:
     """The robot that did not move, readings in radians, two joints swapped."""
-    assert m.position is not None
-    q, y, made = m.q[k], m.position[k], []
+    q, made = m.q[k], []
     if k and np.abs(m.q[k] - m.q[k - 1]).max() > SAME:
-        made.append(
-            ("unmoved", "neither robot nor target moved: the position is that of the reading before", m.q[k - 1])
-        )
+        same = "neither robot nor target moved: the position is that of the reading before"
+        made.append(("unmoved", same, m.q[k - 1]))
     revolute = np.array([j.kind == "revolute" for j in found.robot.joints])
     made.append(("unit", "its joints are radians, read as degrees", np.where(revolute, np.rad2deg(q), q)))
     made.append(("unit", "its joints are degrees, read as radians", np.where(revolute, np.deg2rad(q), q)))
@@ -96,7 +121,7 @@ def _of_readings(found: Estimate, m: Measurements, k: int) -> Iterator[Slip]:
         swapped = q.copy()
         swapped[[i, j]] = q[[j, i]]
         made.append(("joints", f"joints {i + 1} and {j + 1} are swapped", swapped))
-    values = _measured(found, m[[k]], np.array([each for *_, each in made]), np.tile(y, (len(made), 1)))
+    values = found.misses(_several(m, k, len(made), q=np.array([each for *_, each in made])))[1]
     yield from (Slip(kind, words, float(v)) for (kind, words, _), v in zip(made, values, strict=True))
 
 
@@ -120,7 +145,7 @@ def _of_joints(found: Estimate, one: Measurements, m: Measurements, k: int) -> I
         square = np.maximum((J**2).sum(axis=1), 1e-12)
         step = np.clip((J * d).sum(axis=1) / square, -0.1, 0.1)
         at[np.arange(n), np.arange(n)] += np.nan_to_num(step)
-    values = _measured(found, one, at, np.tile(y, (n, 1)))
+    values = found.misses(_at(one, at))[1]
     for i in range(n):
         turning, read = found.robot.joints[i].kind == "revolute", one.q[0, i]
         turns = (-2 * np.pi, 0.0, 2 * np.pi) if turning else (0.0,)

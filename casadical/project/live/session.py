@@ -21,9 +21,10 @@ from casadical.core.files import csv_text, write_whole
 from casadical.core.reading import read_text
 from casadical.core.telling.terminal import plain_text
 from casadical.identification.plausibility import check_against
-from casadical.identification.prepared import all_compliant, undeclared
+from casadical.identification.prepared import all_compliant, prepare, undeclared
 from casadical.measurements.clock import clock_faults
 from casadical.measurements.column_map import Source as ColumnSource
+from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.raw_table import read_table
 from casadical.pose_selection.candidates import expected
@@ -42,6 +43,11 @@ from casadical.project.robot_columns import understood
 TABLE = "measured.csv"
 # Share of the reach that the model may leave before the whole table is doubted, and readings at which it is checked.
 GROSS, CHECKED = 0.003, (10, 15, 25, 40, 60, 100, 200)
+FOLLOWED = ("position", "pose", "distance")
+_FOLLOWED = (
+    "measure follows positions, full poses, and distances to known places (to_x_mm, to_y_mm, to_z_mm); for others "
+    "measure the whole table, then casadical check"
+)
 # A share of readings of which 95 % lie below is stated from so many on.
 FOR_QUANTILE = 20
 
@@ -154,8 +160,10 @@ class LiveSession:
 
     @property
     def fields(self) -> list[str]:
-        """Names of what is typed for a reading: joints, then the position."""
-        return [*self.robot.reading_units, "x_mm", "y_mm", "z_mm"]
+        """Names of what is typed for a reading: joints, then what is observed."""
+        kind = find_kind(self.m.kind if self.m is not None else "position")
+        ends = ("to_x_mm", "to_y_mm", "to_z_mm") if kind.name == "distance" else ()
+        return [*self.robot.reading_units, *kind.fill, *ends]
 
     def strike(self, number: int, why: str) -> None:
         """Strike a reading out; it stays in the table, beside the reason. Raises InputError."""
@@ -187,11 +195,12 @@ class LiveSession:
         except ValueError:
             raise InputError(f"there is no reading {number}; the last is {len(self.course.readings)}") from None
 
-    def _read(self) -> dict[int, tuple[Array, Array]]:
-        """Joints and position by number, of the readings that can be read."""
-        if self.m is None or self.m.position is None:
+    def _read(self) -> dict[int, tuple[Array, Array | None]]:
+        """Joints and, where it was measured, position by number, of the readings that can be read."""
+        if self.m is None:
             return {}
-        return dict(zip(map(self._number, self.m.row), zip(self.m.q, self.m.position, strict=True), strict=True))
+        places = [None] * len(self.m) if self.m.position is None else self.m.position
+        return dict(zip(map(self._number, self.m.row), zip(self.m.q, places, strict=True), strict=True))
 
     def _number(self, row: int) -> int:
         return int(row) - 1 - bool(self.course.units)
@@ -222,22 +231,27 @@ class LiveSession:
             m: Measurements | None = None
             try:
                 m = self._table()
-            except InputError:
-                m = self._without_odd(new)
+            except InputError as error:
+                m = self._without_odd(new, self._without_folder(error))
             if m is not None:
-                self.unread, self.m = "", replace(m, kind="position", orientation=None)
+                self.unread, self.m = "", m
                 self._judge_readings(self.m, new[0] if len(new) == 1 else 0)
 
     def _table(self) -> Measurements:
         """All readings that are not left out. Raises InputError."""
         self._write()
         m = read_campaign(self.folder, self.folder / TABLE, self.robot, later=True, words=True)
-        if m.position is None:
-            raise InputError(f"{TABLE}: is of kind {m.kind}; measure follows positions and poses")
+        if m.kind not in FOLLOWED or (m.kind == "distance" and m.target is None):
+            raise InputError(
+                f"{TABLE}: is of kind {m.kind}{'' if m.target is None else ' to known places'}; {_FOLLOWED}"
+            )
         return m
 
-    def _without_odd(self, new: Sequence[int]) -> Measurements | None:
-        """The table without those of the new rows that make it none; None where they are not the reason."""
+    def _without_folder(self, error: InputError) -> str:
+        return str(error).replace(f"{self.folder}/", "")
+
+    def _without_odd(self, new: Sequence[int], why: str) -> Measurements | None:
+        """The table without those of the new rows that make it none; None, and why, where they are not it."""
         found: Measurements | None = None
         self._odd |= dict.fromkeys(new, "")
         for n in (0, *new):  # all of them left out, then one after the other taken in
@@ -245,18 +259,19 @@ class LiveSession:
             try:
                 found = self._table()
             except InputError as error:
-                text = str(error).replace(f"{self.folder}/", "")
                 if n == 0:
-                    self._odd = {k: why for k, why in self._odd.items() if k not in new}
-                    self.unread = text
+                    self._odd = {k: text for k, text in self._odd.items() if k not in new}
+                    self.unread = why
                     return None
-                self._odd[n] = text.splitlines()[0]
+                self._odd[n] = self._without_folder(error).splitlines()[0]
         self._write()
         return found
 
     def _judge_readings(self, m: Measurements, new: int) -> None:
         numbers = [self._number(row) for row in m.row]
         robot = self.robot if not undeclared(self.robot) else all_compliant(self.robot, [m])[0]
+        if m.orientation is not None:
+            robot = prepare(robot, m, tool_turns=True).robot
         known = np.array([self._doubtful.get(n, True) for n in numbers])
         outside = self._out_of_range(m)
         inside = np.flatnonzero(~outside)
@@ -303,10 +318,8 @@ class LiveSession:
     def look_ahead(self) -> None:
         """Plan the next poses with what is known by now; takes some tenths of a second."""
         with self.lock:
-            found, wish = self.estimate, self._wish
-            before = self.m.q if self.m is not None else np.zeros((0, self.robot.n))
-        robot = found.robot if found else self.robot
-        ahead = look_ahead(robot, found, self.room, self.target, before)
+            found, wish, m = self.estimate, self._wish, self.m
+        ahead = look_ahead(found.robot if found else self.robot, found, self.room, self.target, m)
         with self.lock:
             self.ahead = ahead if wish is None else replace(ahead, q=np.vstack([wish, ahead.q]))
             self._wish = None
@@ -392,7 +405,7 @@ class LiveSession:
                 "next": None if ahead is None else self._next_json(ahead),
             }  # fmt: skip
 
-    def _reading_json(self, r: Reading, read: Mapping[int, tuple[Array, Array]]) -> dict[str, Any]:
+    def _reading_json(self, r: Reading, read: Mapping[int, tuple[Array, Array | None]]) -> dict[str, Any]:
         """A reading; read : joints and positions by number."""
         at, where = read.get(r.number, (None, None))
         state = "struck" if r.struck else "doubtful" if self._doubtful.get(r.number) else "good"

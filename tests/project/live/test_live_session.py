@@ -84,6 +84,78 @@ def test_clean_readings_of_a_real_robot_are_not_doubted(arm: Path) -> None:
     assert {r["state"] for r in measured(arm, series(30), lambda _, v: v)} == {"good"}
 
 
+def camera(folder: Path) -> list[list[str]]:
+    """Header and real poses of the FR3's camera; its robot file in the folder."""
+    shutil.copy(ROOT / "problems/fr3_camera/robot.toml", folder)
+    lines = [line.split(",") for line in (ROOT / "data/fr3_camera/fr3_114.csv").read_text().splitlines()]
+    return [line[1:] for line in lines]  # without the running number
+
+
+@pytest.mark.parametrize(
+    ("slip", "words"),
+    [
+        (lambda p, R: (-R.T @ p, R.T), "it is the inverse pose"),
+        (lambda p, R: (p, R.T), "its orientation is the inverse"),
+        (lambda p, R: (p, R @ np.diag([-1.0, -1.0, 1.0])), "its position is plausible, its orientation is not"),
+        (lambda p, R: (p[[1, 0, 2]], R), "its axes are swapped: x holds y, y holds x"),
+    ],
+)
+def test_full_poses_are_judged_by_their_orientation_too(arm: Path, slip, words: str) -> None:
+    rows = camera(arm)[:23]
+    values = np.array([float(c) for c in rows[15][7:]])
+    p, R = slip(values[:3], values[3:].reshape(3, 3))
+    rows[15][7:] = map(repr, [*map(float, p), *map(float, R.ravel())])
+    (arm / "tracker.csv").write_text(csv_text(rows))
+    with journal(arm) as (course, add):
+        session = LiveSession(arm, course, add)
+        session.feed(FileSource(arm / "tracker.csv"))
+        session.look_ahead()
+        told = session.state()
+    assert [r["number"] for r in told["readings"] if r["state"] != "good"] == [15]
+    assert words in told["readings"][14]["why"]
+    assert told["fields"][7:] == ["x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg"]
+    # The same figure in the words about the next poses, by another sample of the robot's ranges.
+    assert float(told["next"]["words"].split()[0]) == pytest.approx(told["known"]["expected_mm"], rel=0.2)
+    assert (casadical.calibrate(arm).problem.sets["identify"][0].kind) == "pose"
+
+
+def test_distances_to_known_places_are_followed_and_touched_points_refused(arm: Path) -> None:
+    rows = series(40)
+    ends = np.array([[2000.0, 0.0, 0.0], [0.0, 2000.0, 300.0], [-1500.0, -1500.0, 1000.0]])
+    made = []
+    for k, row in enumerate(rows[1:]):
+        end = ends[k % 3]
+        far = float(np.linalg.norm(np.array([float(c) for c in row[6:]]) - end))
+        made.append([*row[:6], f"{far:.4f}", *map(str, ends[(k + (k == 35)) % 3])])
+    head = [*JOINTS, "distance_mm", "to_x_mm", "to_y_mm", "to_z_mm"]
+    with journal(arm) as (course, add):
+        session = LiveSession(arm, course, add)
+        (arm / "wires.csv").write_text(csv_text([head, *made]))
+        session.feed(FileSource(arm / "wires.csv"))
+        session.look_ahead()
+        told = session.state()
+        assert [r["number"] for r in told["readings"] if r["state"] != "good"] == [36]
+        assert "its distance is to -1500, -1500, 1000 mm" in told["readings"][35]["why"]
+        assert told["next"]["to_go"] is None or told["next"]["to_go"] > 0
+    (arm / "measured.jsonl").unlink()
+    with journal(arm) as (course, add):
+        session = LiveSession(arm, course, add)
+        for point, row in zip("AABB", rows[1:], strict=False):
+            session.take(Row((*JOINTS, "point"), (), (*row[:6], point), "test"))
+        assert "measure follows positions, full poses, and distances" in session.state()["said"][0]
+
+
+def test_the_only_reading_may_be_struck_out(arm: Path) -> None:
+    rows = series(2)
+    with journal(arm) as (course, add):
+        session = LiveSession(arm, course, add)
+        session.take(Row(tuple(rows[0]), (), tuple(rows[1]), "test"))
+        session.strike(1, "the target was loose")
+        assert session.state()["readings"][0]["state"] == "struck"
+        session.take(Row(tuple(rows[0]), (), tuple(rows[2]), "test"))
+        assert [r["state"] for r in session.state()["readings"]] == ["struck", "good"]
+
+
 def test_it_goes_on_where_it_was_and_ends_as_if_the_table_had_come_whole(arm: Path, tmp_path: Path) -> None:
     rows = series(60)
     whole = tmp_path / "whole"
