@@ -85,7 +85,7 @@ def look_ahead(
 
 
 def _independent(robot: Robot, names: tuple[str, ...], information: Array, q: Array) -> tuple[tuple[str, ...], Prior]:
-    """Parameters that readings q tell apart, and what is known of them where the others are held."""
+    """Parameters that readings q distinguish, and what is known of them where the others are held."""
     m = expected(robot, q, {}, "planned")
     kept = independent_parameters(LeastSquares(robot, (m,), names, "linear", False, ((MM, MM),))).independent
     at, scale = [names.index(n) for n in kept], np.array([robot.parameters[n].scale for n in kept])
