@@ -5,6 +5,9 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+# Faults of one file that a message tells.
+MOST_FAULTS = 50
+
 
 class CasadicalError(Exception):
     """Base class of all errors that casadical raises deliberately.
@@ -57,7 +60,8 @@ class FaultsError(InputError):
     """All faults of tables that were found at once."""
 
     def __init__(self, faults: Sequence[Fault]) -> None:
-        super().__init__("\n".join(map(str, faults)))
+        more = [f"and {len(faults) - MOST_FAULTS} more"] if len(faults) > MOST_FAULTS else []
+        super().__init__("\n".join([*map(str, faults[:MOST_FAULTS]), *more]))
         self.faults = tuple(faults)
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -1,14 +1,14 @@
 """TOML tables checked key by key: units in the keys, and messages that name file, key, value and what is allowed."""
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from casadical.core.errors import InputError
+from casadical.core.errors import MOST_FAULTS, InputError
 from casadical.core.reading import unusable
 
 
@@ -100,14 +100,18 @@ def _size(value: Any) -> float:
 
 def check(schema: type[Schema], data: Mapping[str, Any], source: str) -> Schema:
     """Check data against a schema; `source` names them. Raises InputError that lists every fault by key."""
-    wrong = [f"  {place}: {fault}" for place, fault in unusable(data)]
-    if wrong:
-        raise InputError(f"{source}: {len(wrong)} fault(s)\n" + "\n".join(wrong[:20]))
+    if wrong := list(unusable(data)):
+        raise _faults([f"{place}: {fault}" for place, fault in wrong[:MOST_FAULTS]], len(wrong), source)
     try:
         return schema.model_validate(data)
     except ValidationError as error:
-        faults = [f"  {_fault(schema, data, e)}" for e in error.errors()]
-        raise InputError(f"{source}: {len(faults)} fault(s)\n" + "\n".join(faults)) from None
+        told = [_fault(schema, data, e) for e in error.errors()[:MOST_FAULTS]]
+        raise _faults(told, error.error_count(), source) from None
+
+
+def _faults(told: Sequence[str], count: int, source: str) -> InputError:
+    more = [f"and {count - len(told)} more"] if count > len(told) else []
+    return InputError("\n  ".join([f"{source}: {count} fault(s)", *told, *more]))
 
 
 def _fault(schema: type[BaseModel], data: Mapping[str, Any], error: Any) -> str:

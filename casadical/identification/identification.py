@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from casadical.core.errors import ConvergenceError, InputError
+from casadical.core.statistics import exceeded_by_chance
 from casadical.identification.least_squares import LeastSquares, first_sigmas
 from casadical.identification.prepared import METHODS, Method, Prepared, prepare
 from casadical.identification.prior import Prior
@@ -19,8 +20,8 @@ from casadical.identification.solver import Progress
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
-# A compliance is visible where less than this share of the scatter is left with it.
-VISIBLE = 0.99
+# A compliance is visible where less than this share of the scatter is left with it, and so much by chance so rarely.
+VISIBLE, CHANCE = 0.99, 1e-3
 # Of a set with more poses, so many are enough to see it.
 MOST_TRIED = 1_000
 
@@ -101,10 +102,11 @@ def judged(
 def compliance_tried(prepared: Prepared, progress: Progress | None = None) -> Prepared:
     """The same, with compliance in the model where the robot file declares none and the measurements carry it.
 
-    They do where it leaves visibly less and BIC prefers the compliant model (Schwarz 1978), with the degrees of freedom
-    in the place of the numbers, and the parameters counted that the data determine; both models are held back by the
-    robot's priors. Outliers are those of the compliant model: what a rigid one leaves of a robot that sags is no wrong
-    row. Of more than MOST_TRIED poses of a set, as many are drawn by chance.
+    They do where it leaves visibly less, BIC prefers the compliant model (Schwarz 1978), with the degrees of freedom
+    of the rigid one in the place of the numbers, and so much less is left by chance (F-test) with a probability below
+    CHANCE, which few numbers need; the parameters are counted that the data determine, and both models are held back
+    by the robot's priors. Outliers are those of the compliant model: what a rigid one leaves of a robot that sags is
+    no wrong row. Of more than MOST_TRIED poses of a set, as many are drawn by chance.
     """
     wider = prepared.compliant
     if wider is None:
@@ -125,8 +127,9 @@ def compliance_tried(prepared: Prepared, progress: Progress | None = None) -> Pr
         problem, v = replace(found.problem, sigmas=sigmas), found.solution.v
         squares.append(problem.square(v) + problem.prior_square(v, told=True))
         freedom.append(max(float(problem.redundancies(v).sum()), 1.0))
-    gain = freedom[1] * math.log(max(squares[0], 1e-300) / max(squares[1], 1e-300))
-    carried = gain > max(freedom[0] - freedom[1], 1.0) * math.log(full.problem.residual_count)
+    more, ratio = max(freedom[0] - freedom[1], 1.0), max(squares[0], 1e-300) / max(squares[1], 1e-300)
+    chance = exceeded_by_chance(max(ratio - 1, 0.0) * freedom[1] / more, more, freedom[1])
+    carried = freedom[0] * math.log(ratio) > more * math.log(freedom[0]) and chance < CHANCE
     left, least = (sigmas[0][0] * math.sqrt(square / f) for square, f in zip(squares, freedom, strict=True))
     whole = all(len(a) == len(b) for a, b in zip(sets, prepared.sets, strict=True))
     tried = Tried(left, least, carried and least < VISIBLE * left, full.outliers if whole else None)

@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.errors import ConvergenceError
 from casadical.core.transforms import frame, nearest_rotation, to_xyz
 from casadical.identification.accuracy import predicted
 from casadical.identification.held_placement import Held, Placed, Readings
+from casadical.identification.least_squares import LeastSquares, first_sigmas
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
@@ -22,6 +24,7 @@ ROUNDS = 3
 FEWEST = 6
 # Weight [m^2] of the rotation before, where the points determine none.
 TIE = 1e-9
+TOOL = ("tool_x", "tool_y", "tool_z")
 
 
 def place_frames(robot: Robot, m: Measurements | Sequence[Measurements]) -> Robot:
@@ -82,8 +85,10 @@ def _placed(
 def _by_distances(robot: Robot, sets: Sequence[Measurements]) -> Robot:
     """Base and tool from distances to known points, as many sets as there are; of one target at the tool."""
     known = [m[m.weight > 0] for m in sets if m.distance is not None and m.target is not None]
-    if not known or robot.targets or sum(len(m) for m in known) < FEWEST:
+    if robot.targets or sum(map(len, known or sets)) < FEWEST:
         return robot
+    if not known:
+        return _by_unknown_places(robot, sets)
     step = max(1, sum(len(m) for m in known) // START_POSES)
     T, tool = robot.base.T, robot.tool.T[:3, 3]
     readings = []
@@ -95,6 +100,24 @@ def _by_distances(robot: Robot, sets: Sequence[Measurements]) -> Robot:
     best = held.best(held.starts())
     T_E = frame(robot.tool.T[:3, :3], best.t)
     return replace(robot, base=replace(robot.base, T=frame(best.R, best.p)), tool=replace(robot.tool, T=T_E))
+
+
+def _by_unknown_places(robot: Robot, sets: Sequence[Measurements]) -> Robot:
+    """The tool where it fits with places that nobody knows, the rest of the robot nominal.
+
+    A point that stands on the last axis, as a file without a tool has it, is no start: there parameters look alike, or
+    as if they had no effect, which a point beside it distinguishes.
+    """
+    names = tuple(robot.parameters.select(TOOL)) if robot.tool.unknown != "none" else ()
+    problem = LeastSquares(robot, tuple(sets), names, "huber", False, first_sigmas(sets))
+    if not names or problem.residual_count <= problem.size:
+        return robot
+    try:
+        found = problem.values(problem.solve().v)
+    except ConvergenceError:
+        return robot
+    point = [found.get(name, value) for name, value in zip(TOOL, robot.tool.T[:3, 3], strict=True)]
+    return replace(robot, tool=replace(robot.tool, T=frame(robot.tool.T[:3, :3], np.array(point))))
 
 
 def _with_targets(robot: Robot, m: Measurements) -> Robot:

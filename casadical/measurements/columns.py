@@ -71,6 +71,10 @@ class Columns:
     empty: tuple[str, ...] = ()
     taken: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        if not len(self.table):
+            raise InputError(f"{self.source}: a header but no rows that count; at least one row is needed")
+
     @staticmethod
     def of_file(raw: RawTable) -> Columns:
         """Columns of a file.
@@ -335,8 +339,6 @@ def _cell(text: object) -> str:
 def _columns(table: pd.DataFrame, source: str, row: Array) -> Columns:
     table = table.rename(columns=lambda name: str(name).strip())
     refuse_repeated_names(table.columns, source)
-    if not len(table):
-        raise InputError(f"{source}: a header but no rows; at least one row is needed")
     filled = table.dropna(axis="columns", how="all")
     empty = tuple(str(name) for name in table if name not in filled and not str(name).startswith("Unnamed: "))
     return Columns(filled, source, row, empty)

@@ -28,8 +28,8 @@ from casadical.measurements.table_form import (
     unit_word,
 )
 
-# Characters of a heading.
-LONGEST_HEADING = 1000
+# Characters of a heading, and columns.
+LONGEST_HEADING, MOST_COLUMNS = 1000, 2000
 # What a workbook has in a cell whose formula failed.
 _FAILED = ("#NULL!", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#N/A")
 
@@ -52,6 +52,10 @@ class RawTable:
     form: Form = field(default_factory=Form)
     comments: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        if len(self.header) > MOST_COLUMNS:
+            raise InputError(f"{self.path}: has {len(self.header)} columns; at most {MOST_COLUMNS} are read")
+
 
 def read_table(path: str | Path, data: bytes | None = None) -> RawTable:
     """A table with headings: text in any usual encoding, separator and decimal sign, or a workbook (.xlsx).
@@ -66,12 +70,17 @@ def read_table(path: str | Path, data: bytes | None = None) -> RawTable:
         data = unpacked(read_bytes(path) if data is None else data, str(path))
         text, encoding, sheet = _text(path, data)
         separator = "," if sheet else separator_of(text)
-        records = records_of(text, separator)
-    except (UnicodeDecodeError, csv.Error) as error:
+    except UnicodeDecodeError as error:
         raise InputError(f"{path}: not a readable CSV table: {error}") from None
-    if not records:
-        raise InputError(f"{path}: not a readable CSV table: it is empty; a header and at least one row are needed")
-    return table_of(path, records, encoding, separator, sheet=sheet)
+    return table_of(path, records_in(path, text, separator), encoding, separator, sheet=sheet)
+
+
+def records_in(path: Path, text: str, separator: str) -> list[Record]:
+    """As `records_of`. Raises InputError: a quote that is never closed, a cell that is too long."""
+    try:
+        return records_of(text, separator)
+    except csv.Error as error:
+        raise InputError(f"{path}: not a readable CSV table: {error}") from None
 
 
 def _text(path: Path, data: bytes) -> tuple[str, str, str]:
@@ -114,6 +123,8 @@ def table_of(
     path: Path, records: list[Record], encoding: str, separator: str, decimal: str = "", sheet: str = ""
 ) -> RawTable:
     """Headings and rows out of all records; decimal : sign, where it is known. Raises InputError."""
+    if not records:
+        raise InputError(f"{path}: not a readable CSV table: it is empty; a header and at least one row are needed")
     comments = [(line, cells) for line, cells in records if commented(cells)]
     rest = [record for record in records if not commented(record[1])]
     decimal = decimal or decimal_of(rest)

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.errors import InputError, optional
-from casadical.measurements.raw_table import RawTable, read_table, table_of
-from casadical.measurements.table_form import Form, marked_encoding, records_of, separator_of
+from casadical.measurements.raw_table import RawTable, read_table, records_in, table_of
+from casadical.measurements.table_form import Form, marked_encoding, separator_of
 
 # Characters that are read at a time, and rows of Parquet; a text of fewer is read at once.
 SIZE, ROWS = 4_000_000, 65_536
@@ -65,12 +65,15 @@ def _text(path: Path, encoding: str) -> Iterator[RawTable]:
         first: RawTable | None = None
         lines = 0
         while some := file.read(SIZE) + file.readline():
-            if first is None:
-                first = table_of(path, records_of(some, separator), encoding.removesuffix("-sig"), separator)
+            records = [(lines + line, cells) for line, cells in records_in(path, some, separator)]
+            if first is None and records:
+                first = table_of(path, records, encoding.removesuffix("-sig"), separator)
                 yield first
-            elif records := [(lines + line, cells) for line, cells in records_of(some, separator)]:
+            elif first is not None and records:
                 yield _under(first, records, lines + 1)
             lines += some.count("\n")
+    if first is None:
+        table_of(path, [], encoding, separator)  # which refuses it
 
 
 def _under(first: RawTable, records: list[tuple[int, list[str]]], line: int) -> RawTable:

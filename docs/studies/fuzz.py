@@ -1,4 +1,4 @@
-"""Hostile inputs for every command: python docs/studies/fuzz.py [--inputs 3000] [--part K/N] [--seed 0]
+"""Hostile inputs for every command: python docs/studies/fuzz.py [--inputs 3000] [--part K/N] [--seed 0] [--by-hand]
 
 An input is a command line of a grammar and files that were changed: numbers at the edge of what can be, words in their
 place, lines lost, doubled or cut, control characters and markup, folders and links in place of files. Each runs in a
@@ -7,23 +7,28 @@ process of its own on a copy of small valid files. What must hold of every one:
 - the exit code is a documented one: 0, 2, 3 or 4; not 70, which is a bug, and no signal
 - with 2 and 3 a message begins with `casadical: ` or is the usage; `check` prints its findings; with 0 standard error
   is empty; nowhere is a traceback or a control character
-- it takes less than 60 s of the processor, and 2 GB beyond what the harness holds
+- it takes less than 20 s of the processor, and 1 GB beyond what the harness holds
 - no input file is changed; with another code than 0 no output is left; no hidden file of an unfinished output is; JSON
   outputs can be read
 
 `--part 2/4` runs the second of four equal parts of the inputs, with the same inputs as the whole. tests/fuzz draws
 inputs of the same grammar by hypothesis.
+
+`--by-hand` puts each of the files of `fuzz_world.hostile` in the place of each file of each command: pipes, devices,
+bombs, nests, encodings, loops; and runs every command on a disk that is full.
 """
 
 from __future__ import annotations
 
 import argparse
+import fcntl
 import hashlib
 import importlib
 import json
 import os
 import pkgutil
 import random
+import re
 import resource
 import shutil
 import signal
@@ -31,14 +36,16 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from fuzz_inputs import Hostile, draw
+from fuzz_inputs import LINES, Hostile, draw
+from fuzz_world import hostile, world
 
 ROOT = Path(__file__).parents[2]
-SECONDS, BYTES = 60, 2 * 2**30
+SECONDS, BYTES = 20, 2**30
 CODES = {0, 2, 3, 4}
 
 
@@ -51,52 +58,13 @@ def load_all() -> None:
             importlib.import_module(module.name)
 
 
-def world(place: Path) -> None:
-    """Small valid files of every kind."""
-    import numpy as np
-
-    from casadical import calibrate
-    from casadical.compensator import Compensator, save_compensator
-
-    folder = place / "in" / "p"
-    folder.mkdir(parents=True)
-    (place / "out").mkdir()
-    planar = ROOT / "problems" / "planar"
-    shutil.copy(planar / "robot.toml", folder)
-    text = (planar / "problem.toml").read_text().replace("../../data/planar/planar.csv", "poses.csv")
-    (folder / "problem.toml").write_text(text)
-    table = (ROOT / "data" / "planar" / "planar.csv").read_text().splitlines()
-    (folder / "poses.csv").write_text(
-        "\n".join([f"{table[0]},payload_kg", *(f"{row},2.5" for row in table[1:])]) + "\n"
-    )
-    calibrate(folder).write(place / "in" / "results")
-    (place / "in" / "program.csv").write_text("q1_deg,q2_deg,speed\n10,20,fast\n30,-40,slow\n")
-    (place / "in" / "dh.csv").write_text("a_mm,alpha_deg,d_mm,theta_deg\n0,0,0,0\n400,0,0,0\n300,90,100,0\n")
-    (place / "in" / "room.toml").write_text(
-        "casadical = 1\nfloor_mm = -2000\n[[joint]]\nnumber = 1\nlimits_deg = [-90, 90]\n"
-    )
-    (place / "in" / "arm.urdf").write_text(URDF)
-    rng = np.random.default_rng(0)
-    q = rng.uniform(-1, 1, (30, 2))
-    save_compensator(Compensator.fit(q, np.sin(q @ np.ones((2, 3))), folds=2), place / "in" / "net.json")
-    (place / "in" / "foreign.txt").write_text("mine\n")
-    (place / "in" / "empty").write_text("")
-    (place / "in" / "binary").write_bytes(bytes(range(256)))
-    (place / "in" / "folder").mkdir()
-    (place / "in" / "loop").symlink_to("loop")
-
-
-URDF = """<robot name="two"><link name="base"/><link name="one"/><link name="two"/>
-<joint name="j1" type="revolute"><parent link="base"/><child link="one"/><origin xyz="0 0 0.1" rpy="0 0 0"/>
-<axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
-<joint name="j2" type="revolute"><parent link="one"/><child link="two"/><origin xyz="0.4 0 0" rpy="0 0 0"/>
-<axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint></robot>
-"""
-
-
 def change(place: Path, name: str, kind: str, at: int, value: str) -> None:
     """Change one file of the world."""
     path = place / "in" / name
+    if kind == "is":  # another file in its place
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+        path.symlink_to(value)
+        return
     text = path.read_text(encoding="utf-8")
     lines = text.splitlines()
     k = at % max(1, len(lines))
@@ -124,8 +92,6 @@ def change(place: Path, name: str, kind: str, at: int, value: str) -> None:
 
 
 def _number_spans(text: str) -> Any:
-    import re
-
     return (m.span() for m in re.finditer(r"(?<![\w.])-?\d+(\.\d+)?(e-?\d+)?", text))
 
 
@@ -138,10 +104,18 @@ def run(hostile: Hostile, template: Path, scratch: Path) -> tuple[str, int]:
         change(place, *one)
     before = snapshot(place / "in")
     began = time.monotonic()
+    ends = [os.pipe() for _ in range(2)]
+    for _, writing in ends:
+        fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 2**20)  # a command that prints more waits, which is found out
     process = os.fork()
     if process == 0:
-        _child(hostile, place)
-    deadline = began + 10 * SECONDS  # for one that waits; a busy machine gives little of its processor
+        try:
+            _child(hostile, place, [writing for _, writing in ends])
+        finally:
+            os._exit(72)
+    for _, writing in ends:
+        os.close(writing)
+    deadline = began + 6 * SECONDS  # for one that waits; a busy machine gives little of its processor
     while True:
         done, status, used = os.wait4(process, os.WNOHANG)
         if done:
@@ -149,12 +123,14 @@ def run(hostile: Hostile, template: Path, scratch: Path) -> tuple[str, int]:
         if time.monotonic() > deadline:
             os.kill(process, signal.SIGKILL)
             os.waitpid(process, 0)
-            return f"takes more than {10 * SECONDS} s of waiting", -1
+            for reading, _ in ends:
+                os.close(reading)
+            return f"takes more than {6 * SECONDS} s of waiting", -1
         time.sleep(0.005)
     code = os.waitstatus_to_exitcode(status)
+    out, error = (_read(reading) for reading, _ in ends)
     if code == -signal.SIGXCPU:
         return f"takes more than {SECONDS} s", code
-    out, error = ((place / name).read_text("utf-8", "replace") for name in ("stdout", "stderr"))
     held = int((place / "held").read_text())
     return _fault(hostile, place, before, code, out, error, used.ru_maxrss * 1024 - held), code
 
@@ -164,17 +140,29 @@ def _held() -> int:
     return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
 
-def _child(hostile: Hostile, place: Path) -> None:
+def _read(reading: int) -> str:
+    os.set_blocking(reading, False)  # a process that the command left may hold the other end
+    with os.fdopen(reading, "rb") as file:
+        return (file.read() or b"").decode("utf-8", "replace")
+
+
+def _child(hostile: Hostile, place: Path, ends: list[int]) -> None:
     """The command in this process, which ends here."""
     try:
         os.chdir(place)
         Path("held").write_text(str(_held()))
-        for number, name in ((1, "stdout"), (2, "stderr")):
-            os.dup2(os.open(place / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
-        os.dup2(os.open("/dev/null", os.O_RDONLY), 0)
+        for number, end in zip((1, 2), ends, strict=True):
+            os.dup2(end, number)
+            os.close(end)
+        given = Path("in/stdin.csv") if "--follow" in hostile.command else Path("/dev/null")
+        usable = not given.is_symlink() or given.is_file() or given.is_fifo() or given.is_char_device()
+        os.dup2(os.open(given if usable else "/dev/null", os.O_RDONLY | os.O_NONBLOCK * given.is_fifo()), 0)
         sys.stdin, sys.stdout, sys.stderr = open(0, closefd=False), open(1, "w"), open(2, "w")  # noqa: SIM115
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS + 5))
+        if hostile.disk is not None:
+            signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (hostile.disk, hostile.disk))
         sys.argv = ["casadical", *hostile.command]
         from casadical.cli import main
 
@@ -222,9 +210,11 @@ def _fault(hostile: Hostile, place: Path, before: dict[str, str], code: int, out
         # What --overwrite was asked to replace may be replaced, unless the command reads it.
         asked = hostile.command if "--overwrite" in hostile.command else ()
         names = [n for n in names if f"in/{n}" not in asked]
+        if hostile.command[0] == "measure":  # keeps its readings there
+            names = [n for n in names if not n.startswith("live/")]
         # A folder that `new` was told to write gets new files.
         into = hostile.command[1] if hostile.command[0] == "new" and code == 0 else ""
-        if any(n in before or not into or Path("in", n).parent != Path(into) for n in names):
+        if names and any(n in before or not into or Path("in", n).parent != Path(into) for n in names):
             return f"changes inputs: {sorted(names)[:5]}"
     return _outputs_fault(hostile, place, code)
 
@@ -247,16 +237,32 @@ def _outputs_fault(hostile: Hostile, place: Path, code: int) -> str:
     return ""
 
 
+def by_hand(files: list[Path]) -> Iterator[Hostile]:
+    """Each file in each place of each command, and each command on a full disk."""
+    for line, inner in LINES:
+        words = line.split()
+        for disk in (0, 4096):
+            yield Hostile(tuple(words), (), disk)
+        for path in files:
+            for k, word in enumerate(words):
+                if word.startswith("in/"):
+                    yield Hostile((*words[:k], str(path), *words[k + 1 :]), ())
+            for name in inner.split():
+                yield Hostile(tuple(words), ((name, "is", 0, str(path)),))
+
+
 def main() -> int:
     """Draw, run and count."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--inputs", type=int, default=3000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--part", default="1/1")
+    parser.add_argument("--by-hand", action="store_true")
+    parser.add_argument("--only", default="", help="a pattern of command lines")
     given = parser.parse_args()
     part, parts = map(int, given.part.split("/"))
     rng = random.Random(given.seed)
-    chosen = [draw(rng.choice) for _ in range(given.inputs)][part - 1 :: parts]
+    chosen = [] if given.by_hand else [draw(rng.choice) for _ in range(given.inputs)]
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     codes: Counter[tuple[str, int]] = Counter()
     faults: Counter[str] = Counter()
@@ -264,6 +270,10 @@ def main() -> int:
         template = Path(name) / "template"
         load_all()
         world(template)
+        if given.by_hand:
+            chosen = list(by_hand(hostile(Path(name) / "h")))
+            chosen = rng.sample(chosen, min(given.inputs, len(chosen)))
+        chosen = [one for one in chosen if re.search(given.only, " ".join(one.command))][part - 1 :: parts]
         for one in chosen:
             fault, code = run(one, template, Path(name))
             codes[" ".join(one.command[: 2 if one.command[0] in ("export", "withheld") else 1]), code] += 1
@@ -271,7 +281,8 @@ def main() -> int:
                 faults[fault] += 1
                 print(f"FAULT {fault}\n   {one}", flush=True)
     print(
-        f"part {given.part} of {given.inputs} inputs, seed {given.seed}: {len(chosen)} run, "
+        f"part {given.part} of {'inputs by hand' if given.by_hand else f'{given.inputs} inputs'}, seed {given.seed}: "
+        f"{len(chosen)} run, "
         f"{sum(faults.values())} faults"
     )
     for command in sorted({c for c, _ in codes}):

@@ -37,8 +37,8 @@ from types import CodeType, FrameType
 from typing import Any
 
 import tomlkit
-from fuzz import URDF, world
 from fuzz_inputs import NUMBERS
+from fuzz_world import ANSWER, DETAILS, DRIVE, EFFECTS, URDF, WITHHELD, world
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = str(ROOT / "casadical")
@@ -58,16 +58,6 @@ PROGRAMS = {
     "P[2]{\n   GP1:\n\tUF : 0, UT : 1,\tCONFIG : 'N U T, 0, 0, 0',\n\tX = 300 mm,\tY = 0 mm,\tZ = 200 mm,\n"
     "\tW = 180 deg,\tP = 0 deg,\tR = 0 deg\n};\n/END\n",
 }  # fmt: skip
-EFFECTS = """casadical = 2
-[[definition]]
-name = "play_of_mine"
-acts_at = "joints"
-needs = ["approach{joint}"]
-signature = "a step"
-settings.width = {default = 0.1, grid = [0.1, 0.2], about = "of the step"}
-sizes = {half = [40e-6, "rad"]}
-formulas.joint = "half * tanh(tau{joint} / width) * approach{joint}"
-"""
 LAW = """
 [[effect]]
 name = "law"
@@ -91,6 +81,13 @@ lower = [[4e-12], [1e-12, 9e-12]]
 """
 
 
+# Files of folders that are logs, and how many folders up the log is named.
+SYSTEMS = {
+    "sage/state_motor.csv": 0, "sage/control.csv": 0, "sage/joint_list.txt": 0, "bag-db3/metadata.yaml": 0,
+    "bag-db3/bag-db3.db3": 0, "bag-mcap/bag-mcap.mcap": 0, "lerobot/meta/info.json": 1,
+}  # fmt: skip
+
+
 class Kind:
     """A kind of file: its name in the world, what reads it there, and how its content is put together."""
 
@@ -105,12 +102,20 @@ def kinds(place: Path) -> dict[str, Kind]:
     from casadical.blind_check.answers import read_answers
     from casadical.blind_check.protocol import read_manifest as read_withheld
     from casadical.compensator import load_compensator
+    from casadical.core.drive import read_drive
     from casadical.effects.definition import read_definitions
     from casadical.export.c.manifest import read_manifest
     from casadical.export.controller.programs.program import read_target_program
     from casadical.export.controller.programs.target import Given
     from casadical.fleet.store import rows
+    from casadical.fleet.touches import changes_in_fleet, touched
+    from casadical.measurements.logs.reading import is_log, read_log
     from casadical.pose_selection.workspace import read_workspace
+    from casadical.project.certificate import certificate
+    from casadical.project.iso9283 import evaluated_table
+    from casadical.project.live import LiveSession
+    from casadical.project.live.journal import journal
+    from casadical.project.live.sources import FileSource, rows_of
     from casadical.project.new.new import new_problem
     from casadical.project.problem import read_problem
     from casadical.project.problem_file import result_in, tables_of
@@ -141,7 +146,42 @@ def kinds(place: Path) -> dict[str, Kind]:
     def program(path: Path) -> None:
         read_target_program(path, Given(), 6)
 
-    withheld = {"casadical_withheld": 1, "seed": 1, "key_sha256": "0" * 64, "campaigns": {"a": {"sha256": "0" * 64}}}
+    def log(path: Path) -> None:
+        read_log(path, unit="deg")
+
+    def log_folder(up: int) -> Callable[[Path], object]:
+        return lambda p: read_log(p.parents[up] / "data/episode.parquet" if up else p.parent, arm, unit="deg")
+
+    def followed(path: Path) -> None:
+        is_log(path)
+        found = rows_of(path, path.read_bytes())
+        if found.rows:
+            (path.parent / "other").mkdir(exist_ok=True)
+            for name in ("problem.toml", "robot.toml"):
+                shutil.copy(place / "in/live" / name, path.parent / "other")
+            with journal(path.parent / "other") as (course, add):
+                LiveSession(path.parent / "other", course, add).feed(FileSource(path))
+
+    def journalled(path: Path) -> None:
+        kept = path.read_bytes()
+        with journal(path.parent) as (course, add):
+            LiveSession(path.parent, course, add).state()
+        path.write_bytes(kept)
+
+    def touches(path: Path) -> None:
+        touched(place / "in/results", [path], noise_mm=0.05, tolerance_mm=1)
+
+    def iso(path: Path) -> None:
+        evaluated_table(path, arm).table()
+
+    def certified(path: Path) -> None:
+        certificate(place / "in/results", path, problem=place / "in/p").blocks()
+
+    def stated(path: Path) -> None:
+        results(path)
+        certificate(path.parent, problem=place / "in/p").to_json()
+
+    here = place / "in"
     listed = [
         Kind("robot.toml", [planar, own, *robots], posed, 6),
         Kind("p/problem.toml", [(place / "in/p/problem.toml").read_bytes(), *problems], folder, 4),
@@ -153,13 +193,22 @@ def kinds(place: Path) -> dict[str, Kind]:
         Kind("my.effect.toml", [EFFECTS.encode()], read_definitions, 3),
         Kind("program.csv", [(place / "in/program.csv").read_bytes()], lambda p: read_target_program(p, Given(), 2), 2),
         Kind("net.json", [(place / "in/net.json").read_bytes()], load_compensator, 3),
-        Kind("results/result.json", [(place / "in/results/result.json").read_bytes()], results, 2),
+        Kind("results/result.json", [(place / "in/results/result.json").read_bytes()], stated, 2),
         Kind(
             "c/manifest.json", [b'{"kernel": {"joints": 2}, "files": {"a.c": "0"}}'], lambda p: read_manifest(p.parent)
         ),
-        Kind("w/withheld.json", [json.dumps(withheld).encode()], lambda p: read_withheld(p.parent)),
-        Kind("answers.jsonl", [(b'{"casadical_withheld": 1, "criterion": "bic"}\n' * 3)], read_answers),
+        Kind("w/withheld.json", [json.dumps(WITHHELD).encode()], lambda p: read_withheld(p.parent)),
+        Kind("answers.jsonl", [ANSWER.encode() * 3], read_answers),
         Kind("store/part-1.parquet", [_parquet()], lambda p: rows(p.parent), 1),
+        *(Kind(name, [(here / name).read_bytes()], log, 3) for name in ("log.csv", "rtde.csv", "log.parquet")),
+        *(Kind(name, [(here / name).read_bytes()], log_folder(up), 2) for name, up in SYSTEMS.items()),
+        Kind("drive.toml", [DRIVE.encode()], lambda p: read_drive(p, 2), 2),
+        Kind("certificate.toml", [DETAILS.encode()], certified, 2),
+        Kind("fleet.json", [(here / "fleet.json").read_bytes()], changes_in_fleet, 1),
+        Kind("2026-03-01.csv", [(here / "2026-03-01.csv").read_bytes()], touches, 2),
+        Kind("iso.csv", [(here / "iso.csv").read_bytes()], iso, 2),
+        Kind("stdin.csv", [(here / "stdin.csv").read_bytes()], followed, 3),
+        Kind("live/measured.jsonl", [(here / "live/measured.jsonl").read_bytes()], journalled, 3),
         *(Kind(f"p.{end}", [text.encode()], program, 2) for end, text in PROGRAMS.items()),
     ]
     return {kind.name: kind for kind in listed}
@@ -221,7 +270,7 @@ class Mutator:
 
     def _once(self, suffix: str, content: bytes, other: bytes) -> bytes:
         roll = self.rng.random()
-        if suffix == ".parquet" or roll < 0.05:
+        if suffix in (".parquet", ".db3", ".mcap") or roll < 0.05:
             return self._bytes(content)
         if roll < 0.09:
             return self._encoded(content)
@@ -449,6 +498,8 @@ def fault_of(kind: Kind, place: Path, content: bytes) -> str:
         own = [f for f in traceback.extract_tb(error.__traceback__) if f.filename.startswith(PACKAGE)]
         at = f"{Path(own[-1].filename).relative_to(PACKAGE)}:{own[-1].name}" if own else "outside"
         return f"{type(error).__name__} at {at}: {str(error)[:100]!r}"
+    finally:
+        path.write_bytes(kind.seeds[0])  # which others are read with
     return ""
 
 

@@ -24,6 +24,8 @@ WORDS = (
 )  # fmt: skip
 FORMS = ("mjcf", "urdf", "ur", "standard_dh", "modified_dh", "xacro", "yaml", "")
 PATHS = (
+    "in/log.csv", "in/drive.toml", "in/sage", "in/bag-db3", "in/2026-03-01.csv", "in/iso.csv", "in/certificate.toml",
+    "in/my.effect.toml", "in/w", "in/stdin.csv", "in/live", "in/lerobot/data/episode.parquet", "in/log.parquet",
     "in/p", "in/p/robot.toml", "in/p/poses.csv", "in/p/problem.toml", "in/results", "in/results/KM.robot.toml",
     "in/results/result.json", "in/program.csv", "in/dh.csv", "in/arm.urdf", "in/room.toml", "in/net.json", "in/none",
     "in/loop", "in/empty", "in/folder", "in/binary", "", ".", "/dev/null", "/dev/full", "x" * 5000, "a[/x]", "in",
@@ -36,6 +38,8 @@ OUTPUTS = (
 
 # Commands with arguments that are always given, and options: a value of this kind, or None for a flag.
 PROBLEM, ROBOT, TABLE = ("in/p",), ("in/results/KM.robot.toml", "in/p/robot.toml"), ("in/p/poses.csv",)
+LOGS = ("in/log.csv", "in/log.csv", "in/rtde.csv", "in/sage", "in/log.parquet", "in/bag-db3", "in/bag-mcap")
+DAYS = ("in/2026-03-01.csv", "in/2026-03-02.csv", "in/iso.csv")
 COMMANDS: dict[tuple[str, ...], tuple[tuple[Sequence[str], ...], dict[str, str | None]]] = {
     ("check",): ((PROBLEM,), {"--noise-mm": "number", "--strict": None, "--json": "out", "-q": None}),
     ("calibrate",): (
@@ -70,30 +74,82 @@ COMMANDS: dict[tuple[str, ...], tuple[tuple[Sequence[str], ...], dict[str, str |
     ("export", "model"): ((ROBOT + PROBLEM,), {
         "--out": "out", "--to": "form", "--leave-out": None, "--overwrite": None, "--nominal": "path",
         "--json": "out"}),
-    ("diagnose",): ((PROBLEM, TABLE), {
-        "--effects": "word", "--seed": "number", "--laws": None, "--json": "out"}),
-    ("withheld", "score"): ((("in", "in/p"), ("in/p",), TABLE), {"--json": "out"}),
-    ("withheld", "predict"): ((("in", "in/p"),), {"--out": "out", "--by": "word", "--workers": "small"}),
+    ("withheld", "score"): ((("in/w", "in/p"), ("in/w", "in/p"), ("in/w/answers.jsonl", *TABLE)), {"--json": "out"}),
+    ("diagnose",): ((PROBLEM, TABLE + LOGS), {
+        "--effects": "effects", "--seed": "number", "--laws": None, "--json": "out", "--drive": "path",
+        "--reference": "path", "--out": "out"}),
+    ("verify",): ((("in/results", *ROBOT), DAYS, DAYS), {
+        "--touches": "small", "--fleet": "path", "--room": "path", "--tolerance-mm": "number", "--noise-mm": "number",
+        "--chart": "out", "--update": "out", "--json": "out", "--promised-mm": "number", "--iso9283": None}),
+    ("certificate",): ((("in/results",),), {
+        "--details": "path", "--problem": "path", "--iso9283": "path", "--out": "out", "--json": "out"}),
+    ("compare",): ((("in/results", *ROBOT), (*TABLE, *ROBOT)), {
+        "--robot": "path", "--same-tool": None, "--same-frame": None, "--json": "out"}),
+    ("measure",): ((("in/live",),), {
+        "--target-mm": "number", "--room": "path", "--finish": None, "--program": "word", "--json": "out"}),
+    ("withheld", "predict"): ((("in/w", "in/p"),), {"--out": "out", "--by": "word", "--workers": "small"}),
 }  # fmt: skip
 # Of each command: `out` is needed by these.
 NEEDS_OUT = {("correct",), ("export", "model")}
+ALWAYS = {("measure",): ["--follow", "-", "--no-page"]}
 # So often is each drawn: those that are quick more often.
-WEIGHTS = {("diagnose",): 1, ("plan",): 2, ("calibrate",): 4, ("check",): 4, ("new",): 3, ("correct",): 3}
-CHANGED = ("p/robot.toml", "p/problem.toml", "p/poses.csv", "results/KM.robot.toml", "program.csv", "dh.csv",
-"arm.urdf",
-           "room.toml", "net.json", "results/result.json")  # fmt: skip
+WEIGHTS = {("diagnose",): 3, ("plan",): 2, ("calibrate",): 4, ("check",): 4, ("new",): 3, ("correct",): 3}
+CHANGED = (
+    "p/robot.toml", "p/problem.toml", "p/poses.csv", "results/KM.robot.toml", "program.csv", "dh.csv", "arm.urdf",
+    "room.toml", "net.json", "results/result.json", "log.csv", "log.csv", "rtde.csv", "drive.toml",
+    "sage/state_motor.csv", "sage/joint_list.txt", "2026-03-01.csv", "iso.csv", "certificate.toml", "my.effect.toml",
+    "fleet.json", "stdin.csv", "live/measured.jsonl", "live/problem.toml", "w/withheld.json", "w/key.json",
+    "w/answers.jsonl", "places.csv",
+)  # fmt: skip
+# Valid command lines, and files that they read besides those that they name.
+R = "in/results/KM.robot.toml"
+LINES = (
+    ("check in/p", "p/problem.toml p/robot.toml p/poses.csv"),
+    ("calibrate in/p --out out/r --prior " + R, "p/problem.toml p/robot.toml p/poses.csv"),
+    ("diagnose in/p in/p/poses.csv --no-laws --effects in/my.effect.toml --out out/d", "p/problem.toml"),
+    ("diagnose in/p/robot.toml in/log.csv --drive in/drive.toml --reference in/log.csv --json out/j", ""),
+    ("diagnose in/p/robot.toml in/sage", "sage/state_motor.csv sage/control.csv sage/joint_list.txt"),
+    ("diagnose in/p/robot.toml in/bag-db3", "bag-db3/metadata.yaml bag-db3/bag-db3.db3"),
+    ("diagnose in/p/robot.toml in/lerobot/data/episode.parquet", "lerobot/meta/info.json"),
+    ("measure in/live --follow - --no-page --json out/j", "live/measured.jsonl live/problem.toml live/robot.toml"),
+    ("measure in/live --follow - --no-page --finish --room in/room.toml", "stdin.csv"),
+    ("plan " + R + " -n 4 --room in/room.toml --measured in/p/poses.csv --out out/c.csv", ""),
+    ("plan " + R + " --wires 2 --places in/places.csv -n 4 --out out/c.csv", ""),
+    ("plan " + R + " in/p/poses.csv --isolability --for in/my.effect.toml", ""),
+    ("plan in/p --iso9283 --room in/room.toml --out out/c.csv", "p/robot.toml"),
+    ("verify in/results in/2026-03-01.csv in/2026-03-02.csv --touches 5 --fleet in/fleet.json "
+     "--noise-mm 0.05 --tolerance-mm 1 --room in/room.toml --chart out/c.csv --update out/u.toml",
+     "results/result.json results/KM.robot.toml"),
+    ("verify in/results --touches 5 --room in/room.toml --poses out/t.csv", ""),
+    ("verify in/results in/iso.csv --iso9283", "results/result.json"),
+    ("verify in/results in/p/poses.csv --json out/j", "results/result.json"),
+    ("certificate in/results --details in/certificate.toml --iso9283 in/iso.csv --problem in/p --out out/c.pdf",
+     "results/result.json results/KM.robot.toml p/poses.csv"),
+    ("compare in/results in/p/poses.csv --robot in/p --json out/j", "results/result.json p/robot.toml"),
+    ("correct " + R + " in/program.csv --nominal in/p/robot.toml --compensator in/net.json --out out/p.csv", ""),
+    ("export model " + R + " --out out/a.xml", ""), ("export model in/p --to urdf --out out/a.urdf", ""),
+    ("export c " + R + " --nominal in/p/robot.toml --compensator in/net.json --out out/c", ""),
+    ("new out/new --dh in/dh.csv --data in/p/poses.csv --yes", ""),
+    ("new out/new --urdf in/arm.urdf --data in/p/poses.csv --yes", ""),
+    ("withheld predict in/w --workers 1 --out out/a.jsonl", "w/withheld.json w/a.csv w/a.unseen.csv w/robots/two.toml"),
+    ("withheld score in/w in/w in/w/answers.jsonl --json out/j", "w/withheld.json w/key.json w/answers.jsonl"),
+    ("fleet in/p --store out/store.parquet --workers 1 --no-diagnose", "p/robot.toml p/poses.csv"),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Hostile:
-    """One input: the words of the command line, and changes of files (name, kind, place, what is put there)."""
+    """One input: the words of the command line, changes of files (name, kind, place, what is put there), and how many
+    bytes a file may get."""
 
     command: tuple[str, ...]
     changes: tuple[tuple[str, str, int, str], ...]
+    disk: int | None = None
 
     def __str__(self) -> str:
         words = " ".join(ascii(w)[1:-1][:60] for w in self.command)
-        return f"{words} | " + "; ".join(f"{n} {k} {p} {ascii(v)[:40]}" for n, k, p, v in self.changes)
+        full = "" if self.disk is None else f" on a disk of {self.disk} bytes"
+        return f"{words}{full} | " + "; ".join(f"{n} {k} {p} {ascii(v)[:40]}" for n, k, p, v in self.changes)
 
 
 def draw(choose: Choose) -> Hostile:
@@ -107,6 +163,7 @@ def draw(choose: Choose) -> Hostile:
     given = [option for option in options if not choose(range(4))]
     if name in NEEDS_OUT and "--out" not in given:
         given.append("--out")
+    words += ALWAYS.get(name, [])
     for option in given:
         words += [option, *_value(options[option], choose)]
     changes = []
@@ -126,5 +183,7 @@ def _value(kind: str | None, choose: Choose) -> list[str]:
         return [choose((*NUMBERS, "3", "4", "5", "6"))]
     if kind == "dh":
         return [choose(("in/dh.csv", "in/dh.csv", "in/dh.csv", *PATHS))]
+    if kind == "effects":
+        return [choose(("in/my.effect.toml", *WORDS))]
     values = {"number": NUMBERS, "word": WORDS, "form": FORMS, "path": PATHS, "out": OUTPUTS[:4] * 4 + OUTPUTS}
     return [choose(values[kind])]

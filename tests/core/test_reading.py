@@ -205,3 +205,14 @@ def test_a_journal_of_somebody_else_moves_nothing(tmp_path: Path) -> None:
     assert read_bytes(place / "robot.toml") == b""
     assert (tmp_path / "mine").read_text() == "mine"
     assert sorted(path.name for path in place.iterdir()) == [".casadical-folder", "robot.toml"]
+
+
+def test_a_message_tells_fifty_faults_and_how_many_more(tmp_path) -> None:
+    path = tmp_path / "many.toml"
+    path.write_text('casadical = 1\nname = "a"\n' + "[[joint]]\nlenght_mm = 1\n" * 60)
+    with pytest.raises(InputError) as told:
+        read_robot(path)
+    lines = str(told.value).splitlines()
+    assert lines[0].endswith("many.toml: 60 fault(s)")
+    assert len(lines) == 52
+    assert lines[-1] == "  and 10 more"

@@ -136,3 +136,22 @@ def test_places_of_wires_in_one_table_are_found_by_their_names() -> None:
     apart = [np.linalg.norm(where[i] - where[j]) for i, j in ((0, 1), (1, 2), (0, 2))]
     assert apart == pytest.approx([np.linalg.norm(far[i] - far[j]) for i, j in ((0, 1), (1, 2), (0, 2))], abs=2e-3)
     assert np.abs(length_errors(found)).max() < 4
+
+
+def test_a_tool_that_the_file_has_on_the_last_axis_is_placed_before_parameters_are_chosen() -> None:
+    """There alpha5 looks like d5 and theta6 like nothing: lengths of three wires are not to be fitted without them."""
+    robot, built = off_by(0.3)
+    bare = replace(robot, tool=replace(robot.tool, T=np.eye(4)))
+    wires = np.array([[1.5, 0.4, 0.2], [-0.9, 1.4, 0.7], [0.2, -1.6, 1.1]])
+    rng = np.random.default_rng(8)
+    which = np.arange(70) % 3
+    q = rng.uniform(-1.8, 1.8, (70, 6))
+    far = np.linalg.norm(predicted(built, Measurements(q, "contact", label=which))[0] - wires[which], axis=1)
+    m = Measurements(q, "distance", distance=far + rng.normal(0, 2e-5, 70), label=which.astype(str))
+    found, placed = identify(bare, m, method="KM"), identify(robot, m, method="KM")
+    assert set(found.names) == set(placed.names)
+    later = rng.uniform(-1.8, 1.8, (200, 6))
+    pairs = np.arange(0, 200, 2)
+    there = (predicted(r, Measurements(later, "contact", label=later[:, 0]))[0] for r in (built, found.robot))
+    made = [np.linalg.norm(np.diff(p, axis=0)[pairs], axis=1) for p in there]
+    assert np.mean(np.abs(made[1] - made[0])) < 6e-5

@@ -218,3 +218,21 @@ def test_no_file_and_no_parquet(tmp_path: Path) -> None:
     broken.write_text("q1_deg")
     with pytest.raises(InputError, match=r"broken\.parquet: not a readable table: Parquet"):
         read_measurements(broken, 2)
+
+
+@pytest.mark.parametrize(
+    ("lines", "told"),
+    [
+        (["\n" * 50], "it is empty"),
+        (["1" * 200_000, *ROWS], "field larger than field limit"),
+        ([",".join(f"a{k}" for k in range(2001)), ",".join("1" * 2001)], "has 2001 columns; at most 2000 are read"),
+        ([HEAD], "a header but no rows"),
+    ],
+)
+def test_what_is_no_table_is_refused_in_parts_as_at_once(tmp_path, monkeypatch, lines, told) -> None:
+    path = written(tmp_path, lines)
+    for size in (None, *([] if "columns" in told else [20])):
+        if size:
+            in_parts(monkeypatch, size)
+        with pytest.raises(InputError, match=told):
+            table_parts.read_columns(path)

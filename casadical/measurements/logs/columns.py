@@ -63,7 +63,7 @@ def logged(raw: RawTable, names: Sequence[str] = (), listed: Sequence[str] = ())
     units: dict[tuple[str, str], str] = {}
     scalars: dict[str, Array] = {}
     for heading in raw.header:
-        if heading.startswith("time_"):
+        if heading.startswith("time_") or heading not in frame:  # a column without a heading
             continue
         if scalar := _scalar(heading):
             scalars.setdefault(scalar, _numbers(frame[heading]))
@@ -96,10 +96,21 @@ def _lists(cells: pd.Series, raw: RawTable) -> Array | None:
         rows = list(cells)
     else:
         return None
-    odd = next((k for k, row in enumerate(rows) if len(row) != len(rows[0])), None)
-    if odd is not None:
-        sizes = f"a list of {len(rows[odd])} numbers, {len(rows[0])} in the first row"
-        raise InputError(f"{raw.path.name}: row {raw.line[odd]}, column {cells.name!r}: {sizes}; correct the row")
+    if len(rows) != len(cells):  # a cell with two lists, or with none
+        raise InputError(
+            f"{raw.path.name}: column {cells.name!r}: {len(rows)} lists in {len(cells)} rows; one is needed"
+        )
+    wanted = (np.size(rows[0]),)
+    for k, line in enumerate(raw.line):
+        try:
+            shape = np.asarray(rows[k], dtype=float).shape
+            wrong = "" if shape == wanted else f"a list of {np.size(rows[k])} numbers"
+        except (TypeError, ValueError, OverflowError):
+            wrong = "no list of numbers"
+        if wrong:
+            raise InputError(
+                f"{raw.path.name}: row {line}, column {cells.name!r}: {wrong}, {wanted[0]} in the first row; correct it"
+            )
     return np.array(rows, dtype=float)
 
 

@@ -44,10 +44,10 @@ def lerobot(path: Path, table: RawTable, unit: str | None) -> Logged:
     names: Sequence[str] = ()
     if about:
         features = load_json(about).get("features", {})
-        given = features.get("observation.state", features.get("action", {})).get("names") or ()
-        names = [
-            str(name).removesuffix(".pos") for name in (given.get("motors", ()) if isinstance(given, dict) else given)
-        ]
+        with foreign(f"{about}: not the info.json of a LeRobot dataset"):
+            given = features.get("observation.state", features.get("action", {})).get("names") or ()
+            listed = given.get("motors", ()) if isinstance(given, dict) else given
+            names = [str(name).removesuffix(".pos") for name in listed]
     log = logged(table, listed=names)
     sizes = [np.nanmax(np.abs(column)) for column in log.channels.get("position", {}).values()]
     if not unit and max(sizes, default=0.0) <= 100.0:

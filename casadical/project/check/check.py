@@ -33,7 +33,7 @@ from casadical.project.check.plausible import (
     other_conventions,
     plausible,
 )
-from casadical.project.check.repair import MIRRORED, in_words, left_mm, other_lengths
+from casadical.project.check.repair import MIRRORED, OF_LENGTHS, in_words, left_mm, other_lengths
 from casadical.project.check.result import Precheck
 from casadical.project.check.slips import Slips, search_slips
 from casadical.project.check.targets import Targets, WrongNames, middles, recognised, whole_table, wrong_names
@@ -80,12 +80,13 @@ def precheck(
     if wrong or (targets and targets.turning):  # what contradicts one target, or wrong names, says nothing
         found, usable, slips = [f for f in found if f.topic not in ("units", "repeats", "rows")], False, None
     found = [*_target_findings(targets, wrong, sets[0].source), *found]
-    if table is not None and not usable and wrong is None and (targets is None or targets.which is None):
-        searched = _slips(problem.robot, table, targets, others, show)
+    one = table if table is not None else sets[0] if sets[0].position is None else None
+    if one is not None and not usable and wrong is None and (targets is None or targets.which is None):
+        searched = _slips(problem.robot, one, targets, others, show)
         if searched and searched.explains and (not slips or _says_more(searched, slips, problem.robot)):
             slips = searched
             found = [f for f in found if not (f.topic == "units" and f.level == "error")]
-            found.insert(0, _slip_finding(slips, problem.robot, standard, sets[0].source))
+            found.insert(0, _slip_finding(slips, problem.robot, standard, sets[0]))
     found += _held_out_findings(problem)
     found += limits_findings(problem.robot)
     known, source = _noise(noise, sets)
@@ -154,8 +155,9 @@ def _says_more(searched: Slips, single: Slips, robot: Robot) -> bool:
     return not single.explains or searched.best.slips > 1 or bool(other_lengths(searched.best, robot))
 
 
-def _slip_finding(slips: Slips, robot: Robot, standard: bool, source: str) -> Finding:
+def _slip_finding(slips: Slips, robot: Robot, standard: bool, m: Measurements) -> Finding:
     before, best = slips.before, slips.best
+    source, of_positions = m.source, m.position is not None
     text = f"{source}: with base and tool fitted the nominal model still is {1e3 * before.error:.4g} mm (median) from "
     text += f"the data, {100 * before.error / robot.reach:.2g} % of its reach"
     if not slips.explains:
@@ -163,7 +165,7 @@ def _slip_finding(slips: Slips, robot: Robot, standard: bool, source: str) -> Fi
     text += f"; {left_mm(best, robot)} would be left if {'; '.join(in_words(best, robot, standard))}"
     for rival in slips.rivals:
         text += f". Rival, {left_mm(rival, robot)}: {'; '.join(in_words(rival, robot, standard))}"
-    mirrored = f". But {MIRRORED}" if best.mirrored else ""
+    mirrored = f". But {MIRRORED}" if best.mirrored else "" if of_positions else f". {OF_LENGTHS}"
     return Finding("error", "units", f"{text}{mirrored}. casadical check --repair writes the first")
 
 
@@ -176,7 +178,7 @@ def _plausible(
         return [], None
     slips = Slips(*told, ())
     if slips.explains or slips.before.error > GROSS * robot.reach:
-        return [_slip_finding(slips, robot, standard, m.source)], slips
+        return [_slip_finding(slips, robot, standard, m)], slips
     text = f"{m.source}: the nominal model, base and tool fitted, is {1e3 * slips.before.error:.3g} mm (median) from"
     return [Finding("note", "units", f"{text} the data: units, signs and zeros fit")], None
 

@@ -18,7 +18,7 @@ from casadical.identification.placement import place_frames
 from casadical.measurements.measurements import Measurements
 from casadical.project.check.findings import Finding
 from casadical.project.check.slip_fit import Fit, Hypothesis
-from casadical.project.check.slips import WORTH, outside, single_slips
+from casadical.project.check.slips import WORTH, outside, single_slips, slip_fit
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
 
@@ -33,13 +33,16 @@ POSES = 150
 
 
 def plausible(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> tuple[Fit, Fit] | None:
-    """What is left after placing, and with the single slip undone of which least is left; None without positions.
+    """What is left after placing, and with the single slip undone of which least is left; None of kinds without
+    positions and lengths.
 
     others : robots that the file may have meant (see `other_conventions`)
     """
-    if m.position is None:
-        return None
     some, none = m[:: -(-len(m) // POSES)], Hypothesis.none(robot.n)
+    if m.position is None:  # lengths: several slips are searched for where these are far off
+        lengths = slip_fit(robot, some)
+        as_it_is = lengths.placed(none, as_given=True) if lengths else None
+        return (as_it_is, as_it_is) if as_it_is else None
     before = Fit(none, median_error(rigid(robot), some))
     tried = [before]
     for fit in single_slips(robot, len(others)):

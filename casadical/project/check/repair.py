@@ -44,6 +44,10 @@ MIRRORED = (
     "positions do not distinguish; look which way joint 1 turns before a program is corrected by it"
 )
 
+OF_LENGTHS = (
+    "Lengths fit the mirror image of a robot as well: look which way joint 1 turns before a program is corrected by it"
+)
+
 
 def _of_readings(fit: Fit, robot: Robot) -> Iterator[str]:
     h = fit.hypothesis
@@ -171,6 +175,8 @@ def repaired_columns(fit: Fit, robot: Robot, known: Mapping[str, Source]) -> dic
             found[name] = made
     scales = (1.0, 1.0, 1.0) if other_lengths(fit, robot) else fit.scale
     for c, scale in zip("xyz", scales, strict=True):
+        if scale == 1.0 and not (c == "y" and fit.mirrored):
+            continue
         name = _present(known, c, ("_mm", "_m"))
         source, sign = _simple(known[name]), -1.0 if c == "y" and fit.mirrored else 1.0
         made = Source(source.name, _round(sign * scale * source.times), sign * scale * source.plus, {}, source.rows)

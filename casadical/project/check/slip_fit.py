@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -25,8 +25,8 @@ COUNTED = 0.75
 FURTHER, TOGETHER, LEFT_HANDED = 0.6, 0.5, 0.5
 # Of an explanation so large a share of the rows must fit, each within so many times its error.
 FIT, TIMES = 0.8, 3.0
-# So many poses distinguish hypotheses.
-SCORED = 40
+# Steps of the fit to lengths.
+STEPS = 12
 
 
 class Hypothesis(NamedTuple):
@@ -119,6 +119,9 @@ class SlipFit:
     rows: Sequence[Sequence[Joint]]
     reach: float
     orientation: Array | None = None
+    # So many poses distinguish hypotheses; of which so many are carried to the next level.
+    scored: ClassVar[int] = 40
+    beam: ClassVar[int] = 800
 
     def _aligned(self, shift: int) -> tuple[Array, Array]:
         """Readings and positions of the rows that belong together if the readings lie `shift` rows before."""
@@ -195,7 +198,7 @@ class SlipFit:
         keys = [(h.shift, h.rows) for h in hypotheses]
         for shift, rows in dict.fromkeys(keys):
             index = [k for k, key in enumerate(keys) if key == (shift, rows)]
-            q, y = (part[:SCORED] for part in self._aligned(shift))
+            q, y = (part[: self.scored] for part in self._aligned(shift))
             for first in range(0, len(index), 128):
                 part = index[first : first + 128]
                 some = [hypotheses[k] for k in part]
@@ -245,6 +248,79 @@ class SlipFit:
         own = np.swapaxes(R, 1, 2) @ seen
         trace = np.einsum("ij,nij->n", nearest_rotation(np.median(own, axis=0)), own)
         return float(np.median(np.arccos(np.clip((trace - 1) / 2, -1, 1))))
+
+
+@dataclass(frozen=True, eq=False)
+class LengthFit(SlipFit):
+    """One table of lengths from the tool to a few unknown places at rest; y : length [m], index of the place.
+
+    Lengths tell neither how a frame is turned nor its hand, so that only readings and rows are searched for. Tool and
+    places are fitted by damped Gauss-Newton steps (Levenberg 1944; Marquardt 1963), from the tool on the flange.
+    """
+
+    scored: ClassVar[int] = 60
+    beam: ClassVar[int] = 60
+
+    def shares(self, hypotheses: Sequence[Hypothesis]) -> Array:
+        share = np.empty(len(hypotheses))
+        for part, y, p, R, _ in self._parts(hypotheses):
+            square = np.sort(self._left(p, R, y) ** 2, axis=1)[:, : max(1, int(COUNTED * len(y)))]
+            share[part] = np.sqrt(square.mean(axis=1)) / (np.std(p, axis=1).sum(axis=1) + 1e-3 * self.reach)
+        return share
+
+    def departures(self, hypotheses: Sequence[Hypothesis]) -> Array:
+        """No length of the robot is searched for."""
+        return np.tile([1.0, 0.0], (len(hypotheses), 2 * self.q.shape[1], 1))
+
+    def zeros(self, hypotheses: Sequence[Hypothesis], joint: int) -> Array:  # noqa: ARG002
+        """No zero but those of quarter turns."""
+        return np.zeros(len(hypotheses))
+
+    def placed(self, h: Hypothesis, as_given: bool = False) -> Fit:  # noqa: ARG002
+        q, y = self._aligned(h.shift)
+        p, R, _, _ = self._flange(_readings([h], q), self.rows[h.rows], *self._lengths([h], h.rows))
+        kept, e = np.ones(len(y), dtype=bool), np.zeros(len(y))
+        for _ in range(3):  # far rows draw the fit towards themselves
+            e = np.abs(self._left(p, R, y, kept)[0])
+            kept = e <= 5 * np.median(e)
+        return Fit(h, max(float(np.median(e)), float(np.quantile(e, FIT)) / TIMES))
+
+    def _left(self, p: Array, R: Array, y: Array, kept: Array | None = None) -> Array:
+        """Lengths less those of the fitted tool and places, shape (k, n); kept : rows that are fitted."""
+        length, place = y[:, 0], np.eye(int(y[:, 1].max()) + 1)[y[:, 1].astype(int)]
+        weight = np.ones(len(y)) if kept is None else kept.astype(float)
+        x, damping, best = self._start(p, length, place), np.full(len(p), 1e-3), np.full(len(p), np.inf)
+        tried, left, found = x, np.empty(p.shape[:2]), np.empty(p.shape[:2])
+        A, b = np.zeros((len(p), x.shape[1], x.shape[1])), np.zeros((*x.shape, 1))
+        for _ in range(STEPS):
+            line = p + (R @ tried[:, None, :3, None])[..., 0] - place @ tried[:, 3:].reshape(len(p), -1, 3)
+            size = np.maximum(np.linalg.norm(line, axis=2), 1e-9)
+            left = length - size
+            cost = (weight * left**2).sum(axis=1)
+            better = cost < best
+            found[better], x, best = left[better], np.where(better[:, None], tried, x), np.minimum(cost, best)
+            damping = np.where(better, damping / 5, damping * 10)
+            along = (weight[:, None] * line / size[..., None])[better]
+            J = np.concatenate(
+                [np.einsum("kni,knij->knj", along, R[better])]
+                + [-(along * place[:, [k]]) for k in range(place.shape[1])], axis=2,
+            )  # fmt: skip
+            A[better], b[better] = np.swapaxes(J, 1, 2) @ J, np.swapaxes(J, 1, 2) @ left[better][..., None]
+            ridge = damping[:, None, None] * (np.eye(x.shape[1]) * (1e-6 * len(y) + A))
+            tried = x + np.linalg.solve(A + ridge, b)[..., 0]
+        return found
+
+    @staticmethod
+    def _start(p: Array, length: Array, place: Array) -> Array:
+        """Tool on the flange, and the places that fit best then, linear in them and their squares, (k, 3 + 3 K)."""
+        x = [np.zeros((len(p), 3))]
+        for own in place.T > 0:
+            local = p[:, own] - p[:, own].mean(axis=1, keepdims=True)
+            A = np.concatenate([2 * local, -np.ones((*local.shape[:2], 1))], axis=2)
+            x.append(
+                _solved(A, ((local**2).sum(axis=2) - length[own] ** 2)[..., None])[:, :3, 0] + p[:, own].mean(axis=1)
+            )
+        return np.concatenate(x, axis=1)
 
 
 def _readings(hypotheses: Sequence[Hypothesis], q: Array) -> Array:

@@ -16,13 +16,13 @@ from casadical.core.arrays import Array
 from casadical.core.progress import Show, silent
 from casadical.core.statistics import ranked
 from casadical.measurements.measurements import Measurements
-from casadical.project.check.slip_fit import Fit, Hypothesis, SlipFit
+from casadical.project.check.slip_fit import Fit, Hypothesis, LengthFit, SlipFit
 from casadical.robot.robot import Robot
 
-POSES = 60
+POSES, FEWEST, FEWEST_TO_A_PLACE = 60, 15, 6
 MOST_SLIPS = 4
-# States that are kept of all, and of each combination of shift and convention; of which so many are placed.
-BEAM, OF_EACH, PLACED = 800, 120, 20
+# States that are kept of each combination of shift and convention; of which so many are placed.
+OF_EACH, PLACED = 120, 20
 QUARTERS = tuple(np.deg2rad(v) for v in (0.0, 90.0, -90.0, 180.0))
 # Of the reach: errors below it are the nominal model's own; departures of a length below it are calibration's.
 OWN, LENGTH = 0.001, 0.02
@@ -38,6 +38,8 @@ OUTSIDE, FEW = 0.35, 0.05
 TURNED = 0.1
 # In which several wrong lengths are found together.
 ROUNDS = 8
+# Errors that differ by a smaller share are the same.
+SAME = 1e-6
 # What a further slip must at least reduce the error by.
 WORTH = 2.0
 
@@ -62,26 +64,41 @@ def search_slips(
     others: Sequence[Robot] = (),
     show: Show = silent,
 ) -> Slips | None:
-    """What is wrong with a table, if anything is; None for robots with loops and for data without positions.
+    """What is wrong with a table, if anything is; None where this is not known (see `slip_fit`).
 
     others : the robot with its rows read otherwise; show : called with a line of progress
     """
-    if m.position is None or robot.loops or m.q.shape[1] != robot.n or len(m) < 15:
-        return None
+    order = np.argsort(m.row)
     # Whole stretches of rows, so that shifted ones still belong together.
-    some = slice(0, POSES) if len(m) > POSES else slice(None)
-    order = np.argsort(m.row)[some]
-    rows = [robot.joints, *(o.joints for o in others if not o.loops)]
-    turns = m.orientation[order] if m.orientation is not None else None
-    fit = SlipFit(m.q[order], m.position[order], rows, robot.reach, turns)
+    fit = slip_fit(robot, m[order[:POSES]], others)
+    if fit is None:
+        return None
     # Shifts need rows that follow each other in the file.
-    shifts = (0, 1, -1) if np.all(np.diff(m.row[order]) >= 1) else (0,)
+    shifts = (0, 1, -1) if np.all(np.diff(m.row[order]) >= 1) and m.position is not None else (0,)
     found = _search(fit, robot, shifts, show)
     before = fit.placed(Hypothesis.none(robot.n), as_given=True)
     costs = [_cost(f, robot) + OUTSIDE * outside(f.hypothesis, robot, fit.q) for f in found]
-    best, *behind = (found[k] for k in ranked(np.negative(costs)))
-    rivals = [f for f in behind if f.error < 0.5 * before.error and f.cost <= MOST_SLIPS + 1]
+    first, *behind = ranked(np.negative(costs))
+    best = found[first]
+    near = [found[k] for k in behind if found[k].slips and costs[k] < costs[first] + np.log(WORTH)]
+    # The mirror image of a robot has the same lengths: no pose would distinguish them.
+    rivals = [f for f in near if m.position is not None or abs(f.error - best.error) > SAME * best.error]
     return Slips(before, best, tuple(rivals[:2]))
+
+
+def slip_fit(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> SlipFit | None:
+    """The fast fit to positions, or to lengths to a few places; None of other kinds, of loops, and of too few rows."""
+    rows = [robot.joints, *(o.joints for o in others if not o.loops)]
+    if robot.loops or m.q.shape[1] != robot.n or len(m) < FEWEST:
+        return None
+    if m.position is not None:
+        return SlipFit(m.q, m.position, rows, robot.reach, m.orientation)
+    if m.kind != "distance" or m.distance is None:
+        return None
+    ends = m.label if m.target is None else m.target
+    which = np.zeros(len(m)) if ends is None else np.unique(ends, axis=0, return_inverse=True)[1].ravel()
+    few = np.bincount(which.astype(int)).min() < FEWEST_TO_A_PLACE
+    return None if few else LengthFit(m.q, np.column_stack([m.distance, which]), rows, robot.reach)
 
 
 def single_slips(robot: Robot, others: int) -> Iterator[Fit]:
@@ -112,7 +129,7 @@ def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int], show: Show) -> li
     share = fit.shares(level)
     for depth in range(MOST_SLIPS + 1):
         show(f"slips, search {depth + 1} of {MOST_SLIPS + 1}")
-        kept = _kept(level, share)
+        kept = _kept(level, share, fit.beam)
         for k in kept[:PLACED]:
             h = _refined(fit, level[k])
             found.setdefault(h, fit.placed(h))
@@ -176,13 +193,13 @@ def _zero(angle: float) -> float:
     return QUARTERS[nearest] if away[nearest] < ZERO else round(float(np.arctan2(np.sin(angle), np.cos(angle))), 4)
 
 
-def _kept(level: Sequence[Hypothesis], share: Array) -> list[int]:
+def _kept(level: Sequence[Hypothesis], share: Array, beam: int) -> list[int]:
     order = [int(k) for k in np.argsort(share)]
-    kept, of_each = order[:BEAM], dict[tuple[int, int], int]()
+    kept, of_each = order[:beam], dict[tuple[int, int], int]()
     for k in order:
         key = (level[k].shift, level[k].rows)
         of_each[key] = of_each.get(key, 0) + 1
-        if of_each[key] <= OF_EACH and k not in kept:
+        if of_each[key] <= min(OF_EACH, beam) and k not in kept:
             kept.append(k)
     return kept
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError, shown
-from casadical.core.reading import read_bytes
+from casadical.core.reading import MOST_TEXT, read_bytes
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.pose_selection.candidates import expected
 from casadical.project.new.synthetic import NOISE, as_built
@@ -98,27 +98,35 @@ class StreamSource:
     def __init__(self, stream: BinaryIO, name: str = "standard input") -> None:
         self.words, self.ended = name, False
         self._stream, self._data, self._read, self._lock = stream, b"", -1, Lock()
+        self._said: list[str] = []
         Thread(target=self._follow, daemon=True).start()
 
     def _follow(self) -> None:
-        while some := os.read(self._stream.fileno(), 65536):
+        try:
+            while some := os.read(self._stream.fileno(), 65536):
+                with self._lock:
+                    self._data += some
+                    if len(self._data) > MOST_TEXT:
+                        raise InputError(f"more than {MOST_TEXT} bytes came; give a file, or start again")
+        except (OSError, InputError) as error:
+            self._said.append(f"{self.words}: is read no further: {error}")
+        finally:
             with self._lock:
-                self._data += some
-        with self._lock:
-            self._data += b"" if self._data.endswith(b"\n") or not self._data else b"\n"
-            self.ended = True
+                self._data += b"" if self._data.endswith(b"\n") or not self._data else b"\n"
+                self.ended = True
 
     def news(self) -> News:
         """All rows until now where something came."""
         with self._lock:
-            data = self._data
+            data, said, self._said = self._data, self._said, []
         if len(data) == self._read or not data:
-            return News()
+            return News(said=said)
         self._read = len(data)
         try:
-            return rows_of(Path(self.words), data)
+            found = rows_of(Path(self.words), data)
         except InputError as error:
-            return News(said=[str(error)])
+            return News(said=[str(error), *said])
+        return News(found.rows, [*found.said, *said])
 
 
 class SimulatedSource:

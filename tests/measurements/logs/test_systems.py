@@ -143,6 +143,16 @@ def test_lists_of_other_lengths_are_named_by_row(tmp_path) -> None:
         read_log(folder)
 
 
+@pytest.mark.parametrize("cell", ["3", "[0.1, null, {}]", '["a", "b"]', "[[1, 2], [3, 4]]", "[1, 2], [3, 4]"])
+def test_what_is_no_list_of_numbers_is_named_by_row(tmp_path, cell) -> None:
+    folder = sage(tmp_path / "motion", [[b, a] for a, b in Q])
+    table = pd.read_csv(folder / "state_motor.csv").astype(object)
+    table.loc[3, "positions"] = cell
+    table.to_csv(folder / "state_motor.csv", index=False)
+    with pytest.raises(InputError, match=r"column 'positions': "):
+        read_log(folder)
+
+
 def lerobot(tmp_path, scale):
     data = tmp_path / "data" / "chunk-000"
     data.mkdir(parents=True)

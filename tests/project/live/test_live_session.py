@@ -1,8 +1,10 @@
 """Readings as they come: judged before the next, kept whatever happens, calibrated as if the table had come whole."""
 
 import json
+import os
 import re
 import shutil
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,7 +17,7 @@ from casadical.core.errors import InputError
 from casadical.core.files import csv_text
 from casadical.project.live import LiveSession
 from casadical.project.live.journal import journal
-from casadical.project.live.sources import FileSource, FolderSource, Row
+from casadical.project.live.sources import FileSource, FolderSource, Row, StreamSource
 
 ROOT = Path(__file__).parents[3]
 SERIES = ROOT / "data/ur10_laser_tracker/series_C_random_poses.csv"
@@ -325,3 +327,17 @@ def test_the_command_prints_answers_and_keeps_its_figures(arm: Path) -> None:
         assert "PTP {A1" in ended.stdout
     assert [r["state"] for r in json.loads(kept.read_text())["readings"]] == ["good", "good"]
     assert "goes on after 1 readings" in ended.stdout
+
+
+def test_a_stream_that_cannot_be_read_ends_and_says_so(tmp_path: Path) -> None:
+    class Folder:
+        def fileno(self) -> int:
+            return os.open(tmp_path, os.O_RDONLY)
+
+    source = StreamSource(Folder())
+    for _ in range(100):
+        if source.ended:
+            break
+        time.sleep(0.01)
+    assert source.ended
+    assert "standard input: is read no further" in source.news().said[0]

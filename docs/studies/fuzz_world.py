@@ -1,0 +1,293 @@
+"""The folder of small valid files that the fuzz works on, and files that nobody should give to a command."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import json
+import os
+import re
+import shutil
+import socket
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+ROOT = Path(__file__).parents[2]
+URDF = """<robot name="two"><link name="base"/><link name="one"/><link name="two"/>
+<joint name="j1" type="revolute"><parent link="base"/><child link="one"/><origin xyz="0 0 0.1" rpy="0 0 0"/>
+<axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+<joint name="j2" type="revolute"><parent link="one"/><child link="two"/><origin xyz="0.4 0 0" rpy="0 0 0"/>
+<axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint></robot>
+"""
+DRIVE = "[drive]\ngear_ratio = [101.0, 51.0]\ntorque_constant_Nm_per_A = 0.1\nkp_Nm_per_rad = 800\ndelay_ms = 8\n"
+DETAILS = """casadical = 1
+language = "de"
+number = "2026-014"
+issued = "2026-11-23"
+remarks = ["After a change."]
+[instrument]
+name = "laser tracker"
+noise_mm = 0.01
+scale_um_per_m = 3
+[conditions]
+temperature_degC = 21
+range_K = 2
+expansion_um_per_m_K = 12
+repeatability_mm = 0.02
+[decision]
+tolerance_mm = 0.2
+"""
+EFFECTS = """casadical = 2
+[[definition]]
+name = "play_of_mine"
+acts_at = "joints"
+needs = ["approach{joint}"]
+signature = "a step"
+settings.width = {default = 0.1, grid = [0.1, 0.2], about = "of the step"}
+sizes = {half = [40e-6, "rad"]}
+formulas.joint = "half * tanh(tau{joint} / width) * approach{joint}"
+"""
+ANSWER = '{"casadical_withheld": 1, "criterion": "bic"}\n'
+WITHHELD = {"format": "casadical withheld 1", "key_sha256": "0" * 64, "campaigns": {"a": {"robot": "two"}}}
+
+
+def world(place: Path) -> None:
+    """Small valid files of every kind, in the folder `in`; `out` is empty."""
+    from casadical import calibrate
+    from casadical.compensator import Compensator, save_compensator
+
+    folder = place / "in" / "p"
+    folder.mkdir(parents=True)
+    (place / "out").mkdir()
+    planar = ROOT / "problems" / "planar"
+    shutil.copy(planar / "robot.toml", folder)
+    text = (planar / "problem.toml").read_text().replace("../../data/planar/planar.csv", "poses.csv")
+    (folder / "problem.toml").write_text(text)
+    table = (ROOT / "data" / "planar" / "planar.csv").read_text().splitlines()
+    (folder / "poses.csv").write_text(
+        "\n".join([f"{table[0]},payload_kg", *(f"{row},2.5" for row in table[1:])]) + "\n"
+    )
+    calibrate(folder).write(place / "in" / "results")
+    texts = {
+        "program.csv": "q1_deg,q2_deg,speed\n10,20,fast\n30,-40,slow\n",
+        "dh.csv": "a_mm,alpha_deg,d_mm,theta_deg\n0,0,0,0\n400,0,0,0\n300,90,100,0\n",
+        "room.toml": "casadical = 1\nfloor_mm = -2000\n[[joint]]\nnumber = 1\nlimits_deg = [-90, 90]\n",
+        "places.csv": "x_mm,y_mm,z_mm\n900,0,300\n0,900,200\n-900,0,100\n0,-900,400\n",
+        "arm.urdf": URDF, "drive.toml": DRIVE, "certificate.toml": DETAILS, "my.effect.toml": EFFECTS,
+        "fleet.json": json.dumps({"robots": [{"changes": "joint_zero"}]}), "foreign.txt": "mine\n", "empty": "",
+    }  # fmt: skip
+    for name, content in texts.items():
+        (place / "in" / name).write_text(content)
+    rng = np.random.default_rng(0)
+    q = rng.uniform(-1, 1, (30, 2))
+    save_compensator(Compensator.fit(q, np.sin(q @ np.ones((2, 3))), folds=2), place / "in" / "net.json")
+    (place / "in" / "binary").write_bytes(bytes(range(256)))
+    (place / "in" / "folder").mkdir()
+    (place / "in" / "loop").symlink_to("loop")
+    _measured(place / "in", table)
+    logs(place / "in")
+
+
+def _measured(into: Path, table: list[str]) -> None:
+    """Days of touches, a test by ISO 9283, what `measure` reads and keeps, a blind check."""
+    head, rows = table[0], table[1:]
+    for day in (1, 2, 3):
+        (into / f"2026-03-0{day}.csv").write_text("\n".join([head, *rows[5 * day : 5 * day + 5]]) + "\n")
+    visits = [f"accuracy,{k % 3 + 1},0,0,{rows[k % 3]},{','.join(rows[k % 3].split(',')[2:])}" for k in range(9)]
+    (into / "iso.csv").write_text(f"test,pose,path,group,{head},cx_mm,cy_mm,cz_mm\n" + "\n".join(visits) + "\n")
+    shutil.copytree(into / "p", into / "live")
+    text = (into / "p" / "problem.toml").read_text()
+    (into / "live" / "problem.toml").write_text(re.sub(r"\[\[measurements\]\].*?\n\n|\[sets\].*", "", text, flags=re.S))
+    (into / "live" / "poses.csv").unlink()
+    (into / "stdin.csv").write_text("\n".join(table[:9]) + "\n")
+    events: list[dict[str, Any]] = [{"do": "begin", "header": head.split(","), "units": [], "data": "real"}]
+    events += [{"do": "read", "cells": row.split(","), "from": "a, line 2"} for row in rows[9:15]]
+    events += [{"do": "strike", "id": 2, "why": "bumped"}, {"do": "restore", "id": 2}]
+    lines = [json.dumps({"at": "2026-11-23T10:00:00+00:00", **event}) for event in events]
+    (into / "live" / "measured.jsonl").write_text("\n".join(lines) + "\n")
+    (into / "w" / "robots").mkdir(parents=True)
+    shutil.copy(into / "p" / "robot.toml", into / "w" / "robots" / "two.toml")
+    (into / "w" / "withheld.json").write_text(json.dumps(WITHHELD))
+    (into / "w" / "a.csv").write_text((into / "p" / "poses.csv").read_text())
+    (into / "w" / "a.unseen.csv").write_text("q1_deg,q2_deg\n1,2\n3,4\n")
+    (into / "w" / "answers.jsonl").write_text(ANSWER * 2)
+    (into / "w" / "key.json").write_text(json.dumps({"salt": "a", "seed": 1, "campaigns": {}}))
+
+
+def logs(into: Path) -> None:
+    """A joint log in the forms of several systems."""
+    t = np.arange(300) / 50
+    q = np.column_stack([0.8 * np.sin(2 * t), 0.5 * np.sin(1.3 * t + 1)])
+    names = {"command{}_rad": q, "q{}_rad": q - 0.01, "current{}_A": np.cos(q), "temperature{}_degC": 30 + 0 * q}
+    ours = pd.DataFrame({"time_s": t} | {n.format(k + 1): v[:, k] for n, v in names.items() for k in range(2)})
+    ours.round(5).to_csv(into / "log.csv", index=False)
+    ours.to_parquet(into / "log.parquet")
+    rtde = {"target_q_{}": q, "actual_q_{}": q - 0.01, "actual_current_{}": np.cos(q)}
+    columns = {"timestamp": t} | {n.format(k): v[:, k] for n, v in rtde.items() for k in range(2)}
+    pd.DataFrame(columns).round(5).to_csv(into / "rtde.csv", index=False, sep=" ")
+    data = into / "lerobot" / "data"
+    data.mkdir(parents=True)
+    deg = np.rad2deg(3 * q)
+    frame = {"action": [*deg], "observation.state": [*(deg - 0.5)], "timestamp": t, "episode_index": (t > 3) + 0}
+    pd.DataFrame(frame).to_parquet(data / "episode.parquet")
+    (into / "lerobot" / "meta").mkdir()
+    about = {"features": {"observation.state": {"names": ["a.pos", "b.pos"]}}}
+    (into / "lerobot" / "meta" / "info.json").write_text(json.dumps(about))
+    (into / "sage").mkdir()
+    (into / "sage" / "joint_list.txt").write_text("j1\nj2\n")
+    for name, own in (("state_motor", q - 0.01), ("control", q)):
+        rows = [f'{int(1e6 * a)},"{[round(float(v), 4) for v in p]}"' for a, p in zip(t, own, strict=True)]
+        (into / "sage" / f"{name}.csv").write_text("timestamp,positions\n" + "\n".join(rows) + "\n")
+    with suppress(ImportError):
+        _bags(into, t[:40], q)
+
+
+def _bags(into: Path, t: np.ndarray, q: np.ndarray) -> None:
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kind = store.types["sensor_msgs/msg/JointState"]
+    stamp, header = store.types["builtin_interfaces/msg/Time"], store.types["std_msgs/msg/Header"]
+    for plugin, end in ((StoragePlugin.SQLITE3, "db3"), (StoragePlugin.MCAP, "mcap")):
+        with Writer(into / f"bag-{end}", version=9, storage_plugin=plugin) as bag:
+            topics = [bag.add_connection(n, kind.__msgtype__, typestore=store) for n in ("/joint_states", "/command")]
+            for time, row in zip(1e9 + t, q, strict=False):
+                head = header(stamp(int(time), int(1e9 * (time % 1))), "")
+                message = kind(head, ["j1", "j2"], row, row, row)
+                for topic in topics:
+                    data = store.serialize_cdr(message, kind.__msgtype__)
+                    bag.write(topic, int(1e9 * time), data)
+
+
+# --- files that nobody should give --------------------------------------------------------------------------------
+
+
+def hostile(into: Path) -> list[Path]:
+    """Files, folders, links and pipes of more than sixty kinds."""
+    into.mkdir()
+    for name, content in _hostile_texts():
+        (into / name).write_bytes(content if isinstance(content, bytes) else content.encode("utf-8", "surrogatepass"))
+    for name, make in _hostile_places().items():
+        make(into / name)
+    return sorted(into.iterdir())
+
+
+def _hostile_texts() -> Iterator[tuple[str, str | bytes]]:
+    table = "q1_deg,q2_deg,x_mm,y_mm,z_mm\n" + "".join(f"{k},{7 * k % 90},{k},{3 * k},0\n" for k in range(30))
+    yield from {
+        "mark.csv": b"\xef\xbb\xbf", "mark.toml": b"\xef\xbb\xbfcasadical = 1\n", "utf16.csv": table.encode("utf-16"),
+        "utf16-no-mark.csv": table.encode("utf-16-le"), "utf32.csv": table.encode("utf-32"),
+        "utf16.toml": "casadical = 1\n".encode("utf-16"), "utf16.urdf": URDF.encode("utf-16"),
+        "one-line.csv": "1" * 20_000_000, "one-cell.csv": table + '"' + "x" * 5_000_000 + '",1,1,1,1\n',
+        "commas.csv": "," * 2_000_000,
+        "columns.csv": ",".join(f"q{k}_deg" for k in range(50_000)) + "\n" + "1," * 49_999,
+        "line-ends.csv": "\n" * 5_000_000, "cr.csv": table.replace("\n", "\r"), "nul.csv": table.replace("0", "\0"),
+        "quote.csv": table + '"1,2,3\n' * 1000, "nan.csv": re.sub(r"\b9\b", "nan", table),
+        "huge.csv": re.sub(r"\b9\b", "1e308", table), "infinite.csv": re.sub(r"\b9\b", "-inf", table),
+        "digits.csv": re.sub(r"\b9\b", "9" * 5000, table), "twice.csv": table.replace("q2_deg", "q1_deg"),
+        "same.csv": "q1_deg,q2_deg,x_mm,y_mm,z_mm\n" + "1,2,3,4,5\n" * 60,
+        "naught.csv": table[:30] + "0,0,0,0,0\n" * 60,
+        "one-row.csv": "\n".join(table.splitlines()[:2]), "letters.csv": re.sub(r"\d", "x", table),
+    }.items()  # fmt: skip
+    yield from {
+        "deep.toml": "a = " + "[" * 100_000, "dotted.toml": "casadical = 1\n" + ".".join("a" * 10_000) + " = 1\n",
+        "keys.toml": "casadical = 1\ncasadical = 1\n", "digits.toml": f"casadical = {'9' * 5000}\n",
+        "date.toml": "casadical = 1979-05-27\nname = 07:32:00\n", "nan.toml": "casadical = nan\n",
+        "many.toml": 'casadical = 1\nname = "a"\n' + "[[joint]]\n" * 100_000,
+        "none.toml": 'casadical = 1\nname = "a"\njoint = []\n', "negative.toml": "casadical = -1\njoint = -6\n",
+        "self.toml": 'casadical = 1\nrobot = "self.toml"\n[[measurements]]\nfile = "self.toml"\nkind = "position"\n',
+        "up.toml": 'casadical = 1\nrobot = "../../../../etc/passwd"\n',
+        "wide.toml": f'casadical = 1\nname = "{"x" * 9_000_000}"\n',
+        "drive.toml": "[drive]\ngear_ratio = [-1, 1e308]\ndelay_s = nan\n",
+        "drives.toml": f"[drive]\ngear_ratio = [{'1,' * 200_000}]\n",
+        "deep.json": "[" * 200_000, "object.json": '{"a":' * 100_000, "keys.json": '{"casadical": 1, "casadical": 2}',
+        "nan.json": '{"casadical": NaN, "robots": [NaN]}', "digits.json": '{"a": ' + "9" * 5000 + "}",
+        "list.json": "[]", "null.json": "null", "surrogate.json": '{"\\ud800": "\\udfff"}',
+        "lines.jsonl": "{}\n" * 200_000,
+        "huge.json": '{"robots": ' + json.dumps([{"changes": 1e308}]) + "}",
+    }.items()  # fmt: skip
+    yield from _hostile_xml()
+    yield from _hostile_archives(table)
+
+
+def _hostile_xml() -> Iterator[tuple[str, str | bytes]]:
+    entities = "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10 if k else "ha"}">' for k in range(10))
+    mimic = URDF.replace("</joint>", '<mimic joint="j2"/></joint>', 1)
+    yield from {
+        "laughs.urdf": f"<!DOCTYPE r [{entities}]><robot name='&a9;'/>",
+        "external.urdf": '<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]><robot name="&x;"/>',
+        "deep.urdf": "<robot>" * 100_000, "self-mimic.urdf": mimic.replace("j2", "j1", 1),
+        "mimic.urdf": mimic[::-1].replace("</joint>"[::-1], '<mimic joint="j1"/></joint>'[::-1], 1)[::-1],
+        "ring.urdf": URDF.replace('parent link="base"', 'parent link="two"'),
+        "twice.urdf": URDF.replace('name="j2"', 'name="j1"'), "nan.urdf": URDF.replace("0.4 0 0", "nan 1e308 -inf"),
+        "axis.urdf": URDF.replace('axis xyz="0 0 1"', 'axis xyz="0 0 0"'),
+        "limits.urdf": URDF.replace('"-3"', '"inf"').replace('"3"', '"-inf"'),
+        "xacro.urdf": URDF.replace("<link", '<xacro:include filename="xacro.urdf"/><link', 1),
+        "name.urdf": URDF.replace('"j1"', '"&#10;[bold]\u202e"'),
+        "shift.urdf": '<?xml version="1.0" encoding="shift_jis"?>' + URDF,
+        "many.urdf": '<robot name="m"><link name="l0"/>' + "".join(
+            f'<link name="l{k}"/><joint name="j{k}" type="revolute"><parent link="l{k - 1}"/><child link="l{k}"/>'
+            "</joint>"
+            for k in range(1, 20_000)) + "</robot>",
+    }.items()  # fmt: skip
+
+
+def _hostile_archives(table: str) -> Iterator[tuple[str, str | bytes]]:
+    zeros = b"0," * 25_000_000
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", 8) as book:
+        book.writestr("[Content_Types].xml", "<Types/>")
+        book.writestr("xl/worksheets/sheet1.xml", zeros * 3)
+    packed = gzip.compress(zeros) * 12
+    metadata = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
+        f"{b}: &{b} [{','.join([f'*{a}'] * 9)}]\n" for a, b in zip("abcdefgh", "bcdefghi", strict=True)
+    )
+    parquet = io.BytesIO()
+    nested: Any = pd.DataFrame({"time_s": [0.0, 1.0], "q1_rad": [{"a": [1]}, {"a": [2]}], "command1_rad": [b"a", b"b"]})
+    nested.to_parquet(parquet)
+    yield from {
+        "bomb.xlsx": out.getvalue(), "cut.xlsx": out.getvalue()[:-100], "text.xlsx": b"PK\x03\x04" + table.encode(),
+        "old.xlsx": b"\xd0\xcf\x11\xe0" + bytes(500), "bomb.csv.gz": packed, "cut.csv.gz": packed[:5000],
+        "nested.parquet": parquet.getvalue(), "cut.parquet": parquet.getvalue()[:200], "text.parquet": table,
+        "empty.db3": b"", "text.db3": table, "cut.mcap": b"\x89MCAP0\r\n" + bytes(100),
+        "text.bag": "#ROSBAG V2.0\n" + table, "a\nb.csv": table, "[bold].toml": "casadical = 1\n",
+        "metadata.yaml": metadata,
+    }.items()  # fmt: skip
+
+
+def _hostile_places() -> dict[str, Callable[[Path], object]]:
+    def bag(path: Path) -> None:
+        path.mkdir()
+        shutil.copy(path.parent / "metadata.yaml", path)
+
+    def sparse(path: Path) -> None:
+        with path.open("wb") as file:
+            file.truncate(20 * 2**30)
+
+    def unix(path: Path) -> None:
+        here = Path.cwd()
+        os.chdir(path.parent)
+        socket.socket(socket.AF_UNIX).bind(path.name)
+        os.chdir(here)
+
+    def crowd(path: Path) -> None:
+        path.mkdir()
+        for k in range(3000):
+            (path / f"{k}.csv").write_text("1\n")
+
+    return {
+        "fifo": os.mkfifo, "fifo.csv": os.mkfifo, "fifo.db3": os.mkfifo, "fifo.parquet": os.mkfifo,
+        "loop.toml": lambda p: p.symlink_to(p.name), "gone.csv": lambda p: p.symlink_to("nowhere"),
+        "zero.csv": lambda p: p.symlink_to("/dev/zero"), "zero.toml": lambda p: p.symlink_to("/dev/zero"),
+        "zero.parquet": lambda p: p.symlink_to("/dev/zero"), "memory": lambda p: p.symlink_to("/proc/self/mem"),
+        "folder.csv": Path.mkdir, "folder.toml": Path.mkdir, "folder.db3": Path.mkdir, "folder.parquet": Path.mkdir,
+        "bag": bag, "sparse.csv": sparse, "sparse.toml": sparse, "sparse.parquet": sparse, "socket.csv": unix,
+        "crowd": crowd, "up": lambda p: p.symlink_to(".."),
+    }  # fmt: skip
