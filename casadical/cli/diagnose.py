@@ -196,7 +196,17 @@ def _diagnose_logs(campaign: LogCampaign, out: Path | None, json_file: Path | No
         console.print()
         if out:
             texts |= answers[-1].files(out if len(campaign.logs) == 1 else out / path.name.partition(".")[0])
-    keep(with_json(texts, json_file, [answer.to_json() for answer in answers] if json_file else []), console)
+    with working(quiet, "replaying") as show:
+        replay = campaign.replayed(show)
+    if replay:
+        console.print(terminal(replay.blocks()))
+        console.print()
+        if out:
+            texts |= replay.files(out)
+    found = {"replay": replay.to_json()} if replay else {}
+    keep(
+        with_json(texts, json_file, [{**answer.to_json(), **found} for answer in answers] if json_file else []), console
+    )
 
 
 def _answered(

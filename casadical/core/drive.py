@@ -13,6 +13,8 @@ from casadical.core.schema import FaultError, Quantity, TomlTable, check
 
 # One number for all joints, or one of each.
 Each = Annotated[float, Field(ge=0)] | Annotated[list[Annotated[float, Field(ge=0)]], Field(min_length=1)] | None
+# Of either sign.
+EachSigned = float | Annotated[list[float], Field(min_length=1)] | None
 _STIFFNESS = Quantity({"_Nm_per_rad": 1.0, "_N_per_m": 1.0}, 1e15)
 _DAMPING = Quantity({"_Nms_per_rad": 1.0, "_Ns_per_m": 1.0}, 1e15)
 _INTEGRAL = Quantity({"_Nm_per_rad_s": 1.0, "_N_per_m_s": 1.0}, 1e15)
@@ -29,6 +31,7 @@ class Drive(TomlTable):
     """Drives of all joints, in SI, on the joint's side unless said otherwise; a number holds for every joint.
 
     kp, kd, ki : gains of the position servo; joint_stiffness : of the gear, between motor and joint
+    friction : dry, damping : of all that grows with speed, bias : a constant torque, all three at the joint
     torque_limit : at the joint; current_limit : of the motor; speed_limit : of the joint
     gear_ratio : turns of the motor a turn of the joint; torque_constant, rotor_inertia : on the motor's side
     rotor_inertia_at_joint : times the ratio squared; encoder_quantum : as logged, at the joint
@@ -49,6 +52,9 @@ class Drive(TomlTable):
     kp: Annotated[Each, _STIFFNESS] = None
     kd: Annotated[Each, _DAMPING] = None
     ki: Annotated[Each, _INTEGRAL] = None
+    friction: Annotated[Each, _TORQUE] = None
+    damping: Annotated[Each, _DAMPING] = None
+    bias: Annotated[EachSigned, _TORQUE] = None
     torque_limit: Annotated[Each, _TORQUE] = None
     current_limit: Annotated[Each, _CURRENT] = None
     speed_limit: Annotated[Each, _SPEED] = None

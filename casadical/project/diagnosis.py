@@ -21,6 +21,7 @@ from casadical.diagnosis.figures import diagnosis_figures
 from casadical.diagnosis.isolability import isolability
 from casadical.diagnosis.json_answer import as_json, diagnosis_files
 from casadical.diagnosis.laws.answer import Discovery
+from casadical.diagnosis.motion.replay import Replay, replayed
 from casadical.diagnosis.motion.result import LogDiagnosis, diagnose_log
 from casadical.diagnosis.page import diagnosis_page
 from casadical.diagnosis.result import Diagnosis
@@ -234,15 +235,24 @@ class LogCampaign:
 
     robot : with what is known of its drives; logs : their files
     healthy : of the same robot in health on another day, if there is one
+    withheld : files of logs that are not fitted, but replayed
     """
 
     robot: Robot
     logs: tuple[Path, ...]
     healthy: JointLog | None = None
+    withheld: tuple[Path, ...] = ()
 
     def diagnosed(self, log: Path, show: Show = silent) -> LogDiagnosis:
         """Why the arm moves otherwise than its model in one of the logs. Raises InputError."""
         return diagnose_log(self.robot, read_log(log, self.robot), self.healthy, show)
+
+    def replayed(self, show: Show = silent) -> Replay | None:
+        """Runs that were not fitted, from their commands alone; None where no commands were logged."""
+        logs, withheld = ([read_log(path, self.robot) for path in paths] for paths in (self.logs, self.withheld))
+        if any(log.command is None for log in (*logs, *withheld)):
+            return None
+        return replayed(self.robot, logs, withheld, show)
 
 
 def read_logs(
@@ -254,8 +264,9 @@ def read_logs(
     drive : a file with what is known of the drives; None: the robot file, or drive.toml beside it
     Raises InputError: logs and measured poses together, or what is wrong with robot, drives or reference.
     """
+    withheld: list[Path] = []
     if not tables and (folder / "problem.toml").is_file() and (own := problem_file(folder).logs):
-        tables = [folder / path for path in own.identify]
+        tables, withheld = ([folder / path for path in paths] for paths in (own.identify, own.report))
     logs = [is_log(path) for path in tables or ()]
     if not any(logs):
         return None
@@ -265,7 +276,8 @@ def read_logs(
     beside = folder.parent / "drive.toml" if folder.is_file() else folder / "drive.toml"
     if path := drive or (beside if robot.drive is None and beside.is_file() else None):
         robot = replace(robot, drive=read_drive(path, robot.n))
-    return LogCampaign(robot, tuple(tables or ()), read_log(reference, robot) if reference else None)
+    healthy = read_log(reference, robot) if reference else None
+    return LogCampaign(robot, tuple(tables or ()), healthy, tuple(withheld))
 
 
 def isolability_of(campaign: Campaign, effects: EffectChoice) -> tuple[RenderableType, dict[str, Any]]:

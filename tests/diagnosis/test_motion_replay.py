@@ -1,0 +1,116 @@
+"""Open-loop replay of joint logs: the response of joints found again, and real motions that were not fitted."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from casadical import Body, InputError, Joint, Robot, read_robot
+from casadical.cli.root import app
+from casadical.core.telling.terminal import plain_text
+from casadical.diagnosis.motion.replay import replayed
+from casadical.diagnosis.motion.response import fitted
+from casadical.measurements.logs.log import JointLog
+from casadical.measurements.logs.reading import read_log
+from casadical.robot.dynamics import Dynamics
+
+ROOT = Path(__file__).parents[2]
+GAIN, DRY, DAMPED, LATE = np.array([12.0, 8.0]), np.array([0.5, 0.3]), np.array([0.9, 0.4]), 0.03
+STEP, FINE = 0.02, 0.0005
+
+
+@pytest.fixture(scope="module")
+def arm():
+    body = Body(0.5, np.array([0.15, 0.0, 0.0]), np.diag([1e-3, 1e-3, 1e-3]))
+    joints = (Joint(alpha=np.pi / 2, body=body), Joint(a=0.25, body=body))
+    return Robot(name="two servos", joints=joints)
+
+
+def moved(robot, seed, seconds=24.0):
+    """A log of small steps of an explicit integration, dry friction smoothed over a small speed."""
+    rng, n = np.random.default_rng(seed), round(seconds / FINE)
+    t = FINE * np.arange(n)
+    w, phase = rng.uniform(0.4, 2.5, (3, 2, 1)), rng.uniform(0, 6, (3, 2, 1))
+    command = 0.3 * np.sin(w * t + phase).sum(axis=0).T
+    command[(t % 6) > 4.5] = command[np.searchsorted(t, t[(t % 6) > 4.5] // 6 * 6 + 4.5)]
+    load = Dynamics(robot).torque(command, *[np.zeros_like(command)] * 2)
+    inertia, q, v, out = np.array([0.03, 0.015]), command[0].copy(), np.zeros(2), np.empty_like(command)
+    for k in range(n):
+        wanted = command[max(0, k - round(LATE / FINE))]
+        force = GAIN * (wanted - q) - DAMPED * v - load[k]
+        v = v + FINE * (force - DRY * np.tanh(v / 3e-4)) / (inertia + FINE * DRY / 3e-4)
+        q = q + FINE * v
+        out[k] = q
+    every = slice(None, None, round(STEP / FINE))
+    noise = rng.normal(0, 5e-4, out[every].shape)
+    return JointLog(t[every], ("a", "b"), out[every] + noise, command[every], source=f"run {seed}")
+
+
+def test_a_planted_response_is_found_and_predicts_other_runs(arm):
+    logs = [moved(arm, seed) for seed in (1, 2)]
+    found = replayed(arm, logs, [moved(arm, 3)])
+    assert found.held_out
+    assert (found.after < 0.1 * found.before).all()
+    r = found.response
+    for name, planted in (("gain", GAIN), ("friction", DRY), ("damping", DAMPED)):
+        np.testing.assert_allclose(getattr(r, name), planted, rtol=0.25)
+    np.testing.assert_allclose(r.delay, LATE, atol=0.012)
+    np.testing.assert_allclose(r.friction / r.gain, DRY / GAIN, rtol=0.1)
+
+
+def test_runs_are_withheld_in_turn_where_none_are_kept_apart(arm):
+    found = replayed(arm, [moved(arm, seed, 12.0) for seed in (4, 5)])
+    assert found.held_out
+    assert len(found.runs) == 2
+    assert (found.after < 0.2 * found.before).all()
+    alone = replayed(arm, [moved(arm, 4, 12.0)])
+    assert not alone.held_out
+    assert "log a second motion" in plain_text(alone.blocks(), 200)
+
+
+def test_prediction_knows_nothing_of_the_readings_but_the_first(arm):
+    log = moved(arm, 6, 6.0)
+    response = fitted(arm, [log])
+    other = np.concatenate([log.position[:1], np.zeros((len(log) - 1, 2))])
+    blind = JointLog(log.time, log.joints, other, log.command)
+    np.testing.assert_array_equal(response.predicted(blind), response.predicted(log))
+
+
+def test_without_commands_there_is_no_replay(arm):
+    log = moved(arm, 6, 6.0)
+    with pytest.raises(InputError, match="no commands, and so no replay"):
+        fitted(arm, [JointLog(log.time, log.joints, log.position, torque=np.zeros_like(log.position))])
+
+
+def test_real_motions_of_an_so101_that_were_not_fitted():
+    robot = read_robot(ROOT / "problems" / "so101" / "robot.toml")
+    names = ("wave_motion", "staircase_motion", "reach_and_return", "circular_motion")
+    logs = [read_log(ROOT / "data" / "so101_logs" / f"{name}.csv.gz", robot) for name in (*names, "symmetric_motion")]
+    found = replayed(robot, logs[:-1], logs[-1:])
+    assert (1e3 * found.before[:5] > [20, 35, 55, 15, 15]).all()
+    assert (found.after[:5] < 0.25 * found.before[:5]).all()
+
+
+def test_the_command_replays_and_keeps_the_drives_in_a_robot_file(arm, tmp_path):
+    from casadical import write_robot
+
+    for seed in (1, 2):
+        log = moved(arm, seed, 8.0)
+        columns = {"time_s": log.time}
+        columns |= {f"command{k}_rad": log.command[:, k - 1] for k in (1, 2)}
+        columns |= {f"q{k}_rad": log.position[:, k - 1] for k in (1, 2)}
+        pd.DataFrame(columns).to_csv(tmp_path / f"log{seed}.csv", index=False)
+    write_robot(arm, tmp_path / "arm.toml")
+    asked = ["diagnose", *(str(tmp_path / name) for name in ("arm.toml", "log1.csv", "log2.csv"))]
+    told = CliRunner().invoke(app, [*asked, "--out", str(tmp_path / "out"), "--json", str(tmp_path / "found.json")])
+    assert told.exit_code == 0, told.output
+    assert "Open-loop replay" in told.output
+    found = json.loads((tmp_path / "found.json").read_text())[0]["replay"]
+    assert found["held_out"]
+    kept = read_robot(tmp_path / "out" / "diagnosed.robot.toml")
+    assert kept.drive is not None
+    assert kept.drive.table() == found["drive"]
+    assert kept.drive.friction is not None
