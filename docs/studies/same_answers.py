@@ -63,6 +63,13 @@ def commands(scratch: Path, tree: Path) -> dict[str, list[str]]:
         robots = f"MADE/calibrate-{name}/files/SKCM.robot.toml --nominal problems/{name}/robot.toml"
         todo[f"export-{name}"] = f"export c {robots} --out OUT/c --json OUT/a.json --leave-out"
     todo["verify-ur10"] = f"verify MADE/calibrate-ur10/files/SKCM.robot.toml {scratch / 'C.csv'} --json OUT/a.json"
+    todo["touches-ur10"] = "verify MADE/calibrate-ur10/files/SKCM.robot.toml --touches 5 --poses OUT/touches.csv"
+    todo["certificate-ur10"] = "certificate MADE/calibrate-ur10/files --problem problems/ur10 --json OUT/a.json"
+    todo["certificate-planar"] = "certificate MADE/calibrate-planar/files --problem problems/planar --json OUT/a.json"
+    todo["model-kr210"] = "export model MADE/calibrate-kr210/files/KM.robot.toml --to mjcf --leave-out --out OUT/a.xml"
+    todo["fleet-two"] = "fleet problems/planar problems/ur5 --store OUT/store.parquet --json OUT/a.json --no-diagnose"
+    for name in ("wave_motion", "hold_under_gravity"):
+        todo[f"log-{name}"] = f"diagnose problems/so101 data/so101_logs/{name}.csv.gz --json OUT/a.json"
     table = "data/ur10_laser_tracker/series_B_joint_configurations.csv"
     todo["calibrate-csv"] = f"calibrate problems/ur10_joints {table} --method KM --json OUT/a.json"
     return {name: words.split() for name, words in todo.items()}

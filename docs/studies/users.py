@@ -131,6 +131,12 @@ class User:
         return 2e-4 if self.instrument == "camera" else 3e-5
 
 
+def inner(limits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """0.85 of each range about its middle, shapes (n,)."""
+    middle, half = limits.mean(axis=1), np.ptp(limits, axis=1) / 2
+    return middle - 0.85 * half, middle + 0.85 * half
+
+
 def drawn(number: int) -> User:
     """The user of a number."""
     rng = np.random.default_rng([2611, number])
@@ -153,7 +159,7 @@ def drawn(number: int) -> User:
     off = rng.normal(size=rows.shape) * [5e-4, 3e-4, 3e-4, 8e-4]
     true = replace(nominal, rows=rows + off, compliance=soft, tool=tool, base=stand)
     count = int(rng.integers(60, 110))
-    q = np.round(rng.uniform(0.85 * limits[:, 0], 0.85 * limits[:, 1], (count, n)), 6)
+    q = np.round(rng.uniform(*inner(limits), (count, n)), 6)
     seen = true.poses(q)
     slips: dict[str, int] = {}
     if kind != "seven axes":
@@ -302,7 +308,7 @@ def tried(number: int) -> tuple[str, bool, list[str]]:
     """One line on a user, whether the robot is reached, and what was false on the screen."""
     user = drawn(number)
     rng = np.random.default_rng([2612, number])
-    later = rng.uniform(0.85 * user.limits[:, 0], 0.85 * user.limits[:, 1], (TESTED, user.q.shape[1]))
+    later = rng.uniform(*inner(user.limits), (TESTED, user.q.shape[1]))
     truth = user.true.poses(later)
     best = best_error(user, later, truth[:, :3, 3])
     with tempfile.TemporaryDirectory() as scratch:
