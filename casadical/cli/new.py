@@ -10,7 +10,7 @@ from casadical.cli.terminal import print_written, with_json, wrapped
 from casadical.core.errors import InputError
 
 if TYPE_CHECKING:
-    from casadical.measurements.headings import Question
+    from casadical.project.new import Question
     from casadical.project.problem import Problem
 
 

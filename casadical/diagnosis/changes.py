@@ -18,11 +18,9 @@ from casadical.core.statistics import robust_std
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.result import Change
-from casadical.identification.prior import Prior
+from casadical.identification.prior import Prior, probability_of_change
 from casadical.measurements.noise import Noise
 
-# Probability, before any data, that a part of what was known has changed between two campaigns.
-USUAL_CHANGE = 0.1
 # From this probability on, nothing of the earlier campaign is taken for known of a part.
 NEW = 0.5
 
@@ -44,14 +42,10 @@ def changes(case: Case, prior: Prior) -> tuple[tuple[Change, ...], Prior]:
             if key not in done:
                 factor[key] = _log_evidence(case, fit, noise.sigma, prior.with_nothing_known(wide)) - as_known
         first = max(parts.keys() - done, key=lambda key: factor[key], default=None)
-        if first is None or _probability(factor[first]) < NEW:
-            return tuple(Change(*key, _probability(value)) for key, value in factor.items()), prior
+        if first is None or probability_of_change(factor[first]) < NEW:
+            return tuple(Change(*key, probability_of_change(value)) for key, value in factor.items()), prior
         done.add(first)
         prior = prior.with_nothing_known(parts[first])
-
-
-def _probability(factor: float) -> float:
-    return float(1 / (1 + (1 - USUAL_CHANGE) / USUAL_CHANGE * np.exp(-np.clip(factor, -500, 500))))
 
 
 def _parts(case: Case, prior: Prior) -> dict[tuple[str, int | None], dict[str, float]]:

@@ -14,9 +14,9 @@ from casadical.core.statistics import exceeded_by_chance
 from casadical.core.telling.blocks import Page, Section, Table, Tile, Words, mm, next_step, shown
 from casadical.core.telling.figure import Axis, Figure, Series, Span
 from casadical.core.telling.result import Result
-from casadical.diagnosis.changes import USUAL_CHANGE
 from casadical.fleet.candidates import ROBOT, Candidate, Course
 from casadical.fleet.estimates import Estimate
+from casadical.identification.prior import probability_of_change
 
 # A change is said to be there where the data are so many times more probable with one; by chance that happens once in
 # so many lives at most.
@@ -197,7 +197,7 @@ class Comparison(Result):
             unclear = Words(f"NOT CLEAR whether anything changed: {text}", "verdict")
             blocks.append(Words(text, "warning") if self.changes else unclear)
         elif not self.changes:
-            chance = 1 - usual_probability(self.log_odds)
+            chance = 1 - probability_of_change(self.log_odds)
             blocks.append(
                 Words(f"NOTHING CHANGED in the robot that {len(self.campaigns)} campaigns would show.", "verdict")
             )
@@ -278,12 +278,6 @@ def leaves_more(own: tuple[float, float], others: Sequence[tuple[float, float]],
     usual = float(np.sqrt(np.average(left**2, weights=free)))
     chance = exceeded_by_chance((own[0] / (USUAL * usual)) ** 2, own[1], free.sum())
     return usual if chance <= alarms else 0.0
-
-
-def usual_probability(log_odds: float) -> float:
-    """That something changed, where that is the case in one of ten comparisons."""
-    prior = USUAL_CHANGE / (1 - USUAL_CHANGE)
-    return float(1 / (1 + np.exp(-np.clip(log_odds + np.log(prior), -500, 500))))
 
 
 def in_words(found: Comparison, change: Change) -> str:

@@ -27,8 +27,15 @@ from casadical.robot.robot import Robot
 WIDENED = 1.5
 # What each parameter may have changed besides, one sigma as a share of its usual size (of geometry: 1 mm or 1 mrad).
 CHANGED = 0.1
+# Probability, before any data, that something has changed between two campaigns.
+USUAL_CHANGE = 0.1
 # Readings that differ by less are the same [rad or m].
 SAME = 1e-9
+
+
+def probability_of_change(log_odds: float) -> float:
+    """That something changed between two campaigns, for which the data are so probable against no change."""
+    return float(1 / (1 + (1 - USUAL_CHANGE) / USUAL_CHANGE * np.exp(-np.clip(log_odds, -500, 500))))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,5 +1,6 @@
 """A new problem folder that runs: from a URDF, from a DH table, or as a commented example."""
 
+from casadical.measurements.headings import Question
 from casadical.project.new.new import new_problem
 
-__all__ = ["new_problem"]
+__all__ = ["Question", "new_problem"]
