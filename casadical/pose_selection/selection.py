@@ -93,7 +93,7 @@ class Selection(Shown):
         return observability(self.jacobian.reshape(-1, len(self.names)), len(self.jacobian))
 
     @cached_property
-    def covariance_of_units(self) -> Array:
+    def _covariance(self) -> Array:
         """Covariance of the parameters in units of scale, by the noise of each pose: H J'N J H with H = (J'J)^-1.
 
         With a prior of information P and a mean variance s^2: H (J'N J / s^4 + P) H, H = (J'J / s^2 + P)^-1.
@@ -120,7 +120,7 @@ class Selection(Shown):
     @property
     def covariance(self) -> Array:
         """Expected covariance of the parameters, shape (p, p) [SI]."""
-        return np.asarray(self.covariance_of_units * np.outer(self.scale, self.scale))
+        return np.asarray(self._covariance * np.outer(self.scale, self.scale))
 
     @property
     def standard_errors(self) -> Array:
@@ -136,7 +136,7 @@ class Selection(Shown):
         J = scaled_jacobian(self.robot, self.names, m)
         if self.instrument is not None and not self.instrument.known:
             J = without_base(self.robot, J, m)
-        return np.asarray(MM * np.sqrt(np.einsum("kip,pq,kiq->k", J, self.covariance_of_units, J, optimize=True)))
+        return np.asarray(MM * np.sqrt(np.einsum("kip,pq,kiq->k", J, self._covariance, J, optimize=True)))
 
     @cached_property
     def accuracy(self) -> float:

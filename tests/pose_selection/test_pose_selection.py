@@ -96,9 +96,9 @@ def test_chosen_poses_are_better_than_random_ones_by_their_own_measure(robot, cr
     found = select_poses(robot, None, 20, criterion, **QUICK)
 
     def worth(s):
-        return {"V": 1 / s.accuracy, "A": 1 / np.trace(s.covariance_of_units)}.get(criterion) or s.observability[
+        return {"V": 1 / s.accuracy, "A": 1 / np.trace(s.covariance / np.outer(s.scale, s.scale))}.get(
             criterion
-        ]
+        ) or s.observability[criterion]
 
     rng = np.random.default_rng(5)
     random = [replace(found, m=expected(robot, draw(robot, 20, Workspace(), rng), {}, "random")) for _ in range(20)]
