@@ -75,8 +75,9 @@ Form = Annotated[
         "--to",
         metavar="FORM",
         autocompletion=o.forms,
-        help="mjcf (MuJoCo), urdf; kinematics of a driver: ur (YAML of the UR ROS 2 description), standard_dh, "
-        "modified_dh (CSV), xacro (properties of joint origins). Default: by the ending of FILE.",
+        help="mjcf (MuJoCo), urdf; actuators (JSON of the drives by joint names); kinematics of a driver: ur (YAML of "
+        "the UR ROS 2 description), standard_dh, modified_dh (CSV), xacro (properties of joint origins). Default: by "
+        "the ending of FILE.",
     ),
 ]
 Campaign = Annotated[
@@ -193,8 +194,9 @@ def export_model(
 ) -> None:
     """Write a calibrated robot as another program reads it: a MuJoCo model, a URDF, a driver's kinematics.
 
-    A MuJoCo model holds geometry, masses, joint springs, closed loops and diagnosed effects; a URDF geometry and
-    masses; a driver's kinematics the geometry. What that leaves out is printed in millimetres.
+    A MuJoCo model holds geometry, masses, joint springs, closed loops and diagnosed effects, and, where [drive] of the
+    robot file says how joints follow their commands, their motion; a URDF geometry, masses, damping and friction; a
+    driver's kinematics the geometry. What that leaves out is printed in millimetres.
 
     Example: casadical export model results/SKCM.robot.toml --out arm.urdf
 

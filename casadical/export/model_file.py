@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from casadical.core.errors import InputError
+from casadical.core.files import json_text
 from casadical.core.progress import Show, silent
 from casadical.core.reading import missing
 from casadical.core.telling.result import Shown
@@ -14,6 +15,7 @@ from casadical.export.controller.drivers import FORMS as DRIVERS
 from casadical.export.controller.drivers import driver_file
 from casadical.export.mjcf.into_mjcf import into_mjcf
 from casadical.export.mjcf.mjcf import MjcfExport, mjcf
+from casadical.export.mjcf.moving import actuators_of, knows_motion, moving_mjcf, servos_of
 from casadical.export.omission import geometry_alone, left_out, rest_of_rigid
 from casadical.project.calibration import Calibration, calibrate
 from casadical.project.diagnosis import Options, diagnose_campaign, effects_named, read_campaigns
@@ -22,9 +24,9 @@ from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 from casadical.robot.urdf import new_urdf
 
-FORMS = ("mjcf", "urdf", *DRIVERS)
+FORMS = ("mjcf", "urdf", "actuators", *DRIVERS)
 # Which form a file's ending means.
-ENDINGS = {".xml": "mjcf", ".urdf": "urdf", ".yaml": "ur", ".yml": "ur", ".xacro": "xacro"}
+ENDINGS = {".xml": "mjcf", ".urdf": "urdf", ".json": "actuators", ".yaml": "ur", ".yml": "ur", ".xacro": "xacro"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +85,7 @@ def robot_model(
     """A calibrated robot as another program reads it.
 
     source : a robot file, taken as it is, or a problem folder, which is calibrated
-    form : mjcf, urdf; kinematics of a driver: ur, standard_dh, modified_dh, xacro
+    form : mjcf, urdf; actuators, the drives by joint names; kinematics of a driver: ur, standard_dh, modified_dh, xacro
     nominal : robot file from before the calibration, needed by a driver's kinematics and a user's own model
     of_mjcf : what only a MuJoCo model can have: campaign, effects, into, joints, springs
     checksum : of the controller's own calibration, for `ur`
@@ -109,6 +111,9 @@ def robot_model(
         raise InputError(f"--hash is of the UR driver's kinematics, not of {form}: give --to ur")
     if form == "mjcf":
         return _mjcf(source, asked, nominal, leave_out, show)
+    if form == "actuators":
+        robot = robot_to_write(source)
+        return RobotModel(json_text(found := actuators_of(robot)), (), found, f"drives of {robot.name}, by joint names")
     if form == "urdf":
         return _urdf(source, nominal, leave_out, show)
     return _driver(source, form, nominal, checksum, show)
@@ -139,7 +144,10 @@ def _mjcf(source: Path, asked: OfMjcf, nominal: Path | None, leave_out: bool, sh
         raise InputError("--into and --joints belong together; --springs and --nominal belong to them")
     show("calibrating")
     robot = robot_to_write(source, asked.campaign, asked.effects, show)
-    made = mjcf(robot) if asked.into is None else into_users(source, asked, nominal, robot)
+    if asked.into is not None:
+        made = into_users(source, asked, nominal, robot)
+    else:
+        made = moving_mjcf(robot) if knows_motion(robot) else mjcf(robot)
     lost = (*left_out(robot, made.omitted, "a MuJoCo model", leave_out), *made.notes)
     lines = (*(f"effect {text}" for text in made.written), *(f"LEFT OUT {text}" for text in lost))
     figures = {"robot": robot.name, "written": list(made.written), "left_out": list(lost)}
@@ -176,7 +184,7 @@ def _urdf(source: Path, nominal: Path | None, leave_out: bool, show: Show) -> Ro
     into = calibration.problem.urdf if calibration else None
     figures = geometry_alone(calibration) if calibration else None
     omissions = [Omission(e.label, "a URDF holds geometry and masses only") for e in robot.effects]
-    lost = (*left_out(robot, omissions, "a URDF", leave_out), *rest_of_rigid(robot))
+    lost = (*left_out(robot, omissions, "a URDF", leave_out), *rest_of_rigid(robot), *servos_of(robot))
     text = calibration.problem.calibrated_urdf(robot) if calibration and into else new_urdf(robot)
     lines = [f"LEFT OUT {line}" for line in lost]
     if not lost:

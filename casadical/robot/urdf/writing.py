@@ -67,6 +67,8 @@ def calibrated_urdf_text(
     foot = chain.dh.base if base == "robot" else robot_calibrated.base.T
     for name, T in _joint_origins(chain, robot_calibrated, foot).items():
         _set_origin(document, name, T)
+    for i, moving in enumerate(chain.moving, 1):
+        _set_dynamics(document, moving.name, _dynamics(robot_calibrated, i))
     if measured_link:
         tip = np.linalg.inv(chain.dh.tool)
         _add_link(document, chain.tip_link, measured_link, tip @ robot_calibrated.tool.T)
@@ -130,8 +132,22 @@ def _root(document: minidom.Document) -> minidom.Element:
     return document.documentElement
 
 
+def _set_dynamics(document: minidom.Document, joint: str, known: dict[str, str]) -> None:
+    if known:
+        element = _named_joint(document, joint)
+        dynamics = next(iter(_children(element, "dynamics")), None)
+        if dynamics is None:
+            dynamics = element.appendChild(document.createElement("dynamics"))
+        for name, value in known.items():
+            dynamics.setAttribute(name, value)
+
+
+def _named_joint(document: minidom.Document, name: str) -> minidom.Element:
+    return next(j for j in _children(_root(document), "joint") if j.getAttribute("name") == name)
+
+
 def _set_origin(document: minidom.Document, joint: str, T: Array) -> None:
-    element = next(j for j in _children(_root(document), "joint") if j.getAttribute("name") == joint)
+    element = _named_joint(document, joint)
     origin = next(iter(_children(element, "origin")), None)
     if origin is None:
         origin = document.createElement("origin")
@@ -222,11 +238,21 @@ def new_urdf(robot: Robot) -> str:
         ET.SubElement(joint, "axis", xyz="0 0 1")
         ends = {"lower": repr(float(row.lower)), "upper": repr(float(row.upper))}
         ET.SubElement(joint, "limit", {**ends, "effort": EFFORT, "velocity": VELOCITY})
+        if dynamics := _dynamics(robot, i):
+            ET.SubElement(joint, "dynamics", dynamics)
         parent = f"link{i}"
     ET.SubElement(root, "link", name=TIP)
     _joint(root, f"{TIP}_joint", "fixed", parent, TIP, robot.tool.T)
     ET.indent(root)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _dynamics(robot: Robot, joint: int) -> dict[str, str]:
+    """Damping and dry friction of a joint [N m s/rad, N m], as far as [drive] knows them."""
+    if robot.drive is None:
+        return {}
+    known = {name: robot.drive.of_joints(name, robot.n) for name in ("damping", "friction")}
+    return {name: repr(float(values[joint - 1])) for name, values in known.items() if values is not None}
 
 
 def _about(robot: Robot) -> str:

@@ -1,0 +1,141 @@
+"""A MuJoCo model that moves as the real arm does: joints and actuators get what `[drive]` of a robot file knows.
+
+Of each joint: dry friction, damping, armature; an actuator with the servo's gain, constant torque, limit, filter and
+delay, whose `ctrl` is the command. Bodies get their inertias. A spring between servo and link stands beside the joint.
+The same numbers by joint names, as JSON, are for actuator models elsewhere (Isaac Lab, Genesis).
+"""
+
+from collections.abc import Iterator
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from casadical.core.drive import Drive
+from casadical.core.errors import InputError
+from casadical.export.mjcf.elements import add_spring, numbers
+from casadical.export.mjcf.mjcf import STEP, MjcfExport, mjcf
+from casadical.robot.robot import Robot
+
+# What a joint needs to move as it does: names in `Drive`, and what another program calls them.
+NEEDED = {"kp": "stiffness", "damping": "damping", "friction": "friction", "rotor_inertia_at_joint": "armature"}
+ALSO = {"delay": "delay_s", "bias": "constant_torque", "torque_limit": "effort_limit", "speed_limit": "velocity_limit"}
+
+
+def knows_motion(robot: Robot) -> bool:
+    """Whether `[drive]` says how the joints of an open chain follow their commands."""
+    known = robot.drive is not None and all(getattr(robot.drive, name) is not None for name in NEEDED)
+    return known and not robot.loops
+
+
+def moving_mjcf(robot: Robot) -> MjcfExport:
+    """The model of `mjcf` with drives that follow commands; written and left out: of effects, and of the drives."""
+    assert robot.drive is not None
+    still = mjcf(robot)
+    root = ET.fromstring(still.text)
+    lines = ["Written by casadical. Joints follow commands (ctrl) as [drive] of the robot says."]
+    lines += [*(f"effect {text}" for text in still.written)]
+    lines += [f"left out: {text}" for text in (*still.left_out, *_lost(robot))]
+    root.insert(0, ET.Comment("\n  " + "\n  ".join(line.replace("--", "- -") for line in lines) + "\n"))
+    for compiler in root.iter("compiler"):
+        compiler.set("balanceinertia", "true")
+    _set_joints(root, robot, robot.drive)
+    _set_inertias(root, robot)
+    (actuators,) = root.iter("actuator")
+    for i in robot.numbers:
+        place = next(k for k, node in enumerate(actuators) if node.get("name") == f"drive{i}")
+        actuators.remove(actuators[place])
+        actuators.insert(place, _actuator(robot, robot.drive, i))
+    ET.indent(root)
+    text = '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+    return MjcfExport(text, still.written, still.omitted, (*still.notes, *_lost(robot)))
+
+
+def _set_joints(root: ET.Element, robot: Robot, drive: Drive) -> None:
+    bodies = {str(body.get("name")): body for body in root.iter("body")}
+    moved = ("rotor_inertia_at_joint", "armature"), ("damping", "damping"), ("friction", "frictionloss")
+    for i, row in enumerate(robot.joints, 1):
+        body = bodies[f"link{i}"]
+        joint = next(node for node in body.iter("joint") if node.get("name") == f"joint{i}")
+        for name, attribute in moved:
+            joint.set(attribute, numbers(float(_of(drive, name, robot)[i - 1])))
+        if row.compliance:
+            add_spring(body, f"joint{i}_spring", "0 0 1", 1 / row.compliance)
+
+
+def _set_inertias(root: ET.Element, robot: Robot) -> None:
+    for body in root.iter("body"):
+        name = str(body.get("name"))
+        if name.startswith("link") and name[4:].isdigit() and (own := robot.joints[int(name[4:]) - 1].body):
+            inertial = body.find("inertial")
+            pieces = any(str(node.get("name")).startswith(f"{name}_piece") for node in body)
+            if inertial is not None and not pieces and own.mass > 0:
+                about = own.likely_inertia
+                inertial.attrib.pop("diaginertia", None)
+                inertial.set("fullinertia", numbers(*np.diag(about), *about[np.triu_indices(3, 1)]))
+
+
+def _actuator(robot: Robot, drive: Drive, i: int) -> ET.Element:
+    """Force = kp (ctrl - q) less the constant torque, with ctrl held back by the delay."""
+    row, kp = robot.joints[i - 1], float(_of(drive, "kp", robot)[i - 1])
+    bias = float(_of(drive, "bias", robot)[i - 1])
+    servo = ET.Element("general", name=f"drive{i}", joint=f"joint{i}", biastype="affine", gainprm=numbers(kp))
+    servo.set("biasprm", numbers(-bias, -kp, 0))
+    servo.set("ctrlrange", numbers(row.lower, row.upper))
+    if limit := float(_of(drive, "torque_limit", robot)[i - 1]):
+        servo.set("forcerange", numbers(-limit, limit))
+    if within := float(_of(drive, "command_filter", robot)[i - 1]):
+        servo.set("dyntype", "filterexact")
+        servo.set("dynprm", numbers(within))
+    if (delay := float(_of(drive, "delay", robot)[i - 1])) > STEP / 2:
+        servo.set("delay", numbers(delay))
+        servo.set("nsample", str(int(np.ceil(delay / STEP)) + 2))
+        servo.set("interp", "linear")
+    return servo
+
+
+def _of(drive: Drive, name: str, robot: Robot) -> Any:
+    found = drive.of_joints(name, robot.n)
+    return np.zeros(robot.n) if found is None else found
+
+
+def _lost(robot: Robot) -> Iterator[str]:
+    """What of the drives MuJoCo's joint and actuator cannot hold, in rad or N m."""
+    drive = robot.drive
+    assert drive is not None
+    if drive.ki is not None:
+        lag = 1e3 * float(np.max(robot.torque_scale / _of(drive, "kp", robot)))
+        yield f"integral gain: at rest the model droops by up to {lag:.3g} mrad where the servo would not"
+    if drive.joint_stiffness is not None:
+        give = 1e3 * float(np.max(robot.torque_scale / _of(drive, "joint_stiffness", robot)))
+        yield f"gear springs behind the motor's encoder: up to {give:.3g} mrad under gravity"
+    if drive.speed_limit is not None:
+        yield f"speed limit of {float(np.min(_of(drive, 'speed_limit', robot))):.3g} rad/s: joints may move faster"
+    if drive.read_skew is not None:
+        yield "readings of joints one after another: all are of one time here"
+
+
+def servos_of(robot: Robot) -> tuple[str, ...]:
+    """What a file with damping and friction alone leaves out of drives that follow commands, in mrad and ms."""
+    if robot.drive is None or not knows_motion(robot):
+        return ()
+    droop = 1e3 * float(np.max(robot.torque_scale / _of(robot.drive, "kp", robot)))
+    late = 1e3 * float(np.max(_of(robot.drive, "delay", robot)))
+    return (f"gains, armature and delay of the drives: droop up to {droop:.3g} mrad under gravity, {late:.3g} ms",)
+
+
+def actuators_of(robot: Robot) -> dict[str, Any]:
+    """The drives by joint names, SI, for actuator models of other simulators. Raises InputError where none are known.
+
+    `stiffness` and `damping` are those of a PD law with zero target speed, stiffness (command - q) - damping q'.
+    """
+    if robot.drive is None or not knows_motion(robot):
+        lacking = [name for name in NEEDED if robot.drive is None or getattr(robot.drive, name) is None]
+        raise InputError(
+            f"{robot.name}: its [drive] does not say how the joints follow their commands (lacking: "
+            f"{', '.join(lacking) or 'an open chain'}); casadical diagnose ROBOT LOG --out DIR finds it from joint logs"
+        )
+    names = [row.name or f"joint{i}" for i, row in enumerate(robot.joints, 1)]
+    given = {word: robot.drive.of_joints(name, robot.n) for name, word in {**NEEDED, **ALSO}.items()}
+    columns = {word: [float(v) for v in values] for word, values in given.items() if values is not None}
+    return {"robot": robot.name, **{word: dict(zip(names, v, strict=True)) for word, v in columns.items()}}
