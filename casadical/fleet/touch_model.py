@@ -2,9 +2,10 @@
 
 The robot file says where the points should be. What is measured departs from that by y = J x + r + J d + noise: x, the
 errors that the calibration left, with the second moment of the file's bound (or its covariance); r, what nothing
-explains, the same at every visit of a pose; daily differences; growth with a logged temperature; and changes d since
-some day, each along few columns. Given one change all is Gaussian; causes, days, sizes and the noise's share are summed
-over with the weights of `casadical compare`. The error of today is drawn from what comes of it.
+explains, the same at every visit of a pose, on average what the file has less the noise, or as great as both where
+touches are planned, far out; daily differences; growth with a logged temperature; and changes d since some day, each
+along few columns. Given one change all is Gaussian; causes, days, sizes and the shares of noise and r are summed over
+with the weights of `casadical compare`. The error of today is drawn from what comes of it.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ SHARES = (1.0, 0.5, 0.2, 0.08, 0.03, 0.01)
 # Growth of lengths, mean and one sigma [1/K], where the temperature is logged.
 GROWTH, GROWTH_SIGMA = 12e-6, 6e-6
 TEMPERATURE = "temperature_degC"
-TASK, DRAWS = 200, 4000
+TASK, DRAWS = 1000, 4000
 MM = 1e3
 
 
@@ -218,7 +219,7 @@ class TouchModel:
 
     @cached_property
     def noises(self) -> list[tuple[float, Array, Array]]:
-        """Log likelihood of no change, whitened y and inverse covariance, for each share of noise.
+        """Log likelihood of no change, whitened y and inverse covariance, for each share of noise and of what stays.
 
         Each is (log likelihood, inverse of S, its Cholesky factor), S of shape (rows, rows) [mm^2].
         """
@@ -226,9 +227,9 @@ class TouchModel:
         v = self.rest**2 / 3
         shares = SHARES if self.noise is None else (min(1.0, self.noise**2 / v),)
         found = []
-        for share in shares:
-            noise = share * v if self.noise is None else self.noise**2
-            whole = S + noise * np.eye(len(y)) + max(v - noise, 0.0) * same
+        noises = [share * v if self.noise is None else self.noise**2 for share in shares]
+        for noise, unexplained in [(n, r) for n in noises for r in (max(v - n, 0.0), v)]:
+            whole = S + noise * np.eye(len(y)) + unexplained * same
             L = np.linalg.cholesky(whole)
             z = np.linalg.solve(L, y)
             inverse = np.linalg.inv(L)
