@@ -25,9 +25,7 @@ from casadical.core.telling.page import provenance_of
 from casadical.core.telling.pdf import pdf_of
 from casadical.core.telling.result import Result
 from casadical.identification.accuracy import errors
-from casadical.identification.identification import calibrated
 from casadical.identification.plausibility import check_against
-from casadical.identification.prepared import prepare
 from casadical.measurements.measurements import Measurements
 from casadical.project.calibration import calibrate, with_knowledge
 from casadical.project.certificate_words import words_of
@@ -114,7 +112,6 @@ class Certificate(Result):
     before : of the nominal robot, base and tool placed
     after : of the calibrated robot
     places : shape (n, 3) [m]: of the held-out poses, in the robot's base frame
-    errors : at these, before and after, shapes (n,) [m]
     files : from which it was made
     iso9283 : of a test by the standard
     refit : poses to which the robot file was fitted once it was judged; 0: it is the one that was judged
@@ -126,7 +123,6 @@ class Certificate(Result):
     before: Budget
     after: Budget
     places: Array
-    errors: tuple[Array, Array]
     files_: tuple[Path, ...]
     iso9283: Iso9283 | None = None
     refit: int = 0
@@ -145,9 +141,13 @@ class Certificate(Result):
     def missing(self) -> list[str]:
         """Statements that are not there, by key of the words about them."""
         d = self.details
-        empty = {"traceability": d.instrument.traceability, "calibrated": d.instrument.calibrated,
-                 "temperature": d.conditions.temperature_degC, "tolerance": d.decision.tolerance}  # fmt: skip
-        return [key for key, value in empty.items() if value is None or value == ""]
+        known = {line.source: line.stated for line in self.after.lines}
+        given = {
+            "traceability": d.instrument.traceability, "calibrated": d.instrument.calibrated,
+            "noise": known["instrument"] or known["repeatability"], "repeatability": known["repeatability"],
+            "temperature": d.conditions.temperature_degC is not None, "tolerance": d.decision.tolerance is not None,
+        }  # fmt: skip
+        return [key for key, value in given.items() if not value]
 
     def pages(self) -> list[Page]:
         """Two pages of paper."""
@@ -221,7 +221,7 @@ class Certificate(Result):
             (w["robot"], f"{self.problem.robot.name}, {w['serial']} {d.robot_serial or '-'}"),
             (w["measured"], f"{d.measured_on}, {d.operator}".strip(", ")),
             (w["origin"], w[self.problem.data or "unstated_origin"]),
-            (w["instrument"], f"{i.name}, {w['serial']} {i.serial or '-'}"),
+            (w["instrument"], f"{i.name or w['not_stated']}, {w['serial']} {i.serial or '-'}"),
             (w["calibrated"], i.calibrated), (w["traceability"], i.traceability),
             (w["place"], c.place), (w["temperature"], degrees), (w["method"], method),
             (w["space"], self._space(w)), *((w["remark"], text) for text in d.remarks),
@@ -276,7 +276,7 @@ class Certificate(Result):
 
     def _picture(self, w: Mapping[str, str], k: int) -> Figure:
         """Held-out poses from the side, or from above where they are flat, coloured by the error."""
-        e, most = self.errors[k], (1.0, 2.0, 3.0)
+        e, most = (self.before, self.after)[k].errors, (1.0, 2.0, 3.0)
         rms = float(np.sqrt(np.mean(e**2)))
         roles = ("sky", "blue", "orange", "red")
         colour = [roles[int(np.searchsorted(most, v / rms))] for v in e]
@@ -355,16 +355,10 @@ def certificate(
     own = budget(robot)
     p = np.concatenate([m.position for m in sets if m.position is not None])
     T = robot.base.T
-    e = tuple(np.concatenate([errors(r, m) for m in sets]) for r in (_placed(found.robot, sets), robot))
     iso = evaluated_table(Path(iso9283), file_robot, _promised(place)) if iso9283 else None
     tables = [path for t in found.tables if (path := folder / str(t["file"])).is_file()]
     files = (place, place.parent / "result.json", *tables, *(Path(p) for p in (details, iso9283) if p))
-    return Certificate(found, method, said, nominal, own, (p - T[:3, 3]) @ T[:3, :3], (e[0], e[1]), files, iso, refit)
-
-
-def _placed(robot: Robot, sets: Sequence[Measurements]) -> Robot:
-    groups = [g for g in ("base", "tool") if g in robot.parameters.groups]
-    return calibrated(prepare(robot, sets), groups, loss="auto").robot if groups else robot
+    return Certificate(found, method, said, nominal, own, (p - T[:3, 3]) @ T[:3, :3], files, iso, refit)
 
 
 def _promised(place: Path) -> float | None:

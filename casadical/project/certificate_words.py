@@ -104,6 +104,14 @@ _WORDS = {
         "No temperature is stated: its share in the uncertainty is missing.",
         "Keine Temperatur angegeben: ihr Anteil an der Unsicherheit fehlt.",
     ),
+    "no_noise": (
+        "Noise of the instrument is not stated, and no reading is repeated: it stays in E as an error.",
+        "Das Rauschen des Messgeräts ist nicht angegeben und keine Messung wiederholt: es bleibt in E enthalten.",
+    ),
+    "no_repeatability": (
+        "Repeatability is not stated, and no reading is repeated: it stays in E as an error.",
+        "Die Wiederholbarkeit ist nicht angegeben und keine Messung wiederholt: sie bleibt in E enthalten.",
+    ),
     "no_tolerance": ("No tolerance is stated.", "Keine Toleranz angegeben."),
     "source": ("source", "Quelle"),
     "type": ("type", "Typ"),

@@ -16,7 +16,7 @@ Student's t for 95.45 % at the effective degrees of freedom (Welch and Satterthw
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -73,17 +73,30 @@ class Contribution:
     stated: bool = True
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Budget:
     """E with its uncertainty; lengths in m.
 
-    rms, worst : of the n held-out errors as the instrument reads them; lines : of the budget
+    errors : held out, as the instrument reads them, shape (n,); lines : of the budget
     """
 
-    n: int
-    rms: float
-    worst: float
+    errors: Array
     lines: tuple[Contribution, ...]
+
+    @property
+    def n(self) -> int:
+        """Number of held-out poses."""
+        return len(self.errors)
+
+    @property
+    def rms(self) -> float:
+        """Of the errors [m]."""
+        return float(np.sqrt(np.mean(self.errors**2)))
+
+    @property
+    def worst(self) -> float:
+        """The greatest [m]."""
+        return float(self.errors.max())
 
     @property
     def square(self) -> float:
@@ -163,7 +176,9 @@ def budget_of(
     n = sum(map(len, sets))
     if n < LEAST:
         raise InputError(f"{n} held-out poses; a statement of uncertainty needs {LEAST} or more: [sets] report")
-    prepared = prepare(robot, sets)
+    # A tool that is not fitted is the robot's own, which `prepare` would place by these poses.
+    own_tool = robot if "tool" in groups else replace(robot, tool=replace(robot.tool, unknown="none"))
+    prepared = prepare(own_tool, sets)
     placed, k, t = prepared.robot, 0, 0
     if own := [g for g in groups if g in robot.parameters.groups]:
         fitted = calibrated(prepared, own, loss="linear")
@@ -200,7 +215,7 @@ def budget_of(
                      stated=known.growth > 0),
         Contribution("sampling", "A", 0.0, float(np.sqrt(max(whole**2 - own_part, 0.0))), n - 1.0),
     )  # fmt: skip
-    return Budget(n, float(np.sqrt(np.mean(e**2))), float(e.max()), lines)
+    return Budget(e, lines)
 
 
 def _beyond(robot: Robot, sets: Sequence[Measurements]) -> float:

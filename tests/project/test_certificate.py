@@ -11,6 +11,7 @@ import pytest
 from command_line import ROOT, main
 
 from casadical import InputError, calibrate, read_problem
+from casadical.identification import errors, predicted
 from casadical.measurements.measurements import unmeasured
 from casadical.project.certificate import certificate
 from casadical.project.new import new_problem
@@ -59,13 +60,14 @@ def test_the_command_writes_two_pages_with_fields_as_text(results, tmp_path, mon
     assert "accredited" not in text
     assert "They state no accreditation" in text
     told = json.loads(kept.read_text())
-    assert told["missing"] == ["traceability", "calibrated", "temperature"]
+    assert told["missing"] == ["traceability", "calibrated", "repeatability", "temperature"]
     assert main(monkeypatch, "certificate", results, *options) == 0  # its own file is replaced
     assert out.read_bytes() == pdf
 
 
 def test_the_same_in_german_with_everything_stated(results, tmp_path):
-    said = 'language = "de"\n[instrument]\ntraceability = "PTB"\ncalibrated = "2026"\n[conditions]\n'
+    said = 'language = "de"\n[instrument]\ntraceability = "PTB"\ncalibrated = "2026"\nnoise_mm = 0.001\n'
+    said += "[conditions]\nrepeatability_mm = 0.001\n"
     found = certificate(
         results, details(tmp_path, said + "temperature_degC = 21\n[decision]\ntolerance_mm = 0.001"), problem=PLANAR
     )
@@ -107,6 +109,17 @@ def test_errors_below_the_noise_that_is_stated_have_an_upper_limit_only(results,
     assert found.after.square < 0
     assert "<= 0.0" in found.blocks()[0].text
     assert text_of(found.pdf())
+
+
+def test_a_robot_is_judged_with_its_own_tool():
+    """The held-out poses place the base again, and not the tool."""
+    robot = read_problem(ROOT / "problems" / "ur10e").robot
+    q = np.random.default_rng(1).uniform(*robot.limits, (40, 6))
+    m = replace(unmeasured(q), position=predicted(robot, unmeasured(q))[0])
+    wrong = robot.with_values({"tool_z": robot.parameters["tool_z"].value + 2e-3})
+    own, fitted = (budget_of(wrong, [m], Conditions(), groups=g) for g in (("base",), ("base", "tool")))
+    assert own.rms > 1e-3
+    assert fitted.rms < 1e-8
 
 
 def test_repeats_tell_the_scatter_of_a_coordinate():
@@ -165,7 +178,11 @@ def test_a_robot_that_was_fitted_again_to_all_poses_is_judged_as_it_was_before(t
     calibrated.write(tmp_path / "results")
     found = certificate(tmp_path / "results", problem=tmp_path / "arm")
     assert found.refit == 60
-    own = 1e3 * found.errors[1].mean()
-    assert own == pytest.approx(1e3 * calibrated.accuracies["SKCM"]["report"]["calibrated"].mean, rel=1e-3)
+    problem = read_problem(tmp_path / "arm")
+    before = calibrate(replace(problem, whole=()), method="SKCM").identification.robot
+    (held_out,) = problem.sets["report"]
+    told = calibrated.accuracies["SKCM"]["report"]["calibrated"]
+    assert errors(before, held_out).mean() == pytest.approx(told.mean, rel=1e-3)
+    assert found.after.rms == pytest.approx(budget_of(before, [held_out], Conditions()).rms, rel=1e-6)
     assert "fitted to all 60" in text_of(found.pdf())
-    assert len(found.missing) == 4
+    assert len(found.missing) == 6
