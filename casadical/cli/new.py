@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from casadical.cli.options import Json, Quiet, need
+from casadical.cli.options import Json, Quiet, refuse_of_others
 from casadical.cli.terminal import print_written, with_json, wrapped
 from casadical.core.errors import InputError
 
@@ -47,7 +47,17 @@ Example = Annotated[
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Take the most probable answer to every question on the table.")]
 
 
+EXAMPLE = "an example (--example, or no robot)"
+# What each kind of robot has.
+ROBOTS = {
+    EXAMPLE: ("example",),
+    "--urdf": ("urdf", "base_link", "tip_link", "data"),
+    "--dh": ("dh", "convention", "data"),
+}
+
+
 def new(
+    context: typer.Context,
     folder: Folder,
     urdf: Urdf = None,
     base_link: BaseLink = None,
@@ -72,10 +82,7 @@ def new(
     from casadical.core.telling.terminal import terminal
     from casadical.project.new import new_problem
 
-    if example and (urdf or dh or data):
-        raise InputError("--example brings its own robot and poses; leave --urdf, --dh and --data out")
-    need(convention, dh, "--convention is of a table of DH rows; give --dh FILE.csv, too")
-    need(base_link or tip_link, urdf, "--base-link and --tip-link are of a URDF; give --urdf FILE, too")
+    refuse_of_others(context, EXAMPLE if example or not (urdf or dh) else "--urdf" if urdf else "--dh", ROBOTS)
     console = wrapped(quiet)
 
     def answer(problem: "Problem", files: list[Path]) -> dict[Path, str]:

@@ -142,6 +142,8 @@ def robot_to_write(
 def _mjcf(source: Path, asked: OfMjcf, nominal: Path | None, leave_out: bool, show: Show) -> RobotModel:
     if (asked.into is None) != (asked.joints is None) or (asked.into is None and (asked.springs or nominal)):
         raise InputError("--into and --joints belong together; --springs and --nominal belong to them")
+    if asked.effects and asked.campaign is None:
+        raise InputError("--effects says with which effects --campaign is diagnosed; give --campaign CSV, too")
     show("calibrating")
     robot = robot_to_write(source, asked.campaign, asked.effects, show)
     if asked.into is not None:

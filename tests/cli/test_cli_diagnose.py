@@ -77,6 +77,8 @@ def test_isolability_needs_no_positions(tmp_path: Path) -> None:
         (("verify", PROBLEM, P03, "--update", "a.toml"), "--update: is for --touches N with tables"),
         (("verify", PROBLEM, "--touches", "5", "--json", "a.json"), "not for --touches N without tables"),
         (("diagnose", PROBLEM, P03, "--reference", P06), "--reference: is for joint logs"),
+        (("new", "arm", "--example", "--convention", "standard"), "--convention: is for --dh, not for an example"),
+        (("new", "arm", "--dh", "dh.csv", "--tip-link", "tip"), "--tip-link: is for --urdf, not for --dh"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

@@ -85,6 +85,10 @@ WRONG = {
         "give --nominal, or the problem folder",
     ),
     "an unknown ending": (["export", "model", PLANAR, "--out", "x.txt"], "give --to mjcf|urdf|ur|"),
+    "effects of no campaign": (
+        ["export", "model", PLANAR, "--out", "x.xml", "--effects", "backlash"],
+        "give --campaign CSV, too",
+    ),
     "a hash of a URDF": (["export", "model", PLANAR, "--out", "x.urdf", "--hash", "a"], "give --to ur"),
     "a campaign of a URDF": (["export", "model", PLANAR, "--out", "x.urdf", "--campaign", "c.csv"], "give --to mjcf"),
     "a driver without its drawing": (["export", "model", PLANAR, "--out", "x.yaml"], "give --nominal"),
