@@ -14,7 +14,7 @@ from casadical.diagnosis.candidates import Candidate, candidates_of
 from casadical.diagnosis.changes import changes
 from casadical.diagnosis.conclusion import conclude
 from casadical.diagnosis.evidence import ALL_SIGMAS
-from casadical.diagnosis.laws.contest import laws_before_causes, replaces_causes
+from casadical.diagnosis.laws.contest import claimed_before_causes, replaces_causes
 from casadical.diagnosis.linear_problem import Case, better_ratios, make_case
 from casadical.diagnosis.observations import Ratios
 from casadical.diagnosis.result import Change, Diagnosis
@@ -69,7 +69,7 @@ def diagnose(
         covariance as a prior; what changed is found first (`Diagnosis.changes`). Or as of `carry_over`, with its robot
     masses : whether wrong declared masses of links are a cause that may be named, or are in the base model, free within
         the robot's `body_width`, and never named, as those are always that nobody declared
-    laws : whether the causes that are found must hold against the best law of a form that is on no list (1 to 2 s for
+    laws : whether the causes that are found must hold against the best law of a form that is on no list (some 1 s for
         100 poses); where it wins, the verdict is unknown
     show : called with a line of progress
     Returns verdict, causes and gap; what costs more is computed when asked for.
@@ -203,8 +203,8 @@ def _held_against_laws(found: Diagnosis) -> Diagnosis:
     effects = found.effects()
     if not effects or not found.case.one_end or any(e.parts for e in effects) or found.case.form.stays:
         return found
-    law = laws_before_causes(found)
-    if replaces_causes(found, law):
+    law = claimed_before_causes(found)
+    if law and replaces_causes(found, law):
         state = State(found.case, rankings=found.rankings[:1])
         found = conclude(found.identification, state, "unknown", found.seed, found.p_nothing)
     return replace(found, law=law)

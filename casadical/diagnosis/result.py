@@ -205,7 +205,7 @@ class Diagnosis(Result):
     prior : what another campaign told, before these data, or None
     changes : what of it changed
     cause_set : probability of the causes as a set; None where none is named
-    law : laws that were compared with all causes together; None where there was none to compare
+    law : the law that was claimed beside nothing, with its rivals; None where none was, or none was to compare
 
     Examples
     --------

@@ -30,7 +30,7 @@ from casadical.diagnosis.laws.drivers import drivers_of, values_of, variables, w
 from casadical.diagnosis.laws.forms import FINE_WAVE, FORMS, LINEAR, WAVE, wave_by, wave_plus
 from casadical.diagnosis.laws.held_out import held_out
 from casadical.diagnosis.laws.problem import SCREENED, Problem, Tried, scale_of
-from casadical.diagnosis.laws.screening import Screen
+from casadical.diagnosis.laws.screening import NEVER, Screen
 from casadical.diagnosis.laws.seams import with_columns as seams_with_columns
 from casadical.diagnosis.laws.search import search_laws
 from casadical.diagnosis.linearisation import linearise
@@ -105,6 +105,22 @@ def test_screened_evidence_is_the_exact_one_at_each_rho() -> None:
             screen = Screen.at_rho(problem.evidence, rho)
             G, b = screen.products(seam.columns * seam.size, values / scale_of(values)[:, None, :])
             assert screen.gains(G, b) == pytest.approx(exact[rho], abs=1.0)
+
+
+def test_laws_that_cannot_reach_what_is_needed_are_left_out_and_no_others() -> None:
+    c, rng = case("kr210-P02"), np.random.default_rng(5)
+    problem, n = Problem.beside(c, NONE), int(c.kept.sum())
+    screen = Screen.at_rho(problem.evidence, 2)
+    G, b = screen.products(3e-4 * rng.standard_normal((n, 3, 2)), rng.standard_normal((1, n, 200)))
+    gains, reach = screen.gains(G, b), screen.reach(G, b)
+    assert np.all(gains <= reach)
+    least = float(np.quantile(reach, 0.7))
+    some = screen.gains(G, b, least)
+    np.testing.assert_array_equal(some == NEVER, reach < least)
+    np.testing.assert_allclose(some[reach >= least], gains[reach >= least], rtol=1e-12)
+    best = search_laws(c, NONE)[0]
+    assert search_laws(c, NONE, least=best.score - 1)[0].law == best.law
+    assert not search_laws(c, NONE, least=best.score + 100)
 
 
 def test_products_of_functions_of_each_column_are_those_of_the_columns() -> None:
@@ -275,16 +291,16 @@ def test_a_cause_that_a_law_explains_better_is_not_named() -> None:
     assert held.law is not None
     assert held.law.best.law.place == "joint 3"
     right = discovered(7, GearEccentricity(2, 90e-6)).diagnosis
-    assert right.law is not None
+    assert right.law is None  # none is claimed
     assert [c.label for c in right.causes] == ["gear_eccentricity@2"]
 
 
 def test_a_law_takes_the_place_of_causes_only_where_it_predicts_better() -> None:
     """A right flexure was replaced by a law of more evidence that was worse on poses held out."""
     right = discovered(7, GearEccentricity(2, 90e-6)).diagnosis
-    assert right.law is not None
-    sure = replace(right.law.best, score=1e6)
-    claimed = replace(right.law, laws=(sure,), listed=("", 0.0), smooth=("", 0.0), noise=("", 0.0), alias=())
+    law = contest.laws_before_causes(right)
+    sure = replace(law.best, score=1e6)
+    claimed = replace(law, laws=(sure,), listed=("", 0.0), smooth=("", 0.0), noise=("", 0.0), alias=())
     assert claimed.claimed
     assert contest.replaces_causes(replace(right, causes=()), claimed)
     by_law = held_out(right.case, NONE, [sure], sure.noise, right.seed).mean()

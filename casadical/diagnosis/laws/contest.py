@@ -8,7 +8,7 @@ takes the place of causes only where it predicts poses held out better, too.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from casadical.core.linear_gaussian.grid import log_sum
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, RHOS
 from casadical.diagnosis.laws.held_out import held_out
-from casadical.diagnosis.laws.problem import ABOVE, Round, Scored
+from casadical.diagnosis.laws.problem import ABOVE, ALIKE, CLAIMED, Round, Scored
 from casadical.diagnosis.laws.search import search_laws
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_forms import noise_forms
@@ -47,10 +47,26 @@ def replaces_causes(found: Diagnosis, first: Round) -> bool:
 
 def laws_before_causes(found: Diagnosis) -> Round:
     """Laws compared with all else before any cause is in the model; of a large campaign, on some of its poses."""
+    return round_of(*_before_causes(found))
+
+
+def claimed_before_causes(found: Diagnosis) -> Round | None:
+    """The same where a law is claimed, else None; laws that rivals outdo for certain are not looked at closely."""
+    case, none, ranking = _before_causes(found)
+    # With their settings refined rivals have still more.
+    least = max(CLAIMED, max(ranking.log_factor.values()) + ABOVE)
+    laws = search_laws(case, none, least=least - ALIKE)
+    if not laws or laws[0].score < least:
+        return None
+    first = _judged(laws, case, none, ranking)
+    return first if first.claimed else None
+
+
+def _before_causes(found: Diagnosis) -> tuple[Case, Array, Ranking]:
+    """The case, no columns, and the ranking before any cause is in the model."""
     case = thinned(found.case)
     none = np.zeros(0, dtype=np.int64)
-    ranking = found.rankings[0] if case is found.case else rank(case, none)
-    return round_of(case, none, ranking, frozenset())
+    return case, none, found.rankings[0] if case is found.case else rank(case, none)
 
 
 def thinned(case: Case) -> Case:
@@ -74,9 +90,12 @@ def _set_mass(found: Diagnosis) -> float:
     return total if count > 1 else -np.inf
 
 
-def round_of(case: Case, chosen: Array, ranking: Ranking, without: frozenset[str]) -> Round:
+def round_of(case: Case, chosen: Array, ranking: Ranking, without: frozenset[str] = frozenset()) -> Round:
     """Laws compared with what else a ranking has. chosen : columns in the model; without : labels of laws in it"""
-    laws = search_laws(case, chosen, without)
+    return _judged(search_laws(case, chosen, without), case, chosen, ranking)
+
+
+def _judged(laws: Sequence[Scored], case: Case, chosen: Array, ranking: Ranking) -> Round:
     by_label = {c.label: c for c in case.candidates}
     order = sorted(ranking.log_factor, key=lambda k: -ranking.log_factor[k])
     listed = [k for k in order if k in by_label and by_label[k].listed]
@@ -85,8 +104,7 @@ def round_of(case: Case, chosen: Array, ranking: Ranking, without: frozenset[str
     best = max(rivals, key=lambda r: r[1], default=("", -np.inf))
     other = max((_refined_rival(case, by_label[k], ranking, chosen) for k in smooth[:2]), key=lambda r: r[1])
     noise = max(((f.label, f.log_factor) for f in noise_forms(case, chosen)), key=lambda r: r[1])
-    alias = aliases(case, chosen, laws[0], ranking.variant)
-    return Round(tuple(laws), best, other, noise, alias)
+    return Round(tuple(laws), best, other, noise, aliases(case, chosen, laws[0], ranking.variant))
 
 
 def _refined_rival(case: Case, candidate: Candidate, ranking: Ranking, chosen: Array) -> tuple[str, float]:

@@ -74,8 +74,9 @@ def number(value: float) -> str:
 
 def rounded(settings: Array) -> Array:
     """Settings as they are written, four digits."""
-    flat = [float(number(v)) for v in np.ravel(settings)]
-    return np.array(flat).reshape(np.shape(settings))
+    flat = np.ravel(settings).tolist()
+    written = " ".join(["%.4g"] * len(flat)) % tuple(flat)
+    return np.array(written.split(), dtype=float).reshape(np.shape(settings))
 
 
 def _none(_x: Array) -> Array:

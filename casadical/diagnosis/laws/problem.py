@@ -143,16 +143,17 @@ class Round:
 class Problem:
     """What laws are judged on: poses that are no outliers, with what is in the model in the base.
 
-    evidence : without candidates
+    evidence : without candidates; least : log evidence over none that a law needs to be of interest
     """
 
     evidence: Evidence
+    least: float = 0.0
 
     @classmethod
-    def beside(cls, case: Case, chosen: Array) -> Problem:
+    def beside(cls, case: Case, chosen: Array, least: float = 0.0) -> Problem:
         """Of a case; chosen : columns of what is in the model already."""
         base = case.evidence.with_base(chosen)
-        return cls(replace(base, E=np.zeros((*base.r.shape, 1)), held=None))
+        return cls(replace(base, E=np.zeros((*base.r.shape, 1)), held=None), least)
 
     @cached_property
     def log_base(self) -> Array:
@@ -189,5 +190,5 @@ class Problem:
         found = []
         for share, screen in self.screens:
             G, b = screen.products(seam.columns * seam.size, functions)
-            found.append(share + screen.gains(G, b))
+            found.append(share + screen.gains(G, b, self.least - share))
         return log_mean(np.stack(found))

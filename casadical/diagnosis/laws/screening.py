@@ -14,6 +14,9 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, REPEATABILITY, RHOS, SIGMAS, Evidence
 
+# Log evidence of what is not judged.
+NEVER = -1e9
+
 
 @dataclass(frozen=True, eq=False)
 class Screen:
@@ -69,11 +72,22 @@ class Screen:
         right = np.einsum("nai,na->in", B, self.y)
         return G, np.stack([right[i] @ part[own_of[i]] for part in F for i in range(d)], axis=1)
 
-    def gains(self, G: Array, b: Array) -> Array:
+    def reach(self, G: Array, b: Array) -> Array:
+        """What log evidence over none no law exceeds, whatever its size and the noise, shape (K,); see `gains`."""
+        free = (SIGMAS[0] / KAPPAS[-1]) ** 2 * np.eye(G.shape[1])
+        taken = (b * np.linalg.solve(G + free, b[:, :, None])[:, :, 0]).sum(axis=1)
+        return np.asarray(-0.5 * self.rows * np.log1p(-np.minimum(taken / self.square, 1 - 1e-12)))
+
+    def gains(self, G: Array, b: Array, least: float = 0.0) -> Array:
         """Log evidence of each law over none, mean over sizes, noise as it comes out; shape (K,).
 
         G, b : products of columns in units of their sizes (see `products`)
+        least : laws that cannot reach this are not judged, and have `NEVER`
         """
+        if least > 0:
+            found, can = np.full(len(b), NEVER), self.reach(G, b) >= least
+            found[can] = self.gains(G[can], b[can])
+            return found
         rows = self.rows
         least = float(SIGMAS[0]) ** 2
         before = max(self.square / rows, least)

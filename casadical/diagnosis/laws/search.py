@@ -27,7 +27,7 @@ from casadical.diagnosis.laws.drivers import (
 from casadical.diagnosis.laws.forms import FINE_WAVE, FORMS, LAST_RESORT, POSES_FOR_FINE, Form, wave_by, wave_plus
 from casadical.diagnosis.laws.problem import Problem, Scored, Tried, scaled
 from casadical.diagnosis.laws.refinement import refined
-from casadical.diagnosis.laws.screening import log_mean
+from casadical.diagnosis.laws.screening import NEVER, log_mean
 from casadical.diagnosis.laws.seams import Seam, seams_at, stations
 from casadical.diagnosis.laws.seams import with_columns as at_poses
 from casadical.diagnosis.linear_problem import Case
@@ -39,26 +39,29 @@ from casadical.effects.law import Law
 TIME_PRICE = 5.0
 # Laws whose evidence is computed exactly, and those whose settings are refined.
 EXACT, REFINED = 24, 6
+# Nats that refined settings gain at most over those that are tried first, beyond what a law pays.
+UNREFINED = 10.0
 
 
 @dataclass(frozen=True, eq=False)
 class _Block:
     """Functions of all drivers in forms of so many parts, side by side.
 
+    drivers : each with a form, its values, and the form's settings
     functions : in units of their scales, as of `Form.values`; edges : where each driver and form begins, and the end
     """
 
-    drivers: tuple[tuple[Driver, Form, Array], ...]
+    drivers: tuple[tuple[Driver, Form, Array, Array], ...]
     functions: Array
     edges: Array
 
 
 def _blocks(drivers: Sequence[tuple[Driver, Array]], forms: dict[str, tuple[Form, ...]]) -> Iterator[_Block]:
     for parts in (1, 2):
-        which = [(d, f, x) for d, x in drivers for f in forms[d.kind] if len(f.parts) == parts]
+        which = [(d, f, x, f.grid(x)) for d, x in drivers for f in forms[d.kind] if len(f.parts) == parts]
         if not which:
             continue
-        values = [f.values(x, f.grid(x)) for _, f, x in which]
+        values = [f.values(x, settings) for _, f, x, settings in which]
         functions = np.concatenate([scaled(v) for v in values], axis=-1)
         yield _Block(tuple(which), functions, np.cumsum([0, *(v.shape[-1] for v in values)]))
 
@@ -86,11 +89,11 @@ def _of_block(seam: Seam, block: _Block, gains: Array, keep: int) -> list[_Rough
     means = _means(gains, block.edges)
     found = []
     for k in np.argsort(-means)[:keep]:
-        driver, form, x = block.drivers[k]
+        driver, form, x, settings = block.drivers[k]
         own = gains[block.edges[k] : block.edges[k + 1]]
         best = int(np.argmax(own))
         tried = Tried((seam,), driver, form, (x,))
-        found.append(_Rough(tried, 0, form.grid(x)[best], float(own[best]), float(means[k])))
+        found.append(_Rough(tried, 0, settings[best], float(own[best]), float(means[k])))
     return found
 
 
@@ -188,12 +191,14 @@ def _last(tried: Tried) -> float:
     return TIME_PRICE if tried.driver.kind == "time" and tried.form in LAST_RESORT else 0.0
 
 
-def search_laws(case: Case, chosen: Array, without: frozenset[str] = frozenset()) -> list[Scored]:
+def search_laws(case: Case, chosen: Array, without: frozenset[str] = frozenset(), least: float = 0.0) -> list[Scored]:
     """The most probable laws, the best first; their settings are refined.
 
     chosen : columns of what is in the model already; without : labels of laws that are in it
+    least : score that a law needs to be of interest; others may be left out, all of them, too
     """
-    problem = Problem.beside(case, chosen)
+    # A score is refined evidence less its price: settings that are not the best yet may be as far below.
+    problem = Problem.beside(case, chosen, least - UNREFINED)
     linear, known = _linear(case)
     kept, values = values_of(linear, known)
     drivers = list(zip(kept, values.T, strict=True))
@@ -205,9 +210,12 @@ def search_laws(case: Case, chosen: Array, without: frozenset[str] = frozenset()
     rough += _every_joint(problem, linear, {n for d in kept for n in parse(d.text).names}, every)
     rough += _along_the_beam(problem, linear, beams)
     instances = len(seams) * len(drivers) + len(joined) + 1
+    rough = [r for r in rough if r.mean > NEVER / 2]
     prices = [np.log(instances) + np.log(1 + len(FORMS[r.tried.driver.kind])) + _last(r.tried) for r in rough]
     order = np.argsort([-(r.mean - price) for r, price in zip(rough, prices, strict=True)])
     some = [rough[k] for k in order[:EXACT]]
+    if not some:
+        return []
     made = [r.tried.column(r.seam, r.settings) for r in some]
     grids = problem.grids([columns for _, columns in made])
     exact = problem.over_none(grids)
