@@ -193,7 +193,7 @@ def _hostile_texts() -> Iterator[tuple[str, str | bytes]]:
         "huge.csv": re.sub(r"\b9\b", "1e308", table), "infinite.csv": re.sub(r"\b9\b", "-inf", table),
         "digits.csv": re.sub(r"\b9\b", "9" * 5000, table), "twice.csv": table.replace("q2_deg", "q1_deg"),
         "same.csv": "q1_deg,q2_deg,x_mm,y_mm,z_mm\n" + "1,2,3,4,5\n" * 60,
-        "naught.csv": table[:30] + "0,0,0,0,0\n" * 60,
+        "zeros.csv": table[:30] + "0,0,0,0,0\n" * 60,
         "one-row.csv": "\n".join(table.splitlines()[:2]), "letters.csv": re.sub(r"\d", "x", table),
     }.items()  # fmt: skip
     yield from {
