@@ -16,7 +16,7 @@ from casadical.core.errors import shown
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from casadical.core.telling.result import Result
+    from casadical.diagnosis.motion.result import LogDiagnosis
     from casadical.project.diagnosis import Campaign, CampaignDiagnosis, LogCampaign, Options
 
 Out = Annotated[
@@ -108,8 +108,7 @@ MODES = {
     "joint logs": ("reference", "drive"),
     "measured poses": (
         "together", "effects", "laws", "nuisance_masses", "prior", "prior_effects", "frozen",
-        "measure_next", "next_n", "room", "network", "highest_line", "bootstrap", "seed", "unlisted", "report_file",
-        "details",
+        "measure_next", "next_n", "room", "network", "highest_line", "bootstrap", "seed", "unlisted", "details",
     ),
 }  # fmt: skip
 
@@ -156,7 +155,7 @@ def diagnose(
     logs = read_logs(problem, campaigns, reference, drive)
     o.refuse_of_others(context, "joint logs" if logs else "measured poses", MODES)
     if logs:
-        _diagnose_logs(logs, out, json_file, quiet)
+        _diagnose_logs(logs, out, report_file, json_file, quiet)
         return
     o.need(room, measure_next, "--room says where the poses of --next may lie; give --next FILE, too")
     o.need(unlisted, out, "--unlisted says what --out writes; give --out DIR, too")
@@ -183,11 +182,13 @@ def diagnose(
         console.print("where it lies, how sure, what is left: --details, --out DIR or --report FILE.html", style="dim")
 
 
-def _diagnose_logs(campaign: LogCampaign, out: Path | None, json_file: Path | None, quiet: bool) -> None:
+def _diagnose_logs(
+    campaign: LogCampaign, out: Path | None, report_file: Path | None, json_file: Path | None, quiet: bool
+) -> None:
     from casadical.core.telling.terminal import terminal
 
     console = wrapped(quiet)
-    answers: list[Result] = []
+    answers: list[LogDiagnosis] = []
     texts: dict[Path, str] = {}
     for path in campaign.logs:
         with working(quiet, "diagnosing", path.name) as show:
@@ -203,6 +204,8 @@ def _diagnose_logs(campaign: LogCampaign, out: Path | None, json_file: Path | No
         console.print()
         if out:
             texts |= replay.files(out)
+    if report_file:
+        texts[report_file] = html([campaign.page(answers, replay)])
     found = {"replay": replay.to_json()} if replay else {}
     keep(
         with_json(texts, json_file, [{**answer.to_json(), **found} for answer in answers] if json_file else []), console

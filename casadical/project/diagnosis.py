@@ -12,7 +12,7 @@ from rich.console import RenderableType
 from casadical.core.drive import read_drive
 from casadical.core.errors import InputError
 from casadical.core.progress import Show, silent
-from casadical.core.telling.blocks import Block, Page, Table, Words
+from casadical.core.telling.blocks import Block, Page, Section, Table, Words
 from casadical.core.telling.figure import Figure
 from casadical.core.telling.result import Result
 from casadical.diagnosis.details import NEXT, Details, analyse
@@ -253,6 +253,15 @@ class LogCampaign:
         if any(log.command is None for log in (*logs, *withheld)):
             return None
         return replayed(self.robot, logs, withheld, show)
+
+    def page(self, answers: Sequence[LogDiagnosis], replay: Replay | None) -> Page:
+        """As `casadical diagnose ARM LOG... --report` writes it."""
+        sections = [Section("Replay", replay.blocks())] if replay else []
+        sections += [Section(answer.log.source, answer.blocks()) for answer in answers]
+        title = f"Joint logs of {self.robot.name}"
+        return Page(
+            "Diagnosis of joint logs", title, f"{len(answers)} logs", sections, files=(*self.logs, *self.withheld)
+        )
 
 
 def read_logs(

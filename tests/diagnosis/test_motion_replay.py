@@ -10,6 +10,8 @@ from typer.testing import CliRunner
 
 from casadical import Body, InputError, Joint, Robot, read_robot
 from casadical.cli.root import app
+from casadical.core.telling.drawing import draw
+from casadical.core.telling.figure import Figure
 from casadical.core.telling.terminal import plain_text
 from casadical.diagnosis.motion.replay import replayed
 from casadical.diagnosis.motion.response import fitted
@@ -114,3 +116,47 @@ def test_the_command_replays_and_keeps_the_drives_in_a_robot_file(arm, tmp_path)
     assert kept.drive is not None
     assert kept.drive.table() == found["drive"]
     assert kept.drive.friction is not None
+
+
+def test_a_joint_that_was_sent_nowhere_gets_no_response_of_its_own(arm):
+    log = moved(arm, 7, 12.0)
+    still = np.full(len(log), 0.2)
+    held = JointLog(log.time, log.joints, np.column_stack([log.position[:, 0], still]),
+                    np.column_stack([log.command[:, 0], still]), source="held")  # fmt: skip
+    found = replayed(arm, [held], [moved(arm, 8, 12.0)])
+    assert list(found.response.moved) == [True, False]
+    assert "Did not move in the fitted runs: b" in plain_text(found.blocks(), 200)
+    assert found.after[1] < 1.2 * found.before[1]
+
+
+def test_the_report_of_logs_shows_errors_friction_and_hysteresis(arm, tmp_path):
+    pytest.importorskip("plotly")
+    replay = replayed(arm, [moved(arm, 1, 12.0)], [moved(arm, 2, 12.0)])
+    figures = {block.name: block for block in replay.blocks() if isinstance(block, Figure)}
+    assert set(figures) == {
+        "replay/errors",
+        "replay/map/before",
+        "replay/map/after",
+        "replay/friction",
+        "replay/hysteresis",
+    }
+    assert len(figures["replay/friction"].panels) == 2
+    cells = figures["replay/map/after"].series[0]
+    assert np.shape(cells.z) == (2, len(cells.x))
+    law = figures["replay/friction"].one("found")
+    assert law.y[-1] == pytest.approx(DRY[0] + DAMPED[0] * law.x[-1], rel=0.25)
+    drawn = draw(figures["replay/map/after"])
+    assert drawn.data[0].type == "heatmap"
+    assert list(drawn.layout.yaxis.ticktext) == ["a", "b"]
+
+
+def test_effects_of_poses_and_drives_of_logs_live_in_one_file(arm, tmp_path):
+    from casadical.effects import Backlash
+
+    with_both = arm.with_effect(Backlash(2))
+    path = tmp_path / "diagnosed.robot.toml"
+    path.write_text(replayed(with_both, [moved(with_both, 6, 6.0)]).files(tmp_path)[path], encoding="utf-8")
+    kept = read_robot(path)
+    assert [e.label for e in kept.effects] == ["backlash@2"]
+    assert kept.drive is not None
+    assert kept.drive.damping is not None

@@ -66,7 +66,7 @@ def draw(figure: Figure) -> Picture:
                     "bgcolor": PAPER, "bordercolor": LINE},
         legend={"orientation": "h", "x": 0, "xref": "container", "y": 0, "yref": "container", "yanchor": "bottom"},
     )  # fmt: skip
-    if any(s.z is not None for s in figure.series):
+    if any(s.z is not None and s.kind != "map" for s in figure.series):
         _space(picture)
     elif figure.panels:
         _panels(picture, figure)
@@ -129,6 +129,12 @@ def _add(picture: Picture, figure: Figure, s: Series) -> None:
         trace |= {"marker": {"color": colour, "line": {"width": 0}}, "orientation": "h", "width": s.width}
         picture.add_bar(**trace, **place)
         return
+    if s.kind == "map":
+        trace = {k: trace[k] for k in ("x", "y", "opacity", "visible")}
+        bar = {"thickness": 10, "outlinewidth": 0}
+        scale = [[0, PAPER], [1, colour]]
+        picture.add_heatmap(**trace, z=s.z, zmin=0, zmax=s.size, colorscale=scale, colorbar=bar, hoverinfo="x+z")
+        return
     marker = {"color": colour, "symbol": s.symbol, "size": s.size}
     line = {"color": colour, "width": s.width, "dash": s.dash}
     trace["mode"] = MODES[s.kind] + ("+text" if len(s.text) else "")
@@ -180,7 +186,8 @@ def _panels(picture: Picture, figure: Figure) -> None:
     titled = any(p.title for p in panels)
     room = {"horizontal_spacing": 0.04, "vertical_spacing": 0.04}
     if titled:
-        room = {"horizontal_spacing": 0.1, "vertical_spacing": 30 / (figure.height - ABOVE - BELOW)}
+        gap = 30 if "x" in figure.shared or not any(p.x.title for p in panels) else 50  # ticks stand there, too
+        room = {"horizontal_spacing": 0.1, "vertical_spacing": gap / (figure.height - ABOVE - BELOW)}
     both = {f"shared_{axis}axes": "all" for axis in "xy" if axis in figure.shared}
     titles = {f"{axis}_title": getattr(figure, axis).title for axis in "xy" if getattr(figure, axis).title}
     picture.set_subplots(rows, columns, subplot_titles=[p.title for p in panels], **room, **both, **titles)

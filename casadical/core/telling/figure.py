@@ -20,10 +20,11 @@ class Series:
     name : in the legend, if it is `listed`; series of one `group` are shown and hidden together
     symbol, size, colour : of all or of each entry; less, more : how far the interval of each entry goes [as the axis]
     text : beside each entry; tip : of the tooltip, with %{x:.3f}, %{y}, %{customdata[0]} of `facts`; empty: none
+    map : cells z, shape (y, x), in shades of the colour from none to `size`
     fill : of an area with an edge, its colour; shown : whether it is drawn before the reader asks for it
     """
 
-    kind: Literal["points", "line", "linked", "bars", "area"]
+    kind: Literal["points", "line", "linked", "bars", "area", "map"]
     x: Values
     y: Values
     z: Values | None = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,6 +14,7 @@ from casadical.core.arrays import Array
 from casadical.core.progress import Show, silent
 from casadical.core.telling.blocks import Block, Table, Words
 from casadical.core.telling.result import Result
+from casadical.diagnosis.motion.replay_figures import replay_figures
 from casadical.diagnosis.motion.response import Response, fitted
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.robot import Robot
@@ -48,13 +49,60 @@ class Replay(Result):
         """Rms of reading less prediction of each joint, shape (joints,) [rad]."""
         return self._rms(self.predicted)
 
+    @cached_property
+    def moves(self) -> Array:
+        """Which joints do, shape (joints,)."""
+        spans = [np.ptp(run.command, axis=0) for run in self.runs if run.command is not None]
+        return np.asarray(np.max(spans, axis=0) > MOVED)
+
+    def left(self, run: int, *, before: bool) -> Array:
+        """Reading less command, or less prediction, of a run, shape (rows, joints) [rad]."""
+        log = self.runs[run]
+        assert log.command is not None
+        return np.asarray(log.position - (log.command if before else self.predicted[run]))
+
+    def by_time(self, cells: int) -> tuple[Array, tuple[Array, Array]]:
+        """Middles of so many parts of the time of all runs [s], and rms in each, before and after, (cells, joints)."""
+        ends = np.cumsum([0.0, *(float(run.time[-1] - run.time[0]) for run in self.runs)])
+        t = np.concatenate([run.time - run.time[0] + a for run, a in zip(self.runs, ends, strict=False)])
+        edges = np.linspace(0, ends[-1], cells + 1)
+        part = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, cells - 1)
+        found = []
+        for before in (True, False):
+            squares = np.concatenate([self.left(k, before=before) for k in range(len(self.runs))]) ** 2
+            mean = [squares[part == k].mean(axis=0) if (part == k).any() else squares[0] * np.nan for k in range(cells)]
+            found.append(np.sqrt(np.array(mean)))
+        return (edges[1:] + edges[:-1]) / 2, (found[0], found[1])
+
+    @cached_property
+    def friction_samples(self) -> tuple[Array, Array]:
+        """Speed and friction torque of all samples, shapes (rows, joints): what the servo gives beyond load."""
+        parts = [self.response.friction_of(run) for run in self.runs]
+        return np.concatenate([v for v, _ in parts]), np.concatenate([torque for _, torque in parts])
+
     def _rms(self, angles: Sequence[Array]) -> Array:
         left = np.concatenate([run.position - own for run, own in zip(self.runs, angles, strict=True)])
         return np.asarray(np.sqrt(np.nanmean(left**2, axis=0)))
 
     def blocks(self) -> Sequence[Block]:
         """As `casadical diagnose ARM LOG` prints it."""
-        return [Words(self._sentence(), "verdict"), self._table(), self._drives()]
+        return [
+            Words(self._sentence(), "verdict"),
+            self._table(),
+            self._drives(),
+            *self._notes(),
+            *replay_figures(self),
+        ]
+
+    def _notes(self) -> Iterator[Words]:
+        joints = self.runs[0].joints
+        if still := ", ".join(name for name, moved in zip(joints, self.response.moved, strict=True) if not moved):
+            yield Words(
+                f"Did not move in the fitted runs: {still}; the response there is a usual one, not found.", "note"
+            )
+        worse = [name for name, b, a in zip(joints, self.before, self.after, strict=True) if a > b]
+        if worse:
+            yield Words(f"Worse than position = command: {', '.join(worse)}; log more motions of it.", "warning")
 
     def _sentence(self) -> str:
         what = "not fitted" if self.held_out else "fitted, for there is no other (log a second motion)"
@@ -80,11 +128,11 @@ class Replay(Result):
             (name, *(f"{v:.3g}" for v in each))
             for name, each in zip(self.runs[0].joints, np.column_stack(parts), strict=True)
         ]
-        columns = (
-            "joint", "gain N m/rad", "dry friction N m", "= mrad", "damping N m s/rad", "armature kg m^2", "delay ms",
-            "constant N m",
-        )  # fmt: skip
-        title = "Response of each joint; torques by the masses of the robot file"
+        columns = ("joint", "kp", "F", "F / kp", "b", "rotor", "delay", "const")
+        title = (
+            "Response of each joint, torques by the masses of the robot file: gain kp [N m/rad], dry friction F [N m], "
+            "F / kp [mrad], damping b [N m s/rad], rotor inertia [kg m^2], delay [ms], constant torque [N m]"
+        )
         return Table(title, columns, rows, frozenset(range(1, 8)))
 
     def to_json(self) -> dict[str, Any]:

@@ -33,6 +33,8 @@ OFFSET = 0.05
 # Of the samples so many tell something new; residuals beyond so many sigma weigh less.
 EFFECTIVE, OUTLIER = 0.05, 3.0
 ROUNDS, STEPS, ENOUGH, DIFFERENCE = 4, 6, 1e-3, 1e-4
+# A joint whose commands go through less than this tells nothing of its response [rad], which stays within this share.
+STILL, USUAL = 0.02, 0.05
 # No residual is judged finer than this [rad].
 LEAST = 5e-4
 # Least share of a joint's inertia that is its rotor's.
@@ -57,7 +59,7 @@ class Response:
 
     gain : of the servo [N m/rad]; bias : a constant torque [N m]; friction [N m]; damping [N m s/rad]
     inertia : of the joint, rotor included [kg m^2]; delay [s]
-    fitted : sources of the logs
+    fitted : sources of the logs; moved : which joints did in them: of others the response is a usual one
     """
 
     dynamics: Dynamics
@@ -68,6 +70,7 @@ class Response:
     inertia: Array
     delay: Array
     fitted: tuple[str, ...]
+    moved: Array
 
     def predicted(self, log: JointLog) -> Array:
         """Positions of a log's runs by its commands alone, from the first reading of each, shape (rows, joints)."""
@@ -83,6 +86,18 @@ class Response:
             t = run.time[0] + piece.step * np.arange(len(q))
             out.append(np.column_stack([np.interp(run.time, t, column) for column in q.T]))
         return np.concatenate(out)
+
+    def friction_of(self, run: JointLog) -> tuple[Array, Array]:
+        """Speed [rad/s] and friction [N m] of a run, shapes (samples, joints), by the servo's law."""
+        (piece,) = pieces_of(run, np.inf)
+        q, kernel = piece.position, np.hanning(9)[1:-1] / 4
+        padded = np.pad(q, ((3, 3), (0, 0)), "edge")
+        q = np.column_stack([np.convolve(column, kernel, "valid") for column in padded.T])
+        v = np.gradient(q, piece.step, axis=0)
+        load = self.dynamics.torque(q, *[np.zeros_like(q)] * 2)
+        wanted = late(piece.command, self.delay / piece.step)
+        inertia = self.inertia * np.gradient(v, piece.step, axis=0)
+        return v, self.gain * (wanted - q) - load - self.bias - inertia
 
     def robot(self) -> Robot:
         """The robot with these drives."""
@@ -197,7 +212,14 @@ def fitted(robot: Robot, logs: Sequence[JointLog]) -> Response:
     gain = np.exp(-x[:, 0])
     friction, lag, inertia, delay = np.exp(x[:, 2:]).T
     sources = tuple(log.source for log in logs)
-    return Response(dynamics, gain, gain * x[:, 1], gain * friction, gain * lag, gain * inertia, delay, sources)
+    return Response(
+        dynamics, gain, gain * x[:, 1], gain * friction, gain * lag, gain * inertia, delay, sources, _moves(pieces)
+    )
+
+
+def _moves(pieces: Sequence[Piece]) -> Array:
+    """Which joints were sent somewhere, shape (joints,)."""
+    return np.asarray(np.max([np.ptp(piece.command, axis=0) for piece in pieces], axis=0) > STILL)
 
 
 def _problem(dynamics: Dynamics, pieces: Sequence[Piece]) -> _Problem:
@@ -220,6 +242,7 @@ def _problem(dynamics: Dynamics, pieces: Sequence[Piece]) -> _Problem:
     if delay is not None:
         middle[:, 5] = np.log(np.maximum(delay, 1e-4))
     width = np.tile([YIELD if gain is None else KNOWN_GAIN, OFFSET, DRY, TIMES, TIMES, TIMES], (n, 1))
+    width[np.ix_(~_moves(pieces), np.array(_LOGS))] = USUAL
     steps = np.array([piece.step for piece in pieces])
     return _Problem(command, position, weight, load.reshape(command.shape), steps, middle, width)
 
