@@ -104,7 +104,7 @@ def _of_position(found: Estimate, m: Measurements, k: int, y: Array) -> Iterator
     yield Slip("inverse", "its orientation is the inverse: of the fixed frame as the tool sees it", turn)
     if min(whole, turn) > found.limit:
         alone = replace(m[[k]], kind="position", orientation=None)
-        words = "its position is plausible, its orientation is not: did the target turn, or are its angles others?"
+        words = "its position is plausible, its orientation is not: the target turned, or its angles are others"
         yield Slip("orientation", words, float(found.misses(alone)[1][0]))
 
 

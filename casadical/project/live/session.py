@@ -395,15 +395,19 @@ class LiveSession:
             places = arms(self._in_base, np.array([q for q, _ in read.values()]))[:, -1].tolist() if read else []
             points = dict(zip(read, places, strict=True))
             readings = [{**self._reading_json(r, read), "point": points.get(r.number)} for r in self.course.readings]
-            clock = list(clock_faults(self.m)) if self.m is not None else []
             found, ahead = self.estimate, self.ahead
             return {
                 "robot": self.robot.name, "folder": self.folder.resolve().name,
                 "data": self.course.data if readings else self._data, "fields": self.fields, "readings": readings,
-                "said": [*([self.unread] if self.unread else []), *self.said[-5:], *self.checked[1], *clock],
+                "said": [*([self.unread] if self.unread else []), *self.said[-5:], *self._of_table],
                 "known": None if found is None else self._known_json(found),
                 "next": None if ahead is None else self._next_json(ahead),
             }  # fmt: skip
+
+    @property
+    def _of_table(self) -> list[str]:
+        """What is wrong with the whole table, as it was checked last, and with its clock now."""
+        return [*self.checked[1], *(clock_faults(self.m) if self.m is not None else ())]
 
     def _reading_json(self, r: Reading, read: Mapping[int, tuple[Array, Array | None]]) -> dict[str, Any]:
         """A reading; read : joints and positions by number."""
@@ -411,7 +415,7 @@ class LiveSession:
         state = "struck" if r.struck else "doubtful" if self._doubtful.get(r.number) else "good"
         if at is None and not r.struck:
             state = "unread"
-        lost = "a cell is empty or no number" if state == "unread" else ""
+        lost = (self.unread or "a cell is empty or no number") if state == "unread" else ""
         return {
             "number": r.number, "at": r.at, "from": r.source, "state": state,
             "why": r.struck or self._odd.get(r.number) or self._words.get(r.number, lost),
@@ -446,7 +450,7 @@ class LiveSession:
         with self.lock:
             text = f"{number}: {_verdict(self._reading_json(self.course.reading(number), self._read()))}"
             if self.unread:
-                return f"{text}\n   {self.unread}"
+                return text
             if self.estimate is None or len(self.estimate) < FEW:
                 return text if self.estimate else f"{text}; judged from reading {FEWEST + 1} on"
             mean = 1e3 * float(np.linalg.norm(self.estimate.left_out, axis=1).mean())
@@ -455,7 +459,7 @@ class LiveSession:
     def outlook(self) -> str:
         """What is wrong with the whole table, and the next pose, in some lines."""
         with self.lock:
-            lines = [f"   {text}" for text in self.checked[1]]
+            lines = [f"   {text}" for text in self._of_table]
             if self.ahead is not None:
                 told = self._next_json(self.ahead)
                 pairs = zip(self.robot.reading_units, told["poses"][0], strict=True)

@@ -273,6 +273,21 @@ def test_a_pose_beyond_the_limits_is_doubted_and_a_lost_cell_is_said(arm: Path) 
     assert {told[k]["state"] for k in (0, 1, 2, 3, 4, 7)} == {"good"}
 
 
+def test_a_clock_that_goes_back_and_another_robots_table_are_said_in_the_terminal_too(arm: Path) -> None:
+    rows = series(5)
+    with journal(arm) as (course, add):
+        session = LiveSession(arm, course, add)
+        for k, cells in enumerate(rows[1:]):
+            session.take(Row((*rows[0], "time_s"), (), (*cells, str(10 * k - 100 * (k == 4))), "test"))
+        assert "time_s goes back from 30 to -60 s" in session.outlook()
+        assert any("goes back" in text for text in session.state()["said"])
+    (arm / "measured.jsonl").unlink()
+    with journal(arm) as (course, add):
+        session = LiveSession(arm, course, add)
+        session.take(Row((*rows[0], "q7_rad"), (), (*rows[1], "0.1"), "test"))
+        assert session.answer(1).startswith("1: unread: measured.csv: column 'q7_rad': this robot has only 6 joints")
+
+
 def test_the_journal_is_lines_of_json(arm: Path) -> None:
     with (arm / "problem.toml").open("a") as file:  # how the table is to be understood, said beforehand
         file.write('[[measurements]]\nfile = "measured.csv"\nkind = "position"\n')
