@@ -6,6 +6,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from bench import robot
 from numpy_physics import Disturbance, campaign
 
 from casadical import diagnose
@@ -18,8 +19,7 @@ from casadical.identification.identification import identify
 from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import from_table, read_measurements
-from casadical.project.problem import read_campaign_robot, read_problem
-from casadical.robot.robot import Robot
+from casadical.project.problem import read_problem
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "docs" / "studies"))
@@ -28,11 +28,6 @@ from campaign_robots import plant_of as plant  # noqa: E402
 
 PRACTICE = ROOT / "data" / "campaigns" / "practice"
 ANSWERS = json.loads((PRACTICE / "answers.json").read_text())
-
-
-@cache
-def robot(name: str) -> Robot:
-    return read_campaign_robot(ROOT / "problems" / name)
 
 
 @cache

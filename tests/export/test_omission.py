@@ -1,23 +1,17 @@
 """What an export cannot carry: how much would be lost, in words and numbers."""
 
 from dataclasses import replace
-from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from bench import robot
 
-from casadical import InputError, Robot, read_campaign_robot
+from casadical import InputError, Robot
 from casadical.effects import Backlash, Effect, FrameDrift, JointScale, LinkFlexure, ThermalGrowth
 from casadical.effects.counterparts import Omission
 from casadical.export.mjcf.mjcf import mjcf
 from casadical.export.omission import left_out, lost, rest_of_rigid, rigid_rest
 from casadical.robot.knowledge import Knowledge
-
-
-@cache
-def robot(name: str) -> Robot:
-    return read_campaign_robot(Path(__file__).parents[2] / "problems" / name)
 
 
 def with_values(name: str, *effects: Effect, **values: float) -> Robot:

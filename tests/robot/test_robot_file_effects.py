@@ -9,40 +9,21 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from bench import FIRST, campaign, robot, with_columns
 
 from casadical import (
     InputError,
-    Measurements,
     Robot,
     identify,
-    read_campaign_robot,
-    read_measurements,
     read_robot,
     write_robot,
 )
 from casadical.diagnosis.candidates import extended_candidates
 from casadical.effects import Backlash, Effect, ThermalGrowth
 from casadical.identification.accuracy import predicted
-from casadical.measurements import derive
 from casadical.robot.effect_tables import text_of
 from casadical.robot.knowledge import ONE_BLOCK, Covariance, Knowledge, blocks
 from casadical.robot.robot_file import robot_from, to_toml
-
-ROOT = Path(__file__).parents[2]
-CAMPAIGNS = {"hh800": "hh800-P01", "kr210": "kr210-P02", "ur10e": "ur10e-P03"}
-
-
-@cache
-def robot(name: str) -> Robot:
-    return read_campaign_robot(ROOT / "problems" / name)
-
-
-def with_columns(name: str, effects: tuple[Effect, ...]) -> Measurements:
-    m = read_measurements(ROOT / "data" / "campaigns" / "practice" / f"{CAMPAIGNS[name]}.csv", 6)
-    found, missing = derive(m, [c for e in effects for c in e.conditions])
-    assert missing == ()
-    return found
-
 
 # What reads distances or full poses has columns of its own, of where it measures to.
 OF_INSTRUMENTS = {
@@ -65,7 +46,7 @@ def every_effect(name: str, rng: np.random.Generator, listed: bool) -> tuple[Eff
     return tuple(drawn)
 
 
-@pytest.mark.parametrize("name", CAMPAIGNS)
+@pytest.mark.parametrize("name", FIRST)
 @pytest.mark.parametrize("listed", [True, False])
 def test_every_effect_gives_the_same_positions_after_its_file(name: str, listed: bool, tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
@@ -80,7 +61,7 @@ def test_every_effect_gives_the_same_positions_after_its_file(name: str, listed:
     again = read_robot(tmp_path / "robot.toml")
     assert again.effects == effects
     assert again.effect_values == whole.effect_values
-    m = with_columns(name, effects)[::5]
+    m = with_columns(campaign(name), effects)[::5]
     bare = whole.with_only(())
     there = predicted(whole, m)[0]
     assert np.linalg.norm(there - predicted(bare, m)[0], axis=1).min() > 1e-6
@@ -93,11 +74,13 @@ FREE = ("kinematic", "compliance", *(e.label for e in EFFECTS))
 
 @cache
 def learnt() -> Robot:
-    return identify(robot("hh800").with_effect(*EFFECTS), with_columns("hh800", EFFECTS), FREE, priors=True).robot
+    return identify(
+        robot("hh800").with_effect(*EFFECTS), with_columns(campaign("hh800"), EFFECTS), FREE, priors=True
+    ).robot
 
 
 def test_what_an_identification_knows_is_kept(tmp_path: Path) -> None:
-    m = with_columns("hh800", EFFECTS)
+    m = with_columns(campaign("hh800"), EFFECTS)
     found = identify(robot("hh800").with_effect(*EFFECTS), m, FREE, priors=True, loss="linear")
     write_robot(found.robot, tmp_path / "robot.toml")
     known = read_robot(tmp_path / "robot.toml").knowledge
@@ -134,7 +117,7 @@ def test_a_result_is_written_with_the_digits_that_are_known() -> None:
     text = to_toml(known, known_alone=True)
     assert text == to_toml(other, known_alone=True)
     again = robot_from(tomllib.loads(text), "robot.toml")
-    m = with_columns("hh800", EFFECTS)[::5]
+    m = with_columns(campaign("hh800"), EFFECTS)[::5]
     np.testing.assert_allclose(predicted(again, m)[0], predicted(known, m)[0], rtol=0, atol=1e-9)
     (kept,) = again.knowledge.covariance
     combined = rng.normal(size=(50, len(block.names)))  # of any combination of parameters, the variance
@@ -143,7 +126,7 @@ def test_a_result_is_written_with_the_digits_that_are_known() -> None:
 
 
 def test_what_is_held_stays_known_and_what_is_free_is_known_anew() -> None:
-    m = with_columns("hh800", EFFECTS)[:60]
+    m = with_columns(campaign("hh800"), EFFECTS)[:60]
     again = identify(learnt(), m, ("kinematic",))
     before, after = learnt().knowledge, again.robot.knowledge
     assert again.robot.effect_values == learnt().effect_values
@@ -161,7 +144,7 @@ def test_new_values_have_no_old_covariance() -> None:
 
 
 def test_a_robot_without_effects_is_written_as_ever() -> None:
-    m = with_columns("hh800", ())
+    m = campaign("hh800")
     text = to_toml(identify(robot("hh800"), m, ("placement",)).robot)
     assert text.startswith("casadical = 1\nname")
     assert "covariance" not in text

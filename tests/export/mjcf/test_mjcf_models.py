@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bench import robot as robot_of
 
 from casadical.core.errors import ConvergenceError, InputError
 from casadical.effects import (
@@ -32,17 +33,12 @@ from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import read_measurements
 from casadical.pose_selection import Workspace
 from casadical.pose_selection.candidates import draw
-from casadical.project.problem import read_campaign_robot
 from casadical.robot.robot import Robot
 from casadical.robot.urdf import new_urdf
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra withheld)")
 ROOT = Path(__file__).parents[3]
 ROBOTS = ("hh800", "kr210", "ur10e")
-
-
-def robot_of(name: str) -> Robot:
-    return read_campaign_robot(ROOT / "problems" / name)
 
 
 def as_built(robot: Robot, seed: int = 3) -> Robot:

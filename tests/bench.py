@@ -1,5 +1,6 @@
-"""Robots, campaigns and effects that the tests of this folder share."""
+"""Shipped robots and campaigns, and effects with their columns."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -15,7 +16,7 @@ from casadical.measurements.reading import read_measurements
 from casadical.project.problem import read_campaign_robot
 from casadical.robot.robot import Robot
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 FIRST = {"hh800": "hh800-P01", "kr210": "kr210-P02", "ur10e": "ur10e-P03"}
 
 
@@ -53,7 +54,7 @@ def moved_by(name: str, effects: list[Effect], values: np.ndarray, poses: Measur
     return p.full().T.reshape(K, n, 3)
 
 
-def with_columns(m: Measurements, effects: list[Effect]) -> Measurements:
+def with_columns(m: Measurements, effects: Sequence[Effect]) -> Measurements:
     # Of an instrument that reads distances, the first of some.
     far = {f"far_{c}_m": np.full(len(m), v) for c, v in zip("xyz", (2.0, -1.0, 0.5), strict=True)}
     wires = {f"wire{k}": np.full(len(m), float(k == 1)) for k in range(1, 5)}
