@@ -20,7 +20,8 @@ BaseLink = Annotated[
     str | None, typer.Option(metavar="LINK", help="First link of the arm in the URDF; default: its root.")
 ]
 TipLink = Annotated[
-    str | None, typer.Option(metavar="LINK", help="Last link of the arm; default: the only moving end.")
+    str | None,
+    typer.Option(metavar="LINK", help="Last link of the arm; default: the only moving end, or where a gripper begins."),
 ]
 Dh = Annotated[
     Path | None,

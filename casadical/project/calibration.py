@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 from casadical.compensator.saving import compensator_text
-from casadical.core.errors import InputError
+from casadical.core.errors import ConvergenceError, InputError
 from casadical.core.files import claimed, json_text, write_together
 from casadical.core.progress import Show, silent
 from casadical.core.telling.blocks import Page, Table, Words, mm
@@ -20,10 +20,10 @@ from casadical.core.telling.terminal import plain_text
 from casadical.diagnosis.localisation import Localisation
 from casadical.identification.accuracy import Accuracy
 from casadical.identification.error_bound import learn_bound
-from casadical.identification.identification import identify, judged
+from casadical.identification.identification import compliance_tried, identify, judged
 from casadical.identification.misfit import misfit_of
 from casadical.identification.plausibility import check_against
-from casadical.identification.prepared import prepare
+from casadical.identification.prepared import all_compliant, prepare
 from casadical.identification.residuals import ALL_LOSSES
 from casadical.identification.result import Identification, without_poses
 from casadical.identification.solver import Progress
@@ -341,7 +341,7 @@ def _refitted(problem: Problem, results: Mapping[str, Identification], show: Sho
     if not problem.whole or problem.networks:
         return {}
     whole = replace(
-        problem, sets={"identify": problem.whole}, methods=tuple(m for m in problem.methods if m in results)
+        problem, whole=(), sets={"identify": problem.whole}, methods=tuple(m for m in problem.methods if m in results)
     )
     found = _identified(whole, lambda text: show(f"of all poses, {text}"), len(results))
     return {method: found.get(method, list(found.values())[-1]) for method in results}
@@ -351,7 +351,7 @@ def _identified(problem: Problem, show: Show, count: int) -> dict[str, Identific
     """By each method; the last, which models most, says which poses are outliers, and whether the arm sags at all.
 
     count : of parts of the work. A compliance that is not declared and does not show is no method of its own, unless
-    networks learn what it leaves.
+    networks learn what it leaves. Where robots are written that are fitted to all poses, all decide whether it shows.
     """
     robot, sets, (*others, last) = problem.robot, problem.sets["identify"], problem.methods
     parts = iter(range(1, count + 1))
@@ -360,7 +360,12 @@ def _identified(problem: Problem, show: Show, count: int) -> dict[str, Identific
         part = next(parts)
         return lambda iteration, cost: show(f"part {part} of {count}: {method} iteration {iteration}, cost {cost:.6g}")
 
-    found = identify(robot, sets, method=last, loss=problem.loss, prior=problem.prior, progress=progress_of(last))
+    by = partial(identify, method=last, loss=problem.loss, prior=problem.prior, progress=progress_of(last))
+    found = by(robot, sets)
+    if problem.whole and found.tried and not found.tried.kept:  # few poses may not show what all do
+        tried = compliance_tried(prepare(robot, problem.whole, problem.prior, method="SKCM")).tried
+        with suppress(InputError, ConvergenceError):
+            found = replace(by(all_compliant(robot, sets)[0], sets), tried=tried) if tried and tried.kept else found
     results: dict[str, Identification] = {}
     for method in others:
         prepared = prepare(robot, sets, problem.prior, method=method)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from arms import TRACKER, planted, positions, readings, six_axis
 
-from casadical import Body, InputError, Joint, Robot, identify, read_robot, write_robot
+from casadical import Body, InputError, Joint, Robot, calibrate, identify, read_robot, write_robot
 from casadical.core.estimated_masses import with_estimated_masses
 from casadical.core.telling.terminal import terminal
 from casadical.identification.accuracy import errors
@@ -208,3 +208,19 @@ def test_few_poses_of_a_rigid_robot_converge_with_unknown_masses() -> None:
     found = base_calibrated(prepare(soft, replace(m, position=wrong), masses="unknown"))
     assert found.solution.message.startswith("Ipopt found an optimum")
     assert found.is_optimal()
+
+
+def test_all_poses_decide_on_compliance_where_the_written_robot_is_fitted_to_all(tmp_path) -> None:
+    """Of 13 poses to identify from none shows; what is held out judges both models, and does not choose."""
+    robot, fit, held = sagging()
+    write_robot(robot, tmp_path / "robot.toml")
+    head = ",".join([*(f"q{k}_rad" for k in range(1, robot.n + 1)), "x_m", "y_m", "z_m"])
+    np.savetxt(tmp_path / "p.csv", np.hstack([fit.q, fit.position]), delimiter=",", header=head, comments="")
+    text = 'casadical = 1\ntitle = "a"\nmethods = ["KM", "SKCM"]\n[[measurements]]\nfile = "p.csv"\nkind = "position"\n'
+    (tmp_path / "problem.toml").write_text(f"{text}[sets]\nidentify = 13\nreport = 47\nrefit = true\n")
+    found = calibrate(tmp_path)
+    assert [*found.identifications] == ["KM", "SKCM"]
+    assert found.identifications["SKCM"].tried.kept
+    assert errors(found.refitted["SKCM"].robot, held).mean() < errors(found.refitted["KM"].robot, held).mean() / 2
+    (tmp_path / "problem.toml").write_text(f"{text}[sets]\nidentify = 13\nreport = 47\n")
+    assert [*calibrate(tmp_path).identifications] == ["KM"]

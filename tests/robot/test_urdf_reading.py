@@ -161,3 +161,19 @@ def test_nearly_parallel_axes_stay_near(tmp_path):
     first, second = two_axes(tmp_path, (0.3, 0.1, 0.5), (1e-3 * 0.5, 0.0005, 0))
     assert max(abs(first.d), second.a, abs(second.d)) < 1
     assert second.beta is not None
+
+
+@pytest.mark.parametrize(("fingers", "joints"), [(2, 3), (3, 3), (1, 4)])
+def test_a_gripper_is_no_end_of_the_arm(tmp_path, fingers: int, joints: int) -> None:
+    """Its fingers begin at one link; a single one is a joint more."""
+    parts = ['<link name="l0"/>']
+    for k in range(1, 4 + fingers):
+        parent, kind = (k - 1, "revolute") if k < 4 else (3, "prismatic")
+        mimic = '<mimic joint="j4" multiplier="-1"/>' if k > 4 else ""
+        parts.append(
+            f'<link name="l{k}"/><joint name="j{k}" type="{kind}"><parent link="l{parent}"/><child link="l{k}"/>'
+            f'<origin xyz="0.1 0 0.{k}"/><axis xyz="0 1 0"/><limit lower="-1" upper="1"/>{mimic}</joint>'
+        )
+    path = tmp_path / "arm.urdf"
+    path.write_text(f'<robot name="arm">{"".join(parts)}</robot>')
+    assert read_urdf(path).n == joints

@@ -201,7 +201,11 @@ def _column_lines(given: Given) -> str:
 def _urdf(links: tuple[str | None, str | None], given: Given) -> str:
     lines = ["", "[urdf]"]
     for key, link in zip(("base_link", "tip_link"), links, strict=True):
-        lines.append(f'{key} = "{link}"' if link else f'# {key} = "..."             # default: the only one there is')
+        lines.append(
+            f'{key} = "{link}"'
+            if link
+            else f'# {key} = "..."             # default: the only one there is, or where a gripper begins'
+        )
     lines.append("# compliant = [2, 3]               # joints whose compliance is identified too")
     for name in given.tools if len(given.tools) > 1 else [""] if given.turned else ():
         lines += ["", "[[urdf.tool]]", *([f"name = {_quoted(name)}"] if name else [])]

@@ -113,14 +113,23 @@ class Tree:
         return joints[::-1]
 
     def only_end(self, base: str) -> str:
-        """The end of the tree that a joint moves; the base where no joint moves. Raises InputError for several."""
+        """The end of the tree that a joint moves, or the link on which a gripper is; the base where no joint moves.
+
+        A gripper is what begins at one link, on more moving joints than each of its fingers has. Raises InputError for
+        several ends otherwise.
+        """
         ends = [link for link, moved in self._walk(base, False) if moved and not self.below[link]]
-        if len(ends) > 1:
+        if len(ends) < 2:
+            return ends[0] if ends else base
+        ways = [self.path(base, end) for end in ends]
+        common = [joints[0] for joints in zip(*ways, strict=False) if all(j is joints[0] for j in joints)]
+        arm, *fingers = (sum(j.type != "fixed" for j in way) for way in (common, *(w[len(common) :] for w in ways)))
+        if arm <= max(fingers):
             raise InputError(
-                f"{self.source}: the chain branches; its ends are {', '.join(ends)}; name the one that is measured as "
-                "tip_link"
+                f"{self.source}: the chain branches; its ends are {', '.join(ends)}; name the one that is measured, "
+                "or on which the gripper is, as tip_link (casadical new: --tip-link)"
             )
-        return ends[0] if ends else base
+        return str(common[-1].child)
 
     def _walk(self, link: str, moved: bool) -> Iterator[tuple[str, bool]]:
         yield link, moved
