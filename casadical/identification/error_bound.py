@@ -29,6 +29,8 @@ from casadical.robot.robot import Robot
 LEVEL = 0.95  # share of errors that the bound is to hold
 FOLDS = 5
 LEAST = 30  # poses, of which one held-out residual in twenty is to be known
+# What no instrument falls short of at a coordinate [mm]; poses that were made up without noise do.
+EXACT = 1e-3
 MOST = 20_000  # poses: so many, drawn at random, tell a bound as well as more, in less memory
 ROUNDS = 12  # of expectation and maximisation: sizes that the poses do not determine are still of usual size then
 _DIRECTIONS, _END = 6, 0.3  # of the regions that are held out: how many, and the share of poses at each end
@@ -164,9 +166,9 @@ def posterior_of(sums: NormalSums, doubts: Doubts, rounds: int = ROUNDS) -> tupl
     """Variance of a coordinate that nothing explains [mm^2]; mean, shape (k,), covariance, and prior variances.
 
     Few poses leave less than TELLING degrees of freedom: those that miss have the variance that the identified
-    parameters alone leave. Otherwise all would be explained, and the poses be taken for exact.
+    parameters alone leave. Otherwise all would be explained, and the poses be taken for exact; so no less than EXACT.
     """
-    s2: float = sums.square / sums.count
+    s2 = max(float(sums.square / sums.count), EXACT**2)
     alone: float = sums.square / max(1, sums.count - len(doubts.solved))
     variance = doubts.sigma**2
     mean, S = np.zeros(len(variance)), np.zeros((len(variance), len(variance)))
@@ -176,7 +178,7 @@ def posterior_of(sums: NormalSums, doubts: Doubts, rounds: int = ROUNDS) -> tupl
         known = len(variance) - float(np.sum(np.diag(S) / variance))
         left = float(sums.square + 2 * mean @ sums.g + mean @ sums.H @ mean)
         missing = max(0.0, TELLING - (sums.count - known))
-        s2 = (left + missing * alone) / (sums.count - known + missing)
+        s2 = max((left + missing * alone) / (sums.count - known + missing), EXACT**2)
         for joint in doubts.joints:
             variance[joint] = np.mean(mean[joint] ** 2 + np.diag(S)[joint])
     return s2, mean, S, variance

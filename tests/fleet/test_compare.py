@@ -18,6 +18,7 @@ from casadical.fleet.comparison import changes_in, compare, shared_information
 from casadical.fleet.estimates import Estimate, estimate, estimate_of_file
 from casadical.fleet.evidence import KAPPAS, SharedInformation, drifts, jumps, log_evidence, solve, visible
 from casadical.fleet.noise import repeatability, with_common_noise
+from casadical.identification.accuracy import predicted
 from casadical.identification.misfit import misfit_of, wide_fit
 from casadical.robot.error_bound import doubted
 
@@ -394,3 +395,12 @@ def test_a_robot_whose_first_row_places_it_may_have_a_moved_foot() -> None:
     moved = robot.with_values({"a0": 0.5, "theta1": 0.01})
     there = replace(told, robot=moved, values=moved.parameters.values)
     assert dict(compare([told, there]).placements)["base"].startswith("500 mm and 0.573 deg from where it stood")
+
+
+def test_a_table_without_noise_is_compared_too(arm, before: Estimate) -> None:
+    """As a simulator writes it: its information is bounded, or its sums would lose their digits."""
+    m = measured(arm[1], 3)
+    exact = replace(m, position=predicted(arm[1], m)[0])
+    found = compare([before, estimate((arm[0], exact), "exact")])
+    assert not found.changes
+    assert np.linalg.eigvalsh(estimate((arm[0], exact)).information)[-1] < 1e12

@@ -13,6 +13,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.reading import load_toml
+from casadical.core.statistics import first_of_best
 from casadical.identification.accuracy import errors, predicted
 from casadical.identification.placement import place_frames
 from casadical.measurements.measurements import Measurements
@@ -52,8 +53,10 @@ def plausible(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> tu
         free = rigid([robot, *others][h.rows])
         if _large_enough(free, meant):
             tried.append(replace(fit, error=median_error(free, meant)))
-    # Of slips that fit alike one that leaves the joints' ranges is none.
-    return before, min(tried, key=lambda fit: fit.error * (WORTH if outside(fit.hypothesis, robot, some.q) else 1))
+    # Of slips that fit alike a turned sign comes before a shifted zero, and one that leaves the joints' ranges is none.
+    tried.sort(key=lambda fit: sum(z != 0 for z in fit.hypothesis.zero))
+    costs = [fit.error * (WORTH if outside(fit.hypothesis, robot, some.q) else 1) for fit in tried]
+    return before, tried[first_of_best(-np.log(np.maximum(costs, 1e-12)), logs=True)]
 
 
 def far_off(robot: Robot, m: Measurements) -> tuple[Array, Array]:

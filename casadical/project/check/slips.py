@@ -81,8 +81,8 @@ def search_slips(
     first, *behind = ranked(np.negative(costs))
     best = found[first]
     near = [found[k] for k in behind if found[k].slips and costs[k] < costs[first] + np.log(WORTH)]
-    # The mirror image of a robot has the same lengths: no pose would distinguish them.
-    rivals = [f for f in near if m.position is not None or abs(f.error - best.error) > SAME * best.error]
+    # What leaves the same is the same robot, or its mirror image: no pose would distinguish them.
+    rivals = [f for f in near if abs(f.error - best.error) > SAME * best.error]
     return Slips(before, best, tuple(rivals[:2]))
 
 
