@@ -33,8 +33,8 @@ from casadical.robot.robot import Robot
 
 # What is left follows a driver if chance alone gives so large a share so rarely, among all that are tried.
 CHANCE = 1e-3
-# Poses that are looked at, spread over the campaign.
-MOST_POSES = 600
+# Poses that are looked at, spread over the campaign; of noise that follows itself so many of the first, which are close.
+MOST_POSES, MOST_FOLLOWING = 600, 4000
 # Sines of an angle up to these cycles a turn together; beyond, of a joint's own angle, each for itself up to the last.
 TOGETHER, LAST_LINE = 3, 140.0
 # Drivers that are said.
@@ -91,7 +91,7 @@ class _White:
         m, _ = derive(case.m, ["progress", *(f"approach{j}" for j in case.robot.numbers)])
         kept = np.flatnonzero(case.kept)
         order = np.argsort(m.conditions["progress"][kept], kind="stable")
-        n, most = len(order), min(len(order), MOST_POSES)
+        n, most = len(order), min(len(order), MOST_FOLLOWING if form.stays else MOST_POSES)
         # Noise that follows itself is white only where poses follow each other.
         self.pick = np.arange(most) if form.stays else np.linspace(0, n - 1, most).round().astype(int)
         self._form = form if form.times is None else replace(form, times=form.times[self.pick])
