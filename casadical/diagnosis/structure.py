@@ -33,7 +33,7 @@ from casadical.robot.robot import Robot
 
 # What is left follows a driver if chance alone gives so large a share so rarely, among all that are tried.
 CHANCE = 1e-3
-# Poses that are looked at, spread over the campaign; of noise that follows itself so many of the first, which are close.
+# Poses that are looked at, spread over the campaign; where noise follows itself, so many of the first.
 MOST_POSES, MOST_FOLLOWING = 600, 4000
 # Sines of an angle up to these cycles a turn together; beyond, of a joint's own angle, each for itself up to the last.
 TOGETHER, LAST_LINE = 3, 140.0
