@@ -9,8 +9,8 @@ import pytest
 from site_of_docs import ROOT, TUTORIALS
 
 
-def test_there_are_twelve() -> None:
-    assert sorted(int(name.split("_")[1]) for name in TUTORIALS) == [*range(1, 13)]
+def test_there_are_thirteen() -> None:
+    assert sorted(int(name.split("_")[1]) for name in TUTORIALS) == [*range(1, 14)]
 
 
 @pytest.mark.parametrize("name", TUTORIALS)
