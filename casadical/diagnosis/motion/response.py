@@ -122,7 +122,10 @@ class Response:
 
 
 def pieces_of(run: JointLog, length: float = PIECE) -> list[Piece]:
-    """A run on a uniform time, in pieces of some length [s]; none of a run that is shorter than two seconds."""
+    """A run on a uniform time, in pieces of some length [s]; none of a run that is shorter than two seconds.
+
+    Raises InputError: no commands in it.
+    """
     if run.command is None:
         raise InputError(f"{run.source}: no commands, and so no replay; log command1_rad ...")
     seconds = float(run.time[-1] - run.time[0])
