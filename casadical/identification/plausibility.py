@@ -10,6 +10,7 @@ from casadical.core.errors import Fault, FaultsError, InputError
 from casadical.core.transforms import nearest_rotation
 from casadical.identification.accuracy import positions_at, predicted
 from casadical.identification.placement import place_frames
+from casadical.measurements.angle_unit import MOST_TURNS
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.robot.kinematics import LEAST_MARGIN
@@ -53,13 +54,16 @@ def _out_of_range(robot: Robot, m: Measurements) -> Iterator[Fault]:
     """Readings beyond the limits, of each joint those on one side, with the farthest one."""
     for i, joint in enumerate(robot.joints):
         unit, factor = ("deg", 180 / np.pi) if joint.kind == "revolute" else ("mm", 1e3)
-        q, limits = m.q[:, i], f"[{joint.lower * factor:.6g}, {joint.upper * factor:.6g}] {unit}"
+        q, remedy = m.q[:, i], "correct the reading or the limits in the robot file"
+        if joint.kind == "revolute" and np.abs(q).max() > MOST_TURNS * 2 * np.pi:
+            remedy = "are these degrees? readings of joints that turn are in rad"
+        limits = f"[{joint.lower * factor:.6g}, {joint.upper * factor:.6g}] {unit}"
         for far in (np.maximum(0, joint.lower - BEYOND - q), np.maximum(0, q - joint.upper - BEYOND)):
             if far.any():
                 order = np.argsort(-far, kind="stable")[: np.count_nonzero(far)]
                 yield Fault(
                     m.source, tuple(map(int, m.row[order])), f"q{i + 1}", f"{q[order[0]] * factor:.6g} {unit}",
-                    "is outside of the joint's range", limits, "correct the reading or the limits in the robot file",
+                    "is outside of the joint's range", limits, remedy,
                 )  # fmt: skip
 
 

@@ -73,9 +73,13 @@ def reduce_and_solve(
         gone = {u.name for u in worse}
         reduced = reduced.with_names([n for n in reduced.names if n not in gone])
     if left > POOR_FIT * problem.robot.reach:
+        frames = (("base", problem.robot.base), ("tool", problem.robot.tool))
+        known = " and ".join(name for name, frame in frames if frame.unknown == "none")
+        frames_known = f'; known here: {known}; unknown = "pose" or "position" has them fitted (robot file, Placement)'
         raise InputError(
             f"{problem.sets[0].source}: the model does not fit: {1e3 * left:.3g} mm a coordinate are left after the "
             "best fit; check the signs and zeros of the joints, their order, units and the DH convention"
+            f"{known and frames_known}"
         )
     reasons = "; ".join(f"{u.name}: {u.reason}" for u in (*analysis.held, *poor))
     raise InputError(

@@ -90,6 +90,12 @@ class Measurements(Shown):
     lost: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
+        for name in ("q", "position", "orientation", "distance", "target", "other", "label", "weight", "row"):
+            if not isinstance(value := getattr(self, name), np.ndarray | None):  # lists, columns of a data frame
+                try:
+                    object.__setattr__(self, name, np.asarray(value, dtype=None if name in ("label", "row") else float))
+                except (TypeError, ValueError) as error:
+                    raise InputError(f"{self.source}: {name} is no array of numbers: {error}") from None
         n = len(self.q)
         if n == 0:
             raise InputError(f"{self.source}: no poses; at least one row is needed")

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from casadical import InputError, Placement, identify
 from casadical.core.transforms import frame, from_xyz
 from casadical.identification.held_placement import Held, Placed, Readings
 from casadical.identification.placement import place_frames, solve_placement
@@ -72,3 +73,16 @@ def test_few_poses_place_the_base_by_the_files_tool(poses: int) -> None:
     m = arms.positions(ARM, q, 0, sigma=0.0)
     placed = place_frames(ARM, m)
     assert np.linalg.norm(placed.tool.T[:3, 3] - ARM.tool.T[:3, 3]) < 0.05
+
+
+def test_lists_are_taken_as_arrays_and_known_frames_are_named_where_nothing_fits() -> None:
+    robot = arms.six_axis(base=Placement(np.eye(4)))
+    moved = arms.planted(robot, 5, arms.TRACKER)
+    q = arms.readings(robot, 40, 6)
+    position = arms.positions(moved, q, 7).position
+    with pytest.raises(InputError, match=r'known here: base; unknown = "pose" or "position" has them fitted'):
+        identify(robot, Measurements(q.tolist(), "position", position=position.tolist()))
+    with pytest.raises(InputError, match=r"are these degrees\? readings of joints that turn are in rad"):
+        identify(robot, Measurements(np.degrees(q), "position", position=position))
+    with pytest.raises(InputError, match="table: q is no array of numbers"):
+        Measurements([["a", "b"]], "position", position=position)
