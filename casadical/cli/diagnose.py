@@ -16,8 +16,7 @@ from casadical.core.errors import shown
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from casadical.diagnosis.motion.result import LogDiagnosis
-    from casadical.project.diagnosis import Campaign, CampaignDiagnosis, LogCampaign, Options
+    from casadical.project.diagnosis import Campaign, CampaignDiagnosis, LogCampaign, LogDiagnosis, Options
 
 Out = Annotated[
     Path | None,

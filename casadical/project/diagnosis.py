@@ -22,7 +22,8 @@ from casadical.diagnosis.isolability import isolability
 from casadical.diagnosis.json_answer import as_json, diagnosis_files
 from casadical.diagnosis.laws.answer import Discovery
 from casadical.diagnosis.motion.replay import Replay, replayed
-from casadical.diagnosis.motion.result import LogDiagnosis, diagnose_log
+from casadical.diagnosis.motion.result import LogDiagnosis as LogDiagnosis
+from casadical.diagnosis.motion.result import diagnose_log
 from casadical.diagnosis.page import diagnosis_page
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.text import brief, page_of, titled
