@@ -30,7 +30,7 @@ class Opened:
     """A page and what happened while it was open."""
 
     def __init__(self, browser: Any, path: Path, width: int) -> None:
-        self.width = width
+        self.width, self.kind = width, ""
         phone = width < 600
         size = {"width": width, "height": 844 if phone else 900}
         context = browser.new_context(viewport=size, color_scheme="light", has_touch=phone, is_mobile=phone)

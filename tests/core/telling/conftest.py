@@ -14,6 +14,7 @@ from casadical.diagnosis.page import diagnosis_page
 from casadical.diagnosis.spectrum import JointCurve, Spectrum
 from casadical.export.mjcf.replay import replay_blocks
 from casadical.measurements.reading import read_measurements
+from casadical.project.diagnosis import read_logs
 from casadical.project.problem import read_campaign_robot
 
 ROOT = Path(__file__).parents[3]
@@ -79,4 +80,15 @@ def diagnosis_file(diagnosis, details, tmp_path_factory) -> Path:
     page = diagnosis_page(diagnosis, CAMPAIGN.stem, details, [*replay_blocks(diagnosis)])
     text = report([page])
     path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="session")
+def logs_file(tmp_path_factory) -> Path:
+    """The replay of one real motion of a SO-101 by the response that another one has."""
+    paths = [ROOT / "data" / "so101_logs" / f"{name}.csv.gz" for name in ("wave_motion", "staircase_motion")]
+    campaign = read_logs(ROOT / "problems/so101/robot.toml", paths)
+    assert campaign is not None
+    path = tmp_path_factory.mktemp("report") / "logs.html"
+    path.write_text(report([campaign.page([], campaign.replayed())]), encoding="utf-8")
     return path

@@ -6,6 +6,7 @@ from browser import Opened, chromium
 WIDE, PHONE = 1280, 390
 CALIBRATION, DIAGNOSIS = ("calibration", WIDE), ("diagnosis", WIDE)
 PHONES = (("calibration", PHONE), ("diagnosis", PHONE))
+LEAST = {"calibration": 12, "diagnosis": 12, "logs": 5}
 FIGURE = "figure[data-name='{}']"
 
 
@@ -20,6 +21,7 @@ def page(request, browser):
     """A kind of report at a width: opened once for all its tests, which pytest runs one after the other."""
     kind, width = request.param
     opened = Opened(browser, request.getfixturevalue(f"{kind}_file"), width)
+    opened.kind = kind
     yield opened
     opened.close()
 
@@ -28,17 +30,18 @@ def on(*pages: tuple[str, int]) -> pytest.MarkDecorator:
     return pytest.mark.parametrize("page", pages, indirect=True, ids="{0[0]}-{0[1]}".format)
 
 
-@on(CALIBRATION, DIAGNOSIS, *PHONES)
+@on(CALIBRATION, DIAGNOSIS, ("logs", WIDE), *PHONES, ("logs", PHONE))
 def test_every_figure_is_drawn_and_nothing_overflows_or_leaves_the_file(page) -> None:
     figures = page.js("document.querySelectorAll('figure[data-name]').length")
     drawn = page.js(
         """[...document.querySelectorAll('figure[data-name]')].filter(f => {
             const plot = f.querySelector('.plot'), box = plot.querySelector('.main-svg').getBoundingClientRect();
-            const marks = plot.querySelectorAll('.scatterlayer .trace path, .barlayer path, .gl-container canvas');
+            const marks = plot.querySelectorAll(
+                '.scatterlayer .trace path, .barlayer path, .heatmaplayer image, .gl-container canvas');
             return box.width > 0.9 * plot.clientWidth && box.width < plot.clientWidth + 1 && marks.length > 0;
         }).length"""
     )
-    assert figures >= 12
+    assert figures >= LEAST[page.kind]
     assert drawn == figures
     assert page.js("document.documentElement.scrollWidth") == page.width
     assert page.faults == []
