@@ -153,6 +153,13 @@ def test_what_is_no_list_of_numbers_is_named_by_row(tmp_path, cell) -> None:
         read_log(folder)
 
 
+def test_a_column_without_a_heading_is_left_out(tmp_path) -> None:
+    folder = sage(tmp_path / "motion", [[b, a] for a, b in Q])
+    head, *rows = (folder / "state_motor.csv").read_text().splitlines()
+    (folder / "state_motor.csv").write_text("\n".join([f"{head},", *(f"{row},7" for row in rows)]))
+    assert read_log(folder).position is not None
+
+
 def lerobot(tmp_path, scale):
     data = tmp_path / "data" / "chunk-000"
     data.mkdir(parents=True)
