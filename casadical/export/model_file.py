@@ -186,7 +186,8 @@ def _urdf(source: Path, nominal: Path | None, leave_out: bool, show: Show) -> Ro
     into = calibration.problem.urdf if calibration else None
     figures = geometry_alone(calibration) if calibration else None
     omissions = [Omission(e.label, "a URDF holds geometry and masses only") for e in robot.effects]
-    lost = (*left_out(robot, omissions, "a URDF", leave_out), *rest_of_rigid(robot), *servos_of(robot))
+    soft = (*left_out(robot, omissions, "a URDF", leave_out), *rest_of_rigid(robot))
+    lost = (*soft, *servos_of(robot))
     text = calibration.problem.calibrated_urdf(robot) if calibration and into else new_urdf(robot)
     lines = [f"LEFT OUT {line}" for line in lost]
     if not lost:
@@ -197,7 +198,7 @@ def _urdf(source: Path, nominal: Path | None, leave_out: bool, show: Show) -> Ro
             f"mean error at {figures['poses']} {poses}: nominal, base and tool fitted, {figures['nominal_mm']:.3f} mm; "
             f"this URDF alone {figures['geometry_mm']:.3f} mm; the whole model {figures['model_mm']:.3f} mm"
         )
-    if lost:
+    if soft:
         lines.append(
             "a robot that is calibrated as rigid (method KM) loses less as a URDF; `export model --to mjcf` keeps the "
             "springs"

@@ -160,3 +160,14 @@ def test_effects_of_poses_and_drives_of_logs_live_in_one_file(arm, tmp_path):
     assert [e.label for e in kept.effects] == ["backlash@2"]
     assert kept.drive is not None
     assert kept.drive.damping is not None
+
+
+def test_what_an_earlier_log_told_stays_where_a_later_one_moves_nothing(arm):
+    before = fitted(arm, [moved(arm, 1, 12.0)])
+    log = moved(arm, 9, 8.0)
+    still = np.full(len(log), 0.2)
+    held = JointLog(log.time, log.joints, np.column_stack([log.position[:, 0], still]),
+                    np.column_stack([log.command[:, 0], still]))  # fmt: skip
+    after = fitted(before.robot(), [held])
+    for name in ("gain", "friction", "damping", "delay"):
+        assert getattr(after, name)[1] == pytest.approx(getattr(before, name)[1], rel=0.2)

@@ -114,11 +114,12 @@ class Replay(Result):
 
     def _sentence(self) -> str:
         what = "not fitted" if self.held_out else "fitted, for there is no other (log a second motion)"
+        what = f"1 run that was {what}" if len(self.runs) == 1 else f"{len(self.runs)} runs that were {what}"
         seconds = sum(float(run.time[-1] - run.time[0]) for run in self.runs)
         before, after = (1e3 * float(np.sqrt((v**2).mean())) for v in (self.before, self.after))
         return (
-            f"Replay of {len(self.runs)} runs ({seconds:.0f} s) that were {what}, from the first reading and the "
-            f"commands alone: {before:.3g} mrad rms before, {after:.3g} mrad with the response of each joint."
+            f"Replay of {what} ({seconds:.0f} s), from the first reading and the commands alone: {before:.3g} mrad rms "
+            f"before, {after:.3g} mrad with the response of each joint."
         )
 
     def _table(self) -> Table:

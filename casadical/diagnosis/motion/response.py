@@ -244,6 +244,11 @@ def _problem(dynamics: Dynamics, pieces: Sequence[Piece]) -> _Problem:
     middle[:, 2:] = np.log(np.column_stack([error / 3, *(np.full(n, v) for v in (LAG, INERTIA, DELAY))]))
     if delay is not None:
         middle[:, 5] = np.log(np.maximum(delay, 1e-4))
+    # What an earlier log told is where this one begins, and where joints stay that it did not move.
+    yields = np.exp(middle[:, 0])
+    for k, name in ((2, "friction"), (3, "damping"), (1, "bias")):
+        if (known := drive.of_joints(name, n)) is not None:
+            middle[:, k] = known * yields if k == 1 else np.log(np.maximum(known * yields, 1e-6))
     width = np.tile([YIELD if gain is None else KNOWN_GAIN, OFFSET, DRY, TIMES, TIMES, TIMES], (n, 1))
     width[np.ix_(~_moves(pieces), np.array(_LOGS))] = USUAL
     steps = np.array([piece.step for piece in pieces])

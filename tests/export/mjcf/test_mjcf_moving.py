@@ -53,9 +53,8 @@ def test_mujoco_alone_replays_real_commands_as_well(so101, tmp_path):
     found = replayed(so101, logs[:-1], logs[-1:])
     made = of_file(found.response.robot(), tmp_path / "arm.toml", "mjcf")
     left = np.sqrt(((logs[-1].position - driven(mujoco, made.text, logs[-1])) ** 2).mean(axis=0))
-    assert (left[:5] < 1.15 * found.after[:5]).all()
+    assert (left < 1.15 * found.after).all()
     assert (left[:5] < 0.4 * found.before[:5]).all()
-    assert left[5] < 1e-4  # the gripper does not move; ours leaves exactly nothing
 
 
 def test_the_model_has_what_the_drive_says(so101, tmp_path):
