@@ -1,6 +1,7 @@
 """Joint logs with hidden causes, made in MuJoCo, and what `casadical diagnose ARM LOG` says of them.
 
-python docs/studies/joint_logs.py make DIR (3 minutes), run DIR (10 of CPU), score DIR. Synthetic data.
+python docs/studies/joint_logs.py make DIR (3 minutes), run DIR (10 of CPU), score DIR. Synthetic data. A last argument
+is another seed: rounds on which the rules were developed.
 
 Written without having read the diagnosis. Two arms: the six axes of problems/ur10e, with currents, and the SO-101 of
 data/so101_logs, half with torques, half with commands and readings only. Causes act in the simulation (forces, servo),
@@ -25,7 +26,8 @@ import numpy as np
 import pandas as pd
 
 ROOT = Path(__file__).parents[2]
-SEED, LOGS, STEP, ROW = 20261123, 72, 0.001, 8
+SEED = int(sys.argv[3]) if len(sys.argv) > 3 else 20261124
+LOGS, STEP, ROW = 72, 0.001, 8
 LISTED = [
     "payload",
     "coulomb_friction",
@@ -278,9 +280,12 @@ def shaped(command: np.ndarray, day: dict) -> np.ndarray:
     t, out = np.arange(len(command)) / 250, np.empty_like(command)
     for j in range(6):
         u = np.interp(t - day["delay"][j], t, command[:, j])
-        keep, x = np.exp(-0.004 / max(day["lag"][j], 1e-4)), u[0]
-        for k in range(len(u)):
-            x = keep * x + (1 - keep) * u[k]
+        lag = max(day["lag"][j], 1e-4)
+        keep, x = np.exp(-0.004 / lag), u[0]
+        ahead = 1 - lag / 0.004 * (1 - keep)  # exact for a command that is linear between samples
+        out[0, j] = x
+        for k in range(1, len(u)):
+            x = keep * x + (1 - keep) * u[k - 1] + ahead * (u[k] - u[k - 1])
             out[k, j] = x
     return out
 
@@ -400,6 +405,7 @@ def simulate(days: list[dict]) -> list[dict]:
         return np.concatenate([x, np.repeat(x[-1:], total + 1 - len(x), 0)])
 
     u = np.stack([hold(x) for x in servo], 1)
+    speed = np.gradient(u, 0.004, axis=0)
     forward = np.stack([hold(rigid(nominal, x)) if arm == "ur10e" else np.zeros((total + 1, 6)) for x in servo], 1)
     p = {k: np.stack([np.broadcast_to(d[k], 6) for d in days]) for k in P_ARRAYS}
     q, v, z, gust = u[0].copy(), np.zeros((n, 6)), np.zeros((n, 6)), np.zeros(n)
@@ -409,16 +415,11 @@ def simulate(days: list[dict]) -> list[dict]:
     joint, every = np.array([d["joint"] for d in days]), np.arange(n)
     for k in range(total * 4 // ROW * ROW):
         t, at, part = k * STEP, k // 4, (k % 4) / 4
-        want, rate = u[at] + (u[at + 1] - u[at]) * part, (u[at + 1] - u[at]) / 0.004
+        want, rate = (w[at] + (w[at + 1] - w[at]) * part for w in (u, speed))
         seen = q.copy()
         if arm == "ur10e":  # the encoder of the servo itself jumps; that of the SO-101 jumps against the host
             seen[every, joint] += zero * (t > ends[:, 0])
-        push = (
-            p["kp"] * (want - seen)
-            + p["kd"] * ((rate if arm == "ur10e" else 0) - v)
-            + forward[at]
-            + (forward[at + 1] - forward[at]) * part
-        )
+        push = p["kp"] * (want - seen) + p["kd"] * (rate - v) + forward[at] + (forward[at + 1] - forward[at]) * part
         push = np.clip(push, -p["limit"], p["limit"])
         if k % ROW == 0:
             logged = seen.copy()
@@ -859,7 +860,7 @@ def main() -> None:
     task, folder = sys.argv[1], Path(sys.argv[2])
     folder.mkdir(parents=True, exist_ok=True)
     if task == "make":
-        jobs = [subprocess.Popen([sys.executable, __file__, f"make-{arm}", str(folder)]) for arm in ARMS]
+        jobs = [subprocess.Popen([sys.executable, __file__, f"make-{arm}", str(folder), str(SEED)]) for arm in ARMS]
         if any(job.wait() for job in jobs):
             sys.exit(1)
     elif task.startswith("make-"):
