@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.core.linear_gaussian.columns import Columns, Factors, as_slice, combined_of
+from casadical.core.linear_gaussian.columns import EVERY, Columns, Factors, as_slice, combined_of
 from casadical.core.linear_gaussian.noise import Axes, NoiseModel
 
 # Columns that are in memory at a time, in bytes; at least so many blocks.
@@ -121,13 +121,17 @@ class GridSums:
         for blocks in self._parts(E):
             F, levers = E.factors(blocks), E.levers(blocks)
             for axes in self._axes:
-                by_column = np.ascontiguousarray(F.columns_at(axes.turned(levers, blocks)).reshape(-1, F.width).T)
-                weights = axes.precision[:, blocks].reshape(len(axes.points), -1)
-                for w, which in stacks.items():
-                    part = by_column[np.searchsorted(used, which)]
-                    for k, weight in zip(axes.points, weights, strict=True):
-                        scaled = part * np.sqrt(weight)
-                        totals[w][k] += scaled @ scaled.transpose(0, 2, 1)
+                for rows, columns, by_column in _by_rows(F, axes.turned(levers, blocks)):
+                    weights = axes.precision[:, blocks, rows].reshape(len(axes.points), -1)
+                    place = np.full(len(used), len(columns))  # behind the last of them is nothing
+                    place[columns] = np.arange(len(columns))
+                    for w, which in stacks.items():
+                        there = place[np.searchsorted(used, which)]
+                        acts = np.flatnonzero((there < len(columns)).any(axis=1))
+                        part = by_column[there[acts]]
+                        for k, weight in zip(axes.points, weights, strict=True):
+                            scaled = part * np.sqrt(weight)
+                            totals[w][k, acts] += scaled @ scaled.transpose(0, 2, 1)
         for w, which in stacks.items():
             for i, g in enumerate(which):
                 self._own[g.tobytes()] = totals[w][:, i]
@@ -194,11 +198,12 @@ class GridSums:
             F, levers = E.factors(blocks), E.levers(blocks)
             for axes, turned in zip(self._axes, self._base, strict=True):
                 U, points = axes.turned(levers, blocks), slice(axes.points[0], axes.points[-1] + 1)
+                alone = _each_alone(U)
                 for s, columns, values in F.blocks:
                     # What the variable in between does, times the base's columns, at each point.
-                    across = np.einsum(
-                        "kni,ni,nip->nkp", axes.precision[:, blocks], U[:, :, s], turned[blocks], optimize=True
-                    )
+                    rows = slice(s, s + 1) if alone else EVERY
+                    own = axes.precision[:, blocks, rows], U[:, rows, s], turned[blocks, rows]
+                    across = np.einsum("kni,ni,nip->nkp", *own, optimize=True)
                     product = values @ across.reshape(len(U), -1)
                     total[as_slice(columns), points] += product.reshape(len(values), -1, numbers)
         return total
@@ -221,6 +226,21 @@ class GridSums:
         """The blocks in parts whose columns take little memory."""
         n, step = self._shape[0], max(LEAST_BLOCKS, BYTES // (8 * max(E.shape[2], 1)))
         return (slice(first, min(first + step, n)) for first in range(0, n, step))
+
+
+def _each_alone(U: Array) -> bool:
+    """Whether each variable in between moves its own row alone; U : shape (n, m, variables)."""
+    return U.shape[1] == U.shape[2] and not U[:, ~np.eye(U.shape[1], dtype=bool)].any()
+
+
+def _by_rows(F: Factors, U: Array) -> Iterator[tuple[slice, Array, Array]]:
+    """Rows, the columns that act there, and these one by one with a last one of zeros, shape (columns + 1, -1)."""
+    if not _each_alone(U):
+        made = F.columns_at(U).reshape(-1, F.width).T
+        yield EVERY, np.arange(F.width), np.concatenate([made, np.zeros((1, made.shape[1]))])
+        return
+    for s, columns, values in F.blocks:
+        yield slice(s, s + 1), columns, np.concatenate([values * U[:, s, s], np.zeros((1, len(U)))])
 
 
 def _add_weighted(total: Array, F: Factors, G: Factors, U: Array, weight: Array, at: slice) -> None:

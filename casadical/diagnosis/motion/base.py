@@ -24,6 +24,7 @@ FRICTION, OFFSET, SCALE, ROTOR, ANY_ROTOR = 0.3, 0.1, 0.02, 0.05, 1.0
 # Of the servo: share of its gain, and of the gear's stiffness; delay that is known and that is not [s]; square of a
 # filter's time [s^2]; a constant, and what changes with direction [rad].
 GAIN, GEAR, DELAY, ANY_DELAY, FILTER, CONSTANT, SIDE = 0.15, 0.5, 1e-3, 0.03, 2e-4, 1e-3, 2e-4
+ANY_FILTER = 2e-3
 # Of a servo whose gain is roughly known and whose torque nobody logged.
 ROUGH = 0.2
 # A payload that nobody declared, as a share of the arm's mass; where its mass centre is [m].
@@ -66,6 +67,12 @@ class Look:
     gain: Array
     frictions: Mapping[str, Array] = field(default_factory=dict)
 
+    def as_torque(self, error: Array, joint: int) -> Array:
+        """What a position error of one joint is in the rows of a log without torque, shape (samples,), [rad]."""
+        every = np.zeros_like(self.motion.q)
+        every[:, joint] = error
+        return np.asarray(_served(self.motion, self.arm, self.gain, every)[:, joint] / self.great[joint])
+
     def by_angle(self, joint: int) -> Array:
         """Derivative of the torques by one joint's angle, shape (samples, joints), in great torques."""
         m, arm = self.motion, self.arm
@@ -79,26 +86,36 @@ def look(motion: Motion, arm: Arm, great: Array | None = None) -> Look:
     m = motion
     Y = arm.regressor(m.q, m.v, m.a)
     model = Y @ arm.inertial
-    delay = np.zeros(arm.joints) if arm.delay is None else arm.delay
     servo, kp = None, np.ones(arm.joints) if arm.kp is None else arm.kp
     if m.torque is not None:
         torque = m.torque
     else:
         assert m.command is not None
         kp = _gain(m, model, arm)
-        assert m.command_v is not None
         error = m.command - m.position
-        torque = kp * (error - delay * m.command_v)
-        servo = model / kp
+        torque = _served(m, arm, kp, error)
+        servo = _yielded(m, arm, _yielded(m, arm, model) * kp) if arm.kp is not None else model / kp
     great = np.quantile(np.abs(torque), 0.99, axis=0) + 1e-9 if great is None else great
     response = None
     if m.torque is not None and m.command is not None:
-        response, servo = _response(m, arm, torque, delay)
+        response, servo = _response(m, arm, torque)
     names = _variables(m, arm, great, torque, model, Y)
     if servo is not None:
         names["servo"] = servo
     residual = (torque - model - arm.rotor * m.a) / great
     return Look(m, arm, great, residual, response, names, Y, kp)
+
+
+def _served(m: Motion, arm: Arm, kp: Array, error: Array) -> Array:
+    """Torque that a servo gives at a position error, shape as the error."""
+    kd = 0.0 if arm.kp is None or arm.kd is None else arm.kd
+    return np.asarray(kp * error + kd * m.by_run(lambda e: np.gradient(e, m.step, axis=0), error))
+
+
+def _yielded(m: Motion, arm: Arm, torque: Array) -> Array:
+    """Position error at which a servo gives a torque, shape as the torque."""
+    assert arm.kp is not None
+    return m.by_run(lambda u: servo_error(u, arm, m.step, u[0] / arm.kp), torque)
 
 
 def _gain(m: Motion, model: Array, arm: Arm) -> Array:
@@ -113,19 +130,21 @@ def _gain(m: Motion, model: Array, arm: Arm) -> Array:
     return np.asarray(1 / np.where(good, slope, usual))
 
 
-def _response(m: Motion, arm: Arm, torque: Array, delay: Array) -> tuple[Array, Array | None]:
+def _response(m: Motion, arm: Arm, torque: Array) -> tuple[Array, Array | None]:
     """What the servo's own law leaves of the position error, and its part that yields to the torque, if it is known."""
     assert m.command is not None
     assert m.command_v is not None
     assert m.command_a is not None
-    left = m.command - m.position - delay * m.command_v
+    n, left = arm.joints, m.command - m.position
     if arm.joint_stiffness is not None:
         left = left - torque / arm.joint_stiffness
     if arm.kp is None:
         return left, None
     forward = arm.regressor(m.command, m.command_v, m.command_a) @ arm.inertial
-    by_torque, by_forward = (m.by_run(lambda u: servo_error(u, arm, m.step), u) for u in (torque, forward))
-    ahead = by_torque - by_forward
+    by_torque, ahead = (
+        m.by_run(lambda u: servo_error(u[:, :n], arm, m.step, u[0, n:]), np.hstack([u, left]))
+        for u in (torque, torque - forward)
+    )
     # Whether the drive feeds the model's torque forward is seen at once.
     fed = min((by_torque, ahead), key=lambda e: float((((left - e) - (left - e).mean(axis=0)) ** 2).sum()))
     return left - fed, fed
@@ -180,7 +199,13 @@ def _friction(look: Look, j: int) -> list[Part]:
     slip, speed, load = (names[k][:, j] for k in ("slip", "speed", "load"))
     u, load_size = np.abs(speed), np.abs(load)
     columns: dict[str, Array] = {f"slip {w}": memory[:, j] for w, memory in m.memory.items()}
-    columns |= {"viscous": speed, "root": slip * np.sqrt(u), "absolute": u, "loaded": slip * load_size}
+    columns |= {
+        "viscous": speed,
+        "root": slip * np.sqrt(u),
+        "absolute": u,
+        "curved": speed * u,
+        "loaded": slip * load_size,
+    }
     columns |= {f"dip {w}": slip * np.exp(-np.abs(m.v[:, j]) / w) for w in DIPS}
     columns |= {"by side": (slip > 0) * load_size}
     rest = m.rest[:, j]
@@ -191,6 +216,15 @@ def _friction(look: Look, j: int) -> list[Part]:
         loaded = {f"loaded {w}": memory[:, j] * load_size for w, memory in m.memory.items()}
         columns |= {**loaded, "accelerated": m.a[:, j] / (np.abs(m.a[:, j]).max() + 1e-9)}
     found = [Part(kind, j, FRICTION, values) for kind, values in columns.items()]
+    if m.torque is None:
+        late = look.as_torque(names["command_speed"][:, j], j)
+        found.append(Part("delay", j, ANY_DELAY, late))
+        if look.arm.kp is not None:
+            found.append(Part("gain", j, GAIN, look.as_torque(names["servo"][:, j], j)))
+        rounded = names["command_acceleration"][:, j]
+        jerk = m.by_run(lambda u: np.gradient(u, m.step), rounded)
+        found.append(Part("filter", j, ANY_FILTER, look.as_torque(rounded, j)))
+        found.append(Part("jerk", j, ANY_DELAY**3, look.as_torque(jerk, j)))
     for r in np.unique(m.run):
         start = m.unmoved[:, j] * (m.run == r)
         if start.any():

@@ -8,7 +8,7 @@ wide priors, what differs from day to day has tight ones, and causes act in the 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -20,6 +20,7 @@ from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.motion.base import Look, Part, base_of, bodies_of
+from casadical.diagnosis.motion.signals import behind, lagged
 from casadical.effects.definition import DefinedEffect
 from casadical.effects.motion import MOTION_SEAMS, motion_columns, motion_effects
 from casadical.effects.settings import grid_points
@@ -29,20 +30,29 @@ from casadical.measurements.noise import Noise
 FREE = 8.0
 # Of white rows, whose noise is about one.
 SIGMAS = np.geomspace(0.4, 2.5, 25)
-# Share of a coefficient of friction, and of the great torque, that differs from day to day.
-DAILY, DAILY_LEAST = 0.15, 0.01
+# Share of a friction, and of the great torque, that differs from day to day; of a prior of the servo.
+DAILY, DAILY_LEAST, DAILY_SERVO = 0.15, 0.01, 0.7
+# Weight of the torque of a joint that stands.
+STANDING = 0.2
 # Most of the noise that stays from a window to the next; rounds in which noise is found, and least of a torque.
-MOST_STAYS, ROUNDS, LEAST = 0.8, 3, 1e-6
+MOST_STAYS, ROUNDS = 0.8, 3
+# A base errs by this share of the great torque, of what the servo yields, and by so much time of the motion [s].
+ERRS, SERVO_ERRS, ERRS_BY = 0.005, 0.03, 3e-4
 # Weight of a row that is so many times its noise away falls as Student's does.
-TAIL = 8.0
+TAIL, CUT = 8.0, 4.0
 WHITE = Noise(1.0, 0.0)
 NONE = np.zeros(0, dtype=np.int64)
 # Of what is on no list: places of its bumps, and size in units of the row's noise.
-BUMPS, UNLISTED = 8, 3.0
+BUMPS, UNLISTED = 6, 3.0
 # A variant, and of each parameter what it does: row -> windows.
 _Judged = tuple[Candidate, list[Mapping[int, Array]]]
-FRICTIONS = ("slip", "dip", "root", "at rest", "absolute")
-DRAGS = ("viscous",)
+FRICTIONS = ("slip", "dip", "at rest")
+# Parts of the base that differ from day to day as their whole does, or not at all; and where the servo's are rows of
+# torque, how much its delay [s], its filter [s^2] and its gain differ.
+ALIKE = ("before", "dip", "root", "at rest", "absolute", "curved", "loaded ")
+TODAY = {"delay": 1e-3, "filter": 1e-4, "gain": 0.05}
+DRAGS, LOADED = ("viscous", "root", "absolute", "curved"), ("loaded", "by side")
+WHOLES = {"dry": FRICTIONS, "drag": DRAGS, "loaded": LOADED, "friction": (*FRICTIONS, *DRAGS, *LOADED)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +89,9 @@ class RowColumns:
         return np.broadcast_to(np.eye(self.rows), (len(np.arange(self.blocks)[blocks]), self.rows, self.rows))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Following:
-    """Noise of each row, shape (rows,), and the share of it that stays from window to window; weight of each number."""
+    """Of each number, shapes (blocks, rows): its noise, the share of it that stays from window to window, a weight."""
 
     sigma: Array
     stays: Array
@@ -90,26 +100,31 @@ class Following:
     def white(self, values: Array, first: Array) -> Array:
         """Rows of blocks as white ones; values : shape (blocks, rows, ...); first : blocks that begin a run."""
         tail = (1,) * (values.ndim - 2)
-        before = np.concatenate([values[:1], values[:-1]])
-        stays = np.where(first[:, None], 0.0, self.stays).reshape(*values.shape[:2], *tail)
-        scale = self.weight / (self.sigma * np.where(first[:, None], 1.0, np.sqrt(1 - self.stays**2)))
-        return np.asarray((values - stays * before) * scale.reshape(*values.shape[:2], *tail))
+        stays = np.where(first[:, None], 0.0, self.stays)
+        scale = self.weight / (self.sigma * np.sqrt(1 - stays**2))
+        out = np.array(values)
+        out[1:] -= stays[1:].reshape(-1, values.shape[1], *tail) * values[:-1]
+        out *= scale.reshape(*values.shape[:2], *tail)
+        return out
+
+    def row(self, row: int) -> Following:
+        """Of one row alone."""
+        return Following(*(a[:, row : row + 1] for a in (self.sigma, self.stays, self.weight)))
 
 
 @dataclass(frozen=True, eq=False)
 class MotionCase:
     """The problem of a log, with its candidates.
 
-    judged : rows of blocks, white; candidates, variants, groups : as a ranking wants them, with columns of each variant
+    candidates, variants, groups : as a ranking wants them, with columns of each variant
     r : residual as it is, shape (blocks, rows); base : columns of the base, sizes in them, (blocks, rows, P)
     E : columns of the variants, as they are; noise : of each row
     of_log : blocks of the log itself, not of the reference; parts : of the base, behind the bodies
-    floor : least noise of each row, from the readings' steps
+    floor : least noise of each row, from the readings' steps; trust : weight of each number, shape (blocks, rows)
     scale : what one of each joint's first row is in the log's own unit, A or N m, or rad where unit is None
     over : of the log's windows, shape (blocks, joints), angle, speed, load and time
     """
 
-    judged: Evidence
     candidates: tuple[Candidate, ...]
     variants: tuple[tuple[int, int], ...]
     groups: tuple[Array, ...]
@@ -121,6 +136,7 @@ class MotionCase:
     of_log: Array
     parts: tuple[Part, ...]
     floor: Array
+    trust: Array
     scale: Array
     unit: str | None
     over: tuple[Array, ...]
@@ -129,6 +145,19 @@ class MotionCase:
     def joints(self) -> int:
         """Of the arm."""
         return len(self.scale)
+
+    @cached_property
+    def white(self) -> Evidence:
+        """Rows, base and columns, white."""
+        return white_problem(self.r, self.base, self.E, self.first, self.noise)
+
+    @cached_property
+    def judged(self) -> Evidence:
+        """The same, where what the base takes tells nothing of the noise.
+
+        Priors stay as they are, unlike in `restricted`: that a delay is known to a millisecond tells another one.
+        """
+        return replace(self.white, absorbed=self.white.model.absorbed_by_base)
 
     @cached_property
     def by_label(self) -> Mapping[str, Candidate]:
@@ -140,9 +169,26 @@ class MotionCase:
         at = next(k for k, c in enumerate(self.candidates) if c.label == label)
         return self.groups[self.variants.index((at, variant))]
 
+    def only(self, columns: Array) -> MotionCase:
+        """The case with some columns of causes alone, and no candidates."""
+        return replace(self, E=self.E.only(columns), candidates=(), variants=(), groups=())
+
+    def among(self, labels: Collection[str]) -> MotionCase:
+        """The case with some of the candidates alone."""
+        kept = [k for k, c in enumerate(self.candidates) if c.label in labels]
+        own = [i for i, (k, _) in enumerate(self.variants) if k in kept]
+        columns = np.sort(np.concatenate([self.groups[i] for i in own]))
+        return replace(
+            self,
+            candidates=tuple(self.candidates[k] for k in kept),
+            variants=tuple((kept.index(self.variants[i][0]), self.variants[i][1]) for i in own),
+            groups=tuple(np.searchsorted(columns, self.groups[i]) for i in own),
+            E=self.E.only(columns),
+        )
+
     def fitted(self, columns: Array) -> tuple[Array, Array]:
         """Coefficients of base and columns together, in sizes, shapes (P,) and (columns,)."""
-        fit = new_fit(self.judged, columns, WHITE, combined=False)
+        fit = new_fit(self.white, columns, WHITE, combined=False)
         P = self.base.shape[2]
         return fit.x[:P], fit.x[P:]
 
@@ -153,31 +199,40 @@ class MotionCase:
 
     def renewed(self, columns: Array = NONE) -> MotionCase:
         """The case with its noise as it is found beside some causes."""
-        few, every, noise = replace(self, E=self.E.only(columns)), np.arange(len(columns)), self.noise
+        few, every, noise = self.only(columns), np.arange(len(columns)), self.noise
         for _ in range(ROUNDS):
             few = few.with_noise(noise)
-            fit = new_fit(replace(few.judged, reference=1 / FREE), every, WHITE, combined=False)
+            fit = new_fit(replace(few.white, reference=1 / FREE), every, WHITE, combined=False)
             noise = following(
-                few.left(every, fit.x[: self.base.shape[2]], fit.x[self.base.shape[2] :]), self.first, self.floor
-            )
+                few.left(every, fit.x[: self.base.shape[2]], fit.x[self.base.shape[2] :]), self.first, self.floor,
+                self.trust, self.of_log,
+            )  # fmt: skip
         return self.with_noise(noise)
 
     def with_noise(self, noise: Following) -> MotionCase:
         """The case with its rows white by another noise."""
-        judged = white_problem(self.r, self.base, self.E, self.first, noise)
-        return replace(self, judged=judged, noise=noise)
+        return replace(self, noise=noise)
 
 
-def following(left: Array, first: Array, floor: Array) -> Following:
-    """The noise of each row, as it is in what was left, shape (blocks, rows); floor : least of each row."""
-    sigma = np.maximum(1.4826 * np.median(np.abs(left), axis=0), 0.2 * left.std(axis=0))
-    sigma = np.maximum(sigma, floor)
-    weight = 1 / np.sqrt(1 + (left / (TAIL * sigma)) ** 2)
+def following(left: Array, first: Array, floor: Array, trust: Array, of_log: Array) -> Following:
+    """The noise as it is in what was left, shape (blocks, rows), of the log and of its reference on its own.
+
+    floor : least of each row
+    """
+    parts = [_following(*(a[k] for a in (left, first)), floor, trust[k]) for k in (of_log, ~of_log) if k.any()]
+    return Following(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+
+
+def _following(left: Array, first: Array, floor: Array, trust: Array) -> tuple[Array, Array, Array]:
+    usual = 1.4826 * np.nanmedian(np.where(trust < trust.max(axis=0), np.nan, np.abs(left)), axis=0)
+    usual = np.maximum(usual, floor)
+    weight = trust / np.sqrt(1 + (left / (TAIL * usual)) ** 2)
     inner = ~first[1:]
     a, b = (left * weight**2)[1:][inner], (left * weight**2)[:-1][inner]
     stays = (a * b).sum(axis=0) / np.maximum((a * a).sum(axis=0), (b * b).sum(axis=0) + 1e-300)
-    stays = np.clip(stays, 0.0, MOST_STAYS)
-    return Following(np.maximum(np.sqrt(((left * weight) ** 2).mean(axis=0)), floor), stays, weight)
+    cut = trust * np.minimum(np.abs(left), CUT * usual)  # what is far out is no noise
+    sigma = np.maximum(np.sqrt((cut**2).sum(axis=0) / (trust**2).sum(axis=0)), floor)
+    return np.broadcast_to(sigma, left.shape), np.broadcast_to(np.clip(stays, 0.0, MOST_STAYS), left.shape), weight
 
 
 def white_problem(r: Array, base: Array, E: RowColumns, first: Array, noise: Following) -> Evidence:
@@ -185,24 +240,21 @@ def white_problem(r: Array, base: Array, E: RowColumns, first: Array, noise: Fol
     n, rows, P = base.shape
     made = []
     for row, columns, values in E.made.blocks:
-        own = Following(noise.sigma[row : row + 1], noise.stays[row : row + 1], noise.weight[:, row : row + 1])
-        made.append((row, columns, own.white(values.T[:, None], first)[:, 0].T))
+        made.append((row, columns, noise.row(row).white(values.T[:, None], first)[:, 0].T))
     columns_ = replace(E, made=Factors(tuple(made), E.made.width))
-    judged = Evidence(
+    return Evidence(
         noise.white(r, first), noise.white(base, first), np.zeros((n, rows, 1)), np.zeros(P), np.ones(P), columns_,
         reference=1.0, near=(0,), sigmas=SIGMAS,
     )  # fmt: skip
-    # Priors stay as they are, unlike in `restricted`: that a delay is known to a millisecond is what tells another one.
-    return replace(judged, absorbed=judged.model.absorbed_by_base)
 
 
 def motion_case(
-    looks: Sequence[Look], daily: Mapping[tuple[str, int, bool], float] | None = None,
+    looks: Sequence[Look], known: Mapping[tuple[str, int, bool], float] | None = None,
     chosen: Sequence[type[DefinedEffect]] | None = None,
 ) -> MotionCase:  # fmt: skip
     """The problem of a log, and of a reference behind it where there are two looks.
 
-    daily : one sigma of what each part of the base changes from the reference to the log
+    known : coefficients of the base of the reference alone (see `coefficients`)
     chosen : causes, all by default
     """
     log = looks[0]
@@ -213,33 +265,47 @@ def motion_case(
     columns: dict[tuple[str, int, bool], tuple[Part, Array]] = {}
     for at, one in enumerate(looks):
         bodies[ends[at] : ends[at + 1], : log.arm.joints] = bodies_of(one)
-        for part in base_of(one):
+        base = base_of(one)
+        for part in base + today_of(base, known) if known and not at else base:
             own = part.kind.startswith("before") and at > 0
             key = (f"{part.kind}, reference", *part.key[1:]) if own else part.key
             values = columns.setdefault(key, (part, np.zeros((ends[-1], rows))))[1]
             row = part.joint + log.arm.joints * part.response
             values[ends[at] : ends[at + 1], row] = one.motion.averaged(part.samples)
-            if daily and not at and not own:
-                today = replace(part, kind=f"{part.kind}, today", size=daily.get(part.key, part.size))
-                columns[today.key] = (today, np.where(np.arange(ends[-1])[:, None] < ends[1], values, 0.0))
     parts = tuple(part for part, _ in columns.values())
     J = np.concatenate([bodies, np.stack([p.size * v for p, v in columns.values()], axis=2)], axis=2)
     residual = np.concatenate([_residual(one) for one in looks])
     nothing = RowColumns(Factors((), 0), rows, int(ends[-1]))
     floor = _floor(log)
-    noise = following(residual, first, floor)
+    trust = np.concatenate([_trust(one, rows) for one in looks])
+    of_log = np.arange(ends[-1]) < ends[1]
+    noise = following(residual, first, floor, trust, of_log)
     case = MotionCase(
-        white_problem(residual, J, nothing, first, noise), (), (), (), residual, J, nothing, first, noise,
-        np.arange(ends[-1]) < ends[1], parts, floor, *_told(log),
+        (), (), (), residual, J, nothing, first, noise,
+        of_log, parts, floor, trust, *_told(log),
     ).renewed()  # fmt: skip
     return case if chosen == () else with_candidates(case, log, chosen)
 
 
 def _floor(log: Look) -> Array:
-    """Noise of each row that readings in steps have at least: a joint at rest repeats its error, window by window."""
-    step = log.motion.quantum / np.sqrt(12)
-    at_torque = log.gain * step / log.great if log.motion.torque is None else np.full(log.arm.joints, LEAST)
-    return at_torque if log.response is None else np.concatenate([at_torque, step])
+    """Noise of each row at least: readings in steps, and what every base errs by."""
+    m, arm, step = log.motion, log.arm, log.motion.quantum / np.sqrt(12)
+    late = ERRS_BY * np.sqrt((m.v**2).mean(axis=0))
+    if m.torque is None:
+        return np.asarray(np.hypot(log.gain * np.hypot(step, late) / log.great, ERRS))
+    at_torque = np.hypot(log.gain * step / log.great, ERRS) if arm.kp is not None else np.full(arm.joints, ERRS)
+    if log.response is None:
+        return at_torque
+    served = SERVO_ERRS * np.sqrt((log.names["servo"] ** 2).mean(axis=0)) if "servo" in log.names else 0.0
+    return np.concatenate([at_torque, np.sqrt(step**2 + late**2 + served**2)])
+
+
+def _trust(one: Look, rows: int) -> Array:
+    """Weight of each number: of a joint that stands friction may be any torque up to its own."""
+    trust = np.ones((len(one.motion.windows), rows))
+    stands = one.motion.averaged((one.motion.rest > 0) * 1.0) > 0.5
+    trust[:, : one.arm.joints][stands] = STANDING
+    return trust
 
 
 def _told(log: Look) -> tuple[Array, str | None, tuple[Array, ...]]:
@@ -257,24 +323,34 @@ def _residual(one: Look) -> Array:
     return torque if one.response is None else np.concatenate([torque, one.motion.averaged(one.response)], axis=1)
 
 
-def day_to_day(reference: MotionCase) -> dict[tuple[str, int, bool], float]:
-    """One sigma of what each part of a log's base may differ by from a reference that was fitted alone."""
-    x = reference.fitted(NONE)[0][-len(reference.parts) :]
-    out = {}
-    for p, c in zip(reference.parts, x.tolist(), strict=True):
-        least = 0.1 * p.size if p.response else DAILY_LEAST
-        out[p.key] = min(DAILY * abs(c * p.size) + least, p.size)
-    return out
+def coefficients(case: MotionCase) -> dict[tuple[str, int, bool], float]:
+    """Of each part of a base that was fitted alone."""
+    x = case.fitted(NONE)[0][-len(case.parts) :]
+    return {p.key: c * p.size for p, c in zip(case.parts, x.tolist(), strict=True)}
+
+
+def today_of(base: Sequence[Part], known: Mapping[tuple[str, int, bool], float]) -> list[Part]:
+    """What of a base differs from that of a healthy day: each joint's frictions as wholes, and a little of the rest."""
+    found: list[Part] = []
+    whole: dict[tuple[str, int], Array] = {}
+    for p in base:
+        if not p.kind.startswith(ALIKE):
+            size = DAILY_SERVO * p.size if p.response else min(TODAY.get(p.kind, DAILY_LEAST), p.size)
+            found.append(replace(p, kind=f"{p.kind}, today", size=size))
+        for name, kinds in WHOLES.items():
+            if p.kind.startswith(kinds) and not p.response:
+                whole[name, p.joint] = whole.get((name, p.joint), 0.0) + known.get(p.key, 0.0) * p.samples
+    return found + [Part(f"{name}, today", j, DAILY, samples) for (name, j), samples in whole.items()]
 
 
 def frictions(case: MotionCase, log: Look) -> dict[str, Array]:
     """Friction as the base has it, shape (samples, joints), in great torques: what is dry, what grows with speed."""
-    x = case.fitted(NONE)[0][-len(case.parts) :]
+    known = coefficients(case)
     out = {"friction": np.zeros_like(log.motion.q), "drag": np.zeros_like(log.motion.q)}
-    for p, c in zip(case.parts, x.tolist(), strict=True):
+    for p in case.parts:
         kind = "friction" if p.kind.startswith(FRICTIONS) else "drag" if p.kind.startswith(DRAGS) else ""
         if kind and not p.response and len(p.samples) == len(log.motion.time):
-            out[kind][:, p.joint] += c * p.size * p.samples
+            out[kind][:, p.joint] += known[p.key] * p.samples
     return out
 
 
@@ -287,7 +363,7 @@ def with_candidates(case: MotionCase, log: Look, chosen: Sequence[type[DefinedEf
     variants: list[tuple[int, int]] = []
     groups: list[Array] = []
     width = 0
-    for candidate, columns in (*_listed(log, chosen), *_unlisted(log, case.noise.sigma)):
+    for candidate, columns in (*_listed(log, chosen), *_unlisted(log, case.noise.sigma[0])):
         known = found.setdefault(candidate.label, replace(candidate, variants=()))
         variants.append((list(found).index(candidate.label), len(known.variants)))
         found[candidate.label] = replace(known, variants=(*known.variants, *candidate.variants))
@@ -332,13 +408,11 @@ def columns_of(look: Look, effect: DefinedEffect) -> list[Mapping[int, Array]]:
             names = {k: known[k][:, j] for k in effect.drivers}
             names = names or {"none": np.zeros(len(look.motion.time))}
             for k, values in enumerate(motion_columns(effect, seam, names)):
-                row, own = j, look.motion.averaged(values)
-                if seam.startswith("response"):
-                    if look.response is not None:
-                        row = n + j
-                    else:
-                        own = own * look.gain[j] / look.great[j]
-                out[k][row] = own
+                at_response = seam.startswith("response")
+                if at_response and look.response is None:
+                    values = look.as_torque(values, j)
+                row = n + j if at_response and look.response is not None else j
+                out[k][row] = look.motion.averaged(values)
     whole = [column for column in out if any(np.abs(v).max() > 0 for v in column.values())]
     return [*whole]
 
@@ -351,25 +425,34 @@ def arm_names(look: Look, effect: DefinedEffect) -> dict[str, Array]:
         found["link"] = look.Y[:, :, own] @ look.arm.inertial[own] / look.great
     if "zero" in effect.drivers and effect.joint:
         found["zero"] = look.by_angle(effect.joint - 1)
+    m = look.motion
+    if "delayed" in effect.drivers and m.command is not None:
+        found["delayed"] = m.by_run(lambda c: c - behind(c, effect.late, m.step), m.command)  # type: ignore[attr-defined]
+    if "filtered" in effect.drivers and m.command is not None:
+        found["filtered"] = m.by_run(lambda c: c - lagged(c, effect.within, m.step), m.command)  # type: ignore[attr-defined]
     if {"friction", "drag"} & set(effect.drivers):
         found |= {k: v for k, v in look.frictions.items() if k in effect.drivers}
     return found
 
 
 def _unlisted(log: Look, sigma: Array) -> Iterator[_Judged]:
-    """Smooth functions of one variable at a row: of all joints' angles, own speed and load, and time."""
-    n = log.arm.joints
+    """Smooth functions at a row: of time, own load, all angles and speeds, and of the angle with the sign of motion."""
+    n, names = log.arm.joints, log.names
     for row in range(len(sigma)):
         j, what = row % n, "torque" if row < n else "response"
-        drivers = {k: log.names[k][:, j] for k in ("speed", "load", "t")}
-        drivers |= {f"q{k + 1}": log.names["turned"][:, k] for k in range(n)}
+        every = range(n) if row < n else [j]
+        drivers = {"load": names["load"][:, j], "time": names["t"][:, j]}
+        for letter, variable in (("q", "turned"), ("v", "speed")):
+            drivers |= {f"{letter}{k + 1}": names[variable][:, k] for k in every}
+        drivers["q and direction"] = names["turned"][:, j]
         for name, values in drivers.items():
             ends = np.quantile(values, [0.01, 0.99])
             if ends[1] - ends[0] < 1e-6:
                 continue
             centres = np.linspace(ends[0], ends[1], BUMPS)
             wide = (centres[1] - centres[0]) * 1.2
-            bumps = [log.motion.averaged(np.exp(-0.5 * ((values - c) / wide) ** 2)) for c in centres]
+            way = names["slip"][:, j] if "direction" in name else 1.0
+            bumps = [log.motion.averaged(way * np.exp(-0.5 * ((values - c) / wide) ** 2)) for c in centres]
             label = f"smooth {what} of joint {j + 1} by {name}"
             yield (
                 Candidate(label, "unknown", None, ((),), listed=False),

@@ -16,10 +16,11 @@ from casadical.core.telling.result import Result
 from casadical.diagnosis.motion.arm import Arm, arm_of
 from casadical.diagnosis.motion.base import COMMANDED, MEASURED, look
 from casadical.diagnosis.motion.instrument import Fault, faults_of
-from casadical.diagnosis.motion.problem import day_to_day, motion_case
+from casadical.diagnosis.motion.problem import coefficients, motion_case
 from casadical.diagnosis.motion.search import Found, Outcome, columns_of, search
 from casadical.diagnosis.motion.signals import motion_of
 from casadical.effects.motion import motion_effects
+from casadical.identification.inertial import contradictions
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.robot import Robot
 
@@ -27,6 +28,8 @@ from casadical.robot.robot import Robot
 OVER, PARTS, OUT = ("angle", "speed", "load", "time"), 4, 1.5
 # Rivals that are shown, and least probability of one.
 SHOWN, LEAST = 3, 0.01
+# Levels, with a reference or without, at which causes are named.
+CLAIMED = frozenset({("torque", True), ("torque", False), ("position", True)})
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +38,7 @@ class LogDiagnosis(Result):
 
     log : that was diagnosed; arm : what was known of it; outcome : of the search
     faults : of the instrument itself; reference : source of the healthy log, empty without one
+    contradictions : between the log and the robot's file
     """
 
     kept_as: ClassVar[str] = "log_diagnosis"
@@ -44,18 +48,25 @@ class LogDiagnosis(Result):
     outcome: Outcome
     faults: tuple[Fault, ...]
     reference: str = ""
+    contradictions: tuple[str, ...] = ()
 
     @property
     def fitting(self) -> tuple[Found, ...]:
-        """Causes that fit, which is no claim: of blind logs too few were right (docs/joint-logs.md)."""
-        return tuple(f for f in self.outcome.found if f.share >= 1)
+        """Causes that are large, alone and true of runs that were not fitted."""
+        return tuple(f for f in self.outcome.found if f.named)
+
+    @property
+    def claims(self) -> tuple[Found, ...]:
+        """Those of them that are named, where of blind logs enough names were right (docs/joint-logs.md)."""
+        return self.fitting if (self.level, bool(self.reference)) in CLAIMED else ()
 
     @property
     def verdict(self) -> str:
-        """explained by the log's own faults, unknown where more is there than a usual arm has, or none."""
-        if self.faults:
+        """explained, by causes or the log's own faults, ambiguous, unknown (more than a usual arm has), or none."""
+        if self.faults or self.claims:
             return "explained"
-        return "none" if self.outcome.verdict == "none" else "unknown"
+        told = self.outcome.verdict
+        return told if told in ("none", "ambiguous") and not self.fitting else "unknown"
 
     @property
     def _line(self) -> str:
@@ -63,7 +74,7 @@ class LogDiagnosis(Result):
 
     @property
     def _labels(self) -> list[str]:
-        return [f.name for f in self.faults]
+        return [*(f.name for f in self.faults), *(f.label for f in self.claims)]
 
     @property
     def level(self) -> str:
@@ -88,9 +99,11 @@ class LogDiagnosis(Result):
         return [Words(self._sentence(), "verdict"), *self._faults(), self._gap_table(), *self._causes(), *self._notes()]
 
     def _sentence(self) -> str:
-        said = [f.sentence for f in self.faults]
+        said = [f.sentence for f in self.faults] + [told(f.label) for f in self.claims]
         most = next(iter(self.outcome.rankings[0].order), "")
-        if self.fitting:
+        if self.claims:
+            pass
+        elif self.fitting:
             said.append(f"more is there than in a usual arm; what fits best: {told(self.fitting[0].label)}")
         elif self.outcome.verdict != "none":
             said.append(f"more is there than in a usual arm; what fits best: {told(most)}")
@@ -133,7 +146,8 @@ class LogDiagnosis(Result):
             if ranking.probability[label] > LEAST
         ]
         rows += [("none", f"{ranking.none:.2f}", "", "a usual arm")]
-        yield Words("No cause is named: of blind logs too few names were right; take what fits as a hint.", "note")
+        if not self.claims:
+            yield Words("No cause is named; take what fits as a hint.", "note")
         yield Table(
             "What fits", ("cause", "probability", "log evidence", "what the log shows"), rows, frozenset({1, 2})
         )
@@ -142,6 +156,7 @@ class LogDiagnosis(Result):
         small = [f.label for f in self.outcome.found if f.share < 1]
         if small:
             yield Words(f"Seen, but small: {', '.join(small)}.", "note")
+        yield from (Words(text, "warning") for text in self.contradictions)
         yield from (Words(text, "note") for text in cannot_tell(self.log, self.arm, bool(self.reference)))
 
     def to_json(self) -> dict[str, Any]:
@@ -149,13 +164,14 @@ class LogDiagnosis(Result):
         nominal, before, after = self.gap()
         ranking = self.outcome.rankings[0]
         causes = [{"effect": f.name, "joint": None, "probability": 1.0} for f in self.faults]
+        causes += [_plain(f.label, f.probability) for f in self.claims]
         total = {"before": float(np.sqrt((before**2).mean())), "after": float(np.sqrt((after**2).mean()))}
         return {
             "log": self.log.source,
             "reference": self.reference,
             "verdict": self.verdict,
             "causes": causes,
-            "fits": [_plain(f.label, f.probability) for f in self.fitting],
+            "fits": [_plain(f.label, f.probability) for f in self.fitting if f not in self.claims],
             "alike": [_plain(label, p) for label, p in self.outcome.alike],
             "gap": {**total, "unit": self.outcome.case.unit or "rad"},
             "joints": [
@@ -166,6 +182,7 @@ class LogDiagnosis(Result):
                 {**_plain(k, ranking.probability[k]), "log_evidence": ranking.log_factor[k]} for k in ranking.order[:10]
             ],
             "none": ranking.none,
+            "contradictions": list(self.contradictions),
             "cannot_tell": list(cannot_tell(self.log, self.arm, bool(self.reference))),
         }
 
@@ -207,7 +224,11 @@ def cannot_tell(log: JointLog, arm: Arm, compared: bool) -> Iterator[str]:
 
 
 def diagnose_log(
-    robot: Robot, log: JointLog, reference: JointLog | None = None, show: Show = lambda _: None
+    robot: Robot,
+    log: JointLog,
+    reference: JointLog | None = None,
+    show: Show = lambda _: None,
+    healthy: Robot | None = None,
 ) -> LogDiagnosis:
     """Why an arm moves otherwise than its model.
 
@@ -219,6 +240,8 @@ def diagnose_log(
         of one arm, with the commands, or a torque or current, or both
     reference : JointLog, optional
         of the same arm in health on another day: what differs from it by more than a day's friction is a cause
+    healthy : Robot, optional
+        that of the reference, where it carried another payload
 
     Raises
     ------
@@ -246,10 +269,11 @@ def diagnose_log(
     if reference is None:
         case = motion_case([look(motion_of(log, arm, widths, of_command=of_command), arm)])
     else:
-        healthy = look(motion_of(reference, arm, widths, of_command=of_command), arm)
-        own = look(motion_of(log, arm, widths, of_command=of_command), arm, healthy.great)
-        daily = day_to_day(motion_case([healthy], chosen=()))
-        case = motion_case([own, healthy], daily)
+        before = arm_of(healthy) if healthy else arm
+        known = look(motion_of(reference, before, widths, of_command=of_command), before)
+        own = look(motion_of(log, arm, widths, of_command=of_command), arm, known.great)
+        case = motion_case([own, known], coefficients(motion_case([known], chosen=())))
     show(f"evidence of {len(case.candidates)} candidates")
     outcome = search(case)
-    return LogDiagnosis(log, arm, outcome, faults_of(log, arm, reference), reference.source if reference else "")
+    compared = reference.source if reference else ""
+    return LogDiagnosis(log, arm, outcome, faults_of(log, arm, reference), compared, contradictions(robot, log))

@@ -2,23 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.motion.problem import NONE, MotionCase
-from casadical.diagnosis.posterior import Ranking, rank
-from casadical.diagnosis.thresholds import CLAIM, DETECT_FURTHER, LEAST_ALIKE, SET_SHARE, SET_SIZE
+from casadical.core.linear_gaussian.grid import log_sum
+from casadical.diagnosis.cross_validation import new_fit
+from casadical.diagnosis.motion.problem import NONE, WHITE, MotionCase
+from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, rank
+from casadical.diagnosis.thresholds import CLAIM, DETECT_FURTHER, LEAST_ALIKE, MISMATCH, SET_SHARE, SET_SIZE
 
 # Something is there if "nothing" is less probable than this.
 DETECT = 0.02
 # A cause is at least so large over what is left, where it acts; most causes that are looked for.
-VISIBLE, MOST = 0.75, 5
+VISIBLE, MOST = 0.5, 3
+# A cause acts where it does more than this share of the most that it does.
+ACTS = 0.1
+# A usual base is within so many sigmas of its priors.
+USUAL = 2.0
 # A cause gains so much log evidence, and one that is short in time so much: there every friction has flaws.
 # Where no torque was logged, the servo's gain and friction are known far worse, and it gains so many times more.
-CERTAIN, LOCAL, WITHOUT_TORQUE = 40.0, 80.0, 2.5
+CERTAIN, LOCAL, UNLISTED, WITHOUT_TORQUE = 30.0, 150.0, 100.0, 2.5
+LOCAL_CAUSES = ("contact", "zero_offset_step")
+# Of its evidence, on all runs that were not fitted a cause gains at least this share, and this on half of them each.
+HELD, EACH, HELD_LOCAL = 0.3, 0.05, 0.5
+# Windows that are left out together of a cause that acts in a part of one run; candidates that are judged again.
+INTERLEAVED, NEAREST = 10, 12
 Verdict = Literal["explained", "ambiguous", "unknown", "none"]
 
 
@@ -33,6 +44,16 @@ class Found:
     variant: int
     probability: float
     share: float
+    gain: float
+    held_out: tuple[float, ...]
+    listed: bool
+
+    @property
+    def named(self) -> bool:
+        """Whether it is large, alone and true of runs that were not fitted."""
+        share = HELD_LOCAL if self.label.startswith(LOCAL_CAUSES) else HELD
+        true = sum(self.held_out) >= share * self.gain and float(np.median(self.held_out)) >= EACH * self.gain
+        return self.share >= 1 and self.listed and self.probability >= CLAIM and true
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +65,7 @@ class Outcome:
     found: tuple[Found, ...]
     rankings: tuple[Ranking, ...]
     alike: tuple[tuple[str, float], ...] = ()
+    refused: Found | None = None
 
     @property
     def columns(self) -> Array:
@@ -58,11 +80,44 @@ def columns_of(case: MotionCase, found: tuple[Found, ...]) -> Array:
 
 
 def share_of(case: MotionCase, columns: Array, own: Array) -> float:
-    """How large a cause's part of the residual is, over what all leave, in the row where it is most."""
+    """What a cause does beyond what a usual base could, over what is left; in the row of most, where it acts.
+
+    A delay that a base may have, or friction of another day, is no cause however well the data determine it.
+    """
     x, theta = case.fitted(columns)
-    left = case.left(columns, x, theta)[case.of_log]
-    part = (case.E.take(own) @ theta[np.isin(columns, own)])[case.of_log]
-    return float(np.sqrt((part**2).mean(axis=0) / (left**2).mean(axis=0)).max())
+    part = case.E.take(own) @ theta[np.isin(columns, own)]
+    usual = np.clip(replace(case.only(NONE), r=part).fitted(NONE)[0], -USUAL, USUAL)
+    beyond, left = ((a**2)[case.of_log] for a in (part - case.base @ usual, case.left(columns, x, theta)))
+    acts = np.abs(part[case.of_log]) > ACTS * np.abs(part[case.of_log]).max(axis=0)
+    over = (beyond * acts).sum(axis=0) / ((left + case.floor**2) * acts).sum(axis=0).clip(1e-300)
+    return float(np.sqrt(over.max()))
+
+
+def held_out(case: MotionCase, chosen: Array, own: Array, *, local: bool) -> tuple[float, ...]:
+    """What a cause gains on each run that was not fitted, in nats; local : it acts in a part of one run.
+
+    Of a local cause, and where there is one run, parts of a run are left out in turn. The reference is always fitted.
+    """
+    run = np.where(case.of_log, np.cumsum(case.first), 0)
+    runs = np.unique(run[case.of_log])
+    if local or len(runs) < 2:
+        within = np.arange(len(run))
+        folds = (
+            np.where(case.of_log, 1 + (within // INTERLEAVED) % 2, 0)
+            if local
+            else np.where(case.of_log, 1 + (3 * (within - within[case.of_log][0])) // max(int(case.of_log.sum()), 1), 0)
+        )
+    else:
+        folds = run
+    errors = []
+    for columns in (chosen, np.union1d(chosen, own)):
+        few = case.only(columns)
+        fit = new_fit(few.white, np.arange(len(columns)), WHITE, combined=False)
+        errors.append([
+            float((fit.left(fit.to(np.flatnonzero(folds != k)))[folds == k] ** 2).sum() / 2)
+            for k in np.unique(folds[case.of_log])
+        ])  # fmt: skip
+    return tuple(a - b for a, b in zip(*errors, strict=True))
 
 
 def search(case: MotionCase) -> Outcome:
@@ -70,33 +125,65 @@ def search(case: MotionCase) -> Outcome:
     found: tuple[Found, ...] = ()
     rankings: tuple[Ranking, ...] = ()
     while True:
-        named = [f for f in found if f.share >= 1]
+        named = [f for f in found if f.named]
         last: Verdict = "explained" if named else "none"
         skip, chosen = frozenset(f.label for f in found), columns_of(case, found)
         ranking = rank(case, chosen, skip)
-        # Beside the most probable one the noise is what it is; without it, it would take a cause for noise.
-        own = case.group(ranking.order[0], ranking.variant[ranking.order[0]])
-        case = case.renewed(np.union1d(chosen, own))
-        ranking = rank(case, chosen, skip)
-        rankings, top, there = (*rankings, ranking), ranking.order[0], 1 - ranking.none
+        rankings = (*rankings, ranking)
         if ranking.none > (DETECT_FURTHER if found else DETECT) or len(found) == MOST:
             return Outcome(case, last, found, rankings)
-        least = (LOCAL if case.by_label[top].name == "contact" else CERTAIN) * (1.0 if case.unit else WITHOUT_TORQUE)
-        if ranking.log_factor[top] < least:
+        ranking, case = _sharper(case, found, ranking)
+        rankings = (*rankings[:-1], ranking)
+        one = _judged(case, found, ranking)
+        if one.gain < max(least_gain(case, one.label), MISMATCH * max((f.gain for f in found), default=0.0)):
             return Outcome(case, last, found, rankings)
-        share = _share(case, found, ranking, top)
-        listed = [k for k in ranking.order if case.by_label[k].listed]
-        p = sum(ranking.probability[k] for k in ranking.order if twins(case, k, top)) / there
-        if share >= 1 and top not in listed:
-            return Outcome(case, last if named else "unknown", found, rankings)
-        if share >= 1 and p < CLAIM:
+        if one.share >= 1 and not one.named:
+            there = 1 - ranking.none
             alike = [
-                (k, ranking.probability[k] / there) for k in listed if ranking.probability[k] > LEAST_ALIKE * there
-            ]
+                (k, ranking.probability[k] / there) for k in ranking.order
+                if case.by_label[k].listed and ranking.probability[k] > LEAST_ALIKE * there
+            ]  # fmt: skip
             whole = sum(p for _, p in alike[:SET_SIZE])
-            verdict: Verdict = "ambiguous" if whole > SET_SHARE else "unknown"
-            return Outcome(case, last if named else verdict, found, rankings, tuple(alike))
-        found = (*found, Found(top, ranking.variant[top], p, share))
+            verdict: Verdict = "ambiguous" if whole > SET_SHARE and one.listed else "unknown"
+            return Outcome(case, last if named else verdict, found, rankings, tuple(alike), one)
+        found = (*found, one)
+
+
+def _judged(case: MotionCase, found: tuple[Found, ...], ranking: Ranking) -> Found:
+    """The most probable next cause, with all that decides whether it is named."""
+    top, chosen = ranking.order[0], columns_of(case, found)
+    own = case.group(top, ranking.variant[top])
+    there = 1 - ranking.none
+    p = sum(ranking.probability[k] for k in ranking.order if twins(case, k, top)) / there
+    share = share_of(case, np.union1d(chosen, own), own) / VISIBLE
+    candidate = case.by_label[top]
+    gains = held_out(case, chosen, own, local=candidate.name in LOCAL_CAUSES)
+    return Found(top, ranking.variant[top], p, share, ranking.log_factor[top], gains, candidate.listed)
+
+
+def _sharper(case: MotionCase, found: tuple[Found, ...], ranking: Ranking) -> tuple[Ranking, MotionCase]:
+    """The ranking and the case with noise as it is beside the most probable cause, of those that come near it."""
+    top = ranking.order[0]
+    case = case.renewed(np.union1d(columns_of(case, found), case.group(top, ranking.variant[top])))
+    near = set(ranking.order[:NEAREST]) | {f.label for f in found}
+    few = case.among(near)
+    again = rank(few, columns_of(few, found), frozenset(f.label for f in found))
+    mass = {k: ranking.log_mass[k] + again.log_factor.get(k, f) - f for k, f in ranking.log_factor.items()}
+    factor = {**ranking.log_factor, **again.log_factor}
+    logs = np.array([np.log((PRIOR_FURTHER if found else PRIOR_FIRST)["none"]), *mass.values()])
+    share = np.exp(logs - log_sum(logs))
+    probability = dict(zip(mass, share[1:].tolist(), strict=True))
+    variant = {**ranking.variant, **again.variant}
+    return replace(
+        ranking, none=float(share[0]), probability=probability, log_factor=factor, log_mass=mass, variant=variant
+    ), case
+
+
+def least_gain(case: MotionCase, label: str) -> float:
+    """Log evidence from which a candidate is a cause."""
+    candidate = case.by_label[label]
+    least = LOCAL if candidate.name == "contact" else CERTAIN if candidate.listed else UNLISTED
+    return least * (1.0 if case.unit else WITHOUT_TORQUE)
 
 
 def twins(case: MotionCase, one: str, other: str) -> bool:
@@ -107,9 +194,3 @@ def twins(case: MotionCase, one: str, other: str) -> bool:
         return True
     last = case.by_label.get(f"link_mass@{case.joints}")
     return names == {"payload", "link_mass"} and last is not None and last.label in (one, other)
-
-
-def _share(case: MotionCase, found: tuple[Found, ...], ranking: Ranking, label: str) -> float:
-    """What of a cause can be seen, over what is needed to name it."""
-    own = case.group(label, ranking.variant[label])
-    return share_of(case, np.union1d(columns_of(case, found), own), own) / VISIBLE

@@ -6,7 +6,7 @@ Everything is smoothed alike, by one symmetric kernel, so that no signal is late
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -35,7 +35,7 @@ class Motion:
 
     time : since the log began, pauses included, shape (n,); run : number of each sample's, 1 ..., shape (n,)
     position : measured; q, v, a : measured too, or commanded where the motion is taken from there
-    command, command_v, command_a : or None
+    command, command_v, command_a : late by the delay that is known; or None
     torque : at the joints, or None; heat : temperature above the least, or None
     memory : play operators of the angle, by width, -1 to 1; widths : of them [rad]
     rest : time since the joint stood still; unmoved : 1 until it first moved in its run
@@ -85,7 +85,7 @@ def motion_of(log: JointLog, arm: Arm, widths: tuple[float, ...], *, of_command:
     start, torque = 0.0, _torque(log, arm)
     for number, run in enumerate(log.runs(), 1):
         own = None if torque is None else torque[log.run == run.run[0]]
-        part = _run(run, own, widths, of_command)
+        part = _run(_in_time(run, arm), log.step, own, widths, of_command)
         if part is not None:
             part["time"] = part["time"] + start
             part["run"] = np.full(len(part["time"]), float(number))
@@ -117,6 +117,18 @@ def motion_of(log: JointLog, arm: Arm, widths: tuple[float, ...], *, of_command:
     )
 
 
+def _in_time(run: JointLog, arm: Arm) -> JointLog:
+    """A run with the commands as the servos have them, late by the delay that is known."""
+    if run.command is None or arm.delay is None:
+        return run
+    late = np.array(run.command)
+    for c, d in zip(late.T, arm.delay, strict=True):
+        known = np.isfinite(c)
+        if known.any():
+            c[:] = np.interp(run.time - d, run.time[known], c[known])
+    return replace(run, command=late)
+
+
 def _quantum(position: Array) -> Array:
     """The smallest step of each joint's readings, LEAST_QUANTUM at least."""
     steps = np.abs(np.diff(position, axis=0))
@@ -132,12 +144,13 @@ def _torque(log: JointLog, arm: Arm) -> Array | None:
     return np.asarray(log.current * (1.0 if arm.per_ampere is None else arm.per_ampere))
 
 
-def _run(run: JointLog, torque: Array | None, widths: tuple[float, ...], of_command: bool) -> dict[str, Array] | None:
-    step = run.step
+def _run(
+    run: JointLog, step: float, torque: Array | None, widths: tuple[float, ...], of_command: bool
+) -> dict[str, Array] | None:
     t = np.arange(run.time[0], run.time[-1], step) if step else np.zeros(0)
     if len(t) < 2.0 / max(step, 1e-9):
         return None
-    edge, every = int(EDGE / step), max(1, int(1 / (step * RATE)))
+    edge, every = int(EDGE / step), max(1, round(1 / (step * RATE)))
     kept = slice(edge, len(t) - edge, every)
     kernel = _kernel(step)
 
@@ -203,13 +216,22 @@ def lagged(values: Array, within: float, step: float) -> Array:
     return out
 
 
-def servo_error(torque: Array, arm: Arm, step: float) -> Array:
-    """Position error e that makes a servo give a torque, kd e' + kp e + ki int e dt = torque; shape as the torque."""
+def behind(values: Array, late: float, step: float) -> Array:
+    """Values of some time ago, of a run."""
+    time = step * np.arange(len(values))
+    return np.column_stack([np.interp(time - late, time, column) for column in values.T])
+
+
+def servo_error(torque: Array, arm: Arm, step: float, start: Array) -> Array:
+    """Position error e that makes a servo give a torque, kd e' + kp e + ki int e dt = torque; shape as the torque.
+
+    start : at the first sample, shape (joints,)
+    """
     assert arm.kp is not None
     n = torque.shape[1]
     kp, kd, ki = arm.kp, np.zeros(n) if arm.kd is None else arm.kd, np.zeros(n) if arm.ki is None else arm.ki
-    e, out = np.where(ki > 0, 0.0, torque[0] / kp), np.empty_like(torque)
-    held = np.where(ki > 0, torque[0], 0.0)
+    e, out = np.array(start), np.empty_like(torque)
+    held = np.where(ki > 0, torque[0] - kp * start, 0.0)
     for k, now in enumerate(torque):
         e = (now - held + kd / step * e) / (kd / step + kp + ki * step)
         held = held + ki * step * e
