@@ -104,7 +104,8 @@ def foreign(run, t, q, v, tau):
 def test_named(robot, fault, labels):
     found = diagnose_log(robot, simulated(robot, 1, fault))
     assert [f.label for f in found.fitting] in (labels, [label.replace("transport_delay", "lag") for label in labels])
-    assert found.verdict == "unknown"  # no claim is made: see docs/joint-logs.md
+    assert found.verdict == "explained"
+    assert found.claims == found.fitting
     before, after = found.gap()[1:]
     assert after.sum() < 1.001 * before.sum()
 
@@ -168,9 +169,8 @@ def test_the_command_recognises_a_log(robot, tmp_path):
     assert told.exit_code == 0, told.output
     assert "joint 3: a torque in a short part of one run" in " ".join(told.output.split())
     found = json.loads(out.read_text())
-    assert (found["verdict"], found["causes"]) == ("unknown", [])
-    assert (found["fits"][0]["effect"], found["fits"][0]["joint"]) == ("contact", 3)
-    assert "No cause is named" in told.output
+    assert (found["verdict"], found["fits"]) == ("explained", [])
+    assert (found["causes"][0]["effect"], found["causes"][0]["joint"]) == ("contact", 3)
     refused = CliRunner().invoke(
         app, ["diagnose", str(tmp_path / "arm.toml"), str(tmp_path / "motion.csv"), "--details"]
     )

@@ -37,7 +37,7 @@ STANDING = 0.2
 # Most of the noise that stays from a window to the next; rounds in which noise is found, and least of a torque.
 MOST_STAYS, ROUNDS = 0.8, 3
 # A base errs by this share of the great torque, of what the servo yields, and by so much time of the motion [s].
-ERRS, SERVO_ERRS, ERRS_BY = 0.005, 0.03, 3e-4
+ERRS, SERVO_ERRS, ERRS_BY = 0.005, 0.03, 1e-3
 # Weight of a row that is so many times its noise away falls as Student's does.
 TAIL, CUT = 8.0, 4.0
 WHITE = Noise(1.0, 0.0)
@@ -219,7 +219,7 @@ def following(left: Array, first: Array, floor: Array, trust: Array, of_log: Arr
 
     floor : least of each row
     """
-    parts = [_following(*(a[k] for a in (left, first)), floor, trust[k]) for k in (of_log, ~of_log) if k.any()]
+    parts = [_following(left[k], first[k], floor, trust[k]) for k in (of_log, ~of_log) if k.any()]
     return Following(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
@@ -427,9 +427,9 @@ def arm_names(look: Look, effect: DefinedEffect) -> dict[str, Array]:
         found["zero"] = look.by_angle(effect.joint - 1)
     m = look.motion
     if "delayed" in effect.drivers and m.command is not None:
-        found["delayed"] = m.by_run(lambda c: c - behind(c, effect.late, m.step), m.command)  # type: ignore[attr-defined]
+        found["delayed"] = m.by_run(lambda c: c - behind(c, effect.late, m.step), m.command)
     if "filtered" in effect.drivers and m.command is not None:
-        found["filtered"] = m.by_run(lambda c: c - lagged(c, effect.within, m.step), m.command)  # type: ignore[attr-defined]
+        found["filtered"] = m.by_run(lambda c: c - lagged(c, effect.within, m.step), m.command)
     if {"friction", "drag"} & set(effect.drivers):
         found |= {k: v for k, v in look.frictions.items() if k in effect.drivers}
     return found

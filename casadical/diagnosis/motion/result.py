@@ -20,7 +20,7 @@ from casadical.diagnosis.motion.problem import coefficients, motion_case
 from casadical.diagnosis.motion.search import Found, Outcome, columns_of, search
 from casadical.diagnosis.motion.signals import motion_of
 from casadical.effects.motion import motion_effects
-from casadical.identification.inertial import contradictions
+from casadical.identification.inertial import contradictions, determined
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.robot import Robot
 
@@ -38,7 +38,7 @@ class LogDiagnosis(Result):
 
     log : that was diagnosed; arm : what was known of it; outcome : of the search
     faults : of the instrument itself; reference : source of the healthy log, empty without one
-    contradictions : between the log and the robot's file
+    contradictions : between the log and the robot's file; determined : by the motion, numbers of the bodies
     """
 
     kept_as: ClassVar[str] = "log_diagnosis"
@@ -49,11 +49,12 @@ class LogDiagnosis(Result):
     faults: tuple[Fault, ...]
     reference: str = ""
     contradictions: tuple[str, ...] = ()
+    determined: tuple[str, ...] = ()
 
     @property
     def fitting(self) -> tuple[Found, ...]:
-        """Causes that are large, alone and true of runs that were not fitted."""
-        return tuple(f for f in self.outcome.found if f.named)
+        """Causes that are large, alone and true of runs that were not fitted; none in a log that is faulty itself."""
+        return () if self.faults else tuple(f for f in self.outcome.found if f.named)
 
     @property
     def claims(self) -> tuple[Found, ...]:
@@ -157,6 +158,11 @@ class LogDiagnosis(Result):
         if small:
             yield Words(f"Seen, but small: {', '.join(small)}.", "note")
         yield from (Words(text, "warning") for text in self.contradictions)
+        if self.determined:
+            count = f"{len(self.determined)} of {10 * self.arm.joints}"
+            yield Words(
+                f"This motion tells {count} masses, moments and inertias of the links (JSON: determined).", "note"
+            )
         yield from (Words(text, "note") for text in cannot_tell(self.log, self.arm, bool(self.reference)))
 
     def to_json(self) -> dict[str, Any]:
@@ -183,6 +189,7 @@ class LogDiagnosis(Result):
             ],
             "none": ranking.none,
             "contradictions": list(self.contradictions),
+            "determined": list(self.determined),
             "cannot_tell": list(cannot_tell(self.log, self.arm, bool(self.reference))),
         }
 
@@ -275,5 +282,8 @@ def diagnose_log(
         case = motion_case([own, known], coefficients(motion_case([known], chosen=())))
     show(f"evidence of {len(case.candidates)} candidates")
     outcome = search(case)
+    told_of_bodies = determined(robot, log)
+    own_numbers = tuple(k for k in told_of_bodies.independent if not k.startswith("Ia")) if told_of_bodies else ()
     compared = reference.source if reference else ""
-    return LogDiagnosis(log, arm, outcome, faults_of(log, arm, reference), compared, contradictions(robot, log))
+    faults = faults_of(log, arm, reference)
+    return LogDiagnosis(log, arm, outcome, faults, compared, contradictions(robot, log), own_numbers)

@@ -25,9 +25,12 @@ USUAL = 2.0
 # A cause gains so much log evidence, and one that is short in time so much: there every friction has flaws.
 # Where no torque was logged, the servo's gain and friction are known far worse, and it gains so many times more.
 CERTAIN, LOCAL, UNLISTED, WITHOUT_TORQUE = 30.0, 150.0, 100.0, 2.5
+# It is named from this on, and, if it acts all the time, where the best on no list gains at most so much of it.
+NAMED, RIVAL = 100.0, 0.75
 LOCAL_CAUSES = ("contact", "zero_offset_step")
-# Of its evidence, on all runs that were not fitted a cause gains at least this share, and this on half of them each.
-HELD, EACH, HELD_LOCAL = 0.3, 0.05, 0.5
+# Of its evidence, on all runs that were not fitted a cause gains at least this share, and this on half of them each;
+# and so much [nats]. Parts of the run in which a cause acts are alike, and tell more of each other.
+HELD, EACH, HELD_LOCAL, LEAST_HELD, LEAST_EACH = 0.1, 0.005, 0.5, 30.0, 3.0
 # Windows that are left out together of a cause that acts in a part of one run; candidates that are judged again.
 INTERLEAVED, NEAREST = 10, 12
 Verdict = Literal["explained", "ambiguous", "unknown", "none"]
@@ -37,7 +40,8 @@ Verdict = Literal["explained", "ambiguous", "unknown", "none"]
 class Found:
     """A cause in the model. label, variant : of the candidate; probability : beside the others
 
-    share : its rms over that of what is left where it acts most
+    share : what it does beyond a usual base over what is left, in units of what is visible; gain : log evidence
+    held_out : gain on each run that was not fitted; rival : log evidence of the best that is on no list
     """
 
     label: str
@@ -47,13 +51,17 @@ class Found:
     gain: float
     held_out: tuple[float, ...]
     listed: bool
+    rival: float
 
     @property
     def named(self) -> bool:
         """Whether it is large, alone and true of runs that were not fitted."""
-        share = HELD_LOCAL if self.label.startswith(LOCAL_CAUSES) else HELD
-        true = sum(self.held_out) >= share * self.gain and float(np.median(self.held_out)) >= EACH * self.gain
-        return self.share >= 1 and self.listed and self.probability >= CLAIM and true
+        local = self.label.startswith(LOCAL_CAUSES)
+        share = HELD_LOCAL if local else HELD
+        total, usual = sum(self.held_out), float(np.median(self.held_out))
+        true = total >= max(share * self.gain, LEAST_HELD) and usual >= max(EACH * self.gain, LEAST_EACH)
+        alone = self.probability >= CLAIM and (local or self.rival <= RIVAL * self.gain)
+        return self.listed and self.share >= 1 and self.gain >= NAMED and alone and true
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +166,8 @@ def _judged(case: MotionCase, found: tuple[Found, ...], ranking: Ranking) -> Fou
     share = share_of(case, np.union1d(chosen, own), own) / VISIBLE
     candidate = case.by_label[top]
     gains = held_out(case, chosen, own, local=candidate.name in LOCAL_CAUSES)
-    return Found(top, ranking.variant[top], p, share, ranking.log_factor[top], gains, candidate.listed)
+    rival = max((g for k, g in ranking.log_factor.items() if not case.by_label[k].listed), default=0.0)
+    return Found(top, ranking.variant[top], p, share, ranking.log_factor[top], gains, candidate.listed, rival)
 
 
 def _sharper(case: MotionCase, found: tuple[Found, ...], ranking: Ranking) -> tuple[Ranking, MotionCase]:
