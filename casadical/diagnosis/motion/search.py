@@ -25,8 +25,9 @@ USUAL = 2.0
 # A cause gains so much log evidence, and one that is short in time so much: there every friction has flaws.
 # Where no torque was logged, the servo's gain and friction are known far worse, and it gains so many times more.
 CERTAIN, LOCAL, UNLISTED, WITHOUT_TORQUE = 30.0, 150.0, 100.0, 2.5
-# It is named from this on, and, if it acts all the time, where the best on no list gains at most so much of it.
-NAMED, RIVAL = 100.0, 0.75
+# It is named from this on, where the best on no list gains less by so much; a great one anyway, for of these some hold
+# every cause as one of their shapes.
+NAMED, MARGIN, GREAT = 100.0, 40.0, 500.0
 LOCAL_CAUSES = ("contact", "zero_offset_step")
 # Of its evidence, on all runs that were not fitted a cause gains at least this share, and this on half of them each;
 # and so much [nats]. Parts of the run in which a cause acts are alike, and tell more of each other.
@@ -60,7 +61,7 @@ class Found:
         share = HELD_LOCAL if local else HELD
         total, usual = sum(self.held_out), float(np.median(self.held_out))
         true = total >= max(share * self.gain, LEAST_HELD) and usual >= max(EACH * self.gain, LEAST_EACH)
-        alone = self.probability >= CLAIM and (local or self.rival <= RIVAL * self.gain)
+        alone = self.probability >= CLAIM and (local or self.gain >= min(self.rival + MARGIN, GREAT))
         return self.listed and self.share >= 1 and self.gain >= NAMED and alone and true
 
 
