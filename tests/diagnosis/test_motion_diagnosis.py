@@ -14,7 +14,9 @@ from casadical import Body, InputError, Joint, Robot
 from casadical.cli.root import app
 from casadical.core.drive import Drive
 from casadical.core.telling.terminal import plain_text
+from casadical.diagnosis.motion.arm import arm_of
 from casadical.diagnosis.motion.result import diagnose_log
+from casadical.diagnosis.motion.signals import motion_of
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.dynamics import Dynamics
 
@@ -104,8 +106,7 @@ def foreign(run, t, q, v, tau):
 def test_named(robot, fault, labels):
     found = diagnose_log(robot, simulated(robot, 1, fault))
     assert [f.label for f in found.fitting] in (labels, [label.replace("transport_delay", "lag") for label in labels])
-    assert found.verdict == "explained"
-    assert found.claims == found.fitting
+    assert found.verdict == "unknown"  # no claim is made: see docs/joint-logs.md
     before, after = found.gap()[1:]
     assert after.sum() < 1.001 * before.sum()
 
@@ -113,6 +114,22 @@ def test_named(robot, fault, labels):
 @pytest.mark.parametrize("seed", [2, 3])
 def test_of_a_healthy_arm_nothing_is_named(robot, seed):
     assert diagnose_log(robot, simulated(robot, seed)).verdict == "none"
+
+
+def test_what_fits_is_true_of_runs_that_were_not_fitted(robot):
+    (found,) = diagnose_log(robot, simulated(robot, 1, ripple)).fitting
+    assert len(found.held_out) == 2
+    assert min(found.held_out) > 100
+
+
+def test_runs_whose_clocks_differ_a_little_are_sampled_alike(robot):
+    """Of 125 rows a second every other one is taken; a hair more or less must not change that from run to run."""
+    log = simulated(robot, 1)
+    time = log.time * np.where(log.run == 1, 0.80001, 0.79999)
+    motion = motion_of(JointLog(time, log.joints, log.position, log.command, run=log.run), arm_of(robot), (3e-3,))
+    counts = np.unique(motion.run, return_counts=True)[1]
+    assert np.ptp(counts) <= 1
+    np.testing.assert_allclose(np.diff(motion.time)[:-1].min(), motion.step, rtol=1e-6)
 
 
 def test_with_commands_alone_the_position_error_is_judged(robot):
@@ -169,8 +186,9 @@ def test_the_command_recognises_a_log(robot, tmp_path):
     assert told.exit_code == 0, told.output
     assert "joint 3: a torque in a short part of one run" in " ".join(told.output.split())
     found = json.loads(out.read_text())
-    assert (found["verdict"], found["fits"]) == ("explained", [])
-    assert (found["causes"][0]["effect"], found["causes"][0]["joint"]) == ("contact", 3)
+    assert (found["verdict"], found["causes"]) == ("unknown", [])
+    assert (found["fits"][0]["effect"], found["fits"][0]["joint"]) == ("contact", 3)
+    assert "No cause is named" in told.output
     refused = CliRunner().invoke(
         app, ["diagnose", str(tmp_path / "arm.toml"), str(tmp_path / "motion.csv"), "--details"]
     )

@@ -29,7 +29,7 @@ OVER, PARTS, OUT = ("angle", "speed", "load", "time"), 4, 1.5
 # Rivals that are shown, and least probability of one.
 SHOWN, LEAST = 3, 0.01
 # Levels, with a reference or without, at which causes are named.
-CLAIMED = frozenset({("torque", True), ("torque", False), ("position", True)})
+CLAIMED: frozenset[tuple[str, bool]] = frozenset()
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ USUAL = 2.0
 CERTAIN, LOCAL, UNLISTED, WITHOUT_TORQUE = 30.0, 150.0, 100.0, 2.5
 # It is named from this on, where the best on no list gains less by so much; a great one anyway, for of these some hold
 # every cause as one of their shapes.
-NAMED, MARGIN, GREAT = 100.0, 40.0, 500.0
+NAMED, MARGIN, GREAT = 150.0, 40.0, 500.0
 LOCAL_CAUSES = ("contact", "zero_offset_step")
 # Of its evidence, on all runs that were not fitted a cause gains at least this share, and this on half of them each;
 # and so much [nats]. Parts of the run in which a cause acts are alike, and tell more of each other.
