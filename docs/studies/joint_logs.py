@@ -26,7 +26,7 @@ import numpy as np
 import pandas as pd
 
 ROOT = Path(__file__).parents[2]
-SEED = int(sys.argv[3]) if len(sys.argv) > 3 else 20261124
+SEED = int(sys.argv[3]) if len(sys.argv) > 3 else 20261126
 LOGS, STEP, ROW = 72, 0.001, 8
 LISTED = [
     "payload",
