@@ -109,13 +109,16 @@ def compared(one: Path, other: Path, moved: bool) -> list[str]:
     times = 100.0 if moved else 1.0
     names = {p.relative_to(one) for p in one.rglob("*") if p.is_file()}
     names ^= {p.relative_to(other) for p in other.rglob("*") if p.is_file()}
-    found = [f"{name}: is in one only" for name in sorted(names)]
+    found = [f"{name}: is in one only" for name in sorted(names) if ".parquet" not in str(name)]
     for path in sorted(p for p in one.rglob("*") if p.is_file()):
         name = path.relative_to(one)
         exported = moved and "c" in name.parts[:-1]  # C of other numbers is another C
         if exported or not (other / name).is_file() or path.suffix in (".html", ".parquet"):
             continue
-        a, b = ((f / name).read_text("utf-8", "replace").replace(str(f), "") for f in (one, other))
+        a, b = (
+            (f / name).read_text("utf-8", "replace").replace(str(f), "").replace(str(f.parents[1]), "")
+            for f in (one, other)
+        )
         if moved:  # of robot files with other numbers
             a, b = (re.sub(r"[0-9a-f]{40,64}", "", text) for text in (a, b))
         if a == b:
