@@ -18,14 +18,10 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-
-from casadical import read_robot
-from casadical.diagnosis.motion.replay import replayed
-from casadical.measurements.logs.reading import read_log
+import pandas as pd
 
 ROOT = Path(sys.argv[0]).resolve().parents[2]  # this file lies in docs/tutorials
 LOGS = ROOT / "data" / "so101_logs"
-robot = read_robot(ROOT / "problems" / "so101" / "robot.toml")
 folder = Path(tempfile.mkdtemp())
 
 
@@ -38,16 +34,16 @@ def casadical(*words):
 
 
 # %%
-# What the log is
-# ---------------
-# Rate, jitter, steps of the readings, what is missing: all of it is found before anything is fitted.
+# What a log is
+# -------------
+# A row a sample: the time, and of each joint what was commanded and what was read (``docs/log-files.md`` lists what
+# else may be there, and in which forms). Rate, jitter, lost samples and steps of the readings are found before a fit.
 
 names = ("wave_motion", "staircase_motion", "reach_and_return", "symmetric_motion")
 paths = [LOGS / f"{name}.csv.gz" for name in names]
-logs = [read_log(path, robot) for path in paths]
-for sentence in logs[0].findings:
-    print("-", sentence)
-assert len(logs[0].joints) == 6
+log = pd.read_csv(paths[0])
+command, position = (log[[f"{name}{i}_rad" for i in range(1, 7)]].to_numpy() for name in ("command", "q"))
+print(f"{len(log)} samples of {log['time_s'].iloc[-1]:.0f} s")
 
 # %%
 # One command
@@ -64,37 +60,18 @@ assert (after < before).all()
 assert (after[:3] < 0.25 * before[:3]).all()
 
 # %%
-# Before and after, of the first motion, which the other three predict; and the loop that dry friction draws over the
-# command: the reading stays behind on the way up and on the way down.
+# In numbers: the servo of each joint gives so many N m per rad, and dry friction holds it within so much.
 
-replay = replayed(robot, logs[1:], logs[:1])
-run, predicted = replay.runs[0], replay.predicted[0]
-figure, axes = plt.subplots(1, 2, figsize=(9, 3.4), layout="constrained")
-j = 1  # shoulder_lift
-for word, of, now, colour in (
-    ("before: less command", run.command, run.position, "0.6"),
-    ("after: less prediction", predicted, predicted, "C0"),
-):
-    axes[0].plot(run.time, 1e3 * (run.position - of)[:, j], colour, label=word)
-    axes[1].plot(run.command[:, j], 1e3 * (now - run.command)[:, j], colour)
-axes[0].set(xlabel="time [s]", ylabel="mrad", title=run.joints[j])
-axes[1].set(xlabel="command [rad]", ylabel="reading less command [mrad]", title="real (grey), predicted (blue)")
-axes[0].legend()
-plt.show()
-assert replay.after[j] < 0.5 * replay.before[j]
-
-# %%
-# In numbers: the servo of the shoulder gives so many N m per rad, and dry friction holds it within F / kp.
-
-response = replay.response
-print(np.round(1e3 * response.friction / response.gain, 1), "mrad")
-assert response.gain[j] > 1
+gain, friction = (np.array(found["drive"][key]) for key in ("kp_Nm_per_rad", "friction_Nm"))
+print(np.round(1e3 * friction / gain, 1), "mrad")
+assert (gain > 0).all()
 
 # %%
 # A model that moves like that
 # ----------------------------
 # ``diagnosed.robot.toml`` has it in ``[drive]``; the exported MuJoCo model is loaded by MuJoCo alone and gets the
-# logged commands of the motion.
+# logged commands of the first motion, one of those it was fitted to (what is left of others is above). On the right the
+# loop that dry friction draws over the command: the reading stays behind on the way up and on the way down.
 
 assert casadical("export", "model", out / "diagnosed.robot.toml", "--out", "so101.xml") == 0
 
@@ -104,22 +81,31 @@ except ImportError:
     mujoco = None
     print("MuJoCo is not installed: pip install 'casadical[mujoco]'")
 
+j, t = 1, log["time_s"].to_numpy() - log["time_s"].iloc[0]  # shoulder_lift
+figure, axes = plt.subplots(1, 2, figsize=(9, 3.4), layout="constrained")
+axes[0].plot(t, 1e3 * (position - command)[:, j], "0.6", label="before: less command")
+axes[1].plot(command[:, j], 1e3 * (position - command)[:, j], "0.6")
 if mujoco:
     model = mujoco.MjModel.from_xml_path(str(folder / "so101.xml"))
-    data, t = mujoco.MjData(model), run.time - run.time[0]
-    data.qpos[:], driven = run.position[0], np.empty_like(run.position)
+    data, driven = mujoco.MjData(model), np.empty_like(position)
+    data.qpos[:] = position[0]
     for i in range(model.nu):
         if samples := int(model.actuator_history[i, 0]):
-            mujoco.mj_initCtrlHistory(model, data, i, None, np.full((samples, 1), run.command[0, i]))
+            mujoco.mj_initCtrlHistory(model, data, i, None, np.full((samples, 1), command[0, i]))
     for k, now in enumerate(t):
         while data.time < now - 1e-9:
-            data.ctrl[:] = [np.interp(data.time, t, column) for column in run.command.T]
+            data.ctrl[:] = [np.interp(data.time, t, column) for column in command.T]
             mujoco.mj_step(model, data)
         driven[k] = data.qpos
-    left = np.sqrt(((run.position - driven) ** 2).mean(axis=0))
-    nominal = np.sqrt(((run.position - run.command) ** 2).mean(axis=0))
+    axes[0].plot(t, 1e3 * (position - driven)[:, j], "C0", label="after: less this model")
+    axes[1].plot(command[:, j], 1e3 * (driven - command)[:, j], "C0")
+    nominal, left = (np.sqrt(((position - of) ** 2).mean(axis=0)) for of in (command, driven))
     print("nominal", np.round(1e3 * nominal, 1), "this model", np.round(1e3 * left, 1), "mrad")
     assert (left[1:3] < 0.5 * nominal[1:3]).all()
+axes[0].set(xlabel="time [s]", ylabel="mrad", title="shoulder_lift")
+axes[1].set(xlabel="command [rad]", ylabel="reading less command [mrad]", title="real (grey), this model (blue)")
+axes[0].legend()
+plt.show()
 
 # %%
 # What is left
