@@ -84,7 +84,7 @@ WRONG = {
         ["export", "model", HH800 / "robot.toml", "--out", "x.xml", "--into", "y.xml", "--joints", "a,b"],
         "give --nominal, or the problem folder",
     ),
-    "an unknown ending": (["export", "model", PLANAR, "--out", "x.txt"], "give --to mjcf|urdf|ur|"),
+    "an unknown ending": (["export", "model", PLANAR, "--out", "x.txt"], "give --to mjcf|urdf|actuators|ur|"),
     "effects of no campaign": (
         ["export", "model", PLANAR, "--out", "x.xml", "--effects", "backlash"],
         "give --campaign CSV, too",

@@ -25,8 +25,9 @@ COUNTED = 0.75
 FURTHER, TOGETHER, LEFT_HANDED = 0.6, 0.5, 0.5
 # Of an explanation so large a share of the rows must fit, each within so many times its error.
 FIT, TIMES = 0.8, 3.0
-# Steps of the fit to lengths.
-STEPS = 12
+# Steps of the fit to lengths where hypotheses are compared, and of one alone. Points lie in a plane if their squares
+# beside it are less, of the greatest.
+STEPS, ALONE, FLAT = 12, 40, 1e-6
 
 
 class Hypothesis(NamedTuple):
@@ -281,18 +282,18 @@ class LengthFit(SlipFit):
         p, R, _, _ = self._flange(_readings([h], q), self.rows[h.rows], *self._lengths([h], h.rows))
         kept, e = np.ones(len(y), dtype=bool), np.zeros(len(y))
         for _ in range(3):  # far rows draw the fit towards themselves
-            e = np.abs(self._left(p, R, y, kept)[0])
+            e = np.abs(self._left(p, R, y, kept, ALONE)[0])
             kept = e <= 5 * np.median(e)
         return Fit(h, max(float(np.median(e)), float(np.quantile(e, FIT)) / TIMES))
 
-    def _left(self, p: Array, R: Array, y: Array, kept: Array | None = None) -> Array:
+    def _left(self, p: Array, R: Array, y: Array, kept: Array | None = None, steps: int = STEPS) -> Array:
         """Lengths less those of the fitted tool and places, shape (k, n); kept : rows that are fitted."""
         length, place = y[:, 0], np.eye(int(y[:, 1].max()) + 1)[y[:, 1].astype(int)]
         weight = np.ones(len(y)) if kept is None else kept.astype(float)
         x, damping, best = self._start(p, length, place), np.full(len(p), 1e-3), np.full(len(p), np.inf)
         tried, left, found = x, np.empty(p.shape[:2]), np.empty(p.shape[:2])
         A, b = np.zeros((len(p), x.shape[1], x.shape[1])), np.zeros((*x.shape, 1))
-        for _ in range(STEPS):
+        for _ in range(steps):
             line = p + (R @ tried[:, None, :3, None])[..., 0] - place @ tried[:, 3:].reshape(len(p), -1, 3)
             size = np.maximum(np.linalg.norm(line, axis=2), 1e-9)
             left = length - size
@@ -312,14 +313,19 @@ class LengthFit(SlipFit):
 
     @staticmethod
     def _start(p: Array, length: Array, place: Array) -> Array:
-        """Tool on the flange, and the places that fit best then, linear in them and their squares, (k, 3 + 3 K)."""
+        """Tool on the flange, and the places that fit best then, linear in them and their squares, (k, 3 + 3 K).
+
+        How far a place is from the plane of an arm that moves in one is told by its square alone.
+        """
         x = [np.zeros((len(p), 3))]
         for own in place.T > 0:
             local = p[:, own] - p[:, own].mean(axis=1, keepdims=True)
             A = np.concatenate([2 * local, -np.ones((*local.shape[:2], 1))], axis=2)
-            x.append(
-                _solved(A, ((local**2).sum(axis=2) - length[own] ** 2)[..., None])[:, :3, 0] + p[:, own].mean(axis=1)
-            )
+            found = _solved(A, ((local**2).sum(axis=2) - length[own] ** 2)[..., None])[..., 0]
+            spread, axes = np.linalg.eigh(np.swapaxes(local, 1, 2) @ local)
+            beside = np.sqrt(np.maximum(found[:, 3] - (found[:, :3] ** 2).sum(axis=1), 0.0))
+            beside[spread[:, 0] > FLAT * spread[:, 2]] = 0.0
+            x.append(found[:, :3] + axes[:, :, 0] * beside[:, None] + p[:, own].mean(axis=1))
         return np.concatenate(x, axis=1)
 
 
