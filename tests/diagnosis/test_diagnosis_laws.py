@@ -42,6 +42,7 @@ from casadical.effects.formula import NUMERIC, parse
 from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.reading import from_table
+from casadical.project.problem import read_problem
 from casadical.robot.effect_file import read_effects
 from casadical.robot.robot_file import read_robot
 
@@ -235,6 +236,13 @@ def test_what_predicts_best_goes_into_the_robot() -> None:
     left = [np.linalg.norm(m.position - predicted(r, m)[0], axis=1).mean() for r in (found.apply(), found.case.robot)]
     assert left[0] < 0.75 * left[1]
     assert replace(found, gap={"base": 1.0, "law": 0.9, "smooth": 0.8}).kept == "smooth"
+
+
+def test_what_touches_the_robot_has_no_beam() -> None:
+    problem = read_problem(Path(__file__).parents[2] / "problems" / "panda_1")
+    touched = diagnose(problem.robot, problem.sets["identify"][0][:60], ["backlash"], laws=False)
+    assert touched.case.m.kind == "contact"
+    assert "beam" not in {s.law.seam for s in search_laws(touched.case, NONE)}
 
 
 def test_a_law_that_is_a_listed_effect_by_another_name_is_said_as_such() -> None:

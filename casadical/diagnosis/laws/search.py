@@ -203,12 +203,13 @@ def search_laws(case: Case, chosen: Array, without: frozenset[str] = frozenset()
     kept, values = values_of(linear, known)
     drivers = list(zip(kept, values.T, strict=True))
     *seams, every = at_poses(linear, [*seams_at(case.given), Law(None, "joints", "a", count=case.given.n)])
-    beams = at_poses(linear, stations(case.given))
+    of_instrument = all(m.position is not None for m in case.observations.sets)  # what touches a robot has no beam
     rough = [*_everywhere(problem, drivers, seams), *_fine(problem, drivers, seams)]
     joined = [*_joined_waves(problem, drivers, seams)]
     rough += joined
     rough += _every_joint(problem, linear, {n for d in kept for n in parse(d.text).names}, every)
-    rough += _along_the_beam(problem, linear, beams)
+    if of_instrument:
+        rough += _along_the_beam(problem, linear, at_poses(linear, stations(case.given)))
     instances = len(seams) * len(drivers) + len(joined) + 1
     rough = [r for r in rough if r.mean > NEVER / 2]
     prices = [np.log(instances) + np.log(1 + len(FORMS[r.tried.driver.kind])) + _last(r.tried) for r in rough]
