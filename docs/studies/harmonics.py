@@ -3,13 +3,13 @@
 Harmonics of a joint hidden in noise that follows itself: are they found where an optimal detector finds them?
 
 Synthetic. A UR10 as it is built (the package's model) measures points of a smooth path, one after the other, with noise
-of which .8 stays from each pose to the next. One joint's reading is off by a sine of 30 to 130 cycles a turn. Its level
-is what knowledge of it would be worth: half of the square of its white signal beside the base model [nats]. The optimal
-detector knows the noise and the base model's form, and tries all joints and frequencies: it finds the sine where the
-greatest gain of any is beyond that of noise alone in 99 of 100 campaigns, and stands at the right place. The diagnosis
-knows the table alone; it finds the sine where it names a ripple of that joint with this frequency, or an error curve
-with a line there. "Seen": it names something of that joint, or says that what is left follows this sine. Within 3 dB:
-it finds at twice a level what the detector finds at that level.
+of which .8 stays from each pose to the next. One joint is off by a sine of a whole number of cycles a turn, 30
+to 129. Its level is what knowledge of it would be worth: half of the square of its white signal beside the base model
+[nats]. The optimal detector knows the noise and the base model's form, and tries all joints and frequencies: it finds
+the sine where the greatest gain of any is beyond that of noise alone in 99 of 100 campaigns, and stands at the right
+place. The diagnosis knows the table alone; it finds the sine where it names a ripple of that joint with this frequency,
+or an error curve with a line there. "Seen": it names something of that joint, or says that what is left follows this
+sine. Within 3 dB: it finds at twice a level what the detector finds at that level.
 """
 
 import argparse

@@ -101,13 +101,9 @@ class LogDiagnosis(Result):
 
     def _sentence(self) -> str:
         said = [f.sentence for f in self.faults] + [told(f.label) for f in self.claims]
-        most = next(iter(self.outcome.rankings[0].order), "")
-        if self.claims:
-            pass
-        elif self.fitting:
-            said.append(f"more is there than in a usual arm; what fits best: {told(self.fitting[0].label)}")
-        elif self.outcome.verdict != "none":
-            said.append(f"more is there than in a usual arm; what fits best: {told(most)}")
+        if not self.claims and self.outcome.verdict != "none":
+            best = self.fitting[0].label if self.fitting else self.outcome.rankings[0].order[0]
+            said.append(f"more is there than in a usual arm; what fits best: {told(best)}")
         return f"{self.log.source}: {'; '.join(said) or 'no more than a usual arm may have'}."
 
     def _faults(self) -> Iterator[Words]:
@@ -140,6 +136,8 @@ class LogDiagnosis(Result):
         return worst[1] if worst[0] > OUT else ""
 
     def _causes(self) -> Iterator[Words | Table]:
+        if self.outcome.verdict == "none":  # the best of what is too small to be there is no hint
+            return
         ranking = self.outcome.rankings[0]
         rows = [
             (label, f"{ranking.probability[label]:.2f}", f"{ranking.log_factor[label]:.0f}", told(label))
