@@ -7,13 +7,20 @@ import pandas as pd
 
 from casadical.core.arrays import Array
 from casadical.diagnosis.claims import cause_set, named, with_further
-from casadical.diagnosis.cross_validation import estimates, partitioned_errors, partitions, remainders, shrink_interval
+from casadical.diagnosis.cross_validation import (
+    estimates,
+    partitioned_errors,
+    partitions,
+    remainders,
+    shrink_interval,
+)
 from casadical.diagnosis.held_out_gap import Stage, course
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_account import account_of
 from casadical.diagnosis.noise_floor import noise_floor, outlier_probability, replicates
 from casadical.diagnosis.result import Cause, Diagnosis, Gap, Outlier, Verdict
 from casadical.diagnosis.search import End, State, Step
+from casadical.diagnosis.structure import joint_of_outliers
 from casadical.diagnosis.thresholds import (
     DETECT_FURTHER,
     LEAST_ALIKE,
@@ -49,7 +56,8 @@ def conclude(
     after = partitioned_errors(case.evidence, columns, noise, seed) if state.steps else before
     left, distance = remainders(case.whole, columns, noise, case.kept)
     causes = [_cause(state, step, before, seed) for step in state.steps]
-    before_all, outliers = _outliers_as_cause(case, before, left, distance, seed)
+    joint = joint_of_outliers(case, columns, noise)
+    before_all, outliers = (before, ()) if joint else _outliers_as_cause(case, before, left, distance, seed)
     gap = Gap(float(before_all.mean()), float(after.mean()), floor, float(before.mean()))
     causes = sorted([*causes, *outliers], key=lambda c: -c.shrink)
     shrinks = course(case, _stages(state, noise), partitions(case.evidence, seed), noise, seed)
@@ -59,7 +67,7 @@ def conclude(
         verdict = "ambiguous"
     if verdict == "explained" and richer:
         verdict = "unknown"
-    if account.is_structure and not state.steps and verdict in ("none", "explained"):
+    if (account.is_structure or joint) and not state.steps and verdict in ("none", "explained"):
         verdict = "unknown"
     return Diagnosis(
         verdict=verdict,
@@ -72,6 +80,7 @@ def conclude(
         replicates=repeated,
         rankings=state.rankings,
         outliers=_outliers(case, left, distance),
+        joint_of_outliers=joint,
         missing=case.missing,
         case=case,
         identification=identification,

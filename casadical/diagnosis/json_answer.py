@@ -52,6 +52,7 @@ def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[st
         "replicates": {"sigma_mm": _mm(d.replicates.sigma), "poses": d.replicates.poses, "used": d.replicates.enough},
         "outliers": [{"row": o.row, "distance_mm": _mm(o.distance), "sigmas": round(o.sigmas, 2)} for o in d.outliers],
         "outlier_rows": [o.row for o in d.outliers],
+        **({"outliers_along_joint": d.joint_of_outliers} if d.joint_of_outliers else {}),
         **({"assumed": list(said)} if (said := assumptions(d)) else {}),
         **({"cannot": list(missing)} if (missing := cannot_tell(d)) else {}),
         **({"ruled_out": {k: list(v) for k, v in more.ruled_out.items()}} if more.ruled_out else {}),

@@ -196,7 +196,7 @@ class Diagnosis(Result):
     course : how far the gap falls with each cause added (see `held_out_gap.course`)
     replicates : scatter of repeated poses, of which there may be none
     rankings : what each step saw
-    outliers : poses that were left out
+    outliers : poses that were left out; joint_of_outliers : along whose motion they err, or None
     missing : label -> columns that would be needed to judge it
     case : the linear problem that it was computed from
     identification : of the base model
@@ -243,6 +243,7 @@ class Diagnosis(Result):
     changes: tuple[Change, ...] = ()
     cause_set: CauseSet | None = None
     law: Round | None = None
+    joint_of_outliers: int | None = None
 
     @property
     def _line(self) -> str:

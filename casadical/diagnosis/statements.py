@@ -15,11 +15,12 @@ from casadical.diagnosis.limits import cannot_tell, indistinguishable, invisible
 from casadical.diagnosis.next_poses import discrimination_probability, kinds_of_poses
 from casadical.diagnosis.noise_account import Rule
 from casadical.diagnosis.result import Diagnosis
-from casadical.diagnosis.thresholds import CLAIM, SET_CLAIM
+from casadical.diagnosis.thresholds import CLAIM, DETECT, DETECT_FURTHER, SET_CLAIM
 from casadical.identification.gravity import in_words as gravity_in_words
 
-# A probability from `CLAIM` on, and below this, is said to be just above what is claimed.
-JUST_ABOVE = 0.98
+# Of the probability that a decision stands on: it is said to be just above or below its threshold where the odds
+# against it are at most so many times those of the threshold, or the reverse.
+NEAR = 1.5
 # Poses that raise the probability of a right choice by less tell nothing.
 LITTLE = 0.1
 # Stands between words of an item that is not broken over two lines.
@@ -296,12 +297,25 @@ def _one_more(d: Diagnosis) -> str:
 
 
 def _near_threshold(d: Diagnosis) -> Iterator[Statement]:
-    """Causes that are claimed with a probability that is hardly above what a claim needs."""
-    for c in d.causes if d.verdict == "explained" else ():
+    """Decisions that stand on a probability that is hardly above or below their threshold."""
+    for c in d.causes if d.verdict in ("explained", "ambiguous") else ():
         p = d.cause_set.members.get(c.label, c.confidence) if d.cause_set else c.confidence
-        if CLAIM <= p < JUST_ABOVE:
-            text = f"{c.label} is just above what is claimed: probability {p:.3f}, claimed from {CLAIM:g} on"
+        if side := _beside(p, CLAIM):
+            text = f"{c.label} is just {side} what is claimed: probability {p:.3f}, claimed from {CLAIM:g} on"
             yield Statement("SET", text, doubtful=True)
+    if d.p_nothing is None and (side := _beside(1 - d.rankings[0].none, 1 - DETECT)):
+        there = f"P(nothing) = {d.rankings[0].none:.3f}, something from {DETECT:g} down"
+        yield Statement("SET", f"that anything is there is just {side} what is said: {there}", doubtful=True)
+    last = d.rankings[-1].none
+    if d.rankings[1:] and (side := _beside(1 - last, 1 - DETECT_FURTHER)):
+        there = f"P(no further one) = {last:.3f}, something from {DETECT_FURTHER:g} down"
+        yield Statement("SET", f"that something further is there is just {side} what is said: {there}", doubtful=True)
+
+
+def _beside(probability: float, threshold: float) -> str:
+    """Whether a probability is just above or below a threshold; empty where it is far from it."""
+    times = (1 - threshold) * probability / max(threshold * (1 - probability), 1e-300)
+    return "above" if 1 <= times < NEAR else "below" if 1 / NEAR < times < 1 else ""
 
 
 def _after(d: Diagnosis, more: Details) -> Iterator[Statement]:
@@ -430,6 +444,9 @@ def _outliers(d: Diagnosis) -> Iterator[Statement]:
             "1 pose left out as an outlier" if len(d.outliers) == 1 else f"{len(d.outliers)} poses left out as outliers"
         )
         yield Statement("OUT", f"{count}: {', '.join(shown)}{more}")
+    if joint := d.joint_of_outliers:
+        text = f"they err along the motion of joint {joint}, as a joint that is wrong in few places makes them:"
+        yield Statement("OUT", f"{text} no listed cause, and no single points", doubtful=True)
 
 
 def _missing(d: Diagnosis) -> Iterator[Statement]:

@@ -22,6 +22,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.linear_gaussian.grid import log_sum
+from casadical.diagnosis.cross_validation import fitted_without
 from casadical.diagnosis.evidence import REPEATABILITY, joint_noise
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_evidence import Form
@@ -31,7 +32,7 @@ from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 from casadical.robot.robot import Robot
 
-# What is left follows a driver if chance alone gives so large a share so rarely, among all that are tried.
+# What is left follows a driver, and outliers a joint, if chance alone does it so rarely, among all that are tried.
 CHANCE = 1e-3
 # Poses that are looked at, spread over the campaign; where noise follows itself, so many of the first.
 MOST_POSES, MOST_FOLLOWING = 600, 4000
@@ -81,6 +82,26 @@ class Remainder:
 def remainder_of(case: Case, columns: Array, noise: Noise, form: Form | None = None) -> Remainder:
     """What is left beside columns of causes, shape (k,), at a noise of a form."""
     return _White(case, columns, noise, form or Form()).judged()
+
+
+def joint_of_outliers(case: Case, columns: Array, noise: Noise) -> int | None:
+    """The joint along whose motion the poses left out err, as one that is wrong in few places makes them; else None.
+
+    columns : of the causes, shape (k,). Of points that are wrong each for itself the cosine to any direction is uniform
+    from -1 to 1; of each joint Fisher's sum of logarithms, Bonferroni.
+    """
+    out = ~case.kept
+    if out.sum() < 2 or case.vectors is None:
+        return None
+    left, motions = fitted_without(case.whole, columns, noise, out)[out, :3], case.whole.Jq[out, :3]
+    lengths = np.linalg.norm(left, axis=1)[:, None] * np.linalg.norm(motions, axis=1)
+    cosine = np.abs(np.einsum("ki,kij->kj", left, motions)) / np.maximum(lengths, 1e-300)
+    total = -np.log(np.clip(1 - cosine, 1e-300, 1.0)).sum(axis=0)
+    best = int(np.argmax(total))
+    # A sum of k has a gamma distribution, whose tail is that of fewer than k events of a Poisson process.
+    terms = [i * log(max(total[best], 1e-300)) - lgamma(i + 1) for i in range(len(left))]
+    chance = len(total) * float(np.exp(log_sum(np.array(terms)) - total[best]))
+    return best + 1 if chance < CHANCE else None
 
 
 class _White:

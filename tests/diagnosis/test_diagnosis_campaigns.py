@@ -15,6 +15,7 @@ from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.text import page_of
 from casadical.diagnosis.thresholds import CLAIM
 from casadical.fleet.one_robot import first_diagnosis, one_robot
+from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
 from casadical.measurements.reading import read_measurements
 
@@ -130,6 +131,19 @@ def test_outliers_are_a_cause_of_their_own() -> None:
     assert named(d) == {("outliers", None)}
     assert sorted(o.row for o in d.outliers) == list(m.row[[7, 30, 61]])
     assert [o.distance for o in d.outliers] == pytest.approx([np.linalg.norm(wrong)] * 3, rel=0.05)
+
+
+def test_outliers_along_one_joint_are_no_single_points() -> None:
+    """A damaged tooth errs at few poses, of which each lies far out along the motion of its joint."""
+    arm, m = robot("ur10e"), simulated("ur10e", 41)
+    at, turn = [7, 30, 61, 66], np.zeros((len(m), 6))
+    turn[at, 1] = 1.5e-3, 1.2e-3, -1.4e-3, 1.6e-3
+    wrong = predicted(arm, replace(m, q=m.q + turn))[0] - predicted(arm, m)[0]
+    d = diagnose(arm, replace(m, position=m.position + wrong))
+    assert (d.verdict, d.causes, d.joint_of_outliers) == ("unknown", (), 2)
+    assert sorted(o.row for o in d.outliers) == list(m.row[at])
+    assert "they err along the motion of joint 2" in " ".join(page_of(d).split())
+    assert as_json(d, "x")["outliers_along_joint"] == 2
 
 
 def test_missing_columns_are_reported_and_never_fatal() -> None:

@@ -246,10 +246,23 @@ def test_one_more_cause_is_said_with_its_names_and_the_gap_it_leaves(fixed: Diag
     assert (answer["further"], answer["further_gap_mm"]) == (more, 0.04)
 
 
-@pytest.mark.parametrize(("probability", "said"), [(0.972, True), (0.999, False)])
-def test_a_claim_at_its_threshold_is_said_as_such(fixed: Diagnosis, probability: float, *, said: bool) -> None:
+@pytest.mark.parametrize(
+    ("probability", "said"),
+    [(0.972, "just above"), (0.999, ""), (0.968, "just below"), (0.9, "")],
+)
+def test_a_claim_at_its_threshold_is_said_as_such(fixed: Diagnosis, probability: float, said: str) -> None:
     cause = replace(fixed.causes[1], confidence=probability)
     one = CauseSet(0.9, 0.02, {cause.label: probability})
-    text = " ".join(page_of(replace(fixed, verdict="explained", causes=(cause,), cause_set=one)).split())
-    words = "thermal_zero_drift@3 is just above what is claimed: probability 0.972, claimed from 0.97 on"
-    assert (words in text) == said
+    d = replace(fixed, verdict="explained" if probability > 0.97 else "ambiguous", causes=(cause,), cause_set=one)
+    text = " ".join(page_of(d).split())
+    words = f"thermal_zero_drift@3 is {said} what is claimed: probability {probability:.3f}, claimed from 0.97 on"
+    assert (words in text) == bool(said)
+    assert ("what is claimed: probability" in text) == bool(said)
+
+
+@pytest.mark.parametrize(("nothing", "said"), [(0.12, "just below"), (0.09, "just above"), (0.2, ""), (0.01, "")])
+def test_something_at_its_threshold_is_said_as_such(fixed: Diagnosis, nothing: float, said: str) -> None:
+    d = replace(fixed, verdict="none", causes=(), cause_set=None, rankings=(replace(fixed.rankings[0], none=nothing),))
+    text = " ".join(page_of(d).split())
+    assert ("that anything is there is" in text) == bool(said)
+    assert f"{said} what is said: P(nothing) = {nothing:.3f}, something from 0.1 down" in text or not said
