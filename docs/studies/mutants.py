@@ -1,9 +1,11 @@
 """python docs/studies/mutants.py [--room ROOM] [--seconds S] [--most N]; then --print > docs/studies/mutants.txt
 
-Which wrong formulas would the tests notice? Each mutant is one semantic change of the package: a sign, an index, a
-constant, a unit, a dropped term, a swapped function or comparison. Some were written by hand (mutants_listed.py); the
-others were drawn with a fixed seed from all that the rules of mutants_rules.py find, so many in each room. What was
-drawn is listed in mutants_drawn.txt, so that a change of the package moves no draw; `--draw` fills rooms up.
+Which wrong formulas would the tests notice? Each mutant is one change of the package that cosmic-ray makes (`pip install
+cosmic-ray`): an operator, a comparison, a constant, a condition turned, a loop of no turn, a decorator or an exception
+lost. In each room `EACH` are drawn with a fixed seed: every place that can be changed is as likely as another, no rule
+names a file, a line or a kind of change; only what changes no program (annotations, no Python) is passed over. The draw
+belongs to a state of the package: continue on the commit on which it began. With them run those of mutants_listed.py,
+which an audit had found alive; they are not in the score of a room.
 
 A mutant runs tests until one fails: the one that killed it before; then those of its room (the folder of tests with its
 name) that call the mutant's function, the quickest first, the others of their files, and then 60 tests of other rooms
@@ -25,7 +27,6 @@ import argparse
 import importlib
 import json
 import os
-import random
 import shutil
 import signal
 import subprocess
@@ -38,61 +39,38 @@ from typing import Any
 
 import pytest
 from mutants_listed import EQUIVALENT
-from mutants_rules import PACKAGE, Mutant, changes, listed
+from mutants_rules import Mutant, drawn, listed
 from mutants_tests import Bench, chosen, read_map, run_tests
 
 ROOT = Path(__file__).parents[2]
-SEED, LIMIT = 16, 60
-# Mutants of each room that are drawn, at least.
-DRAWN = {
-    "core": 16, "effects": 28, "robot": 26, "measurements": 18, "identification": 30, "pose_selection": 20,
-    "compensator": 18, "diagnosis": 26, "project": 12, "blind_check": 24, "export": 24, "report": 8, "cli": 6,
-}  # fmt: skip
+SEED, EACH, LIMIT = 33, 32, 60
+ROOMS = (
+    "core", "effects", "robot", "measurements", "identification", "pose_selection", "compensator", "diagnosis",
+    "project", "blind_check", "export", "fleet", "cli",
+)  # fmt: skip
+AUDIT = "the audit's"
 MAP = ROOT / "build" / "mutants_map.jsonl"
-LOG, DRAW = (Path(__file__).with_name(name) for name in ("mutants.jsonl", "mutants_drawn.txt"))
-
-
-def possible(room: str) -> dict[str, list[Mutant]]:
-    """All mutants of a room by the rules, by file."""
-    files = (str(path.relative_to(PACKAGE)) for path in sorted((PACKAGE / room).rglob("*.py")))
-    return {file: found for file in files if (found := list(changes(file)))}
-
-
-def drawn(room: str) -> list[Mutant]:
-    """The mutants of a room that the draw lists and that the package still has."""
-    wanted = DRAW.read_text(encoding="utf-8").splitlines()
-    there = {m.key: m for found in possible(room).values() for m in found}
-    return [there[key] for key in wanted if key in there]
-
-
-def draw() -> None:
-    """Fill the draw up in each room: as even over its files as their number of changes allows."""
-    lines = []
-    for room, least in DRAWN.items():
-        kept = drawn(room) if DRAW.exists() else []
-        rng, by_file = random.Random(f"{SEED} {room}"), list(possible(room).values())
-        for own in by_file:
-            rng.shuffle(own)
-        rng.shuffle(by_file)
-        turns = (own.pop() for _ in range(1000) for own in by_file if own)
-        new = (m for m in turns if m not in kept)
-        lines += [m.key for m in (*kept, *(m for m, _ in zip(new, range(least - len(kept)), strict=False)))]
-    DRAW.write_text("\n".join(lines) + "\n", encoding="utf-8")
+LOG = Path(__file__).with_name("mutants.jsonl")
 
 
 def mutants(room: str = "") -> Iterator[Mutant]:
-    """All, or those of one room; what was written by hand comes first."""
-    yield from (m for m in listed() if room in ("", m.room))
-    for name in DRAWN:
+    """All, or those of one room; the audit's come first."""
+    yield from (m for m in listed() if room in ("", AUDIT, m.room))
+    for name in ROOMS:
         if room in ("", name):
-            yield from drawn(name)
+            yield from drawn(name, EACH, SEED)
+
+
+def counts_in(mutant: Mutant) -> tuple[str, ...]:
+    """The lines of the print that a mutant counts in."""
+    return (AUDIT,) if mutant.what.startswith("audit: ") else (mutant.room, "all")
 
 
 def outcome(mutant: Mutant, bench: Bench, tests: Sequence[str], stamp: int) -> tuple[str, str]:
     """killed, lived, or late (no test had failed within the limit), and the test that failed."""
     file = bench.root / "casadical" / mutant.path
     original = file.read_text(encoding="utf-8")
-    file.write_text(original[: mutant.start] + mutant.new + original[mutant.end :], encoding="utf-8")
+    file.write_text(mutant.text, encoding="utf-8")
     os.utime(file, (stamp, stamp))  # so that no compiled file of another mutant is taken for this one
     try:
         status = run_tests(tests, bench)
@@ -145,14 +123,14 @@ def report(log: Path) -> None:
     print(f"{len(done)} of {len(known)} mutants ran; * no failure within the limit")
     print()
     print(f"{'room':16s}   ran  killed  by its own tests  lived  equivalent  score   of  commits")
-    for room in (*DRAWN, "all"):
-        rows = {key: line for key, line in done.items() if room in (known[key].room, "all")}
+    for room in (*ROOMS, "all", AUDIT):
+        rows = {key: line for key, line in done.items() if room in counts_in(known[key])}
         killed = sum(line["outcome"] == "killed" for line in rows.values())
         own = sum(f"tests/{known[key].room}/" in line["by"] for key, line in rows.items())
         same = sum(key in EQUIVALENT and line["outcome"] != "killed" for key, line in rows.items())
         lived = len(rows) - killed - same
         score = f"{killed / (len(rows) - same):6.3f}" if len(rows) > same else "     -"
-        total = sum(room in (m.room, "all") for m in known.values())
+        total = sum(room in counts_in(m) for m in known.values())
         commits = " ".join(sorted({line["commit"] for line in rows.values()})) if room != "all" else ""
         figures = f"{len(rows):5d} {killed:7d} {own:17d} {lived:6d} {same:11d} {score} {total:4d}  {commits}"
         print(f"{room:16s} {figures}".rstrip())
@@ -174,7 +152,6 @@ def asked() -> argparse.Namespace:
     parser.add_argument("--map", type=Path, default=MAP, help="which tests call what, see --trace")
     parser.add_argument("--print", action="store_true", dest="shown")
     parser.add_argument("--list", action="store_true", dest="names")
-    parser.add_argument("--draw", action="store_true", help="fill the draw up")
     parser.add_argument("--trace", nargs="*", default=[], help="tests to run once for the map")
     parser.add_argument("--again", help="run those again whose name contains this")
     parser.add_argument("--lived", action="store_true", help="run those again that lived")
@@ -184,9 +161,7 @@ def asked() -> argparse.Namespace:
 
 def main() -> None:
     given = asked()
-    if given.draw:
-        draw()
-    elif given.trace:
+    if given.trace:
         trace(given.map, given.trace)
     elif given.names:
         print("\n".join(m.name for m in mutants(given.room)))

@@ -1,13 +1,19 @@
-"""What docs/studies/mutants.py changes in the package: the rules by which mutants are drawn, one change each."""
+"""What docs/studies/mutants.py changes in the package: changes of cosmic-ray, drawn by room, and those of the audit."""
 
 from __future__ import annotations
 
 import ast
-from collections import Counter
+import random
+from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
+from itertools import islice
 from pathlib import Path
+from typing import Any
 
+from cosmic_ray.ast import ast_nodes, get_ast
+from cosmic_ray.mutating import mutate_code
+from cosmic_ray.operators.provider import OperatorProvider
 from mutants_listed import LISTED
 
 PACKAGE = Path(__file__).parents[2] / "casadical"
@@ -15,18 +21,12 @@ PACKAGE = Path(__file__).parents[2] / "casadical"
 
 @dataclass(frozen=True)
 class Mutant:
-    """path : below casadical; line; start, end : which characters of the file; new : what they become.
-
-    what : the change in words; copy : how often the same change was found above it in the file.
-    """
+    """path : below casadical; line : of the change; text : of the changed file; what : the change in words."""
 
     path: str
     line: int
-    start: int
-    end: int
-    new: str
+    text: str
     what: str
-    copy: int = 0
 
     @property
     def room(self) -> str:
@@ -38,148 +38,71 @@ class Mutant:
 
     @property
     def key(self) -> str:
-        """Name without the line, which moves."""
-        return f"{self.path} {self.what}" + (f" [{self.copy + 1}]" if self.copy else "")
+        """Name without the line."""
+        return f"{self.path} {self.what}"
 
 
-SWAPPED = {
-    ast.Add: ("+", "-"), ast.Sub: ("-", "+"), ast.Mult: ("*", "/"), ast.Div: ("/", "*"), ast.MatMult: ("@", "*"),
-    ast.Lt: ("<", "<="), ast.LtE: ("<=", "<"), ast.Gt: (">", ">="), ast.GtE: (">=", ">"),
-    ast.Eq: ("==", "!="), ast.NotEq: ("!=", "=="), ast.And: ("and", "or"), ast.Or: ("or", "and"),
-}  # fmt: skip
-NAMES = {
-    "sin": "cos", "cos": "sin", "min": "max", "max": "min", "fmin": "fmax", "fmax": "fmin", "argmin": "argmax",
-    "argmax": "argmin", "mean": "median", "median": "mean", "deg2rad": "rad2deg", "rad2deg": "deg2rad", "any": "all",
-    "all": "any", "sqrt": "abs", "rot_x": "rot_y", "rot_y": "rot_z", "rot_z": "rot_x", "lower": "upper",
-    "upper": "lower", "floor": "ceil", "ceil": "floor",
-}  # fmt: skip
+class _Plain(ast.NodeTransformer):
+    """A program without its annotations, which nothing reads."""
+
+    def visit_AnnAssign(self, node: ast.AnnAssign) -> Any:
+        return node if node.value is None else ast.Assign([node.target], self.visit(node.value))
+
+    def visit_arg(self, node: ast.arg) -> ast.arg:
+        return ast.arg(node.arg)
+
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> Any:
+        node.returns = None
+        return self.generic_visit(node)
+
+    visit_AsyncFunctionDef = visit_FunctionDef  # type: ignore[assignment]
 
 
-class _Finder(ast.NodeVisitor):
-    """All changes that the rules find in one file."""
-
-    def __init__(self, text: str) -> None:
-        self.text = text
-        self.starts = [0]
-        for line in text.splitlines(keepends=True):
-            self.starts.append(self.starts[-1] + len(line))
-        self.found: list[tuple[int, int, int, str, str]] = []
-
-    def place(self, line: int, column: int) -> int:
-        """Of a place that ast counts in bytes, in characters."""
-        whole = self.text[self.starts[line - 1] : self.starts[line]].encode()
-        return self.starts[line - 1] + len(whole[:column].decode())
-
-    def span(self, node: ast.expr) -> tuple[int, int]:
-        assert node.end_lineno is not None
-        assert node.end_col_offset is not None
-        return self.place(node.lineno, node.col_offset), self.place(node.end_lineno, node.end_col_offset)
-
-    def add(self, node: ast.expr, start: int, end: int, new: str) -> None:
-        what = f"{self.text[start:end].strip()} -> {new.strip() or 'nothing'}"
-        self.found.append((node.lineno, start, end, new, " ".join(what.split())))
-
-    def between(self, left: ast.expr, right: ast.expr, op: ast.AST) -> None:
-        """Another operator between two operands, or the right operand of a sum dropped."""
-        if type(op) not in SWAPPED:
-            return
-        old, new = SWAPPED[type(op)]
-        start, end = self.span(left)[1], self.span(right)[0]
-        at = self.text.find(old, start, end)
-        if at >= 0:
-            self.add(left, at, at + len(old), new)
-        if isinstance(op, ast.Add | ast.Sub) and self.text[start:end].strip() in "+-":
-            self.add(left, start, self.span(right)[1], "")
-
-    def visit_BinOp(self, node: ast.BinOp) -> None:
-        if not any(isinstance(n, ast.JoinedStr) or (isinstance(n, ast.Constant) and isinstance(n.value, str))
-                   for n in (node.left, node.right)):  # fmt: skip
-            self.between(node.left, node.right, node.op)
-        self.generic_visit(node)
-
-    def visit_BoolOp(self, node: ast.BoolOp) -> None:
-        self.between(node.values[0], node.values[1], node.op)
-        self.generic_visit(node)
-
-    def visit_Compare(self, node: ast.Compare) -> None:
-        self.between(node.left, node.comparators[0], node.ops[0])
-        self.generic_visit(node)
-
-    def visit_UnaryOp(self, node: ast.UnaryOp) -> None:
-        start, (operand, _) = self.span(node)[0], self.span(node.operand)
-        if isinstance(node.op, ast.USub | ast.Not):
-            self.add(node, start, operand, "")
-        if not (isinstance(node.op, ast.USub) and isinstance(node.operand, ast.Constant)):
-            self.generic_visit(node)
-
-    def visit_Constant(self, node: ast.Constant) -> None:
-        start, end = self.span(node)
-        if isinstance(node.value, bool):
-            self.add(node, start, end, str(not node.value))
-        elif isinstance(node.value, int):
-            self.add(node, start, end, str(node.value + 1))
-        elif isinstance(node.value, float):
-            unit = node.value in (1e3, 1e-3, 1e6, 1e-6)
-            self.add(node, start, end, repr(1 / node.value if unit else 1.3 * node.value + (node.value == 0)))
-
-    def visit_Attribute(self, node: ast.Attribute) -> None:
-        self.generic_visit(node)
-        _, end = self.span(node)
-        if node.attr == "T":
-            self.add(node, end - 2, end, "")
-        elif node.attr in NAMES:
-            self.add(node, end - len(node.attr), end, NAMES[node.attr])
-
-    def visit_Name(self, node: ast.Name) -> None:
-        if node.id in NAMES:
-            self.add(node, *self.span(node), NAMES[node.id])
-
-    def visit_FunctionDef(self, node: ast.FunctionDef) -> None:
-        for part in (*node.body, *node.args.defaults):
-            self.visit(part)
-
-    def visit_ClassDef(self, node: ast.ClassDef) -> None:
-        for part in node.body:
-            self.visit(part)
-
-    def visit_keyword(self, node: ast.keyword) -> None:
-        if node.arg not in ("strict", "frozen", "eq"):
-            self.visit(node.value)
-
-    def visit_AnnAssign(self, node: ast.AnnAssign) -> None:
-        if node.value is not None:
-            self.visit(node.value)
-
-    def visit_Raise(self, node: ast.Raise) -> None:
-        """Messages are no formulas."""
-
-    def visit_JoinedStr(self, node: ast.JoinedStr) -> None:
-        """Nor is text."""
-
-    def visit_Import(self, node: ast.Import) -> None: ...
-
-    def visit_ImportFrom(self, node: ast.ImportFrom) -> None: ...
+def _program(text: str) -> str:
+    return ast.dump(_Plain().visit(ast.parse(text)))
 
 
-@cache
-def changes(path: str) -> tuple[Mutant, ...]:
-    """All mutants that the rules find in a file below casadical, from top to bottom."""
+def _mutant(path: str, line: int, operator: str, occurrence: int) -> Mutant | None:
+    """None where the change is none to a program that runs: of an annotation, or no Python."""
     text = (PACKAGE / path).read_text(encoding="utf-8")
-    finder = _Finder(text)
-    finder.visit(ast.parse(text))
-    found, seen = [], Counter[str]()
-    for line, start, end, new, what in sorted(finder.found, key=lambda change: change[:3]):
-        found.append(Mutant(path, line, start, end, new, what, seen[what]))
-        seen[what] += 1
-    return tuple(found)
+    changed = mutate_code(text, OperatorProvider()[operator](), occurrence)
+    try:
+        if changed is None or _program(changed) == _program(text):
+            return None
+    except SyntaxError:
+        return None
+    pairs = zip(text.splitlines(), changed.splitlines(), strict=False)
+    was, is_ = next(((a.strip(), b.strip()) for a, b in pairs if a != b), ("", ""))
+    return Mutant(path, line, changed, f"{operator} {occurrence}: {was} => {is_}")
+
+
+def drawn(room: str, number: int, seed: int) -> Iterator[Mutant]:
+    """So many mutants of a room: a place of all that cosmic-ray can change, and one of the changes that it knows there.
+
+    Every place of the room is as likely as another; no rule names a file, a line or a kind of change.
+    """
+    places: dict[tuple[str, Any], list[tuple[str, int]]] = defaultdict(list)
+    operators = {name: OperatorProvider()[name] for name in OperatorProvider()}
+    for path in sorted((PACKAGE / room).rglob("*.py")):
+        nodes = list(ast_nodes(get_ast(path.read_text(encoding="utf-8"))))
+        for name, made in operators.items():
+            if made.arguments():  # asks for the name of a variable
+                continue
+            found = [span for node in nodes for span in made().mutation_positions(node)]
+            for occurrence, span in enumerate(found):
+                places[str(path.relative_to(PACKAGE)), span].append((name, occurrence))
+    rng, order = random.Random(f"{seed} {room}"), list(places)
+    rng.shuffle(order)
+    tried = (_mutant(path, span[0][0], *rng.choice(places[path, span])) for path, span in order)
+    yield from islice((mutant for mutant in tried if mutant), number)
 
 
 def listed() -> list[Mutant]:
-    """The mutants of LISTED that the package still has."""
+    """The mutants of the audit that the package still has."""
     found = []
     for path, old, new, what in LISTED:
         text = (PACKAGE / path).read_text(encoding="utf-8")
-        at = text.find(old)
-        if at >= 0:
-            found.append(Mutant(path, text.count("\n", 0, at) + 1, at, at + len(old), new, what))
+        if old in text:
+            line = text[: text.find(old)].count("\n") + 1
+            found.append(Mutant(path, line, text.replace(old, new, 1), f"audit: {what}"))
     return found
