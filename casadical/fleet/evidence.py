@@ -18,7 +18,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.linear_gaussian.grid import gain, log_sum
-from casadical.core.linear_gaussian.normal_equations import inverse_of
+from casadical.core.linear_gaussian.normal_equations import inverse_of, root_of_inverse
 from casadical.core.statistics import first_of_best
 
 # Sizes of a change in units of its usual one.
@@ -63,13 +63,22 @@ class Known:
 class Model:
     """Theta and known changes, solved for: what is left for a further change.
 
-    inverse : covariance of u = (theta, known amplitudes); mean : of u
+    root : R of the covariance R'R of u = (theta, known amplitudes); turned : R times the score of u
     """
 
     told: SharedInformation
     known: Known
-    inverse: Array = field(repr=False)
-    mean: Array = field(repr=False)
+    root: Array = field(repr=False)
+    turned: Array = field(repr=False)
+
+    @property
+    def inverse(self) -> Array:
+        return self.root.T @ self.root
+
+    @property
+    def mean(self) -> Array:
+        """Of u."""
+        return self.root.T @ self.turned
 
     @property
     def p(self) -> int:
@@ -84,8 +93,8 @@ def solve(told: SharedInformation, known: Known | None = None) -> Model:
     HX = told.information @ X
     Lambda = np.tensordot(X, HX, axes=([0, 1], [0, 1]))
     Lambda += np.diag(np.concatenate([told.precision, known.sizes**-2.0]))
-    inverse = inverse_of(Lambda)
-    return Model(told, known, inverse, inverse @ np.einsum("npi,np->i", X, told.score))
+    root = root_of_inverse(Lambda)
+    return Model(told, known, root, root @ np.einsum("npi,np->i", X, told.score))
 
 
 def visible(model: Model, E: Array, courses: Array) -> tuple[Array, Array]:
@@ -105,7 +114,10 @@ def visible(model: Model, E: Array, courses: Array) -> tuple[Array, Array]:
         HEu = np.concatenate([HE, model.known.columns.transpose(0, 2, 1) @ HE], axis=1)
     C = (flat @ HEu.reshape(n, -1)).reshape(c, k, -1, m).transpose(0, 2, 1, 3).reshape(c, -1, k * m)
     b = (flat @ (told.score @ E)).reshape(c, k * m)
-    return H - C.transpose(0, 2, 1) @ (model.inverse @ C), b - model.mean @ C
+    # A change along known ones is the small difference of large numbers: squares of the root keep twice the digits that
+    # products with the inverse do.
+    C = model.root @ C
+    return H - C.transpose(0, 2, 1) @ C, b - model.turned @ C
 
 
 def log_evidence(H: Array, b: Array, sizes: Array) -> Array:

@@ -1,6 +1,6 @@
 """python docs/studies/mutants.py [--room ROOM] [--seconds S] [--most N]; then --print > docs/studies/mutants.txt
 
-Which wrong formulas would the tests notice? Each mutant is one change of the package that cosmic-ray makes (`pip install
+Which wrong formulas would the tests notice? Each mutant is one change of the package that cosmic-ray makes (`pip$
 cosmic-ray`): an operator, a comparison, a constant, a condition turned, a loop of no turn, a decorator or an exception
 lost. In each room `EACH` are drawn with a fixed seed: every place that can be changed is as likely as another, no rule
 names a file, a line or a kind of change; only what changes no program (annotations, no Python) is passed over. The draw

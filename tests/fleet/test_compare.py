@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from casadical.fleet.campaigns import compare_files, day_of, in_order, other_reg
 from casadical.fleet.candidates import candidates_of, shared_names
 from casadical.fleet.comparison import changes_in, compare, shared_information
 from casadical.fleet.estimates import Estimate, estimate, estimate_of_file
-from casadical.fleet.evidence import KAPPAS, SharedInformation, drifts, jumps, log_evidence, solve, visible
+from casadical.fleet.evidence import KAPPAS, Known, SharedInformation, drifts, jumps, log_evidence, solve, visible
 from casadical.fleet.noise import repeatability, with_common_noise
 from casadical.identification.accuracy import predicted
 from casadical.identification.misfit import misfit_of, wide_fit
@@ -51,6 +52,26 @@ def test_the_evidence_is_that_of_the_difference_of_two_estimates() -> None:
         wide = C1 + C2 + E @ np.diag((kappa * sizes) ** 2) @ E.T
         by_scipy = multivariate_normal(cov=wide).logpdf(x2 - x1) - multivariate_normal(cov=C1 + C2).logpdf(x2 - x1)
         assert found == pytest.approx(by_scipy, abs=1e-6)
+
+
+def test_a_change_along_a_known_one_keeps_its_digits() -> None:
+    """Of parameters that the data tell apart to 1e-2, with a change of all known: by fractions."""
+    rng = np.random.default_rng(3)
+    J = rng.integers(-9, 10, (2, 40, 5)).astype(float) * 8
+    J[:, :, 4] = J[:, :, 3] + rng.integers(-1, 2, (2, 40)) / 16
+    H, score = J.transpose(0, 2, 1) @ J, rng.integers(-99, 100, (2, 5)).astype(float)
+    known = Known(np.stack([np.zeros((5, 5)), np.eye(5)]), np.full(5, 0.5))
+    found, b = visible(solve(SharedInformation(H, score, np.full(5, 0.25)), known), np.eye(5)[:, 4:], jumps(2))
+    X = np.concatenate(
+        [np.stack([np.eye(5)] * 2), known.columns, np.stack([np.zeros((5, 1)), np.eye(5)[:, 4:]])], axis=2
+    )
+    whole = np.einsum("nai,nab,nbj->ij", X, H, X) + np.diag([0.25] * 5 + [4.0] * 5 + [0.0])
+    rows = [[*map(Fraction, row), Fraction(s)] for row, s in zip(whole, np.einsum("nai,na->i", X, score), strict=True)]
+    for k in range(10):
+        for row in rows[k + 1 :]:
+            row[:] = [x - row[k] / rows[k][k] * y for x, y in zip(row, rows[k], strict=True)]
+    assert found[0, 0, 0] == pytest.approx(float(rows[10][10]), rel=1e-9)
+    assert b[0, 0] == pytest.approx(float(rows[10][11]), rel=1e-9)
 
 
 def test_the_directions_of_what_is_anew_are_projected_out() -> None:
