@@ -1,7 +1,7 @@
 """Joint logs with hidden causes, made in MuJoCo, and what `casadical diagnose ARM LOG` says of them.
 
-python docs/studies/joint_logs.py make DIR (3 minutes), run DIR (10 of CPU), score DIR. Synthetic data. A last argument
-is another seed: rounds on which the rules were developed.
+python docs/studies/joint_logs.py make DIR (4 minutes), run DIR (10 of CPU), score DIR. Synthetic data. Further
+arguments are another seed and number of logs: 20261124 to 20261126 and 72 are rounds on which rules were developed.
 
 Written without having read the diagnosis. Two arms: the six axes of problems/ur10e, with currents, and the SO-101 of
 data/so101_logs, half with torques, half with commands and readings only. Causes act in the simulation (forces, servo),
@@ -26,8 +26,9 @@ import numpy as np
 import pandas as pd
 
 ROOT = Path(__file__).parents[2]
-SEED = int(sys.argv[3]) if len(sys.argv) > 3 else 20261126
-LOGS, STEP, ROW = 72, 0.001, 8
+SEED = int(sys.argv[3]) if len(sys.argv) > 3 else 20261127
+LOGS = int(sys.argv[4]) if len(sys.argv) > 4 else 96
+STEP, ROW = 0.001, 8
 LISTED = [
     "payload",
     "coulomb_friction",
@@ -860,7 +861,8 @@ def main() -> None:
     task, folder = sys.argv[1], Path(sys.argv[2])
     folder.mkdir(parents=True, exist_ok=True)
     if task == "make":
-        jobs = [subprocess.Popen([sys.executable, __file__, f"make-{arm}", str(folder), str(SEED)]) for arm in ARMS]
+        seed = [str(folder), str(SEED), str(LOGS)]
+        jobs = [subprocess.Popen([sys.executable, __file__, f"make-{arm}", *seed]) for arm in ARMS]
         if any(job.wait() for job in jobs):
             sys.exit(1)
     elif task.startswith("make-"):

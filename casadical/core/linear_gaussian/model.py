@@ -69,7 +69,7 @@ class LinearModel:
     def absorbed_by_base(self) -> float:
         """How many numbers the base takes: the trace of what projects on it, priors included."""
         A = self.base.reshape(self.residual.size, -1) * (self.prior / self.reference)
-        square = np.linalg.svd(A, compute_uv=False) ** 2
+        square = np.maximum(np.linalg.eigvalsh(A.T @ A), 0.0)
         return float((square / (1 + square)).sum())
 
     def log_over_sigmas(self, square: float, log_norm: float) -> Array:

@@ -199,15 +199,17 @@ class MotionCase:
 
     def renewed(self, columns: Array = NONE) -> MotionCase:
         """The case with its noise as it is found beside some causes."""
-        few, every, noise = self.only(columns), np.arange(len(columns)), self.noise
+        few, noise = self.only(columns), self.noise
         for _ in range(ROUNDS):
-            few = few.with_noise(noise)
-            fit = new_fit(replace(few.white, reference=1 / FREE), every, WHITE, combined=False)
-            noise = following(
-                few.left(every, fit.x[: self.base.shape[2]], fit.x[self.base.shape[2] :]), self.first, self.floor,
-                self.trust, self.of_log,
-            )  # fmt: skip
+            left = few.with_noise(noise)._left_by_freer_base()
+            noise = following(left, self.first, self.floor, self.trust, self.of_log)
         return self.with_noise(noise)
+
+    def _left_by_freer_base(self) -> Array:
+        """What a base that is much freer than its priors and all columns leave, shape (blocks, rows)."""
+        P, every = self.base.shape[2], np.arange(self.E.shape[2])
+        x = new_fit(replace(self.white, reference=1 / FREE), every, WHITE, combined=False).x
+        return self.left(every, x[:P], x[P:])
 
     def with_noise(self, noise: Following) -> MotionCase:
         """The case with its rows white by another noise."""

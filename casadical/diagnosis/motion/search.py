@@ -29,6 +29,11 @@ CERTAIN, LOCAL, UNLISTED, WITHOUT_TORQUE = 30.0, 150.0, 100.0, 2.5
 # every cause as one of their shapes.
 NAMED, MARGIN, GREAT = 150.0, 40.0, 500.0
 LOCAL_CAUSES = ("contact", "zero_offset_step")
+# Beside another cause it gains this share of that one's evidence: an equation that is roughly right leaves as much.
+NAMED_FURTHER = 0.2
+# What acts on its joint alone gains at least this share while that moves either way: what sticks one way alone is on no
+# list. These are short in time, or act where a load pulls one way.
+EITHER_WAY, ONE_WAY = 0.1, (*LOCAL_CAUSES, "saturation")
 # Of its evidence, on all runs that were not fitted a cause gains at least this share, and this on half of them each;
 # and so much [nats]. Parts of the run in which a cause acts are alike, and tell more of each other.
 HELD, EACH, HELD_LOCAL, LEAST_HELD, LEAST_EACH = 0.1, 0.005, 0.5, 30.0, 3.0
@@ -43,6 +48,8 @@ class Found:
 
     share : what it does beyond a usual base over what is left, in units of what is visible; gain : log evidence
     held_out : gain on each run that was not fitted; rival : log evidence of the best that is on no list
+    ways : fitted gain while its joint moves up and down, none of a cause that acts on several; before : the greatest gain of a cause
+        that is in the model already
     """
 
     label: str
@@ -53,16 +60,20 @@ class Found:
     held_out: tuple[float, ...]
     listed: bool
     rival: float
+    ways: tuple[float, ...] = ()
+    before: float = 0.0
 
     @property
     def named(self) -> bool:
-        """Whether it is large, alone and true of runs that were not fitted."""
+        """Whether it is large, alone, true of both directions and of runs that were not fitted."""
         local = self.label.startswith(LOCAL_CAUSES)
         share = HELD_LOCAL if local else HELD
         total, usual = sum(self.held_out), float(np.median(self.held_out))
         true = total >= max(share * self.gain, LEAST_HELD) and usual >= max(EACH * self.gain, LEAST_EACH)
         alone = self.probability >= CLAIM and (local or self.gain >= min(self.rival + MARGIN, GREAT))
-        return self.listed and self.share >= 1 and self.gain >= NAMED and alone and true
+        great = self.gain >= max(NAMED, NAMED_FURTHER * self.before)
+        either = self.label.startswith(ONE_WAY) or min(self.ways, default=0.0) >= EITHER_WAY * sum(self.ways)
+        return self.listed and self.share >= 1 and great and either and alone and true
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,10 +113,11 @@ def share_of(case: MotionCase, columns: Array, own: Array) -> float:
     return float(np.sqrt(over.max()))
 
 
-def held_out(case: MotionCase, chosen: Array, own: Array, *, local: bool) -> tuple[float, ...]:
-    """What a cause gains on each run that was not fitted, in nats; local : it acts in a part of one run.
+def held_out(case: MotionCase, chosen: Array, own: Array, *, local: bool) -> tuple[tuple[float, ...], Array]:
+    """What a cause gains on each run that was not fitted, in nats; and fitted, at each of the log's blocks, (blocks,).
 
-    Of a local cause, and where there is one run, parts of a run are left out in turn. The reference is always fitted.
+    Of a local cause, which acts in a part of one run, and where there is one run, parts of a run are left out in turn.
+    The reference is always fitted.
     """
     run = np.where(case.of_log, np.cumsum(case.first), 0)
     runs = np.unique(run[case.of_log])
@@ -118,7 +130,7 @@ def held_out(case: MotionCase, chosen: Array, own: Array, *, local: bool) -> tup
         )
     else:
         folds = run
-    errors = []
+    errors, whole = [], []
     for columns in (chosen, np.union1d(chosen, own)):
         few = case.only(columns)
         fit = new_fit(few.white, np.arange(len(columns)), WHITE, combined=False)
@@ -126,7 +138,8 @@ def held_out(case: MotionCase, chosen: Array, own: Array, *, local: bool) -> tup
             float((fit.left(fit.to(np.flatnonzero(folds != k)))[folds == k] ** 2).sum() / 2)
             for k in np.unique(folds[case.of_log])
         ])  # fmt: skip
-    return tuple(a - b for a, b in zip(*errors, strict=True))
+        whole.append((fit.left(fit.x)[case.of_log] ** 2).sum(axis=1) / 2)
+    return tuple(a - b for a, b in zip(*errors, strict=True)), whole[0] - whole[1]
 
 
 def search(case: MotionCase) -> Outcome:
@@ -166,9 +179,15 @@ def _judged(case: MotionCase, found: tuple[Found, ...], ranking: Ranking) -> Fou
     p = sum(ranking.probability[k] for k in ranking.order if twins(case, k, top)) / there
     share = share_of(case, np.union1d(chosen, own), own) / VISIBLE
     candidate = case.by_label[top]
-    gains = held_out(case, chosen, own, local=candidate.name in LOCAL_CAUSES)
+    gains, by_block = held_out(case, chosen, own, local=candidate.name in LOCAL_CAUSES)
+    ways: tuple[float, ...] = ()
+    if candidate.joint is not None and not any(seam.endswith("s") for seam in candidate.variants[0][0].formulas):
+        speed = case.over[1][:, candidate.joint - 1]
+        ways = float(by_block[speed > 0].sum()), float(by_block[speed < 0].sum())
     rival = max((g for k, g in ranking.log_factor.items() if not case.by_label[k].listed), default=0.0)
-    return Found(top, ranking.variant[top], p, share, ranking.log_factor[top], gains, candidate.listed, rival)
+    before = max((f.gain for f in found), default=0.0)
+    gain = ranking.log_factor[top]
+    return Found(top, ranking.variant[top], p, share, gain, gains, candidate.listed, rival, ways, before)
 
 
 def _sharper(case: MotionCase, found: tuple[Found, ...], ranking: Ranking) -> tuple[Ranking, MotionCase]:
