@@ -163,6 +163,22 @@ def test_what_is_on_no_list_is_not_named(robot):
     assert found.verdict in ("unknown", "ambiguous")
 
 
+def one_way(run, t, q, v, tau):
+    tau[:, 1] += 14 * np.exp(-(((q[:, 1] - 0.7) / 0.12) ** 2)) * np.clip(v[:, 1] / 0.01, 0, 1)
+    return tau, np.zeros(3)
+
+
+def test_what_sticks_one_way_alone_is_no_ripple(robot):
+    found = diagnose_log(robot, simulated(robot, 5, one_way, runs=4))
+    refused = found.outcome.refused
+    assert (refused.label, refused.share > 1, refused.gain > 150, refused.probability > 0.97) == (
+        "ripple@2",
+        *[True] * 3,
+    )
+    assert min(refused.ways) < 0 < max(refused.ways)
+    assert not found.fitting
+
+
 def test_faults_of_the_log_itself(robot):
     log = simulated(robot, 2)
     kept = np.random.default_rng(0).uniform(size=len(log)) > 0.05

@@ -169,6 +169,10 @@ class MotionCase:
         at = next(k for k, c in enumerate(self.candidates) if c.label == label)
         return self.groups[self.variants.index((at, variant))]
 
+    def rows_of(self, columns: Array) -> tuple[int, ...]:
+        """Rows of a block in which some columns act."""
+        return tuple(row for row, own, _ in self.E.made.blocks if np.isin(own, columns).any())
+
     def only(self, columns: Array) -> MotionCase:
         """The case with some columns of causes alone, and no candidates."""
         return replace(self, E=self.E.only(columns), candidates=(), variants=(), groups=())

@@ -48,8 +48,8 @@ class Found:
 
     share : what it does beyond a usual base over what is left, in units of what is visible; gain : log evidence
     held_out : gain on each run that was not fitted; rival : log evidence of the best that is on no list
-    ways : fitted gain while its joint moves up and down, none of a cause that acts on several; before : the greatest gain of a cause
-        that is in the model already
+    ways : fitted gain while its joint moves up and down, none of a cause that acts on several
+    before : the greatest gain of a cause that is in the model already
     """
 
     label: str
@@ -181,8 +181,8 @@ def _judged(case: MotionCase, found: tuple[Found, ...], ranking: Ranking) -> Fou
     candidate = case.by_label[top]
     gains, by_block = held_out(case, chosen, own, local=candidate.name in LOCAL_CAUSES)
     ways: tuple[float, ...] = ()
-    if candidate.joint is not None and not any(seam.endswith("s") for seam in candidate.variants[0][0].formulas):
-        speed = case.over[1][:, candidate.joint - 1]
+    if len(acts := {row % case.joints for row in case.rows_of(own)}) == 1 and candidate.joint:
+        speed = case.over[1][:, acts.pop()]
         ways = float(by_block[speed > 0].sum()), float(by_block[speed < 0].sum())
     rival = max((g for k, g in ranking.log_factor.items() if not case.by_label[k].listed), default=0.0)
     before = max((f.gain for f in found), default=0.0)
