@@ -31,9 +31,9 @@ NAMED, MARGIN, GREAT = 150.0, 40.0, 500.0
 LOCAL_CAUSES = ("contact", "zero_offset_step")
 # Beside another cause it gains this share of that one's evidence: an equation that is roughly right leaves as much.
 NAMED_FURTHER = 0.2
-# What acts on its joint alone gains at least this share while that moves either way: what sticks one way alone is on no
-# list. These are short in time, or act where a load pulls one way.
-EITHER_WAY, ONE_WAY = 0.1, (*LOCAL_CAUSES, "saturation")
+# What acts on its joint alone gains while that moves either way: what sticks one way alone is on no list. These are
+# short in time, or act where a load pulls one way.
+ONE_WAY = (*LOCAL_CAUSES, "saturation")
 # Of its evidence, on all runs that were not fitted a cause gains at least this share, and this on half of them each;
 # and so much [nats]. Parts of the run in which a cause acts are alike, and tell more of each other.
 HELD, EACH, HELD_LOCAL, LEAST_HELD, LEAST_EACH = 0.1, 0.005, 0.5, 30.0, 3.0
@@ -72,7 +72,7 @@ class Found:
         true = total >= max(share * self.gain, LEAST_HELD) and usual >= max(EACH * self.gain, LEAST_EACH)
         alone = self.probability >= CLAIM and (local or self.gain >= min(self.rival + MARGIN, GREAT))
         great = self.gain >= max(NAMED, NAMED_FURTHER * self.before)
-        either = self.label.startswith(ONE_WAY) or min(self.ways, default=0.0) >= EITHER_WAY * sum(self.ways)
+        either = self.label.startswith(ONE_WAY) or min(self.ways, default=1.0) > 0
         return self.listed and self.share >= 1 and great and either and alone and true
 
 
