@@ -11,7 +11,12 @@ from casadical.core.telling.blocks import next_step
 from casadical.core.telling.terminal import terminal
 
 Model = Annotated[
-    Path, typer.Argument(metavar="DIR_OR_MODEL", help="A folder that `casadical export c` wrote, or a robot file.")
+    Path,
+    typer.Argument(
+        metavar="DIR_OR_MODEL",
+        callback=o.robot_of,
+        help="A folder that `casadical export c` wrote, a robot file, or a folder of results.",
+    ),
 ]
 Program = Annotated[
     Path,

@@ -13,7 +13,10 @@ from casadical.cli.terminal import keep, plain, print_written, refuse_taken, wit
 from casadical.core.telling.blocks import next_step
 from casadical.core.telling.terminal import terminal
 
-Robot = Annotated[Path, typer.Argument(metavar="ROBOT.toml", help="A calibrated robot file.")]
+Robot = Annotated[
+    Path,
+    typer.Argument(metavar="ROBOT.toml", callback=o.robot_of, help="A calibrated robot file, or a folder of results."),
+]
 Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the files; other files in it stay.")]
 Product = Annotated[
     str,
@@ -65,7 +68,9 @@ NoBound = Annotated[
 Source = Annotated[
     Path,
     typer.Argument(
-        metavar="PROBLEM_DIR_OR_ROBOT.toml", help="A problem folder, which is calibrated, or a calibrated robot file."
+        metavar="PROBLEM_DIR_OR_ROBOT.toml",
+        callback=o.robot_of,
+        help="A problem folder, which is calibrated, a calibrated robot file, or a folder of results.",
     ),
 ]
 Out = Annotated[Path, typer.Option(metavar="FILE", help="Where the model goes.")]

@@ -127,6 +127,17 @@ Report = Annotated[
         help="Write an HTML report in one file (needs plotly and jinja2).",
     ),
 ]
+
+
+def robot_of(path: Path) -> Path:
+    """The robot file that counts in a folder of results; anything else as it is."""
+    if (path / "result.json").is_file() and not (path / "problem.toml").exists():
+        from casadical.project.problem_file import result_in
+
+        return result_in(path)
+    return path
+
+
 Details = Annotated[bool, typer.Option("--details", help="Print all figures, parameters and findings.")]
 Problems = Annotated[
     list[Path],
@@ -135,7 +146,12 @@ Problems = Annotated[
         help="Problem folders. Tables after one (CSV) take the place of its own; a robot file needs them.",
     ),
 ]
-Problem = Annotated[Path, typer.Argument(metavar="PROBLEM_DIR", help="Folder with the robot, or a robot file.")]
+Problem = Annotated[
+    Path,
+    typer.Argument(
+        metavar="PROBLEM_DIR", callback=robot_of, help="Folder with the robot, a robot file, or a folder of results."
+    ),
+]
 Campaigns = Annotated[
     list[Path] | None,
     typer.Argument(
@@ -203,7 +219,7 @@ def problems_of(paths: Sequence[Path]) -> dict[str, tuple[Path, list[Path]]]:
     Raises InputError.
     """
     given: list[tuple[Path, list[Path]]] = []
-    for path in paths:
+    for path in map(robot_of, paths):
         if path.is_dir() or path.suffix in ("", ".toml", ".urdf"):
             given.append((path, []))
         elif given:

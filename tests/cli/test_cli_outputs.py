@@ -124,3 +124,23 @@ def test_json_goes_into_the_file_that_a_shell_opened_for_the_standard_output() -
     before, _, after = done.stdout.partition("\n{\n")
     assert before
     assert json.JSONDecoder().raw_decode("{" + after)[0]["ok"] is True
+
+
+def test_a_folder_of_results_stands_for_its_robot_file(problem: Path) -> None:
+    """Wherever a robot file may be given."""
+    folder = problem.parent
+    assert run("calibrate", "p", "--out", "results", folder=folder).returncode == 0
+    for command in (
+        ["export", "model", "results", "--out", "arm.urdf"],
+        ["check", "results", "p/poses.csv"],
+        ["diagnose", "results", "p/poses.csv"],
+        ["export", "c", "results", "--nominal", "p/robot.toml", "--out", "c", "--what", "command"],
+    ):
+        done = run(*command, folder=folder)
+        assert done.returncode in (0, 2), done.stderr
+        assert "problem.toml" not in done.stderr, command
+        assert "Traceback" not in done.stderr
+    assert (folder / "arm.urdf").is_file()
+    (folder / "targets.csv").write_text("q1_deg,q2_deg\n10,20\n")
+    done = run("correct", "results", "targets.csv", "--nominal", "p/robot.toml", "--out", "t.csv", folder=folder)
+    assert "manifest" not in done.stderr

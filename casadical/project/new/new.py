@@ -28,8 +28,8 @@ from casadical.robot.robot_file import robot_from
 
 # A target that is measured at fewer poses is left out.
 FEWEST = 3
-# A base that is upright, on a wall or a ceiling to so many degrees was seen by a levelled instrument; that is not told
-# of a robot that is farther off than this share of its reach.
+# A base that is upright, on a wall or a ceiling to so many degrees was seen by a levelled instrument, or, on these two,
+# by a camera that looks sideways or down; that is not told of a robot farther off than this share of its reach.
 LEVEL, GROSS = 3.0, 0.02
 
 
@@ -119,7 +119,7 @@ def _understood(
     left_out = {**rare, **dict.fromkeys(columns.lost_rows, "a cell is no number")}
     turned = kind is not None and kind.angles > 0
     tilt, said = _tilt(columns.without(left_out, "the table"), robot)
-    level = min((abs(tilt - upright) for upright in (0, 90, 180)), default=np.inf) < LEVEL
+    level = min(abs(tilt - upright) for upright in ((0,) if turned else (0, 90, 180))) < LEVEL
     given = Given(
         meaning.sources, left_out, tools, kind.name if kind else "", turned, turned if np.isnan(tilt) else not level
     )
@@ -128,7 +128,9 @@ def _understood(
     if turned:
         said.append(Words('The table has orientations: the tool\'s is identified, too (unknown = "pose").'))
     if given.tilted:
-        said.append(Words('The instrument is not levelled: gravity is taken in the robot\'s base (frame = "base").'))
+        where = "" if np.isnan(tilt) else f"The z axis of the instrument is {tilt:.0f} deg from that of the robot: "
+        text = f'{where}the robot is taken to stand upright ([gravity] frame = "base").'
+        said.append(Words(text[0].upper() + text[1:]))
     if show:
         for words in said:
             show(words)

@@ -197,12 +197,21 @@ def test_coordinates_that_the_robot_has_itself_give_way_to_a_measured_length(tmp
     assert "position error" not in blocks
 
 
-@pytest.mark.parametrize("tilt", [0.0, 40.0, 180.0])
+@pytest.mark.parametrize("tilt", [0.0, 40.0, 89.0, 180.0])
 def test_gravity_is_taken_in_the_base_where_the_instrument_is_not_levelled(tilt: float, tmp_path: Path) -> None:
-    _, p, _ = poses()
-    leaned = Rotation.from_euler("x", tilt, degrees=True).apply(p)
-    robot = (folder_of(tmp_path, table().assign(**named(XYZ, leaned))) / "robot.toml").read_text()
-    assert tomllib.loads(robot)["gravity"]["frame"] == ("base" if tilt == 40 else "measuring")
+    """At right angles a tracker is levelled and the robot hangs; a camera, which sees orientations, looks that way."""
+    _, p, R = poses()
+    lean = Rotation.from_euler("x", tilt, degrees=True)
+    said: list[str] = []
+    for name, columns in (("tracker", {}), ("camera", named(["qx", "qy", "qz", "qw"], (lean * R).as_quat()))):
+        (tmp_path / name).mkdir()
+        data = table(**columns).assign(**named(XYZ, lean.apply(p)))
+        robot = folder_of(tmp_path / name, data, show=lambda block: said.append(str(block))) / "robot.toml"
+        leans = tilt == 40 or (tilt > 40 and name == "camera")
+        assert tomllib.loads(robot.read_text())["gravity"]["frame"] == ("base" if leans else "measuring")
+        words = f"{tilt:.0f} deg from that of the robot: the robot is taken to stand upright"
+        assert (words in " ".join(said)) == leans
+        said.clear()
 
 
 def test_computed_positions_are_said_to_be(tmp_path: Path) -> None:
