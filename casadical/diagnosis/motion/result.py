@@ -14,9 +14,9 @@ from casadical.core.progress import Show
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import Result
 from casadical.diagnosis.motion.arm import Arm, arm_of
-from casadical.diagnosis.motion.base import COMMANDED, MEASURED, look
+from casadical.diagnosis.motion.base import COMMANDED, MEASURED, Look, look
 from casadical.diagnosis.motion.instrument import Fault, faults_of
-from casadical.diagnosis.motion.problem import coefficients, motion_case
+from casadical.diagnosis.motion.problem import MotionCase, coefficients, motion_case
 from casadical.diagnosis.motion.search import Found, Outcome, columns_of, search
 from casadical.diagnosis.motion.signals import motion_of
 from casadical.effects.motion import motion_effects
@@ -237,22 +237,26 @@ def diagnose_log(
 ) -> LogDiagnosis:
     """Why an arm moves otherwise than its model.
 
-    Parameters
-    ----------
-    robot : Robot
-        with masses, and what is known of its drives
-    log : JointLog
-        of one arm, with the commands, or a torque or current, or both
-    reference : JointLog, optional
-        of the same arm in health on another day: what differs from it by more than a day's friction is a cause
-    healthy : Robot, optional
-        that of the reference, where it carried another payload
-
-    Raises
-    ------
-    InputError
-        a log that is too short, or has other joints than the robot
+    robot : with masses, and what is known of its drives
+    log : of one arm, with the commands, or a torque or current, or both
+    reference : of the same arm in health on another day: what differs from it by more than a day's friction is a cause
+    healthy : robot of the reference, where it carried another payload
+    Raises InputError: a log that is too short, or has other joints than the robot.
     """
+    show("signals and rigid bodies")
+    looks = looks_of(robot, log, reference, healthy)
+    outcome = search(_case_of(looks))
+    told_of_bodies = determined(robot, log)
+    own_numbers = tuple(k for k in told_of_bodies.independent if not k.startswith("Ia")) if told_of_bodies else ()
+    compared, arm = reference.source if reference else "", looks[0].arm
+    faults = faults_of(log, arm, reference)
+    return LogDiagnosis(log, arm, outcome, faults, compared, contradictions(robot, log), own_numbers)
+
+
+def looks_of(
+    robot: Robot, log: JointLog, reference: JointLog | None = None, healthy: Robot | None = None
+) -> tuple[Look, ...]:
+    """A log, and its reference behind it, through the arm's model; see `diagnose_log`."""
     arm = arm_of(robot)
     for one in filter(None, (log, reference)):
         if len(one.joints) != arm.joints:
@@ -260,28 +264,22 @@ def diagnose_log(
                 f"{one.source}: has {len(one.joints)} joints ({', '.join(one.joints)}), the robot {robot.name!r} has "
                 f"{arm.joints}; name the columns by the robot's joints, or by their numbers"
             )
-    show("signals and rigid bodies")
     of_command = log.torque is None and (log.current is None or log.current_unsigned or arm.per_ampere is None)
     if of_command and log.command is None:
         raise InputError(
             f"{log.source}: a current without a torque constant, and no commands; give torque_constant_Nm_per_A and "
             "gear_ratio in [drive] of the robot file, or log command1_rad ..."
         )
-    if of_command:
-        log = replace(log, torque=None, current=None)
-        reference = reference and replace(reference, torque=None, current=None)
-    widths = COMMANDED if of_command else MEASURED
+
+    def seen(one: JointLog, of: Arm, great: Array | None = None) -> Look:
+        used = replace(one, torque=None, current=None) if of_command else one
+        return look(motion_of(used, of, COMMANDED if of_command else MEASURED, of_command=of_command), of, great)
+
     if reference is None:
-        case = motion_case([look(motion_of(log, arm, widths, of_command=of_command), arm)])
-    else:
-        before = arm_of(healthy) if healthy else arm
-        known = look(motion_of(reference, before, widths, of_command=of_command), before)
-        own = look(motion_of(log, arm, widths, of_command=of_command), arm, known.great)
-        case = motion_case([own, known], coefficients(motion_case([known], chosen=())))
-    show(f"evidence of {len(case.candidates)} candidates")
-    outcome = search(case)
-    told_of_bodies = determined(robot, log)
-    own_numbers = tuple(k for k in told_of_bodies.independent if not k.startswith("Ia")) if told_of_bodies else ()
-    compared = reference.source if reference else ""
-    faults = faults_of(log, arm, reference)
-    return LogDiagnosis(log, arm, outcome, faults, compared, contradictions(robot, log), own_numbers)
+        return (seen(log, arm),)
+    known = seen(reference, arm_of(healthy) if healthy else arm)
+    return seen(log, arm, known.great), known
+
+
+def _case_of(looks: tuple[Look, ...]) -> MotionCase:
+    return motion_case(looks, coefficients(motion_case(looks[1:], chosen=())) if len(looks) > 1 else None)
