@@ -9,9 +9,9 @@ by a second process that is killed at a random n too. After each kill the files 
 - by journal: renames were under way, and the package's own reader finished them; then all are new
 - MIXED: anything else; LOST: a file of another user, or an answer that was complete, is not what it was
 
-The real results of a calibration, a plan, an export, a new problem and a blind check's answers are written; with
---made-up, small files in their place. As a control, files that are written one after the other are killed too: of
-them mixed sets must be found.
+The real results of a calibration, a plan, an export, a new problem, a blind check's answers and rows of a fleet's store
+are written; with --made-up, small files in place of the sets. As a control, files that are written one after the other
+are killed too: of them mixed sets must be found.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
+FLEET = "fleet, row by row"
 FOREIGN = {"notes.txt": b"mine", "kept/data.csv": b"1,2,3\n"}
 
 
@@ -215,37 +216,65 @@ def answers_trial(scratch: Path, n: int) -> tuple[bool, str]:
     return hit, ("old" if left == before else "by lines") if complete else "LOST"
 
 
+def fleet_trial(scratch: Path, *kills: int) -> tuple[bool, str]:
+    """Kill processes that add rows to a fleet's store one after the other; each robot of a complete row stays, and the
+    next process, which computes what is missing, goes on."""
+    from casadical.fleet.one_robot import NOTHING
+    from casadical.fleet.store import add, opened, rows
+
+    store, names = scratch / "store.parquet", [f"R{k}" for k in range(8)]
+    shutil.rmtree(store, ignore_errors=True)
+
+    def known() -> set[str]:
+        return set(rows(store, ["robot"])["robot"]) if store.exists() else set()  # raises for a part that is damaged
+
+    def go_on(most: int) -> None:
+        with opened(store):
+            for name in [n for n in names if n not in known()][:most]:
+                add(store, [NOTHING | {"robot": name, "status": "ok", "fingerprint": name}])
+
+    go_on(3)
+    hit, left = False, known()
+    for n in kills:
+        hit |= killed_at(n, lambda: go_on(8))
+        before, left = left, known()
+        if not before <= left:
+            return hit, "LOST"
+    go_on(8)
+    strays = list(store.glob(".casadical-*"))
+    return hit, ("old" if len(left) == 3 else "by lines") if known() == set(names) and not strays else "LOST"
+
+
 def study(kills: int, seed: int, small: bool) -> Counter[tuple[str, str]]:
-    """Counts by writer and what was found, of so many kills or more."""
+    """Counts by writer and what was found, of so many kills or more; a tenth of them are a fleet's."""
     rng = random.Random(seed)
     found: Counter[tuple[str, str]] = Counter()
     with tempfile.TemporaryDirectory() as name:
         scratch = Path(name)
         every = list(made_up() if small else writers())
+        trials: dict[str, Callable[..., tuple[bool, str]]] = {
+            **{w.name: lambda *n, w=w: trial(w, scratch, n) for w in every},
+            "answers, line by line": lambda *n: answers_trial(scratch, n[0]),
+            FLEET: lambda *n: fleet_trial(scratch, *n),
+        }
         calls: dict[str, int] = {}
-        for writer in every:
+        for label, act in trials.items():
             for n in range(1, 10_000):
-                hit, what = trial(writer, scratch, (n,))
+                hit, what = act(n)
                 if not hit:
-                    calls[writer.name] = n - 1
+                    calls[label] = n - 1
                     break
-                found[writer.name, what] += 1
-        for n in range(1, 10_000):
-            hit, what = answers_trial(scratch, n)
-            if not hit:
-                calls["answers, line by line"] = n - 1
-                break
-            found["answers, line by line", what] += 1
+                found[label, what] += 1
         print("system calls at which each was killed once:")
-        print("\n".join(f"  {name}: {count}" for name, count in calls.items()))
+        print("\n".join(f"  {label}: {count}" for label, count in calls.items()))
         plain = [trial(control(), scratch, (n,)) for n in range(1, 9)]
         print(f"control: {sum(what.startswith('MIXED') for hit, what in plain if hit)} of {len(plain)} sets mixed")
         while sum(found.values()) < kills:
-            writer = rng.choice(every)
-            pair = tuple(rng.randint(1, calls[writer.name]) for _ in range(2))
-            hit, what = trial(writer, scratch, pair)
+            of_fleet = sum(count for (label, _), count in found.items() if label.startswith(FLEET))
+            label = FLEET if of_fleet < kills / 10 else rng.choice(every).name
+            hit, what = trials[label](*(rng.randint(1, calls[label]) for _ in range(2)))
             if hit:
-                found[f"{writer.name}, two killed", what] += 1
+                found[f"{label}, two killed", what] += 1
         os.chdir(ROOT)
     return found
 
