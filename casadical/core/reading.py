@@ -27,8 +27,8 @@ from casadical.core.files import own_stream, settle
 
 # Bytes of a table; of a TOML file, an XML file or a program; of a JSON file.
 MOST_BYTES, MOST_TEXT, MOST_JSON = 500_000_000, 10_000_000, 100_000_000
-# Bytes of an archive when it is unpacked, and cells of a workbook.
-MOST_UNPACKED, MOST_CELLS = 100_000_000, 300_000
+# Bytes of an archive when it is unpacked, cells of a workbook, and numbers of a table that is in memory as a whole.
+MOST_UNPACKED, MOST_CELLS, MOST_NUMBERS = 100_000_000, 300_000, 30_000_000
 # Numbers of things in files: parameters, harmonics, joints, rows of a grid.
 MOST_COUNT = 1000
 # Sizes that arithmetic of doubles bears, squares and products included; smaller ones are taken for mistakes, too.

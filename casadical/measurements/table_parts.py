@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.errors import InputError, optional
+from casadical.core.reading import MOST_NUMBERS
 from casadical.measurements.raw_table import RawTable, read_table, records_in, table_of
 from casadical.measurements.table_form import Form, marked_encoding, separator_of
 
@@ -33,12 +34,25 @@ def table_parts(path: str | Path) -> Iterator[RawTable]:
 
 
 def read_columns(path: str | Path) -> RawTable:
-    """As `read_table`, a large table some rows at a time. Raises InputError as `read_table` does."""
-    first, *more = parts = list(table_parts(path))
+    """As `read_table`, a large table some rows at a time.
+
+    Raises InputError as `read_table` does, and for more numbers than memory should hold.
+    """
+    parts: list[RawTable] = []
+    for part in table_parts(path):
+        parts.append(part)
+        refuse_many(path, sum(one.frame.size for one in parts))
+    first, *more = parts
     if not more:
         return first
     frame = pd.concat([part.frame for part in parts], ignore_index=True)
     return replace(first, cells=(), frame=frame, line=np.concatenate([part.line for part in parts]))
+
+
+def refuse_many(path: Path, numbers: int) -> None:
+    """Raises InputError for more numbers than memory should hold."""
+    if numbers > MOST_NUMBERS:
+        raise InputError(f"{path}: has more than {MOST_NUMBERS} numbers; split it, or leave columns and rows out")
 
 
 def _encoding(path: Path) -> str:
@@ -96,6 +110,12 @@ def _parquet(path: Path) -> Iterator[RawTable]:
     try:
         with parquet.ParquetFile(path, memory_map=True, pre_buffer=False) as file:
             header = tuple(str(name).strip() for name in file.schema_arrow.names)
+            about = file.metadata
+            groups = map(about.row_group, range(about.num_row_groups))
+            if any(
+                about.schema.column(k).max_repetition_level for k in range(about.num_columns)
+            ):  # cells that are lists
+                refuse_many(path, sum(g.column(k).num_values for g in groups for k in range(about.num_columns)))
             for frame in (batch.to_pandas() for batch in file.iter_batches(ROWS)):
                 rows = range(line, line + len(frame))
                 line += len(frame)

@@ -21,7 +21,7 @@ from casadical.measurements.logs.findings import found_in, refuse_other_units, w
 from casadical.measurements.logs.log import CHANNELS, JointLog
 from casadical.measurements.logs.systems import BAGS, STATE, STATES, bag, lerobot, sage
 from casadical.measurements.raw_table import RawTable
-from casadical.measurements.table_parts import read_columns, table_parts
+from casadical.measurements.table_parts import read_columns, refuse_many, table_parts
 from casadical.measurements.vocabulary import WORDS
 
 # Channels in units of angle or length.
@@ -101,6 +101,7 @@ def _table(path: Path) -> RawTable:
     """A table; one of plain numbers under a line of headings is read in a tenth of the time."""
     if path.suffix.lower() != ".parquet" and path.is_file():
         data = unpacked(read_bytes(path), str(path))
+        refuse_many(path, data.count(b",") + data.count(b"\n"))
         head = data[: data.find(b"\n") + 1]
         if head.isascii() and _HEADINGS.fullmatch(head.decode().strip()):
             try:

@@ -9,10 +9,11 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError, optional
-from casadical.core.reading import foreign, load_json, read_text, regular
+from casadical.core.reading import MOST_BYTES, foreign, load_json, read_text, regular
 from casadical.measurements.logs.columns import Logged, logged
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.measurements.table_form import clean
+from casadical.measurements.table_parts import refuse_many
 
 STATE, CONTROL, JOINTS = "state_motor.csv", "control.csv", "joint_list.txt"
 # Columns of LeRobot's datasets.
@@ -73,14 +74,20 @@ def bag(path: Path) -> Logged:
     """The joint states of a ROS bag or an MCAP file, and the commands in it. Raises InputError."""
     needed = f"{path}: reading bags needs rosbags: pip install 'casadical[logs]'"
     highlevel, typesys = optional("rosbags.highlevel", needed), optional("rosbags.typesys", needed)
-    path = path if path.is_dir() else regular(path)
+    for file in (f for f in path.iterdir() if f.suffix.lower() in BAGS) if path.is_dir() else (path,):
+        if (size := regular(file).stat().st_size) > MOST_BYTES:
+            raise InputError(
+                f"{file}: has {size} bytes; at most {MOST_BYTES} are read: record the joints' topics alone"
+            )
     streams: dict[tuple[str, ...], _Stream] = {}
+    size = 0
     with foreign(f"{path}: not a readable bag"):
         store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
         with highlevel.AnyReader([path], default_typestore=store) as reader:
             topics = sorted({f"{c.topic} ({c.msgtype})" for c in reader.connections})
             wanted = [c for c in reader.connections if c.msgtype.rsplit("/", 1)[-1] in _READERS]
             for connection, received, data in reader.messages(wanted) if wanted else ():
+                refuse_many(path, (size := size + len(data)) // 8)
                 message = reader.deserialize(data, connection.msgtype)
                 _keep(streams, connection.topic, connection.msgtype.rsplit("/", 1)[-1], message, received)
     found = [_of_stream(stream, path) for stream in streams.values()]

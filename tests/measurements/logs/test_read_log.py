@@ -170,3 +170,20 @@ def test_gzip_that_is_damaged_or_too_large_is_refused(tmp_path) -> None:
     path.write_bytes(gzip.compress(b"time_s,q1_rad\n" * 1000)[:40])
     with pytest.raises(InputError, match="not a readable gzip file"):
         read_log(path)
+
+
+@pytest.mark.parametrize("form", ["rows", "lists", "text"])
+def test_more_numbers_than_memory_should_hold_are_refused(tmp_path, form) -> None:
+    """Zeros, which are a few kilobytes of Parquet or gzip."""
+    arrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    path, zeros = tmp_path / "log.parquet", arrow.array(np.zeros(1_100_000))
+    if form == "text":
+        path = tmp_path / "log.csv.gz"
+        path.write_bytes(gzip.compress(b"time_s,q1_rad\n" + b"0,0\n" * 16_000_000, 1))
+    elif form == "rows":
+        parquet.write_table(arrow.table(dict.fromkeys(("time_s", *(f"q{k}_rad" for k in range(1, 30))), zeros)), path)
+    else:
+        lists = arrow.ListArray.from_arrays(arrow.array([0, 31_000_000]), arrow.array(np.zeros(31_000_000)))
+        parquet.write_table(arrow.table({"time_s": [0.0], "q_rad": lists}), path)
+    with pytest.raises(InputError, match=r"has more than 30000000 numbers; split it"):
+        read_log(path)

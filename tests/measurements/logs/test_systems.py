@@ -204,3 +204,12 @@ def test_logs_are_told_from_tables_of_poses(tmp_path) -> None:
     assert not is_log(next(iter(Path("data/campaigns/practice").glob("**/*.csv"))))
     pd.DataFrame({"time_s": T, "q1_rad": Q[:, 0], "command1_rad": Q[:, 0]}).to_csv(tmp_path / "log.csv", index=False)
     assert is_log(tmp_path / "log.csv")
+
+
+def test_a_bag_of_more_bytes_than_are_read_is_refused_before_it_is_opened(tmp_path) -> None:
+    with (tmp_path / "many.mcap").open("wb") as file:
+        file.truncate(500_000_001)
+    for path in (tmp_path / "many.mcap", tmp_path):
+        (tmp_path / "metadata.yaml").touch()
+        with pytest.raises(InputError, match=r"many\.mcap: has 500000001 bytes; at most 500000000 are read"):
+            read_log(path)
