@@ -24,6 +24,8 @@ from casadical.measurements.raw_table import RawTable
 from casadical.measurements.table_parts import read_columns, refuse_many, table_parts
 from casadical.measurements.vocabulary import WORDS
 
+# Rows of a motion lie at most so far apart, and after so long a pause another run begins [s].
+SLOWEST, PAUSE = 10.0, 600.0
 # Channels in units of angle or length.
 _OF_MOTION = ("position", "command", "speed", "command_speed")
 _HEADINGS = re.compile(r'[^\n"]*[A-Za-z][^\n"]*,[^\n"]*')
@@ -192,11 +194,24 @@ def _clock(log: Logged) -> tuple[Array, Array, Array, tuple[str, ...]]:
         raise InputError(
             f"{log.source}: row {log.row[bad]}: time or run is no finite number; correct or delete the row"
         )
-    changes = np.diff(numbers) != 0
-    back = ~changes & (np.diff(log.time) < 0)
-    stands = np.concatenate([[False], ~changes & (np.diff(log.time) == 0)])
-    starts = np.cumsum(np.concatenate([[False], changes | back]))
+    changes, steps = np.diff(numbers) != 0, np.diff(log.time)
+    back = ~changes & (steps < 0)
+    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    if usual > SLOWEST:
+        raise InputError(
+            f"{log.source}: rows lie {usual:.3g} s apart; a motion is logged some times a second. If the time is in "
+            "another unit, name its column so: time_ms, time_us, time_ns"
+        )
+    ahead = ~changes & (steps > PAUSE)
+    stands = np.concatenate([[False], ~changes & (steps == 0)])
+    starts = np.cumsum(np.concatenate([[False], changes | back | ahead]))
     said = []
+    if ahead.any():
+        k = int(np.flatnonzero(ahead)[0]) + 1
+        said.append(
+            f"row {log.row[k]}: {steps[k - 1]:.4g} s after the row before"
+            f"{f' ({ahead.sum()} such)' if ahead.sum() > 1 else ''}: read as a new run from there"
+        )
     if back.any():
         k = int(np.flatnonzero(back)[0]) + 1
         said.append(
@@ -208,7 +223,7 @@ def _clock(log: Logged) -> tuple[Array, Array, Array, tuple[str, ...]]:
         k = int(np.flatnonzero(stands)[0])
         said.append(f"row {log.row[k]}: the time of the row before, as {stands.sum()} rows: left out as repeated")
     kept = np.flatnonzero(~stands)
-    given = numbers[kept].astype(np.int64) if run is not None and not back.any() else starts[kept] + 1
+    given = numbers[kept].astype(np.int64) if run is not None and not (back | ahead).any() else starts[kept] + 1
     start = log.time[0] if abs(log.time[0]) > 1e6 else 0.0
     return log.time[kept] - start, given, kept, tuple(said)
 

@@ -187,3 +187,14 @@ def test_more_numbers_than_memory_should_hold_are_refused(tmp_path, form) -> Non
         parquet.write_table(arrow.table({"time_s": [0.0], "q_rad": lists}), path)
     with pytest.raises(InputError, match=r"has more than 30000000 numbers; split it"):
         read_log(path)
+
+
+def test_a_pause_begins_another_run_and_rows_of_no_motion_are_refused(tmp_path) -> None:
+    """What is resampled to even steps would else fill the memory."""
+    frame(time_s=np.where(T < 2, T, 1e12 + T), run=np.nan).to_csv(tmp_path / "log.csv", index=False)
+    log = read_log(tmp_path / "log.csv")
+    assert [len(run) for run in log.runs()] == [200, 200]
+    assert any("row 202: 1e+12 s after the row before: read as a new run from there" in str(f) for f in log.findings)
+    frame(time_s=T * 86400e2).to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(InputError, match=r"rows lie 8.64e\+04 s apart"):
+        read_log(tmp_path / "log.csv")
