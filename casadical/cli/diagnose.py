@@ -73,24 +73,6 @@ Line = Annotated[
         "curves' harmonics, too (docs/diagnosis.md).",
     ),
 ]
-Reference = Annotated[
-    Path | None,
-    typer.Option(
-        "--reference",
-        metavar="LOG",
-        help="With joint logs: a log of the same arm in health on another day; what differs from it by more than a "
-        "day's friction is a cause.",
-    ),
-]
-DriveFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--drive",
-        metavar="FILE.toml",
-        help="With joint logs: what is known of the drives, a table [drive]; default: that of the robot file, or "
-        "drive.toml beside it.",
-    ),
-]
 Bootstrap = Annotated[
     int,
     typer.Option(
@@ -116,8 +98,8 @@ def diagnose(
     context: typer.Context,
     problem: o.Problem,
     campaigns: o.Campaigns = None,
-    reference: Reference = None,
-    drive: DriveFile = None,
+    reference: o.Reference = None,
+    drive: o.DriveFile = None,
     together: Together = False,
     effects: o.Effects = None,
     laws: Laws = None,
@@ -154,7 +136,7 @@ def diagnose(
     logs = read_logs(problem, campaigns, reference, drive)
     o.refuse_of_others(context, "joint logs" if logs else "measured poses", MODES)
     if logs:
-        _diagnose_logs(logs, out, report_file, json_file, quiet)
+        _diagnose_logs(logs, problem, out, report_file, json_file, quiet)
         return
     o.need(room, measure_next, "--room says where the poses of --next may lie; give --next FILE, too")
     o.need(unlisted, out, "--unlisted says what --out writes; give --out DIR, too")
@@ -182,8 +164,10 @@ def diagnose(
 
 
 def _diagnose_logs(
-    campaign: LogCampaign, out: Path | None, report_file: Path | None, json_file: Path | None, quiet: bool
-) -> None:
+    campaign: LogCampaign, problem: Path, out: Path | None, report_file: Path | None, json_file: Path | None,
+    quiet: bool,
+) -> None:  # fmt: skip
+    from casadical.core.telling.blocks import next_step
     from casadical.core.telling.terminal import terminal
 
     console = wrapped(quiet)
@@ -193,6 +177,9 @@ def _diagnose_logs(
         with working(quiet, "diagnosing", path.name) as show:
             answers.append(campaign.diagnosed(path, show))
         console.print(terminal(answers[-1].blocks()))
+        if answers[-1].verdict in ("ambiguous", "unknown"):
+            step = next_step("for a motion that tells more", "plan", problem, "--motion", path)
+            console.print(terminal([step]))
         console.print()
         if out:
             texts |= answers[-1].files(out if len(campaign.logs) == 1 else out / path.name.partition(".")[0])

@@ -12,6 +12,24 @@ from casadical.core.errors import InputError, shown
 if TYPE_CHECKING:
     from casadical.project.diagnosis import EffectChoice
     from casadical.project.problem import Carried
+Reference = Annotated[
+    Path | None,
+    typer.Option(
+        "--reference",
+        metavar="LOG",
+        help="With joint logs: a log of the same arm in health on another day; what differs from it by more than a "
+        "day's friction is a cause.",
+    ),
+]
+DriveFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--drive",
+        metavar="FILE.toml",
+        help="With joint logs: what is known of the drives, a table [drive]; default: that of the robot file, or "
+        "drive.toml beside it.",
+    ),
+]
 
 
 def _offered(module: str, name: str, *, listed: bool = False) -> Callable[[str], list[str]]:

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from casadical.cli.options import (
+    DriveFile,
     Json,
     Prior,
     PriorEffects,
     Quiet,
+    Reference,
     Room,
     Seed,
     carried,
@@ -22,7 +24,7 @@ from casadical.cli.options import (
 from casadical.cli.options import effects as effect_words
 from casadical.cli.progress import PLAN, working
 from casadical.cli.terminal import keep, keep_json, with_json, wrapped
-from casadical.core.errors import InputError
+from casadical.core.errors import InputError, shown
 from casadical.core.telling.blocks import next_step
 from casadical.core.telling.terminal import terminal
 
@@ -116,6 +118,14 @@ Iso9283 = Annotated[
         "approach paths, drift over 8 hours; written to --out (default: iso9283.csv).",
     ),
 ]
+Motion = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="LOG",
+        help="Propose a motion instead, by a joint log: what to log next to distinguish the causes that it leaves open "
+        "(or those of --for); commands are written to --out (default: motion.csv).",
+    ),
+]
 Cube = Annotated[float | None, typer.Option(min=10, max=5000, help="With --iso9283: side of the cube.")]
 
 CALIBRATION = "poses to calibrate with (--measured: those that there are)"
@@ -127,6 +137,7 @@ MODES = {
     ),
     "--isolability": ("poses", "effects", "json_file"),
     "--iso9283": ("out", "room", "cube_mm", "seed"),
+    "--motion": ("out", "motion", "reference", "drive", "effects", "json_file"),
 }  # fmt: skip
 
 
@@ -158,6 +169,9 @@ def plan(
     known_places: KnownPlaces = False,
     iso9283: Iso9283 = False,
     cube_mm: Cube = None,
+    motion: Motion = None,
+    reference: Reference = None,
+    drive: DriveFile = None,
     seed: Seed = 0,
     json_file: Json = None,
     quiet: Quiet = False,
@@ -173,13 +187,16 @@ def plan(
     """
     from casadical.project.planning import Wanted, circumstances_of, plan_problem, planned_with
 
-    mode = "--isolability" if isolability else "--iso9283" if iso9283 else CALIBRATION
+    mode = "--isolability" if isolability else "--iso9283" if iso9283 else "--motion" if motion else CALIBRATION
     refuse_of_others(context, mode, MODES)
     if isolability:
         _isolability(problem, poses, effects, json_file, quiet)
         return
     if iso9283:
         _iso9283(problem, out or Path("iso9283.csv"), cube_mm, room, seed, quiet)
+        return
+    if motion:
+        _motion(problem, motion, reference, drive, effects, out or Path("motion.csv"), json_file, quiet)
         return
     wanted = Wanted(
         tuple(effects.split(",")) if effects else (), criterion, room,
@@ -199,6 +216,23 @@ def plan(
         tables = (*([measured] if measured else []), place)
         step = next_step("when what was measured stands beside these readings", "calibrate", problem, *tables)
         console.print(terminal([step]))
+
+
+def _motion(
+    problem: Path, log: Path, reference: Path | None, drive: Path | None, effects: str | None, out: Path,
+    json_file: Path | None, quiet: bool,
+) -> None:  # fmt: skip
+    """The motion to log next."""
+    from casadical.project.diagnosis import read_logs
+
+    campaign = read_logs(problem, [log], reference, drive)
+    if campaign is None:
+        raise InputError(f"{shown(log)}: no joint log; --motion is for tables with time_s, command1_rad, q1_rad ...")
+    console = wrapped(quiet)
+    with working(quiet, "diagnosing", log.name) as show:
+        proposal = campaign.proposed(effects.split(",") if effects else (), show)
+    console.print(terminal(proposal.blocks()))
+    keep(with_json(proposal.files(out), json_file, proposal.to_json()), console)
 
 
 def _iso9283(problem: Path, out: Path, cube_mm: float | None, room: Path | None, seed: int, quiet: bool) -> None:

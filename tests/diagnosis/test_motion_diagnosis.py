@@ -15,7 +15,8 @@ from casadical.cli.root import app
 from casadical.core.drive import Drive
 from casadical.core.telling.terminal import plain_text
 from casadical.diagnosis.motion.arm import arm_of
-from casadical.diagnosis.motion.result import diagnose_log
+from casadical.diagnosis.motion.proposal import proposed
+from casadical.diagnosis.motion.result import diagnose_log, looks_of
 from casadical.diagnosis.motion.signals import motion_of
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.dynamics import Dynamics
@@ -207,10 +208,25 @@ def test_the_command_recognises_a_log(robot, tmp_path):
     assert (found["verdict"], found["causes"]) == ("unknown", [])
     assert (found["fits"][0]["effect"], found["fits"][0]["joint"]) == ("contact", 3)
     assert "No cause is named" in told.output
+    assert "casadical plan" in told.output
     refused = CliRunner().invoke(
         app, ["diagnose", str(tmp_path / "arm.toml"), str(tmp_path / "motion.csv"), "--details"]
     )
     assert "--details: is for measured poses, not for joint logs" in str(refused.exception)
+    motion = [
+        "plan",
+        str(tmp_path / "arm.toml"),
+        "--motion",
+        str(tmp_path / "motion.csv"),
+        "--out",
+        str(tmp_path / "next.csv"),
+    ]
+    planned = CliRunner().invoke(app, [*motion, "--for", "lag@2"])
+    assert planned.exit_code == 0, planned.output
+    assert "Log next, 30 s: joint 2 through" in planned.output
+    assert pd.read_csv(tmp_path / "next.csv").columns.tolist() == ["time_s", *(f"command{k}_rad" for k in (1, 2, 3))]
+    refused = CliRunner().invoke(app, [*motion, "-n", "4"])
+    assert "-n: is for poses to calibrate with" in str(refused.exception)
 
 
 def test_a_folder_with_logs_is_diagnosed_by_those_to_be_fitted(robot, tmp_path):
@@ -253,3 +269,25 @@ def test_no_second_engine():
     imports = "".join(path.read_text() for path in folder.glob("*.py"))
     for engine in ("diagnosis.evidence", "diagnosis.posterior", "diagnosis.cross_validation", "linear_gaussian"):
         assert engine in imports
+
+
+def test_a_motion_is_proposed_that_tells_delay_from_lag(robot):
+    def a_little_late(run, t, q, v, tau):
+        return tau, np.array([0.0, 0.012, 0.0])
+
+    log = simulated(robot, 1, a_little_late)
+    looks = looks_of(robot, log)
+    found = diagnose_log(robot, log)
+    proposal = proposed(found, looks, ["transport_delay@2", "lag@2"])
+    assert set(proposal.expected) == {"transport_delay@2", "lag@2"}
+    for label, (alone, against) in proposal.expected.items():
+        assert against > 2 * proposal.same[label][1], label
+        assert alone > against
+    low, high = log.position.min(axis=0), log.position.max(axis=0)
+    assert ((proposal.command > low - 1e-9) & (proposal.command < high + 1e-9)).all()
+    moved = np.ptp(proposal.command, axis=0) > 0
+    assert moved.tolist() == [False, True, False]
+    (text,) = proposal.files("next.csv").values()
+    assert text.startswith("time_s,command1_rad")
+    with pytest.raises(InputError, match=r"'rust': no cause .* there are .*lag"):
+        proposed(found, looks, ["rust"])
