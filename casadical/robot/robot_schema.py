@@ -69,18 +69,19 @@ class _Body(TomlTable):
 
     @model_validator(mode="after")
     def _possible(self) -> _Body:
-        if self.inertia_kgm2 is not None and not possible_inertia(self._moments):
+        if self.inertia_kgm2 is not None and not possible_inertia(_moments(self.inertia_kgm2)):
             allowed = "ixx, ixy, ixz, iyy, iyz, izz, no principal moment greater than the other two together"
             raise FaultError("inertia_kgm2", f"no body has such moments; allowed: {allowed}")
         return self
 
-    @property
-    def _moments(self) -> Array:
-        xx, xy, xz, yy, yz, zz = self.inertia_kgm2 or [0.0] * 6
-        return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-
     def body(self) -> Body:
-        return Body(self.mass_kg, np.array(self.com), None if self.inertia_kgm2 is None else self._moments)
+        inertia = None if self.inertia_kgm2 is None else _moments(self.inertia_kgm2)
+        return Body(self.mass_kg, np.array(self.com), inertia)
+
+
+def _moments(six: list[float]) -> Array:
+    xx, xy, xz, yy, yz, zz = six
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 class _Joint(TomlTable):

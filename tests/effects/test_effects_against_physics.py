@@ -75,6 +75,11 @@ def test_a_balancer_hangs_on_the_link_not_on_its_reading() -> None:
     np.testing.assert_allclose(replace(pair, bench=other).moved(), pair.moved(), atol=1e-10)
 
 
+def test_a_balancer_is_looked_for_at_the_shoulder_alone() -> None:
+    kind = type(next(e for e in balancer(bench("kr210", 4)).effects))
+    assert {effect.joint for effect in kind.candidates(bench("kr210", 4).robot)} == {2}
+
+
 def test_every_listed_effect_has_a_counterpart() -> None:
     compared = {effect.name for case in study.NUMPY for effect in case.make(bench("kr210", 4)).effects}
     kinds = [kind for kind in vars(registry).values() if isinstance(kind, type)]

@@ -1,9 +1,12 @@
 """How a table is told to be written, what noise may be, and which unit a distance is taken for."""
 
+from pathlib import Path
+
 import numpy as np
+import pandas as pd
 import pytest
 
-from casadical import Measurements
+from casadical import Measurements, read_measurements
 from casadical.core.errors import InputError
 from casadical.measurements.kinds.distance import distance_fault
 from casadical.measurements.noise import Noise
@@ -49,3 +52,15 @@ def test_the_form_of_a_table_in_words() -> None:
 def test_utf_16_without_its_mark_is_told_by_where_the_zeros_are(order: str, text: str) -> None:
     # Letters have a zero as their high byte; a few signs, as the Chinese one, have one as their low byte.
     assert decoded(text.encode(f"utf-16-{order}")) == (text, f"utf-16-{order}")
+
+
+@pytest.mark.parametrize(("name", "least", "most"), [("temperature_degC", -273.15, 1e4), ("payload_kg", 0.0, 1e5)])
+def test_what_cannot_be_logged_is_refused(tmp_path: Path, name: str, least: float, most: float) -> None:
+    """Colder than all, and heavier than any arm lifts."""
+    table = pd.DataFrame({"q1_deg": [1.0, 2.0], "x_mm": [0.0, 1.0], "y_mm": [0.0, 1.0], "z_mm": [0.0, 1.0]})
+    table.assign(**{name: [least, most]}).to_csv(tmp_path / "a.csv", index=False)
+    assert len(read_measurements(tmp_path / "a.csv", 1)) == 2
+    for far in (least - 0.01, 1.001 * most):
+        table.assign(**{name: [20.0, far]}).to_csv(tmp_path / "a.csv", index=False)
+        with pytest.raises(InputError, match=f"row 3, column '{name}'"):
+            read_measurements(tmp_path / "a.csv", 1)
