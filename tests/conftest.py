@@ -6,6 +6,8 @@ use one of the costly fixtures of a whole run. Files that take the longest begin
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -55,6 +57,35 @@ one_thread()  # processes that share the processors gain nothing by more
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     rank = {ROOT / "tests" / file: k for k, file in enumerate(LONGEST)}
     items.sort(key=lambda item: rank.get(item.path, len(LONGEST)))
+
+
+# How to get what tests are skipped for want of: a word of the reason, and what brings it.
+APT = {
+    "C compiler": "gcc", "gcc": "gcc", "g++": "g++", "clang": "clang", "chromium": "chromium", "cmake": "cmake",
+    "nm": "binutils", "cppcheck": "cppcheck", "qemu": "qemu-system-arm",
+    "arm-none-eabi": "gcc-arm-none-eabi libnewlib-arm-none-eabi",
+}  # fmt: skip
+EXTRAS = {
+    "mujoco": "withheld", "urdf": "urdf", "plotly": "report", "jinja2": "report", "pyarrow": "fleet", "dask": "fleet",
+    "starlette": "live", "rosbags": "logs", "fpdf": "certificate", "openpyxl": "xlsx", "sphinx": "docs",
+}  # fmt: skip
+PIP = {word: f"'casadical[{extra}]'" for word, extra in EXTRAS.items()} | {
+    "playwright": "playwright", "fmpy": "fmpy", "tree-sitter": "tree-sitter tree-sitter-iec61131-3-st",
+    "pinocchio": "pin", "example-robot-data": "example-robot-data",
+}  # fmt: skip
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """What was missing, in how many tests, and what brings it."""
+    reasons = [str(r.longrepr[2]) for r in terminalreporter.stats.get("skipped", ()) if isinstance(r.longrepr, tuple)]
+    bring = [("apt-get install", w, g) for w, g in APT.items()] + [("pip install", w, g) for w, g in PIP.items()]
+    found = [next((f"{how} {get}" for how, word, get in bring if _names(word, r)), r) for r in reasons]
+    for what, count in Counter(found).most_common():
+        terminalreporter.line(f"{count} skipped: {what}")
+
+
+def _names(word: str, reason: str) -> bool:
+    return re.search(rf"(?<!\w){re.escape(word)}", reason, re.IGNORECASE) is not None
 
 
 @pytest.hookimpl(optionalhook=True)
