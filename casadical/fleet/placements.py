@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.core.transforms import small_frame
+from casadical.core.transforms import small_frame, to_xyz
 from casadical.fleet.candidates import Candidate
 from casadical.fleet.estimates import Estimate
 from casadical.fleet.evidence import Model, jumps, visible
@@ -17,8 +17,8 @@ from casadical.robot.parameter_list import SIX
 
 # Standard errors that a change must have to be seen, roughly: what one of a hundred candidates needs.
 SEEN = 5.0
-# A tool is another one from so many standard errors on, root mean square of a coordinate; beyond the smaller figure it
-# moved further than noise makes it in one of a hundred pairs.
+# A tool is another one from so many standard errors on, root mean square of a coordinate; beyond the smaller figure it,
+# or the base, moved further than noise makes it in one of a hundred pairs.
 OTHER_TOOL, MOVED_TOOL = 4.0, 2.0
 # A change that is seen only from so many times its usual size is not seen.
 FAR = 30.0
@@ -48,7 +48,7 @@ def seen_from(
 def placements_of(campaigns: Sequence[Estimate], names: Sequence[str], model: Model) -> tuple[tuple[str, str], ...]:
     """How base and tool of the last campaign differ from those of the one before, where they were fitted again."""
     before, after = campaigns[-2], campaigns[-1]
-    return (*_tool(campaigns[0], before, after, names, model), *_base(before, after, names))
+    return (*_tool(campaigns[0], before, after, names, model), *_base(campaigns[0], before, after, names, model))
 
 
 def _tool(
@@ -57,12 +57,7 @@ def _tool(
     own = [n for n in SIX["tool"][:3] if n in before.names and n in after.names and n not in names]
     if len(own) < 3 or before.robot.tool_name != after.robot.tool_name:
         return
-    # Parameters of a campaign as the solved ones make them: theta and the changes found by then.
-    X, Y = (np.hstack([np.eye(model.p), model.known.columns[k]]) for k in (-2, -1))
-    a, A, V = _given(before, own, names, first, X, model.mean)
-    b, B, W = _given(after, own, names, first, Y, model.mean)
-    apart = b - a
-    cov = V + W + (B - A) @ model.inverse @ (B - A).T
+    apart, cov = _between(first, before, after, own, names, model)
     scale = np.array([after.robot.parameters[n].scale for n in own])
     size = float(np.linalg.norm(apart * scale))
     error = float(np.sqrt(np.trace(cov * np.outer(scale, scale)) / 3))
@@ -74,6 +69,17 @@ def _tool(
     else:
         words = "the same point, as far as these poses show"
     yield "tool", f"{1e3 * size:.3g} mm from where it was, +/- {1e3 * error:.2g} mm a coordinate: {words}"
+
+
+def _between(
+    first: Estimate, before: Estimate, after: Estimate, own: Sequence[str], names: Sequence[str], model: Model
+) -> tuple[Array, Array]:
+    """How far parameters that are fitted again are apart, in units of their scale, and its covariance."""
+    # Parameters of a campaign as the solved ones make them: theta and the changes found by then.
+    X, Y = (np.hstack([np.eye(model.p), model.known.columns[k]]) for k in (-2, -1))
+    a, A, V = _given(before, own, names, first, X, model.mean)
+    b, B, W = _given(after, own, names, first, Y, model.mean)
+    return b - a, V + W + (B - A) @ model.inverse @ (B - A).T
 
 
 def _given(
@@ -95,7 +101,9 @@ def _given(
     return mean[at], (G @ X)[at], V[np.ix_(at, at)]
 
 
-def _base(before: Estimate, after: Estimate, names: Sequence[str]) -> Iterable[tuple[str, str]]:
+def _base(
+    first: Estimate, before: Estimate, after: Estimate, names: Sequence[str], model: Model
+) -> Iterable[tuple[str, str]]:
     placing = {p.name for p in after.robot.parameters if p.group == "base"}
     if not placing & set(after.names) or placing & set(names):
         return
@@ -103,8 +111,14 @@ def _base(before: Estimate, after: Estimate, names: Sequence[str]) -> Iterable[t
     if np.allclose(T, np.eye(4), rtol=0, atol=SAME):
         return  # no reading tells where it stands
     turn = float(np.rad2deg(np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1, 1))))
-    far = f"{1e3 * np.linalg.norm(T[:3, 3]):.4g} mm and {turn:.3g} deg"
     words = "the instrument stands elsewhere, or the robot's foot moved"
+    if set(SIX["base"]) <= {*before.names} & {*after.names}:
+        _, cov = _between(first, before, after, SIX["base"], names, model)
+        apart = np.concatenate([T[:3, 3], to_xyz(T[:3, :3])])
+        apart = apart / [after.robot.parameters[n].scale for n in SIX["base"]]
+        if apart @ np.linalg.solve(cov, apart) < len(apart) * MOVED_TOOL**2:
+            words = "the same place, as far as these poses show"
+    far = f"{1e3 * np.linalg.norm(T[:3, 3]):.3g} mm and {turn:.3g} deg"
     yield "base", f"{far} from where it stood in the instrument's frame: {words}"
 
 

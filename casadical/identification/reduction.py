@@ -24,6 +24,8 @@ from casadical.measurements.kinds.registry import find_kind
 
 # Residuals of this share of the reach are no measuring error.
 POOR_FIT = 0.005
+# Parameters that a message names.
+TOLD = 6
 
 
 # Optima of earlier problems, by the names of their variables: parameters and points.
@@ -81,7 +83,10 @@ def reduce_and_solve(
             "best fit; check the signs and zeros of the joints, their order, units and the DH convention"
             f"{known and frames_known}"
         )
-    reasons = "; ".join(f"{u.name}: {u.reason}" for u in (*analysis.held, *poor))
+    held = (*poor, *analysis.held)
+    reasons = "; ".join(f"{u.name}: {u.reason}" for u in held[:TOLD]) + (
+        f"; and {len(held) - TOLD} more" if len(held) > TOLD else ""
+    )
     raise InputError(
         f"{problem.sets[0].source}: these measurements determine none of the parameters to be identified. {reasons}"
     )

@@ -23,7 +23,7 @@ from casadical.identification.error_bound import learn_bound
 from casadical.identification.identification import compliance_tried, identify, judged
 from casadical.identification.misfit import misfit_of
 from casadical.identification.plausibility import check_against
-from casadical.identification.prepared import all_compliant, prepare
+from casadical.identification.prepared import all_compliant, prepare, undeclared
 from casadical.identification.residuals import ALL_LOSSES
 from casadical.identification.result import Identification, without_poses
 from casadical.identification.solver import Progress
@@ -362,7 +362,7 @@ def _identified(problem: Problem, show: Show, count: int) -> dict[str, Identific
 
     by = partial(identify, method=last, loss=problem.loss, prior=problem.prior, progress=progress_of(last))
     found = by(robot, sets)
-    if problem.whole and found.tried and not found.tried.kept:  # few poses may not show what all do
+    if problem.whole and undeclared(robot) and not (found.tried and found.tried.kept):  # few poses may not show it
         tried = compliance_tried(prepare(robot, problem.whole, problem.prior, method="SKCM")).tried
         with suppress(InputError, ConvergenceError):
             found = replace(by(all_compliant(robot, sets)[0], sets), tried=tried) if tried and tried.kept else found
@@ -371,7 +371,8 @@ def _identified(problem: Problem, show: Show, count: int) -> dict[str, Identific
         prepared = prepare(robot, sets, problem.prior, method=method)
         result = judged(prepared, found.outliers, found.loss, progress=progress_of(method))
         results[method] = replace(result, tried=found.tried)
-    if results and found.tried and not found.tried.kept and not problem.networks:
+    rigid = undeclared(robot) and not (found.tried and found.tried.kept)
+    if results and rigid and not problem.networks:
         return results
     return {**results, last: found}
 

@@ -212,6 +212,12 @@ def test_a_moved_foot_is_a_change_in_one_frame(arm: tuple[Robot, Robot]) -> None
     lifted = estimate((robot, replace(m, position=m.position + np.array([2e-4, 0, 1e-4]) + noise)), "later")
     assert [c.cause.label for c in compare([first, lifted], same_frame=True).changes] == ["foot"]
     assert not compare([first, lifted]).changed
+    stood = replace(m, position=m.position + noise)
+    for position, words in (
+        (lifted, "or the robot's foot moved"),
+        (estimate((robot, stood), "same"), "the same place"),
+    ):
+        assert words in dict(compare([first, position]).placements)["base"]
 
 
 def test_robot_files_of_calibrate_are_compared(arm, tmp_path, monkeypatch):

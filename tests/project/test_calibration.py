@@ -4,15 +4,21 @@ import dataclasses
 import json
 import re
 import shutil
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+sys.path.insert(0, str(Path(__file__).parents[2] / "docs" / "studies"))
+import users
+
 from casadical import Calibration, InputError, calibrate, read_problem, read_robot
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.terminal import plain_text
 from casadical.identification import errors, residual_mm
+from casadical.project.new import new_problem
 
 ROOT = Path(__file__).parents[2]
 PLANAR = ROOT / "problems" / "planar"
@@ -95,6 +101,17 @@ def test_what_is_written_is_fitted_to_all_poses_and_judged_before(tmp_path: Path
     told = json.loads(files["result.json"])
     assert told["refit_poses"] == 40
     assert told["methods"]["KM"]["parameters"] == again.written["KM"].to_json()["parameters"]
+
+
+def test_compliance_that_the_fitted_poses_are_too_few_for_shows_in_all(tmp_path: Path) -> None:
+    """Fifty lengths by three wires, two of them wrong, of an arm that sags: there the compliant fit does not end."""
+    user = replace(users.drawn(413), slips={"rows": 2})
+    table = users.written(tmp_path, "table", user, users.table(user, user.q, user.seen, wrong=True))
+    users.robot_file(tmp_path, user)
+    found = calibrate(new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=table))
+    assert found.identification.method == "SKCM"
+    assert {out.row for out in found.identification.left_out} == {10, 24}
+    assert found.accuracies["SKCM"]["report"]["calibrated"].mean < 1e-4
 
 
 def test_files_are_written_all_or_none(calibrated, tmp_path: Path) -> None:

@@ -101,9 +101,14 @@ def precheck(
         try:
             several, sessions = with_sessions(start, trusted)
             taken, free = by_method(place_sessions(several, trusted) if sessions else several, method, trusted)
-            if method == "SKCM" and undeclared(taken):  # as `calibrate` tries it
-                taken, _ = all_compliant(taken, trusted)
-            outlooks.append(outlook(taken, trusted, (*METHODS[method], *free, *sessions), method, noise))
+            tried = method == "SKCM" and undeclared(taken)  # as `calibrate` tries it
+            taken = all_compliant(taken, trusted)[0] if tried else taken
+            view = outlook(taken, trusted, (*METHODS[method], *free, *sessions), method, noise)
+            if tried and not view.enough and any(other.enough for other in outlooks):
+                text = f"{view.numbers} numbers are too few to see whether the joints give under load"
+                found.append(Finding("warning", "too few poses", f"{text}; measure more poses"))
+            else:
+                outlooks.append(view)
         except (InputError, np.linalg.LinAlgError) as error:
             found.append(Finding("error", "identifiability", f"{method}: {error}"))
     for view in outlooks:

@@ -27,6 +27,8 @@ TASK_POSES = 200
 LEAST_SCATTER = 1e-6
 # Of the sigmas of positions and angles; their logarithms change by less in the last round.
 ROUNDS, STILL = 6, 0.03
+# A row is far off that a linear step leaves so many medians away, where no more than the other share of the rows is.
+FAR, MOST = 5.0, 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +86,10 @@ def outlook(
     problem = LeastSquares(robot, tuple(sets), robot.parameters.select(free), "linear", False, sigmas)
     found = independent_parameters(problem)
     problem, r, J = _weighted(problem.with_names(found.independent))
+    near = _near(problem.sets, r, J)
+    if not all(rows.all() for rows in near):  # as calibrate leaves them out; the nominal model may have hidden them
+        sets = [m[np.flatnonzero(rows)] for m, rows in zip(sets, near, strict=True)]
+        return outlook(robot, sets, free, method, noise, seed)
     sigmas, scatter = problem.sigmas, _scatter(r, J, problem.residual_count - problem.size)
     if find_kind(sets[0].kind).angles:  # what angles leave says nothing of positions
         lengths, freedom = _parts(problem.sets[0], r, J)[0]
@@ -123,6 +129,20 @@ def _weighted(problem: LeastSquares) -> tuple[LeastSquares, Array, Array]:
         if change < STILL:
             break
     return problem, r, J
+
+
+def _near(sets: Sequence[Measurements], r: Array, J: Array) -> list[Array]:
+    """Rows of each set that a linear step does not leave far off, shapes (n,); all where it leaves nothing to see."""
+    left = r - J @ np.linalg.lstsq(J, r, rcond=None)[0]
+    found = []
+    for m in sets:
+        kind = find_kind(m.kind)
+        size = len(m) * (kind.lengths + kind.angles)
+        own, left = left[:size].reshape(len(m), -1)[:, : kind.lengths or None], left[size:]
+        e = np.linalg.norm(own, axis=1)
+        near = e <= FAR * np.median(e)
+        found.append(near if len(r) > 2 * J.shape[1] and near.mean() > MOST else np.ones(len(m), dtype=bool))
+    return found
 
 
 def _parts(m: Measurements, r: Array, J: Array) -> tuple[tuple[float, float], ...]:

@@ -40,10 +40,13 @@ def plausible(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> tu
     others : robots that the file may have meant (see `other_conventions`)
     """
     some, none = m[:: -(-len(m) // POSES)], Hypothesis.none(robot.n)
-    if m.position is None:  # lengths: several slips are searched for where these are far off
-        lengths = slip_fit(robot, some)
-        as_it_is = lengths.placed(none, as_given=True) if lengths else None
-        return (as_it_is, as_it_is) if as_it_is else None
+    if m.position is None:  # lengths, which tell no unit and no hand of a frame
+        lengths = slip_fit(robot, some, others)
+        if lengths is None:
+            return None
+        before = lengths.placed(none, as_given=True)
+        hypotheses = [fit.hypothesis for fit in single_slips(robot, len(lengths.rows) - 1)]
+        return _simplest(robot, some, [before, *(lengths.placed(h) for h in hypotheses if h != none)])
     before = Fit(none, median_error(rigid(robot), some))
     tried = [before]
     for fit in single_slips(robot, len(others)):
@@ -53,7 +56,14 @@ def plausible(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> tu
         free = rigid([robot, *others][h.rows])
         if _large_enough(free, meant):
             tried.append(replace(fit, error=median_error(free, meant)))
-    # Of slips that fit alike a turned sign comes before a shifted zero, and one that leaves the joints' ranges is none.
+    return _simplest(robot, some, tried)
+
+
+def _simplest(robot: Robot, some: Measurements, tried: list[Fit]) -> tuple[Fit, Fit]:
+    """The first, and of all that which leaves least: of slips that fit alike a turned sign comes before a shifted zero,
+    and one that leaves the joints' ranges is none.
+    """
+    before = tried[0]
     tried.sort(key=lambda fit: sum(z != 0 for z in fit.hypothesis.zero))
     costs = [fit.error * (WORTH if outside(fit.hypothesis, robot, some.q) else 1) for fit in tried]
     return before, tried[first_of_best(-np.log(np.maximum(costs, 1e-12)), logs=True)]

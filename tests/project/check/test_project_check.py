@@ -18,6 +18,7 @@ import first_hour
 from casadical import calibrate
 from casadical.identification.identification import identify
 from casadical.project.check import Precheck, precheck
+from casadical.project.new import new_problem
 from casadical.project.problem import read_problem
 
 ROOT = Path(__file__).parents[3]
@@ -76,6 +77,30 @@ def test_the_error_of_full_poses_is_foretold(noise: float | None, tmp_path: Path
         assert view.held_out is not None
         found = calibrate(folder).accuracies["KM"]["report"]["calibrated"].mean
         assert view.held_out == pytest.approx(found, rel=0.2)
+
+
+def test_the_error_is_foretold_without_rows_that_the_nominal_model_hides(tmp_path: Path) -> None:
+    """Some millimetres off, as the nominal model is itself everywhere; `calibrate` leaves them out."""
+    clean = camera(tmp_path / "clean", 0.05, 0.3)
+    spoilt = tmp_path / "spoilt"
+    shutil.copytree(clean, spoilt)
+    table = pd.read_csv(clean / "poses.csv")
+    table.loc[[7, 21, 60, 99], "x_mm"] += [4.0, -4.0, 3.0, 4.0]
+    table.to_csv(spoilt / "poses.csv", index=False)
+    ((expected,), (found,)) = (precheck(folder).outlooks for folder in (clean, spoilt))
+    assert found.held_out == pytest.approx(expected.held_out, rel=0.2)
+
+
+def test_too_few_numbers_to_try_compliance_are_no_error(tmp_path: Path) -> None:
+    """What `calibrate` does not need is a warning; then one method is judged."""
+    q, p = first_hour.measured(15)
+    (tmp_path / "dh.csv").write_text(first_hour.DH)
+    pd.DataFrame(np.column_stack([q, p]), columns=[*Q, *XYZ]).to_csv(tmp_path / "t.csv", index=False)
+    new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=tmp_path / "t.csv")
+    found = precheck(tmp_path / "arm")
+    assert found.ok
+    assert "too few to see whether the joints give under load" in said(found, "warning")
+    assert list(calibrate(tmp_path / "arm").accuracies) == ["KM"]
 
 
 def camera(folder: Path, sigma: float, degrees: float) -> Path:

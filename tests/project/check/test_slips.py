@@ -197,19 +197,33 @@ def test_what_a_coupled_reading_counts_from_may_be_wrong_itself(tmp_path: Path) 
     np.testing.assert_allclose(np.rad2deg(m.q), q[m.row - m.row.min()], atol=1e-6)
 
 
-def test_slips_of_a_table_of_lengths_are_found_and_repaired(tmp_path, monkeypatch):
-    """Three wires with unknown ends, the second joint turned, the fourth shifted by a quarter turn."""
-    q, p = first_hour.measured(90)
+def of_wires(folder: Path, q: np.ndarray, p: np.ndarray) -> Path:
+    """A problem of three wires with unknown ends; q : readings [deg], p : positions [mm]."""
     wires = np.array([[1500, 400, 200], [-900, 1400, 700], [200, -1600, 1100]])[np.arange(90) % 3]
-    q = q * [1, -1, 1, 1, 1, 1] + [0, 0, 0, 90, 0, 0]
     columns = {f"q{k}_deg": column for k, column in enumerate(q.T, 1)}
     length = np.linalg.norm(p - wires, axis=1) + np.random.default_rng(0).normal(0, 0.02, 90)
-    pd.DataFrame(columns | {"distance_mm": length, "anchor": [*"abc"] * 30}).to_csv(tmp_path / "l.csv", index=False)
-    (tmp_path / "dh.csv").write_text(first_hour.DH)
-    new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=tmp_path / "l.csv")
-    said = " ".join(f.text for f in precheck(tmp_path / "arm").findings if f.level == "error")
+    pd.DataFrame(columns | {"distance_mm": length, "anchor": [*"abc"] * 30}).to_csv(folder / "l.csv", index=False)
+    (folder / "dh.csv").write_text(first_hour.DH)
+    new_problem(folder / "arm", dh=folder / "dh.csv", data=folder / "l.csv")
+    return folder / "arm"
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_slip_of_lengths_that_moves_little_is_found(sign: int, tmp_path: Path) -> None:
+    """The last joint, the tool some millimetres beside its axis; without a slip the table is ready."""
+    q, p = first_hour.measured(90, tool=np.array([9.0, 4.0, 120.0]))
+    found = precheck(of_wires(tmp_path, q * [1, 1, 1, 1, 1, sign], p))
+    assert found.ok == (sign > 0)
+    assert ("joint 6 counts the other way" in " ".join(f.text for f in found.findings)) == (sign < 0)
+
+
+def test_slips_of_a_table_of_lengths_are_found_and_repaired(tmp_path, monkeypatch):
+    """The second joint turned, the fourth shifted by a quarter turn."""
+    q, p = first_hour.measured(90)
+    arm = of_wires(tmp_path, q * [1, -1, 1, 1, 1, 1] + [0, 0, 0, 90, 0, 0], p)
+    said = " ".join(f.text for f in precheck(arm).findings if f.level == "error")
     assert "joint 2 counts the other way (turn the sign of q2); the zero of joint 4 is 90 deg off" in said
     assert OF_LENGTHS in said
     assert "Rival" not in said
-    assert main(monkeypatch, "check", tmp_path / "arm", "--repair", "-q") == 0
-    assert calibrate(tmp_path / "arm").accuracies["KM"]["report"]["calibrated"].mean < 1e-4
+    assert main(monkeypatch, "check", arm, "--repair", "-q") == 0
+    assert calibrate(arm).accuracies["KM"]["report"]["calibrated"].mean < 1e-4
