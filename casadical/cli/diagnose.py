@@ -88,7 +88,7 @@ Bootstrap = Annotated[
 MODES = {
     "joint logs": ("reference", "drive"),
     "measured poses": (
-        "together", "effects", "laws", "nuisance_masses", "prior", "prior_effects", "frozen",
+        "together", "laws", "nuisance_masses", "prior", "prior_effects", "frozen",
         "measure_next", "next_n", "room", "network", "highest_line", "bootstrap", "seed", "unlisted", "details",
     ),
 }  # fmt: skip
@@ -133,7 +133,7 @@ def diagnose(
     """
     from casadical.project.diagnosis import Options, read_campaigns, read_logs
 
-    logs = read_logs(problem, campaigns, reference, drive)
+    logs = read_logs(problem, campaigns, reference, drive, effects.split(",") if effects else ())
     o.refuse_of_others(context, "joint logs" if logs else "measured poses", MODES)
     if logs:
         _diagnose_logs(logs, problem, out, report_file, json_file, quiet)

@@ -54,7 +54,7 @@ MOTION_SEAMS = ("torque", "torques", "response", "responses")
 MOTION = frozenset({
     "q", "v", "a", "speed", "turned", "slip", "load", "tau", "friction", "drag", "inertia", "motor", "t", "time", "run",
     "zero", "mass", "mass_x", "mass_y", "mass_z", "link", "servo", "command_speed", "command_acceleration", "side",
-    "delayed", "filtered", "at_limit", "after_limit", "at_speed_limit", "after_speed_limit",
+    "delayed", "filtered", "heat", "at_limit", "after_limit", "at_speed_limit", "after_speed_limit",
 })  # fmt: skip
 # Columns by their name in a formula, where it is another one.
 COLUMNS = {"t": "progress", "payload": "payload_kg", "warmth": "warmth_0s"}

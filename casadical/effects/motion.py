@@ -16,14 +16,17 @@ from casadical.core.arrays import Array
 from casadical.effects.definition import DefinedEffect, read_definitions
 from casadical.effects.formula import NUMERIC
 from casadical.effects.formula_effect import MOTION_SEAMS as MOTION_SEAMS
+from casadical.effects.plugins import known_effects
 
 LISTED = Path(__file__).with_name("motion.effect.toml")
 
 
 @cache
 def motion_effects() -> Mapping[str, type[DefinedEffect]]:
-    """The list's causes of joint logs, by name."""
-    return read_definitions(LISTED, __name__)
+    """The list's causes of joint logs, and those of installed plug-ins whose `on_list` is motion, by name."""
+    installed = {k: kind for k, kind in known_effects().items() if kind.on_list == "motion"}
+    own = {k: kind for k, kind in installed.items() if issubclass(kind, DefinedEffect)}
+    return {**read_definitions(LISTED, __name__), **own}
 
 
 def motion_columns(effect: DefinedEffect, seam: str, names: Mapping[str, Array]) -> list[Array]:

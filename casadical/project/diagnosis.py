@@ -29,6 +29,8 @@ from casadical.diagnosis.page import diagnosis_page
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.text import brief, page_of, titled
 from casadical.effects import Effect
+from casadical.effects.definition import DefinedEffect
+from casadical.effects.motion import MOTION_SEAMS
 from casadical.effects.plugins import known_effects
 from casadical.identification.prior import Prior
 from casadical.measurements.logs.log import JointLog
@@ -237,22 +239,23 @@ class LogCampaign:
 
     robot : with what is known of its drives; logs : their files
     healthy : of the same robot in health on another day, if there is one
-    withheld : files of logs that are not fitted, but replayed
+    withheld : files of logs that are not fitted, but replayed; own : causes beside those of the list
     """
 
     robot: Robot
     logs: tuple[Path, ...]
     healthy: JointLog | None = None
     withheld: tuple[Path, ...] = ()
+    own: tuple[type[DefinedEffect], ...] = ()
 
     def diagnosed(self, log: Path, show: Show = silent) -> LogDiagnosis:
         """Why the arm moves otherwise than its model in one of the logs. Raises InputError."""
-        return diagnose_log(self.robot, read_log(log, self.robot), self.healthy, show)
+        return diagnose_log(self.robot, read_log(log, self.robot), self.healthy, show, own=self.own)
 
     def proposed(self, names: Sequence[str] = (), show: Show = silent) -> Proposal:
         """The motion to log next, after the first of the logs; names : causes in question. Raises InputError."""
         log = read_log(self.logs[0], self.robot)
-        found = diagnose_log(self.robot, log, self.healthy, show)
+        found = diagnose_log(self.robot, log, self.healthy, show, own=self.own)
         return proposed(found, looks_of(self.robot, log, self.healthy), names, show)
 
     def replayed(self, show: Show = silent) -> Replay | None:
@@ -273,12 +276,14 @@ class LogCampaign:
 
 
 def read_logs(
-    folder: Path, tables: Sequence[Path] | None = None, reference: Path | None = None, drive: Path | None = None
-) -> LogCampaign | None:
+    folder: Path, tables: Sequence[Path] | None = None, reference: Path | None = None, drive: Path | None = None,
+    effects: Sequence[str] = (),
+) -> LogCampaign | None:  # fmt: skip
     """The joint logs of a problem folder, or those that are given; None where the tables are of measured poses.
 
     reference : a log of the same robot in health
     drive : a file with what is known of the drives; None: the robot file, or drive.toml beside it
+    effects : effect files, whose causes are judged beside those of the list
     Raises InputError: logs and measured poses together, or what is wrong with robot, drives or reference.
     """
     withheld: list[Path] = []
@@ -294,7 +299,22 @@ def read_logs(
     if path := drive or (beside if robot.drive is None and beside.is_file() else None):
         robot = replace(robot, drive=read_drive(path, robot.n))
     healthy = read_log(reference, robot) if reference else None
-    return LogCampaign(robot, tuple(tables or ()), healthy, tuple(withheld))
+    return LogCampaign(robot, tuple(tables or ()), healthy, tuple(withheld), own_causes(effects))
+
+
+def own_causes(files: Sequence[str]) -> tuple[type[DefinedEffect], ...]:
+    """Causes of joint logs that effect files define. Raises InputError: names, and effects of poses."""
+    kinds: list[type[DefinedEffect]] = []
+    for word in files:
+        if not word.strip().endswith(".toml"):
+            raise InputError(f"--effects {word}: of joint logs every cause of the list is judged; own ones are files")
+        for kind in read_effects(word.strip()).kinds:
+            if not issubclass(kind, DefinedEffect) or not set(kind.definition.formulas) <= set(MOTION_SEAMS):
+                raise InputError(
+                    f"{word}: {kind.name} is of poses; causes of joint logs act at {', '.join(MOTION_SEAMS)}"
+                )
+            kinds.append(kind)
+    return tuple(kinds)
 
 
 def isolability_of(campaign: Campaign, effects: EffectChoice) -> tuple[RenderableType, dict[str, Any]]:

@@ -19,6 +19,7 @@ from casadical.diagnosis.motion.proposal import proposed
 from casadical.diagnosis.motion.result import diagnose_log, looks_of
 from casadical.diagnosis.motion.signals import motion_of
 from casadical.measurements.logs.log import JointLog
+from casadical.project.diagnosis import own_causes
 from casadical.robot.dynamics import Dynamics
 
 RATE, SECONDS = 100.0, 12.0
@@ -291,3 +292,33 @@ def test_a_motion_is_proposed_that_tells_delay_from_lag(robot):
     assert text.startswith("time_s,command1_rad")
     with pytest.raises(InputError, match=r"'rust': no cause .* there are .*lag"):
         proposed(found, looks, ["rust"])
+
+
+TOOTH = """casadical = 2
+[[definition]]
+name = "worn_tooth"
+acts_at = "joints"
+signature = "a worn tooth holds the joint near 0.7 rad"
+sizes = {push = [0.1, "great torque"]}
+formulas.torque = "push * exp(-((q - 0.7) / 0.12) ** 2)"
+"""
+
+
+def test_a_cause_of_ones_own_is_judged_beside_the_list(robot, tmp_path):
+    def worn(run, t, q, v, tau):
+        tau[:, 1] += 10 * np.exp(-(((q[:, 1] - 0.7) / 0.12) ** 2))
+        return tau, np.zeros(3)
+
+    (tmp_path / "tooth.effect.toml").write_text(TOOTH)
+    own = own_causes([str(tmp_path / "tooth.effect.toml")])
+    found = diagnose_log(robot, simulated(robot, 1, worn), own=own)
+    assert found.outcome.rankings[0].order[0] == "worn_tooth@2"
+    assert "joint 2: a worn tooth holds the joint" in " ".join(plain_text(found.blocks(), 200).split())
+    with pytest.raises(InputError, match="own ones are files"):
+        own_causes(["lag"])
+    posed = TOOTH.replace(
+        'formulas.torque = "push * exp(-((q - 0.7) / 0.12) ** 2)"', 'formulas.joint = "push * sin(q2)"'
+    )
+    (tmp_path / "pose.effect.toml").write_text(posed)
+    with pytest.raises(InputError, match="worn_tooth is of poses"):
+        own_causes([str(tmp_path / "pose.effect.toml")])

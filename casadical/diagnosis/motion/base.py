@@ -165,6 +165,8 @@ def _variables(m: Motion, arm: Arm, great: Array, torque: Array, model: Array, Y
     known["inertia"] = arm.rotor * m.a / great
     if m.torque is not None:  # not the measured one, which would explain its own noise
         known["tau"] = known["load"] + known["inertia"]
+    if m.heat is not None:
+        known["heat"] = m.heat
     if arm.gear_ratio is not None:
         known["motor"] = arm.gear_ratio * m.q
     if m.command is not None:

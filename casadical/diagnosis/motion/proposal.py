@@ -27,7 +27,7 @@ from casadical.diagnosis.motion.result import LogDiagnosis
 from casadical.diagnosis.motion.search import NAMED
 from casadical.diagnosis.motion.signals import motion_of
 from casadical.effects import Effect
-from casadical.effects.motion import motion_effects
+from casadical.effects.definition import DefinedEffect
 from casadical.measurements.logs.log import JointLog
 
 # A motion lasts so long [s], and its commands come so many times a second.
@@ -141,7 +141,8 @@ def proposed(found: LogDiagnosis, looks: Sequence[Look], names: Sequence[str] = 
     case, seconds = found.outcome.case, sum(float(np.ptp(run.time)) for run in found.log.runs())
     sizes = {label: _size(found, label) for label in _in_question(found, names)}
     known = coefficients(motion_case(looks[1:], chosen=())) if len(looks) > 1 else None
-    kinds = [k for k in motion_effects().values() if (k.answers_as or k.name) in {x.partition("@")[0] for x in sizes}]
+    made = [effect for label in sizes for (effect,) in case.by_label[label].variants]
+    kinds = list(dict.fromkeys(type(effect) for effect in made if isinstance(effect, DefinedEffect)))
 
     def tried(course: Course) -> tuple[float, Course, Array, Expected]:
         show(f"range {course.range:.0%}, speed {course.speed:.0%}, pause {course.pause} s, load {course.load:.2g} kg")

@@ -19,6 +19,7 @@ from casadical.diagnosis.motion.instrument import Fault, faults_of
 from casadical.diagnosis.motion.problem import MotionCase, coefficients, motion_case
 from casadical.diagnosis.motion.search import Found, Outcome, columns_of, search
 from casadical.diagnosis.motion.signals import motion_of
+from casadical.effects.definition import DefinedEffect
 from casadical.effects.motion import motion_effects
 from casadical.identification.inertial import contradictions, determined
 from casadical.measurements.logs.log import JointLog
@@ -100,10 +101,10 @@ class LogDiagnosis(Result):
         return [Words(self._sentence(), "verdict"), *self._faults(), self._gap_table(), *self._causes(), *self._notes()]
 
     def _sentence(self) -> str:
-        said = [f.sentence for f in self.faults] + [told(f.label) for f in self.claims]
+        said = [f.sentence for f in self.faults] + [told(self.outcome.case, f.label) for f in self.claims]
         if not self.claims and self.outcome.verdict != "none":
             best = self.fitting[0].label if self.fitting else self.outcome.rankings[0].order[0]
-            said.append(f"more is there than in a usual arm; what fits best: {told(best)}")
+            said.append(f"more is there than in a usual arm; what fits best: {told(self.outcome.case, best)}")
         return f"{self.log.source}: {'; '.join(said) or 'no more than a usual arm may have'}."
 
     def _faults(self) -> Iterator[Words]:
@@ -138,9 +139,9 @@ class LogDiagnosis(Result):
     def _causes(self) -> Iterator[Words | Table]:
         if self.outcome.verdict == "none":  # the best of what is too small to be there is no hint
             return
-        ranking = self.outcome.rankings[0]
+        ranking, case = self.outcome.rankings[0], self.outcome.case
         rows = [
-            (label, f"{ranking.probability[label]:.2f}", f"{ranking.log_factor[label]:.0f}", told(label))
+            (label, f"{ranking.probability[label]:.2f}", f"{ranking.log_factor[label]:.0f}", told(case, label))
             for label in ranking.order[:SHOWN]
             if ranking.probability[label] > LEAST
         ]
@@ -197,13 +198,13 @@ def _plain(label: str, probability: float) -> dict[str, Any]:
     return {"effect": name, "joint": int(joint) if joint else None, "probability": float(probability)}
 
 
-def told(label: str) -> str:
+def told(case: MotionCase, label: str) -> str:
     """A cause in words."""
-    name, _, joint = label.partition("@")
-    kind = motion_effects().get(name)
-    if kind is None:
+    candidate = case.by_label[label]
+    if not candidate.listed:
         return f"on no list: {label}"
-    return f"joint {joint}: {kind.signature}" if joint else kind.signature
+    signature = candidate.variants[0][0].signature
+    return f"joint {candidate.joint}: {signature}" if candidate.joint else signature
 
 
 def cannot_tell(log: JointLog, arm: Arm, compared: bool) -> Iterator[str]:
@@ -234,6 +235,7 @@ def diagnose_log(
     reference: JointLog | None = None,
     show: Show = lambda _: None,
     healthy: Robot | None = None,
+    own: Sequence[type[DefinedEffect]] = (),
 ) -> LogDiagnosis:
     """Why an arm moves otherwise than its model.
 
@@ -241,11 +243,12 @@ def diagnose_log(
     log : of one arm, with the commands, or a torque or current, or both
     reference : of the same arm in health on another day: what differs from it by more than a day's friction is a cause
     healthy : robot of the reference, where it carried another payload
+    own : causes beside those of the list, such as an effect file defines (seams torque, response ...)
     Raises InputError: a log that is too short, or has other joints than the robot.
     """
     show("signals and rigid bodies")
     looks = looks_of(robot, log, reference, healthy)
-    outcome = search(_case_of(looks))
+    outcome = search(_case_of(looks, own))
     told_of_bodies = determined(robot, log)
     own_numbers = tuple(k for k in told_of_bodies.independent if not k.startswith("Ia")) if told_of_bodies else ()
     compared, arm = reference.source if reference else "", looks[0].arm
@@ -281,5 +284,6 @@ def looks_of(
     return seen(log, arm, known.great), known
 
 
-def _case_of(looks: tuple[Look, ...]) -> MotionCase:
-    return motion_case(looks, coefficients(motion_case(looks[1:], chosen=())) if len(looks) > 1 else None)
+def _case_of(looks: tuple[Look, ...], own: Sequence[type[DefinedEffect]]) -> MotionCase:
+    known = coefficients(motion_case(looks[1:], chosen=())) if len(looks) > 1 else None
+    return motion_case(looks, known, [*motion_effects().values(), *own])
