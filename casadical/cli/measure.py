@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from casadical.cli.options import Json, Quiet, Room
+from casadical.cli.options import Json, Quiet, Room, refuse_of_others
 from casadical.cli.terminal import keep_json, plain
 from casadical.core.errors import InputError
 
@@ -58,9 +58,13 @@ Finish = Annotated[
 ]
 # How often a source is looked at [s].
 PAUSE = 0.2
+# Options of some modes alone.
+SOURCES = {"--simulate": ("every",), "readings that are measured": ()}
+SHOWN = {"the page": ("host", "port"), "--no-page": ()}
 
 
 def measure(
+    context: typer.Context,
     folder: Folder,
     follow: Follow = None,
     simulate: Simulate = None,
@@ -91,6 +95,8 @@ def measure(
     from casadical.project.live.sources import SimulatedSource, source_of
 
     console = plain(quiet)
+    refuse_of_others(context, [*SOURCES][not simulate], SOURCES)
+    refuse_of_others(context, [*SHOWN][no_page], SHOWN)
     move = _language(program).move_line if program else None
     if (follow and simulate) or (no_page and not (follow or simulate)):
         raise InputError("--follow FILE, DIR or -, or --simulate N: give one of them, from which the readings come")

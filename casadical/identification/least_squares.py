@@ -417,6 +417,12 @@ class LeastSquares:
         for k, r, J in self._parts(v):
             yield np.repeat(loss_slope(self._loss_of(k), r), r.shape[1]), J
 
+    def from_points(self, points: Array) -> LeastSquares:
+        """With other starts of the unknown points, shape (K, 3) [m]."""
+        other = replace(self)
+        other.kept.made.update(points=points)
+        return other
+
     def with_names(self, names: Sequence[str]) -> LeastSquares:
         """With others of the robot's parameters: data and, of some of the same, the sums at the start stay."""
         other = replace(self, names=tuple(names))

@@ -44,6 +44,7 @@ class Columns:
     row : shape (n,): line of the file at which each row stands
     empty : headers of columns without a cell, which are left out
     taken : of those that others were made of
+    left_out : rows of the file that were left out
 
     Examples
     --------
@@ -70,6 +71,7 @@ class Columns:
     row: Array
     empty: tuple[str, ...] = ()
     taken: tuple[str, ...] = ()
+    left_out: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if not len(self.table):
@@ -119,7 +121,8 @@ class Columns:
         if missing:
             raise InputError(f"{self.source}: row {missing[0]}, named in {why}, is no row of the table")
         kept = ~np.isin(self.row, list(rows))
-        return replace(self, table=self.table[kept].reset_index(drop=True), row=self.row[kept])
+        left_out = (*self.left_out, *self.row[~kept].tolist())
+        return replace(self, table=self.table[kept].reset_index(drop=True), row=self.row[kept], left_out=left_out)
 
     def with_tools(self, rows: Mapping[str, Sequence[int]]) -> Columns:
         """With the column `tool` from the rows of the file at which each target was measured.

@@ -284,7 +284,9 @@ def _refuse_weights(m: Measurements) -> None:
             f"{m.source}: row {m.row[k]}, column 'weight': {m.weight[k]:.6g}; a weight must be zero or more and finite"
         )
     if not m.weight.any():
-        raise InputError(f"{m.source}: column 'weight' is zero in every row; at least one pose must count")
+        raise InputError(
+            f"{m.source}: no pose counts: column 'weight' is zero in every row, or a way has no pose before it"
+        )
 
 
 def _refuse_separations(m: Measurements) -> None:

@@ -26,23 +26,7 @@ URDF = """<robot name="two"><link name="base"/><link name="one"/><link name="two
 <axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint></robot>
 """
 DRIVE = "[drive]\ngear_ratio = [101.0, 51.0]\ntorque_constant_Nm_per_A = 0.1\nkp_Nm_per_rad = 800\ndelay_ms = 8\n"
-DETAILS = """casadical = 1
-language = "de"
-number = "2026-014"
-issued = "2026-11-23"
-remarks = ["After a change."]
-[instrument]
-name = "laser tracker"
-noise_mm = 0.01
-scale_um_per_m = 3
-[conditions]
-temperature_degC = 21
-range_K = 2
-expansion_um_per_m_K = 12
-repeatability_mm = 0.02
-[decision]
-tolerance_mm = 0.2
-"""
+DETAILS = (ROOT / "docs/certificate.md").read_text().split("```toml\n")[1].split("```")[0]
 EFFECTS = """casadical = 2
 [[definition]]
 name = "play_of_mine"

@@ -9,8 +9,9 @@ import pandas as pd
 import pytest
 
 from casadical import InputError
+from casadical.measurements.columns import Columns
 from casadical.measurements.kinds.registry import kinds
-from casadical.measurements.reading import from_table, read_measurements
+from casadical.measurements.reading import from_columns, from_table, read_measurements
 
 PAGE = (Path(__file__).parents[2] / "docs" / "measurements.md").read_text(encoding="utf-8")
 SHOWN = dict(re.findall(r"<!-- (\w+) -->\n```text\n(.*?)```", PAGE, flags=re.DOTALL))
@@ -43,6 +44,15 @@ def test_the_first_row_of_motions_is_no_measurement() -> None:
     assert m.residuals == 2 * 6
     assert m.other is not None
     np.testing.assert_array_equal(m.other[1:], m.q[:-1])
+
+
+@pytest.mark.parametrize(("row", "weights"), [(2, [0.0, 1.0, 1.0]), (3, [0.0, 0.0, 1.0])])
+def test_a_motion_from_a_row_that_is_left_out_does_not_count(row: int, weights: list[float]) -> None:
+    """Its other end would be that of the row before: a wrong measurement that nobody sees."""
+    lines = SHOWN["relative_pose"].splitlines()
+    columns = Columns.of_frame(pd.read_csv(io.StringIO("\n".join([*lines, lines[-1]]))), "made up")
+    m = from_columns(columns.without([row], "leave_out"), 2)
+    assert m.weight.tolist() == weights
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,7 @@ class Contact(MeasurementKind):
     arrays = ("label",)
     lengths = 3
     has_scale = False
+    touches = True
 
     def matches(self, names: Set[str]) -> bool:
         return "point" in names

@@ -39,6 +39,7 @@ class Dial(MeasurementKind):
     fill = ("reading_mm",)
     lengths = 1
     places = False
+    touches = True
 
     def matches(self, names: Set[str]) -> bool:
         return bool(names & {"reading_mm", "reading_m"})

@@ -31,6 +31,7 @@ class Plane(MeasurementKind):
     lengths = 1
     places = False
     has_scale = False
+    touches = True
 
     def matches(self, names: Set[str]) -> bool:
         return "plane" in names

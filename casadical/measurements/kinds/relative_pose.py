@@ -1,6 +1,7 @@
 """Measured motions: where the tool is, seen from where it was at another pose."""
 
 from collections.abc import Set
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -23,7 +24,8 @@ class RelativePose(MeasurementKind):
     name = "relative_pose"
     columns = (
         "`dx_mm, dy_mm, dz_mm` (or `_m`) and an orientation as of `pose`: of the tool in its frame at another pose, by "
-        "`pose` and `other_pose`, or else that of the row before; all of the first row, which has none, is zero"
+        "`pose` and `other_pose`, or else that of the row before; all of the first row, which has none, is zero, and a "
+        "row behind one that is left out does not count"
     )
     pattern = f"d[xyz]_mm?|{ORIENTATION}"
     arrays = ("shift", "turn", "other")
@@ -39,13 +41,17 @@ class RelativePose(MeasurementKind):
         arrays = {"shift": columns.vector("d"), "turn": orientations(columns)}
         if "other_pose" in columns.table:
             return arrays | {"other": q[other_poses(columns)]}
-        if np.abs(arrays["shift"][0]).max() > 0 or np.abs(arrays["turn"][0] - np.eye(3)).max() > 0:
+        gone = np.array(columns.left_out)
+        begins = np.array([((last < gone) & (gone < row)).any() for last, row in pairwise([0, *columns.row])])
+        begun = max(np.abs(arrays["shift"][0]).max(), np.abs(arrays["turn"][0] - np.eye(3)).max())
+        if begun > 0 and not begins[0]:
             raise InputError(
                 f"{columns.at(0)}: has no row before that it could be relative to, but a shift or a turn; give zeros "
                 "there, or name the other pose of each row in `pose` and `other_pose`"
             )
         before = np.maximum(np.arange(len(q)) - 1, 0)
-        return arrays | {"other": q[before], "counted": (np.arange(len(q)) > 0).astype(float)}
+        begins[0] = True
+        return arrays | {"other": q[before], "counted": (~begins).astype(float)}
 
     def residual(self, pose: PoseExpression) -> Symbolic:
         p, R = pose.pose_at(pose.take("other", pose.joints))

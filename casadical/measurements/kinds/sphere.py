@@ -34,6 +34,7 @@ class Sphere(Distance):
     pattern = "sphere|radius_mm?"
     arrays: ClassVar[tuple[str, ...]] = ("distance", "label")
     by_row = False
+    touches = True
 
     def matches(self, names: Set[str]) -> bool:
         return "sphere" in names

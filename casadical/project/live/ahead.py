@@ -9,25 +9,30 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.effects import Session
+from casadical.identification.accuracy import predicted
 from casadical.identification.least_squares import LeastSquares
 from casadical.identification.prior import Prior
 from casadical.identification.reduction import independent_parameters
+from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
-from casadical.pose_selection.candidates import Circumstances, draw, expected
+from casadical.pose_selection.candidates import Circumstances, draw, expected, held_in
 from casadical.pose_selection.design_problem import prepare
 from casadical.pose_selection.experimental_design import search
 from casadical.pose_selection.information import MM
 from casadical.pose_selection.instruments import Instrument
 from casadical.pose_selection.pose_order import distances
-from casadical.pose_selection.stopping_rule import forecast
+from casadical.pose_selection.stopping_rule import Forecast, forecast
 from casadical.pose_selection.workspace import Workspace, places_about
-from casadical.project.live.estimate import Estimate, known_at_first
+from casadical.project.live.estimate import Estimate, known_at_first, labels_of
 from casadical.project.new.synthetic import one_turn
 from casadical.robot.robot import Robot
 
 # Poses that are chosen from, poses of the task, poses planned at once, and looked at beyond what is measured.
 POOL, TASK, BATCH, BEYOND = 300, 150, 8, 60
+# Where the tool may be held, of what it touches.
+PLACES = 8
 # Before anything is known so many are said to be needed. Of those that gain this share of the best one's gain, the
 # nearest is next.
 FIRST, SHARE = 12, 0.5
@@ -40,12 +45,14 @@ class Ahead:
     """What to measure.
 
     q : next poses in order, shape (k, joints) [rad or m]; to_go : how many more gain something, None: not known
+    touch : what the tool touches at the first of them, "" where it touches nothing that has a name
     """
 
     robot: Robot
     q: Array
     to_go: int | None
     words: str
+    touch: str = ""
 
 
 def look_ahead(
@@ -57,31 +64,60 @@ def look_ahead(
     m : all readings, at the last of which the robot stands
     Raises InputError where the room allows no pose.
     """
-    robot = replace(robot, targets=(), tool_name="")
+    robot = replace(robot.with_only(e for e in robot.effects if not isinstance(e, Session)), targets=(), tool_name="")
     before = m.q if m is not None else np.zeros((0, robot.n))
-    among, said = candidates(robot, room, len(before))
+    touches = m is not None and find_kind(m.kind).touches
+    among, said = candidates(robot, room, len(before), m if touches else None)
     names, information, sigma = found.known if found else known_at_first(robot, m)
+    own = [k for k, name in enumerate(names) if name in robot.parameters.names]  # of the first target and session
+    if len(own) < len(names):
+        names = tuple(names[k] for k in own)
+        information = np.linalg.inv(np.linalg.inv(information)[np.ix_(own, own)])
     free, prior = _independent(robot, names, information, among)
     wires = None
-    if m is not None and m.distance is not None and m.target is not None:
-        wires = Instrument("wires", np.unique(m.target.round(6), axis=0), known=True)
+    if m is not None and m.kind == "distance" and (m.target is not None or found):
+        ends = m.target if m.target is not None else np.array([*found.points.values()] if found else [])
+        wires = Instrument("wires", np.unique(ends.round(6), axis=0), known=True)
     problem = prepare(
-        robot, BATCH, "V", candidates=among, workspace=Workspace(), circumstances=Circumstances(), measured=None,
-        free=free, interest=(), task=None, noise=Noise(sigma), pool=len(among), rng=np.random.default_rng(0),
-        instrument=wires, prior=prior,
+        robot, min(BATCH, len(among)), "V", candidates=among, workspace=Workspace(), circumstances=Circumstances(),
+        measured=None, free=free, interest=(), task=None, noise=Noise(sigma), pool=len(among),
+        rng=np.random.default_rng(0), instrument=wires, prior=prior,
     )  # fmt: skip
     design = problem.design(problem.pool, "V", 0.0)
-    chosen = search(design, BATCH, 1, 0)
+    chosen = search(design, min(BATCH, len(among)), 1, 0)
     design.start([])
     q, gain = problem.pool.q[chosen], design.gains(chosen, 1)[chosen]
     to_go, words = None, f"at least {max(1, FIRST - len(before))} more"
     if found:
-        course = forecast(
-            robot, BEYOND, workspace=room, noise=Noise(sigma), pool=POOL, free=free, instrument=wires, prior=prior
-        )
+        if found.m.position is None and found.m.target is None:
+            task = expected(robot, task_readings(robot), {}, "task")
+            course = Forecast(np.arange(BEYOND + 1), found.expected(task, BEYOND))
+        else:
+            course = forecast(
+                robot, BEYOND, workspace=room, noise=Noise(sigma), pool=POOL, free=free, instrument=wires, prior=prior
+            )
         to_go = course.enough(target) if target else course.stop()
         words = _words(to_go, target, 1e3 * float(course.error[0]))
-    return Ahead(robot, q[_order(robot, q, gain, before)], to_go, f"{words}{said}")
+    order = _order(robot, q, gain, before)
+    touch = _touched_at(robot, m, q[order[0]]) if touches and m is not None else ""
+    return Ahead(robot, q[order], to_go, f"{words}{said}", touch)
+
+
+def _touched_at(robot: Robot, m: Measurements, q: Array) -> str:
+    """The name of what was touched nearest to where joints q, shape (joints,), hold the tool; "" where it has none."""
+    there, p = predicted(robot, m)[0], expected(robot, q[None], {}, "planned").position
+    names = labels_of(m)
+    return names[int(np.argmin(np.linalg.norm(there - p, axis=1)))] if names else ""
+
+
+def _touched(robot: Robot, m: Measurements, rng: np.random.Generator) -> Array:
+    """Where the tool touches what readings touched, shape (PLACES, 3) [m]: where it was or, on what is straight,
+    between two such places."""
+    p, labels = predicted(robot, m)[0], np.array(labels_of(m) or [""] * len(m))
+    first = rng.integers(len(m), size=PLACES)
+    other = np.array([rng.choice(np.flatnonzero(labels == labels[k])) for k in first])
+    share = np.zeros((PLACES, 1)) if find_kind(m.kind).places else rng.uniform(size=(PLACES, 1))
+    return np.asarray(p[first] + share * (p[other] - p[first]))
 
 
 def _independent(robot: Robot, names: tuple[str, ...], information: Array, q: Array) -> tuple[tuple[str, ...], Prior]:
@@ -115,16 +151,27 @@ def _order(robot: Robot, q: Array, gain: Array, before: Array) -> list[int]:
     return order
 
 
-def candidates(robot: Robot, room: Workspace | None, seed: int) -> tuple[Array, str]:
-    """Poses that may be measured, shape (POOL, joints), and what was not checked. Raises InputError of a room."""
-    rng = np.random.default_rng(seed)
-    if room is not None:
-        return draw(one_turn(robot), POOL, room, rng, to_ends=True), ""
-    own = one_turn(in_base(robot))
-    for clearance in (CLEARANCE, -LEAST):  # some robots have axes in the plane that they stand on
+def candidates(
+    robot: Robot, room: Workspace | None, seed: int, touches: Measurements | None = None
+) -> tuple[Array, str]:
+    """Poses that may be measured, shape (POOL, joints), and what was not checked.
+
+    touches : readings that tell where the tool may be held, None: anywhere. Raises InputError of a room.
+    """
+    rng, own = np.random.default_rng(seed), one_turn(robot if room else in_base(robot))
+    # Some robots have axes in the plane that they stand on.
+    standing = [Workspace(floor=0.0, clearance=clearance) for clearance in (CLEARANCE, -LEAST)]
+    if touches is not None:
+        places = _touched(own, touches, rng)
+        for each in [room] if room else [*standing, Workspace()]:
+            with suppress(InputError):
+                if len(held := held_in(own, places, POOL // 2, each, rng)[0]) >= BATCH:
+                    return held, ""
+    for each in [] if room else standing:
         with suppress(InputError):
-            return draw(own, POOL, Workspace(floor=0.0, clearance=clearance), rng, to_ends=True), ""
-    return draw(own, POOL, Workspace(), rng, to_ends=True), "; floor and obstacles were not checked: --room FILE.toml"
+            return draw(own, POOL, each, rng, to_ends=True), ""
+    said = "" if room else "; floor and obstacles were not checked: --room FILE.toml"
+    return draw(own, POOL, room or Workspace(), rng, to_ends=True), said
 
 
 def arms(robot: Robot, q: Array) -> Array:

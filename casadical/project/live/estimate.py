@@ -2,24 +2,27 @@
 
 Noise of a coordinate and departure from nominal (as a factor on the robot's own priors) are those of a grid, weighted
 by their evidence (MacKay 1992, "Bayesian interpolation", eqs. 2.6 and 4.5): a prediction is as sure as the readings
-until now make it, from the fifth on. Base and tool are put where the readings say and are free. Readings are of any
-kind without unknown points: positions, full poses (an angle's noise is the length's times the most evident of some
-ratios), distances to known places.
+until now make it, from the fifth on. Base and tool are put where the readings say and are free, and so are the points
+that a kind leaves unknown: what is touched, far ends of distances. An angle's noise is the length's times the most
+evident of some ratios.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.parameters import Parameter
 from casadical.identification.accuracy import predicted
 from casadical.identification.least_squares import FRAMES, LeastSquares
-from casadical.identification.placement import place_frames
+from casadical.identification.sessions import PREFIX, place_sessions
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.information import MM, scaled_jacobian
+from casadical.pose_selection.instruments import without_base
 from casadical.robot.robot import Robot
 
 # Readings from which on one is judged by the others.
@@ -36,25 +39,47 @@ SIGMAS = np.geomspace(0.008, 60.0, 22)
 WIDTHS = np.array([0.1, 0.25, 0.6, 1.5])
 # An angle's sigma over a coordinate's [mrad/mm].
 RATIOS = np.geomspace(0.3, 30.0, 7)
-# One sigma of base and tool about where they were put, in units of scale (m, rad): they are not known.
+# One sigma of base, tool and points about where they were put [mm, mrad]: they are not known.
 FREE = 1e3
 # One sigma of a coordinate, and of base and tool in units of scale, before readings tell them.
 NOISE, STANDS_IN = 5e-5, 30.0
-STEPS = 3
+# Steps of the fit, and most of them where unknown points still move by more than this [mm].
+STEPS, MOST, MOVES = 3, 15, 0.1
+# A reading is not judged where the others predict it with a sigma of more than this [mm].
+UNTOLD = 100.0
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Readings beside the model: measured less computed, shape (n, numbers), and the model's Jacobian by parameters
+    and then the points, (n, numbers, p + 3 K) [mm and ratio mrad].
+
+    points : unknown ones by their labels, in the order of the columns, shape (3,) each [m]
+    separated : of known distances between points, in units of sigma, shapes (s,) and (s, p + 3 K)
+    """
+
+    off: Array
+    J: Array
+    points: Mapping[str, Array]
+    separated: tuple[Array, Array]
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """The robot as some readings tell it.
 
-    robot : with their values; names : of the parameters that were fitted; covariance : shape (p, p), units of scale
+    robot : with their values; names : of the parameters that were fitted
+    points : unknown ones that the readings refer to, by their labels [m]
+    covariance : of parameters and points, shape (p + 3 K, p + 3 K), units of scale and mm
     sigma : of a coordinate [m]; ratio : of an angle's to it [mrad/mm]
-    m : the readings; left_out : what each would miss the model of the others by, shape (n, lengths) [m]; surprise : the
-    same squared, angles with it, in units of its covariance, shape (n,); widened : the limit of surprises over `LIMITS`
+    m : the readings; left_out : what each would miss the model of the others by, shape (n, lengths) [m], not a number
+    where they do not predict it; surprise : the same squared, angles with it, in units of its covariance, shape (n,)
+    widened : the limit of surprises over `LIMITS`
     """
 
     robot: Robot
     names: tuple[str, ...]
+    points: Mapping[str, Array]
     covariance: Array
     sigma: float
     ratio: float
@@ -69,7 +94,14 @@ class Estimate:
     @property
     def known(self) -> tuple[tuple[str, ...], Array, float]:
         """Names, their information in units of scale, and the noise [m]."""
-        return self.names, np.linalg.inv(self.covariance), self.sigma
+        p = len(self.names)
+        return self.names, np.linalg.inv(self.covariance[:p, :p]), self.sigma
+
+    @property
+    def left_out_mm(self) -> Array:
+        """How far each reading is from the model of the others, of those that these predict, shape (k,) [mm]."""
+        left = np.linalg.norm(self.left_out, axis=1) / MM
+        return np.asarray(left[np.isfinite(left)])
 
     @property
     def limit(self) -> float:
@@ -80,100 +112,169 @@ class Estimate:
         """What readings miss the prediction by, shape (n, lengths) [m], and its square, angles with it, in units of
         its covariance, shape (n,).
 
-        Where a four-bar cannot close, the latter are infinite.
+        Where a four-bar cannot close, the latter are infinite; of a point that no reading told both are zero.
         """
-        off, J = observed(self.robot, self.names, m, self.ratio)
-        square, closed = np.full(len(m), np.inf), np.isfinite(off).all(axis=1) & np.isfinite(J).all(axis=(1, 2))
-        J, r = J[closed], off[closed]
-        C = J @ self.covariance @ J.transpose(0, 2, 1) + (self.sigma / MM) ** 2 * np.eye(J.shape[1])
-        square[closed] = np.einsum("ni,ni->n", r, np.linalg.solve(C, r[..., None])[..., 0])
-        return MM * off[:, : find_kind(m.kind).lengths], square
+        kind, labels = find_kind(m.kind), labels_of(m)
+        off, square = np.zeros((len(m), kind.lengths)), np.zeros(len(m))
+        told = np.flatnonzero([name in self.points for name in labels] if labels else np.ones(len(m), dtype=bool))
+        if not len(told):
+            return off, square
+        seen = observed(self.robot, self.names, replace(m[told], separations=()), self.ratio, self.points)
+        at, p = {name: k for k, name in enumerate(self.points)}, len(self.names)
+        column = [p + 3 * at[name] + i for name in seen.points for i in range(3)]
+        C = self.covariance[np.ix_([*range(p), *column], [*range(p), *column])]
+        off[told], square[told] = MM * seen.off[:, : kind.lengths], np.inf
+        closed = np.isfinite(seen.off).all(axis=1) & np.isfinite(seen.J).all(axis=(1, 2))
+        J, r = seen.J[closed], seen.off[closed]
+        C = J @ C @ J.transpose(0, 2, 1) + (self.sigma / MM) ** 2 * np.eye(J.shape[1])
+        square[told[closed]] = np.einsum("ni,ni->n", r, np.linalg.solve(C, r[..., None])[..., 0])
+        return off, square
 
-    def expected(self, task: Measurements) -> float:
-        """Root mean square error of the robot itself to expect over a task [m]."""
-        J = scaled_jacobian(self.robot, self.names, task)
-        return float(MM * np.sqrt(np.einsum("kip,pq,kiq->", J, self.covariance, J, optimize=True) / len(J)))
+    def expected(self, task: Measurements, more: int = 0) -> Array:
+        """Root mean square error of the robot itself to expect over a task [m], shape (more + 1,): now, and after each
+        of so many further readings, as good as those until now are in the mean.
+
+        Where readings do not tell where the base is, it is where the task has it.
+        """
+        p, J = len(self.names), scaled_jacobian(self.robot, self.names, task)
+        base = [k for k, name in enumerate(self.names) if self.robot.parameters[name].group == "base"]
+        if not base or self.covariance[base, base].max() > UNTOLD**2:
+            J = without_base(self.robot, J, task)
+        W, seen = np.einsum("kip,kiq->pq", J, J, optimize=True) / len(J), np.zeros_like(self.covariance)
+        if more:
+            turns = np.where(
+                np.arange(find_kind(self.m.kind).numbers) < find_kind(self.m.kind).lengths, 1, 1 / self.ratio
+            )
+            own = observed(self.robot, self.names, self.m, points=self.points).J * turns[:, None]
+            seen = np.einsum("kip,kiq->pq", own, own, optimize=True) * (MM / self.sigma) ** 2 / len(own)
+        now = np.linalg.inv(self.covariance)
+        each = (np.linalg.inv(now + k * seen)[:p, :p] if k else self.covariance[:p, :p] for k in range(more + 1))
+        return np.asarray(MM * np.sqrt([np.sum(W * C) for C in each]))
 
 
-def names_of(robot: Robot) -> tuple[str, ...]:
-    """What is estimated: geometry, frames, compliance."""
-    return tuple(robot.parameters.select(("kinematic", "compliance")))
+def names_of(robot: Robot, m: Measurements | None) -> tuple[str, ...]:
+    """What is estimated: geometry, compliance, tool, and the base where readings see something at rest."""
+    held = () if m is None or find_kind(m.kind).at_rest(m.arrays) else ("base",)
+    sessions = (n for n in robot.parameters.names if n.startswith(PREFIX))
+    names = (*robot.parameters.select(("kinematic", "compliance")), *sessions)
+    return tuple(name for name in names if robot.parameters[name].group not in held)
 
 
-def observed(robot: Robot, names: tuple[str, ...], m: Measurements, ratio: float = 1.0) -> tuple[Array, Array]:
-    """Measured less computed, shape (n, numbers), and the model's Jacobian, (n, numbers, p) [mm and ratio mrad]."""
-    (r,), J = LeastSquares(robot, (m,), names, "linear", False, ((MM, MM * ratio),)).evaluate(np.zeros(len(names)))
-    if m.orientation is not None:  # a residual that is the sine of the angle does not see half a turn
-        turned = np.einsum("nij,nij->n", predicted(robot, m)[1], m.orientation) < 1.0
+def _is_frame(p: Parameter) -> bool:
+    """Whether a parameter says where base or tool are, in some session."""
+    return p.group in FRAMES or (p.name.startswith(PREFIX) and ".zero" not in p.name)
+
+
+def labels_of(m: Measurements) -> list[str]:
+    """The label of each reading's unknown point; none where its kind has none."""
+    return list(find_kind(m.kind).point_names(m.arrays))
+
+
+def observed(
+    robot: Robot, names: tuple[str, ...], m: Measurements, ratio: float = 1.0,
+    points: Mapping[str, Array] | None = None,
+) -> Seen:  # fmt: skip
+    """Readings beside the model; points : where unknown ones are, None: where the readings put them."""
+    problem = LeastSquares(robot, (m,), names, "linear", False, ((MM, MM * ratio),))
+    labels = list(dict.fromkeys(labels_of(m)))
+    if points is not None:
+        problem = problem.from_points(np.array([points[name] for name in labels]).reshape(-1, 3))
+    (r, *apart), J = problem.evaluate(np.zeros(problem.size))
+    if (turn := m.arrays.get("orientation", m.arrays.get("turn"))) is not None:
+        R = predicted(robot, m)[1]
+        R = R if m.other is None else predicted(robot, replace(m, q=m.other))[1].transpose(0, 2, 1) @ R
+        turned = np.einsum("nij,nij->n", R, turn) < 1.0  # a residual that is the sine does not see half a turn
         r = np.where(turned[:, None] & (np.arange(r.shape[1]) >= 3), np.pi / (MM * ratio), r)
-    return -r, J.reshape(*r.shape, len(names))
+    separated = (-apart[0].ravel() if apart else np.zeros(0), J[r.size :])
+    return Seen(-r, J[: r.size].reshape(*r.shape, -1), dict(zip(labels, problem.points, strict=True)), separated)
 
 
 def known_at_first(robot: Robot, m: Measurements | None) -> tuple[tuple[str, ...], Array, float]:
     """As `Estimate.known` of readings that are too few for one: by the robot's own priors."""
-    names = names_of(robot)
+    names = names_of(robot, m)
     own = [robot.parameters[name] for name in names]
-    width = np.array([STANDS_IN if p.group in FRAMES else p.prior / p.scale for p in own])
-    J = np.zeros((0, len(names))) if m is None else observed(robot, names, m)[1].reshape(-1, len(names))
-    return names, J.T @ J / (NOISE / MM) ** 2 + np.diag(width**-2), NOISE
+    width = np.array([STANDS_IN * MM / p.scale if _is_frame(p) else p.prior / p.scale for p in own])
+    if m is None:
+        return names, np.diag(width**-2), NOISE
+    seen = observed(robot, names, m)
+    J, points = seen.J.reshape(seen.off.size, -1), 3 * len(seen.points)
+    information = J.T @ J / (NOISE / MM) ** 2 + np.diag(np.append(width, np.full(points, FREE)) ** -2)
+    of_parameters = np.linalg.inv(information)[: len(names), : len(names)]
+    return names, np.linalg.inv(of_parameters) if points else information, NOISE
 
 
-def estimate(robot: Robot, m: Measurements) -> Estimate:
-    """The robot as these readings tell it; robot : nominal."""
-    placed, kind = place_frames(robot, m), find_kind(m.kind)
-    names = names_of(placed)
+def estimate(robot: Robot, m: Measurements, placed: Robot | None = None) -> Estimate:
+    """The robot as these readings tell it; robot : nominal; placed : with its frames where they stand, if known."""
+    placed, kind = placed or place_sessions(robot, (m,)), find_kind(m.kind)
+    names = names_of(placed, m)
     own = [placed.parameters[name] for name in names]
-    frames = np.array([p.group in FRAMES for p in own])
     scale, value, lower, upper = (
         np.array([getattr(p, what) for p in own]) for what in ("scale", "value", "lower", "upper")
     )
-    width = np.array([p.prior for p in own]) / scale
-    x, now, ratios = np.zeros(len(names)), placed, RATIOS if kind.angles else np.ones(1)
-    angles = np.arange(kind.numbers) >= kind.lengths
-    for _ in range(STEPS):
-        r, J = observed(now, names, m)
-        y = r + J @ x
-        fits = [(*_by_evidence(J, y, np.where(angles, 1 / each, 1.0), frames, width), float(each)) for each in ratios]
+    now, ratios = placed, RATIOS if kind.angles else np.ones(1)
+    seen = observed(now, names, m)
+    points = start = seen.points
+    free = np.concatenate([[FREE * MM / p.scale if _is_frame(p) else 0.0 for p in own], np.full(3 * len(start), FREE)])
+    width = np.append(np.array([p.prior for p in own]) / scale, np.ones(3 * len(start)))
+    x, p, angles = np.zeros(len(free)), len(names), np.arange(kind.numbers) >= kind.lengths
+    for step in range(MOST):
+        seen = observed(now, names, m, points=points) if step else seen
+        y, apart = seen.off + seen.J @ x, (seen.separated[0] + seen.separated[1] @ x, seen.separated[1])
+        fits = [(*_by_evidence(seen.J, y, np.where(angles, 1 / r, 1.0), free, width, apart), float(r)) for r in ratios]
         _, sigma, C, b, ratio = max(fits, key=lambda fit: fit[0])
         ratios = np.array([ratio])
-        values = np.clip(value + scale * (C @ b), lower, upper)
-        x, now = (values - value) / scale, placed.with_values(dict(zip(names, values, strict=True)))
-    r, J = observed(now, names, m, ratio)[0], J * np.where(angles, 1 / ratio, 1.0)[:, None]
-    free = np.eye(kind.numbers) - J @ C @ J.transpose(0, 2, 1) / sigma**2
-    off = np.linalg.solve(free, r[..., None])[..., 0]
-    freedom = max(float(np.trace(free, axis1=1, axis2=2).sum()), 1.0)
+        before, x = x, C @ b
+        values = np.clip(value + scale * x[:p], lower, upper)
+        x[:p], now = (values - value) / scale, placed.with_values(dict(zip(names, values, strict=True)))
+        points = dict(zip(start, [*start.values()] + MM * x[p:].reshape(-1, 3), strict=True)) if start else start
+        if step >= STEPS - 1 and np.abs(x[p:] - before[p:]).max(initial=0.0) < MOVES:
+            break
+    r = observed(now, names, m, ratio, points).off
+    J = seen.J * np.where(angles, 1 / ratio, 1.0)[:, None]
+    redundant = np.eye(kind.numbers) - J @ C @ J.transpose(0, 2, 1) / sigma**2
+    told = np.linalg.eigvalsh(redundant)[:, 0] > (sigma / UNTOLD) ** 2
+    redundant[~told] = np.eye(kind.numbers)
+    off = np.where(told[:, None], np.linalg.solve(redundant, r[..., None])[..., 0], np.nan)
+    freedom = max(float(np.trace(redundant, axis1=1, axis2=2).sum()), 1.0)
     return Estimate(
-        now, names, C, MM * sigma, ratio, m, MM * off[:, : kind.lengths],
-        np.einsum("ni,ni->n", off, r) / sigma**2, 1 + UNSURE / freedom,
+        now, names, points, C, MM * sigma, ratio, m, MM * off[:, : kind.lengths],
+        np.nan_to_num(np.einsum("ni,ni->n", off, r)) / sigma**2, 1 + UNSURE / freedom,
     )  # fmt: skip
 
 
-def _by_evidence(J: Array, y: Array, weight: Array, frames: Array, width: Array) -> tuple[float, float, Array, Array]:
-    """Of y = J x + noise, shapes (n, numbers, p) and (n, numbers): logarithm of the evidence, noise [mm], covariance,
-    shape (p, p), and J'y over the noise's square, (p,).
+def _by_evidence(
+    J: Array, y: Array, weight: Array, free: Array, width: Array, apart: tuple[Array, Array]
+) -> tuple[float, float, Array, Array]:
+    """Of y = J x + noise, shapes (n, numbers, x) and (n, numbers): logarithm of the evidence, noise [mm], covariance,
+    shape (x, x), and what it makes x of, (x,).
 
-    weight : of the numbers of a reading, shape (numbers,)
+    weight : of the numbers of a reading, shape (numbers,); free : one sigma of what has no prior, else zero, shape (x,)
+    apart : further y and J that are known with a sigma of one, shapes (s,) and (s, x)
     """
     told = len(y) * float(np.log(weight).sum())
     J, y = (J * weight[:, None]).reshape(-1, J.shape[2]), (y * weight).ravel()
     G, b, square = J.T @ J, J.T @ y, float(y @ y)
+    known, of_known = apart[1].T @ apart[1], apart[1].T @ apart[0]
     logs, precisions = np.empty((len(WIDTHS), len(SIGMAS))), []
     for i, factor in enumerate(WIDTHS):
-        P = np.where(frames, FREE**-2, (factor * width) ** -2)
+        P = np.where(free > 0, free, factor * width) ** -2
         precisions.append(P)
-        root = 1 / np.sqrt(P)
-        values, V = np.linalg.eigh(root[:, None] * G * root)
-        along, values = (V.T @ (root * b)) ** 2, np.maximum(values, 0.0)
+        at = np.linalg.solve(np.diag(P) + known, of_known)  # mean before the readings
+        root = np.linalg.inv(np.linalg.cholesky(np.diag(P) + known))
+        values, V = np.linalg.eigh(root @ G @ root.T)
+        along, values = (V.T @ (root @ (b - G @ at))) ** 2, np.maximum(values, 0.0)
+        left = square - 2 * float(at @ b) + float(at @ G @ at)
         for k, s in enumerate(SIGMAS):
             ratio = values / s**2
-            quadratic = square / s**2 - float((along / s**4 / (1 + ratio)).sum())
+            quadratic = left / s**2 - float((along / s**4 / (1 + ratio)).sum())
             logs[i, k] = -0.5 * quadratic - len(y) * np.log(s) - 0.5 * float(np.log1p(ratio).sum())
     weights = np.exp(logs - logs.max())
     evidence = told + float(logs.max() + np.log(weights.sum()))
     weights /= weights.sum()
     sigma = float(np.sqrt((weights.sum(axis=0) * SIGMAS**2).sum()))
     variance = (weights.sum(axis=1)[:, None] / np.array(precisions)).sum(axis=0)
-    return evidence, sigma, np.linalg.inv(G / sigma**2 + np.diag(1 / variance)), b / sigma**2
+    C = np.linalg.inv(G / sigma**2 + np.diag(1 / variance) + known)
+    return evidence, sigma, C, b / sigma**2 + of_known
 
 
 def counted(robot: Robot, m: Measurements, doubtful: Array) -> tuple[Estimate | None, Array, Array]:
@@ -182,18 +283,24 @@ def counted(robot: Robot, m: Measurements, doubtful: Array) -> tuple[Estimate | 
     doubtful : mask of those that were, shape (n,)
     Returns the estimate, None of too few readings, the mask, shape (n,), and what each misses, shape (n, lengths) [m].
     """
-    out, lengths = doubtful.copy(), find_kind(m.kind).lengths
+    out, lengths, labels = doubtful.copy(), find_kind(m.kind).lengths, np.array(labels_of(m))
     if len(m) < FEWEST:
         return None, np.zeros(len(m), dtype=bool), np.zeros((len(m), lengths))
     if (~out).sum() < FEWEST:  # the first are judged by each other, the others by them
         out[:FEW] = False
+    named = [flag > 0 for name, flag in m.conditions.items() if name.startswith((PREFIX, "tool_"))]
+    for own in (*(labels == name for name in set(labels)), *named):
+        out[own] &= 2 * out[own].sum() < own.sum()  # and so are those of a point, where as many are doubted as not
+    # Where nothing says where the point is, placing takes a search that outliers do not mislead.
+    placed = place_sessions(robot, (m,)) if m.position is None and m.target is None else None
     for _ in range(3 + len(m) // 10):
         inside = np.flatnonzero(~out)
-        found = estimate(robot, m[inside])
+        found = estimate(robot, m[inside], placed)
         surprise, off = np.zeros(len(m)), np.zeros((len(m), lengths))
         off[inside], surprise[inside] = found.left_out, found.surprise
         if FEWEST < len(inside) <= FEW:
-            surprise[inside] = [_without(robot, m, inside, k) for k in range(len(inside))]
+            without = (estimate(robot, m[np.delete(inside, k)], placed) for k in range(len(inside)))
+            surprise[inside] = [each.misses(m[inside[[k]]])[1][0] for k, each in enumerate(without)]
         if out.any():
             off[out], surprise[out] = found.misses(m[np.flatnonzero(out)])
         worst = int(inside[np.argmax(surprise[inside])])
@@ -204,8 +311,3 @@ def counted(robot: Robot, m: Measurements, doubtful: Array) -> tuple[Estimate | 
         else:
             break
     return found, out, off
-
-
-def _without(robot: Robot, m: Measurements, inside: Array, k: int) -> float:
-    """Surprise of the k-th reading to a fit of the others."""
-    return float(estimate(robot, m[np.delete(inside, k)]).misses(m[inside[[k]]])[1][0])

@@ -171,8 +171,7 @@ class LivePage:
     def _done(self, asked: dict[str, Any]) -> str:
         session, do = self.session, asked.get("do")
         if do == "type":
-            values = {str(name): float(value) for name, value in asked["values"].items()}
-            number = session.type_in(values)
+            number = session.type_in({str(name): str(value) for name, value in asked["values"].items()})
             return session.answer(number) if number else "this reading is there already"
         if do == "finish":
             self.finished = finished(session.folder)

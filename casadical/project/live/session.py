@@ -6,7 +6,9 @@ that the folder can be calibrated at any time, and again after the process was k
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from threading import RLock
@@ -22,6 +24,7 @@ from casadical.core.reading import read_text
 from casadical.core.telling.terminal import plain_text
 from casadical.identification.plausibility import check_against
 from casadical.identification.prepared import all_compliant, prepare, undeclared
+from casadical.identification.sessions import with_sessions
 from casadical.measurements.clock import clock_faults
 from casadical.measurements.column_map import Source as ColumnSource
 from casadical.measurements.kinds.registry import find_kind
@@ -38,16 +41,16 @@ from casadical.project.live.reading_slips import slips_of
 from casadical.project.live.sources import Row, Source
 from casadical.project.problem import read_campaign, read_problem_robot
 from casadical.project.problem_file import DataTable, problem_file
-from casadical.project.robot_columns import understood
+from casadical.project.robot_columns import refuse_nameless, understood, with_known_targets
 
 TABLE = "measured.csv"
 # Share of the reach that the model may leave before the whole table is doubted, and readings at which it is checked.
 GROSS, CHECKED = 0.003, (10, 15, 25, 40, 60, 100, 200)
-FOLLOWED = ("position", "pose", "distance")
-_FOLLOWED = (
-    "measure follows positions, full poses, and distances to known places (to_x_mm, to_y_mm, to_z_mm); for others "
-    "measure the whole table, then casadical check"
-)
+# So many of the last rows that could not be read are tried again, one of them left out, when another comes.
+WAITING = 10
+# Columns of names, and those that a table may have beside what its kind observes.
+NAMES = ("point", "plane", "sphere", "anchor", "dial", "tool", "session")
+FURTHER = ("to_x_mm", "to_y_mm", "to_z_mm", "along_x", "along_y", "along_z", "pose", "other_pose", *NAMES)
 # A share of readings of which 95 % lie below is stated from so many on.
 FOR_QUANTILE = 20
 
@@ -145,25 +148,36 @@ class LiveSession:
             self.said += said
         return found, said
 
-    def type_in(self, values: dict[str, float]) -> int | None:
-        """Keep a reading that was typed: values by `fields`. Raises InputError: one is missing or no finite number."""
-        names = self.fields
-        lost = [name for name in names if not np.isfinite(values.get(name, np.nan))]
-        if lost:
-            raise InputError(f"{', '.join(lost)}: give a number for each of {', '.join(names)}")
-        row = {name: f"{values[name]:.12g}" for name in names}
+    def type_in(self, values: Mapping[str, str]) -> int | None:
+        """Keep a reading that was typed: values by `fields`, names of what is touched as words.
+
+        Raises InputError: one is missing, or no finite number where it must be one.
+        """
+        names, row = self.fields, dict[str, str]()
+        for name in names:
+            with suppress(ValueError):
+                text = values.get(name, "").strip()
+                number = text if name in NAMES else f"{float(text):.12g}"
+                row |= {name: number} if number and number not in ("inf", "-inf", "nan") else {}
+        if lost := [name for name in names if name not in row]:
+            raise InputError(f"{', '.join(lost)}: give a value for each of {', '.join(names)}")
         header = tuple(names)
         with self.lock:
             if self.course.header and sorted(header) != sorted(self.course.header):
-                header, row = self.course.header, self._as_file(values)
+                header, row = self.course.header, self._as_file(row)
         return self.take(Row(header, (), tuple(row[name] for name in header), "typed"))
 
     @property
     def fields(self) -> list[str]:
         """Names of what is typed for a reading: joints, then what is observed."""
         kind = find_kind(self.m.kind if self.m is not None else "position")
-        ends = ("to_x_mm", "to_y_mm", "to_z_mm") if kind.name == "distance" else ()
-        return [*self.robot.reading_units, *kind.fill, *ends]
+        further: tuple[str, ...] = ()
+        if self.course.header and self.m is not None:
+            columns = {
+                re.sub("_(m|rad)$", lambda unit: {"_m": "_mm", "_rad": "_deg"}[unit[0]], c) for c in self._sources
+            }
+            further = tuple(c for c in FURTHER if c in columns and c not in kind.fill)
+        return [*self.robot.reading_units, *kind.fill, *further]
 
     def strike(self, number: int, why: str) -> None:
         """Strike a reading out; it stays in the table, beside the reason. Raises InputError."""
@@ -205,19 +219,25 @@ class LiveSession:
     def _number(self, row: int) -> int:
         return int(row) - 1 - bool(self.course.units)
 
-    def _as_file(self, values: dict[str, float]) -> dict[str, str]:
-        """Typed values as the file's columns are, other columns empty. Raises InputError where that is not clear."""
+    @property
+    def _sources(self) -> dict[str, ColumnSource]:
+        """What our columns are made of in the table."""
         data = self._table_said()
         raw = read_table(self.folder / TABLE)
-        sources = {**understood(raw, self.robot, data.sources, data.kind).sources, **data.sources}
-        row = dict.fromkeys(self.course.header, "")
+        found = {**understood(raw, self.robot, data.sources, data.kind).sources, **data.sources}
+        return {name: ColumnSource(name) for name in raw.header if name not in found} | found
+
+    def _as_file(self, values: Mapping[str, str]) -> dict[str, str]:
+        """Typed values as the file's columns are, other columns empty. Raises InputError where that is not clear."""
+        sources, row = self._sources, dict.fromkeys(self.course.header, "")
         for name, value in values.items():
             stem, _, unit = name.rpartition("_")
-            other = {"deg": ("rad", np.pi / 180), "mm": ("m", 1e-3)}[unit]
-            for ours, factor in ((name, 1.0), (f"{stem}_{other[0]}", other[1])):
-                source = sources.get(ours, ColumnSource(ours))
-                if source.name in row and not (source.add or source.rows):
-                    row[source.name] = f"{(value * factor - source.plus) / source.times:.12g}"
+            others = {"deg": {f"{stem}_rad": np.pi / 180}, "mm": {f"{stem}_m": 1e-3}}.get(unit, {})
+            for ours, factor in ({name: 1.0} | others).items():
+                source = sources.get(ours)
+                if source is not None and source.name in row and not (source.add or source.rows):
+                    same = name in NAMES or (factor, source.plus, source.times) == (1.0, 0.0, 1.0)
+                    row[source.name] = value if same else f"{(float(value) * factor - source.plus) / source.times:.12g}"
                     break
             else:
                 raise InputError(f"{name}: no column of the file is this alone; append the reading to the file")
@@ -241,18 +261,29 @@ class LiveSession:
         """All readings that are not left out. Raises InputError."""
         self._write()
         m = read_campaign(self.folder, self.folder / TABLE, self.robot, later=True, words=True)
-        if m.kind not in FOLLOWED or (m.kind == "distance" and m.target is None):
-            raise InputError(
-                f"{TABLE}: is of kind {m.kind}{'' if m.target is None else ' to known places'}; {_FOLLOWED}"
-            )
+        refuse_nameless(m, self.robot)
+        m = with_known_targets(m, self.robot)
+        with_sessions(self.robot, [m])  # one of few poses waits for more
         return m
 
     def _without_folder(self, error: InputError) -> str:
         return str(error).replace(f"{self.folder}/", "")
 
     def _without_odd(self, new: Sequence[int], why: str) -> Measurements | None:
-        """The table without those of the new rows that make it none; None, and why, where they are not it."""
+        """The table without those of the new rows that make it none; None, and why, where they are not it.
+
+        Rows of before may have waited for these: for further touches of a plane, or the other end of a way.
+        """
         found: Measurements | None = None
+        before, read, whole = self._odd, self._read(), ""
+        waiting = [r.number for r in self.course.readings if not (r.struck or r.number in (*new, *read))]
+        for lost in ((), *((n,) for n in waiting[-WAITING:])) if waiting else ():
+            self._odd = {n: before.get(n) or why.splitlines()[0] for n in lost}
+            try:
+                return self._table()
+            except InputError as error:
+                whole = whole if lost else self._without_folder(error).splitlines()[0]
+        self._odd = before
         self._odd |= dict.fromkeys(new, "")
         for n in (0, *new):  # all of them left out, then one after the other taken in
             self._odd.pop(n, None)
@@ -263,18 +294,19 @@ class LiveSession:
                     self._odd = {k: text for k, text in self._odd.items() if k not in new}
                     self.unread = why
                     return None
-                self._odd[n] = self._without_folder(error).splitlines()[0]
+                own = self._without_folder(error).splitlines()[0]
+                alike = re.sub("[0-9]+", "", own) == re.sub("[0-9]+", "", whole)  # it waits as those before do
+                self._odd[n] = whole if alike else own
         self._write()
         return found
 
     def _judge_readings(self, m: Measurements, new: int) -> None:
         numbers = [self._number(row) for row in m.row]
         robot = self.robot if not undeclared(self.robot) else all_compliant(self.robot, [m])[0]
-        if m.orientation is not None:
-            robot = prepare(robot, m, tool_turns=True).robot
+        robot = prepare(robot, m, tool_turns=True).robot
         known = np.array([self._doubtful.get(n, True) for n in numbers])
         outside = self._out_of_range(m)
-        inside = np.flatnonzero(~outside)
+        inside = np.flatnonzero(~outside & (m.weight > 0))
         found, out, off = counted(robot, m[inside], known[inside])
         self.estimate = found
         was = {n for n, d in self._doubtful.items() if d and n != new}
@@ -284,7 +316,7 @@ class LiveSession:
             n = numbers[k]
             self._doubtful[n] = bool(out[i])
             if found is not None:
-                self._off[n] = float(np.linalg.norm(off[i]))
+                self._off |= {n: float(np.linalg.norm(off[i]))} if np.isfinite(off[i]).all() else {}
             if not out[i]:
                 self._words.pop(n, None)
             elif found is not None and (n == new or n not in was or n not in self._words):
@@ -428,10 +460,10 @@ class LiveSession:
         return [round(float(v), 4) for v in q / list(self.robot.reading_units.values())]
 
     def _known_json(self, found: Estimate) -> dict[str, Any]:
-        left, task = 1e3 * np.linalg.norm(found.left_out, axis=1), expected(found.robot, self._task, {}, "task")
+        left, task = found.left_out_mm, expected(found.robot, self._task, {}, "task")
         enough = len(left) >= FOR_QUANTILE
         return {
-            "readings": len(found), "noise_mm": 1e3 * found.sigma, "expected_mm": 1e3 * found.expected(task),
+            "readings": len(found), "noise_mm": 1e3 * found.sigma, "expected_mm": 1e3 * float(found.expected(task)[0]),
             "left_out_mean_mm": float(left.mean()) if len(left) >= FEW else None,
             "promise_mm": float(np.quantile(left, 0.95, method="higher")) if enough else None,
         }  # fmt: skip
@@ -440,7 +472,7 @@ class LiveSession:
         last, poses = self._last(), [self._joints(q) for q in ahead.q]
         return {
             "poses": poses, "program": self._move(poses[0]) if self._move else "", "to_go": ahead.to_go,
-            "words": ahead.words, "arm": arms(self._in_base, ahead.q[:1])[0].tolist(),
+            "words": ahead.words, "touch": ahead.touch, "arm": arms(self._in_base, ahead.q[:1])[0].tolist(),
             "points": arms(self._in_base, ahead.q)[:, -1].tolist(),
             "arm_now": None if last is None else arms(self._in_base, last[None])[0].tolist(),
         }  # fmt: skip
@@ -451,10 +483,11 @@ class LiveSession:
             text = f"{number}: {_verdict(self._reading_json(self.course.reading(number), self._read()))}"
             if self.unread:
                 return text
-            if self.estimate is None or len(self.estimate) < FEW:
-                return text if self.estimate else f"{text}; judged from reading {FEWEST + 1} on"
-            mean = 1e3 * float(np.linalg.norm(self.estimate.left_out, axis=1).mean())
-            return f"{text}; {mean:.3f} mm mean of readings left out one by one"
+            if self.estimate is None:
+                return f"{text}; judged from reading {FEWEST + 1} on"
+            if len(left := self.estimate.left_out_mm) < FEW:
+                return text
+            return f"{text}; {float(left.mean()):.3f} mm mean of readings left out one by one"
 
     def outlook(self) -> str:
         """What is wrong with the whole table, and the next pose, in some lines."""
@@ -464,7 +497,8 @@ class LiveSession:
                 told = self._next_json(self.ahead)
                 pairs = zip(self.robot.reading_units, told["poses"][0], strict=True)
                 lines.append(f"   {self.ahead.words}")
-                lines.append("   next: " + "  ".join(f"{name} {value:.3f}" for name, value in pairs))
+                touch = f"  touching {told['touch']}" if told["touch"] else ""
+                lines.append("   next: " + "  ".join(f"{name} {value:.3f}" for name, value in pairs) + touch)
                 lines += [f"   {told['program']}"] if told["program"] else []
             return "\n".join(lines)
 

@@ -6,6 +6,7 @@ import re
 import shutil
 import time
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +16,14 @@ from command_line import run
 import casadical
 from casadical.core.errors import InputError
 from casadical.core.files import csv_text
+from casadical.identification.accuracy import predicted
+from casadical.measurements.measurements import unmeasured
+from casadical.pose_selection.candidates import draw, held_in
+from casadical.pose_selection.workspace import Workspace
 from casadical.project.live import LiveSession
 from casadical.project.live.journal import journal
 from casadical.project.live.sources import FileSource, FolderSource, Row, StreamSource
+from casadical.project.new.synthetic import as_built
 
 ROOT = Path(__file__).parents[3]
 SERIES = ROOT / "data/ur10_laser_tracker/series_C_random_poses.csv"
@@ -121,7 +127,7 @@ def test_full_poses_are_judged_by_their_orientation_too(arm: Path, slip, words: 
     assert (casadical.calibrate(arm).problem.sets["identify"][0].kind) == "pose"
 
 
-def test_distances_to_known_places_are_followed_and_touched_points_refused(arm: Path) -> None:
+def test_distances_to_known_places_are_followed(arm: Path) -> None:
     rows = series(40)
     ends = np.array([[2000.0, 0.0, 0.0], [0.0, 2000.0, 300.0], [-1500.0, -1500.0, 1000.0]])
     made = []
@@ -139,12 +145,123 @@ def test_distances_to_known_places_are_followed_and_touched_points_refused(arm: 
         assert [r["number"] for r in told["readings"] if r["state"] != "good"] == [36]
         assert "its distance is to -1500, -1500, 1000 mm" in told["readings"][35]["why"]
         assert told["next"]["to_go"] is None or told["next"]["to_go"] > 0
-    (arm / "measured.jsonl").unlink()
+
+
+@cache
+def made_up(kind: str) -> list[list[str]]:
+    """Header and some forty readings of a UR10 that departs from its file, of one kind."""
+    rng = np.random.default_rng(2)
+    truth = as_built(casadical.read_robot(ROOT / "problems/ur10/robot.toml"), rng)
+    corner = np.array([[0.5, 0.3, 0.3], [-0.4, 0.5, 0.4], [0.3, -0.6, 0.5]])
+    spots = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [-0.1, 0.05, 0]])
+    name = np.arange(42) % 3
+    if kind in ("point", "plane", "dial"):  # in one point, on faces of a box, under three gauges that look down
+        places = (
+            corner if kind == "point" else np.array([c + np.roll(at, k) for k, c in enumerate(corner) for at in spots])
+        )
+        if kind == "dial":
+            places = np.array([c + 0.3 * np.roll(at, k) for c in corner for k, at in enumerate(spots)])
+        places = places @ truth.base.T[:3, :3].T + truth.base.T[:3, 3]
+        q, which = held_in(truth, places, 42, Workspace(), rng)
+        name = which.astype(int) // (len(places) // 3)
+    else:
+        q = draw(truth, 42, Workspace(), rng)
+    p, R = predicted(truth, unmeasured(q))
+    p, number = p + 1e-5 * rng.normal(size=p.shape), np.arange(len(q))
+    if kind in ("point", "plane"):
+        head, cells = [kind], [["ABC"[k]] for k in name]
+    elif kind == "dial":
+        head, cells = ["dial", "reading_mm"], [["ABC"[k], 1e3 * p[n, 2]] for n, k in enumerate(name)]
+    elif kind == "anchor":
+        far = 1e3 * np.linalg.norm(p - 4 * corner[name], axis=1)
+        head, cells = [kind, "distance_mm"], [["ABC"[k], far[n]] for n, k in enumerate(name)]
+    elif kind == "pose":  # two by two, the first of which waits for the second
+        far = 1e3 * np.linalg.norm(p - p[number ^ 1], axis=1)
+        head, cells = ["pose", "other_pose", "distance_mm"], np.stack([number, number ^ 1, far], axis=1).tolist()
+    else:
+        before, head = np.maximum(number - 1, 0), ["dx_mm", "dy_mm", "dz_mm"]
+        shift = 1e3 * np.einsum("nji,nj->ni", R[before], p - p[before])
+        turn = (R[before].transpose(0, 2, 1) @ R).reshape(-1, 9).round(9)
+        head, cells = [*head, *(f"R{i}{j}" for i in range(3) for j in range(3))], np.hstack([shift, turn]).tolist()
+    return [[*JOINTS, *head], *([*map(repr, map(float, a)), *map(str, c)] for a, c in zip(q, cells, strict=True))]
+
+
+@pytest.mark.parametrize(
+    ("kind", "column", "wrong", "words"),
+    [
+        ("point", "point", lambda _: "A", "it is of C, not of A"),
+        ("point", "q3_rad", lambda cell: repr(float(cell) + 0.05), "joint 3 stood at"),
+        ("plane", "plane", lambda _: "A", "it is of C, not of A"),
+        ("dial", "reading_mm", lambda cell: repr(-float(cell)), "the sign of its reading is wrong"),
+        ("anchor", "distance_mm", lambda cell: repr(1e-3 * float(cell)), "its distance is in m"),
+        ("pose", "distance_mm", lambda cell: repr(1e-3 * float(cell)), "its distance is in m"),
+        ("dx", "dx_mm", lambda cell: repr(-float(cell)), "the sign of x is wrong"),
+    ],
+)
+def test_every_kind_is_followed_and_its_slips_are_named(arm: Path, kind: str, column: str, wrong, words: str) -> None:
+    rows = [list(row) for row in made_up(kind)]
+    k, bad = rows[0].index(column), len(rows) - 3
+    rows[bad][k] = wrong(rows[bad][k])
     with journal(arm) as (course, add):
         session = LiveSession(arm, course, add)
-        for point, row in zip("AABB", rows[1:], strict=False):
-            session.take(Row((*JOINTS, "point"), (), (*row[:6], point), "test"))
-        assert "measure follows positions, full poses, and distances" in session.state()["said"][0]
+        (arm / "t.csv").write_text(csv_text(rows))
+        session.feed(FileSource(arm / "t.csv"))
+        session.look_ahead()
+        told = session.state()
+    assert [r["number"] for r in told["readings"] if r["state"] != "good"] == [bad]
+    assert words in told["readings"][bad - 1]["why"]
+    assert told["known"]["noise_mm"] < 0.1
+    assert float(told["next"]["words"].split()[0]) == pytest.approx(told["known"]["expected_mm"], rel=0.2)
+    if kind in ("point", "plane", "dial"):
+        assert told["next"]["touch"] in "ABC"
+
+
+def test_rows_wait_for_those_without_which_they_tell_nothing(arm: Path) -> None:
+    """A touch for the others of its plane, a session for the poses of its base; a faulty row holds nobody up."""
+    rows = made_up("plane")
+    with journal(arm) as (course, add):
+        session = LiveSession(arm, course, add)
+        for count, cells in enumerate([*rows[1:4], [*rows[4][:6], ""], rows[4]], 1):
+            session.take(Row(tuple(rows[0]), (), tuple(cells), "test"))
+            states = [r["state"] for r in session.state()["readings"]]
+            assert states == (["unread"] * count if count < 5 else ["good"] * 3 + ["unread", "good"])
+        assert session.type_in({**dict.fromkeys(session.fields, "1.5"), "plane": "A"}) == 6
+        with pytest.raises(InputError, match="plane: give a value"):
+            session.type_in({**dict.fromkeys(session.fields, "1.5"), "plane": " "})
+    (arm / "measured.jsonl").unlink()
+    rows = series(21)
+    turned = [[*row[:6], row[7], repr(-float(row[6])), row[8], "b"] for row in rows[12:]]
+    with journal(arm) as (course, add):
+        session = LiveSession(arm, course, add)
+        for count, cells in enumerate([[*row, "a"] for row in rows[1:12]] + turned, 1):
+            number = session.take(Row((*rows[0], "session"), (), tuple(cells), "test"))
+            if count == 13:
+                assert "session 'b' has 2 poses" in session.answer(number)
+        session.look_ahead()
+        assert {r["state"] for r in session.state()["readings"]} == {"good"}
+
+
+def test_several_targets_are_followed_and_a_wrong_one_is_named(arm: Path) -> None:
+    text = (arm / "robot.toml").read_text().replace("[tool]", '[[tool]]\nname = "P"', 1)
+    second = '[[tool]]\nname = "Q"\nxyz_mm = [60, 0, 150]\nunknown = "position"\n\n[gravity]'
+    (arm / "robot.toml").write_text(text.replace("[gravity]", second, 1))
+    robot = casadical.read_robot(arm / "robot.toml")
+    q = draw(robot, 30, Workspace(), np.random.default_rng(1))
+    second = np.arange(30) % 2
+    flags = {"tool_P": 1.0 - second, "tool_Q": 1.0 * second}
+    p = 1e3 * predicted(robot, unmeasured(q, flags))[0] + 0.02 * np.random.default_rng(2).normal(size=(30, 3))
+    rows = [[*JOINTS, "x_mm", "y_mm", "z_mm", "tool"]]
+    rows += [[*map(repr, map(float, (*a, *b))), "PQ"[k]] for a, b, k in zip(q, p, second, strict=True)]
+    rows[28][-1] = "P"
+    with journal(arm) as (course, add):
+        session = LiveSession(arm, course, add)
+        (arm / "t.csv").write_text(csv_text(rows))
+        session.feed(FileSource(arm / "t.csv"))
+        session.look_ahead()
+        told = session.state()
+    assert [r["number"] for r in told["readings"] if r["state"] != "good"] == [28]
+    assert "it is of the target Q" in told["readings"][27]["why"]
+    assert told["fields"][-1] == "tool"
 
 
 def test_the_only_reading_may_be_struck_out(arm: Path) -> None:
@@ -211,9 +328,9 @@ def test_typed_readings_count_beside_those_of_a_file_in_other_units(arm: Path) -
         for cells in rows[1:6]:
             session.take(Row(tuple(rows[0]), (), tuple(cells), "test"))
         last = [float(c) for c in rows[6]]
-        values = dict(zip(session.fields, [*np.rad2deg(last[:6]), *last[6:]], strict=True))
-        with pytest.raises(InputError, match="q2_deg: give a number"):
-            session.type_in({**values, "q2_deg": np.nan})
+        values = dict(zip(session.fields, map(repr, map(float, [*np.rad2deg(last[:6]), *last[6:]])), strict=True))
+        with pytest.raises(InputError, match="q2_deg: give a value"):
+            session.type_in({**values, "q2_deg": "nan"})
         assert session.type_in(values) == 6
         assert session.state()["readings"][5]["state"] == "good"
         assert session.type_in(values) is None  # the same again
@@ -336,6 +453,12 @@ def test_the_command_prints_answers_and_keeps_its_figures(arm: Path) -> None:
     assert run("measure", arm, "--no-page").returncode == 2
     both = run("measure", arm, "--no-page", "--follow", table, "--simulate", 3)
     assert "give one of them" in both.stderr
+    for given, words in (
+        (("--follow", table, "--every", 5), "--every: is for --simulate, not for readings that are measured"),
+        (("--simulate", 1, "--port", 8000), "--port: is for the page, not for --no-page"),
+    ):
+        refused = run("measure", arm, "--no-page", *given)
+        assert (refused.returncode, words in refused.stderr) == (2, True), refused.stderr
     for _ in range(2):
         ended = run("measure", arm, "--no-page", "--simulate", 1, "--program", "krl", "--json", kept)
         assert (ended.returncode, ended.stderr) == (0, "")
