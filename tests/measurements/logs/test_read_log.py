@@ -198,3 +198,10 @@ def test_a_pause_begins_another_run_and_rows_of_no_motion_are_refused(tmp_path) 
     frame(time_s=T * 86400e2).to_csv(tmp_path / "log.csv", index=False)
     with pytest.raises(InputError, match=r"rows lie 8.64e\+04 s apart"):
         read_log(tmp_path / "log.csv")
+
+
+@pytest.mark.parametrize(("rows", "joints"), [(1, 1), (0, 1), (3, 0)])
+def test_a_log_has_two_rows_of_one_joint_at_least(rows: int, joints: int) -> None:
+    q, names = np.zeros((rows, joints)), tuple(f"joint {k}" for k in range(joints))
+    with pytest.raises(InputError, match=f"{rows} rows of {joints} joints; at least two rows of one joint"):
+        JointLog(np.arange(rows) / 10, names, q, q)
