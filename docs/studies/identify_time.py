@@ -11,6 +11,8 @@ import argparse
 import contextlib
 import functools
 import importlib
+import os
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -122,11 +124,28 @@ def ipopt_alone(problem) -> Callable[[], object]:
     return lambda: minimise(lambda v: answer(v)[0], lambda v: answer(v)[1], *problem.bounds, scale=scale)
 
 
+def commands() -> None:
+    """CPU time of commands as a user starts them: the best and the median of nine, with what is compiled in place."""
+    goals = {"--help": 0.25, "calibrate problems/hh800": 6.0}
+    for words, goal in goals.items():
+        spent = []
+        for _ in range(9):
+            before = sum(os.times()[2:4])
+            program = [sys.executable, "-c", "from casadical.cli import main; main()", *words.split()]
+            subprocess.run(program, cwd=HERE.parents[2], check=True, stdout=subprocess.DEVNULL)
+            spent.append(sum(os.times()[2:4]) - before)
+        print(f"casadical {words}: {min(spent):.2f} s at best, {np.median(spent):.2f} s median; goal {goal} s")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--poses", type=int, default=500)
     parser.add_argument("--repeats", type=int, default=300)
+    parser.add_argument("--commands", action="store_true", help="CPU of two commands in its place")
     options = parser.parse_args()
+    if options.commands:
+        commands()
+        return
     mapped_function.LOOK_FROM = mapped_function.COMPILE_FROM = 1
     data, _ = make(options.poses, 1)
     # The given robot is new in each run: what it computes once counts.
