@@ -8,7 +8,6 @@ import typer
 from casadical.cli import options as o
 from casadical.cli.progress import working
 from casadical.cli.terminal import WORSE, html, keep, with_json, wrapped
-from casadical.core.telling.blocks import next_step
 from casadical.core.telling.terminal import terminal
 
 Out = Annotated[
@@ -99,7 +98,6 @@ def calibrate(
             texts[report_file] = html([c.page() for c in done])
     keep(texts, console)
     for source, tables in given.values() if len(given) == 1 else ():
-        keep_it = next_step("to keep the result", "calibrate", source, *tables, "--out", "results")
-        console.print(terminal([next_step("to learn what is left", "diagnose", source, *tables) if out else keep_it]))
+        console.print(terminal([done[0].next_command(source, tables, kept=bool(out))]))
     if not details:
         console.print("all parameters and figures: --details, --out DIR or --report FILE.html", style="dim")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -216,6 +217,8 @@ def plan(
         tables = (*([measured] if measured else []), place)
         step = next_step("when what was measured stands beside these readings", "calibrate", problem, *tables)
         console.print(terminal([step]))
+    elif (enough := planned.forecast.stop()) is not None:
+        console.print(terminal([next_step("to choose so many", *sys.argv[1:], "-n", enough)]))
 
 
 def _motion(

@@ -13,7 +13,7 @@ from casadical.compensator.saving import compensator_text
 from casadical.core.errors import ConvergenceError, InputError
 from casadical.core.files import claimed, json_text, write_together
 from casadical.core.progress import Show, silent
-from casadical.core.telling.blocks import Page, Table, Words, mm
+from casadical.core.telling.blocks import Page, Table, Words, mm, next_step
 from casadical.core.telling.figure import Figure
 from casadical.core.telling.result import Result, html
 from casadical.core.telling.terminal import plain_text
@@ -43,6 +43,7 @@ from casadical.project.outcome import (
     usual_held_out,
     worse_than_before,
 )
+from casadical.project.planning import more_poses
 from casadical.project.problem import Carried, Problem, nothing_carried, read_problem, together
 from casadical.project.problem_file import BASE_METHODS, all_methods, base_methods
 from casadical.project.robot_columns import unfitted
@@ -115,6 +116,15 @@ class Calibration(Result):
         """Why held-out poses are worse than before, and what to do; nothing where they are not."""
         _, before, after, held_out = judged_on(self.accuracies)
         return worse_than_before(self.identification, before, after) if held_out else ""
+
+    def next_command(self, source: Path, tables: Sequence[Path] = (), *, kept: bool = True) -> Words:
+        """What to do now; more poses where these made nothing better. kept : whether the result is."""
+        _, before, after, held_out = judged_on(self.accuracies)
+        if held_out and after.mean > before.mean:
+            return more_poses(source, self.problem.sets["identify"][0])
+        if not kept:
+            return next_step("to keep the result", "calibrate", source, *tables, "--out", "results")
+        return next_step("to learn what is left", "diagnose", source, *tables)
 
     def brief(self) -> Sequence[Words | Table]:
         """What counts, in at most 20 lines of 80 columns: verdict, errors before and after, three things to know."""

@@ -13,7 +13,7 @@ import pandas as pd
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.progress import Show, silent
-from casadical.core.telling.blocks import Words
+from casadical.core.telling.blocks import Words, next_step
 from casadical.diagnosis.candidates import named
 from casadical.effects import Effect, Session
 from casadical.identification.identification import identify
@@ -111,6 +111,15 @@ def declared(path: Path, robot: Robot) -> tuple[tuple[str, ...], float | None]:
             with suppress(InputError):  # a plan needs no table
                 kinds.add(read_campaign(path, path / data.file, robot).kind)
     return tuple(sorted(kinds)), max((data.sigma_mm for data in tables if data.sigma_mm), default=None)
+
+
+def more_poses(path: Path, m: Measurements) -> Words:
+    """The step that plans more of what was measured."""
+    ends = m.label if m.target is None else m.target
+    kind = {"distance": "--wires", "contact": "--sockets"}.get(m.kind)
+    count = 1 if ends is None else len(np.unique(ends, axis=0))
+    more = (kind, str(min(count, 4) if kind == "--wires" else count)) if kind else ()
+    return next_step("to plan poses that are enough", "plan", path, *more)
 
 
 def noise_declared(path: Path, robot: Robot, places: Places | None) -> float:

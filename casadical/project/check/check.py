@@ -37,6 +37,7 @@ from casadical.project.check.repair import MIRRORED, OF_LENGTHS, in_words, left_
 from casadical.project.check.result import Precheck
 from casadical.project.check.slips import Slips, search_slips
 from casadical.project.check.targets import Targets, WrongNames, middles, recognised, whole_table, wrong_names
+from casadical.project.planning import more_poses
 from casadical.project.problem import Problem, read_problem
 from casadical.project.robot_columns import computed, unfitted, unmeasured
 from casadical.robot.robot import Robot
@@ -118,7 +119,7 @@ def precheck(
         folder, tuple(found), problem.title, problem.robot.name,
         tuple((name, sum(len(m) for m in parts)) for name, parts in problem.sets.items()),
         known, source, coverage(problem.robot, first), margin(problem.robot, first), tuple(outlooks), problem.robot,
-        slips, targets, wrong, tuple(map(Path, tables)),
+        slips, targets, wrong, tuple(map(Path, tables)), more_poses(folder, first),
     )  # fmt: skip
 
 

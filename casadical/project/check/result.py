@@ -30,7 +30,7 @@ class Precheck(Result):
     outlooks : for each method; none where the data are unusable
     nominal : the robot; slips : what explains data that contradict it, where several slips were searched for
     targets : several on one flange, that the table does not name; wrong_names : rows that name another one
-    tables : given in place of the folder's own
+    tables : given in place of the folder's own; more : the step that plans more poses
     """
 
     folder: Path
@@ -48,6 +48,7 @@ class Precheck(Result):
     targets: Targets | None = None
     wrong_names: WrongNames | None = None
     tables: tuple[Path, ...] = ()
+    more: Words | None = None
 
     def of_level(self, level: Level) -> tuple[Finding, ...]:
         return tuple(f for f in self.findings if f.level == level)
@@ -86,6 +87,8 @@ class Precheck(Result):
         """What to do now; only the errors are to be corrected, where they have no repair."""
         if self.ok:
             return (next_step("to calibrate", "calibrate", self.folder, *self.tables, "--out", "results"),)
+        if all(f.topic == "too few poses" for f in self.of_level("error")):
+            return (self.more,) if self.more else ()
         known = self.wrong_names or (self.targets and self.targets.which is not None)
         if not self.tables and (known or (self.slips and self.slips.explains)):
             return (next_step("to write the best repair and see what it changes", "check", self.folder, "--repair"),)

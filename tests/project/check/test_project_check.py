@@ -101,6 +101,10 @@ def test_too_few_numbers_to_try_compliance_are_no_error(tmp_path: Path) -> None:
     assert found.ok
     assert "too few to see whether the joints give under load" in said(found, "warning")
     assert list(calibrate(tmp_path / "arm").accuracies) == ["KM"]
+    pd.read_csv(tmp_path / "t.csv").iloc[:9].to_csv(tmp_path / "arm" / "poses.csv", index=False)
+    fewer = precheck(tmp_path / "arm")
+    assert not fewer.ok
+    assert [step.code for step in fewer.next] == [f"casadical plan {tmp_path / 'arm'}"]
 
 
 def camera(folder: Path, sigma: float, degrees: float) -> Path:
