@@ -1,6 +1,7 @@
 """Open-loop replay of the real SO-101's thirteen motions, each quarter of them withheld in turn; mrad rms a joint.
 
-The motions of report, of which none was fitted, also by MuJoCo alone, with the exported model.
+The motions of report, of which none was fitted, also by MuJoCo alone, with the exported model. Then what the diagnosis
+says of each motion on its own: the arm is healthy as far as its makers know, and nobody knows the true causes.
 
 Made by
 
@@ -16,6 +17,7 @@ import numpy as np
 
 from casadical import read_robot
 from casadical.diagnosis.motion.replay import replayed
+from casadical.diagnosis.motion.result import diagnose_log
 from casadical.export.mjcf.moving import moving_mjcf
 from casadical.measurements.logs.log import JointLog
 from casadical.measurements.logs.reading import read_log
@@ -61,6 +63,13 @@ def main() -> None:
     text = moving_mjcf(found.response.robot()).text
     left = np.concatenate([run.position - driven(text, run) for run in found.runs])
     print(f"{'by the exported MJCF in MuJoCo':32}", *(f"{1e3 * v:6.2f}" for v in np.sqrt((left**2).mean(axis=0))))
+    print("real data, SO-101, commands and readings alone: verdict of each motion, and what fits best (a hint)")
+    for log in logs:
+        answer = diagnose_log(robot, log)
+        ranking = answer.outcome.rankings[0]
+        best = ranking.order[0]
+        hint = f"{best} {ranking.probability[best]:.2f}" if answer.verdict != "none" else ""
+        print(f"  {log.source.removesuffix('.csv.gz'):30} {answer.verdict:10} {hint}")
 
 
 if __name__ == "__main__":

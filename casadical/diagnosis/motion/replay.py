@@ -188,24 +188,29 @@ def replayed(robot: Robot, logs: Sequence[JointLog], withheld: Sequence[JointLog
 def replay_figures(replay: Replay) -> Iterator[Figure]:
     """Of the run whose readings were farthest from their commands, and the map of all runs."""
     run = max(range(len(replay.runs)), key=lambda k: float(np.nanmean(replay.left(k, before=True) ** 2)))
+    command, source = replay.runs[run].command, replay.runs[run].source
+    assert command is not None
+    there = replay.moves & (np.ptp(command, axis=0) > MOVED)
     yield _panels(
-        replay, "replay/errors", f"{replay.runs[run].source}: reading less command, and less prediction", "time [s]",
+        replay, there, "replay/errors", f"{source}: reading less command, and less prediction", "time [s]",
         "mrad", lambda j, panel: _errors(replay, run, j, panel),
     )  # fmt: skip
     yield from _maps(replay)
     yield _panels(
-        replay, "replay/friction", "Friction: what the servo gives beyond load and inertia, against speed",
+        replay, replay.moves, "replay/friction", "Friction: what the servo gives beyond load and inertia, over speed",
         "speed [rad/s]", "N m", lambda j, panel: _friction(replay, j, panel),
     )  # fmt: skip
     yield _panels(
-        replay, "replay/hysteresis", f"{replay.runs[run].source}: hysteresis, reading less command over the command",
+        replay, there, "replay/hysteresis", f"{source}: hysteresis, reading less command over the command",
         "command [rad]", "mrad", lambda j, panel: _loop(replay, run, j, panel),
     )  # fmt: skip
 
 
-def _panels(replay: Replay, name: str, title: str, x: str, y: str, drawn: Callable[[int, int], list[Series]]) -> Figure:
-    """A panel for each joint that moves, two in a row."""
-    joints = [j for j in range(len(replay.before)) if replay.moves[j]]
+def _panels(
+    replay: Replay, moved: Array, name: str, title: str, x: str, y: str, drawn: Callable[[int, int], list[Series]]
+) -> Figure:
+    """A panel for each joint that moved, two in a row."""
+    joints = np.flatnonzero(moved).tolist()
     series = [s for panel, j in enumerate(joints) for s in drawn(j, panel)]
     panels = [
         Panel(k // 2 + 1, k % 2 + 1, replay.runs[0].joints[j], Axis(x if k >= len(joints) - 2 else ""), Axis(y))

@@ -13,10 +13,11 @@ from casadical.core.errors import InputError
 from casadical.core.progress import Show
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import Result
+from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.motion.arm import Arm, arm_of
-from casadical.diagnosis.motion.base import COMMANDED, MEASURED, Look, look
+from casadical.diagnosis.motion.base import COMMANDED, LOAD, MEASURED, Look, look
 from casadical.diagnosis.motion.instrument import Fault, faults_of
-from casadical.diagnosis.motion.problem import MotionCase, coefficients, motion_case
+from casadical.diagnosis.motion.problem import WHITE, MotionCase, coefficients, motion_case
 from casadical.diagnosis.motion.search import Found, Outcome, columns_of, search
 from casadical.diagnosis.motion.signals import motion_of
 from casadical.effects.definition import DefinedEffect
@@ -96,6 +97,17 @@ class LogDiagnosis(Result):
         nominal, before, after = (np.sqrt((r[case.of_log, :n] ** 2).mean(axis=0)) * scale for r in rows)
         return nominal, before, after
 
+    def payload(self) -> tuple[float, float] | None:
+        """Mass at the flange beyond what is declared, and one sigma [kg]; None where the log could show none."""
+        case = self.outcome.case
+        if "payload" not in case.by_label:
+            return None
+        own, others = case.group("payload", 0), tuple(f for f in self.outcome.found if f.label != "payload")
+        columns = np.union1d(columns_of(case, others), own)
+        values, errors = new_fit(case.white, columns, WHITE, combined=False).causes
+        k, unit = int(np.searchsorted(columns, own[0])), LOAD * float(self.arm.inertial[::10].sum())
+        return float(values[k]) * unit, float(errors[k]) * unit
+
     def blocks(self) -> Sequence[Words | Table]:
         """What `casadical diagnose ARM LOG` prints."""
         return [Words(self._sentence(), "verdict"), *self._faults(), self._gap_table(), *self._causes(), *self._notes()]
@@ -153,6 +165,10 @@ class LogDiagnosis(Result):
         )
 
     def _notes(self) -> Iterator[Words]:
+        if self.outcome.rankings[0].order[0] == "payload" and (found := self.payload()):
+            yield Words(
+                f"As a payload: {found[0]:.3g} kg beyond what is declared, one sigma {found[1]:.2g} kg.", "note"
+            )
         small = [f.label for f in self.outcome.found if f.share < 1]
         if small:
             yield Words(f"Seen, but small: {', '.join(small)}.", "note")
@@ -187,6 +203,7 @@ class LogDiagnosis(Result):
                 {**_plain(k, ranking.probability[k]), "log_evidence": ranking.log_factor[k]} for k in ranking.order[:10]
             ],
             "none": ranking.none,
+            "payload_kg": dict(zip(("beyond", "sigma"), found, strict=True)) if (found := self.payload()) else None,
             "contradictions": list(self.contradictions),
             "determined": list(self.determined),
             "cannot_tell": list(cannot_tell(self.log, self.arm, bool(self.reference))),
