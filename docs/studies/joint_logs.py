@@ -657,7 +657,7 @@ def baseline(folder: Path) -> None:
         one = {"verdict": "", "claims": claims, "right": [right(c, entry) for c in claims], "cpu": 0, "MB": 0}
         table.append(entry | one)
     print(
-        "\nbaseline: joint by joint Coulomb and viscous friction, with or without Stribeck and load terms, at most one"
+        "\nbaseline: joint by joint one of six frictions of BAM (Coulomb, Stribeck, load, its direction), at most one"
     )
     print(
         "cause (not payload, saturation, clock, lost samples), least squares; the best is named where BIC falls by 10"
@@ -703,8 +703,12 @@ def by_bic(log: dict, other: dict | None, j: int) -> list[tuple[float, str, int]
     q, v, a, t, run, low, torque, e = (get(x) for x in ("q", "v", "a", "t", "run", "rigid", "torque", "e"))
     dry, n = np.tanh(v / 0.03), len(q)
     base = np.stack([1 + 0 * q, here, dry, v, low, a], 1)
-    extra = [(dry * np.exp(-((v / 0.05) ** 2)))[:, None], (np.abs(low) * dry)[:, None]]
-    models = [np.concatenate([base, *more], 1) for more in ([], extra[:1], extra[1:], extra)]
+    # The frictions of BAM (Duclusaud et al. 2025): M1 Coulomb and viscous, M2 Stribeck, M3 load, M4 both, M5 by the
+    # direction of the load, M6 quadratic in it.
+    dip, loaded = (dry * np.exp(-((v / 0.05) ** 2)))[:, None], (np.abs(low) * dry)[:, None]
+    driven, square = loaded * (low * v > 0)[:, None], loaded * np.abs(low)[:, None]
+    named = ([], [dip], [loaded], [dip, loaded], [dip, loaded, driven], [dip, loaded, driven, square])
+    models = [np.concatenate([base, *more], 1) for more in named]
 
     def bic(y: np.ndarray, x: np.ndarray) -> float:
         left = y - x @ np.linalg.lstsq(x, y, rcond=None)[0]

@@ -35,15 +35,19 @@ class Axes:
 
     points : numbers of these points, rising; turn : axes as columns, shape (n, m, m)
     precision : of each axis in units of 1 / sigma^2, shape (points, n, m); log_det : of the covariance, shape (points,)
+    plain : whether the axes are the rows themselves, for they share no noise
     """
 
     points: tuple[int, ...]
     turn: Array
     precision: Array
     log_det: Array
+    plain: bool = False
 
     def turned(self, rows: Array, blocks: slice = slice(None)) -> Array:
         """Rows of some blocks in the axes; rows : shape (n, m, columns)."""
+        if self.plain:
+            return rows
         return np.asarray(self.turn[blocks].transpose(0, 2, 1) @ rows)
 
 
@@ -92,7 +96,7 @@ def _axes(shared: Array, points: Sequence[int], ratios: Array) -> Axes:
     """Axes of I + ratio^2 * shared; shared : shape (n, m, m)."""
     square, turn = np.linalg.eigh(shared)
     variance = np.multiply.outer(ratios**2, np.maximum(square, 0.0))
-    return Axes(tuple(points), turn, 1 / (1 + variance), np.log1p(variance).sum(axis=(1, 2)))
+    return Axes(tuple(points), turn, 1 / (1 + variance), np.log1p(variance).sum(axis=(1, 2)), not shared.any())
 
 
 def whitening_of(covariance: Array) -> Whitening:
