@@ -56,8 +56,8 @@ Every = Annotated[float, typer.Option(min=0, max=3600, metavar="S", help="Second
 Finish = Annotated[
     bool, typer.Option("--finish", help="Calibrate when the readings end, into the folder `results` in ARM.")
 ]
-# How often a source is looked at [s].
-PAUSE = 0.2
+# How often a source is looked at, and after how long it is said that nothing comes [s].
+PAUSE, SILENT = 0.2, 180.0
 # Options of some modes alone.
 SOURCES = {"--simulate": ("every",), "readings that are measured": ()}
 SHOWN = {"the page": ("host", "port"), "--no-page": ()}
@@ -119,7 +119,7 @@ def measure(
             serve(session, source, console.print, host=host, port=port, pause=pause)
         keep_json(json_file, session.state(), console)
     if finish:
-        console.print(finished(folder))
+        console.print(finished(session))
     else:
         console.print(f"next: casadical check {folder}; casadical calibrate {folder} --out results")
 
@@ -133,6 +133,7 @@ def _language(word: str) -> ProgramLanguage:
 
 def _follow(session: LiveSession, source: Source, console: Console, pause: float) -> None:
     """Take what comes, until the source ends."""
+    last = time.monotonic()
     while True:
         ended = getattr(source, "ended", False)
         numbers, said = session.feed(source)
@@ -145,4 +146,9 @@ def _follow(session: LiveSession, source: Source, console: Console, pause: float
             console.print(session.outlook())
         if ended:
             return
+        if numbers or pause > SILENT:
+            last = time.monotonic()
+        elif time.monotonic() - last > SILENT:
+            console.print(f"no reading for {SILENT / 60:.0f} minutes: does {source.words} still grow?")
+            last = time.monotonic()
         time.sleep(pause)

@@ -181,7 +181,7 @@ class TouchModel:
         return np.array([np.nan if t is None else float(np.mean(t)) for t in logged])
 
     @cached_property
-    def _warmer(self) -> Array:
+    def warmer(self) -> Array:
         """How much warmer than in the calibration, or on the first day, shape (rows,) [K]; zero where nobody knows."""
         T = self.temperatures
         known = T[np.isfinite(T)]
@@ -211,7 +211,7 @@ class TouchModel:
         S += (D @ D.T) * same_day
         lengths = [J @ c.columns[:, 0] for c in usual if c.kind == "lengths"]
         if lengths:
-            grown = lengths[0] * self._warmer
+            grown = lengths[0] * self.warmer
             y = y - GROWTH * grown
             S += GROWTH_SIGMA**2 * np.outer(grown, grown)
         pose, axis = np.repeat(self._poses, 3), np.tile(np.arange(3), len(self._poses))
@@ -303,11 +303,11 @@ class TouchModel:
         columns, sizes = daily(self.usual)
         D, M = columns * sizes, self.factor @ self.factor.T
         today = self.day == len(self.days)
-        warm = float(self._warmer[-1])
+        warm = float(self.warmer[-1])
         L = next((c.columns[:, 0] for c in self.usual if c.kind == "lengths"), np.zeros(len(self.names)))
         V = M + D @ D.T + (GROWTH_SIGMA * warm) ** 2 * np.outer(L, L)
         cross = M @ J.T + (D @ D.T @ J.T) * today
-        cross = cross + GROWTH_SIGMA**2 * warm * np.outer(L, (J @ L) * self._warmer)
+        cross = cross + GROWTH_SIGMA**2 * warm * np.outer(L, (J @ L) * self.warmer)
         K = cross @ P
         values, U = np.linalg.eigh(V - K @ cross.T)
         root = U * np.sqrt(np.maximum(values, 0.0))

@@ -20,7 +20,7 @@ from casadical.core.telling.figure import Axis, Figure, Rule, Series
 from casadical.core.telling.result import Result
 from casadical.fleet.campaigns import day_of
 from casadical.fleet.estimates import date_text
-from casadical.fleet.touch_model import CRASH, MM, OFTEN, UNKNOWN, Draws, TouchModel, limit_of
+from casadical.fleet.touch_model import CRASH, GROWTH, MM, OFTEN, UNKNOWN, Draws, TouchModel, limit_of
 from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
@@ -423,7 +423,8 @@ def touched(
             "anywhere and leave --touches out"
         )
     if np.isfinite(model.temperatures).any():
-        notes.append("temperature is logged: lengths are taken to grow by 12 +- 6 um/m a kelvin")
+        today = f"{1e6 * GROWTH * model.warmer[-1]:+.0f} um/m today, which goes as it cools and is not corrected"
+        notes.append(f"temperature is logged: lengths are taken to grow by 12 +- 6 um/m a kelvin, by {today}")
     found = Touches(arm, model, model.drawn(seed), 1e-3 * tolerance_mm if tolerance_mm else TIMES * model.stated / MM,
                     None, tuple(notes), (place, *(p for p, _ in kept)))  # fmt: skip
     named = not found.label or found.draws.share(found.label) >= NAMED

@@ -174,7 +174,7 @@ class LivePage:
             number = session.type_in({str(name): str(value) for name, value in asked["values"].items()})
             return session.answer(number) if number else "this reading is there already"
         if do == "finish":
-            self.finished = finished(session.folder)
+            self.finished = finished(session)
             return self.finished
         if do == "strike":
             session.strike(asked["number"], str(asked["why"]))

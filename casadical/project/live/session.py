@@ -18,7 +18,7 @@ import numpy as np
 import tomlkit
 
 from casadical.core.arrays import Array
-from casadical.core.errors import InputError, shown
+from casadical.core.errors import ConvergenceError, InputError, shown
 from casadical.core.files import csv_text, write_whole
 from casadical.core.reading import read_text
 from casadical.core.telling.terminal import plain_text
@@ -510,12 +510,18 @@ def _verdict(told: dict[str, Any]) -> str:
     )
 
 
-def finished(folder: Path) -> str:
-    """Calibrate a folder, as the command does, into its folder `results`; what `casadical calibrate` prints.
+def finished(session: LiveSession) -> str:
+    """Calibrate its folder, as the command does, into the folder `results` there; what `casadical calibrate` prints.
 
     Raises InputError, also where held-out poses are worse than before, and ConvergenceError; then nothing is written.
     """
-    found = calibrate(folder)
+    folder = session.folder
+    try:
+        found = calibrate(folder)
+    except (InputError, ConvergenceError) as error:
+        doubted = [str(r["number"]) for r in session.state()["readings"] if r["state"] == "doubtful"]
+        listed = f"; doubtful: reading {', '.join(doubted)}: strike out what was a slip" if doubted else ""
+        raise InputError(f"{error}{listed}") from None
     if found.worse:
         raise InputError(f"nothing was written: {found.worse}")
     found.write(folder / "results")
