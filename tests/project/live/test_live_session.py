@@ -22,6 +22,7 @@ from casadical.pose_selection.candidates import draw, held_in
 from casadical.pose_selection.workspace import Workspace
 from casadical.project.live import LiveSession
 from casadical.project.live.journal import journal
+from casadical.project.live.session import finished
 from casadical.project.live.sources import FileSource, FolderSource, Row, StreamSource
 from casadical.project.new.synthetic import as_built
 
@@ -334,6 +335,17 @@ def test_typed_readings_count_beside_those_of_a_file_in_other_units(arm: Path) -
         assert session.type_in(values) == 6
         assert session.state()["readings"][5]["state"] == "good"
         assert session.type_in(values) is None  # the same again
+
+
+def test_a_refused_end_names_the_readings_that_were_doubted(arm: Path) -> None:
+    rows = series(20)
+    rows[15] = [*rows[15][:6], rows[15][7], rows[15][6], rows[15][8]]
+    with journal(arm) as (course, add):
+        session = LiveSession(arm, course, add)
+        (arm / "t.csv").write_text(csv_text(rows))
+        session.feed(FileSource(arm / "t.csv"))
+        with pytest.raises(InputError, match=r"does not fit.*doubtful: reading 15: strike out what was a slip"):
+            finished(session)
 
 
 def test_files_as_others_write_them(arm: Path, tmp_path: Path) -> None:
