@@ -126,6 +126,15 @@ def test_what_fits_is_true_of_runs_that_were_not_fitted(robot):
     assert min(found.held_out) > 100
 
 
+def test_the_gap_shrinks_on_runs_that_were_not_fitted(robot):
+    found = diagnose_log(robot, simulated(robot, 1, ripple))
+    (_, before, after), (kept_before, kept_after) = found.gap(), found.gap_unfitted()
+    assert kept_after[1] < 0.5 * kept_before[1]
+    assert (kept_after > 0.95 * after).all()
+    assert (kept_before > 0.95 * before).all()
+    assert found.to_json()["joints"][1]["after_left_out"] == pytest.approx(kept_after[1])
+
+
 def test_runs_whose_clocks_differ_a_little_are_sampled_alike(robot):
     """Of 125 rows a second every other one is taken; a hair more or less must not change that from run to run."""
     log = simulated(robot, 1)

@@ -18,7 +18,7 @@ from casadical.diagnosis.motion.arm import Arm, arm_of
 from casadical.diagnosis.motion.base import COMMANDED, LOAD, MEASURED, Look, look
 from casadical.diagnosis.motion.instrument import Fault, faults_of
 from casadical.diagnosis.motion.problem import WHITE, MotionCase, coefficients, motion_case
-from casadical.diagnosis.motion.search import Found, Outcome, columns_of, search
+from casadical.diagnosis.motion.search import Found, Outcome, columns_of, search, unfitted
 from casadical.diagnosis.motion.signals import motion_of
 from casadical.effects.definition import DefinedEffect
 from casadical.effects.motion import motion_effects
@@ -97,6 +97,13 @@ class LogDiagnosis(Result):
         nominal, before, after = (np.sqrt((r[case.of_log, :n] ** 2).mean(axis=0)) * scale for r in rows)
         return nominal, before, after
 
+    def gap_unfitted(self) -> tuple[Array, Array]:
+        """The same with the base, and with the causes too, of each run by a fit to the others (or parts of one run)."""
+        case, n = self.outcome.case, self.arm.joints
+        rows = (unfitted(case, columns_of(case, found)) for found in ((), self.outcome.found))
+        before, after = (np.sqrt((r[case.of_log, :n] ** 2).mean(axis=0)) * case.scale for r in rows)
+        return before, after
+
     def payload(self) -> tuple[float, float] | None:
         """Mass at the flange beyond what is declared, and one sigma [kg]; None where the log could show none."""
         case = self.outcome.case
@@ -124,14 +131,15 @@ class LogDiagnosis(Result):
 
     def _gap_table(self) -> Table:
         nominal, before, after = self.gap()
-        unit = self.outcome.case.unit or "mrad"
+        (_, kept), unit = self.gap_unfitted(), self.outcome.case.unit or "mrad"
         factor = 1.0 if self.outcome.case.unit else 1e3
         rows = [
-            (name, *(f"{factor * v[j]:.3g}" for v in (nominal, before, after)), self._where(j))
+            (name, *(f"{factor * v[j]:.3g}" for v in (nominal, before, after, kept)), self._where(j))
             for j, name in enumerate(self.log.joints[: self.arm.joints])
         ]
-        title = f"Residual of each joint, rms [{unit}]: the model alone, with usual friction, with the causes"
-        return Table(title, ("joint", "model", "usual arm", "with causes", "most at"), rows, frozenset({1, 2, 3}))
+        title = f"Residual of each joint, rms [{unit}]: model alone, usual friction, with the causes, runs left out"
+        columns = ("joint", "model", "usual arm", "with causes", "left out", "most at")
+        return Table(title, columns, rows, frozenset({1, 2, 3, 4}))
 
     def _where(self, j: int) -> str:
         """Where what the base leaves of a joint is greatest, over angle, speed, load and time."""
@@ -182,7 +190,7 @@ class LogDiagnosis(Result):
 
     def to_json(self) -> dict[str, Any]:
         """The verdict and all figures."""
-        nominal, before, after = self.gap()
+        (nominal, before, after), kept = self.gap(), self.gap_unfitted()
         ranking = self.outcome.rankings[0]
         causes = [{"effect": f.name, "joint": None, "probability": 1.0} for f in self.faults]
         causes += [_plain(f.label, f.probability) for f in self.claims]
@@ -196,8 +204,8 @@ class LogDiagnosis(Result):
             "alike": [_plain(label, p) for label, p in self.outcome.alike],
             "gap": {**total, "unit": self.outcome.case.unit or "rad"},
             "joints": [
-                {"joint": name, "model": float(a), "usual": float(b), "after": float(c)}
-                for name, a, b, c in zip(self.log.joints, nominal, before, after, strict=False)
+                dict(zip(("joint", "model", "usual", "after", "usual_left_out", "after_left_out"), each, strict=True))
+                for each in zip(self.log.joints, *(v.tolist() for v in (nominal, before, after, *kept)), strict=False)
             ],
             "ranking": [
                 {**_plain(k, ranking.probability[k]), "log_evidence": ranking.log_factor[k]} for k in ranking.order[:10]

@@ -113,23 +113,34 @@ def share_of(case: MotionCase, columns: Array, own: Array) -> float:
     return float(np.sqrt(over.max()))
 
 
+def folds_of(case: MotionCase, *, local: bool = False) -> Array:
+    """Number of the part in which a block is left out, shape (blocks,): runs, or parts of one; see `held_out`."""
+    run = np.where(case.of_log, np.cumsum(case.first), 0)
+    within = np.arange(len(run))
+    if local:
+        return np.where(case.of_log, 1 + (within // INTERLEAVED) % 2, 0)
+    if len(np.unique(run[case.of_log])) < 2:
+        return np.where(case.of_log, 1 + (3 * (within - within[case.of_log][0])) // max(int(case.of_log.sum()), 1), 0)
+    return run
+
+
+def unfitted(case: MotionCase, columns: Array) -> Array:
+    """What base and some columns leave of the log, each run by a fit to all others, as it is, shape (blocks, rows)."""
+    few, every, P = case.only(columns), np.arange(len(columns)), case.base.shape[2]
+    fit, folds, out = new_fit(few.white, every, WHITE, combined=False), folds_of(case), np.array(case.r)
+    for k in np.unique(folds[case.of_log]):
+        x = fit.to(np.flatnonzero(folds != k))
+        out[folds == k] = few.left(every, x[:P], x[P:])[folds == k]
+    return out
+
+
 def held_out(case: MotionCase, chosen: Array, own: Array, *, local: bool) -> tuple[tuple[float, ...], Array]:
     """What a cause gains on each run that was not fitted, in nats; and fitted, at each of the log's blocks, (blocks,).
 
     Of a local cause, which acts in a part of one run, and where there is one run, parts of a run are left out in turn.
     The reference is always fitted.
     """
-    run = np.where(case.of_log, np.cumsum(case.first), 0)
-    runs = np.unique(run[case.of_log])
-    if local or len(runs) < 2:
-        within = np.arange(len(run))
-        folds = (
-            np.where(case.of_log, 1 + (within // INTERLEAVED) % 2, 0)
-            if local
-            else np.where(case.of_log, 1 + (3 * (within - within[case.of_log][0])) // max(int(case.of_log.sum()), 1), 0)
-        )
-    else:
-        folds = run
+    folds = folds_of(case, local=local)
     errors, whole = [], []
     for columns in (chosen, np.union1d(chosen, own)):
         few = case.only(columns)
