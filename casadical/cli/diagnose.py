@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,10 +13,13 @@ from casadical.cli import options as o
 from casadical.cli.progress import DIAGNOSIS, working
 from casadical.cli.terminal import html, keep, with_json, wrapped
 from casadical.core.errors import shown
+from casadical.core.telling.blocks import next_step
+from casadical.core.telling.terminal import terminal
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from casadical.core.telling.blocks import Words
     from casadical.project.diagnosis import Campaign, CampaignDiagnosis, LogCampaign, LogDiagnosis, Options
 
 Out = Annotated[
@@ -159,6 +163,8 @@ def diagnose(
     if report_file:
         texts[report_file] = _report(answers, quiet)
     keep(with_json(texts, json_file, [answer.to_json() for answer in answers] if json_file else []), console)
+    if len(answers) == 1 and out is None:
+        console.print(terminal([_next_command(answers[0], problem, campaigns or ())]))
     if not details:
         console.print("where it lies, how sure, what is left: --details, --out DIR or --report FILE.html", style="dim")
 
@@ -167,9 +173,6 @@ def _diagnose_logs(
     campaign: LogCampaign, problem: Path, out: Path | None, report_file: Path | None, json_file: Path | None,
     quiet: bool,
 ) -> None:  # fmt: skip
-    from casadical.core.telling.blocks import next_step
-    from casadical.core.telling.terminal import terminal
-
     console = wrapped(quiet)
     answers: list[LogDiagnosis] = []
     texts: dict[Path, str] = {}
@@ -214,8 +217,6 @@ def _answered(
 
 def _printed(found: CampaignDiagnosis, details: bool, file: Path | None, console: Console) -> dict[Path, str]:
     """Print a diagnosis; the file of its next poses, where there are any to measure."""
-    from casadical.core.telling.terminal import terminal
-
     if details:
         console.print(found.titled_text(), soft_wrap=True)
     else:
@@ -229,6 +230,22 @@ def _printed(found: CampaignDiagnosis, details: bool, file: Path | None, console
         return {file: found.details.poses.to_csv(index=False)}
     console.print(f"{shown(file)}: not written, for nothing is in question", markup=False)
     return {}
+
+
+def _next_command(found: CampaignDiagnosis, problem: Path, tables: Sequence[Path]) -> Words:
+    """What to do with what was found: keep it, or measure poses that tell more where they would."""
+    from casadical.diagnosis.statements import LITTLE, gain_of
+
+    d, poses, typed = found.diagnosis, found.details.poses, sys.argv[1:]
+    if any(cause.effects for cause in d.causes):
+        return next_step("to keep the robot with its causes", *typed, "--out", "diagnosed")
+    if d.verdict == "none":
+        return next_step("to keep the calibrated robot", "calibrate", problem, *tables, "--out", "results")
+    if poses is not None and len(poses) and "--next" not in typed and gain_of(d, poses) >= LITTLE:
+        return next_step("for poses that tell more", *typed, "--next", "next.csv")
+    u = found.details.unlisted
+    unlisted = ("--unlisted",) if d.verdict == "unknown" and u and u.shrink_interval[0] > 0 else ()
+    return next_step("to keep what was found", *typed, "--out", "diagnosed", *unlisted)
 
 
 def _report(answers: list[CampaignDiagnosis], quiet: bool) -> str:

@@ -13,6 +13,8 @@ import typer
 from casadical.cli.options import Json, Quiet, Room, refuse_of_others
 from casadical.cli.terminal import keep_json, plain
 from casadical.core.errors import InputError
+from casadical.core.telling.blocks import next_step
+from casadical.core.telling.terminal import terminal
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -121,7 +123,7 @@ def measure(
     if finish:
         console.print(finished(session))
     else:
-        console.print(f"next: casadical check {folder}; casadical calibrate {folder} --out results")
+        console.print(terminal([next_step("to look for slips before a calibration", "check", folder)]))
 
 
 def _language(word: str) -> ProgramLanguage:

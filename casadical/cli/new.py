@@ -8,6 +8,8 @@ import typer
 from casadical.cli.options import Json, Quiet, refuse_of_others
 from casadical.cli.terminal import print_written, with_json, wrapped
 from casadical.core.errors import InputError
+from casadical.core.telling.blocks import next_step
+from casadical.core.telling.terminal import terminal
 
 if TYPE_CHECKING:
     from casadical.project.new import Question
@@ -80,7 +82,6 @@ def new(
 
     Exit codes: 0 written, 2 bad input (then nothing was written), 70 a bug in casadical.
     """
-    from casadical.core.telling.terminal import terminal
     from casadical.project.new import new_problem
 
     refuse_of_others(context, EXAMPLE if example or not (urdf or dh) else "--urdf" if urdf else "--dh", ROBOTS)
@@ -106,7 +107,7 @@ def new(
     console.print(f"{folder}: {problem.robot.name}, {problem.robot.n} joints, {problem.origin}", soft_wrap=True)
     for path in files:
         console.print(f"wrote {path}", soft_wrap=True)
-    console.print(f"next: casadical check {folder}; casadical calibrate {folder}", soft_wrap=True)
+    console.print(terminal([next_step("to look for slips before a calibration", "check", folder)]))
     print_written(json_file, console)
 
 

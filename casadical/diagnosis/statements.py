@@ -468,6 +468,12 @@ def missing_columns(d: Diagnosis) -> dict[str, tuple[str, ...]]:
     return columns_to_log(d.missing, d.case.m.conditions)
 
 
+def gain_of(d: Diagnosis, poses: pd.DataFrame) -> float:
+    """How much more probable the right answer becomes by poses of `next_poses`."""
+    before, after = discrimination_probability(d, poses)
+    return after - before
+
+
 def _next(d: Diagnosis, more: Details) -> Iterator[Statement]:
     poses = more.poses
     if poses is None or not len(poses):
