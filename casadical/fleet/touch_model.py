@@ -13,6 +13,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from math import erfc
+from statistics import NormalDist
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -218,10 +220,10 @@ class TouchModel:
         return y, S, (pose[:, None] == pose) & (axis[:, None] == axis)
 
     @cached_property
-    def noises(self) -> list[tuple[float, Array, Array]]:
+    def noises(self) -> list[tuple[float, Array, Array, Array]]:
         """Log likelihood of no change, whitened y and inverse covariance, for each share of noise and of what stays.
 
-        Each is (log likelihood, inverse of S, its Cholesky factor), S of shape (rows, rows) [mm^2].
+        Each is (log likelihood, inverse of S, whitened y, log of the roots of S), S of shape (rows, rows) [mm^2].
         """
         y, S, same = self._known
         v = self.rest**2 / 3
@@ -233,13 +235,24 @@ class TouchModel:
             L = np.linalg.cholesky(whole)
             z = np.linalg.solve(L, y)
             inverse = np.linalg.inv(L)
-            found.append((-0.5 * float(z @ z) - float(np.log(np.diag(L)).sum()), inverse.T @ inverse, z))
+            roots = np.log(np.diag(L))
+            found.append((-0.5 * float(z @ z) - float(roots.sum()), inverse.T @ inverse, z, roots))
         return found
 
     def charted(self) -> Array:
-        """T^2 of each day given the days before it, nothing changed, shape (days,); see `limit_of`."""
-        best = max(self.noises, key=lambda n: n[0])
-        return np.asarray(np.bincount(self.day, best[2] ** 2)[1:])
+        """T^2 of each day given the days before it, nothing changed, shape (days,); see `limit_of`.
+
+        How probable each share of noise is, the days before tell: a day that changed does not widen its own limit. The
+        value is exceeded as rarely as those of the shares are in the mean.
+        """
+        numbers = np.bincount(self.day)[1:].astype(float)
+        own = [(np.bincount(self.day, z**2)[1:], np.bincount(self.day, roots)[1:]) for *_, z, roots in self.noises]
+        T2, roots = np.array(own).transpose(1, 0, 2)
+        known = np.cumsum(-0.5 * T2 - roots, axis=1) + 0.5 * T2 + roots  # log likelihood of the days before
+        weight = np.exp(known - log_sum(known, axis=0))
+        tails = np.vectorize(lambda u: 0.5 * erfc(u / np.sqrt(2)))(_deviates(T2, numbers))
+        tail = np.clip((weight * tails).sum(axis=0), 1e-300, 1 - 1e-12)
+        return np.array([limit_of(n, -NormalDist().inv_cdf(p)) for n, p in zip(numbers, tail, strict=True)])
 
     def _columns(self, candidate: Candidate) -> Array:
         """How a change moves the touched points, shape (rows, m) [mm]."""
@@ -260,7 +273,7 @@ class TouchModel:
                     continue
                 factors = courses[:, :, 0][:, self.day]
                 X = factors[:, :, None] * Z
-                for k, (base, P, _) in enumerate(self.noises):
+                for k, (base, P, *_) in enumerate(self.noises):
                     PX = P @ X
                     H, b = X.transpose(0, 2, 1) @ PX, PX.transpose(0, 2, 1) @ y
                     logs = log_evidence(H, b, c.sizes) + base
@@ -346,6 +359,12 @@ class TouchModel:
         """Rms over the task of departures, shape (n, p) [mm], shape (n,)."""
         square = np.einsum("np,pq,nq->n", d, self.weight, d, optimize=True)
         return np.asarray(np.sqrt(np.maximum(square, 0.0) + np.square(extra)))
+
+
+def _deviates(T2: Array, numbers: Array) -> Array:
+    """Of chi-squared numbers as normal deviates, as of `limit_of`."""
+    spread = 2 / (9 * numbers)
+    return np.asarray(((T2 / numbers) ** (1 / 3) - 1 + spread) / np.sqrt(spread))
 
 
 def limit_of(numbers: Array, quantile: float = 2.782) -> Array:

@@ -155,6 +155,17 @@ def test_a_fleet_whose_tools_are_hit_makes_the_tool_more_probable(place, tmp_pat
         touched(file, [table], fleet=tmp_path / "fleet.json")
 
 
+def test_a_day_that_changed_does_not_widen_its_own_limit(place, tmp_path) -> None:
+    """Of a file that leaves much unexplained, beside which the days differ by the noise alone."""
+    file, true, q = place
+    arm = read_robot(file)
+    rough = tmp_path / "rough.robot.toml"
+    write_robot(replace(arm, bound=replace(arm.bound, rest=4e-4)), rough)
+    robots = [true, true, true, moved(true, {"theta3": 1e-3})]
+    tables = [day(tmp_path, number, robot, q) for number, robot in enumerate(robots, 1)]
+    assert [row[-1] for row in touched(rough, tables).rows()] == ["yes", "yes", "yes", "no"]
+
+
 def test_the_command_plans_judges_charts_and_corrects(place, tmp_path, monkeypatch, capfd):
     file, true, q = place
     monkeypatch.chdir(tmp_path)
