@@ -33,11 +33,11 @@ from same_answers import ROOT, commands
 # Of a standard error; of a number without one; of numbers whose size says nothing, in their units (mm, deg, shares).
 OF_ERROR, OF_ITSELF, WHOLE = 1e-7, 1e-6, 1e-9
 KERNELS = ("Haswell", "Zen", "Nehalem", "Prescott", "Sandybridge", "SkylakeX")
-MOVED = "readings"
+MOVED, BARE = "readings", "interpreted"
 ENVIRONMENTS: dict[str, dict[str, str]] = {
     **{name: {"OPENBLAS_CORETYPE": name} for name in KERNELS},
     "two threads": {"OMP_NUM_THREADS": "2", "OPENBLAS_NUM_THREADS": "2"},
-    "interpreted": {"CASADICAL_COMPILE": "0", "PATH": "/nowhere"},
+    BARE: {"PATH": "/nowhere"},  # no compiler: nothing is compiled, and an export not verified
     "plain numpy": {"NPY_DISABLE_CPU_FEATURES": "AVX2 FMA3 X86_V3 X86_V4 AVX512F"},
     MOVED: {},
 }
@@ -104,8 +104,9 @@ def differences(a: Any, b: Any, place: str, times: float, error: float = 0.0) ->
     return [] if a == b else [f"{place}: {a!r} and {b!r}"[:300]]
 
 
-def compared(one: Path, other: Path, moved: bool) -> list[str]:
-    """What differs between the folders of one command."""
+def compared(one: Path, other: Path, which: str) -> list[str]:
+    """What differs between the folders of one command; which : environment of the other."""
+    moved = which == MOVED
     times = 100.0 if moved else 1.0
     names = {p.relative_to(one) for p in one.rglob("*") if p.is_file()}
     names ^= {p.relative_to(other) for p in other.rglob("*") if p.is_file()}
@@ -113,7 +114,8 @@ def compared(one: Path, other: Path, moved: bool) -> list[str]:
     for path in sorted(p for p in one.rglob("*") if p.is_file()):
         name = path.relative_to(one)
         exported = moved and "c" in name.parts[:-1]  # C of other numbers is another C
-        if exported or not (other / name).is_file() or path.suffix in (".html", ".parquet"):
+        untold = which == BARE and (one / "c").is_dir() and path.suffix not in (".c", ".h", ".st")
+        if exported or untold or not (other / name).is_file() or path.suffix in (".html", ".parquet"):
             continue
         a, b = (
             (f / name).read_text("utf-8", "replace").replace(str(f), "").replace(str(f.parents[1]), "")
@@ -166,7 +168,7 @@ def main() -> int:
                 continue
             for name in wanted:
                 here = base / "as" / "here" / "made" / name
-                found = compared(here, place / "made" / name, which == MOVED)
+                found = compared(here, place / "made" / name, which)
                 count += bool(found)
                 for line in found[:6]:
                     print(f"DIFFERS {which}: {name}: {line}", flush=True)
