@@ -307,7 +307,7 @@ def _near_threshold(d: Diagnosis) -> Iterator[Statement]:
         there = f"P(nothing) = {d.rankings[0].none:.3f}, something from {DETECT:g} down"
         yield Statement("SET", f"that anything is there is just {side} what is said: {there}", doubtful=True)
     last = d.rankings[-1].none
-    if d.rankings[1:] and (side := _beside(1 - last, 1 - DETECT_FURTHER)):
+    if d.effects() and (side := _beside(1 - last, 1 - DETECT_FURTHER)):
         there = f"P(no further one) = {last:.3f}, something from {DETECT_FURTHER:g} down"
         yield Statement("SET", f"that something further is there is just {side} what is said: {there}", doubtful=True)
 

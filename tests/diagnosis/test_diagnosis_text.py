@@ -262,7 +262,9 @@ def test_a_claim_at_its_threshold_is_said_as_such(fixed: Diagnosis, probability:
 
 @pytest.mark.parametrize(("nothing", "said"), [(0.12, "just below"), (0.09, "just above"), (0.2, ""), (0.01, "")])
 def test_something_at_its_threshold_is_said_as_such(fixed: Diagnosis, nothing: float, said: str) -> None:
-    d = replace(fixed, verdict="none", causes=(), cause_set=None, rankings=(replace(fixed.rankings[0], none=nothing),))
+    first = replace(fixed.rankings[0], none=nothing)
+    d = replace(fixed, verdict="none", causes=(), cause_set=None, rankings=(first, replace(first, none=0.049)))
     text = " ".join(page_of(d).split())
     assert ("that anything is there is" in text) == bool(said)
     assert f"{said} what is said: P(nothing) = {nothing:.3f}, something from 0.1 down" in text or not said
+    assert "something further" not in text  # that was judged again is not beside a cause
