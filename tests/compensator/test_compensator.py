@@ -80,6 +80,8 @@ def test_refusal_follows_the_margin():
     trainer = Backprop(steps=150)
     choice = Compensator.fit(q, residual, trainer=trainer).choice
     above = choice.gain / choice.gain_error + 0.1
+    said = f"(gain {100 * choice.gain:.1f} % +/- {100 * choice.gain_error:.1f} %)"
+    assert said in Compensator.fit(q, residual, trainer=trainer).verdict
     assert not Compensator.fit(q, residual, trainer=trainer, margin=above).helps
     assert Compensator.fit(q, residual, trainer=trainer, margin=above - 0.2).helps
 

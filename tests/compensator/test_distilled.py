@@ -69,5 +69,7 @@ def test_what_it_cannot_do_it_refuses() -> None:
     q, y = one_joint(20, 0)
     with pytest.raises(InputError, match="no periodic inputs"):
         Compensator.fit(q, y, trainer="taught", layout=Layout(periodic=(0,)))
-    with pytest.raises(InputError, match="lessons"):
-        Taught(lessons=3)
+    assert Taught(lessons=10).lessons == 10
+    for few in (3, 9):
+        with pytest.raises(InputError, match=f"lessons must be at least 10 poses; got {few}"):
+            Taught(lessons=few)

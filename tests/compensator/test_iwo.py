@@ -169,3 +169,8 @@ def test_misuse_is_named():
 def test_wrong_settings_are_refused(changes):
     with pytest.raises(InputError):
         IwoSettings(**changes)
+
+
+def test_the_steps_of_the_paper_shrink_with_the_square_of_what_is_left():
+    s = IwoSettings()
+    assert [s.sigma(k * s.iterations // 2) for k in (0, 1, 2)] == pytest.approx([0.05, 0.0005 + 0.25 * 0.0495, 0.0005])

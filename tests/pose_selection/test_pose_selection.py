@@ -9,7 +9,7 @@ import pytest
 from pose_arms import elbow, planar, positions, readings
 
 import casadical
-from casadical import InputError, identify
+from casadical import InputError, Joint, Robot, identify
 from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.effects import Backlash, FrameDrift, PayloadError, ThermalGrowth
 from casadical.identification.accuracy import errors
@@ -353,3 +353,9 @@ def test_rounding_chooses_no_other_poses() -> None:
         for factor in (1.0, 1 + 1e-12, 1 - 2e-12)
     ]
     np.testing.assert_allclose(chosen[1:], chosen[:1] * 2, atol=1e-9)
+
+
+def test_a_full_stroke_counts_as_half_a_turn() -> None:
+    robot = Robot("slide", (Joint(), Joint(kind="prismatic", lower=0.1, upper=0.6)))
+    q = np.array([[0.0, 0.1], [0.5, 0.6], [3.0, 0.35]])
+    assert distances(robot, q) == pytest.approx(np.array([[0, np.pi, 3], [np.pi, 0, 2.5], [3, 2.5, 0]]))
