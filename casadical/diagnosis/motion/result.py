@@ -284,7 +284,10 @@ def diagnose_log(
 def looks_of(
     robot: Robot, log: JointLog, reference: JointLog | None = None, healthy: Robot | None = None
 ) -> tuple[Look, ...]:
-    """A log, and its reference behind it, through the arm's model; see `diagnose_log`."""
+    """A log, and its reference behind it, through the arm's model.
+
+    Raises InputError: other joints than the robot has, or neither a torque nor commands.
+    """
     arm = arm_of(robot)
     for one in filter(None, (log, reference)):
         if len(one.joints) != arm.joints:
