@@ -41,7 +41,7 @@ def read_columns(path: str | Path) -> RawTable:
     parts: list[RawTable] = []
     for part in table_parts(path):
         parts.append(part)
-        refuse_many(path, sum(one.frame.size for one in parts))
+        refuse_many(Path(path), sum(one.frame.size for one in parts))
     first, *more = parts
     if not more:
         return first

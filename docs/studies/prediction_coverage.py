@@ -8,7 +8,7 @@ positions are predicted at 50 poses anywhere within the joint limits. Three robo
 
 Good is 92 to 98 % on average over all designs and sizes, no cell (a design, a size) under 85 % in ten robots that
 follow each other, and promised standard deviations of at most 5 times the error in each cell. Robots take turns over
-the cells, so that a run that is stopped has as many in each, but for one. Seed 33 ran after these rules were committed.
+the cells, so that a run that is stopped has as many in each, one aside. Seed 33 ran after these rules were committed.
 """
 
 from __future__ import annotations
