@@ -49,7 +49,7 @@ def _rendered(block: Words | Table) -> RenderableType:
 
 
 def _table(block: Table) -> RenderableType:
-    """First column and numbers stay on one line; other columns are broken where the terminal is narrow."""
+    """Numbers stay on one line; where the terminal is narrow all else is broken, nothing is cut."""
     from rich import table as rich
     from rich.text import Text
 
@@ -57,7 +57,9 @@ def _table(block: Table) -> RenderableType:
     shown = rich.Table(title=title, title_justify="left", box=None, padding=(0, 2, 0, 0), pad_edge=False)
     for k, name in enumerate(block.columns):
         number = k in block.numbers
-        shown.add_column(Text(name), justify="right" if number else "left", no_wrap=number or k == 0)
+        longest = max((len(row[k]) for row in block.rows), default=0)
+        least = longest if number else None
+        shown.add_column(Text(name), justify="right" if number else "left", overflow="fold", min_width=least)
     for k, row in enumerate(block.rows):
         shown.add_row(*map(Text, row), style="bold" if k in block.strong else "dim" if k in block.faint else "")
     return shown

@@ -33,6 +33,18 @@ def test_the_terminal_leaves_figures_out_and_blank_lines_about_tables() -> None:
     ]  # fmt: skip
 
 
+def test_nothing_of_a_wide_table_is_cut() -> None:
+    """Headings and first cells are broken; numbers stay on one line."""
+    head = ["source of uncertainty", *(f"share {k} of the square [mm²]" for k in range(4))]
+    table = Table(
+        "", head, [["an instrument of a long name, its scale too", *["12345.6789"] * 4]], frozenset(range(1, 5))
+    )
+    printed = plain_text([table])
+    assert "…" not in printed
+    assert printed.count("12345.6789") == 4
+    assert all(word in printed for word in ["instrument", "long", "name", "scale", "too", "uncertainty", "[mm²]"])
+
+
 def test_terminal_notebook_and_page_say_the_same() -> None:
     pytest.importorskip("jinja2", reason="jinja2 is not installed (extra report)")
     page = Page("Calibration", "arm", "of two links", [Section("All", [*BLOCKS, drawn(caption="How to read it.")])])
