@@ -49,7 +49,7 @@ def read_columns(path: str | Path) -> RawTable:
     return replace(first, cells=(), frame=frame, line=np.concatenate([part.line for part in parts]))
 
 
-def refuse_many(path: Path, numbers: int) -> None:
+def refuse_many(path: str | Path, numbers: int) -> None:
     """Raises InputError for more numbers than memory should hold."""
     if numbers > MOST_NUMBERS:
         raise InputError(f"{path}: has more than {MOST_NUMBERS} numbers; split it, or leave columns and rows out")
