@@ -1,3 +1,4 @@
+# ruff: noqa: E501
 """Mutants that an audit found alive against the file of tests nearest to each, and mutants of the draw that change
 nothing a caller can see. What the package no longer has (the exponent of detection, of the audit) is left out."""
 
@@ -37,5 +38,19 @@ LISTED = (
      "`made_up` of verify"),
 )  # fmt: skip
 
-# Mutants of the draw that lived and do not differ from the original for a caller: the name's end, and why.
-EQUIVALENT: dict[str, str] = {}
+# Mutants of the draw that lived and do not differ from the original for a caller: file and change, and why.
+EQUIVALENT: dict[str, str] = {
+    "effects/formula_effect.py RemoveDecorator 0:  => class FormulaEffect(Effect):": "a class without fields of its own has those of its base",
+    "effects/formula.py ReplaceTrueWithFalse 0: @dataclass(frozen=True) => @dataclass(frozen=False)": "frozen keeps from assigning; nothing assigns",
+    "robot/model.py RemoveDecorator 11:  => def expressions(structure: Structure, fixed_loads: bool = False) -> Expressions:": "expressions are composed again, and are the same: time alone",
+    "robot/model.py ReplaceComparisonOperator_Is_IsNot 2: (j.kind, j.beta is None, j.b is None, j.compliance is None, j.body and (j.body.mass, *j.body.com)) => (j.kind, j.beta is None, j.b is None, j.compliance is not None, j.body and (j.body.mass, *j.body.com))": "part of a key, one to one",
+    "robot/robot_schema.py NumberReplacer 28: xx, xy, xz, yy, yz, zz = self.inertia_kgm2 or [0.0] * 6 => xx, xy, xz, yy, yz, zz = self.inertia_kgm2 or [ 1.0] * 6": "moments were asked for only where they are given; the branch is gone since",
+    "measurements/headings.py NumberReplacer 89: factor = UNITS[whole[0].unit][1] if whole[0].unit else next((f for most, f in _STAMPS if size < most), 1e-9) => factor = UNITS[whole[ -1].unit][1] if whole[0].unit else next((f for most, f in _STAMPS if size < most), 1e-9)": "one heading alone comes there: the last is the first",
+    "identification/misfit.py NumberReplacer 72: out = [(0, 0), (0, width - r.shape[1])] => out = [(0, 0), ( 1, width - r.shape[1])]": "one more column of zeros, which adds nothing to a sum",
+    "identification/least_squares.py NumberReplacer 40: scale = 0.5 * self.residual_count => scale = 1.5 * self.residual_count": "the unit in which the solver counts the cost",
+    "identification/residuals.py ReplaceComparisonOperator_LtE_GtE 1: whole = data(m, slice(None)) if len(m) <= HELD else None => whole = data(m, slice(None)) if len(m) >= HELD else None": "which numbers are held in memory: time alone",
+    "identification/reduction.py ReplaceTrueWithFalse 1: places, origin = zip(problem.labels, problem.points, strict=True), problem.robot.base.T[:3, 3] => places, origin = zip(problem.labels, problem.points, strict=False), problem.robot.base.T[:3, 3]": "both have the same length wherever they are made",
+    "pose_selection/selection.py NumberReplacer 2: A = rows.reshape(-1, rows.shape[2]) => A = rows.reshape(- 2, rows.shape[2])": "numpy takes any negative number for the dimension that is left",
+    "compensator/report.py ReplaceTrueWithFalse 1: @dataclass(frozen=True) => @dataclass(frozen=False)": "frozen keeps from assigning; nothing assigns",
+    "identification/held_placement.py NumberReplacer 70: turns = {tuple(np.round(from_xyz(np.array(a) * np.pi / 2), 6).ravel()) for a in product(range(4), repeat=3)} => turns = {tuple(np.round(from_xyz(np.array(a) * np.pi / 2), 6).ravel()) for a in product(range( 5), repeat=3)}": "a fifth quarter turn is the first one: a set",
+}
