@@ -300,7 +300,8 @@ class LengthFit(SlipFit):
             cost = (weight * left**2).sum(axis=1)
             better = cost < best
             found[better], x, best = left[better], np.where(better[:, None], tried, x), np.minimum(cost, best)
-            damping = np.where(better, damping / 5, damping * 10)
+            # Never none: what no length tells, as a planar arm of its tool, would have no step.
+            damping = np.where(better, np.maximum(damping / 5, 1e-9), damping * 10)
             along = (weight[:, None] * line / size[..., None])[better]
             J = np.concatenate(
                 [np.einsum("kni,knij->knj", along, R[better])]
