@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadical.compensator.checks import joint_angles, residuals
 from casadical.compensator.layout import JointBox, Layout, box_around
-from casadical.compensator.network import Network
+from casadical.compensator.network import Network, joint_angles, residuals
 from casadical.compensator.report import BeforeAfter, table
 from casadical.compensator.task import Loss, make_task, training_masks
 from casadical.compensator.trainers.base import Trainer

@@ -15,7 +15,7 @@ from casadical.core.sx_instructions import SxInstructions
 from casadical.diagnosis.formula_cache import Formula, kept_formulas
 from casadical.diagnosis.seams import Seams
 from casadical.effects import Effect
-from casadical.robot.statics import deflections, gravity_torques
+from casadical.robot.kinematics import deflections, gravity_torques
 
 
 @lru_cache(maxsize=4096)

@@ -25,7 +25,7 @@ from casadical.identification.accuracy import predicted
 from casadical.identification.prior import Prior
 from casadical.identification.result import Identification
 from casadical.measurements.derived_columns import derive
-from casadical.measurements.kinds.position_covariance import PositionCovariance
+from casadical.measurements.kinds.position import PositionCovariance
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise

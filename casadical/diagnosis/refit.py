@@ -14,7 +14,7 @@ from casadical.identification.prepared import prepare
 from casadical.identification.residuals import make_block
 from casadical.identification.result import Identification
 from casadical.measurements.derived_columns import derive
-from casadical.measurements.kinds.position_covariance import PositionCovariance, typical_sigma, whitening
+from casadical.measurements.kinds.position import PositionCovariance, typical_sigma, whitening
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise

@@ -14,9 +14,9 @@ import casadi as ca
 from casadical.core.transforms import Symbolic, small_frame
 from casadical.effects import Context, Effect
 from casadical.measurements.kinds.base import MeasurementKind, PoseExpression
+from casadical.robot.kinematics import gravity_torques
 from casadical.robot.model import Structure, expressions, rigid_context
 from casadical.robot.robot import Robot
-from casadical.robot.statics import gravity_torques
 
 _TWIST = ("x", "y", "z", "rx", "ry", "rz")
 

@@ -69,4 +69,4 @@ from casadical.effects.smooth import WarmUp as WarmUp
 from casadical.effects.smooth import SmoothInSpace as SmoothInSpace
 from casadical.effects.smooth import SmoothInLoad as SmoothInLoad
 from casadical.effects.law import Law as Law
-from casadical.effects.session import Session as Session
+from casadical.effects.instrument import Session as Session

@@ -22,7 +22,7 @@ from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.identification import identify
 from casadical.identification.misfit import FURTHER, WideFit, wide_fit
 from casadical.identification.result import Identification
-from casadical.measurements.clock import clock_faults
+from casadical.measurements.derived_columns import clock_faults
 from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.robot.error_bound import doubted
 from casadical.robot.robot import Robot

@@ -20,9 +20,8 @@ from casadical.core.parameters import Parameter
 from casadical.core.statistics import robust_std
 from casadical.identification.accuracy import predicted
 from casadical.identification.identifiability import scaled_inverse
-from casadical.identification.last_answer import Kept, Sums
 from casadical.identification.residuals import POINT_SCALE, Block, Loss, loss_slope, loss_value, make_block
-from casadical.identification.solver import ACCEPTABLE, OPTIMUM, Progress, Solution, minimise
+from casadical.identification.solver import ACCEPTABLE, OPTIMUM, Kept, Progress, Solution, Sums, minimise
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot

@@ -18,8 +18,15 @@ from casadical.core.mapped_function import MappedFunction
 from casadical.core.parameters import Parameters
 from casadical.core.transforms import Symbolic, carry, product, rot_x, rot_y, rot_z, small_frame, translate
 from casadical.effects import Context, Effect
-from casadical.robot.kinematics import Values, assembly_sides, chain_factors, link_frames, loop_margins
-from casadical.robot.statics import deflections, gravity_torques
+from casadical.robot.kinematics import (
+    Values,
+    assembly_sides,
+    chain_factors,
+    deflections,
+    gravity_torques,
+    link_frames,
+    loop_margins,
+)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,7 @@ from casadical.compensator.iwo import IwoSettings
 from casadical.compensator.task import Task, random_weights
 from casadical.compensator.trainers.backprop import Backprop
 from casadical.compensator.trainers.damped_least_squares import advance, begin_batch
-from casadical.compensator.trainers.iwo import Iwo
-from casadical.compensator.trainers.iwo_lm import IwoThenLm
+from casadical.compensator.trainers.iwo import Iwo, IwoThenLm
 from casadical.compensator.trainers.levenberg_marquardt import LevenbergMarquardt
 from casadical.compensator.training import train
 from problems import small_task, smooth

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from casadical.measurements.clock import clock_faults
-from casadical.measurements.derived_columns import derive
+from casadical.measurements.derived_columns import clock_faults, derive
 from casadical.measurements.measurements import Measurements
 from casadical.project.check.check import precheck
 

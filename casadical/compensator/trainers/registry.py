@@ -4,5 +4,5 @@
 from casadical.compensator.trainers.backprop import Backprop as Backprop
 from casadical.compensator.trainers.iwo import Iwo as Iwo
 from casadical.compensator.trainers.levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
-from casadical.compensator.trainers.iwo_lm import IwoThenLm as IwoThenLm
+from casadical.compensator.trainers.iwo import IwoThenLm as IwoThenLm
 from casadical.compensator.trainers.distilled import Taught as Taught

@@ -13,15 +13,15 @@ GROUP = "casadical.measurement_kinds"
 # Tried on a table in this order, so that a kind comes before those that need fewer columns; plug-ins come last.
 _OURS = (
     "casadical.measurements.kinds.pose:Pose",
-    "casadical.measurements.kinds.position_covariance:PositionCovariance",
+    "casadical.measurements.kinds.position:PositionCovariance",
     "casadical.measurements.kinds.position:Position",
-    "casadical.measurements.kinds.pair_distance:PairDistance",
+    "casadical.measurements.kinds.distance:PairDistance",
     "casadical.measurements.kinds.distance:Distance",
     "casadical.measurements.kinds.dial:Dial",
-    "casadical.measurements.kinds.sphere:Sphere",
-    "casadical.measurements.kinds.plane:Plane",
+    "casadical.measurements.kinds.surfaces:Sphere",
+    "casadical.measurements.kinds.surfaces:Plane",
     "casadical.measurements.kinds.contact:Contact",
-    "casadical.measurements.kinds.relative_pose:RelativePose",
+    "casadical.measurements.kinds.pose:RelativePose",
 )
 
 

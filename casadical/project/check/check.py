@@ -13,7 +13,7 @@ from casadical.identification.plausibility import check_against
 from casadical.identification.prepared import METHODS, all_compliant, by_method, undeclared
 from casadical.identification.sessions import apart, place_sessions, with_sessions
 from casadical.identification.undetermined import undetermined_at_start
-from casadical.measurements.clock import clock_faults
+from casadical.measurements.derived_columns import clock_faults
 from casadical.measurements.measurements import Measurements
 from casadical.project.check.coverage import (
     coverage,
