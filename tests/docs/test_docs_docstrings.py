@@ -118,7 +118,7 @@ def test_functions_of_every_module_tell_their_errors() -> None:
 def test_methods_from_the_literature_name_their_source() -> None:
     """By module: a year or an equation of the paper."""
     modules = [
-        *(f"robot.{name}" for name in ("fourbar", "kinematics", "statics", "robot")),
+        *(f"robot.{name}" for name in ("fourbar", "kinematics", "robot")),
         *(f"identification.{name}" for name in ("identifiability", "identification", "placement")),
         *(
             f"compensator.{name}"

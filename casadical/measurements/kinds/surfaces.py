@@ -15,7 +15,7 @@ from casadical.measurements.kinds.contact import each_label, touched_often
 from casadical.measurements.kinds.distance import Distance
 
 # Three touches define a plane; from so many on they tell of the robot.
-FEWEST = 4
+PLANE_TOUCHES = 4
 
 
 class Plane(MeasurementKind):
@@ -41,8 +41,8 @@ class Plane(MeasurementKind):
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
         """Labels of the planes. Raises InputError: an empty label, or a plane that is touched too few times."""
-        remedy = f"three touches only say where the plane is: touch it at {FEWEST} poses at least"
-        return {"label": touched_often(columns, "plane", FEWEST, "it says which plane each pose touches", remedy)}
+        remedy = f"three touches only say where the plane is: touch it at {PLANE_TOUCHES} poses at least"
+        return {"label": touched_often(columns, "plane", PLANE_TOUCHES, "it says which plane each pose touches", remedy)}
 
     def residual(self, pose: PoseExpression) -> Symbolic:
         point = pose.unknown_point()
@@ -76,7 +76,7 @@ class Plane(MeasurementKind):
 
 
 # Four touches define the centre of a ball and its radius; from so many on they tell of the robot.
-FEWEST = 5
+BALL_TOUCHES = 5
 # Radii beyond so many reaches of the robot are in another unit.
 LARGEST = 20.0
 
@@ -116,8 +116,8 @@ class Sphere(Distance):
                 f"{columns.at(row)}, column 'radius': {1e3 * radius[row]:.4g} mm; a radius must be positive (poses at "
                 "one point are kind 'contact')"
             )
-        remedy = f"touch it at {FEWEST} poses at least, all around"
-        label = touched_often(columns, "sphere", FEWEST, "it says which ball each pose touches", remedy)
+        remedy = f"touch it at {BALL_TOUCHES} poses at least, all around"
+        label = touched_often(columns, "sphere", BALL_TOUCHES, "it says which ball each pose touches", remedy)
         return {"distance": radius, "label": label}
 
     def unit_fault(self, arrays: Arrays, p: Array, positions_at: PositionsAt, reach: float) -> str:
