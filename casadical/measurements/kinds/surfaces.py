@@ -42,7 +42,8 @@ class Plane(MeasurementKind):
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
         """Labels of the planes. Raises InputError: an empty label, or a plane that is touched too few times."""
         remedy = f"three touches only say where the plane is: touch it at {PLANE_TOUCHES} poses at least"
-        return {"label": touched_often(columns, "plane", PLANE_TOUCHES, "it says which plane each pose touches", remedy)}
+        label = touched_often(columns, "plane", PLANE_TOUCHES, "it says which plane each pose touches", remedy)
+        return {"label": label}
 
     def residual(self, pose: PoseExpression) -> Symbolic:
         point = pose.unknown_point()
