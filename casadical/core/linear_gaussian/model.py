@@ -69,7 +69,8 @@ class LinearModel:
     def absorbed_by_base(self) -> float:
         """How many numbers the base takes: the trace of what projects on it, priors included."""
         A = self.base.reshape(self.residual.size, -1) * (self.prior / self.reference)
-        square = np.maximum(np.linalg.eigvalsh(A.T @ A), 0.0)
+        # Not of A' A: beside a wide prior's direction its eigenvalues lose those of narrow ones.
+        square = np.linalg.svd(np.linalg.qr(A, mode="r"), compute_uv=False) ** 2
         return float((square / (1 + square)).sum())
 
     def log_over_sigmas(self, square: float, log_norm: float) -> Array:

@@ -1,5 +1,7 @@
 """Noise, estimates, predictions of what was left out, roots of normal matrices: against dense solves."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from models import RATIOS, TWO, noise_of, small_model, without_last_rows
@@ -164,3 +166,11 @@ def test_what_round_off_takes_from_a_normal_matrix_stops_nothing() -> None:
     root = root_of_inverse(normal)
     right = J.T @ (J @ np.ones(30))
     np.testing.assert_allclose(J @ (root.T @ (root @ right)), J @ np.ones(30), rtol=1e-5, atol=1e-3)
+
+
+def test_what_the_base_takes_is_right_beside_a_direction_that_is_hardly_held() -> None:
+    """Its square has more digits than numbers have: what is computed from squares alone loses the others."""
+    model, rng, size = small_model(RATIOS, n=12), np.random.default_rng(0), np.array([1e10, 2.0, 1.0, 0.1])
+    rows, turn = np.linalg.qr(rng.normal(size=(36, 4)))[0], np.linalg.qr(rng.normal(size=(4, 4)))[0]
+    wide = replace(model, base=((rows * size) @ turn.T).reshape(12, 3, 4), prior=np.full(4, model.reference))
+    assert wide.absorbed_by_base == pytest.approx((size**2 / (1 + size**2)).sum(), rel=1e-5)
