@@ -19,6 +19,7 @@ import pandas as pd
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.progress import Show, silent
+from casadical.core.statistics import first_of_best
 from casadical.core.telling.blocks import Block, Table, Words
 from casadical.core.telling.result import Result
 from casadical.diagnosis.motion.base import Look, look
@@ -156,7 +157,8 @@ def proposed(found: LogDiagnosis, looks: Sequence[Look], names: Sequence[str] = 
     joints = sorted({int(label.partition("@")[2] or 0) - 1 for label in sizes})
     joints = list(range(looks[0].arm.joints)) if joints[0] < 0 else joints
     plain = [Course(tuple(joints), *each, 0.0) for each in product(RANGES, SPEEDS, PAUSES)]
-    best = max((tried(course) for course in plain), key=lambda each: each[0])
+    each = [tried(course) for course in plain]
+    best = each[first_of_best([score for score, *_ in each])]  # the same motion on every processor
     if looks[0].motion.torque is not None:
         load = float(f"{LOAD * looks[0].arm.inertial[::10].sum():.1g}")
         loaded = tried(replace(best[1], load=load))
