@@ -8,6 +8,7 @@ list: the NumPy evaluation that the compiled C is compared with.
 import re
 import zlib
 from collections.abc import Callable
+from functools import cache
 from importlib.resources import files
 
 from casadical.export.c.coefficients import COEFFICIENTS, EXP_LIMIT, SQRT_GUESS, TAN_PI_8, Real, literal, turn_parts
@@ -19,7 +20,18 @@ _INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 
 
 def template(name: str) -> str:
-    return (files("casadical.export.c") / "templates" / name).read_text(encoding="utf-8")
+    return _short()[name] if name in _short() else _read(name)
+
+
+@cache
+def _short() -> dict[str, str]:
+    """The short templates, those of a language in one file, each under a line `==== NAME`."""
+    whole = "".join(_read(f"parts.{language}") for language in ("c", "h", "st"))
+    return dict(part.split("\n", 1) for part in whole.split("==== ")[1:])
+
+
+def _read(file: str) -> str:
+    return (files("casadical.export.c") / "templates" / file).read_text(encoding="utf-8")
 
 
 def filled(text: str, values: dict[str, str]) -> str:
