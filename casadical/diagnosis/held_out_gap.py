@@ -116,11 +116,13 @@ def check_refit(found: Diagnosis, show: Show = silent) -> Check:
     sets = refit_measurements(case, effects, found.noise)
     if case.observations.plain:  # positions are weighed by the noise that was found in the fit alone
         sets = tuple(m.positions_alone() for m in sets)
-    left = np.empty(len(folds))
+    left, near = np.empty(len(folds)), dict[str, float]()
     for fold in range(FOLDS):
         show(f"refit {fold + 1} of {FOLDS}")
         test = folds == fold
-        error = left_by(refit(case, effects, found.noise, ~test), sets, test[case.rows])
+        fitted = refit(case, effects, found.noise, ~test, near)
+        near = fitted.problem.values(fitted.solution.v)
+        error = left_by(fitted, sets, test[case.rows])
         square = np.bincount(case.rows[test[case.rows]], error**2, minlength=len(folds))
         left[test] = np.sqrt(square[test])
     linear = held_out_errors(case.evidence, found.columns, found.noise, folds)

@@ -38,7 +38,7 @@ NEGLIGIBLE = 1e-6
 # Of more poses than this, evenly spaced ones say which effects look alike.
 MOST_ALIKE = 500
 # Columns that are in memory at a time.
-BYTES = 64_000_000
+BYTES = 16_000_000
 # Signals of less energy [m^2], a nanometre, are round-off.
 NOTHING = 1e-18
 USUAL_NOISE = Noise(20e-6, 8e-6)

@@ -20,7 +20,13 @@ from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 
 
-def refit(case: Case, effects: Sequence[Effect], noise: Noise, use: Array | None = None) -> Identification:
+def refit(
+    case: Case,
+    effects: Sequence[Effect],
+    noise: Noise,
+    use: Array | None = None,
+    near: Mapping[str, float] | None = None,
+) -> Identification:
     """Base model and effects identified together: the evidence's model without its linearisation.
 
     The data, their noise and the priors are the evidence's: positions of the poses that are no outliers, the sigma
@@ -29,12 +35,13 @@ def refit(case: Case, effects: Sequence[Effect], noise: Noise, use: Array | None
     and the optimum does not depend on the start.
     effects : with their settings (knee, lag, cycles), which stay; their parameters are free
     use : mask over the kept poses of those to identify from, all by default
+    near : values of parameters at which to start, as another refit has them
     """
     sets = refit_measurements(case, effects, noise)
     sets = sets if use is None else chosen_of(sets, use[case.rows])
     free = ("kinematic", "compliance", *case.free, *dict.fromkeys(e.label for e in effects))
     priors = _priors(case) | _priors_of_effects(case, effects)
-    return calibrated(prepare(case.robot.with_effect(*effects), sets, case.prior), free, priors=priors)
+    return calibrated(prepare(case.robot.with_effect(*effects), sets, case.prior), free, priors=priors, near=near)
 
 
 def _priors(case: Case) -> dict[str, tuple[float, float]]:

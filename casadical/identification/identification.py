@@ -143,9 +143,12 @@ def calibrated(
     loss: AnyLoss = "linear",
     priors: bool | Mapping[str, tuple[float, float]] = False,
     screen: bool = True,
+    near: Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> Identification:
     """Identify what was prepared; arguments as of `identify`, a method brings its own parameters.
+
+    near : values from which to start, by parameter [SI]; the optimum does not depend on them
 
     Raises InputError, ConvergenceError.
     """
@@ -169,7 +172,7 @@ def calibrated(
         raise InputError(
             f"free={list(wanted)} chooses no parameter of {robot.name}; groups: {', '.join(start.parameters.groups)}"
         )
-    problem = LeastSquares(start, sets, names, loss, priors, first_sigmas(sets), known=prior.known)
+    problem = LeastSquares(start, sets, names, loss, priors, first_sigmas(sets), known=prior.known, near=near or {})
     (reduced, solution, found), outliers = solve_without_outliers(problem, SCREENINGS if screen else 0, progress)
     placed = start.effect_values != robot.effect_values  # base and tool of further sessions
     result = Identification(

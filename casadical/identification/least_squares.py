@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import chain
 
 import casadi as ca
@@ -48,6 +48,7 @@ class LeastSquares:
     known : correlated priors: names and their covariance [SI]; their means are those of `priors`
     priors : whether the robot's own priors hold the variables back, or name -> (mean, one sigma) [SI] of other priors
     fixed_loads : whether gravity torques are those of the nominal geometry (see `Model`)
+    near : values [SI] of parameters from which a solve starts, by name; the others start as the robot has them
     """
 
     robot: Robot
@@ -58,6 +59,7 @@ class LeastSquares:
     sigmas: tuple[tuple[float, float], ...]
     fixed_loads: bool = False
     known: tuple[tuple[tuple[str, ...], Array], ...] = ()
+    near: Mapping[str, float] = field(default_factory=dict)
     kept: Kept = field(default_factory=Kept, init=False, repr=False)
 
     @property
@@ -200,11 +202,17 @@ class LeastSquares:
         return dict(zip(self.names, self._parameter("value") + self.scale * x, strict=True))
 
     def solve(self, progress: Progress | None = None, start: Array | None = None) -> Solution:
-        """The bounded optimum, sought from a start, by default v = 0. Raises ConvergenceError.
+        """The bounded optimum, sought from a start, by default `near`. Raises ConvergenceError.
 
         Where the cost's round-off stops Ipopt's line search, the solver cannot know that it stands at an optimum.
         """
         scale = 0.5 * self.residual_count
+        if start is None and self.near:
+            start = np.zeros(self.size)
+            value = self._parameter("value")
+            known = zip(self.names, value.tolist(), strict=True)
+            start[: len(value)] = (np.array([self.near.get(n, v) for n, v in known]) - value) / self.scale
+            start = np.clip(start, *self.bounds)
         solution = minimise(
             self.cost, self.gradient, *self.bounds, scale=scale, start=start, progress=progress, settled=self._settled
         )
@@ -238,11 +246,14 @@ class LeastSquares:
         P = self.prior_matrix
         return sums.gradient + P @ (v - self.prior_mean), sums.information + P
 
-    def triangle(self, v: Array) -> Array:
+    def triangle(self, v: Array, of: Sequence[int] | None = None) -> Array:
         """Triangular factor of the Jacobian at v, without loss and priors, shape (size, size) or less rows.
 
         As good as the whole Jacobian, and as small as the variables are; the sums at v come with it.
+        of : some of its columns, without the sums
         """
+        if of is not None:
+            return reduce(_with_rows, (J[:, of] for _, _, J in self._parts(v)), np.zeros((0, len(of))))
         last = self.kept.sums
         known: Sums | None = last.answer if last.holds(v) else None
         if known is None or known.triangle is None:
@@ -284,7 +295,7 @@ class LeastSquares:
             if self.residual_count <= KEPT:
                 residuals.append((k, r))
             if triangle:
-                R = np.asarray(np.linalg.qr(np.concatenate([R, J]) if len(R) else J, mode="r"))
+                R = _with_rows(R, J)
             rows, y = J, r.ravel()
             square += (own := float(y @ y))
             if (loss := self._loss_of(k)) == "linear":
@@ -434,6 +445,11 @@ class LeastSquares:
             other.kept.sums(np.zeros(other.size), lambda _: sums.for_variables(columns))
             other.gradient(np.zeros(other.size))
         return other
+
+
+def _with_rows(R: Array, J: Array) -> Array:
+    """The triangular factor of the rows that a factor stands for and of further ones."""
+    return np.asarray(np.linalg.qr(np.concatenate([R, J]) if len(R) else J, mode="r"))
 
 
 def first_sigmas(sets: Iterable[Measurements]) -> tuple[tuple[float, float], ...]:

@@ -162,23 +162,24 @@ def independent_parameters(problem: LeastSquares) -> Identifiability:
     robot, names, p = problem.robot, problem.names, len(problem.names)
     loaded = any(j.compliance is not None for j in robot.joints) or bool(robot.effects)
     with_loads = problem if loaded == problem.fixed_loads else replace(problem, fixed_loads=loaded)
-    R = with_loads.triangle(np.zeros(problem.size))
     own = [robot.parameters[n] for n in names]
     held = {parameter.name: parameter.held for parameter in own if parameter.held}
     if not any(find_kind(m.kind).at_rest(m.arrays) for m in problem.sets):
         held |= dict.fromkeys(_WHOLE_ROBOT, "nothing at rest was measured: moving the whole robot changes nothing")
+    of_effects = {e.label for e in robot.effects}
+    wide = bool(problem.priors) and p > WIDE  # what a prior of an effect holds back needs no test of independence
+    asked = [k for k, parameter in enumerate(own) if not (wide and parameter.group in of_effects)]
+    columns = [*range(p, problem.size), *asked]
+    zero = np.zeros(problem.size)
+    R = with_loads.triangle(zero, columns) if wide else with_loads.triangle(zero)[:, columns]
     if problem.priors and problem.residual_count <= problem.size:
         # Too few numbers to say what is confounded.
-        R = np.concatenate([R, np.diag(np.sqrt(np.diag(problem.prior_matrix)))])
+        R = np.concatenate([R, np.diag(np.sqrt(np.diag(problem.prior_matrix)))[:, columns]])
     points = 3 * len(problem.labels)
-    of_effects = {e.label for e in robot.effects}
-    if problem.priors and p > WIDE:  # what a prior of an effect holds back needs no test of independence
-        base = [k for k, parameter in enumerate(own) if parameter.group not in of_effects]
-        analysis = analyse(R[:, [*range(p, problem.size), *base]], [names[k] for k in base], points, held)
+    analysis = analyse(R, [names[k] for k in asked], points, held)
+    if wide:
         dropped = {u.name for u in analysis.held}
         return replace(analysis, independent=tuple(n for n in names if n not in dropped))
-    R = np.concatenate([R[:, p:], R[:, :p]], axis=1) if points else R
-    analysis = analyse(R, names, points, held)
     if any(find_kind(m.kind).has_scale or m.separations for m in problem.sets):
         return analysis
     longest = max(analysis.independent, key=lambda n: abs(_length(problem, n)), default="")

@@ -224,7 +224,7 @@ class GridSums:
 
     def _parts(self, E: Columns) -> Iterator[slice]:
         """The blocks in parts whose columns take little memory."""
-        n, step = self._shape[0], max(LEAST_BLOCKS, BYTES // (8 * max(E.shape[2], 1)))
+        n, step = self._shape[0], max(LEAST_BLOCKS, BYTES // (8 * E.shape[1] * max(E.shape[2], 1)))
         return (slice(first, min(first + step, n)) for first in range(0, n, step))
 
 
