@@ -22,6 +22,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.linear_gaussian.grid import log_sum
+from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.core.linear_gaussian.normal_equations import inverse_of
 from casadical.fleet.candidates import FREQUENCY, Candidate, candidates_of, daily
 from casadical.fleet.comparison import CAMPAIGNS, YEAR, courses_of
@@ -232,11 +233,9 @@ class TouchModel:
         noises = [share * v if self.noise is None else self.noise**2 for share in shares]
         for noise, unexplained in [(n, r) for n in noises for r in (max(v - n, 0.0), v)]:
             whole = S + noise * np.eye(len(y)) + unexplained * same
-            L = np.linalg.cholesky(whole)
-            z = np.linalg.solve(L, y)
-            inverse = np.linalg.inv(L)
-            roots = np.log(np.diag(L))
-            found.append((-0.5 * float(z @ z) - float(roots.sum()), inverse.T @ inverse, z, roots))
+            (W,) = whitening_of(whole[None]).W
+            z, roots = W @ y, -np.log(np.diag(W))
+            found.append((-0.5 * float(z @ z) - float(roots.sum()), W.T @ W, z, roots))
         return found
 
     def charted(self) -> Array:

@@ -99,15 +99,45 @@ def further(house: House) -> dict[str, str]:
         found[f"places that call {function}"] = str(len(callers(house, function)))
     page = (house.folder.parent / "docs" / "reference.md").read_text(encoding="utf-8")
     found["public names"] = str(len(re.findall(r"^   casadical\.\S+$", page, re.MULTILINE)))
+    every = [n for m in house.modules.values() for n in m.nodes]
     cli = [n for m in house.modules.values() if m.room == "cli" for n in m.nodes]
     loops = [len(n.iter.elts) - 1 for n in cli if isinstance(n, ast.For) and _registered(n)]
     found["commands"] = str(sum(loops) + sum(_registers(n) for n in cli))
-    tests = house.folder.parent.joinpath("tests").rglob("*.py")
-    found["lines of tests"] = str(sum(len(p.read_text(encoding="utf-8").splitlines()) for p in tests))
+    tests = [p.read_text(encoding="utf-8") for p in house.folder.parent.joinpath("tests").rglob("*.py")]
+    found["lines of tests"] = str(sum(len(text.splitlines()) for text in tests))
+    found["private names that tests import"] = str(sum(map(_private_imports, tests)))
+    found["patches of the package in tests"] = str(sum(_patches(text, house.folder.name) for text in tests))
+    calls = [getattr(n.func, "id", getattr(n.func, "attr", "")) for n in every if isinstance(n, ast.Call)]
+    found["factorisations by Cholesky"] = str(calls.count("cholesky"))
+    found["places that read instructions of SX"] = str(calls.count("n_instructions"))
+    made = [n.id for n in every if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)]
+    made += [n.name.lstrip("_") for n in every if _is_function(n)]
+    found["names that are idioms"] = ", ".join(f"{word} {made.count(word)}" for word in IDIOMS)
+    written = [n for n in every if isinstance(n, ast.Subscript) and isinstance(n.ctx, ast.Store)]
+    found["writes into `__dict__`"] = str(sum(getattr(n.value, "attr", "") == "__dict__" for n in written))
     sizes = {f"{m.name}.{n.name}": _code_lines(n) for m in house.modules.values() for n in m.nodes if _is_function(n)}
     longest = sorted(sizes, key=lambda name: -sizes[name])[:3]
     found["functions above 60 lines of code"] = str(sum(size > 60 for size in sizes.values()))
     return found | {"longest functions": ", ".join(f"{name} {sizes[name]}" for name in longest)}
+
+
+# Names of variables and functions that say nothing of the thing.
+IDIOMS = ("of", "found", "told", "instead", "left_open", "misnamed", "as_it_is")
+
+
+def _private_imports(text: str) -> int:
+    imports = (n for n in ast.walk(ast.parse(text)) if isinstance(n, ast.ImportFrom) and n.module)
+    names = [a.name for n in imports if n.module.startswith("casadical") for a in n.names]
+    return sum(name.startswith("_") and not name.endswith("_") for name in names)
+
+
+def _patches(text: str, package: str) -> int:
+    """Calls of `monkeypatch.setattr` on what is imported from the package, or on a name in it."""
+    tree = ast.parse(text)
+    imports = [n for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and (n.module or "").startswith(package)]
+    own = {a.asname or a.name for n in imports for a in n.names} | {package, "import_module"}
+    calls = (n for n in ast.walk(tree) if isinstance(n, ast.Call) and getattr(n.func, "attr", "") == "setattr")
+    return sum(re.split(r"[.(]", ast.unparse(n.args[0]).strip("'"))[0] in own for n in calls if n.args)
 
 
 def _is_function(node: ast.AST) -> bool:
