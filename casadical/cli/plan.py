@@ -30,7 +30,7 @@ from casadical.core.telling.blocks import next_step
 from casadical.core.telling.terminal import terminal
 
 if TYPE_CHECKING:
-    from casadical.project.planning import Places
+    from casadical.project.planning import Places, Wanted
 
 Problem = Annotated[
     Path, typer.Argument(metavar="PROBLEM", help="Folder with the robot, or a robot file, such as calibrate writes.")
@@ -186,7 +186,7 @@ def plan(
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
-    from casadical.project.planning import Wanted, circumstances_of, plan_problem, planned_with
+    from casadical.project.planning import Wanted, circumstances_of
 
     mode = "--isolability" if isolability else "--iso9283" if iso9283 else "--motion" if motion else CALIBRATION
     refuse_of_others(context, mode, MODES)
@@ -204,6 +204,16 @@ def plan(
         circumstances_of(payloads, every_payload, both_approaches, repeats),
         noise_mm, joint_noise_urad, min_distance, target_mm, order, _places(wires, sockets, places, known_places),
     )  # fmt: skip
+    _calibration(problem, n, out, wanted, measured, prior, prior_effects, seed, json_file, quiet)
+
+
+def _calibration(
+    problem: Path, n: int | None, out: Path | None, wanted: Wanted, measured: Path | None, prior: Path | None,
+    prior_effects: str | None, seed: int, json_file: Path | None, quiet: bool,
+) -> None:  # fmt: skip
+    """Poses to calibrate with."""
+    from casadical.project.planning import plan_problem, planned_with
+
     with working(quiet, "choosing poses", steps=PLAN) as show:
         planned = plan_problem(
             problem, n, wanted, measured, carried(prior, prior_effects, frozen=False), seed=seed, show=show

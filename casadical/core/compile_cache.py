@@ -195,10 +195,10 @@ def _right(function: ca.Function, library: Path) -> bool:
     ]
     printed = tried(_TRIAL, str(library), function.name(), json.dumps(task))
     try:
-        found = [np.array([float.fromhex(x) for x in out]) for out in json.loads(printed or "")]
-        return len(found) == len(wanted) and all(
+        values = [np.array([float.fromhex(x) for x in out]) for out in json.loads(printed or "")]
+        return len(values) == len(wanted) and all(
             np.allclose(a, b.ravel(order="F"), rtol=1e-9, atol=1e-12, equal_nan=True)
-            for a, b in zip(found, wanted, strict=True)
+            for a, b in zip(values, wanted, strict=True)
         )
     except (ValueError, TypeError, AttributeError):
         return False

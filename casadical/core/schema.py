@@ -105,8 +105,8 @@ def check(schema: type[Schema], data: Mapping[str, Any], source: str) -> Schema:
     try:
         return schema.model_validate(data)
     except ValidationError as error:
-        told = [_fault(schema, data, e) for e in error.errors()[:MOST_FAULTS]]
-        raise _faults(told, error.error_count(), source) from None
+        faults = [_fault(schema, data, e) for e in error.errors()[:MOST_FAULTS]]
+        raise _faults(faults, error.error_count(), source) from None
 
 
 def _faults(told: Sequence[str], count: int, source: str) -> InputError:

@@ -113,7 +113,9 @@ def robot_model(
         return _mjcf(source, asked, nominal, leave_out, show)
     if form == "actuators":
         robot = robot_to_write(source)
-        return RobotModel(json_text(found := actuators_of(robot)), (), found, f"drives of {robot.name}, by joint names")
+        return RobotModel(
+            json_text(actuators := actuators_of(robot)), (), actuators, f"drives of {robot.name}, by joint names"
+        )
     if form == "urdf":
         return _urdf(source, nominal, leave_out, show)
     return _driver(source, form, nominal, checksum, show)

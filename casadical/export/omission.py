@@ -87,9 +87,9 @@ def geometry_alone(calibration: "Calibration") -> dict[str, float | int | str]:
     The set `report`, which the fit has not seen, else the poses that were identified from; key `set` says which.
     The nominal robot has its base and tool fitted.
     """
-    found, sets = calibration.identification, calibration.problem.sets
+    identified, sets = calibration.identification, calibration.problem.sets
     name = "report" if "report" in sets else "identify"
-    robots = {"nominal": found.placed, "geometry": geometry_of(found.robot), "model": found.robot}
+    robots = {"nominal": identified.placed, "geometry": geometry_of(identified.robot), "model": identified.robot}
     mean = {key: np.concatenate([errors(robot, m) for m in sets[name]]) for key, robot in robots.items()}
     figures = {f"{key}_mm": 1e3 * float(e.mean()) for key, e in mean.items()}
     return {"set": name, "poses": len(mean["model"]), **figures}

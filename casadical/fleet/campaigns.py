@@ -68,23 +68,23 @@ def compare_files(
         begun = files[0]
         later, day = later_tables(begun)
         files = [begun, *later]
-    told = estimates_of(files, robot or _understood_by(files), show)
-    found = [e for e in told if isinstance(e, Estimate)]
-    errors = [(path, e) for path, e in zip(files, told, strict=True) if isinstance(e, CasadicalError)]
+    estimates = estimates_of(files, robot or _understood_by(files), show)
+    found = [e for e in estimates if isinstance(e, Estimate)]
+    errors = [(path, e) for path, e in zip(files, estimates, strict=True) if isinstance(e, CasadicalError)]
     if errors and len(files) == 2:
         raise errors[0][1]
     faults = [f"{shown(path)} is left out: {error}" for path, error in errors]
     if len(found) < 2:
         where = "; ".join(faults) or f"Give more, or a problem folder with later tables in its folder {CAMPAIGNS}."
         raise InputError(f"{len(found)} of {len(files)} campaigns can be used; two are needed. {where}")
-    if day is not None and isinstance(told[0], Estimate):
+    if day is not None and isinstance(estimates[0], Estimate):
         found[0] = replace(found[0], day=day)
     ordered, said = in_order(found, begun=begun is not None)
     show("what changed")
     notes = (*faults, *said, *other_regions(ordered))
     compared = compare(ordered, same_tool=same_tool, same_frame=same_frame, notes=notes)
     known = robot or _understood_by(files)
-    told_by = {e.label: path for path, e in zip(files, told, strict=True) if isinstance(e, Estimate)}
+    told_by = {e.label: path for path, e in zip(files, estimates, strict=True) if isinstance(e, Estimate)}
     last = told_by[ordered[-1].label]
     own = (Path(known), last) if known and last.is_file() and last.suffix != ".toml" else ()
     return replace(compared, name=name_of(files, begun or robot), sources=own)
@@ -112,18 +112,18 @@ def estimates_of(
     paths: Sequence[Path], robot: str | Path | None = None, show: Show = silent
 ) -> list[Estimate | CasadicalError]:
     """What each campaign in files tells, or why it cannot be used; robot : by which tables are understood."""
-    found: list[Estimate | CasadicalError] = []
+    estimates: list[Estimate | CasadicalError] = []
     for k, path in enumerate(paths, 1):
         show(f"campaign {k} of {len(paths)}")
         try:
-            first = next((e.robot for e in found if isinstance(e, Estimate)), None)
+            first = next((e.robot for e in estimates if isinstance(e, Estimate)), None)
             told = campaign_estimate(path, robot, first)
             if first:
                 refuse_another(first, told.robot, "campaign")
-            found.append(told)
+            estimates.append(told)
         except CasadicalError as error:
-            found.append(error)
-    return found
+            estimates.append(error)
+    return estimates
 
 
 def name_of(paths: Sequence[Path], robot: str | Path | None = None) -> str:
@@ -162,8 +162,8 @@ def campaign_estimate(path: Path, robot: str | Path | None = None, known: Robot 
         arm = replace(arm, tool=known.tool, tool_name=known.tool_name, targets=known.targets)
     m = read_campaign(robot, path, arm, later=True)
     arm, told, notes = with_targets_of_rows(tool_as_measured(arm, Path(robot), [m]), [m])
-    found = estimate((arm, told), label, day)
-    return replace(found, notes=(*found.notes, *notes))
+    estimated = estimate((arm, told), label, day)
+    return replace(estimated, notes=(*estimated.notes, *notes))
 
 
 def other_regions(campaigns: Sequence[Estimate]) -> list[str]:

@@ -72,8 +72,8 @@ def shared_names(robot: Robot, names: Sequence[str], *, same_tool: bool, same_fr
 def candidates_of(robot: Robot, names: Sequence[str]) -> tuple[Candidate, ...]:
     """Everything that may change, by the shared parameters of a robot with harmonics as its last effect."""
     chosen = [robot.parameters[n] for n in names]
-    found = [*_joints(robot, chosen), *_whole(chosen), *_effects(robot, chosen)]
-    return tuple(c for c in found if c.names)
+    candidates = [*_joints(robot, chosen), *_whole(chosen), *_effects(robot, chosen)]
+    return tuple(c for c in candidates if c.names)
 
 
 def daily(candidates: Sequence[Candidate]) -> tuple[Array, Array]:

@@ -150,8 +150,8 @@ class Comparison(Result):
 
     @property
     def _line(self) -> str:
-        found = ", ".join(c.cause.label for c in self.changes) or "nothing changed"
-        return f" of {len(self.campaigns)} campaigns of {self.campaigns[0].robot.name!r}: {found}"
+        changed = ", ".join(c.cause.label for c in self.changes) or "nothing changed"
+        return f" of {len(self.campaigns)} campaigns of {self.campaigns[0].robot.name!r}: {changed}"
 
     @property
     def changed(self) -> bool:

@@ -90,10 +90,10 @@ def _refuse_address(scheduler: str) -> None:
 
 def _refuse_other_versions(client: Any, scheduler: str) -> None:
     """Raises InputError where there are no workers, or one with another casadical."""
-    found = client.run(locate, "casadical.__version__")
-    if not found:
+    versions = client.run(locate, "casadical.__version__")
+    if not versions:
         raise InputError(f"{scheduler}: no worker is connected; start one there: dask worker {scheduler}")
-    for worker, version in found.items():
+    for worker, version in versions.items():
         if version != __version__:
             raise InputError(
                 f"worker {worker} has {f'casadical {version}' if version else 'no casadical'}; this is casadical "
@@ -132,7 +132,7 @@ def results(
         submit(list(islice(waiting, size)))
     while of:
         _wait(client, working, of)
-        future, found = next(working)
+        future, row = next(working)
         if future.cancelled():
             raise SchedulerLostError(_GONE)
         some = of.pop(future)
@@ -141,7 +141,7 @@ def results(
                 submit([task])
             continue
         submit(list(islice(waiting, size)))
-        yield from zip(some, [found[1]] if future.status == "error" else found, strict=True)
+        yield from zip(some, [row[1]] if future.status == "error" else row, strict=True)
 
 
 def _in_turn(function: Callable[..., dict[str, Any]], tasks: Sequence[tuple[Any, ...]]) -> list[dict[str, Any]]:

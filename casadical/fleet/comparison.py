@@ -86,17 +86,17 @@ def compare(
     for other in campaigns[1:]:
         refuse_another(first.robot, other.robot, "campaign")
     campaigns = with_common_noise(campaigns)
-    names, told, candidates = shared_information(campaigns, same_tool=same_tool, same_frame=same_frame)
+    names, information, candidates = shared_information(campaigns, same_tool=same_tool, same_frame=same_frame)
     times = times_of(campaigns)
-    accepted, left, swap = changes_in(told, candidates, times, dated=first.day is not None)
-    model = _beside(told, accepted)
-    changes = tuple(_change(told, accepted, k, first, swap) for k in range(len(accepted)))
+    accepted, left, swap = changes_in(information, candidates, times, dated=first.day is not None)
+    model = _beside(information, accepted)
+    changes = tuple(_change(information, accepted, k, first, swap) for k in range(len(accepted)))
     return Comparison(
         tuple(campaigns),
         names,
         changes,
         left,
-        seen_from(lambda c: _beside(told, [a for a in accepted if not _same_jump(a, c)]), candidates, first),
+        seen_from(lambda c: _beside(information, [a for a in accepted if not _same_jump(a, c)]), candidates, first),
         placements_of(campaigns, names, model),
         tuple(dict.fromkeys(notes)),
     )
@@ -120,8 +120,8 @@ def shared_information(
     spread = np.sqrt(np.mean([c.spread[[c.names.index(n) for n in names]] ** 2 for c in campaigns], axis=0))
     spread[[n.startswith("joint_error_curve") for n in names]] *= WIDER
     candidates = candidates_of(first.robot, names)
-    told = SharedInformation(np.array([H for H, _ in both]), np.array([b for _, b in both]), spread**-2.0)
-    return names, told.with_jitter(*daily(candidates)), candidates
+    information = SharedInformation(np.array([H for H, _ in both]), np.array([b for _, b in both]), spread**-2.0)
+    return names, information.with_jitter(*daily(candidates)), candidates
 
 
 def _in_frame_of(first: Estimate, other: Estimate) -> Estimate:
@@ -236,7 +236,7 @@ def _best(
     model = solve(told, _known(known, p, n))
     kinds = [c.kind for c in candidates]
     whole = sum(FREQUENCY[kind] for kind in set(kinds))
-    found: list[_Hypotheses] = []
+    hypotheses: list[_Hypotheses] = []
     prior = 0.0
     for candidate in candidates:
         share = FREQUENCY[candidate.kind] / whole / kinds.count(candidate.kind)
@@ -245,18 +245,18 @@ def _best(
             m = courses.shape[2]
             logs = log_evidence(H, b, np.tile(candidate.sizes, m)) + np.log(share * weight)[:, None]
             prior += share * float(weight.sum())
-            found.append(_Hypotheses(candidate, course, since, courses, H, b, logs))
-    total = float(log_sum(np.concatenate([averaged(h.logs) for h in found])))
+            hypotheses.append(_Hypotheses(candidate, course, since, courses, H, b, logs))
+    total = float(log_sum(np.concatenate([averaged(h.logs) for h in hypotheses])))
     odds = float(np.logaddexp(total, np.log(max(1e-12, 1 - prior))))
     by_label: dict[str, list[float]] = {}
-    for h in found:
+    for h in hypotheses:
         by_label.setdefault(h.candidate.label, []).extend(averaged(h.logs))
     label = list(by_label)[first_of_best([float(log_sum(np.array(own))) for own in by_label.values()], logs=True)]
-    own = [h for h in found if h.candidate.label == label]
+    own = [h for h in hypotheses if h.candidate.label == label]
     top = own[first_of_best([float(log_sum(averaged(h.logs))) for h in own], logs=True)]
     k = first_of_best(averaged(top.logs), logs=True)
     _, _, kappa = amplitude(top.H[k], top.b[k], np.tile(top.candidate.sizes, top.courses.shape[2]), top.logs[k])
-    return _Accepted(top.candidate, top.courses[k], kappa, top, odds, found)
+    return _Accepted(top.candidate, top.courses[k], kappa, top, odds, hypotheses)
 
 
 def courses_of(kind: str, times: Array, dated: bool) -> Iterable[tuple[Course, Array, Array, Array]]:

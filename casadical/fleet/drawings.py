@@ -80,7 +80,7 @@ class Drawing:
 
 def drawings_of(good: pd.DataFrame) -> dict[str, Drawing]:
     """Drawings by the word for their type, of the types of which there are most robots; those that can be read."""
-    found = {}
+    drawings = {}
     for kind, count in good["type"].value_counts().head(READ).items():
         row = good[good["type"] == kind].iloc[0]
         with suppress(CasadicalError, OSError):
@@ -88,8 +88,8 @@ def drawings_of(good: pd.DataFrame) -> dict[str, Drawing]:
             rows = None if path.suffix == ".urdf" else load_toml(path)
             standard = None if rows is None else rows.get("convention") == "standard"
             robot = read_problem_robot(row["folder"])
-            found[str(kind)] = Drawing(str(row["type_name"]), int(count), robot, standard)
-    return found
+            drawings[str(kind)] = Drawing(str(row["type_name"]), int(count), robot, standard)
+    return drawings
 
 
 def near(drawings: Mapping[str, Drawing], kind: str) -> list[Drawing]:

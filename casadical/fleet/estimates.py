@@ -118,10 +118,10 @@ def estimate(
     Raises InputError: known distances between touched points, which cannot be compared; ConvergenceError: Ipopt finds
         no optimum.
     """
-    found = campaign if isinstance(campaign, Identification) else identify(*campaign, loss="huber")
-    fit = wide_fit(found)
+    identified = campaign if isinstance(campaign, Identification) else identify(*campaign, loss="huber")
+    fit = wide_fit(identified)
     unit = fit.best.s2 * fit.misfit
-    noted = [text for m in found.measurements for text in (*_left_out(m), *clock_faults(m))]
+    noted = [text for m in identified.measurements for text in (*_left_out(m), *clock_faults(m))]
     return Estimate(
         fit.robot,
         fit.doubts.names,
@@ -129,13 +129,13 @@ def estimate(
         fit.best.sums.H / unit,
         -fit.best.sums.g / unit,
         np.sqrt(fit.best.variance),
-        label or found.measurements[0].source,
+        label or identified.measurements[0].source,
         day,
         len(fit.poses),
         fit.left,
         fit.misfit,
-        (*_outliers(found), *noted),
-        np.quantile(np.concatenate([m.q for m in found.used]), [0.05, 0.95], axis=0).T,
+        (*_outliers(identified), *noted),
+        np.quantile(np.concatenate([m.q for m in identified.used]), [0.05, 0.95], axis=0).T,
         fit if len(fit.poses) <= MANY else None,
         fit.freedom,
     )

@@ -102,9 +102,9 @@ def visible(model: Model, E: Array, courses: Array) -> tuple[Array, Array]:
 
     E : shape (p, m); courses : shape (c, n, k), of each campaign k factors. Returns shapes (c, km, km) and (c, km).
     """
-    told = model.told
+    information = model.told
     (c, n, k), m = courses.shape, E.shape[1]
-    HE = told.information @ E
+    HE = information.information @ E
     flat = courses.transpose(0, 2, 1).reshape(c * k, n)
     squares = (courses[:, :, :, None] * courses[:, :, None, :]).transpose(0, 2, 3, 1).reshape(c * k * k, n)
     H = (squares @ (E.T @ HE).reshape(n, m * m)).reshape(c, k, k, m, m).transpose(0, 1, 3, 2, 4)
@@ -113,7 +113,7 @@ def visible(model: Model, E: Array, courses: Array) -> tuple[Array, Array]:
     if model.known.sizes.size:
         HEu = np.concatenate([HE, model.known.columns.transpose(0, 2, 1) @ HE], axis=1)
     C = (flat @ HEu.reshape(n, -1)).reshape(c, k, -1, m).transpose(0, 2, 1, 3).reshape(c, -1, k * m)
-    b = (flat @ (told.score @ E)).reshape(c, k * m)
+    b = (flat @ (information.score @ E)).reshape(c, k * m)
     # A change along known ones is the small difference of large numbers: squares of the root keep twice the digits that
     # products with the inverse do.
     C = model.root @ C

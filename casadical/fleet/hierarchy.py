@@ -134,10 +134,10 @@ def common_of(rows: Iterable[Mapping[str, Any]]) -> Common:
 
 def _numbers(k: int) -> Array:
     """Which number of a packed lower triangle stands where in the symmetric matrix, shape (k, k)."""
-    found = np.zeros((k, k), dtype=int)
+    numbers = np.zeros((k, k), dtype=int)
     rows, columns = np.tril_indices(k)
-    found[rows, columns] = found[columns, rows] = np.arange(len(rows))
-    return found
+    numbers[rows, columns] = numbers[columns, rows] = np.arange(len(rows))
+    return numbers
 
 
 def _group(name: str) -> str:
@@ -166,18 +166,18 @@ def learnt(
     at = _numbers(len(spread)) if at is None else at
     for _ in range(ROUNDS):
         w = 1 / tau2
-        whole, told, found = np.zeros_like(C), np.zeros_like(mean), np.zeros_like(mean)
+        whole, informed, found = np.zeros_like(C), np.zeros_like(mean), np.zeros_like(mean)
         for some in (slice(k, k + BLOCK) for k in range(0, len(H), BLOCK)):
             V = np.array([inverse_of(own[at] + np.diag(w)) for own in H[some]])
             whole += V.sum(axis=0)
-            told += np.einsum("nij,nj->i", V, b[some])
+            informed += np.einsum("nij,nj->i", V, b[some])
             m = np.einsum("nij,nj->ni", V, b[some] + mean * w)
             own = np.diagonal(V, axis1=1, axis2=2)
             # The last term: robots move the mean towards themselves, five of them by a tenth of their spread.
             found += np.sum((m - mean) ** 2 + own + (1 - own * w) ** 2 * np.diag(C), axis=0)
         # The mean of greatest likelihood: theta_i integrated, each robot tells P - P V P of it, P = diag(w).
         C = inverse_of(np.diag(len(H) * w + wide) - np.outer(w, w) * whole)
-        mean = C @ (w * told)
+        mean = C @ (w * informed)
         usual = (np.bincount(group, found) / np.bincount(group))[group]
         before, tau2 = tau2, np.maximum((found + POOLED * usual / len(H)) / (len(H) + POOLED), NARROWEST**2)
         if np.abs(np.log(tau2 / before)).max() < STILL:

@@ -26,14 +26,14 @@ GAIN = 2.0
 
 def with_common_noise(campaigns: Sequence[Estimate]) -> list[Estimate]:
     """Campaigns with the noise and harmonics that those by a like instrument show together; robot files as given."""
-    found = list(campaigns)
+    estimates = list(campaigns)
     left = [k for k, c in enumerate(campaigns) if c.fit is not None]
     while left:
         group = [k for k in left if _alike(campaigns[left[0]], campaigns[k])]
         left = [k for k in left if k not in group]
         for k, own in zip(group, _together([campaigns[k] for k in group]), strict=True):
-            found[k] = own
-    return found
+            estimates[k] = own
+    return estimates
 
 
 def _alike(a: Estimate, b: Estimate) -> bool:
@@ -61,12 +61,12 @@ def _together(group: Sequence[Estimate]) -> list[Estimate]:
     names = list(_own(group[0]))
     at = [[_own(c)[n] for n in names] for c in group]
     mean = np.average([f.variance[k] for f, k in zip(fits, at, strict=True)], axis=0, weights=weights)
-    found = []
+    estimates = []
     for c, f, k in zip(group, fits, at, strict=True):
         variance, unit = f.variance.copy(), s2 * c.misfit
         variance[k] = mean
-        found.append(replace(c, information=f.sums.H / unit, score=-f.sums.g / unit, spread=np.sqrt(variance)))
-    return found
+        estimates.append(replace(c, information=f.sums.H / unit, score=-f.sums.g / unit, spread=np.sqrt(variance)))
+    return estimates
 
 
 def repeatability(fits: Sequence[WideFit]) -> tuple[float, ...]:

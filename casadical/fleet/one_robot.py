@@ -39,16 +39,16 @@ NOTHING: dict[str, Any] = {
 
 def fingerprint(folder: Path) -> str:
     """Of the content of all files of a robot's folder, and of the tables and robot that its problem names elsewhere."""
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     files = {str(p.relative_to(folder)): p for p in folder.rglob("*") if p.is_file() and not p.name.startswith(".")}
     with suppress(CasadicalError):  # what is wrong with the problem is said when it is computed
         named = problem_file(folder)
         others = [named.robot, named.of_campaigns, *(data.file for data in named.measurements)]
         files |= {name: folder / name for name in others if (folder / name).is_file()}
     for name, path in sorted(files.items()):
-        found.update(name.encode())
-        found.update(read_bytes(path))
-    return found.hexdigest()[:32]
+        digest.update(name.encode())
+        digest.update(read_bytes(path))
+    return digest.hexdigest()[:32]
 
 
 def name_of(folder: Path, *, whole: bool = False) -> str:
@@ -81,9 +81,9 @@ def one_robot(folder: str, with_diagnosis: bool) -> dict[str, Any]:
 def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
     whole = read_problem(place)
     problem = replace(whole, networks=(), methods=whole.methods[-1:])  # the row is of the method that counts
-    found = calibrate(problem)
-    method, before, after, _ = judged_on(found.accuracies)
-    last = found.identification
+    calibration = calibrate(problem)
+    method, before, after, _ = judged_on(calibration.accuracies)
+    last = calibration.identification
     later, day = later_tables(place)
     files = [place, *later]
     told = estimates_of(files, place)

@@ -180,18 +180,18 @@ class Fleet(Result):
 
     def _faults(self) -> Iterator[Words]:
         for c in self.commons:
-            found: dict[bool, list[str]] = {False: [], True: []}
+            faults: dict[bool, list[str]] = {False: [], True: []}
             places: dict[bool, list[str]] = {False: [], True: []}
             for name, mean, error in c.faults:
                 size, sigma, unit = c.readable(name, mean, error)
                 soft = unit.startswith("urad")
                 places[soft].append(self._correction(c, name))
-                found[soft].append(f"{name} {'' if found[soft] else 'is '}{size:+.3g} {unit} +/- {sigma:.1g}")
+                faults[soft].append(f"{name} {'' if faults[soft] else 'is '}{size:+.3g} {unit} +/- {sigma:.1g}")
             remedies = {
                 False: "correct the drawing, or the set-up of the instrument",
                 True: "their joints yield otherwise than it says; correct the compliances in the robot file",
             }
-            for soft, some in found.items():
+            for soft, some in faults.items():
                 if some:
                     words = f"all {c.count} robots of the type {c.name}: {', '.join(some)} from the drawing"
                     yield Words(f"{words}: {remedies[soft]}.", "warning", "\n".join(filter(None, places[soft])))
@@ -278,8 +278,8 @@ def grown(left: Sequence[float], freedom: Sequence[float] | float | None, alarms
     """
     both = np.array(np.broadcast_arrays(left, np.array(freedom, dtype=float)))
     known, free = both[:, np.isfinite(both).all(axis=0)]
-    told = [*zip(known.tolist(), free.tolist(), strict=True)]
-    before = leaves_more(told[-1], told[:-1], alarms) if told else 0.0
+    pairs = [*zip(known.tolist(), free.tolist(), strict=True)]
+    before = leaves_more(pairs[-1], pairs[:-1], alarms) if pairs else 0.0
     return f"the last campaign leaves {known[-1]:.3f} mm a coordinate, those before {before:.3f}" if before else ""
 
 

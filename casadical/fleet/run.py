@@ -73,7 +73,7 @@ def run_fleet(
 
 def robots_in(folders: Iterable[str | Path]) -> dict[str, Path]:
     """Problem folders by name: those that are given, and those in given folders that are none. Raises InputError."""
-    found: dict[str, Path] = {}
+    robots: dict[str, Path] = {}
     for given in map(Path, folders):
         inner = [given] if (given / "problem.toml").exists() else sorted(p.parent for p in given.glob("*/problem.toml"))
         if not inner:
@@ -82,10 +82,10 @@ def robots_in(folders: Iterable[str | Path]) -> dict[str, Path]:
             )
         for folder in inner:
             name = name_of(folder)
-            if name in found and found[name].resolve() != folder.resolve():
+            if name in robots and robots[name].resolve() != folder.resolve():
                 raise InputError(f"{shown(folder)}: a second robot of the name {name!r}; rename one of the folders")
-            found[name] = folder
-    return found
+            robots[name] = folder
+    return robots
 
 
 def _without_copies(robots: dict[str, Path], known: pd.DataFrame) -> tuple[dict[str, Path], dict[str, str], list[str]]:

@@ -88,9 +88,9 @@ def rows(folder: Path, columns: Sequence[str] | None = None, damaged: list[str] 
 
     damaged : files that cannot be read are named here and passed over; where it is not given they raise InputError, too
     """
-    found = [table.to_pandas() for path in parts(folder) if (table := _read(path, columns, damaged)) is not None]
+    tables = [table.to_pandas() for path in parts(folder) if (table := _read(path, columns, damaged)) is not None]
     empty = pd.DataFrame({name: [] for name in columns or NOTHING})
-    whole = pd.concat(found, ignore_index=True) if found else empty
+    whole = pd.concat(tables, ignore_index=True) if tables else empty
     return whole.drop_duplicates("robot", keep="last", ignore_index=True)
 
 

@@ -229,14 +229,14 @@ class TouchModel:
         y, S, same = self._known
         v = self.rest**2 / 3
         shares = SHARES if self.noise is None else (min(1.0, self.noise**2 / v),)
-        found = []
+        levels = []
         noises = [share * v if self.noise is None else self.noise**2 for share in shares]
         for noise, unexplained in [(n, r) for n in noises for r in (max(v - n, 0.0), v)]:
             whole = S + noise * np.eye(len(y)) + unexplained * same
             (W,) = whitening_of(whole[None]).W
             z, roots = W @ y, -np.log(np.diag(W))
-            found.append((-0.5 * float(z @ z) - float(roots.sum()), W.T @ W, z, roots))
-        return found
+            levels.append((-0.5 * float(z @ z) - float(roots.sum()), W.T @ W, z, roots))
+        return levels
 
     def charted(self) -> Array:
         """T^2 of each day given the days before it, nothing changed, shape (days,); see `limit_of`.

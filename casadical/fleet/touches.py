@@ -246,7 +246,7 @@ class Touches(Result):
 
     def rows(self) -> list[tuple[str, str, int, float, float, float, float | str, str]]:
         """A row a day: see the columns of the chart."""
-        T2, found = self.model.charted(), []
+        T2, lines = self.model.charted(), []
         for k, m in enumerate(self.model.days):
             own = self.model.left[(self.model.day == k + 1)[::3]]
             limit = float(limit_of(np.array(3 * len(m))))
@@ -254,8 +254,8 @@ class Touches(Result):
             rms = float(np.sqrt((own**2).sum(axis=1).mean()))
             day = date_text(self.model.dates[k] if self.model.dates else None)
             within = "yes" if T2[k] <= limit else "no"
-            found.append((day, m.source, len(m), rms, float(T2[k]), limit, T if np.isfinite(T) else "", within))
-        return found
+            lines.append((day, m.source, len(m), rms, float(T2[k]), limit, T if np.isfinite(T) else "", within))
+        return lines
 
     def chart_csv(self) -> str:
         """The chart as a table."""
@@ -425,13 +425,13 @@ def touched(
     if np.isfinite(model.temperatures).any():
         today = f"{1e6 * GROWTH * model.warmer[-1]:+.0f} um/m today, which goes as it cools and is not corrected"
         notes.append(f"temperature is logged: lengths are taken to grow by 12 +- 6 um/m a kelvin, by {today}")
-    found = Touches(arm, model, model.drawn(seed), 1e-3 * tolerance_mm if tolerance_mm else TIMES * model.stated / MM,
+    touches = Touches(arm, model, model.drawn(seed), 1e-3 * tolerance_mm if tolerance_mm else TIMES * model.stated / MM,
                     None, tuple(notes), (place, *(p for p, _ in kept)))  # fmt: skip
-    named = not found.label or found.draws.share(found.label) >= NAMED
-    if found.verdict == "open" or (found.verdict == "changed" and not named):
+    named = not touches.label or touches.draws.share(touches.label) >= NAMED
+    if touches.verdict == "open" or (touches.verdict == "changed" and not named):
         more = plan_touches(place, MORE, noise_mm=noise_mm, touched=kept[-1][1], seed=seed)
-        return replace(found, more=more)
-    return found
+        return replace(touches, more=more)
+    return touches
 
 
 def _without_copies(days: list[tuple[Path, Measurements]], notes: list[str]) -> list[tuple[Path, Measurements]]:

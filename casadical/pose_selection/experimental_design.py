@@ -203,9 +203,9 @@ class Linear(_Inverse):
 
     def _regular(self) -> bool:
         """Whether the chosen poses, and what was measured, determine all parameters."""
-        told = np.diag(self.M) > 0
-        root = np.sqrt(np.diag(self.M)[told])
-        return bool(np.linalg.eigvalsh(self.M[np.ix_(told, told)] / np.outer(root, root))[0] > REGULAR)
+        determined = np.diag(self.M) > 0
+        root = np.sqrt(np.diag(self.M)[determined])
+        return bool(np.linalg.eigvalsh(self.M[np.ix_(determined, determined)] / np.outer(root, root))[0] > REGULAR)
 
 
 class Spectral(Design):

@@ -146,8 +146,8 @@ def _how_many(plan: MeasurementPlan) -> str:
     forecast, target = plan.forecast, plan.target
     at = np.unique(np.linspace(0, len(forecast.poses) - 1, 6).astype(int))
     course = ", ".join(f"{forecast.poses[k]}: {1e3 * forecast.error[k]:.4f}" for k in at)
-    told = f", from noise of {1e3 * plan.noise.sigma:.3g} mm" if plan.noise and plan.selection is None else ""
-    text = f"Expected error [mm] of the robot itself against poses{told}: {course}. "
+    noise = f", from noise of {1e3 * plan.noise.sigma:.3g} mm" if plan.noise and plan.selection is None else ""
+    text = f"Expected error [mm] of the robot itself against poses{noise}: {course}. "
     stop = forecast.stop()
     if stop is not None:
         text += f"From {stop} poses on, ten more gain less than 10 %. "
@@ -182,8 +182,10 @@ def thirds_of(values: Array) -> Array:
 
 
 def _errors(plan: Selection) -> Table:
-    told = ((plan.robot.parameters[name], error) for name, error in zip(plan.names, plan.standard_errors, strict=True))
-    rows = [(p.name, f"{p.readable(error):.3g}", p.readable_unit) for p, error in told]
+    errors = (
+        (plan.robot.parameters[name], error) for name, error in zip(plan.names, plan.standard_errors, strict=True)
+    )
+    rows = [(p.name, f"{p.readable(error):.3g}", p.readable_unit) for p, error in errors]
     rows += [(u.name, "-", f"not identifiable: {u.reason}") for u in plan.held]
     rows = [row for row in rows if row[0] in plan.robot.shown]
     return Table("Expected standard errors", ("parameter", "std error", "unit"), rows, frozenset({1}))

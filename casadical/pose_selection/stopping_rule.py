@@ -98,8 +98,8 @@ def forecast(
     )  # fmt: skip
     design = problem.design(problem.pool, "V", 0.0)
     each, numbers = problem.pool.size, problem.numbers
-    told = {*prior.means, *(name for names, _ in prior.known for name in names)} if prior else set()
-    p = len(problem.weight) - sum(name in told for name in problem.names)
+    known = {*prior.means, *(name for names, _ in prior.known for name in names)} if prior else set()
+    p = len(problem.weight) - sum(name in known for name in problem.names)
     # Measurements at one reading hold nearly the same information: only the first of them counts here.
     if numbers * before < 1.2 * p:
         first = min(-(-(int(1.2 * p) - numbers * before) // numbers), (most - before) // each)

@@ -147,20 +147,20 @@ class Workspace:
     def refusals(self, robot: Robot, q: Array) -> dict[str, Array]:
         """By reason, which of the readings q, shape (n, joints) [rad or m], are ruled out: boolean, shape (n,)."""
         lower, upper = self.ranges(robot)
-        found: dict[str, Array] = {"joint range": np.asarray(((q < lower - 1e-9) | (q > upper + 1e-9)).any(axis=1))}
+        refused: dict[str, Array] = {"joint range": np.asarray(((q < lower - 1e-9) | (q > upper + 1e-9)).any(axis=1))}
         points, R, margin = places_about(robot, q)
         if robot.loops:
-            found["four-bar margin"] = ~(margin >= self.margin)
+            refused["four-bar margin"] = ~(margin >= self.margin)
         tool = points[:, -1]
         if self.floor is not None:
-            found["floor"] = np.asarray((points[:, :, 2] < self.floor + self.clearance).any(axis=1))
+            refused["floor"] = np.asarray((points[:, :, 2] < self.floor + self.clearance).any(axis=1))
         if self.boxes:
             struck = [b.holds(points, self.clearance).any(axis=1) for b in self.boxes]
-            found["box"] = np.asarray(np.any(struck, axis=0))
+            refused["box"] = np.asarray(np.any(struck, axis=0))
         if self.tracker is not None:
             hidden = [b.hides(tool, np.asarray(self.tracker.station, float)) for b in self.boxes]
-            found["line of sight"] = ~self.tracker.sees(tool, R) | np.any(hidden, axis=0)
-        return found
+            refused["line of sight"] = ~self.tracker.sees(tool, R) | np.any(hidden, axis=0)
+        return refused
 
     def as_open_as(self, robot: Robot, q: Array) -> Workspace:
         """The workspace with four-bars no less open than at any of the readings q, shape (n, joints) [rad or m]."""

@@ -37,10 +37,10 @@ _FILLED_BY_CMAKE = {
 def other_source(program: TapeProgram, label: Label) -> str:
     """C by CasADi's own code generator (double, with math.h): a second way from the same functions to numbers."""
     generator = casadi.CodeGenerator(f"{label.name}_casadi", {"with_header": False})
-    found = {} if program.network is None else {program.network.key: program.network.function}
+    functions = {} if program.network is None else {program.network.key: program.network.function}
     if program.command is not None:
-        found |= {"nominal": program.command.nominal, "calibrated": program.command.calibrated}
-    for key, function in found.items():
+        functions |= {"nominal": program.command.nominal, "calibrated": program.command.calibrated}
+    for key, function in functions.items():
         q = [casadi.SX.sym("q", program.n)]
         generator.add(casadi.Function(f"{label.name}_casadi_{key}", q, function.call(q)))
     return str(generator.dump())

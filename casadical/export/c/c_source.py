@@ -234,13 +234,13 @@ def box_share(n: int) -> float:
 
 def boxes(program: TapeProgram) -> dict[str, tuple[Array, Array]]:
     """The boxes that inputs are moved into, by what they are for."""
-    found: dict[str, tuple[Array, Array]] = {}
+    limits: dict[str, tuple[Array, Array]] = {}
     if program.command is not None:
         lower, upper, reach = program.command.lower, program.command.upper, program.command.limits.delta_rad
-        found |= {"command": (lower, upper), "reach": (lower - reach, upper + reach)}
+        limits |= {"command": (lower, upper), "reach": (lower - reach, upper + reach)}
     if program.network is not None:
-        found["network"] = (program.network.lower, program.network.upper)
-    return found
+        limits["network"] = (program.network.lower, program.network.upper)
+    return limits
 
 
 def _table(pair: tuple[Array, Array], real: Real) -> str:

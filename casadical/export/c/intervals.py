@@ -96,23 +96,23 @@ def bounds(tape: Tape, lower: Array, upper: Array, real: Real) -> list[Interval]
 
     The bounds hold for the arithmetic of the real type as well, not only for real numbers.
     """
-    found: list[Interval] = []
+    intervals: list[Interval] = []
     box = [(float(a), float(b)) for a, b in zip(lower, upper, strict=True)]
     for node in tape.nodes:
-        exact = _bound(node, [found[a] for a in node.args], box, real)
+        exact = _bound(node, [intervals[a] for a in node.args], box, real)
         keep = node.op in _EXACT or (node.op == "mul" and exact == (0.0, 0.0))
-        found.append(exact if keep else _widened(exact, real))
-    return found
+        intervals.append(exact if keep else _widened(exact, real))
+    return intervals
 
 
 def without_needless_guards(tape: Tape, lower: Array, upper: Array, real: Real) -> Tape:
     """The tape without the guards that no input of the box can touch."""
-    found = bounds(tape, lower, upper, real)
+    intervals = bounds(tape, lower, upper, real)
     place: list[int] = []
     kept: list[Node] = []
     for node in tape.nodes:
         args = tuple(place[a] for a in node.args)
-        low, high = found[node.args[0]] if node.args else _EVERYTHING
+        low, high = intervals[node.args[0]] if node.args else _EVERYTHING
         proven = math.isfinite(low) and math.isfinite(high)
         if proven and (
             (node.op == "guard_min" and low >= node.value) or (node.op == "guard_max" and high <= node.value)

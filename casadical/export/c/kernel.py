@@ -204,9 +204,9 @@ def load(export: str | Path, *, trust: bool = False) -> Kernel:
     shape, contents = Shape(**manifest.kernel.model_dump()), {}
     for name in (f"{shape.name}.h", f"{shape.name}.c", f"{shape.name}_self_test.c"):
         blob = read_bytes(export / name) if (export / name).is_file() else b""
-        found = hashlib.sha256(blob).hexdigest() if blob else "missing"
-        if found != manifest.files.get(name):
-            raise InputError(f"{export / name} is not the file that was exported (sha256 {found[:12]}); export again")
+        digest = hashlib.sha256(blob).hexdigest() if blob else "missing"
+        if digest != manifest.files.get(name):
+            raise InputError(f"{export / name} is not the file that was exported (sha256 {digest[:12]}); export again")
         contents[name] = blob
     available = compilers()
     if not available:

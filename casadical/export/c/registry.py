@@ -24,12 +24,12 @@ def written_in(program: TapeProgram, label: Label, names: Iterable[str] | None) 
     """Contents of all files by name; `names` as of `write_c`. Raises InputError."""
     known = known_languages()
     own = list(known)[: len(LANGUAGES)]
-    found: dict[str, bytes] = {}
+    contents: dict[str, bytes] = {}
     for name in dict.fromkeys(("c", *(own if names is None else names))):
         if name not in known:
             raise InputError(f"language {name!r} is not known; allowed: {', '.join(known)}")
         for file, content in known[name]().files(program, label).items():
-            if file in (*found, "manifest.json"):
+            if file in (*contents, "manifest.json"):
                 raise InputError(f"language {name!r} writes {file}, which is another one's; leave one of them out")
-            found[file] = content.encode() if isinstance(content, str) else content
-    return found
+            contents[file] = content.encode() if isinstance(content, str) else content
+    return contents

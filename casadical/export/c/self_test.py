@@ -51,13 +51,13 @@ def comparison_inputs(program: TapeProgram, count: int) -> Array:
 
 def functions(program: TapeProgram) -> dict[str, Any]:
     """The exported functions of joints alone, with the reference that computes each."""
-    found: dict[str, Any] = {}
+    known: dict[str, Any] = {}
     if program.network is not None:
-        found[program.network.key] = network
+        known[program.network.key] = network
     if program.command is not None:
-        found |= {"forward": forward, "correct": correct}
-        found |= {"bound": bound} if "bound" in program.tapes else {}
-    return found
+        known |= {"forward": forward, "correct": correct}
+        known |= {"bound": bound} if "bound" in program.tapes else {}
+    return known
 
 
 def self_test_source(program: TapeProgram, label: Label) -> str:

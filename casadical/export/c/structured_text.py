@@ -274,7 +274,7 @@ def _command(program: TapeProgram, command: Command, plan: Plan) -> dict[str, st
         "weakness_at": plan.places["prepare_out"] + prepared - 1,
         "error_at": plan.places["advance_out"] + program.n,
     }
-    found = (
+    values = (
         {key: str(value) for key, value in places.items()}
         | {f"limit_{key}": number(getattr(numbers, key), program.real) for key in limits}
         | {key: f"{getattr(command.limits, key):.6g}" for key in ("cycle_s", "ramp_s", "rate_rad_s")}
@@ -283,10 +283,10 @@ def _command(program: TapeProgram, command: Command, plan: Plan) -> dict[str, st
         | _span(plan, "prepare", "prepare") | _span(plan, look, "look") | _span(plan, "advance", "advance")
         | _box(program, "command") | _within(program, command, plan)
     )  # fmt: skip
-    look = filled(_LOOK, found | {"last": str(program.n - 1)})
+    look = filled(_LOOK, values | {"last": str(program.n - 1)})
     if "prepare" not in plan.shared:  # it has looked at the joints itself
         look = f"    IF k > 0 THEN\n{textwrap.indent(look, '    ')}    END_IF;\n"
-    return found | {"look": look}
+    return values | {"look": look}
 
 
 def _self_test(program: TapeProgram, values: dict[str, str]) -> str:

@@ -90,8 +90,8 @@ def tape_program(product: Product, real: Real) -> TapeProgram:
     if network is not None:
         lower, upper = _rounded(network.lower, real), _rounded(network.upper, real)
         tape = without_needless_guards(tape_of(network.function), lower, upper, real)
-        found = bounds(tape, lower, upper, real)
-        tapes[network.key], network_bounds = tape, [found[o] for o in tape.outputs]
+        intervals = bounds(tape, lower, upper, real)
+        tapes[network.key], network_bounds = tape, [intervals[o] for o in tape.outputs]
     if isinstance(product, Command):
         tapes |= _command_tapes(product, real)
     return TapeProgram(product, real, tapes, tuple(network_bounds))

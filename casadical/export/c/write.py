@@ -107,8 +107,8 @@ def write_c(
     program = tape_program(product, real)
     blobs = written_in(program, label, languages)
     _check_nothing_in_the_way(folder, [*blobs, "manifest.json"], overwrite)
-    found = compilers()
-    comparisons = compared(program, name, blobs, found, vectors)
+    installed = compilers()
+    comparisons = compared(program, name, blobs, installed, vectors)
     wrong = [str(c) for c in comparisons if c.different]
     if wrong:
         raise CasadicalError("the compiled C differs from its reference; nothing was written:\n" + "\n".join(wrong))

@@ -110,9 +110,9 @@ class Postures:
 
         wanted : what `turns` gives for them, up to rounding
         """
-        found = self._reached(T, self._seeds(T, posture))
-        found = found[(self.sides(found) == np.array(posture)).all(axis=1)] if len(found) else found
-        return _different([c for row in found for c in self._turned(row, turns, wanted)], self.nominal.n)
+        reached = self._reached(T, self._seeds(T, posture))
+        reached = reached[(self.sides(reached) == np.array(posture)).all(axis=1)] if len(reached) else reached
+        return _different([c for row in reached for c in self._turned(row, turns, wanted)], self.nominal.n)
 
     def _seeds(self, T: Array, posture: Posture | None) -> Array:
         """The samples whose flange is nearest to a pose, of one posture if it is given; shape (k, n)."""

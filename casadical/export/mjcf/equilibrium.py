@@ -27,14 +27,14 @@ def positions(xml: str, m: Measurements, payload_factor: float = 1.0) -> Array:
     model = EngineModel(xml)
     if model.arm != m.q.shape[1]:
         raise InputError(f"{m.source}: {m.q.shape[1]} readings a pose, but the model has {model.arm} drives")
-    found = np.empty((len(m), 3))
+    measured = np.empty((len(m), 3))
     for k in range(len(m)):
         if "payload_kg" in m.conditions:
             model.carry(payload_factor * float(m.conditions["payload_kg"][k]))
         ways = [m.conditions.get(f"approach{i}") for i in range(1, model.arm + 1)]
         approach = np.array([0.0 if way is None else np.sign(way[k]) for way in ways])
-        found[k] = model.rest(m.q[k], approach)
-    return found
+        measured[k] = model.rest(m.q[k], approach)
+    return measured
 
 
 class EngineModel:
@@ -163,12 +163,12 @@ class EngineModel:
         """Of each loop: direction of crank and rocker, from the rocker's pin to the crank's end, axis; each (3,)."""
         self.d.qpos[self.free] = free
         self.mujoco.mj_kinematics(self.m, self.d)
-        found = []
+        bars = []
         for number in self._loops:
             crank, coupler, rocker = (self.d.body(f"{w}{number}") for w in ("crank", "coupler", "rocker"))
             turns = [body.xmat.reshape(3, 3) for body in (crank, rocker)]
-            found.append((turns[0][:, 0], turns[1][:, 0], coupler.xpos - rocker.xpos, turns[0][:, 2]))
-        return found
+            bars.append((turns[0][:, 0], turns[1][:, 0], coupler.xpos - rocker.xpos, turns[0][:, 2]))
+        return bars
 
     def _parallel(self, free: Array) -> float:
         return float(min(crank @ rocker for crank, rocker, _, _ in self._bars(free)))

@@ -58,9 +58,9 @@ def mjcf(robot: Robot) -> MjcfExport:
 
     Returns its text, and what is not in it
     """
-    found = counterparts(robot)
+    parts = counterparts(robot)
     root = ET.Element("mujoco", model=robot.name)
-    root.append(ET.Comment(_about(found)))
+    root.append(ET.Comment(_about(parts)))
     ET.SubElement(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
     R = robot.base.T[:3, :3] if robot.gravity_frame != "measuring" else np.eye(3)
     ET.SubElement(
@@ -71,24 +71,24 @@ def mjcf(robot: Robot) -> MjcfExport:
     friction = {"solreffriction": HARD["solref"], "solimpfriction": HARD["solimp"]}
     ET.SubElement(default, "joint", {**limits, **friction})
     ET.SubElement(default, "equality", HARD)
-    last = _bodies(ET.SubElement(root, "worldbody"), robot, found)
-    _tool(last, robot, found.payload)
+    last = _bodies(ET.SubElement(root, "worldbody"), robot, parts)
+    _tool(last, robot, parts.payload)
     if robot.loops:
         equality = ET.SubElement(root, "equality")
         for loop in robot.loops:
             closed(equality, loop)
     actuators = ET.SubElement(root, "actuator")
-    for i, (joint, drive) in enumerate(zip(robot.joints, found.drives, strict=True), 1):
+    for i, (joint, drive) in enumerate(zip(robot.joints, parts.drives, strict=True), 1):
         _actuator(actuators, i, joint, drive)
-    if found.balancers:
+    if parts.balancers:
         tendons = ET.SubElement(root, "tendon")
-        for balancer in found.balancers:
+        for balancer in parts.balancers:
             add_tendons(balancer, tendons, actuators)
     sensor = ET.SubElement(root, "sensor")
     ET.SubElement(sensor, "framepos", name=POINT, objtype="site", objname=POINT)
     ET.indent(root)
     text = '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
-    return MjcfExport(text, found.written, found.left_out)
+    return MjcfExport(text, parts.written, parts.left_out)
 
 
 def counterparts(robot: Robot) -> Counterparts:
@@ -97,11 +97,11 @@ def counterparts(robot: Robot) -> Counterparts:
     scale = robot.torque_scale
     load = _mean_torque(robot) / scale if robot.effects else np.zeros(robot.n)
     moment = float(max((scale[j - 1] for j in robot.revolute), default=scale.max()))
-    found = Counterparts(drives, scale, load, moment, tuple(j.body for j in robot.joints), robot.payload)
+    parts = Counterparts(drives, scale, load, moment, tuple(j.body for j in robot.joints), robot.payload)
     # Linear springs first: others bend around them.
     for effect in sorted(robot.effects, key=lambda e: not e.simulated_first):
-        found = effect.counterpart(found, effect.own_values(robot.effect_values))
-    return found
+        parts = effect.counterpart(parts, effect.own_values(robot.effect_values))
+    return parts
 
 
 def _mean_torque(robot: Robot) -> Array:

@@ -95,8 +95,8 @@ def _actuator(robot: Robot, drive: Drive, i: int) -> ET.Element:
 
 
 def _of(drive: Drive, name: str, robot: Robot) -> Any:
-    found = drive.of_joints(name, robot.n)
-    return np.zeros(robot.n) if found is None else found
+    value = drive.of_joints(name, robot.n)
+    return np.zeros(robot.n) if value is None else value
 
 
 def _lost(robot: Robot) -> Iterator[str]:

@@ -157,8 +157,8 @@ def replay_campaign(
     m, _ = derive(m, ["progress"])
     parts = m.split(PARTS, seed)
     fitted, held_out = parts["identify"], parts["report"]
-    found = diagnose_campaign(Campaign(robot, (fitted,)), Options(effects, seed), show).diagnosis
-    return Replay(m.source, robot.name, _stages(robot, fitted, held_out, found, found.apply, show), found)
+    diagnosed = diagnose_campaign(Campaign(robot, (fitted,)), Options(effects, seed), show).diagnosis
+    return Replay(m.source, robot.name, _stages(robot, fitted, held_out, diagnosed, diagnosed.apply, show), diagnosed)
 
 
 def replay_diagnosis(found: Diagnosis) -> Replay:

@@ -91,27 +91,14 @@ def precheck(
     found += _held_out_findings(problem)
     found += limits_findings(problem.robot)
     known, source = _noise(noise, sets)
-    outlooks: list[Outlook] = []
     show("accuracy to expect")
     trusted = [m[np.flatnonzero(~far_off(problem.robot, m)[0])] for m in sets] if usable else []
     start = place_sessions(problem.robot, trusted or sets)
     found += [
         Finding("warning", "kind", f"these readings cannot {t}") for t in undetermined_at_start(start, trusted or sets)
     ]
-    for method in problem.methods if usable else ():
-        try:
-            several, sessions = with_sessions(start, trusted)
-            taken, free = by_method(place_sessions(several, trusted) if sessions else several, method, trusted)
-            tried = method == "SKCM" and undeclared(taken)  # as `calibrate` tries it
-            taken = all_compliant(taken, trusted)[0] if tried else taken
-            view = outlook(taken, trusted, (*METHODS[method], *free, *sessions), method, noise)
-            if tried and not view.enough and any(other.enough for other in outlooks):
-                text = f"{view.numbers} numbers are too few to see whether the joints give under load"
-                found.append(Finding("warning", "too few poses", f"{text}; measure more poses"))
-            else:
-                outlooks.append(view)
-        except (InputError, np.linalg.LinAlgError) as error:
-            found.append(Finding("error", "identifiability", f"{method}: {error}"))
+    outlooks, faults = _outlooks(problem.methods if usable else (), start, trusted, noise)
+    found += faults
     for view in outlooks:
         found += outlook_findings(view, problem.robot, known)
     first = sets[0]
@@ -121,6 +108,29 @@ def precheck(
         known, source, coverage(problem.robot, first), margin(problem.robot, first), tuple(outlooks), problem.robot,
         slips, targets, wrong, tuple(map(Path, tables)), more_poses(folder, first),
     )  # fmt: skip
+
+
+def _outlooks(
+    methods: Sequence[str], start: Robot, sets: Sequence[Measurements], noise: float | None
+) -> tuple[list[Outlook], list[Finding]]:
+    """The accuracy to expect of each method, and of those that have none, why."""
+    outlooks: list[Outlook] = []
+    found: list[Finding] = []
+    for method in methods:
+        try:
+            several, sessions = with_sessions(start, sets)
+            taken, free = by_method(place_sessions(several, sets) if sessions else several, method, sets)
+            tried = method == "SKCM" and undeclared(taken)  # as `calibrate` tries it
+            taken = all_compliant(taken, sets)[0] if tried else taken
+            view = outlook(taken, sets, (*METHODS[method], *free, *sessions), method, noise)
+            if tried and not view.enough and any(other.enough for other in outlooks):
+                text = f"{view.numbers} numbers are too few to see whether the joints give under load"
+                found.append(Finding("warning", "too few poses", f"{text}; measure more poses"))
+            else:
+                outlooks.append(view)
+        except (InputError, np.linalg.LinAlgError) as error:
+            found.append(Finding("error", "identifiability", f"{method}: {error}"))
+    return outlooks, found
 
 
 def _target_findings(targets: Targets | None, wrong: WrongNames | None, source: str) -> list[Finding]:

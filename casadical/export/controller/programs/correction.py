@@ -184,8 +184,8 @@ def corrected_targets(language: ProgramLanguage, targets: Sequence[Target], cell
             _written(language, [results[k].target for k in np.array(chosen)[fine]], cell, made, q[fine], new[fine])
         )
         for k, name in zip(chosen, names, strict=True):
-            found = next(written) if name in FINE else replace(results[k], q=None)
-            results[k] = replace(found, status=name if found.fine else found.status)
+            result = next(written) if name in FINE else replace(results[k], q=None)
+            results[k] = replace(result, status=name if result.fine else result.status)
     return results
 
 
@@ -253,10 +253,10 @@ def _in_posture(language: ProgramLanguage, target: Target, flange: Array, postur
 def _unreached(language: ProgramLanguage, targets: Sequence[Target], poses: int, cell: Cell) -> str:
     names = ", ".join(f"{language.place} {t.line}, {t.name}" for t in targets[:_NAMED])
     more = f" and {len(targets) - _NAMED} more" if len(targets) > _NAMED else ""
-    found = _frames_that_reach(language, targets[:_TRIED], cell)
+    frames = _frames_that_reach(language, targets[:_TRIED], cell)
     tried = "no quarter turns of them reach these poses either"
-    if found:
-        which = f"with {', or with '.join(found)} the nominal robot reaches"
+    if frames:
+        which = f"with {', or with '.join(frames)} the nominal robot reaches"
         these = "them" if len(targets) <= _TRIED else f"the first {_TRIED}"
         tried = f"{which} {these}; the controller shows which is right"
     return (
@@ -274,16 +274,16 @@ def _frames_that_reach(language: ProgramLanguage, targets: Sequence[Target], cel
         np.diag(signs)[list(order)] for order in permutations(range(3)) for signs in product((1.0, -1.0), repeat=3)
     ]
     quarters = sorted((R for R in turns if np.linalg.det(R) > 0), key=lambda R: -float(np.trace(R)))
-    found: list[str] = []
+    frames: list[str] = []
     for turn in (frame(R, np.zeros(3)) for R in quarters[1:]):
         if all(_reaches(language, t, cell.root, turn, cell.postures) for t in targets):
-            found.append(f"--flange {language.shown(cell.flange @ turn)}")
+            frames.append(f"--flange {language.shown(cell.flange @ turn)}")
         if turn[2, 2] == 1:
             root = cell.root @ turn
             postures = replace(cell.postures, root=root)
             if all(_reaches(language, t, root, np.eye(4), postures) for t in targets):
-                found.append(f"--root {language.shown(root)}")
-    return found[:_OFFERED]
+                frames.append(f"--root {language.shown(root)}")
+    return frames[:_OFFERED]
 
 
 def _reaches(language: ProgramLanguage, target: Target, root: Array, turned: Array, postures: Postures) -> bool:
@@ -314,8 +314,8 @@ def _written(
     reached = np.ones(len(new), dtype=bool)
     if flanges:  # a controller, which has the nominal robot, solves the pose as it is written
         T = np.array(flanges)
-        found = made.newton.solved(T[:, :3, 3], T[:, :3, :3], new[posed], cell.postures.nominal.limits)
-        q[posed], reached[posed] = found.q, found.reached
+        inverse = made.newton.solved(T[:, :3, 3], T[:, :3, :3], new[posed], cell.postures.nominal.limits)
+        q[posed], reached[posed] = inverse.q, inverse.reached
     lower, upper = (-np.inf, np.inf) if cell.sources is None else cell.postures.nominal.limits
     beyond = np.any((q < lower) | (q > upper), axis=1)
     off = _off(made, old, q)
@@ -334,14 +334,14 @@ def _written(
 
 def _off(made: Tooled, old: Array, new: Array) -> dict[str, Array]:
     """Figures of `Result` for joints before and after, each shape (k,) or (k, 2)."""
-    found = {} if made.corrector.bound is None else {"bound_mm": made.corrector.bound(old)}
+    columns = {} if made.corrector.bound is None else {"bound_mm": made.corrector.bound(old)}
     if made.real is None or made.nominal is None:
-        return found | {"moved_mm": _apart(made.corrector.position(old), made.corrector.position(new))}
+        return columns | {"moved_mm": _apart(made.corrector.position(old), made.corrector.position(new))}
     wanted, was, now = _poses(made.nominal, old), _poses(made.real, old), _poses(made.real, new)
-    found["moved_mm"] = _apart(was[:, :3, 3], now[:, :3, 3])
-    found["off_mm"] = np.stack([_apart(T[:, :3, 3], wanted[:, :3, 3]) for T in (was, now)], axis=1)
-    found["off_deg"] = np.stack([_angle(T[:, :3, :3], wanted[:, :3, :3]) for T in (was, now)], axis=1)
-    return found
+    columns["moved_mm"] = _apart(was[:, :3, 3], now[:, :3, 3])
+    columns["off_mm"] = np.stack([_apart(T[:, :3, 3], wanted[:, :3, 3]) for T in (was, now)], axis=1)
+    columns["off_deg"] = np.stack([_angle(T[:, :3, :3], wanted[:, :3, :3]) for T in (was, now)], axis=1)
+    return columns
 
 
 def _poses(function: ca.Function | None, q: Array) -> Array:

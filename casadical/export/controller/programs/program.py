@@ -75,7 +75,7 @@ class CorrectedProgram:
             for r in self.results
             if not r.fine
         ]
-        found = {"language": self.program.language.name, "targets": len(self.results), "corrected": len(self.fine)}
+        answer = {"language": self.program.language.name, "targets": len(self.results), "corrected": len(self.fine)}
         figures: dict[str, Any] = {}
         for name, table in _figures(self.fine).items():
             if table.ndim == 1:
@@ -83,7 +83,7 @@ class CorrectedProgram:
             else:
                 before, after = table.max(axis=0)
                 figures[f"off_nominal_{name[4:]}_max"] = {"before": float(before), "after": float(after)}
-        return {**found, "refused": refused, **figures}
+        return {**answer, "refused": refused, **figures}
 
     def report(self) -> str:
         """The number of corrected targets, the others with their reasons, and how far joints and tool move."""

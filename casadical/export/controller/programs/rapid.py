@@ -140,13 +140,13 @@ class _Module:
 
     def _unread(self) -> list[tuple[int, Target, str]]:
         """Declarations of targets whose value is not a list of numbers."""
-        found = []
+        unread = []
         for kind, name, sign in zip(self.tokens, self.tokens[1:], self.tokens[2:], strict=False):
             typed = str(kind).lower() in ("robtarget", "jointtarget") and sign.value == ":="
             if typed and str(name).lower() not in self.known_targets:
                 left = Target(name.line or 0, str(name), False, (), left="its value is an expression")
-                found.append((name.start_pos or 0, left, ""))
-        return found
+                unread.append((name.start_pos or 0, left, ""))
+        return unread
 
     def _target(self, kind: str, name: str, value: Tree[Token]) -> Target:
         line = value.meta.line

@@ -48,13 +48,13 @@ def islands_of(grammar: str, tokens: Sequence[Token]) -> Iterator[Tree[Token]]:
 
 def _closed(tokens: Sequence[Token]) -> set[int]:
     """Indices of the opening brackets that are closed."""
-    opened, found = [], set()
+    opened, closed = [], set()
     for k, token in enumerate(tokens):
         if token.endswith(_OPENING):
             opened.append(k)
         elif token.endswith(_CLOSING) and opened:
-            found.add(opened.pop())
-    return found
+            closed.add(opened.pop())
+    return closed
 
 
 def _longest(parser: Lark, tokens: Sequence[Token], start: int, closed: set[int]) -> tuple[Tree[Token] | None, int]:
