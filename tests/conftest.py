@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from casadical.core.threads import one_thread
+from casadical.core.subprocesses import one_thread
 
 if TYPE_CHECKING:
     from casadical import Calibration

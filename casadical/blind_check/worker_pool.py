@@ -11,7 +11,7 @@ from multiprocessing import get_context
 from signal import SIG_IGN, SIGINT, signal
 from typing import Any, TypeVar
 
-from casadical.core.threads import one_thread
+from casadical.core.subprocesses import one_thread
 
 Result = TypeVar("Result")
 

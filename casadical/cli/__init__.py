@@ -11,7 +11,7 @@ from io import TextIOWrapper
 from casadical.cli.root import app as app
 from casadical.cli.terminal import BAD_INPUT, NO_CONVERGENCE, OUR_BUG, refusal
 from casadical.core.errors import ConvergenceError, InputError, shown
-from casadical.core.threads import one_thread
+from casadical.core.subprocesses import one_thread
 
 
 def main() -> None:

@@ -6,8 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from casadical.cli import options as o
-from casadical.cli.progress import working
-from casadical.cli.terminal import WORSE, html, keep, with_json, wrapped
+from casadical.cli.terminal import WORSE, html, keep, with_json, working, wrapped
 from casadical.core.telling.terminal import terminal
 
 Out = Annotated[

@@ -8,8 +8,7 @@ from typing import Annotated
 import typer
 
 from casadical.cli.options import Json, Quiet
-from casadical.cli.progress import working
-from casadical.cli.terminal import keep, with_json, wrapped
+from casadical.cli.terminal import keep, with_json, working, wrapped
 from casadical.core.telling.terminal import terminal
 
 

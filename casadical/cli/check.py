@@ -5,8 +5,7 @@ from typing import Annotated
 import typer
 
 from casadical.cli.options import Details, Json, Problems, Quiet, problems_of
-from casadical.cli.progress import CHECK, working
-from casadical.cli.terminal import BAD_INPUT, keep_json, wrapped
+from casadical.cli.terminal import BAD_INPUT, CHECK, keep_json, working, wrapped
 from casadical.core.errors import InputError, shown
 
 # Slips hide targets, and targets slips: one is repaired after the other.

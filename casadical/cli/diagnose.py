@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from casadical.cli import options as o
-from casadical.cli.progress import DIAGNOSIS, working
-from casadical.cli.terminal import html, keep, with_json, wrapped
+from casadical.cli.terminal import DIAGNOSIS, html, keep, with_json, working, wrapped
 from casadical.core.errors import shown
 from casadical.core.telling.blocks import next_step
 from casadical.core.telling.terminal import terminal

@@ -8,8 +8,7 @@ from typing import Annotated
 import typer
 
 from casadical.cli import options as o
-from casadical.cli.progress import working
-from casadical.cli.terminal import keep, plain, print_written, refuse_taken, with_json
+from casadical.cli.terminal import keep, plain, print_written, refuse_taken, with_json, working
 from casadical.core.telling.blocks import next_step
 from casadical.core.telling.terminal import terminal
 

@@ -6,8 +6,7 @@ from typing import Annotated
 import typer
 
 from casadical.cli.options import Json, Quiet, Report
-from casadical.cli.progress import working
-from casadical.cli.terminal import html, keep, with_json, wrapped
+from casadical.cli.terminal import html, keep, with_json, working, wrapped
 from casadical.core.errors import shown
 from casadical.core.telling.terminal import terminal
 

@@ -23,8 +23,7 @@ from casadical.cli.options import (
     refuse_of_others,
 )
 from casadical.cli.options import effects as effect_words
-from casadical.cli.progress import PLAN, working
-from casadical.cli.terminal import keep, keep_json, with_json, wrapped
+from casadical.cli.terminal import PLAN, keep, keep_json, with_json, working, wrapped
 from casadical.core.errors import InputError, shown
 from casadical.core.telling.blocks import next_step
 from casadical.core.telling.terminal import terminal

@@ -9,8 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from casadical.cli.options import Effects, Json, Quiet, Report, Room, effects_of, refuse_of_others
-from casadical.cli.progress import DIAGNOSIS, working
-from casadical.cli.terminal import NOT_VALID, html, keep, keep_json, plain, with_json, wrapped
+from casadical.cli.terminal import DIAGNOSIS, NOT_VALID, html, keep, keep_json, plain, with_json, working, wrapped
 from casadical.core.errors import InputError
 from casadical.core.telling.terminal import terminal
 

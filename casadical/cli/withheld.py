@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from casadical.cli.options import Json, Quiet
-from casadical.cli.progress import working
-from casadical.cli.terminal import keep_json, print_written, with_json, wrapped
+from casadical.cli.terminal import keep_json, print_written, with_json, working, wrapped
 from casadical.core.errors import InputError
 from casadical.core.progress import Show
 

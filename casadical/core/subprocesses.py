@@ -1,4 +1,7 @@
-"""Other programs with a time limit: compilers, and the trial of what they made, in a process that may crash."""
+"""Other programs with a time limit: compilers, and the trial of what they made, in a process that may crash.
+
+And one thread for linear algebra: the matrices are small, and threads that wait for each other take most of the time.
+"""
 
 import os
 import signal
@@ -36,3 +39,13 @@ def tried(code: str, *arguments: str, modules: bool = False) -> str | None:
     """What a line of Python prints in a process of its own, None where it fails; modules : beyond the library's."""
     done = finished([sys.executable, *(["-P"] if modules else ["-I", "-S"]), "-c", code, *arguments], TRIAL_SECONDS)
     return done.stdout if done is not None and done.returncode == 0 else None
+
+
+# numpy's library reads them once, when it is loaded.
+_NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def one_thread() -> None:
+    """Let linear algebra use one thread, unless the environment says how many; to be called before numpy is loaded."""
+    if not any(name in os.environ for name in _NAMES):
+        os.environ.update(dict.fromkeys(_NAMES, "1"))

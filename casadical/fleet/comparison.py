@@ -23,7 +23,7 @@ from casadical.fleet.candidates import (
     shared_names,
 )
 from casadical.fleet.changes import SURE, Amount, Change, Comparison, Rival
-from casadical.fleet.estimates import Estimate
+from casadical.fleet.estimates import Estimate, with_common_noise
 from casadical.fleet.evidence import (
     Known,
     Model,
@@ -37,7 +37,6 @@ from casadical.fleet.evidence import (
     solve,
     visible,
 )
-from casadical.fleet.noise import with_common_noise
 from casadical.fleet.placements import placements_of, seen_from
 from casadical.identification.prior import refuse_another
 

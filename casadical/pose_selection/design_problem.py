@@ -14,10 +14,11 @@ from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 from casadical.pose_selection.candidates import SOCKET, Candidates, Circumstances, candidates_at, draw, held_in, reached
-from casadical.pose_selection.criteria import Criterion, checked
 from casadical.pose_selection.experimental_design import Design, Determinant, Linear, Spectral, inverse
 from casadical.pose_selection.information import (
     PART,
+    Criterion,
+    checked,
     independent,
     known_before,
     noise_covariance,

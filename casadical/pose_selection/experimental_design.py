@@ -15,7 +15,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.statistics import first_of_best, ranked
-from casadical.pose_selection.criteria import SPECTRAL
+from casadical.pose_selection.information import SPECTRAL
 
 # After so many updates, C and the blocks are computed again.
 REFRESH = 50

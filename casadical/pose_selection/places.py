@@ -8,8 +8,8 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.measurements.noise import Noise
 from casadical.pose_selection.candidates import Circumstances, reached
-from casadical.pose_selection.criteria import Criterion
 from casadical.pose_selection.design_problem import prepare
+from casadical.pose_selection.information import Criterion
 from casadical.pose_selection.instruments import Instrument, best_places
 from casadical.pose_selection.pose_search import select_poses
 from casadical.pose_selection.selection import Selection

@@ -11,9 +11,9 @@ from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 from casadical.pose_selection.candidates import Candidates, Circumstances, candidates_at
-from casadical.pose_selection.criteria import Criterion
 from casadical.pose_selection.design_problem import DesignProblem, prepare
 from casadical.pose_selection.experimental_design import improve, search
+from casadical.pose_selection.information import Criterion
 from casadical.pose_selection.instruments import Instrument
 from casadical.pose_selection.pose_order import arranged
 from casadical.pose_selection.selection import Selection

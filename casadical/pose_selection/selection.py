@@ -15,9 +15,15 @@ from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 from casadical.pose_selection.candidates import Candidates, Circumstances
-from casadical.pose_selection.criteria import Criterion, observability
 from casadical.pose_selection.experimental_design import inverse
-from casadical.pose_selection.information import MM, known_before, noise_covariance, scaled_jacobian
+from casadical.pose_selection.information import (
+    MM,
+    Criterion,
+    known_before,
+    noise_covariance,
+    observability,
+    scaled_jacobian,
+)
 from casadical.pose_selection.instruments import Instrument, without_base
 from casadical.pose_selection.pose_order import arranged
 from casadical.robot.robot import Robot

@@ -40,7 +40,7 @@ from casadical.pose_selection.workspace import Workspace, read_workspace
 from casadical.project.problem import Carried, nothing_carried, read_campaign, read_campaign_robot, tool_as_measured
 from casadical.project.problem_file import own_tables, problem_file
 from casadical.project.telling import campaign_files
-from casadical.robot.effect_file import read_effects
+from casadical.robot.effect_tables import read_effects
 from casadical.robot.robot import Robot
 
 # What is asked for as causes: the name of a list, or names, labels, effects and classes of effects.

@@ -25,7 +25,7 @@ from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 from casadical.measurements.raw_table import read_table
 from casadical.pose_selection.candidates import Circumstances
-from casadical.pose_selection.criteria import CRITERIA, Criterion, checked
+from casadical.pose_selection.information import CRITERIA, Criterion, checked
 from casadical.pose_selection.instruments import usual_places
 from casadical.pose_selection.places import place_instrument, select_with_places
 from casadical.pose_selection.plan import MeasurementPlan

@@ -19,8 +19,7 @@ import numpy as np
 from casadical import read_robot
 from casadical.pose_selection import Noise, Workspace
 from casadical.pose_selection.candidates import draw, expected
-from casadical.pose_selection.criteria import observability
-from casadical.pose_selection.information import MM, independent, scaled_jacobian
+from casadical.pose_selection.information import MM, independent, observability, scaled_jacobian
 from casadical.pose_selection.pose_search import select_poses
 
 HERE = Path(__file__).parent

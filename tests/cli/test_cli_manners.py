@@ -14,7 +14,7 @@ import pytest
 import typer
 
 from casadical.cli import app
-from casadical.cli.progress import DIAGNOSIS, share
+from casadical.cli.terminal import DIAGNOSIS, share
 
 ROOT = Path(__file__).parents[2]
 BIN = Path(sys.executable).parent

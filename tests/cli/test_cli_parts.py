@@ -7,8 +7,8 @@ import pytest
 from command_line import main
 
 from casadical.cli.export import export_c
-from casadical.cli.progress import DIAGNOSIS, share
 from casadical.cli.root import MOVED
+from casadical.cli.terminal import DIAGNOSIS, share
 from casadical.export.mjcf.replay import replay_campaign
 
 ROOT = Path(__file__).parents[2]

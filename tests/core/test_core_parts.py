@@ -17,7 +17,7 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 import casadical as ca_package
-from casadical.core import lazy, private_folder, threads
+from casadical.core import lazy, private_folder, subprocesses
 from casadical.core.arm import Arm
 from casadical.core.casadi_buffers import call
 from casadical.core.file_locks import exchange
@@ -135,10 +135,10 @@ def test_a_number_of_threads_that_was_given_stays(monkeypatch: pytest.MonkeyPatc
         monkeypatch.setenv(name, "9")  # so that all are as before afterwards
         monkeypatch.delenv(name)
     monkeypatch.setenv(names[1], "3")
-    threads.one_thread()
+    subprocesses.one_thread()
     assert [os.environ.get(name) for name in names] == [None, "3", None]
     monkeypatch.delenv(names[1])
-    threads.one_thread()
+    subprocesses.one_thread()
     assert [os.environ.get(name) for name in names] == ["1", "1", "1"]
 
 

@@ -43,7 +43,7 @@ from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.reading import from_table
 from casadical.project.problem import read_problem
-from casadical.robot.effect_file import read_effects
+from casadical.robot.effect_tables import read_effects
 from casadical.robot.robot_file import read_robot
 
 NAME = "kr210"

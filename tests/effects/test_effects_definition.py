@@ -21,7 +21,7 @@ from casadical.effects.definition import LISTED
 from casadical.effects.plugins import known_effects
 from casadical.export.mjcf.mjcf import counterparts
 from casadical.identification.accuracy import predicted
-from casadical.robot.effect_file import read_effects
+from casadical.robot.effect_tables import read_effects
 from casadical.robot.robot_file import read_robot, write_robot
 
 NAME = "ur10e"

@@ -11,8 +11,7 @@ from casadical.effects import Backlash, JointZeroStep
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import unmeasured
 from casadical.measurements.noise import Noise
-from casadical.pose_selection.criteria import SPECTRAL, checked, observability
-from casadical.pose_selection.information import noise_covariance
+from casadical.pose_selection.information import SPECTRAL, checked, noise_covariance, observability
 from casadical.pose_selection.plan import thirds_of
 
 ROOT = Path(__file__).parents[2]

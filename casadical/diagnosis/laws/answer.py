@@ -28,7 +28,7 @@ from casadical.effects.formula_effect import SEAMS
 from casadical.effects.law import Law
 from casadical.identification.result import Identification
 from casadical.measurements.noise import Noise
-from casadical.robot.effect_file import effects_toml
+from casadical.robot.effect_tables import effects_toml
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml
 

@@ -18,8 +18,7 @@ from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection import Workspace
 from casadical.pose_selection.candidates import draw, expected
-from casadical.pose_selection.criteria import observability
-from casadical.pose_selection.information import MM, scaled_jacobian
+from casadical.pose_selection.information import MM, observability, scaled_jacobian
 from casadical.robot.robot import Robot
 
 TASK_POSES = 200
