@@ -10,7 +10,8 @@ instructions, and with every reading moved by 1e-12 of itself. What must be equa
 - robot files and the C made from them, to the byte (not where readings moved)
 
 `--quick` runs two other kernels and moved readings on one command of most kinds, for `.ci/run`; `compare` is left to
-the whole study, since its numbers are known to 5e-7 of their standard errors alone.
+the whole study, since its numbers are known to 5e-7 of their standard errors alone. With `--folder` what ran stays
+there, and the next run goes on with what is left; `--minutes` ends it after a command.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -59,9 +61,9 @@ def todo(scratch: Path, only: str) -> dict[str, list[str]]:
 
 
 def inputs(place: Path, moved: bool) -> None:
-    """Problems and data of the repository, with every reading moved where that is asked for."""
-    for name in ("problems", "data"):
-        shutil.copytree(ROOT / name, place / name, ignore=shutil.ignore_patterns("*.xz", "answers*"))
+    """Problems, data of the repository and tables made from them, with every reading moved where that is asked for."""
+    for source in (ROOT / "problems", ROOT / "data", place.parents[1] / "inputs"):
+        shutil.copytree(source, place / source.name, ignore=shutil.ignore_patterns("*.xz", "answers*"))
     rng = random.Random(0)
     for path in place.rglob("*.csv") if moved else ():
         head, *rows = path.read_text("utf-8").splitlines()
@@ -77,8 +79,13 @@ def inputs(place: Path, moved: bool) -> None:
 def run(name: str, words: list[str], place: Path, environment: dict[str, str]) -> None:
     """One command; what it writes, prints and returns goes to a folder of its name."""
     out = place / "made" / name
+    if (out / "printed.txt").exists():  # of a run before
+        return
+    shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
-    words = [w.replace("OUT", str(out)).replace("MADE", str(place / "made")) for w in words]
+    own = {"OUT": out, "MADE": place / "made", str(place.parents[1] / "inputs"): place / "inputs"}
+    for word, stands_for in own.items():
+        words = [w.replace(word, str(stands_for)) for w in words]
     program = [sys.executable, "-c", "from casadical.cli import main; main()", *words]
     usual = {"OMP_NUM_THREADS": "1", "COLUMNS": "120", "NO_COLOR": "1", "CASADICAL_CACHE": str(place / "cache")}
     whole = {**os.environ, "PYTHONPATH": str(ROOT), **usual, **environment}
@@ -98,7 +105,7 @@ def differences(a: Any, b: Any, place: str, times: float, error: float = 0.0) ->
             return [f"{place}: {len(a)} entries and {len(b)}"]
         return [d for i, (x, y) in enumerate(zip(a, b, strict=True)) for d in differences(x, y, f"{place}[{i}]", times)]
     if isinstance(a, float) and isinstance(b, int | float):
-        limit = max(times * OF_ERROR * abs(error) if error else times * OF_ITSELF * abs(a), WHOLE)
+        limit = max(times * OF_ERROR * abs(error) if error else times * OF_ITSELF * abs(a), times * WHOLE)
         near = abs(a - b) <= limit or (a != a and b != b)
         return [] if near else [f"{place}: {a!r} and {b!r} ({abs(a - b) / max(abs(a), abs(b)):.1e} of it)"]
     return [] if a == b else [f"{place}: {a!r} and {b!r}"[:300]]
@@ -142,6 +149,37 @@ def _cells(text: str) -> list[list[Any]]:
     return [[float(c) if number.fullmatch(c) else c for c in row] for row in cells]
 
 
+def told(base: Path, name: str, which: str) -> bool:
+    """Prints what differs of one command as another machine; whether anything does."""
+    found = compared(base / "as/here/made" / name, base / "as" / which / "made" / name, which)
+    more = [f"and {len(found) - 6} more"] if len(found) > 6 else []
+    for line in (*found[:6], *more):
+        print(f"DIFFERS {which}: {name}: {line}", flush=True)
+    return bool(found)
+
+
+def study(base: Path, given: argparse.Namespace) -> int:
+    """Runs the commands one after the other, each as all machines, and lists what differs."""
+    chosen = given.environments.split(",") if given.environments else QUICK if given.quick else tuple(ENVIRONMENTS)
+    (base / "inputs").mkdir(exist_ok=True, parents=True)
+    wanted = todo(base / "inputs", given.only or (QUICK_COMMANDS if given.quick else ""))
+    for which in ("here", *chosen):
+        if not (base / "as" / which).exists():
+            inputs(base / "as" / which, which == MOVED)
+    end, ran, count = time.monotonic() + 60 * given.minutes, 0, 0
+    for name in wanted:
+        if time.monotonic() > end:
+            break
+        with ThreadPoolExecutor(given.jobs) as pool:
+            places = ((which, base / "as" / which, ENVIRONMENTS.get(which, {})) for which in ("here", *chosen))
+            list(pool.map(lambda p: run(name, wanted[name], *p[1:]), places))  # noqa: B023
+        differs = [which for which in chosen if told(base, name, which)]
+        ran, count = ran + 1, count + len(differs)
+        print(f"{name}: {len(differs)} of {len(chosen)} differ", flush=True)
+    print(f"{ran} of {len(wanted)} commands as {', '.join(chosen)}: {count} of {ran * len(chosen)} differ")
+    return 1 if count else 0
+
+
 def main() -> int:
     """Run as this machine does, and as others, and list what differs."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -149,35 +187,13 @@ def main() -> int:
     parser.add_argument("--only", default="")
     parser.add_argument("--environments", default="", help="names, by commas")
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--folder", type=Path, help="keeps what ran, so that a run can be continued")
+    parser.add_argument("--minutes", type=float, default=float("inf"))
     given = parser.parse_args()
-    chosen = given.environments.split(",") if given.environments else QUICK if given.quick else tuple(ENVIRONMENTS)
-    count = 0
+    if given.folder:
+        return study(given.folder.resolve(), given)
     with tempfile.TemporaryDirectory() as folder:
-        base = Path(folder)
-        (base / "inputs").mkdir()
-        wanted = todo(base / "inputs", given.only or (QUICK_COMMANDS if given.quick else ""))
-        later = [name for name in wanted if "MADE" in " ".join(wanted[name])]
-        for which in ("here", *chosen):
-            place = base / "as" / which.replace(" ", "-")
-            place.mkdir(parents=True)
-            inputs(place, which == MOVED)
-            with ThreadPoolExecutor(given.jobs) as pool:
-                for names in ([name for name in wanted if name not in later], later):
-                    list(pool.map(lambda n: run(n, wanted[n], place, ENVIRONMENTS.get(which, {})), names))  # noqa: B023
-            if which == "here":
-                continue
-            for name in wanted:
-                here = base / "as" / "here" / "made" / name
-                found = compared(here, place / "made" / name, which)
-                count += bool(found)
-                for line in found[:6]:
-                    print(f"DIFFERS {which}: {name}: {line}", flush=True)
-                if len(found) > 6:
-                    print(f"DIFFERS {which}: {name}: and {len(found) - 6} more")
-            print(f"{which}: {len(wanted)} commands compared", flush=True)
-            shutil.rmtree(place)
-    print(f"{len(wanted)} commands as {len(chosen)} other machines: {count} of {len(wanted) * len(chosen)} differ")
-    return 1 if count else 0
+        return study(Path(folder), given)
 
 
 if __name__ == "__main__":

@@ -68,8 +68,20 @@ def commands(scratch: Path, tree: Path) -> dict[str, list[str]]:
     todo["certificate-planar"] = "certificate MADE/calibrate-planar/files --problem problems/planar --json OUT/a.json"
     todo["model-kr210"] = "export model MADE/calibrate-kr210/files/KM.robot.toml --to mjcf --leave-out --out OUT/a.xml"
     todo["fleet-two"] = "fleet problems/planar problems/ur5 --store OUT/store.parquet --json OUT/a.json --no-diagnose"
-    for name in ("wave_motion", "hold_under_gravity"):
-        todo[f"log-{name}"] = f"diagnose problems/so101 data/so101_logs/{name}.csv.gz --json OUT/a.json"
+    for log in sorted((ROOT / "data/so101_logs").glob("*.csv.gz")):
+        todo[f"log-{log.name.split('.')[0]}"] = f"diagnose problems/so101 {log.relative_to(ROOT)} --json OUT/a.json"
+    todo["motion-so101"] = "plan problems/so101 --motion data/so101_logs/wave_motion.csv.gz --out OUT/motion.csv"
+    table = scratch / "program.csv"
+    rows = [line.split(",") for line in (ROOT / kr210).read_text().splitlines()[:11]]
+    targets = [k for k, heading in enumerate(rows[0]) if heading.startswith("q")]
+    table.write_text("\n".join(",".join(row[k] for k in targets) for row in rows) + "\n")
+    model = "MADE/calibrate-kr210/files/SKCM.robot.toml --nominal problems/kr210/robot.toml"
+    todo["correct-kr210"] = f"correct {model} {table} --leave-out --out OUT/corrected.csv --json OUT/a.json"
+    todo["isolability-kr210"] = "plan problems/kr210 --isolability --json OUT/a.json"
+    todo["new-example"] = "new OUT/arm --example"
+    todo["calibrate-example"] = "calibrate MADE/new-example/arm --json OUT/a.json --out OUT/files"
+    todo["measure-example"] = "measure MADE/new-example/arm --simulate 12 --no-page"
+    todo["withheld-kr210"] = "withheld robot problems/kr210 --poses 40 --n 4 --seed 1 --workers 1 --json OUT/a.json"
     table = "data/ur10_laser_tracker/series_B_joint_configurations.csv"
     todo["calibrate-csv"] = f"calibrate problems/ur10_joints {table} --method KM --json OUT/a.json"
     return {name: words.split() for name, words in todo.items()}
