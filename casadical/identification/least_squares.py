@@ -119,10 +119,14 @@ class LeastSquares:
 
         The own priors of base and tool say where to look, not where they are: they count as nothing known.
         """
-        given = self.priors if isinstance(self.priors, Mapping) else {}
-        told = {*given, *(n for names, _ in self.known for n in names)}
+        told = {*self.given, *(n for names, _ in self.known for n in names)}
         own = [p.group not in FRAMES or p.name in told for p in self._own]
         return np.array([*own, *[False] * (self.size - len(own))], dtype=bool)
+
+    @property
+    def given(self) -> Mapping[str, tuple[float, float]]:
+        """Priors that are not the robot's own."""
+        return self.priors if isinstance(self.priors, Mapping) else {}
 
     @cached_property
     def _own(self) -> list[Parameter]:
@@ -188,8 +192,7 @@ class LeastSquares:
     @cached_property
     def _prior(self) -> Array:
         """Mean and one sigma of each chosen parameter's prior, shape (2, p) [SI]."""
-        other = self.priors if isinstance(self.priors, Mapping) else {}
-        return np.array([other.get(p.name, (p.value, p.prior)) for p in self._own]).reshape(-1, 2).T
+        return np.array([self.given.get(p.name, (p.value, p.prior)) for p in self._own]).reshape(-1, 2).T
 
     def separate(self, v: Array) -> tuple[Array, Array]:
         """x, shape (p,), and u, shape (K, 3)."""

@@ -322,7 +322,8 @@ class Identification(Result):
         """Positions of the calibrated robot, shape (n, 3) [m], and their covariances, shape (n, 3, 3) [m^2].
 
         The covariance is that of the model's position; a new measurement adds its own noise. It holds the parameters
-        that were not identified too, by their covariance in the robot's file or else their priors (see `prediction`).
+        that were not identified too, by their covariance in the robot's file or else by their priors, times a size that
+        follows from the departures that the poses do determine (see `prediction`).
 
         q : shape (n, joints) [rad or m]: joint readings
         conditions : logged columns by name, each of shape (n,)
@@ -338,7 +339,7 @@ class Identification(Result):
     @cached_property
     def _everything(self) -> tuple[LeastSquares, Array, Array]:
         """Of all parameters that are not known exactly: their problem, departures from nominal, and covariance [SI]."""
-        return covariance_of_all(self.problem, self.solution.v, self.variance)
+        return covariance_of_all(self.problem, self.solution.v, self.variance, self.given)
 
     def accuracy(self, *m: Measurements | Sequence[Measurements]) -> dict[str, Accuracy]:
         """Errors on any measurements [m]: "nominal", "placed" (base and tool fitted) and "calibrated".

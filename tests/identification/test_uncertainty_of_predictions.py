@@ -63,6 +63,16 @@ def test_intervals_hold_the_truth_anywhere(design) -> None:
         assert only["held"] < 0.6  # by the identified parameters alone
 
 
+@pytest.mark.parametrize("size", [0.1, 2.0])
+@pytest.mark.parametrize("design", ["one pose", "+-180 deg"])
+def test_how_well_a_robot_is_built_is_learnt_from_what_the_poses_determine(design, size) -> None:
+    """Errors far from the priors' size, of the arm and of where base and tool stand in the file (see the study)."""
+    cases = [study.identified(study.turning(arm()), (design, size), np.random.default_rng([5, n])) for n in range(4)]
+    found = [study.held(r, r.predict(q)[1], miss) for r, q, miss in cases]
+    assert np.mean([c["held"] for c in found]) > 0.85
+    assert np.median([c["sigma"] / c["error"] for c in found]) < 5
+
+
 def test_where_poses_were_measured_nothing_is_added(built) -> None:
     """Readings of one plane: what they do not tell of the robot they do not need."""
     q = arms.readings(built, 60, 5)
