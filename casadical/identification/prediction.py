@@ -8,9 +8,9 @@ and the prediction is unsure by its share of S. Source: the propagation of "cons
 Born, Statistical Orbit Determination (2004), section 6.2.
 
 A robot may be built ten times better than its priors say, or half as well, and what the data determined tells of it:
-all parameters of the arm depart from the drawing by priors times one unknown size, those of base and tool, which stand
-where somebody put them, from the robot file by another. A size is log-normal about one (`SPREADS`), its posterior
-follows from the likelihood of the data with all parameters integrated, and S has the mean of its square: a hierarchical
+all parameters of the arm depart from the drawing by priors times one unknown size, those of base and tool, which a user
+placed, from the robot file by another. A size is log-normal about one (`SPREADS`), its posterior follows from the
+likelihood of the data with all parameters integrated, and S has the mean of its square: a hierarchical
 model; Gelman et al., Bayesian Data Analysis (2013), chapter 5. What other campaigns told of parameters stays as it is.
 """
 
