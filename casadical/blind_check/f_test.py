@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from casadical.blind_check.generation import RANK, column_space
 from casadical.blind_check.prediction import Session, unseen_positions
-from casadical.blind_check.signal_size import RANK, column_space
 from casadical.core.arrays import Array
 from casadical.core.errors import ConvergenceError, optional
 from casadical.diagnosis.candidates import standard_candidates

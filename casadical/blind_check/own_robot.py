@@ -14,16 +14,25 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from casadical.blind_check.answers import Answer
 from casadical.blind_check.generation import LEAST_POSES, campaign_of, engine_versions
-from casadical.blind_check.metrics import Estimate, claims_made, detectable, detection, false_alarms, of_kind, share
+from casadical.blind_check.metrics import (
+    Estimate,
+    Outcome,
+    claims_made,
+    detectable,
+    detection,
+    false_alarms,
+    of_kind,
+    outcome,
+    share,
+)
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, FourBar, Plant
 from casadical.blind_check.mujoco_physics.draw import SECONDS_A_POSE, impossible
 from casadical.blind_check.mujoco_physics.plant import Building, home_frames
 from casadical.blind_check.mujoco_physics.statics import rated_torque
 from casadical.blind_check.mujoco_physics.stops import Warmup
-from casadical.blind_check.outcomes import Outcome, outcome
 from casadical.blind_check.prediction import answer_campaign
+from casadical.blind_check.protocol import Answer
 from casadical.blind_check.recording import COLUMNS, Plan, Subject, draw_plans
 from casadical.blind_check.worker_pool import completed, workers
 from casadical.core.arrays import Array

@@ -13,8 +13,16 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from casadical.blind_check.answers import json_line, read_answers, whole_lines
-from casadical.blind_check.protocol import MANIFEST, ROBOTS, Manifest, read_manifest, read_table
+from casadical.blind_check.protocol import (
+    MANIFEST,
+    ROBOTS,
+    Manifest,
+    json_line,
+    read_answers,
+    read_manifest,
+    read_table,
+    whole_lines,
+)
 from casadical.blind_check.worker_pool import completed, workers
 from casadical.core.arrays import Array
 from casadical.core.errors import ConvergenceError, InputError

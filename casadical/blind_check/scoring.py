@@ -6,10 +6,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from casadical.blind_check.answers import Header, read_answers
-from casadical.blind_check.metrics import Estimate, Metric, breakdown, confusion, metrics, part_metrics, sign_tests
-from casadical.blind_check.outcomes import Outcome, outcome
-from casadical.blind_check.protocol import Key, read_key, read_manifest
+from casadical.blind_check.metrics import (
+    Estimate,
+    Metric,
+    Outcome,
+    breakdown,
+    confusion,
+    metrics,
+    outcome,
+    part_metrics,
+    sign_tests,
+)
+from casadical.blind_check.protocol import Header, Key, read_answers, read_key, read_manifest
 from casadical.core.errors import InputError, optional
 from casadical.core.files import write_together
 from casadical.core.telling.blocks import Block, Table, Words

@@ -5,8 +5,8 @@ from functools import cached_property
 
 import numpy as np
 
-from casadical.compensator.forward import Memory, forward
 from casadical.compensator.layout import JointBox, Layout, network_inputs
+from casadical.compensator.network import Memory, forward
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 

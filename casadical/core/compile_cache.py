@@ -21,8 +21,8 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.casadi_buffers import Buffered
+from casadical.core.file_locks import private_folder
 from casadical.core.files import PREFIX
-from casadical.core.private_folder import private_folder
 from casadical.core.subprocesses import COMPILE_SECONDS, finished, tried
 from casadical.core.sx_instructions import OPERATIONS, SxInstructions
 

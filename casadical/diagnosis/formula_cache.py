@@ -15,8 +15,8 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.core.file_locks import private_folder
 from casadical.core.files import write_whole
-from casadical.core.private_folder import private_folder
 from casadical.core.reading import MOST_JSON, read_text
 from casadical.core.sx_instructions import Instruction, SxInstructions
 from casadical.diagnosis.seams import Seams

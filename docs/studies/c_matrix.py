@@ -29,9 +29,9 @@ from c_bench import (
 from c_proofs import analysers, eva, eva_of_bound, fuzz, self_tests
 
 from casadical.export import Status, load, write_c
+from casadical.export.c.c_language import inside
 from casadical.export.c.kernel import build, compilers
 from casadical.export.c.reference import correct, network
-from casadical.export.c.self_test import inside
 from casadical.export.c.tape_program import tape_program
 from casadical.export.c.verification import shape_of
 

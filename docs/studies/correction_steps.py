@@ -18,9 +18,9 @@ sys.path.insert(0, str(ROOT / "tests" / "export" / "controller"))
 from controller_arms import nominal_path, planted  # noqa: E402
 
 from casadical.export import Sources, Status, command_of  # noqa: E402
+from casadical.export.c.c_language import inside  # noqa: E402
 from casadical.export.c.products import mapped  # noqa: E402
 from casadical.export.c.reference import correct  # noqa: E402
-from casadical.export.c.self_test import inside  # noqa: E402
 from casadical.export.c.tape_program import tape_program  # noqa: E402
 
 NAMES = ("ur10", "hh800", "kr210", "ur10e", "panda_1")

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from casadical.blind_check import metrics, outcomes
+from casadical.blind_check import metrics
 from casadical.blind_check.metrics import Estimate, quantile, share
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.linear_problem import Case
@@ -54,9 +54,9 @@ class Trial:
     seconds: float
 
     @property
-    def counted(self) -> outcomes.Outcome:
+    def counted(self) -> metrics.Outcome:
         """The same as a trial of the blind check; signals are over all noise, and shrinks over the base model's gap."""
-        return outcomes.Outcome(
+        return metrics.Outcome(
             name=self.hidden,
             robot="",
             kind=KINDS.get(self.part, "one"),
@@ -68,7 +68,7 @@ class Trial:
             signals=self.beside or (self.visible,),
             verdict=self.verdict,
             named=self.claims,
-            alike=(self.claims[0], *self.alike)[: outcomes.SET_SIZE] if self.claims else (),
+            alike=(self.claims[0], *self.alike)[: metrics.SET_SIZE] if self.claims else (),
             probability=self.posterior,
             predicted=self.predicted_shrink,
             realised=self.true_shrink,
@@ -142,7 +142,7 @@ def _wrong(t: Trial) -> str:
     return f"  {t.part:<9} {t.hidden or '-':<46} claimed {wrong}  (visible {t.visible:.2f})"
 
 
-def _counted(trials: Sequence[Trial]) -> list[outcomes.Outcome]:
+def _counted(trials: Sequence[Trial]) -> list[metrics.Outcome]:
     return [t.counted for t in trials]
 
 

@@ -102,7 +102,7 @@ def kinds(place: Path) -> dict[str, Kind]:
     """All kinds; place : a folder made by `fuzz.world`"""
 
     import casadical
-    from casadical.blind_check.answers import read_answers
+    from casadical.blind_check.protocol import read_answers
     from casadical.blind_check.protocol import read_manifest as read_withheld
     from casadical.compensator import load_compensator
     from casadical.core.drive import read_drive

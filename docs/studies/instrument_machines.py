@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 
 from casadical.blind_check import mujoco_physics
+from casadical.blind_check.generation import column_space
 from casadical.blind_check.mujoco_physics import Plant
 from casadical.blind_check.mujoco_physics.table import MEASURED
-from casadical.blind_check.signal_size import column_space
 from casadical.core.arrays import Array
 from casadical.diagnosis.linearisation import signatures
 from casadical.identification.accuracy import predicted

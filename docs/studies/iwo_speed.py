@@ -13,7 +13,7 @@ import time
 import numpy as np
 
 from casadical.compensator import InvasiveWeeds, Iwo, IwoSettings, JointBox, Layout, make_task, train
-from casadical.compensator.forward import forward
+from casadical.compensator.network import forward
 from casadical.compensator.task import Task
 
 SEEDS = 10

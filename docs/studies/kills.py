@@ -187,7 +187,7 @@ def trial(writer: Writer, scratch: Path, kills: tuple[int, ...]) -> tuple[bool, 
 
 def answers_trial(scratch: Path, n: int) -> tuple[bool, str]:
     """Kill a process that adds answers; none that was complete may be lost, and the next process goes on."""
-    from casadical.blind_check.answers import json_line, read_answers, whole_lines
+    from casadical.blind_check.protocol import json_line, read_answers, whole_lines
     from casadical.core.files import appending
 
     path = scratch / "answers.jsonl"

@@ -25,9 +25,9 @@ from campaign_robots import machine
 from foreign_effects import FOREIGN, draw_foreign
 from kept import add_options, rows_of
 
+from casadical.blind_check.generation import base_jacobian, unabsorbed_rms
 from casadical.blind_check.mujoco_physics import perturb
 from casadical.blind_check.mujoco_physics.plant import Plant
-from casadical.blind_check.signal_size import base_jacobian, unabsorbed_rms
 from casadical.core.errors import CasadicalError
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.laws.discovery import Discovery, laws_beside

@@ -34,10 +34,10 @@ from kept import add_options, rows_of
 from scipy import signal
 from sessions import UNLISTED, Scatter, Session
 
+from casadical.blind_check.generation import base_jacobian, unabsorbed_rms
 from casadical.blind_check.metrics import Estimate, mean, share
 from casadical.blind_check.mujoco_physics import perturb
 from casadical.blind_check.mujoco_physics.table import MEASURED
-from casadical.blind_check.signal_size import base_jacobian, unabsorbed_rms
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.diagnosis.diagnose import diagnose

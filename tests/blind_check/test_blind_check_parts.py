@@ -16,6 +16,7 @@ from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
 from casadical.blind_check import mujoco_physics, worker_pool
+from casadical.blind_check.generation import unabsorbed_rms
 from casadical.blind_check.mujoco_physics.causes_load import GravityCompensator
 from casadical.blind_check.mujoco_physics.causes_structure import CrackedLink, LinkFlexure
 from casadical.blind_check.mujoco_physics.hidden import Hidden, cause
@@ -23,7 +24,6 @@ from casadical.blind_check.mujoco_physics.plant import home_with_errors
 from casadical.blind_check.mujoco_physics.robot import mechanism
 from casadical.blind_check.mujoco_physics.stops import Warmup, draw_stops
 from casadical.blind_check.protocol import read_table
-from casadical.blind_check.signal_size import unabsorbed_rms
 from casadical.core.errors import InputError
 
 ARM = plants.arm()

@@ -11,11 +11,10 @@ import pandas as pd
 import pytest
 from checks import ROOT, Here, N
 
-from casadical.blind_check.generation import UNSEEN, campaign_of, make
+from casadical.blind_check.generation import UNSEEN, campaign_of, make, unabsorbed_rms
 from casadical.blind_check.own_robot import subject_of
 from casadical.blind_check.protocol import Manifest, read_key, read_manifest
 from casadical.blind_check.recording import MUJOCO, Simulator, draw_plans, in_shares
-from casadical.blind_check.signal_size import unabsorbed_rms
 from casadical.core.errors import ConvergenceError, InputError
 from casadical.project.problem import read_campaign_robot
 

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from checks import Here, N
 
-from casadical.blind_check.answers import read_answers
 from casadical.blind_check.prediction import predict
-from casadical.blind_check.protocol import read_manifest
+from casadical.blind_check.protocol import read_answers, read_manifest
 from casadical.core.errors import InputError
 
 VERBS = {"own_robot": "check_robot", "generation": "make", "prediction": "predict", "scoring": "score"}
@@ -67,7 +66,7 @@ from pathlib import Path
 from checks import Here
 from casadical.blind_check.prediction import predict
 
-FILES = ("blind_check/prediction.py", "blind_check/answers.py")
+FILES = ("blind_check/prediction.py", "blind_check/protocol.py")
 folder, whole, path = map(Path, sys.argv[1:])
 answers, kills = whole.read_bytes(), 0
 

@@ -9,10 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from casadical.blind_check.answers import Answer
-from casadical.blind_check.metrics import SignTest, confusion, mean, metrics, part_metrics, quantile, share, sign_tests
-from casadical.blind_check.outcomes import Outcome, outcome
-from casadical.blind_check.protocol import HiddenEffect, Secret, content, label, read_manifest
+from casadical.blind_check.metrics import (
+    Outcome,
+    SignTest,
+    confusion,
+    mean,
+    metrics,
+    outcome,
+    part_metrics,
+    quantile,
+    share,
+    sign_tests,
+)
+from casadical.blind_check.protocol import Answer, HiddenEffect, Secret, content, label, read_manifest
 from casadical.blind_check.scoring import in_common, score
 from casadical.cli import app
 from casadical.core.errors import InputError

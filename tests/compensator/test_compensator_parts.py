@@ -8,8 +8,8 @@ import pytest
 
 from casadical.compensator import Compensator, JointBox, Layout, load_compensator, save_compensator
 from casadical.compensator.checksummed_json import checksummed, pack, unpack
-from casadical.compensator.forward import forward
 from casadical.compensator.iwo import IwoSettings
+from casadical.compensator.network import forward
 from casadical.compensator.task import Task, random_weights
 from casadical.compensator.trainers.backprop import Backprop
 from casadical.compensator.trainers.damped_least_squares import advance, begin_batch

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from casadical.compensator import JointBox, Layout, Network
-from casadical.compensator.forward import forward, gradient, outputs_and_jacobian
 from casadical.compensator.layout import network_inputs
+from casadical.compensator.network import forward, gradient, outputs_and_jacobian
 from casadical.core.errors import InputError
 
 LAYOUTS = [

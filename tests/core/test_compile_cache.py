@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casadical.core import compile_cache, private_folder, subprocesses
+from casadical.core import compile_cache, file_locks, subprocesses
 from casadical.core.compile_cache import compiled, compiler
 
 X = ca.SX.sym("x", 2)
@@ -103,7 +103,7 @@ def test_a_folder_of_somebody_else_and_a_link_are_not_used(cache: Path, monkeypa
     cache.unlink()
     cache.mkdir()
     user = os.geteuid()
-    monkeypatch.setattr(private_folder.os, "geteuid", lambda: user + 1)
+    monkeypatch.setattr(file_locks.os, "geteuid", lambda: user + 1)
     assert compiled(F) is None
     assert list(cache.iterdir()) == []
 
@@ -147,7 +147,7 @@ def test_a_program_that_does_not_end_or_start_gives_nothing() -> None:
 
 def test_without_a_home_nothing_is_made_in_the_working_folder(monkeypatch, tmp_path) -> None:
     monkeypatch.delenv("CASADICAL_CACHE", raising=False)
-    monkeypatch.setattr(private_folder.platformdirs, "user_cache_dir", lambda name: f"~/.cache/{name}")
+    monkeypatch.setattr(file_locks.platformdirs, "user_cache_dir", lambda name: f"~/.cache/{name}")
     monkeypatch.chdir(tmp_path)
     assert compiled(F) is None
     assert list(tmp_path.iterdir()) == []

@@ -17,7 +17,7 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 import casadical as ca_package
-from casadical.core import lazy, private_folder, subprocesses
+from casadical.core import file_locks, lazy, subprocesses
 from casadical.core.arm import Arm
 from casadical.core.casadi_buffers import call
 from casadical.core.file_locks import exchange
@@ -107,18 +107,18 @@ def test_a_link_is_no_private_folder(tmp_path: Path, monkeypatch: pytest.MonkeyP
     (tmp_path / "of others").mkdir()
     (tmp_path / "cache").symlink_to(tmp_path / "of others")
     monkeypatch.setenv("CASADICAL_CACHE", str(tmp_path / "cache"))
-    assert private_folder.private_folder() is None
+    assert file_locks.private_folder() is None
     monkeypatch.setenv("CASADICAL_CACHE", str(tmp_path / "new"))
-    assert private_folder.private_folder("kernels") == tmp_path / "new" / "kernels"
+    assert file_locks.private_folder("kernels") == tmp_path / "new" / "kernels"
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no owners of files here")
 def test_a_folder_of_another_user_is_no_private_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CASADICAL_CACHE", str(tmp_path / "cache"))
-    assert private_folder.private_folder() == tmp_path / "cache"
+    assert file_locks.private_folder() == tmp_path / "cache"
     another = os.geteuid() + 1
     monkeypatch.setattr(os, "geteuid", lambda: another)
-    assert private_folder.private_folder() is None
+    assert file_locks.private_folder() is None
 
 
 def test_folders_that_cannot_change_places_say_why(tmp_path: Path) -> None:

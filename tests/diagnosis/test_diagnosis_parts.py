@@ -16,7 +16,7 @@ from scipy.special import logsumexp
 from scipy.stats import chi2, multivariate_normal
 
 from casadical import InputError, Joint, Measurements, diagnose
-from casadical.core import private_folder
+from casadical.core import file_locks
 from casadical.core.linear_gaussian.grid import NEGLIGIBLE, log_gain
 from casadical.core.transforms import frame, from_rpy
 from casadical.diagnosis import bootstrap
@@ -198,7 +198,7 @@ def test_candidates_of_one_setting_and_of_several_are_named_by_their_effect() ->
 
 def test_kept_formulas_are_known_to_who_clears_the_folder() -> None:
     path = KeptFormulas(seams_of(robot("ur10e"))).path
-    assert path is None or private_folder._KEPT.fullmatch(path.name)
+    assert path is None or file_locks._KEPT.fullmatch(path.name)
 
 
 def test_what_is_prepared_is_not_given_again() -> None:

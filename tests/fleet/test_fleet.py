@@ -21,10 +21,9 @@ from casadical import InputError, plot, read_robot
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.drawing import COLOURS
 from casadical.fleet.cluster import client_of, results
-from casadical.fleet.figures import APART, LABELS
 from casadical.fleet.hierarchy import Common, common_of, learnt
 from casadical.fleet.one_robot import NOTHING, fingerprint, one_robot
-from casadical.fleet.result import Fleet, fleet_of, name_of_type
+from casadical.fleet.result import APART, LABELS, Fleet, fleet_of, name_of_type
 from casadical.fleet.run import run_fleet
 from casadical.fleet.store import KEY, add, each, parts, records, rows
 

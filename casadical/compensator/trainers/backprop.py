@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from casadical.compensator.checksummed_json import pack, unpack
-from casadical.compensator.forward import forward, gradient
+from casadical.compensator.network import forward, gradient
 from casadical.compensator.task import Task, random_weights
 from casadical.compensator.trainers.base import Trainer
 from casadical.core.arrays import Array

@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from casadical.compensator.checksummed_json import pack, unpack
-from casadical.compensator.forward import forward, outputs_and_jacobian
+from casadical.compensator.network import forward, outputs_and_jacobian
 from casadical.compensator.task import Task
 from casadical.core.arrays import Array
 

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from casadical.compensator.checksummed_json import pack, unpack
-from casadical.compensator.forward import forward
+from casadical.compensator.network import forward
 from casadical.compensator.task import Task, random_weights, training_masks
 from casadical.compensator.trainers.base import Trainer
 from casadical.compensator.trainers.damped_least_squares import Batch, advance, begin_batch

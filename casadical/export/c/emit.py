@@ -11,8 +11,16 @@ from collections.abc import Callable
 from functools import cache
 from importlib.resources import files
 
-from casadical.export.c.coefficients import COEFFICIENTS, EXP_LIMIT, SQRT_GUESS, TAN_PI_8, Real, literal, turn_parts
-from casadical.export.c.periodic_table import TURNS
+from casadical.export.c.coefficients import (
+    COEFFICIENTS,
+    EXP_LIMIT,
+    SQRT_GUESS,
+    TAN_PI_8,
+    TURNS,
+    Real,
+    literal,
+    turn_parts,
+)
 from casadical.export.c.tape import Node, Tape
 
 _CALLS = ("sincos", "tansig", "exp", "sqrt", "atan2", "weighted_sum")

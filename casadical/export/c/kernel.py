@@ -12,8 +12,8 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import CasadicalError, InputError
+from casadical.core.file_locks import private_folder
 from casadical.core.files import write_whole
-from casadical.core.private_folder import private_folder
 from casadical.core.reading import read_bytes
 from casadical.core.subprocesses import COMPILE_SECONDS, TRIAL_SECONDS, finished, tried
 from casadical.export.c.coefficients import DTYPE, Real

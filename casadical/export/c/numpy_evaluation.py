@@ -16,11 +16,11 @@ from casadical.export.c.coefficients import (
     EXP_LIMIT,
     SQRT_GUESS,
     TAN_PI_8,
+    TURNS,
     Coefficients,
     Real,
     turn_parts,
 )
-from casadical.export.c.periodic_table import TURNS
 from casadical.export.c.tape import Tape
 
 

@@ -9,16 +9,15 @@ import textwrap
 from collections.abc import Iterable
 from functools import partial
 
+from casadical.export.c.c_language import self_test_inputs
 from casadical.export.c.c_source import box_share, boxes, command_numbers, joint_units
 from casadical.export.c.chord import look_size, prepared_size
-from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, Real, turn_parts
+from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, TURNS, Real, turn_parts
 from casadical.export.c.emit import constants, filled, template
-from casadical.export.c.language import Label, Language
-from casadical.export.c.periodic_table import TURNS
 from casadical.export.c.products import Command
 from casadical.export.c.reference import correct, network
+from casadical.export.c.registry import Label, Language
 from casadical.export.c.runs import WIDTH, Plan, plan_of
-from casadical.export.c.self_test import self_test_inputs
 from casadical.export.c.tape_program import TapeProgram, operations
 
 _ROWS = (0, 9, 10, 25)  # of the C's self-test: the middle, two random points, one outside the box

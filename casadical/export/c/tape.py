@@ -18,8 +18,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.sx_instructions import SxInstructions
-from casadical.export.c.coefficients import ANGLE_LIMIT, EXP_LIMIT
-from casadical.export.c.periodic_table import TABLE_LIMIT, periodic_tables
+from casadical.export.c.coefficients import ANGLE_LIMIT, EXP_LIMIT, TABLE_LIMIT, periodic_tables
 
 # Operations of CasADi that are operations of the tape, by the tape's name; what becomes several of the tape's.
 _PLAIN = {name: name for name in ("add", "sub", "mul", "div", "neg", "exp", "sqrt", "atan2", "fabs", "fmin", "fmax")}

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.export.c.c_language import comparison_inputs, functions, inside
 from casadical.export.c.kernel import WARNINGS, Compiler, Shape, build
 from casadical.export.c.products import mapped
 from casadical.export.c.reference import Status
-from casadical.export.c.self_test import comparison_inputs, functions, inside
 from casadical.export.c.tape_program import TapeProgram
 
 
