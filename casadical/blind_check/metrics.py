@@ -1,4 +1,4 @@
-"""The metrics of a blind check, each with its interval, of what was hidden beside what was answered; defined here alone.
+"""The metrics of a blind check, each with its interval, of what was hidden beside what was answered.
 
 Signal is the rms of a coordinate that the hidden effects add and the base model cannot absorb, over the instrument's
 noise. Detection, false alarms and FIA are counted as in the DX diagnosis competitions; the others are ours. Intervals

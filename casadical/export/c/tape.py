@@ -4,7 +4,7 @@ Equal operations on equal arguments are stored once, sines and cosines of one an
 recognised however it is written. Where an operation takes only some numbers (square root, exp, sine of a huge angle) a
 guard stands before it; what an interval analysis proves to be needless is removed (see intervals.py). A function that
 is called (CasADi's option `never_inline`) becomes a weighted sum for each of its outputs where it is a constant matrix
-times its input, else a table for each of them (see periodic_table.py). The C emitter and the NumPy evaluation both read
+times its input, else a table for each of them (see coefficients.py). The C emitter and the NumPy evaluation both read
 this list only.
 """
 
