@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from casadical.cli import options as o
-from casadical.cli.terminal import WORSE, html, keep, with_json, working, wrapped
+from casadical.cli.terminal import WORSE, html, keep, suggest, with_json, working, wrapped
 from casadical.core.telling.terminal import terminal
 
 Out = Annotated[
@@ -98,5 +98,7 @@ def calibrate(
     keep(texts, console)
     for source, tables in given.values() if len(given) == 1 else ():
         console.print(terminal([done[0].next_command(source, tables, kept=bool(out))]))
+    if len(given) > 1:
+        suggest(console, "to diagnose and compare them all", "fleet", *problems, "--store", "fleet.parquet")
     if not details:
         console.print("all parameters and figures: --details, --out DIR or --report FILE.html", style="dim")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from casadical.cli.options import Json, Quiet
-from casadical.cli.terminal import keep, with_json, working, wrapped
+from casadical.cli.terminal import keep, suggest, with_json, working, wrapped
 from casadical.core.telling.terminal import terminal
 
 
@@ -50,3 +51,7 @@ def certificate(
     console.print(terminal(found.blocks()))
     texts: dict[Path, str | bytes] = {out: found.pdf()} if out else {}
     keep(with_json(texts, json_file, found.to_json()), console)
+    if out is None:
+        suggest(console, "to have it as two pages", *sys.argv[1:], "--out", "certificate.pdf")
+    else:
+        suggest(console, "when some ten poses are measured again", "verify", results, "LATER.csv")

@@ -1,12 +1,13 @@
 """The command `casadical compare`."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from casadical.cli.options import Json, Quiet, Report
-from casadical.cli.terminal import NOT_VALID, html, keep, with_json, working, wrapped
+from casadical.cli.terminal import NOT_VALID, html, keep, suggest, with_json, working, wrapped
 from casadical.core.telling.terminal import terminal
 
 
@@ -60,5 +61,7 @@ def compare(
     if report_file:
         texts[report_file] = html([comparison.page(campaigns)])
     keep(with_json(texts, json_file, comparison.to_json()), console)
+    if not comparison.next:
+        suggest(console, "when it was measured again", *sys.argv[1:], "LATER.csv")
     if comparison.changed or comparison.unexplained:
         raise typer.Exit(NOT_VALID)

@@ -6,9 +6,7 @@ from typing import Annotated
 import typer
 
 from casadical.cli import options as o
-from casadical.cli.terminal import keep, plain, refuse_taken, with_json
-from casadical.core.telling.blocks import next_step
-from casadical.core.telling.terminal import terminal
+from casadical.cli.terminal import keep, plain, refuse_taken, suggest, with_json
 
 Model = Annotated[
     Path,
@@ -141,5 +139,6 @@ def correct(
         console.print(line)
     keep(with_json(made.files, json_file, made.figures), console)
     if model.is_file():
-        when = "when some ten poses were measured again"
-        console.print(terminal([next_step(when, "verify", model, "later.csv")]))
+        suggest(console, "when some ten poses were measured again", "verify", model, "later.csv")
+    else:
+        suggest(console, "for the next program", "correct", model, "next.csv", "--out", "next-corrected.csv")

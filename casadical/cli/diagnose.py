@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from casadical.cli import options as o
-from casadical.cli.terminal import DIAGNOSIS, html, keep, with_json, working, wrapped
+from casadical.cli.terminal import DIAGNOSIS, html, keep, suggest, with_json, working, wrapped
 from casadical.core.errors import shown
 from casadical.core.telling.blocks import next_step
 from casadical.core.telling.terminal import terminal
@@ -164,6 +164,11 @@ def diagnose(
     keep(with_json(texts, json_file, [answer.to_json() for answer in answers] if json_file else []), console)
     if len(answers) == 1 and out is None:
         console.print(terminal([_next_command(answers[0], problem, campaigns or ())]))
+    elif len(answers) == 1:
+        robot = next((path for path in texts if path.name == "diagnosed.robot.toml"), None)
+        suggest(console, "when it was measured again", "compare", robot or problem, "LATER.csv")
+    else:
+        suggest(console, "to learn what changed between them", "compare", problem, *(c.tables[0] for c in given))
     if not details:
         console.print("where it lies, how sure, what is left: --details, --out DIR or --report FILE.html", style="dim")
 
@@ -180,8 +185,7 @@ def _diagnose_logs(
             answers.append(campaign.diagnosed(path, show))
         console.print(terminal(answers[-1].blocks()))
         if answers[-1].verdict in ("ambiguous", "unknown"):
-            step = next_step("for a motion that tells more", "plan", problem, "--motion", path)
-            console.print(terminal([step]))
+            suggest(console, "for a motion that tells more", "plan", problem, "--motion", path)
         console.print()
         if out:
             texts |= answers[-1].files(out if len(campaign.logs) == 1 else out / path.name.partition(".")[0])
@@ -198,6 +202,11 @@ def _diagnose_logs(
     keep(
         with_json(texts, json_file, [{**answer.to_json(), **found} for answer in answers] if json_file else []), console
     )
+    robot = next((path for path in texts if path.name == "diagnosed.robot.toml"), None)
+    if robot:
+        suggest(console, "to have it as a model that moves", "export", "model", robot, "--out", "arm.xml")
+    elif out is None and answers[-1].verdict not in ("ambiguous", "unknown"):
+        suggest(console, "to keep what was found", *sys.argv[1:], "--out", "diagnosed")
 
 
 def _answered(

@@ -8,9 +8,7 @@ from typing import Annotated
 import typer
 
 from casadical.cli import options as o
-from casadical.cli.terminal import keep, plain, print_written, refuse_taken, with_json, working
-from casadical.core.telling.blocks import next_step
-from casadical.core.telling.terminal import terminal
+from casadical.cli.terminal import keep, plain, print_written, refuse_taken, suggest, with_json, working
 
 Robot = Annotated[
     Path,
@@ -176,8 +174,10 @@ def export_c(
     console.print(made.report())
     print_written(json_file, console)
     if what == "command":
-        step = next_step("to correct an offline program by it", "correct", out, "program.csv", "--out", "corrected.csv")
-        console.print(terminal([step]))
+        suggest(console, "to correct an offline program by it", "correct", out, "program.csv", "--out", "corrected.csv")
+    else:
+        suggest(console, "to have the correction of joint commands", "export", "c", robot, "--nominal", "robot.toml",
+                "--out", "c")  # fmt: skip
 
 
 def export_model(
@@ -224,3 +224,7 @@ def export_model(
     for line in made.lines:
         console.print(line)
     keep(with_json({out: made.text}, json_file, {"file": str(out), **made.figures}), console, {out: made.about})
+    if source.is_dir():
+        suggest(console, "to keep the robot file and its accuracy", "calibrate", source, "--out", "results")
+    else:
+        suggest(console, "when some ten poses are measured again", "verify", source, "LATER.csv")

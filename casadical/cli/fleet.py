@@ -1,12 +1,13 @@
 """The command `casadical fleet`."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from casadical.cli.options import Json, Quiet, Report
-from casadical.cli.terminal import html, keep, with_json, working, wrapped
+from casadical.cli.terminal import html, keep, suggest, with_json, working, wrapped
 from casadical.core.errors import shown
 from casadical.core.telling.terminal import terminal
 
@@ -72,3 +73,5 @@ def fleet(
     if report_file:
         texts[report_file] = html([robots.page()])
     keep(with_json(texts, json_file, robots.to_json()), console)
+    if not robots.next:
+        suggest(console, "when robots were measured again", *sys.argv[1:])

@@ -11,10 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from casadical.cli.options import Json, Quiet, Room, refuse_of_others
-from casadical.cli.terminal import keep_json, plain
+from casadical.cli.terminal import keep_json, plain, suggest
 from casadical.core.errors import InputError
-from casadical.core.telling.blocks import next_step
-from casadical.core.telling.terminal import terminal
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -122,8 +120,9 @@ def measure(
         keep_json(json_file, session.state(), console)
     if finish:
         console.print(finished(session))
+        suggest(console, "to learn what is left", "diagnose", folder)
     else:
-        console.print(terminal([next_step("to look for slips before a calibration", "check", folder)]))
+        suggest(console, "to look for slips before a calibration", "check", folder)
 
 
 def _language(word: str) -> ProgramLanguage:

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from casadical.cli.options import Json, Quiet, refuse_of_others
-from casadical.cli.terminal import print_written, with_json, wrapped
+from casadical.cli.terminal import print_written, suggest, with_json, wrapped
 from casadical.core.errors import InputError
-from casadical.core.telling.blocks import next_step
 from casadical.core.telling.terminal import terminal
 
 if TYPE_CHECKING:
@@ -107,7 +106,7 @@ def new(
     console.print(f"{folder}: {problem.robot.name}, {problem.robot.n} joints, {problem.origin}", soft_wrap=True)
     for path in files:
         console.print(f"wrote {path}", soft_wrap=True)
-    console.print(terminal([next_step("to look for slips before a calibration", "check", folder)]))
+    suggest(console, "to look for slips before a calibration", "check", folder)
     print_written(json_file, console)
 
 

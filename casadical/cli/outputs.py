@@ -27,6 +27,8 @@ _OURS = (
     {"changed", "changes", "campaigns"}, {"fleet", "robots", "types"}, {"robot", "fields", "readings"},
     {"certificate", "decision"}, {"dAP_mm", "poses"}, {"touches", "verdict"},
 )  # fmt: skip
+# Commands that leave out rows with a cell that is no number.
+LATER = ("verify", "compare", "measure")
 _MEASURED = {"x_mm", "x_m", "y_mm", "y_m", "z_mm", "z_m"}
 
 
@@ -48,7 +50,13 @@ def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[.
         files = [paths[name] for name in outputs if name in paths and name not in folders]
         _check(files, into, inputs, given.get("overwrite"))
         with claimed(into):
-            return command(**given)
+            try:
+                return command(**given)
+            except InputError as error:
+                from casadical.project.faults import every_fault
+
+                later = command.__name__ in LATER
+                raise every_fault(error, [] if command.__name__ == "new" else inputs, later=later) from None
 
     return run
 

@@ -23,9 +23,8 @@ from casadical.cli.options import (
     refuse_of_others,
 )
 from casadical.cli.options import effects as effect_words
-from casadical.cli.terminal import PLAN, keep, keep_json, with_json, working, wrapped
+from casadical.cli.terminal import PLAN, keep, keep_json, suggest, with_json, working, wrapped
 from casadical.core.errors import InputError, shown
-from casadical.core.telling.blocks import next_step
 from casadical.core.telling.terminal import terminal
 
 if TYPE_CHECKING:
@@ -224,10 +223,11 @@ def _calibration(
     keep(with_json(planned.files(place) if place else {}, json_file, planned.to_json()), console)
     if place:
         tables = (*([measured] if measured else []), place)
-        step = next_step("when what was measured stands beside these readings", "calibrate", problem, *tables)
-        console.print(terminal([step]))
+        suggest(console, "when what was measured stands beside these readings", "calibrate", problem, *tables)
     elif (enough := planned.forecast.stop()) is not None:
-        console.print(terminal([next_step("to choose so many", *sys.argv[1:], "-n", enough)]))
+        suggest(console, "to choose so many", *sys.argv[1:], "-n", enough)
+    else:
+        suggest(console, "to choose as many as you can measure", *sys.argv[1:], "-n", 100)
 
 
 def _motion(
@@ -245,6 +245,7 @@ def _motion(
         proposal = campaign.proposed(effects.split(",") if effects else (), show)
     console.print(terminal(proposal.blocks()))
     keep(with_json(proposal.files(out), json_file, proposal.to_json()), console)
+    suggest(console, "when it was logged", "diagnose", problem, log, "LOGGED.csv")
 
 
 def _iso9283(problem: Path, out: Path, cube_mm: float | None, room: Path | None, seed: int, quiet: bool) -> None:
@@ -257,6 +258,7 @@ def _iso9283(problem: Path, out: Path, cube_mm: float | None, room: Path | None,
         words, table = iso9283_plan(problem, cube_mm, room, seed)
     console.print(terminal(words))
     keep({out: table.to_csv(index=False)}, console)
+    suggest(console, "when it was measured", "verify", "RESULTS", out, "--iso9283")
 
 
 def _isolability(
@@ -273,6 +275,7 @@ def _isolability(
         console.print(text, soft_wrap=True)
         console.print()
     keep_json(json_file, answers, console)
+    suggest(console, "for poses that tell effects apart", "plan", problem, "-n", 60)
 
 
 def _places(wires: int | None, sockets: int | None, candidates: Path | None, known: bool) -> Places | None:

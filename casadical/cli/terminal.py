@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, Task, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from casadical.core.errors import FaultsError, InputError, shown
+from casadical.core.errors import MOST_FAULTS, FaultsError, InputError, shown
 from casadical.core.files import json_text, write_together
 from casadical.core.progress import Show
 
@@ -35,18 +35,23 @@ def refusal(error: object) -> None:
         rows = [
             (f.source, f"{', '.join(map(str, f.rows[:NAMED]))}{' ...' * (len(f.rows) > NAMED)}", f.column, f.value,
              f.allowed or f.wrong, f.remedy)
-            for f in error.faults
+            for f in error.faults[:MOST_FAULTS]
         ]  # fmt: skip
         columns = ("file", "rows", "column", "value", "allowed", "what to do")
         title = f"casadical: {len(error.faults)} faults of the input; of each the worst value and its row first"
         width = None if sys.stderr.isatty() else WIDE
         Console(stderr=True, width=width, markup=False, emoji=False).print(terminal([Table(title, columns, rows)]))
-        return
-    lines = f"casadical: {error}".splitlines()
+        left = max(0, MOST_FAULTS - len(error.faults))
+        more = len(error.faults) + len(error.others) - len(rows) - len(error.others[:left])
+        lines = [line for text in error.others[:left] for line in text.splitlines()]
+        lines += [f"and {more} more"] if more else []
+    else:
+        lines = f"casadical: {error}".splitlines()
     if sys.stderr.isatty():
         width = shutil.get_terminal_size().columns
         lines = [part for line in lines for part in textwrap.wrap(line, width, break_long_words=False) or [""]]
-    print("\n".join(lines), file=sys.stderr)  # noqa: T201
+    if lines:
+        print("\n".join(lines), file=sys.stderr)  # noqa: T201
 
 
 def as_text(figures: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> str:
@@ -93,6 +98,14 @@ def keep(texts: Mapping[Path, Any], console: Console, about: Mapping[Path, str] 
     write_together(texts)
     for path in texts:
         print_written(path, console, (about or {}).get(path, ""))
+
+
+def suggest(console: Console, purpose: str, command: str, *arguments: object) -> None:
+    """Print the one command to go on with; see `next_step`."""
+    from casadical.core.telling.blocks import next_step
+    from casadical.core.telling.terminal import terminal
+
+    console.print(terminal([next_step(purpose, command, *arguments)]))
 
 
 def print_written(path: Path | None, console: Console, about: str = "") -> None:

@@ -9,7 +9,18 @@ from typing import Annotated, Any
 import typer
 
 from casadical.cli.options import Effects, Json, Quiet, Report, Room, effects_of, refuse_of_others
-from casadical.cli.terminal import DIAGNOSIS, NOT_VALID, html, keep, keep_json, plain, with_json, working, wrapped
+from casadical.cli.terminal import (
+    DIAGNOSIS,
+    NOT_VALID,
+    html,
+    keep,
+    keep_json,
+    plain,
+    suggest,
+    with_json,
+    working,
+    wrapped,
+)
 from casadical.core.errors import InputError
 from casadical.core.telling.terminal import terminal
 
@@ -158,6 +169,8 @@ def verify(
         found = verification.iso9283(robot, tables)
         console.print(terminal(found.blocks()))
         keep_json(json_file, found.to_json(), console)
+        folder = robot if robot.is_dir() else robot.parent
+        suggest(console, "to put it into a certificate", "certificate", folder, "--iso9283", tables[0])
         return
     with working(quiet, "fitting base and tool", tables[0].name):
         checked = verification.verify(robot, tables, promised_mm)
@@ -180,6 +193,7 @@ def _plan_touches(
         "put x_mm, y_mm, z_mm into a copy whose name has the day (2026-03-14.csv), and give the copies to this command."
     )
     keep({out: table.to_csv(index=False)}, console)
+    suggest(console, "when they were touched", "verify", robot, "DAY.csv", "--touches", n)
 
 
 def _touched(
@@ -236,3 +250,5 @@ def _replay(
         if out:
             texts |= {out / f"{campaign.name}.{k}.xml": s.export.text for k, s in enumerate(replayed.stages)}
     keep(with_json(texts, json_file, answers), console)
+    of_campaign = ("--campaign", tables[0]) if tables else ()
+    suggest(console, "to keep it as a model", "export", "model", problem, "--out", "arm.xml", *of_campaign)

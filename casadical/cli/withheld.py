@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from casadical.cli.options import Json, Quiet
-from casadical.cli.terminal import keep_json, print_written, with_json, working, wrapped
+from casadical.cli.terminal import keep_json, print_written, suggest, with_json, working, wrapped
 from casadical.core.errors import InputError
 from casadical.core.progress import Show
 
@@ -77,6 +77,10 @@ def withheld_robot(
     console = wrapped(quiet)
     console.print(terminal(checked.blocks()))
     keep_json(json_file, checked.to_json(), console)
+    if poses.isdigit():
+        suggest(console, "to choose these poses", "plan", robot, "-n", poses)
+    else:
+        suggest(console, "to learn which effects look alike at these poses", "plan", robot, poses, "--isolability")
 
 
 def withheld_make(
@@ -130,6 +134,7 @@ def withheld_make(
     console.print(f"wrote {len(made.campaigns)} campaigns to {out}, their key to {place}", soft_wrap=True)
     console.print(f"sha256 of the key: {made.key_sha256}", soft_wrap=True)
     print_written(json_file, console)
+    suggest(console, "to have them diagnosed", "withheld", "predict", out)
 
 
 def _whole(text: str) -> tuple[int, ...]:
@@ -172,6 +177,8 @@ def withheld_predict(
         raise typer.Exit(INTERRUPTED) from None
     console = wrapped(quiet)
     console.print(f"wrote {path}", soft_wrap=True)
+    usual = folder.with_name(f"{folder.resolve().name}-key")
+    suggest(console, "to count what is right", "withheld", "score", folder, usual if usual.is_dir() else "KEYDIR", path)
     keep_json(json_file, {"answers": str(path), "by": by}, console)
 
 
@@ -204,3 +211,5 @@ def withheld_score(
     if figure:
         draw_confusion(scores[0], figure)
         console.print(f"wrote {figure}", soft_wrap=True)
+    if len(answers) == 1 and scores[0].head.by != "f-test":
+        suggest(console, "for an F test on the same campaigns", "withheld", "predict", folder, "--by", "f-test")

@@ -48,6 +48,12 @@ class Fault:
     allowed: str
     remedy: str
 
+    def within(self, other: "Fault") -> bool:
+        """Whether another one says the same of more rows."""
+        return {*self.rows} < {*other.rows} and (self.source, self.column, self.wrong, self.allowed) == (
+            other.source, other.column, other.wrong, other.allowed,
+        )  # fmt: skip
+
     def __str__(self) -> str:
         if not self.rows:
             return f"{self.source}: column {self.column} {self.wrong}; {self.remedy}"
@@ -57,27 +63,42 @@ class Fault:
 
 
 class FaultsError(InputError):
-    """All faults of tables that were found at once."""
+    """All faults of files that were found at once.
 
-    def __init__(self, faults: Sequence[Fault]) -> None:
-        more = [f"and {len(faults) - MOST_FAULTS} more"] if len(faults) > MOST_FAULTS else []
-        super().__init__("\n".join([*map(str, faults[:MOST_FAULTS]), *more]))
-        self.faults = tuple(faults)
+    faults : of tables; others : in words, what else is wrong, each of one file
+    """
+
+    def __init__(self, faults: Sequence[Fault], others: Sequence[str] = ()) -> None:
+        told = [*map(str, faults), *others]
+        more = [f"and {len(told) - MOST_FAULTS} more"] if len(told) > MOST_FAULTS else []
+        super().__init__("\n".join([*told[:MOST_FAULTS], *more]))
+        self.faults, self.others = tuple(faults), tuple(others)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.faults,)
+        return type(self), (self.faults, self.others)
+
+    @staticmethod
+    def of(errors: Iterable[InputError]) -> InputError:
+        """Several errors as one, each fault once; of the same in fewer rows of the same column, that of most rows."""
+        told = list(errors)
+        faults = list(dict.fromkeys(f for e in told if isinstance(e, FaultsError) for f in e.faults))
+        files = list(dict.fromkeys(f.source for f in faults))
+        kept = sorted((f for f in faults if not any(map(f.within, faults))), key=lambda f: files.index(f.source))
+        others = [t for e in told for t in (e.others if isinstance(e, FaultsError) else [str(e)])]
+        found = FaultsError(kept, list(dict.fromkeys(others)))
+        return told[0] if len(told) == 1 or str(found) == str(told[0]) else found
 
 
 def all_faults(steps: Iterable[Callable[[], object]]) -> None:
-    """Takes several steps; their faults are raised together (FaultsError), any other error at once."""
-    faults: list[Fault] = []
+    """Takes several steps; their errors are raised together. Raises InputError."""
+    errors: list[InputError] = []
     for step in steps:
         try:
             step()
-        except FaultsError as error:
-            faults += error.faults
-    if faults:
-        raise FaultsError(list(dict.fromkeys(faults)))
+        except InputError as error:
+            errors.append(error)
+    if errors:
+        raise FaultsError.of(errors)
 
 
 class ConvergenceError(CasadicalError, RuntimeError):

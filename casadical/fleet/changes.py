@@ -208,7 +208,7 @@ class Comparison(Result):
 
     @property
     def next(self) -> tuple[Words, ...]:
-        """What to do now, where something changed or is not clear, and the last campaign is a table."""
+        """What to do now, where the last campaign is a table, or nothing changed."""
         if self.sources and self.changed:
             return (next_step("to calibrate it as it is now", "calibrate", *self.sources, "--out", "results"),)
         if self.sources and self.unexplained:

@@ -26,6 +26,7 @@ from casadical.measurements.measurements import SETS, Measurements
 from casadical.measurements.raw_table import RawTable
 from casadical.measurements.reading import from_columns, readings_alone, refuse_open
 from casadical.measurements.table_parts import read_columns
+from casadical.project.faults import every_fault
 from casadical.project.problem_file import (
     BaseMethod,
     DataTable,
@@ -36,12 +37,13 @@ from casadical.project.problem_file import (
     base_methods,
     file_with_tables,
     problem_file,
+    robot_of_file,
     table_like,
     tables_of,
 )
 from casadical.project.robot_columns import refuse_nameless, understood, with_coupled, with_known_targets
 from casadical.robot.robot import Robot
-from casadical.robot.robot_file import read_robot, with_tools
+from casadical.robot.robot_file import read_robot
 
 # Puts into a robot what another campaign found, and says how well that is known.
 Carried = Callable[[Robot], tuple[Robot, Prior | None]]
@@ -175,7 +177,14 @@ def read_problem(
     >>> {name: len(m) for name, m in problem.parts()}
     {'identify': 25, 'report': 15}
     """
-    folder = Path(folder)
+    try:
+        return _problem(Path(folder), seed, carried, tables, campaign)
+    except InputError as error:
+        raise every_fault(error, [Path(folder), *map(Path, tables)]) from None
+
+
+def _problem(folder: Path, seed: int | None, carried: Carried, tables: Sequence[str | Path], campaign: bool) -> Problem:
+    """As `read_problem`; its errors are those of the first file that is not usable."""
     file, path = file_with_tables(folder, tables), folder / "problem.toml"
     if not file.measurements and file.logs:
         raise InputError(f"{path}: holds joint logs, no measured poses; take casadical diagnose {shown(folder)}")
@@ -185,7 +194,7 @@ def read_problem(
             "after the folder"
         )
     place, urdf = folder / (file.of_campaigns if campaign else file.robot), file.urdf or UrdfTable()
-    robot, prior = carried(replace(_read_robot(place, urdf), sessions=file.sessions.sessions()))
+    robot, prior = carried(replace(robot_of_file(place, urdf), sessions=file.sessions.sessions()))
     sets = file.sets if seed is None else file.sets.model_copy(update={"seed": seed})
     split: dict[str, list[Measurements]] = {}
     whole: list[Measurements] = []
@@ -237,22 +246,13 @@ def read_campaign_robot(folder: str | Path) -> Robot:
     'Planar arm of two links'
     """
     folder = Path(folder)
-    return _read_robot(folder, UrdfTable()) if folder.is_file() else _robot_of(folder, campaign=True)
+    return robot_of_file(folder, UrdfTable()) if folder.is_file() else _robot_of(folder, campaign=True)
 
 
 def _robot_of(folder: Path, campaign: bool) -> Robot:
     file = problem_file(folder)
     name = file.of_campaigns if campaign else file.robot
-    return replace(_read_robot(folder / name, file.urdf or UrdfTable()), sessions=file.sessions.sessions())
-
-
-def _read_robot(path: Path, urdf: UrdfTable) -> Robot:
-    if path.suffix == ".urdf":
-        from casadical.robot.urdf import read_urdf
-
-        robot = read_urdf(path, urdf.base_link, urdf.tip_link, compliant=urdf.compliant)
-        return with_tools(robot, urdf.tool) if urdf.tool else robot
-    return read_robot(path)
+    return replace(robot_of_file(folder / name, file.urdf or UrdfTable()), sessions=file.sessions.sessions())
 
 
 def read_problem_logs(folder: str | Path, robot: Robot) -> dict[str, tuple[JointLog, ...]]:

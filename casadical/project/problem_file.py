@@ -22,6 +22,8 @@ from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.measurements import SETS
 from casadical.measurements.raw_table import RawTable
 from casadical.measurements.table_parts import read_columns
+from casadical.robot.robot import Robot
+from casadical.robot.robot_file import read_robot, with_tools
 from casadical.robot.robot_schema import ToolTable
 
 BaseMethod = Literal["KM", "SKCM"]
@@ -142,6 +144,16 @@ class UrdfTable(_Strict):
     tip_link: str | None = None
     compliant: list[int] = []
     tool: list[ToolTable] = []
+
+
+def robot_of_file(path: Path, urdf: UrdfTable) -> Robot:
+    """A robot from its file, of a URDF with what problem.toml says of it. Raises InputError."""
+    if path.suffix == ".urdf":
+        from casadical.robot.urdf import read_urdf
+
+        robot = read_urdf(path, urdf.base_link, urdf.tip_link, compliant=urdf.compliant)
+        return with_tools(robot, urdf.tool) if urdf.tool else robot
+    return read_robot(path)
 
 
 def as_toml(source: Source) -> Any:

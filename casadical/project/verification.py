@@ -113,13 +113,15 @@ class Verification(Result):
 
     @property
     def next(self) -> tuple[Words, ...]:
-        """What to do now, where something is to be done."""
+        """What to do now."""
+        robot, *tables = self.sources
+        if self.valid and problem_of(robot):
+            return (next_step("to state how accurate it is", "certificate", robot.parent),)
         if self.valid:
-            return ()
+            return (next_step("when some ten poses are measured again", "verify", robot, "LATER.csv"),)
         few = len(self.far) <= max(1, FEW * self.n)
         if few and self.without is not None and self.without <= self.limit:
             return (next_step("when the rows that are far off are measured again", "verify", *self.sources),)
-        robot, *tables = self.sources
         return (next_step("to learn what changed", "compare", problem_of(robot) or robot, *tables),)
 
     def to_json(self) -> dict[str, Any]:

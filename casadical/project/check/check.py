@@ -200,7 +200,7 @@ def _plausible(
 
 
 def _faults(error: InputError, topic: str) -> list[Finding]:
-    faults = error.faults if isinstance(error, FaultsError) else [error]
+    faults = [*error.faults, *error.others] if isinstance(error, FaultsError) else [error]
     return [Finding("error", topic, str(fault)) for fault in faults]
 
 

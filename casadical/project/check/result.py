@@ -92,10 +92,10 @@ class Precheck(Result):
         known = self.wrong_names or (self.targets and self.targets.which is not None)
         if not self.tables and (known or (self.slips and self.slips.explains)):
             return (next_step("to write the best repair and see what it changes", "check", self.folder, "--repair"),)
-        return ()
+        return (next_step("when this is corrected", "check", self.folder, *self.tables),)
 
     def _head(self) -> Iterator[Words]:
-        yield Words(f"{self.folder.name}: {self._verdict()}", "verdict")
+        yield Words(f"{self.folder.resolve().name}: {self._verdict()}", "verdict")
         if self.title:
             sets = ", ".join(f"{name} {n}" for name, n in self.poses)
             yield Words(f"{self.title}; {self.robot}; poses: {sets}")

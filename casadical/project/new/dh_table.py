@@ -12,13 +12,14 @@
 
 import math
 from collections.abc import Collection, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from casadical.core.errors import InputError
+from casadical.core.errors import FaultsError, InputError, all_faults
 from casadical.measurements.headings import words_of
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.measurements.vocabulary import UNITS, WORDS
@@ -37,14 +38,22 @@ def robot_text(path: Path, name: str, convention: str) -> str:
     if convention not in ("modified", "standard"):
         raise InputError(f"--convention {convention}: not known; allowed: modified, standard")
     table = read_table(path)
-    _refuse_no_numbers(table)
-    frame, said = with_our_names(table, _KNOWN)
-    if not set(frame) & set(_ROW):
-        raise InputError(f"{path.name}: no DH number found; columns are a_mm, alpha_deg, d_mm, theta_deg")
-    rows = [
-        _row({str(key): value for key, value in row.items()}, f"{path.name}: row {line}")
-        for line, row in zip(table.line, frame.to_dict("records"), strict=True)
-    ]
+    rows: list[str] = []
+    said: list[str] = []
+
+    def add(row: Mapping[str, Any], where: str) -> None:
+        rows.append(_row(row, where))
+
+    def read() -> None:
+        frame, how = with_our_names(table, _KNOWN)
+        said.extend(how)
+        if not set(frame) & set(_ROW):
+            raise InputError(f"{path.name}: no DH number found; columns are a_mm, alpha_deg, d_mm, theta_deg")
+        records = [{str(key): value for key, value in row.items()} for row in frame.to_dict("records")]
+        where = [f"{path.name}: row {line}" for line in table.line]
+        all_faults(partial(add, *row) for row in zip(records, where, strict=True))
+
+    all_faults([partial(_refuse_no_numbers, table), read])
     head = ROBOT_HEAD.format(name=name.replace('"', "'"), convention=convention, table=path.name.replace('"', "'"))
     understood = "".join(f"# {words}\n" for words in said)
     return head + understood + "\n" + "\n".join(rows)
@@ -52,15 +61,24 @@ def robot_text(path: Path, name: str, convention: str) -> str:
 
 def _refuse_no_numbers(table: RawTable) -> None:
     """Raises InputError for a cell that says it is no number (nan, NA, inf); an empty one is left out."""
+    told = []
     lost = table.frame.replace([math.inf, -math.inf], math.nan).isna().to_numpy()
     for k, (line, cells) in enumerate(zip(table.line, table.cells, strict=True)):
         for column, (name, cell) in enumerate(zip(table.header, cells, strict=False)):
             if cell.strip() and lost[k, column]:
-                raise InputError(f"{table.path.name}: row {line}, column {name!r}: {cell!r} is not a finite number")
+                told.append(f"{table.path.name}: row {line}, column {name!r}: {cell!r} is not a finite number")
+    if told:
+        raise FaultsError((), told)
 
 
 def _row(row: Mapping[str, Any], where: str) -> str:
-    numbers = {key: _number(row, key, where) for key in (*_ROW, *_ENDS, *_BODY, "stiffness_Nm_per_rad") if key in row}
+    numbers: dict[str, float | None] = {}
+    keys = [key for key in (*_ROW, *_ENDS, *_BODY, "stiffness_Nm_per_rad") if key in row]
+
+    def read(key: str) -> None:
+        numbers[key] = _number(row, key, where)
+
+    all_faults(partial(read, key) for key in keys)
     given = {key: value for key, value in numbers.items() if value is not None}
     lines = ["[[joint]]"]
     kind = _word(row, "type")
@@ -116,7 +134,9 @@ def with_our_names(table: RawTable, known: Collection[str]) -> tuple[pd.DataFram
     stems = {name: _stem(name) for name in table.header if name not in known}
     unknown = [name for name, stem in stems.items() if not stem]
     if unknown:
-        raise InputError(f"{table.path.name}: column {unknown[0]!r} is not known; allowed: {', '.join(known)}")
+        several = "is" if len(unknown) == 1 else "are"
+        names = ", ".join(map(repr, unknown))
+        raise InputError(f"{table.path.name}: column {names} {several} not known; allowed: {', '.join(known)}")
     below = dict(zip(table.header, table.form.units, strict=False))
     units = {name: words_of(name)[1] or below.get(name, "") for name in stems}
     made: dict[str, pd.Series] = {name: frame[name] for name in table.header if name in known}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from casadical.core.errors import InputError
+from casadical.core.errors import InputError, all_faults
 from casadical.core.estimated_masses import with_estimated_masses, without_masses
 from casadical.core.files import claimed, write_together
 from casadical.core.reading import read_bytes, read_text
@@ -63,8 +63,13 @@ def new_problem(
     if data and not (urdf or dh):
         raise InputError("--data needs the robot that was measured; give --urdf or --dh as well")
     name = folder.resolve().name
-    texts, robot = _robot_files(name, urdf, base_link, tip_link, dh, convention)
-    given = read_table(data) if data else None
+    robots: list[tuple[dict[str, str | bytes], Robot]] = []
+    tables: list[RawTable | None] = []
+    all_faults([
+        lambda: robots.append(_robot_files(name, urdf, base_link, tip_link, dh, convention)),
+        lambda: tables.append(read_table(data) if data else None),
+    ])  # fmt: skip
+    (texts, robot), given = robots[0], tables[0]
     found = _understood(given, robot, ask, show) if given else Given()
     if len(found.tools) > 1 and show:
         place, listed = "problem.toml" if urdf else "robot.toml", ", ".join(found.tools)

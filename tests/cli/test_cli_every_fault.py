@@ -1,0 +1,64 @@
+"""One refusal tells all faults of all files that a command was given: robot file, problem.toml and every table."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+from command_line import ROOT, run
+
+from casadical import InputError, read_problem
+
+GOOD = (ROOT / "data" / "planar" / "planar.csv").read_text().splitlines()
+
+
+def broken(folder: Path) -> Path:
+    """A problem each of whose files has faults, and a second table."""
+    shutil.copytree(ROOT / "problems" / "planar", folder)
+    (folder / "poses.csv").write_text("\n".join([*GOOD[:3], "999,1,1,2,x", *GOOD[4:], "170.5,1,2,3,4"]))
+    (folder / "second.csv").write_text("\n".join([*GOOD[:7], "1,2,,3,4", *GOOD[8:]]))
+    problem = (folder / "problem.toml").read_text().replace("../../data/planar/planar.csv", "poses.csv")
+    (folder / "problem.toml").write_text(f"color = 3\n{problem}".replace('"KM"', '"KMX"'))
+    robot = (folder / "robot.toml").read_text()
+    (folder / "good.toml").write_text(robot.replace("[-180, 180]", "[-170, 170]"))
+    (folder / "robot.toml").write_text(robot.replace("a_mm = 400", 'a_mm = "400"'))
+    return folder
+
+
+@pytest.mark.parametrize("command", ["calibrate", "diagnose"])
+def test_every_file_is_told_of_at_once(tmp_path: Path, command: str) -> None:
+    broken(tmp_path / "arm")
+    for tables, expected in (([], ["poses.csv", "4", "z_mm"]), (["arm/second.csv"], ["second.csv", "8", "x_mm"])):
+        done = run(command, "arm", *tables, folder=tmp_path)
+        assert done.returncode == 2
+        told = done.stderr.replace("'", "").replace(",", "")
+        assert all(word in told for word in expected), done.stderr
+        assert "methods[1] = 'KMX'" in done.stderr
+        assert "color = 3: not a known key" in done.stderr
+        assert "joint[2].a_mm = '400': must be a valid number" in done.stderr
+        assert len(done.stderr.splitlines()) < 60
+
+
+def test_python_and_check_tell_the_same(tmp_path: Path) -> None:
+    folder = broken(tmp_path / "arm")
+    (folder / "robot.toml").write_text((folder / "good.toml").read_text())
+    with pytest.raises(InputError) as refused:
+        read_problem(folder)
+    text = str(refused.value)
+    told = ["problem.toml: 2 fault(s)", "row 4, column 'z_mm': 'x'", "row 42, column 'q1': 170.5 deg is outside"]
+    assert all(line in text for line in told), text
+    assert text.count("row 4, column 'z_mm'") == 1
+    done = run("check", folder)
+    said = " ".join(done.stdout.split())
+    assert "NOT READY, 3 errors" in said
+    assert all(line in said for line in told), said
+
+
+def test_robot_table_and_poses_of_a_new_problem_are_told_at_once(tmp_path: Path) -> None:
+    (tmp_path / "dh.csv").write_text("a_mm,alpha_deg,d_mm,theta_deg\n0,0,NA,0\n0,x,400,nan\n")
+    (tmp_path / "poses.csv").write_text("")
+    done = run("new", "arm", "--dh", "dh.csv", "--data", "poses.csv", folder=tmp_path)
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 4
+    for told in ("row 2, column 'd_mm': 'NA'", "row 3, column 'theta_deg'", "column 'alpha_deg': 'x'", "it is empty"):
+        assert told in done.stderr
+    assert not (tmp_path / "arm").exists()
