@@ -82,7 +82,8 @@ def calibrate(
                 work.calibrate(source, method=method, loss=loss, seed=seed, carried=known, tables=tables, show=show)
             )
         console.print(terminal(done[-1].blocks() if details else done[-1].brief()))
-        console.print()
+        if len(given) == 1 or len(done) < len(given) or out:
+            console.print()
         if out:
             texts |= done[-1].files(out if len(given) == 1 else out / name)
     worse = [f"{name}: {c.worse}" for name, c in zip(given, done, strict=True) if c.worse]
@@ -100,5 +101,5 @@ def calibrate(
         console.print(terminal([done[0].next_command(source, tables, kept=bool(out))]))
     if len(given) > 1:
         suggest(console, "to diagnose and compare them all", "fleet", *problems, "--store", "fleet.parquet")
-    if not details:
+    if not details and len(given) == 1:
         console.print("all parameters and figures: --details, --out DIR or --report FILE.html", style="dim")

@@ -275,7 +275,7 @@ def _isolability(
         console.print(text, soft_wrap=True)
         console.print()
     keep_json(json_file, answers, console)
-    suggest(console, "for poses that tell effects apart", "plan", problem, "-n", 60)
+    suggest(console, "for poses that distinguish effects", "plan", problem, "-n", 60)
 
 
 def _places(wires: int | None, sockets: int | None, candidates: Path | None, known: bool) -> Places | None:

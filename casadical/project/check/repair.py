@@ -17,6 +17,7 @@ from casadical.core.errors import InputError
 from casadical.core.files import write_together
 from casadical.core.reading import load_toml, read_text
 from casadical.measurements.column_map import Source
+from casadical.measurements.columns import ORIENTATION
 from casadical.measurements.raw_table import read_table
 from casadical.project.check.result import Precheck
 from casadical.project.check.slip_fit import Fit
@@ -132,6 +133,11 @@ def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
     given = {str(ours): Source.read(theirs) for ours, theirs in dict(table.get("columns", {})).items()}
     known = {**understood(raw, robot, given, table.get("kind")).sources, **given}
     columns = {**known, **repaired_columns(fit, robot, {**{n: Source(n) for n in raw.header}, **known})}
+    # Which number of a quaternion is which was told by readings with the slip: they tell it again.
+    others = {ours: source for ours, source in columns.items() if not re.fullmatch(ORIENTATION, ours)}
+    meaning = understood(raw, robot, others, table.get("kind"))
+    again = {ours: source for ours, source in meaning.sources.items() if re.fullmatch(ORIENTATION, ours)}
+    columns = columns if meaning.questions or not again else {**others, **again}
     texts: dict[Path, str] = {}
     if columns != known:
         made = tomlkit.table()

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from casadical import InputError, calibrate, compare_files, read_measurements, read_problem
 from casadical.measurements.raw_table import read_table
 from casadical.project.check import precheck
+from casadical.project.check.repair import repaired
 from casadical.project.new import new_problem
 from casadical.project.problem import read_campaign, read_campaign_robot
 
@@ -85,6 +86,19 @@ def test_an_orientation_is_read_as_it_was_measured_and_makes_the_tools_pose_unkn
     assert m.orientation is not None
     np.testing.assert_allclose(m.orientation, R.as_matrix(), atol=1e-6)
     assert m.unused == ()
+
+
+@pytest.mark.parametrize("form", ["numbered, w first", "numbered, w last", "by columns", "UR", "rx ry rz, new axes"])
+def test_what_an_orientation_is_is_asked_again_when_the_readings_are_repaired(form: str, tmp_path: Path) -> None:
+    """With a joint that counts the other way no form fits the robot, and the first choice may be the wrong one."""
+    _, _, R = poses()
+    data = table(**FORMS[form](R))
+    arm = folder_of(tmp_path, data.assign(**{J[2]: -data[J[2]]}))
+    assert repaired(precheck(arm))
+    assert precheck(arm).ok
+    whole = read_campaign(arm, arm / "poses.csv", read_problem(arm).robot)
+    assert whole.orientation is not None
+    np.testing.assert_allclose(whole.orientation, R.as_matrix(), atol=1e-6)
 
 
 def test_a_table_of_camera_poses_is_calibrated_from_a_urdf_with_and_without_a_folder(tmp_path, monkeypatch, capfd):  # type: ignore[no-untyped-def]
