@@ -11,20 +11,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from casadical.blind_check import protocol
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, Plant
 from casadical.blind_check.mujoco_physics.table import MEASURED, TRUE
 from casadical.blind_check.prediction import nominal
-from casadical.blind_check.protocol import (
-    KEY,
-    MANIFEST,
-    ROBOTS,
-    CampaignEntry,
-    HiddenEffect,
-    Key,
-    Manifest,
-    Secret,
-    sha256,
-)
 from casadical.blind_check.recording import COLUMNS, MUJOCO, POSES, Plan, Record, Simulator, Subject, draw_plans, record
 from casadical.blind_check.worker_pool import completed, workers
 from casadical.core.arrays import Array
@@ -80,7 +70,7 @@ class Campaign:
     name: str
     seen: str
     unseen: str
-    secret: Secret
+    secret: protocol.Secret
 
 
 def make(
@@ -93,8 +83,8 @@ def make(
     project: str | Path = ".",
     executor: Executor | None = None,
     show: Callable[[str, int, int], None] = lambda _text, _done, _all: None,
-    also: Callable[[Manifest], Mapping[Path, str]] = lambda _: {},
-) -> Manifest:
+    also: Callable[[protocol.Manifest], Mapping[Path, str]] = lambda _: {},
+) -> protocol.Manifest:
     """Write n campaigns to a folder and their key to another, and publish the key's hash with the campaigns.
 
     seed : of everything drawn, kept in the key; by default a random one, which a real test needs
@@ -117,22 +107,23 @@ def make(
         for done, campaign in enumerate(completed(pool, campaign_of, tasks), 1):
             made[campaign.name] = campaign
             show(campaign.name, done, len(todo))
-    inside = Key(
+    inside = protocol.Key(
         salt=hashlib.sha256(f"casadical withheld {seed}".encode()).hexdigest(),
         seed=seed,
         reality="mujoco",
         versions=versions,
         campaigns={p.name: made[p.name].secret for p in todo},
     )
-    manifest = Manifest(
-        key_sha256=sha256(inside.text()), campaigns={p.name: CampaignEntry(robot=p.robot) for p in todo}
+    manifest = protocol.Manifest(
+        key_sha256=protocol.sha256(inside.text()),
+        campaigns={p.name: protocol.CampaignEntry(robot=p.robot) for p in todo},
     )
     # The key first: campaigns whose key was lost would be of no use.
-    texts = {key_folder / KEY: inside.text()}
-    texts |= {folder / ROBOTS / f"{name}.robot.toml": subject.model for name, subject in subjects.items()}
+    texts = {key_folder / protocol.KEY: inside.text()}
+    texts |= {folder / protocol.ROBOTS / f"{name}.robot.toml": subject.model for name, subject in subjects.items()}
     texts |= {folder / f"{c.name}.csv": c.seen for c in made.values()}
     texts |= {folder / f"{c.name}.unseen.csv": c.unseen for c in made.values()}
-    texts |= {folder / MANIFEST: manifest.model_dump_json(indent=1) + "\n"}
+    texts |= {folder / protocol.MANIFEST: manifest.model_dump_json(indent=1) + "\n"}
     with claimed([folder, key_folder]):
         write_together({**texts, **also(manifest)})
     return manifest
@@ -145,7 +136,7 @@ def _check(folder: Path, key: Path, n: int, poses: Sequence[int]) -> None:
         raise InputError(f"poses of {list(poses)}; a campaign needs at least {LEAST_POSES}, or no robot is identified")
     if key.resolve() == folder.resolve() or folder.resolve() in key.resolve().parents:
         raise InputError(f"{key}: the key must lie apart from the campaigns in {folder}; name another folder")
-    for path in (folder / MANIFEST, key / KEY):
+    for path in (folder / protocol.MANIFEST, key / protocol.KEY):
         if path.exists():
             raise InputError(f"{path}: is there already; name a new folder, or delete that check first")
 
@@ -220,7 +211,7 @@ def _recorded(
         return _recorded(subject, replace(plan, seed=plan.seed + 1), poses, simulator, left - 1)
 
 
-def _secret(plan: Plan, recorded: Record, kept: Array, model: str, unseen: pd.DataFrame) -> Secret:
+def _secret(plan: Plan, recorded: Record, kept: Array, model: str, unseen: pd.DataFrame) -> protocol.Secret:
     robot = nominal(model)
     clean = from_table(recorded.clean[kept].drop(columns=TRUE), [j.kind for j in robot.joints], "position")
     J = base_jacobian(robot, clean)
@@ -231,11 +222,11 @@ def _secret(plan: Plan, recorded: Record, kept: Array, model: str, unseen: pd.Da
 
     together = seen(recorded.session)
     alone = [seen(t) for t in recorded.alone] or [together] * len(recorded.hidden)
-    return Secret(
+    return protocol.Secret(
         robot=plan.robot,
         kind=plan.kind,
         hidden=tuple(
-            HiddenEffect(effect=a.effect, joint=a.joint, about=a.about, visible=v)
+            protocol.HiddenEffect(effect=a.effect, joint=a.joint, about=a.about, visible=v)
             for a, v in zip(recorded.hidden, alone, strict=True)
         ),
         poses=plan.poses,

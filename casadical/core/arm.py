@@ -7,23 +7,10 @@ from typing import Literal
 
 import numpy as np
 
+from casadical.core import parts
 from casadical.core.arrays import Array
 from casadical.core.drive import Drive
 from casadical.core.errors import InputError
-from casadical.core.parts import (
-    WIDTHS,
-    Body,
-    BodyWidth,
-    FourBar,
-    Joint,
-    Placement,
-    Sessions,
-    Target,
-    Width,
-    parallel,
-    refuse_joint,
-    with_hayati,
-)
 
 STANDARD_GRAVITY = 9.80665
 # Columns of the direction of gravity in the robot's base frame, where it was logged at every pose.
@@ -48,27 +35,27 @@ class Arm:
     """
 
     name: str
-    joints: tuple[Joint, ...]
-    base: Placement = field(default_factory=lambda: Placement(np.eye(4)))
-    tool: Placement = field(default_factory=lambda: Placement(np.eye(4)))
-    loops: tuple[FourBar, ...] = ()
+    joints: tuple[parts.Joint, ...]
+    base: parts.Placement = field(default_factory=lambda: parts.Placement(np.eye(4)))
+    tool: parts.Placement = field(default_factory=lambda: parts.Placement(np.eye(4)))
+    loops: tuple[parts.FourBar, ...] = ()
     gravity: Array = field(default_factory=lambda: np.array([0.0, 0.0, -STANDARD_GRAVITY]))
     gravity_frame: Literal["measuring", "base", "logged"] = "measuring"
-    payload: Body | None = None
-    widths: Mapping[str, Width] = field(default_factory=lambda: dict(WIDTHS))
-    body_width: BodyWidth = field(default_factory=BodyWidth)
+    payload: parts.Body | None = None
+    widths: Mapping[str, parts.Width] = field(default_factory=lambda: dict(parts.WIDTHS))
+    body_width: parts.BodyWidth = field(default_factory=parts.BodyWidth)
     tool_name: str = ""
-    targets: tuple[Target, ...] = ()
+    targets: tuple[parts.Target, ...] = ()
     masses: Literal["declared", "estimated"] = "declared"
     drive: Drive | None = None
-    sessions: Sessions = field(default_factory=Sessions)
+    sessions: parts.Sessions = field(default_factory=parts.Sessions)
 
     def __post_init__(self) -> None:
         if not self.joints:
             raise InputError(f"robot {self.name!r} has no joints; at least one row is needed")
         for i, joint in enumerate(self.joints, 1):
-            refuse_joint(self.name, i, joint)
-        object.__setattr__(self, "joints", with_hayati(self.joints))
+            parts.refuse_joint(self.name, i, joint)
+        object.__setattr__(self, "joints", parts.with_hayati(self.joints))
         _refuse_couplings(self)
         for k, loop in enumerate(self.loops, 1):
             _refuse_unbuildable(self, k, loop)
@@ -136,7 +123,7 @@ def _refuse_couplings(arm: Arm) -> None:
                 raise InputError(f"joint[{i}].follows: joint {other}; allowed: {', '.join(own)}, which are not coupled")
 
 
-def _refuse_unbuildable(arm: Arm, number: int, loop: FourBar) -> None:
+def _refuse_unbuildable(arm: Arm, number: int, loop: parts.FourBar) -> None:
     """A four-bar drives one joint from the one before it, both turning about parallel axes a ground bar apart."""
     where = f"four_bar[{number}]: carrier = {loop.carrier}, driven = {loop.driven}"
     if not 1 <= loop.carrier < loop.driven <= arm.n or loop.driven - loop.carrier != 1:
@@ -144,7 +131,7 @@ def _refuse_unbuildable(arm: Arm, number: int, loop: FourBar) -> None:
             f"{where}: must be two neighbouring joints of this robot, the carrier before the driven one (1..{arm.n})"
         )
     joint = arm.joints[loop.driven - 1]
-    if not parallel(arm.joints, loop.carrier - 1) or not joint.a:
+    if not parts.parallel(arm.joints, loop.carrier - 1) or not joint.a:
         raise InputError(
             f"{where}: their axes must be parallel and apart; row {loop.driven} has "
             f"alpha_deg = {np.rad2deg(joint.alpha):.6g}, a_mm = {1e3 * joint.a:.6g}"

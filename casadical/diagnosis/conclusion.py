@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.arrays import Array
+from casadical.diagnosis import thresholds
 from casadical.diagnosis.claims import cause_set, named, with_further
 from casadical.diagnosis.cross_validation import (
     estimates,
@@ -21,17 +22,6 @@ from casadical.diagnosis.noise_floor import noise_floor, outlier_probability, re
 from casadical.diagnosis.result import Cause, Diagnosis, Gap, Outlier, Verdict
 from casadical.diagnosis.search import End, State, Step
 from casadical.diagnosis.structure import joint_of_outliers
-from casadical.diagnosis.thresholds import (
-    DETECT_FURTHER,
-    LEAST_ALIKE,
-    LEAST_SHARE,
-    MISMATCH,
-    MUCH,
-    OUT,
-    SET_CLAIM,
-    SET_SIZE,
-    WORSE,
-)
 from casadical.effects import Effect
 from casadical.identification.result import Identification
 from casadical.measurements.noise import Noise
@@ -63,7 +53,12 @@ def conclude(
     shrinks = course(case, _stages(state, noise), partitions(case.evidence, seed), noise, seed)
     verdict, rest = _verdict(state, end, gap, bool(causes), shrinks)
     exactly = with_further(cause_set(state), state, seed)
-    if verdict == "explained" and exactly and exactly.probability < SET_CLAIM and _remainder(state) > MISMATCH:
+    if (
+        verdict == "explained"
+        and exactly
+        and exactly.probability < thresholds.SET_CLAIM
+        and _remainder(state) > thresholds.MISMATCH
+    ):
         verdict = "ambiguous"
     if verdict == "explained" and richer:
         verdict = "unknown"
@@ -104,7 +99,7 @@ def _with_richer_form(state: State, floor: float, seed: int) -> State | None:
     case, further = state.case, state.ranked()
     ranking = further.rankings[-1]
     label = ranking.order[0]
-    if ranking.none > DETECT_FURTHER or label not in state.by_label:
+    if ranking.none > thresholds.DETECT_FURTHER or label not in state.by_label:
         return None
     form = case.group(state.by_label[label].variants[ranking.variant[label]])
     columns = np.union1d(state.columns(), form)
@@ -138,8 +133,8 @@ def _cause(state: State, step: Step, before: Array, seed: int) -> Cause:
 
 def rivals_of(step: Step, listed: Sequence[str]) -> tuple[str, ...]:
     """Other names of a cause, or those of the listed labels, the most probable first, that remain probable."""
-    probable = (k for k in listed if k != step.labels[0] and step.ranking.probability[k] > LEAST_ALIKE)
-    return step.labels[1:] or tuple(probable)[: SET_SIZE - 1]
+    probable = (k for k in listed if k != step.labels[0] and step.ranking.probability[k] > thresholds.LEAST_ALIKE)
+    return step.labels[1:] or tuple(probable)[: thresholds.SET_SIZE - 1]
 
 
 def parameter_values(
@@ -174,7 +169,7 @@ def _outliers_as_cause(
     """Errors of all poses, outliers included, and the outliers as a cause; a single one only if it is far out."""
     out = ~case.kept
     count = int(out.sum())
-    if count == 0 or (count == 1 and distance[out][0] < 2 * OUT):
+    if count == 0 or (count == 1 and distance[out][0] < 2 * thresholds.OUT):
         return before, ()
     whole = np.concatenate([before, left[out]])
     shrink = float(1 - before.mean() / whole.mean())
@@ -190,14 +185,14 @@ def _verdict(state: State, end: End, gap: Gap, found: bool, shrinks: pd.DataFram
     if not found:
         return "none", rest
     share = (gap.before - gap.after) / max(gap.before - gap.floor, 1e-9)
-    if share < LEAST_SHARE and (end == "unknown" or rest > MUCH):
+    if share < thresholds.LEAST_SHARE and (end == "unknown" or rest > thresholds.MUCH):
         return "unknown", rest
-    if end == "unknown" and _remainder(state) > MISMATCH:
+    if end == "unknown" and _remainder(state) > thresholds.MISMATCH:
         return "unknown", rest
     if any(len(step.labels) > 1 for step in state.steps):
         return "ambiguous", rest
     blocks = shrinks["blocks_mm"].to_numpy()
-    if blocks[-1] > WORSE * blocks[0]:  # what does not hold over time explains nothing
+    if blocks[-1] > thresholds.WORSE * blocks[0]:  # what does not hold over time explains nothing
         return "unknown", rest
     return "explained", rest
 

@@ -13,9 +13,8 @@ from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import NetworkGap
 from casadical.diagnosis.localisation import Localisation
 from casadical.diagnosis.result import Diagnosis
-from casadical.diagnosis.spectrum import JointCurve, Spectrum
-from casadical.diagnosis.spectrum_report import MOST_SHOWN as LINES_NAMED
-from casadical.diagnosis.spectrum_report import covered_parts, seen
+from casadical.diagnosis.spectrum import MOST_SHOWN as LINES_NAMED
+from casadical.diagnosis.spectrum import JointCurve, Spectrum, covered_parts, seen
 from casadical.diagnosis.thresholds import PARTITIONS
 from casadical.effects.plugins import signature_of
 from casadical.identification.figures import fit_figures, intervals, parameter_figures

@@ -12,7 +12,7 @@ from casadical.diagnosis.held_out_gap import NetworkGap
 from casadical.diagnosis.limits import cannot_tell
 from casadical.diagnosis.next_poses import discrimination_probability
 from casadical.diagnosis.result import CauseSet, Diagnosis, Unlisted
-from casadical.diagnosis.spectrum_report import as_json as curves_as_json
+from casadical.diagnosis.spectrum import as_json as curves_as_json
 from casadical.diagnosis.statements import assumptions, floor_of, headline, missing_columns
 from casadical.diagnosis.text import page_of
 from casadical.identification.gravity import as_json as gravity_as_json

@@ -13,9 +13,8 @@ from casadical.diagnosis.details import Details
 from casadical.diagnosis.figures import diagnosis_figures
 from casadical.diagnosis.localisation import Localisation
 from casadical.diagnosis.result import Diagnosis
-from casadical.diagnosis.spectrum import Spectrum
-from casadical.diagnosis.spectrum_report import COLUMNS as CURVE_COLUMNS
-from casadical.diagnosis.spectrum_report import curve_rows
+from casadical.diagnosis.spectrum import COLUMNS as CURVE_COLUMNS
+from casadical.diagnosis.spectrum import Spectrum, curve_rows
 from casadical.diagnosis.statements import Statement, floor_of, left_over, statements
 from casadical.identification.accuracy import summarise
 from casadical.identification.tables import correlated, held_table, parameter_tables

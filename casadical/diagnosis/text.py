@@ -12,8 +12,7 @@ from casadical.core.telling.terminal import table_lines
 from casadical.diagnosis.cause_table import LAYER_COLUMNS, cause_rows, layer_rows
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.result import Diagnosis
-from casadical.diagnosis.spectrum import Spectrum, curve_of
-from casadical.diagnosis.spectrum_report import COLUMNS, MOST_SUGGESTED, curve_rows
+from casadical.diagnosis.spectrum import COLUMNS, MOST_SUGGESTED, Spectrum, curve_of, curve_rows
 from casadical.diagnosis.statements import SUBJECTS, TIED, Statement, floor_of, readings_of, statements
 
 WIDTH = 112

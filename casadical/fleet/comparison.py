@@ -11,6 +11,7 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.statistics import first_of_best
+from casadical.fleet import evidence
 from casadical.fleet.candidates import (
     FREQUENCY,
     GRADUAL,
@@ -24,19 +25,6 @@ from casadical.fleet.candidates import (
 )
 from casadical.fleet.changes import SURE, Amount, Change, Comparison, Rival
 from casadical.fleet.estimates import Estimate, with_common_noise
-from casadical.fleet.evidence import (
-    Known,
-    Model,
-    SharedInformation,
-    amplitude,
-    averaged,
-    drifts,
-    jumps,
-    log_evidence,
-    season,
-    solve,
-    visible,
-)
 from casadical.fleet.placements import placements_of, seen_from
 from casadical.identification.prior import refuse_another
 
@@ -103,7 +91,7 @@ def compare(
 
 def shared_information(
     campaigns: Sequence[Estimate], *, same_tool: bool, same_frame: bool
-) -> tuple[tuple[str, ...], SharedInformation, tuple[Candidate, ...]]:
+) -> tuple[tuple[str, ...], evidence.SharedInformation, tuple[Candidate, ...]]:
     """Shared parameters, what the campaigns tell of them about the values of the first one, and what may change."""
     first = campaigns[0]
     same_tool = same_tool and len({c.robot.tool_name for c in campaigns}) == 1
@@ -119,7 +107,9 @@ def shared_information(
     spread = np.sqrt(np.mean([c.spread[[c.names.index(n) for n in names]] ** 2 for c in campaigns], axis=0))
     spread[[n.startswith("joint_error_curve") for n in names]] *= WIDER
     candidates = candidates_of(first.robot, names)
-    information = SharedInformation(np.array([H for H, _ in both]), np.array([b for _, b in both]), spread**-2.0)
+    information = evidence.SharedInformation(
+        np.array([H for H, _ in both]), np.array([b for _, b in both]), spread**-2.0
+    )
     return names, information.with_jitter(*daily(candidates)), candidates
 
 
@@ -160,7 +150,7 @@ class _Accepted:
 
 
 def changes_in(
-    told: SharedInformation, candidates: Sequence[Candidate], times: Array, *, dated: bool
+    told: evidence.SharedInformation, candidates: Sequence[Candidate], times: Array, *, dated: bool
 ) -> tuple[list[_Accepted], float, tuple[str, float]]:
     """Changes one by one, the log odds of one more, and what explains them instead, with its probability.
 
@@ -182,7 +172,7 @@ def changes_in(
 
 
 def _chain(
-    told: SharedInformation, candidates: Sequence[Candidate], times: Array, dated: bool
+    told: evidence.SharedInformation, candidates: Sequence[Candidate], times: Array, dated: bool
 ) -> tuple[list[_Accepted], float, float]:
     """As `changes_in`; the last number is the evidence of all changes together, weighted, as a logarithm."""
     accepted: list[_Accepted] = []
@@ -208,14 +198,16 @@ def _beyond(accepted: Sequence[_Accepted], candidates: Sequence[Candidate]) -> l
     return [c for c in candidates if not (swapped and c.kind == ROBOT)]
 
 
-def _known(changes: Sequence[_Accepted], p: int, n: int) -> Known:
+def _known(changes: Sequence[_Accepted], p: int, n: int) -> evidence.Known:
     columns = [np.einsum("nk,pm->npkm", a.courses, a.candidate.columns).reshape(n, p, -1) for a in changes]
     sizes = [np.tile(a.kappa * a.candidate.sizes, a.courses.shape[1]) for a in changes]
-    return Known(np.concatenate([np.zeros((n, p, 0)), *columns], axis=2), np.concatenate([np.zeros(0), *sizes]))
+    return evidence.Known(
+        np.concatenate([np.zeros((n, p, 0)), *columns], axis=2), np.concatenate([np.zeros(0), *sizes])
+    )
 
 
-def _beside(told: SharedInformation, accepted: Sequence[_Accepted]) -> Model:
-    return solve(told, _known(accepted, *told.score.shape[::-1]))
+def _beside(told: evidence.SharedInformation, accepted: Sequence[_Accepted]) -> evidence.Model:
+    return evidence.solve(told, _known(accepted, *told.score.shape[::-1]))
 
 
 def _same_jump(found: _Accepted, candidate: Candidate) -> bool:
@@ -224,7 +216,7 @@ def _same_jump(found: _Accepted, candidate: Candidate) -> bool:
 
 
 def _best(
-    told: SharedInformation,
+    told: evidence.SharedInformation,
     candidates: Sequence[Candidate],
     times: Array,
     dated: bool,
@@ -232,7 +224,7 @@ def _best(
 ) -> _Accepted:
     """The most probable further change."""
     n, p = told.score.shape
-    model = solve(told, _known(known, p, n))
+    model = evidence.solve(told, _known(known, p, n))
     kinds = [c.kind for c in candidates]
     whole = sum(FREQUENCY[kind] for kind in set(kinds))
     hypotheses: list[_Hypotheses] = []
@@ -240,21 +232,23 @@ def _best(
     for candidate in candidates:
         share = FREQUENCY[candidate.kind] / whole / kinds.count(candidate.kind)
         for course, weight, since, courses in courses_of(candidate.kind, times, dated):
-            H, b = visible(model, candidate.columns, courses)
+            H, b = evidence.visible(model, candidate.columns, courses)
             m = courses.shape[2]
-            logs = log_evidence(H, b, np.tile(candidate.sizes, m)) + np.log(share * weight)[:, None]
+            logs = evidence.log_evidence(H, b, np.tile(candidate.sizes, m)) + np.log(share * weight)[:, None]
             prior += share * float(weight.sum())
             hypotheses.append(_Hypotheses(candidate, course, since, courses, H, b, logs))
-    total = float(log_sum(np.concatenate([averaged(h.logs) for h in hypotheses])))
+    total = float(log_sum(np.concatenate([evidence.averaged(h.logs) for h in hypotheses])))
     odds = float(np.logaddexp(total, np.log(max(1e-12, 1 - prior))))
     by_label: dict[str, list[float]] = {}
     for h in hypotheses:
-        by_label.setdefault(h.candidate.label, []).extend(averaged(h.logs))
+        by_label.setdefault(h.candidate.label, []).extend(evidence.averaged(h.logs))
     label = list(by_label)[first_of_best([float(log_sum(np.array(own))) for own in by_label.values()], logs=True)]
     own = [h for h in hypotheses if h.candidate.label == label]
-    top = own[first_of_best([float(log_sum(averaged(h.logs))) for h in own], logs=True)]
-    k = first_of_best(averaged(top.logs), logs=True)
-    _, _, kappa = amplitude(top.H[k], top.b[k], np.tile(top.candidate.sizes, top.courses.shape[2]), top.logs[k])
+    top = own[first_of_best([float(log_sum(evidence.averaged(h.logs))) for h in own], logs=True)]
+    k = first_of_best(evidence.averaged(top.logs), logs=True)
+    _, _, kappa = evidence.amplitude(
+        top.H[k], top.b[k], np.tile(top.candidate.sizes, top.courses.shape[2]), top.logs[k]
+    )
     return _Accepted(top.candidate, top.courses[k], kappa, top, odds, hypotheses)
 
 
@@ -273,11 +267,11 @@ def courses_of(kind: str, times: Array, dated: bool) -> Iterable[tuple[Course, A
     for course in kinds:
         share = COURSES[course] / whole
         if course == "season":
-            yield course, np.array([share]), np.array([1]), season(times)
+            yield course, np.array([share]), np.array([1]), evidence.season(times)
         elif course == "once":  # in the last campaign alone it is a jump
             yield course, share * onset[:-1], since[:-1], np.eye(n)[1:-1, :, None]
         else:
-            yield course, share * onset, since, jumps(n) if course == "jump" else drifts(times)
+            yield course, share * onset, since, evidence.jumps(n) if course == "jump" else evidence.drifts(times)
 
 
 def _onsets(n: int) -> Array:
@@ -287,7 +281,7 @@ def _onsets(n: int) -> Array:
 
 
 def _change(
-    told: SharedInformation,
+    told: evidence.SharedInformation,
     accepted: Sequence[_Accepted],
     k: int,
     first: Estimate,
@@ -295,12 +289,12 @@ def _change(
 ) -> Change:
     change = accepted[k]
     candidate, top = change.candidate, change.own
-    total = float(log_sum(np.concatenate([averaged(h.logs) for h in change.every])))
-    share = [(h, np.exp(averaged(h.logs) - total)) for h in change.every]
+    total = float(log_sum(np.concatenate([evidence.averaged(h.logs) for h in change.every])))
+    share = [(h, np.exp(evidence.averaged(h.logs) - total)) for h in change.every]
     own = [(h, s) for h, s in share if h.candidate.label == candidate.label]
     probability = float(sum(s.sum() for _, s in own))
-    at = first_of_best(averaged(top.logs), logs=True)
-    begun = np.exp(averaged(top.logs) - log_sum(averaged(top.logs)))
+    at = first_of_best(evidence.averaged(top.logs), logs=True)
+    begun = np.exp(evidence.averaged(top.logs) - log_sum(evidence.averaged(top.logs)))
     likely = top.since[np.sort(np.argsort(-begun)[: int(np.searchsorted(np.cumsum(np.sort(begun)[::-1]), 0.95)) + 1])]
     rivals: dict[str, Rival] = {}
     for h, s in share:
@@ -316,7 +310,7 @@ def _change(
     if other:
         rivals[other] = Rival(other, "jump", int(top.since[at]), chance)
     m = top.courses.shape[2]
-    a, C, _ = amplitude(top.H[at], top.b[at], np.tile(candidate.sizes, m), top.logs[at])
+    a, C, _ = evidence.amplitude(top.H[at], top.b[at], np.tile(candidate.sizes, m), top.logs[at])
     others = [other for i, other in enumerate(accepted) if i != k]
     return Change(
         candidate,
@@ -344,12 +338,12 @@ def _amounts(candidate: Candidate, first: Estimate, a: Array, C: Array, waves: i
         yield Amount(name, p.readable(a[k] * p.scale), p.readable(float(np.sqrt(C[k, k])) * p.scale), p.readable_unit)
 
 
-def _course_of(model: Model, candidate: Candidate, a: Array) -> Array:
+def _course_of(model: evidence.Model, candidate: Candidate, a: Array) -> Array:
     """Size of the change in each campaign along its own direction, 1 where it is whole, with standard errors."""
     n = len(model.told.score)
     E = (candidate.columns @ a)[:, None]
     one = np.eye(n)[:, 1:][None]
-    H, b = visible(model, E, one)
+    H, b = evidence.visible(model, E, one)
     wide = np.diag(np.full(n - 1, 1e-4))
     C = np.linalg.inv(H[0] + wide)
     return np.vstack([[0.0, 0.0], np.column_stack([C @ b[0], np.sqrt(np.diag(C))])])

@@ -16,9 +16,8 @@ from casadical.core.telling.blocks import Block, Page, Section, Table, Tile, Wor
 from casadical.core.telling.figure import Axis, Figure, Note, Series
 from casadical.core.telling.result import Result
 from casadical.fleet.changes import ALARMS, leaves_more, left_figure
-from casadical.fleet.drawings import Drawing, drawings_of, near, nearly_one
 from casadical.fleet.estimates import date_text
-from casadical.fleet.hierarchy import LEAST, MOST, Common, common_of
+from casadical.fleet.hierarchy import LEAST, MOST, Common, Drawing, common_of, drawings_of, near, nearly_one
 from casadical.fleet.one_robot import NOTHING
 from casadical.fleet.store import records
 from casadical.project.problem import read_problem_robot

@@ -13,20 +13,7 @@ import pandas as pd
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError, optional
 from casadical.core.reading import MOST_CELLS, archive_of, foreign, read_bytes, unpacked
-from casadical.measurements.table_form import (
-    Form,
-    Record,
-    as_plain_number,
-    commented,
-    decimal_of,
-    decoded,
-    is_data,
-    is_number,
-    is_units,
-    records_of,
-    separator_of,
-    unit_word,
-)
+from casadical.measurements import table_form
 
 # Characters of a heading, and columns.
 LONGEST_HEADING, MOST_COLUMNS = 1000, 2000
@@ -49,7 +36,7 @@ class RawTable:
     cells: Sequence[Sequence[str]]
     frame: pd.DataFrame
     line: Sequence[int] | Array
-    form: Form = field(default_factory=Form)
+    form: table_form.Form = field(default_factory=table_form.Form)
     comments: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -69,16 +56,16 @@ def read_table(path: str | Path, data: bytes | None = None) -> RawTable:
     try:
         data = unpacked(read_bytes(path) if data is None else data, str(path))
         text, encoding, sheet = _text(path, data)
-        separator = "," if sheet else separator_of(text)
+        separator = "," if sheet else table_form.separator_of(text)
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not a readable CSV table: {error}") from None
     return table_of(path, records_in(path, text, separator), encoding, separator, sheet=sheet)
 
 
-def records_in(path: Path, text: str, separator: str) -> list[Record]:
+def records_in(path: Path, text: str, separator: str) -> list[table_form.Record]:
     """As `records_of`. Raises InputError: a quote that is never closed, a cell that is too long."""
     try:
-        return records_of(text, separator)
+        return table_form.records_of(text, separator)
     except csv.Error as error:
         raise InputError(f"{path}: not a readable CSV table: {error}") from None
 
@@ -89,7 +76,7 @@ def _text(path: Path, data: bytes) -> tuple[str, str, str]:
         return _sheet(path, data)
     if data.startswith(b"\xd0\xcf\x11\xe0"):
         raise InputError(f"{path}: a workbook of the old format; save it as .xlsx or as CSV")
-    return (*decoded(data), "")
+    return (*table_form.decoded(data), "")
 
 
 def _sheet(path: Path, data: bytes) -> tuple[str, str, str]:
@@ -120,14 +107,14 @@ def _cell(value: Any) -> str:
 
 
 def table_of(
-    path: Path, records: list[Record], encoding: str, separator: str, decimal: str = "", sheet: str = ""
+    path: Path, records: list[table_form.Record], encoding: str, separator: str, decimal: str = "", sheet: str = ""
 ) -> RawTable:
     """Headings and rows out of all records; decimal : sign, where it is known. Raises InputError."""
     if not records:
         raise InputError(f"{path}: not a readable CSV table: it is empty; a header and at least one row are needed")
-    comments = [(line, cells) for line, cells in records if commented(cells)]
-    rest = [record for record in records if not commented(record[1])]
-    decimal = decimal or decimal_of(rest)
+    comments = [(line, cells) for line, cells in records if table_form.commented(cells)]
+    rest = [record for record in records if not table_form.commented(record[1])]
+    decimal = decimal or table_form.decimal_of(rest)
     if not rest:
         rest, comments = comments, []
     place, header, units = _headings(rest, comments)
@@ -142,7 +129,7 @@ def table_of(
     refuse_repeated_names(names, str(path))
     skipped = [r for r in [*comments, *rest[:place]] if r is not header and not (units and r[1] is units[1])]
     rows = []
-    last = next((k for k in reversed(range(len(body))) if is_data(body[k][1])), len(body) - 1)
+    last = next((k for k in reversed(range(len(body))) if table_form.is_data(body[k][1])), len(body) - 1)
     for k, (line, cells) in enumerate(body):
         few = sum(bool(cell.strip()) for cell in cells) < 2 and len(names) > 1
         if (k > last and few) or tuple(c.strip() for c in cells) == names:
@@ -158,22 +145,24 @@ def table_of(
             raise InputError(f"{path}: not a readable CSV table: {sizes}; correct the row")
     if not rows:
         raise InputError(f"{path}: a header but no rows; at least one row is needed")
-    form = Form(
+    form = table_form.Form(
         encoding, separator, decimal, header_line=head_line, sheet=sheet,
-        units=tuple(map(unit_word, units[1])) if units else (),
+        units=tuple(map(table_form.unit_word, units[1])) if units else (),
         skipped=tuple((line, " ".join(" ".join(cells).split())[:80]) for line, cells in sorted(skipped)),
     )  # fmt: skip
     text = io.StringIO(newline="")
-    plain = [[as_plain_number(cell, decimal) if cell else cell for cell in cells] for _, cells in rows]
+    plain = [[table_form.as_plain_number(cell, decimal) if cell else cell for cell in cells] for _, cells in rows]
     csv.writer(text).writerows([names, *plain])
     text.seek(0)
     lines, said = tuple(line for line, _ in rows), tuple(" ".join(cells) for _, cells in comments)
     return RawTable(path, names, plain, pd.read_csv(text), lines, form, said)
 
 
-def _headings(rest: list[Record], comments: list[Record]) -> tuple[int, Record | None, Record | None]:
+def _headings(
+    rest: list[table_form.Record], comments: list[table_form.Record]
+) -> tuple[int, table_form.Record | None, table_form.Record | None]:
     """Index of the first row of the table, the record of its headings or None, and that of its units or None."""
-    first = next((k for k, (_, cells) in enumerate(rest) if is_data(cells)), None)
+    first = next((k for k, (_, cells) in enumerate(rest) if table_form.is_data(cells)), None)
     if first is None:
         return 1, rest[0], None
     if first == 0:
@@ -183,14 +172,14 @@ def _headings(rest: list[Record], comments: list[Record]) -> tuple[int, Record |
         named = [record for record in above if len(record[1]) == width > 1]
         if not named:
             return 0, None, None
-        if len(named) > 1 and is_units(named[-1][1]):
+        if len(named) > 1 and table_form.is_units(named[-1][1]):
             return 0, named[-2], named[-1]
         return 0, named[-1], None
     above = rest[:first]
     place = max(range(first), key=lambda k: (_names_in(above[k][1]), -k))
     header, units = above[place], None
     after = place + 1
-    if after < first and is_units(above[after][1]):
+    if after < first and table_form.is_units(above[after][1]):
         units, after = above[after], after + 1
     if place and len(set(header[1])) < len([c for c in header[1] if c.strip()]):
         header = (header[0], _grouped(above[place - 1][1], header[1]))
@@ -198,7 +187,11 @@ def _headings(rest: list[Record], comments: list[Record]) -> tuple[int, Record |
 
 
 def _names_in(cells: Sequence[str]) -> int:
-    return 0 if is_units(cells) else sum(bool(cell.strip()) and not is_number(cell) for cell in cells)
+    return (
+        0
+        if table_form.is_units(cells)
+        else sum(bool(cell.strip()) and not table_form.is_number(cell) for cell in cells)
+    )
 
 
 def _uncommented(cells: list[str]) -> list[str]:

@@ -28,21 +28,10 @@ from casadical.identification.residuals import ALL_LOSSES
 from casadical.identification.result import Identification, without_poses
 from casadical.identification.solver import Progress
 from casadical.identification.tables import correlated, held_table, how_sure, parameter_tables
+from casadical.project import outcome
 from casadical.project.calibration_page import calibration_figures, calibration_page, used_poses, where_left
 from casadical.project.check.targets import unnamed_targets
 from casadical.project.networks import Networks, train_networks
-from casadical.project.outcome import (
-    assumptions,
-    compliance_words,
-    left_out_table,
-    made_readings,
-    methods_worse,
-    refit_words,
-    things_to_know,
-    unused_columns,
-    usual_held_out,
-    worse_than_before,
-)
 from casadical.project.planning import more_poses
 from casadical.project.problem import Carried, Problem, nothing_carried, read_problem, together
 from casadical.project.problem_file import BASE_METHODS, all_methods, base_methods
@@ -115,7 +104,7 @@ class Calibration(Result):
     def worse(self) -> str:
         """Why held-out poses are worse than before, and what to do; nothing where they are not."""
         _, before, after, held_out = judged_on(self.accuracies)
-        return worse_than_before(self.identification, before, after) if held_out else ""
+        return outcome.worse_than_before(self.identification, before, after) if held_out else ""
 
     def next_command(self, source: Path, tables: Sequence[Path] = (), *, kept: bool = True) -> Words:
         """What to do now; more poses where these made nothing better. kept : whether the result is."""
@@ -131,13 +120,13 @@ class Calibration(Result):
         problem = self.problem
         return [
             Words(problem.title, "title"),
-            *assumptions(problem, self.accuracies, self.without_prior),
+            *outcome.assumptions(problem, self.accuracies, self.without_prior),
             *list(verdict(problem, self.accuracies))[:1],
-            *compliance_words(self.identification),
+            *outcome.compliance_words(self.identification),
             *error_tables(problem, self.accuracies, self.networks)[:1],
-            *methods_worse(self.accuracies),
-            *things_to_know(problem, self.identification, self.networks, self.accuracies),
-            *refit_words(self.refitted),
+            *outcome.methods_worse(self.accuracies),
+            *outcome.things_to_know(problem, self.identification, self.networks, self.accuracies),
+            *outcome.refit_words(self.refitted),
         ]
 
     def blocks(self) -> Sequence[Words | Table]:
@@ -146,14 +135,14 @@ class Calibration(Result):
             Words(problem.title, "title"),
             Words(f"{problem.robot.name}; {problem.origin}"),
             *(Words(f"note: {note}", "note") for note in problem.robot.notes),
-            *assumptions(problem, self.accuracies, self.without_prior),
-            *unused_columns(problem),
+            *outcome.assumptions(problem, self.accuracies, self.without_prior),
+            *outcome.unused_columns(problem),
             *verdict(problem, self.accuracies),
             *(Words(result.verdict) for result in self.identifications.values()),
-            *methods_worse(self.accuracies),
-            *refit_words(self.refitted),
+            *outcome.methods_worse(self.accuracies),
+            *outcome.refit_words(self.refitted),
             how_sure(last),
-            *left_out_table(self.identifications),
+            *outcome.left_out_table(self.identifications),
             *error_tables(problem, self.accuracies, self.networks),
             *(network_tables(self.networks) if self.networks else []),
             *paper_tables(problem.paper, self.accuracies, self.networks),
@@ -223,7 +212,7 @@ class Calibration(Result):
 
     def _method_json(self, method: str) -> dict[str, Any]:
         """A method with its errors on every set; where poses are far off, without these, too."""
-        usual = usual_held_out(self.problem, self.identifications[method].robot)
+        usual = outcome.usual_held_out(self.problem, self.identifications[method].robot)
         told = self.written[method].to_json()
         last = {key: told.pop(key) for key in ("parameters", "modified_dh")}
         sets = {
@@ -249,7 +238,7 @@ class Calibration(Result):
         for name, result in self.written.items():
             origin = f"Calibrated by casadical, method {name}, from {problem.title} ({problem.origin})."
             robot = with_knowledge(result)
-            said = [words.text for words in made_readings(problem) if words.text not in robot.notes]
+            said = [words.text for words in outcome.made_readings(problem) if words.text not in robot.notes]
             noted = replace(robot, notes=(*robot.notes, *said))
             texts[folder / f"{name}.robot.toml"] = to_toml(noted, f"{origin}\n{result.verdict}", known_alone=True)
             if problem.urdf:

@@ -18,15 +18,7 @@ from casadical.core.mapped_function import MappedFunction
 from casadical.core.parameters import Parameters
 from casadical.core.transforms import Symbolic, carry, product, rot_x, rot_y, rot_z, small_frame, translate
 from casadical.effects import Context, Effect
-from casadical.robot.kinematics import (
-    Values,
-    assembly_sides,
-    chain_factors,
-    deflections,
-    gravity_torques,
-    link_frames,
-    loop_margins,
-)
+from casadical.robot import kinematics
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +144,7 @@ class Structure:
             (j.kind, j.beta is None, j.b is None, j.compliance is None, j.body and (j.body.mass, *j.body.com))
             for j in arm.joints
         )
-        sides = tuple(sorted(assembly_sides(arm).items()))
+        sides = tuple(sorted(kinematics.assembly_sides(arm).items()))
         loops = tuple((loop.driven, loop.carrier, loop.offset) for loop in arm.loops)
         payload = arm.payload and (arm.payload.mass, *arm.payload.com)
         gravity = (*arm.gravity, arm.gravity_frame)
@@ -188,13 +180,13 @@ def expressions(structure: Structure, fixed_loads: bool = False) -> Expressions:
 
     at = dict(zip(names, ca.vertsplit(loaded), strict=True)) if fixed_loads else values
     unloaded = replace(rigid_context(arm, constants[24:], q, conditions, at, base), values=values)
-    tau = gravity_torques(unloaded, sum(e.energy(unloaded) for e in effects))
+    tau = kinematics.gravity_torques(unloaded, sum(e.energy(unloaded) for e in effects))
     context = replace(unloaded, torque=tau)
     factors = [base_frame(arm, values, base), *_to_tool(arm, effects, tool, context)]
     T_ME, point = product(factors), carry(factors, ca.SX.zeros(3))
     for effect in effects:
         point = effect.measurement(point, context)
-    margin = ca.vertcat(*loop_margins(arm, ca.vertsplit(q), values)) if arm.loops else ca.SX.zeros(0)
+    margin = ca.vertcat(*kinematics.loop_margins(arm, ca.vertsplit(q), values)) if arm.loops else ca.SX.zeros(0)
     outputs = (ca.SX(point), ca.SX(T_ME[:3, :3]), ca.SX(tau), ca.SX(margin))
     return Expressions(q, w, phi, constants, loaded, *outputs, functions={})
 
@@ -212,7 +204,7 @@ def rigid_context(
     torque_scale : shape (n,) [N m or N]; base : nominal T_M0, shape (4, 4) [m]
     """
     gravity = gravity_in_base(arm, base_frame(arm, values, base), conditions)
-    rigid = link_frames(arm, ca.vertsplit(q), values)
+    rigid = kinematics.link_frames(arm, ca.vertsplit(q), values)
     return Context(arm, torque_scale, q, conditions, values, rigid, gravity)
 
 
@@ -225,7 +217,7 @@ def gravity_in_base(arm: Arm, T_M0: Symbolic, conditions: Mapping[str, Symbolic]
     return T_M0[:3, :3].T @ gravity if arm.gravity_frame == "measuring" else gravity
 
 
-def base_frame(arm: Arm, values: Values, T: Symbolic) -> Symbolic:
+def base_frame(arm: Arm, values: kinematics.Values, T: Symbolic) -> Symbolic:
     """T_M0, the robot's base in the measuring frame, from its nominal transform T; shapes (4, 4)."""
     if arm.base.unknown == "none":
         return T
@@ -235,16 +227,16 @@ def base_frame(arm: Arm, values: Values, T: Symbolic) -> Symbolic:
 def _to_tool(arm: Arm, effects: tuple[Effect, ...], nominal: Symbolic, context: Context) -> list[Symbolic]:
     """Transforms whose product is T_0E: readings, effects and deflections through the chain, then flange and tool."""
     values = context.values
-    moved = context.q + deflections(arm, context.torque, values)
+    moved = context.q + kinematics.deflections(arm, context.torque, values)
     for effect in effects:
         moved = moved + effect.joint_angle(context)
     factors = [effect.base(context) for effect in effects]
-    for i, row in enumerate(chain_factors(arm, ca.vertsplit(moved), values), 1):
+    for i, row in enumerate(kinematics.chain_factors(arm, ca.vertsplit(moved), values), 1):
         factors += [*row, *(effect.link(i, context) for effect in effects)]
     return [*factors, *(effect.tool(context) for effect in effects), *_tool(arm, nominal, values, context.conditions)]
 
 
-def _tool(arm: Arm, nominal: Symbolic, values: Values, conditions: Mapping[str, Symbolic]) -> list[Symbolic]:
+def _tool(arm: Arm, nominal: Symbolic, values: kinematics.Values, conditions: Mapping[str, Symbolic]) -> list[Symbolic]:
     """Transforms whose product is the tool frame in the flange, at the target that was measured."""
     first = [values.get(f"tool_{c}", nominal[k, 3]) for k, c in enumerate("xyz")]
     x, y, z = (

@@ -13,35 +13,17 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
+from casadical.core import parts
 from casadical.core.arm import STANDARD_GRAVITY
 from casadical.core.arrays import Array
 from casadical.core.drive import Drive
 from casadical.core.errors import InputError
-from casadical.core.parts import (
-    WIDTHS,
-    Body,
-    BodyWidth,
-    Coupling,
-    FourBar,
-    Joint,
-    Placement,
-    Target,
-    Width,
-    possible_inertia,
-)
 from casadical.core.reading import MOST_COUNT
 from casadical.core.schema import ANGLE, LENGTH, READING, Angle, FaultError, Length, Pair, TomlTable, Triple
 from casadical.core.transforms import frame, from_rpy
 from casadical.effects import Effect
 from casadical.effects.definition import Definition
-from casadical.robot.effect_tables import (
-    BoundTable,
-    CovarianceTable,
-    EffectTable,
-    LearntTable,
-    effects_of,
-    knowledge_of,
-)
+from casadical.robot import effect_tables
 from casadical.robot.error_bound import refuse_other
 from casadical.robot.robot import Robot
 
@@ -69,14 +51,14 @@ class _Body(TomlTable):
 
     @model_validator(mode="after")
     def _possible(self) -> _Body:
-        if self.inertia_kgm2 is not None and not possible_inertia(_moments(self.inertia_kgm2)):
+        if self.inertia_kgm2 is not None and not parts.possible_inertia(_moments(self.inertia_kgm2)):
             allowed = "ixx, ixy, ixz, iyy, iyz, izz, no principal moment greater than the other two together"
             raise FaultError("inertia_kgm2", f"no body has such moments; allowed: {allowed}")
         return self
 
-    def body(self) -> Body:
+    def body(self) -> parts.Body:
         inertia = None if self.inertia_kgm2 is None else _moments(self.inertia_kgm2)
-        return Body(self.mass_kg, np.array(self.com), inertia)
+        return parts.Body(self.mass_kg, np.array(self.com), inertia)
 
 
 def _moments(six: list[float]) -> Array:
@@ -141,15 +123,16 @@ class _Joint(TomlTable):
             raise FaultError("b", "stands in row 1 beside beta only, where six numbers are the base frame; give both")
         return self
 
-    def joint(self) -> Joint:
+    def joint(self) -> parts.Joint:
         default = (-2 * np.pi, 2 * np.pi) if self.type == "revolute" else (-10.0, 10.0)
         lower, upper = self.limits or default
         stiffness = self.stiffness_Nm_per_rad or self.stiffness_N_per_m
         compliance = 1 / stiffness if stiffness else 0.0 if self.compliant else None
-        return Joint(
+        return parts.Joint(
             self.alpha, self.a, self.theta, self.d, self.beta, self.b, self.type, lower, upper, compliance,
             self.body.body() if self.body else None,
-            Coupling(tuple(self.follows), self.at or 0.0) if self.follows or self.at is not None else None, self.name,
+            parts.Coupling(tuple(self.follows), self.at or 0.0) if self.follows or self.at is not None else None,
+            self.name,
         )  # fmt: skip
 
 
@@ -158,8 +141,8 @@ class _Frame(TomlTable):
     rpy: Annotated[Triple, ANGLE] = Field(default=[0.0, 0.0, 0.0])
     unknown: Literal["none", "position", "pose"] = "none"
 
-    def placement(self) -> Placement:
-        return Placement(frame(from_rpy(np.array(self.rpy)), np.array(self.xyz)), self.unknown)
+    def placement(self) -> parts.Placement:
+        return parts.Placement(frame(from_rpy(np.array(self.rpy)), np.array(self.xyz)), self.unknown)
 
 
 class ToolTable(_Frame):
@@ -190,8 +173,8 @@ class _Width(TomlTable):
 
 
 class _BodyWidth(TomlTable):
-    mass_share: float = Field(default=BodyWidth().share, ge=0)
-    com: Annotated[float, LENGTH, Field(ge=0)] = BodyWidth().centre
+    mass_share: float = Field(default=parts.BodyWidth().share, ge=0)
+    com: Annotated[float, LENGTH, Field(ge=0)] = parts.BodyWidth().centre
 
 
 class _Widths(TomlTable):
@@ -202,9 +185,9 @@ class _Widths(TomlTable):
     compliance: _Width = _Width()
     body: _BodyWidth = _BodyWidth()
 
-    def widths(self) -> dict[str, Width]:
-        given = {group: getattr(self, group).model_dump(exclude_none=True) for group in WIDTHS}
-        return {group: replace(default, **given[group]) for group, default in WIDTHS.items()}
+    def widths(self) -> dict[str, parts.Width]:
+        given = {group: getattr(self, group).model_dump(exclude_none=True) for group in parts.WIDTHS}
+        return {group: replace(default, **given[group]) for group, default in parts.WIDTHS.items()}
 
 
 class RobotFile(TomlTable):
@@ -225,10 +208,10 @@ class RobotFile(TomlTable):
     drive: Drive | None = None
     width: _Widths = _Widths()
     definition: list[Definition] = Field(default=[], max_length=MOST_COUNT)
-    effect: list[EffectTable] = Field(default=[], max_length=MOST_COUNT)
-    learnt: LearntTable = LearntTable()
-    covariance: list[CovarianceTable] = Field(default=[])
-    bound: BoundTable | None = None
+    effect: list[effect_tables.EffectTable] = Field(default=[], max_length=MOST_COUNT)
+    learnt: effect_tables.LearntTable = effect_tables.LearntTable()
+    covariance: list[effect_tables.CovarianceTable] = Field(default=[])
+    bound: effect_tables.BoundTable | None = None
 
     @model_validator(mode="after")
     def _rows(self) -> RobotFile:
@@ -256,20 +239,20 @@ class RobotFile(TomlTable):
             tool = replace(tool, T=flange @ tool.T)
             points = [flange[:3, :3] @ point + flange[:3, 3] for point in points]
             payload = payload and payload.moved(flange)
-        effects, values, errors = effects_of(self.effect, self.definition, own)
+        effects, values, errors = effect_tables.effects_of(self.effect, self.definition, own)
         robot = Robot(
             name=self.name,
             joints=tuple(joints),
             base=self.base.placement(),
             tool=tool,
-            loops=tuple(FourBar(**loop.model_dump()) for loop in self.four_bar),
+            loops=tuple(parts.FourBar(**loop.model_dump()) for loop in self.four_bar),
             gravity=np.array(self.gravity.vector_m_per_s2),
             gravity_frame=self.gravity.frame,
             payload=payload,
             widths=self.width.widths(),
-            body_width=BodyWidth(self.width.body.mass_share, self.width.body.com),
+            body_width=parts.BodyWidth(self.width.body.mass_share, self.width.body.com),
             tool_name=self.tool_name,
-            targets=tuple(Target(f.name, point) for f, point in zip(self.further_tool, points, strict=True)),
+            targets=tuple(parts.Target(f.name, point) for f, point in zip(self.further_tool, points, strict=True)),
             masses=self.masses,
             drive=self.drive,
             effects=effects,
@@ -277,7 +260,7 @@ class RobotFile(TomlTable):
             notes=tuple(self.notes),
         )
         names = robot.parameters.names
-        known = knowledge_of(robot, names, self.learnt, self.covariance, errors)
+        known = effect_tables.knowledge_of(robot, names, self.learnt, self.covariance, errors)
         bound = self.bound.bound() if self.bound else None
         if bound:
             refuse_other(robot, bound)
@@ -301,13 +284,13 @@ def _refuse_undefined(robot: Robot) -> None:
             raise InputError(f"effect: {robot.effects_in_words}: no finite position at readings {q.round(3).tolist()}")
 
 
-def _from_standard(rows: list[Joint]) -> tuple[list[Joint], Array]:
+def _from_standard(rows: list[parts.Joint]) -> tuple[list[parts.Joint], Array]:
     """Modified rows for standard ones, and the transform that the last a and alpha leave behind the last joint.
 
     Mass centres of bodies, given in the standard frames, are moved along.
     Standard: Rot_z(theta) Trans_z(d) Trans_x(a) Rot_x(alpha); a row's a and alpha are the next modified row's.
     """
-    shifted = [Joint(), *rows[:-1]]
+    shifted = [parts.Joint(), *rows[:-1]]
     tails = [frame(from_rpy(np.array([row.alpha, 0.0, 0.0])), np.array([row.a, 0.0, 0.0])) for row in rows]
     joints = [
         replace(row, alpha=before.alpha, a=before.a, body=row.body and row.body.moved(tail))

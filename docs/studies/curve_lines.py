@@ -29,8 +29,7 @@ from casadical import Diagnosis, InputError, diagnose, read_problem
 from casadical.blind_check.mujoco_physics import perturb
 from casadical.blind_check.mujoco_physics.stops import Stops, only
 from casadical.diagnosis.line_search import Line
-from casadical.diagnosis.spectrum import JointCurve, Spectrum, spectrum
-from casadical.diagnosis.spectrum_report import curve_rows, seen
+from casadical.diagnosis.spectrum import JointCurve, Spectrum, curve_rows, seen, spectrum
 from casadical.measurements.reading import from_table
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy

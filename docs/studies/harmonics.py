@@ -28,7 +28,7 @@ from casadical.diagnosis.spectrum import curve_of, spectrum
 from casadical.effects import TransmissionRipple
 from casadical.identification.accuracy import predicted
 from casadical.measurements.reading import from_table
-from casadical.project.new.synthetic import as_built
+from casadical.project.new.new import as_built
 from casadical.robot.robot import Robot
 
 ROOT = Path(__file__).parents[2]

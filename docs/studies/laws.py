@@ -30,8 +30,8 @@ from casadical.blind_check.mujoco_physics import perturb
 from casadical.blind_check.mujoco_physics.plant import Plant
 from casadical.core.errors import CasadicalError
 from casadical.diagnosis.diagnose import diagnose
+from casadical.diagnosis.laws.contest import held_out
 from casadical.diagnosis.laws.discovery import Discovery, laws_beside
-from casadical.diagnosis.laws.held_out import held_out
 from casadical.measurements.reading import from_table
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy

@@ -35,7 +35,7 @@ from casadical.project.live.ahead import candidates
 from casadical.project.live.estimate import estimate
 from casadical.project.live.journal import journal
 from casadical.project.live.sources import FileSource, Row, rows_of
-from casadical.project.new.synthetic import NOISE, as_built, one_turn
+from casadical.project.new.new import NOISE, as_built, one_turn
 from casadical.robot.robot import Robot
 
 ROOT = Path(__file__).parents[2]

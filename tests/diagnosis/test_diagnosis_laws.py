@@ -24,11 +24,10 @@ from casadical.diagnosis.evidence import RHOS
 from casadical.diagnosis.json_answer import as_json as diagnosis_json
 from casadical.diagnosis.laws import contest, drivers
 from casadical.diagnosis.laws.answer import line_of
-from casadical.diagnosis.laws.contest import aliases
+from casadical.diagnosis.laws.contest import aliases, held_out
 from casadical.diagnosis.laws.discovery import laws_beside, with_law
 from casadical.diagnosis.laws.drivers import drivers_of, values_of, variables, with_columns
 from casadical.diagnosis.laws.forms import FINE_WAVE, FORMS, LINEAR, WAVE, wave_by, wave_plus
-from casadical.diagnosis.laws.held_out import held_out
 from casadical.diagnosis.laws.problem import SCREENED, Problem, Tried, scale_of
 from casadical.diagnosis.laws.screening import NEVER, Screen
 from casadical.diagnosis.laws.seams import with_columns as seams_with_columns

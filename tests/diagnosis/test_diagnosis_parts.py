@@ -38,7 +38,7 @@ from casadical.diagnosis.noise_floor import replicates
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, SAME_JOINT, Ranking, rank
 from casadical.diagnosis.seams import seams_of
 from casadical.diagnosis.search import Step
-from casadical.diagnosis.spectrum_report import decimals_of
+from casadical.diagnosis.spectrum import decimals_of
 from casadical.diagnosis.statements import Statement, statements
 from casadical.diagnosis.text import things_to_know
 from casadical.effects import Backlash, GearEccentricity, NonlinearStiffness

@@ -11,8 +11,7 @@ from command_line import main
 from fleet_plants import ROOT, planar
 
 from casadical import read_robot
-from casadical.fleet.drawings import Drawing, drawings_of, near, nearly_one
-from casadical.fleet.hierarchy import Common
+from casadical.fleet.hierarchy import Common, Drawing, drawings_of, near, nearly_one
 from casadical.fleet.one_robot import one_robot, type_of
 from casadical.fleet.store import add
 from casadical.project.problem import read_problem

@@ -9,21 +9,25 @@ takes the place of causes only where it predicts poses held out better, too.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.diagnosis.candidates import Candidate
-from casadical.diagnosis.evidence import KAPPA_WEIGHTS, RHOS
-from casadical.diagnosis.laws.held_out import held_out
-from casadical.diagnosis.laws.problem import ABOVE, ALIKE, CLAIMED, Round, Scored
+from casadical.diagnosis.cross_validation import lengths, new_fit, random_folds
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS, RHOS, Evidence
+from casadical.diagnosis.laws.problem import ABOVE, ALIKE, CLAIMED, Problem, Round, Scored, scaled
+from casadical.diagnosis.laws.refinement import refined_settings
 from casadical.diagnosis.laws.search import search_laws
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_forms import noise_forms
 from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, rank
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.settings_search import refined
+from casadical.effects.base import CHOSEN
+from casadical.measurements.noise import Noise
 
 # Laws are searched on so many poses at most, spread over the campaign: its time grows with the poses.
 MOST_POSES = 600
@@ -145,3 +149,44 @@ def aliases(case: Case, chosen: Array, law: Scored, variant: Mapping[str, int]) 
         if np.linalg.norm(same) > CORRELATION * np.linalg.norm(fit):
             found.append(candidate.label)
     return tuple(found)
+
+
+def held_out(case: Case, columns: Array, laws: Sequence[Scored], noise: Noise, seed: int) -> Array:
+    """Position error of each kept pose, shape (n,) [m], by a fit to the poses of the other folds.
+
+    columns : of the effects in the model, whose settings stay; laws : whose settings are chosen again in each fold
+    """
+    base = case.evidence.with_base(columns)
+    folds = random_folds(len(base.r), seed, alike=base.alike)
+    errors = np.empty(len(base.r))
+    for fold in np.unique(folds):
+        test = folds == fold
+        parts = _columns(base, laws, np.flatnonzero(~test))
+        whole = replace(base, E=np.concatenate([np.zeros((*base.r.shape, 0)), *parts], axis=2), held=None)
+        fit = new_fit(whole, np.arange(whole.width), noise)
+        errors[test] = lengths(base, fit.without(np.flatnonzero(test)), test)
+    return errors
+
+
+def _columns(base: Evidence, laws: Sequence[Scored], train: Array) -> list[Array]:
+    """Columns at all poses of the laws with the settings that are best for some of them, shape (n, 3, w) each."""
+    found: list[Array] = []
+    for law in laws:
+        known = np.concatenate([np.zeros((*base.r.shape, 0)), *found], axis=2)
+        e = replace(base.with_known(known, np.full(known.shape[2], CHOSEN)), E=np.zeros((*base.r.shape, 1)), held=None)
+        found.append(_best(Problem(e.at(train)), law, train))
+    return found
+
+
+def _best(problem: Problem, law: Scored, train: Array) -> Array:
+    tried = law.tried
+    if not law.tried.form.settings and len(tried.seams) == 1:
+        return law.columns
+    logs = []
+    for seam, x, settings in zip(tried.seams, tried.x, tried.settings, strict=True):
+        functions = scaled(tried.form.values(x, settings))
+        logs.append(problem.gains(replace(seam, columns=seam.columns[train]), functions[:, train]))
+    place = int(np.argmax([g.max() for g in logs]))
+    start = tried.settings[place][int(np.argmax(logs[place]))]
+    best, _ = refined_settings(problem, tried, place, start, train)
+    return tried.column(place, best)[1]

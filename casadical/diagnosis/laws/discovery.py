@@ -14,8 +14,7 @@ from casadical.diagnosis.conclusion import parameter_values
 from casadical.diagnosis.cross_validation import shrink_interval
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.laws.answer import Discovery, Kept
-from casadical.diagnosis.laws.contest import laws_before_causes, replaces_causes, round_of, thinned
-from casadical.diagnosis.laws.held_out import held_out
+from casadical.diagnosis.laws.contest import held_out, laws_before_causes, replaces_causes, round_of, thinned
 from casadical.diagnosis.laws.problem import Round, Scored
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.posterior import rank

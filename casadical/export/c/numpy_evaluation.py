@@ -10,26 +10,16 @@ from typing import Any
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.export.c.coefficients import (
-    COEFFICIENTS,
-    DTYPE,
-    EXP_LIMIT,
-    SQRT_GUESS,
-    TAN_PI_8,
-    TURNS,
-    Coefficients,
-    Real,
-    turn_parts,
-)
+from casadical.export.c import coefficients
 from casadical.export.c.tape import Tape
 
 
 class NumpyFunctions:
     """Elementary functions of one real type on arrays."""
 
-    def __init__(self, real: Real) -> None:
-        self.T = DTYPE[real]
-        self.c: Coefficients = COEFFICIENTS[real]
+    def __init__(self, real: coefficients.Real) -> None:
+        self.T = coefficients.DTYPE[real]
+        self.c: coefficients.Coefficients = coefficients.COEFFICIENTS[real]
 
     def _poly(self, terms: tuple[float, ...], z: Array) -> Array:
         value = np.full_like(z, self.T(terms[-1]))
@@ -51,8 +41,8 @@ class NumpyFunctions:
 
     def periodic(self, x: Array, table: tuple[float, ...]) -> Array:
         T, points = self.T, len(table) - 3
-        c, offset = np.array(table).astype(T), T(TURNS * points)
-        per_radian, high, low = (T(v) for v in turn_parts(self.c, points))
+        c, offset = np.array(table).astype(T), T(coefficients.TURNS * points)
+        per_radian, high, low = (T(v) for v in coefficients.turn_parts(self.c, points))
         k = np.trunc(x * per_radian + offset).astype(np.int64)
         n = k.astype(T) - offset
         t = ((x - n * high) - n * low) * per_radian
@@ -84,7 +74,7 @@ class NumpyFunctions:
 
     def exp(self, a: Array) -> Array:
         x = np.where(a < 0, -a, a)
-        t, r, R = self._reduced(np.where(x < self.T(EXP_LIMIT), x, self.T(EXP_LIMIT)))
+        t, r, R = self._reduced(np.where(x < self.T(coefficients.EXP_LIMIT), x, self.T(coefficients.EXP_LIMIT)))
         up, down = t * (R + r), R - r
         negative = a < 0
         quotient: Array = np.where(negative, down, up) / np.where(negative, up, down)
@@ -97,7 +87,7 @@ class NumpyFunctions:
             high, low = m >= T(2.0**k), m < T(2.0 ** (2 - k))
             m = np.where(high, m * T(2.0**-k), np.where(low, m * T(2.0**k), m))
             s = np.where(high, s * T(2.0 ** (k // 2)), np.where(low, s * T(2.0 ** -(k // 2)), s))
-        y = T(SQRT_GUESS[0]) + m * (T(SQRT_GUESS[1]) + m * T(SQRT_GUESS[2]))
+        y = T(coefficients.SQRT_GUESS[0]) + m * (T(coefficients.SQRT_GUESS[1]) + m * T(coefficients.SQRT_GUESS[2]))
         for _ in range(self.c.heron_steps):
             y = T(0.5) * (y + m / y)
         root: Array = np.where(x < T(self.c.smallest), T(0), s * y)
@@ -108,7 +98,7 @@ class NumpyFunctions:
         ax, ay = np.where(x < 0, -x, x), np.where(y < 0, -y, y)
         steep = ay > ax
         hi, lo = np.where(steep, ay, ax), np.where(steep, ax, ay)
-        second = lo > T(TAN_PI_8) * hi
+        second = lo > T(coefficients.TAN_PI_8) * hi
         den = np.where(second, hi + lo, hi)
         t = np.where(second, lo - hi, lo) / np.where(den < T(c.smallest), T(1), den)
         z = t * t
@@ -141,7 +131,7 @@ def _simple(T: Any) -> dict[str, Callable[..., Any]]:
 _ROWS_AT_ONCE = 4096  # keeps the values of a long tape in the cache
 
 
-def run(tape: Tape, inputs: Array, real: Real) -> tuple[Array, Array]:
+def run(tape: Tape, inputs: Array, real: coefficients.Real) -> tuple[Array, Array]:
     """Evaluate a tape on many inputs.
 
     inputs : array, shape (k, n_in), already of the real type
@@ -154,7 +144,7 @@ def run(tape: Tape, inputs: Array, real: Real) -> tuple[Array, Array]:
     return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
 
 
-def _run(tape: Tape, inputs: Array, real: Real) -> tuple[Array, Array]:
+def _run(tape: Tape, inputs: Array, real: coefficients.Real) -> tuple[Array, Array]:
     mirror = NumpyFunctions(real)
     T, simple = mirror.T, _simple(mirror.T)
     k = len(inputs)

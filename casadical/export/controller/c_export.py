@@ -14,17 +14,7 @@ from casadical.core.reading import read_bytes
 from casadical.export.c.coefficients import Real
 from casadical.export.c.products import Command, Product
 from casadical.export.c.write import Export, write_c
-from casadical.export.controller.commands import (
-    Sources,
-    about_tool,
-    bound_of,
-    command_of,
-    curves_of,
-    followed,
-    measured_range,
-    network_of,
-    robot_of,
-)
+from casadical.export.controller import commands
 from casadical.export.controller.inverse import freedom_of
 from casadical.robot.robot import Robot
 
@@ -54,7 +44,7 @@ class OfCommand:
 
 @dataclass(frozen=True, eq=False)
 class CExport:
-    sources: Sources
+    sources: commands.Sources
     what: str
     real: str
     asked: OfCommand
@@ -62,7 +52,7 @@ class CExport:
     written: Export
 
     def report(self) -> str:
-        robot = robot_of(self.sources.robot)
+        robot = commands.robot_of(self.sources.robot)
         lines = [f"{self.what} of {self.sources.robot}, {self.real}"]
         if wants_pose(self.asked.correct):
             lines.append(poses_of(robot))
@@ -95,10 +85,10 @@ class CExport:
             lines.append("the joints' error curves alone: a joint read as q stands at q + dq, so command q - dq(q)")
         if what == "command":
             mass = "as declared" if sources.payload_kg is None else f"{sources.payload_kg:g} kg"
-            lines += [f"LEFT OUT {line}" for line in followed(sources)[1]]
+            lines += [f"LEFT OUT {line}" for line in commands.followed(sources)[1]]
             lines += no_bound(sources)
             lines.append("readings within the joint limits of the robot file are corrected, others are CLAMPED")
-            lines += [*measured_range(arm := robot_of(sources.robot)), *about_tool(sources)]
+            lines += [*commands.measured_range(arm := commands.robot_of(sources.robot)), *commands.about_tool(sources)]
             if arm.gravity_frame == "logged":
                 lines.append("LEFT OUT the tilt of the base: gravity is as the robot file declares it, the base level")
             lines.append(f"payload: {mass}; tool: {sources.tool}; positions in the robot's own base frame")
@@ -106,7 +96,7 @@ class CExport:
 
 
 def export_c(
-    sources: Sources,
+    sources: commands.Sources,
     folder: Path,
     what: str = "command",
     asked: OfCommand | None = None,
@@ -131,7 +121,7 @@ def export_c(
         written = write_c(
             product,
             folder,
-            name=name or prefix_of(robot_of(sources.robot).name),
+            name=name or prefix_of(commands.robot_of(sources.robot).name),
             real=cast(Real, real),
             model_sha256=_sha256(cast(Path, sources.robot)),
             data_sha256=_sha256(sources.compensator) if isinstance(sources.compensator, Path) else "not given",
@@ -144,19 +134,21 @@ def export_c(
     return CExport(sources, what, real, asked, product, written)
 
 
-def product_of(sources: Sources, what: str, asked: OfCommand) -> Product:
+def product_of(sources: commands.Sources, what: str, asked: OfCommand) -> Product:
     """The correction of commands, the network alone, or the joints' error curves alone. Raises InputError."""
     if what not in ("network", "command", "curves"):
         raise InputError(f"--what {what}: not known; allowed: network, command, curves")
     if what == "command":
         oriented = wants_pose(asked.correct)
-        command = command_of(sources, asked.steps, orientation=oriented, limit_mm=asked.limit_mm, precise=asked.precise)
+        command = commands.command_of(
+            sources, asked.steps, orientation=oriented, limit_mm=asked.limit_mm, precise=asked.precise
+        )
         return replace(command, limits=replace(command.limits, **asked.times))
-    return network_of(sources) if what == "network" else curves_of(sources)
+    return commands.network_of(sources) if what == "network" else commands.curves_of(sources)
 
 
-def no_bound(sources: Sources) -> list[str]:
-    why = bound_of(sources)[1]
+def no_bound(sources: commands.Sources) -> list[str]:
+    why = commands.bound_of(sources)[1]
     return [f"NO BOUND of the error that remains: {why}"] if why else []
 
 

@@ -20,13 +20,7 @@ from casadical.core.parts import Body, Placement
 from casadical.effects import Effect
 from casadical.effects.counterparts import Omission
 from casadical.export.c.products import Command, CurveFunction, Limits, NetworkFunction, mapped
-from casadical.export.controller.functions import (
-    bent_function,
-    difference_function,
-    joint_curves,
-    tool_function,
-    without_curves,
-)
+from casadical.export.controller import functions
 from casadical.export.controller.inverse import SINGULAR_POSE, freedom_of
 from casadical.export.omission import geometry_of, left_out, rigid
 from casadical.robot.axes import row_matrix
@@ -121,12 +115,12 @@ def command_of(
     if network is not None:
         lower, upper = np.maximum(lower, network.lower), np.minimum(upper, network.upper)
     command = Command(
-        nominal=tool_function(nominal, "nominal", orientation),
-        calibrated=tool_function(real, "calibrated", orientation, turn, network),
+        nominal=functions.tool_function(nominal, "nominal", orientation),
+        calibrated=functions.tool_function(real, "calibrated", orientation, turn, network),
         lower=lower,
         upper=upper,
-        jacobian_of=tool_function(rigid(without_curves(real)), "chain", orientation),
-        jacobian_at=bent_function(real) if any(j.compliance for j in real.joints) else None,
+        jacobian_of=functions.tool_function(rigid(functions.without_curves(real)), "chain", orientation),
+        jacobian_at=functions.bent_function(real) if any(j.compliance for j in real.joints) else None,
         network=network,
         bound=bound_of(sources, real)[0],
         limit_mm=limit_mm,
@@ -135,7 +129,7 @@ def command_of(
         units=real.units,
         freedom=freedom,
         notes=(*real.notes, *measured_range(robot_of(sources.robot)), *about_tool(sources)),
-        difference=difference_function(real, nominal, orientation, turn, network) if precise else None,
+        difference=functions.difference_function(real, nominal, orientation, turn, network) if precise else None,
     )
     if limit_mm is not None and limit_mm <= (least := command.limits.tolerance_mm + sources.doubt_mm):
         raise InputError(
@@ -227,7 +221,7 @@ def curves_of(sources: Sources) -> CurveFunction:
     Raises InputError: where the robot has no `joint_error_curve`.
     """
     robot = robot_of(sources.robot)
-    curves = joint_curves(robot)
+    curves = functions.joint_curves(robot)
     if curves is None:
         raise InputError(
             f"{_word(sources.robot)}: it has no joint_error_curve; there is nothing to export. `casadical diagnose` "

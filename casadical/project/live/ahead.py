@@ -26,7 +26,7 @@ from casadical.pose_selection.pose_order import distances
 from casadical.pose_selection.stopping_rule import Forecast, forecast
 from casadical.pose_selection.workspace import Workspace, places_about
 from casadical.project.live.estimate import Estimate, known_at_first, labels_of
-from casadical.project.new.synthetic import one_turn
+from casadical.project.new.new import one_turn
 from casadical.robot.robot import Robot
 
 # Poses that are chosen from, poses of the task, poses planned at once, and looked at beyond what is measured.

@@ -19,7 +19,7 @@ from casadical.core.errors import InputError, shown
 from casadical.core.reading import MOST_TEXT, read_bytes
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.pose_selection.candidates import expected
-from casadical.project.new.synthetic import NOISE, as_built
+from casadical.project.new.new import NOISE, as_built
 from casadical.robot.robot import Robot
 
 # Files of a folder that may be tables.

@@ -1,30 +1,89 @@
-"""Compose the files of a new problem, check that they can be read, and then write them."""
+"""Compose the files of a new problem, check that they can be read, and then write them.
+
+Poses for a first run are simulated with the robot's own model, and marked as synthetic.
+"""
 
 import tempfile
 import tomllib
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError, all_faults
 from casadical.core.estimated_masses import with_estimated_masses, without_masses
 from casadical.core.files import claimed, write_together
 from casadical.core.reading import read_bytes, read_text
 from casadical.core.telling.blocks import Table, Words
+from casadical.core.transforms import frame, from_rpy
 from casadical.measurements.columns import Columns, is_ours
 from casadical.measurements.headings import Question, Understanding
 from casadical.measurements.kinds.registry import kinds
+from casadical.measurements.measurements import Measurements
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.measurements.reading import from_columns
+from casadical.pose_selection import Workspace
+from casadical.pose_selection.candidates import draw, expected
 from casadical.project.check.targets import unnamed_targets
 from casadical.project.new.dh_table import robot_text
-from casadical.project.new.synthetic import POSES, synthetic_poses
 from casadical.project.new.texts import EXAMPLE_ROBOT, Given, problem_text, readme_text, with_masses, with_measured
 from casadical.project.problem import Problem, read_problem
 from casadical.project.robot_columns import computed, placed_by, understood
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
+
+POSES = 60
+NOISE = 2e-5
+# One sigma by which the robot "as built" departs from the drawing: lengths [m], angles [rad].
+DEPARTURE = {"m": 3e-4, "rad": 5e-4}
+# Where it stands in the measuring frame, if that is to be found.
+STAND = frame(from_rpy(np.deg2rad([0.5, -0.3, 30.0])), np.array([0.8, -0.4, 0.2]))
+
+
+def synthetic_poses(robot: Robot, seed: int = 0) -> str:
+    """A CSV table of readings and noisy positions, of a robot that departs a little from its drawing."""
+    rng = np.random.default_rng(seed)
+    built = as_built(robot, rng)
+    q = draw(one_turn(robot), POSES, Workspace(), rng)
+    m = expected(built, q, {}, "synthetic")
+    assert m.position is not None
+    return _table(robot, m, m.position + rng.normal(0.0, NOISE, m.position.shape))
+
+
+def one_turn(robot: Robot) -> Robot:
+    """Joints that turn more than once are driven within half a turn to either side."""
+    joints = (
+        replace(j, lower=max(j.lower, -np.pi), upper=min(j.upper, np.pi)) if j.upper - j.lower > 2 * np.pi else j
+        for j in robot.joints
+    )
+    return replace(robot, joints=tuple(joints))
+
+
+def as_built(robot: Robot, rng: np.random.Generator) -> Robot:
+    """A robot that departs a little from its drawing, somewhere in the measuring frame."""
+    values = {}
+    for p in robot.parameters:
+        if p.group in ("geometry", "loop"):
+            values[p.name] = p.value + rng.normal(0.0, DEPARTURE[p.unit])
+        elif p.group == "tool":
+            values[p.name] = p.value + 5 * rng.normal(0.0, DEPARTURE[p.unit])
+        elif p.group == "compliance":
+            values[p.name] = p.value + rng.uniform(0.2, 0.5) * p.prior
+    built = robot.with_values(values)
+    if robot.base.unknown == "none":
+        return built
+    return replace(built, base=replace(built.base, T=built.base.T @ STAND))
+
+
+def _table(robot: Robot, m: Measurements, position: Array) -> str:
+    units = robot.reading_units
+    lines = [",".join([*units, "x_mm", "y_mm", "z_mm"])]
+    for q, p in zip(m.q / list(units.values()), 1e3 * position, strict=True):
+        lines.append(",".join([*(f"{v:.6f}" for v in q), *(f"{v:.4f}" for v in p)]))
+    return "\n".join(lines) + "\n"
+
 
 # A target that is measured at fewer poses is left out.
 FEWEST = 3

@@ -24,7 +24,7 @@ from casadical.project.live import LiveSession
 from casadical.project.live.journal import journal
 from casadical.project.live.session import finished
 from casadical.project.live.sources import FileSource, FolderSource, Row, StreamSource
-from casadical.project.new.synthetic import as_built
+from casadical.project.new.new import as_built
 
 ROOT = Path(__file__).parents[3]
 SERIES = ROOT / "data/ur10_laser_tracker/series_C_random_poses.csv"
