@@ -47,7 +47,8 @@ Laws = Annotated[
         "--laws/--no-laws",
         help="Search for the law of what no listed effect explains: where it acts, what it follows, in which form; "
         "with --out also discovered.robot.toml, law.effect.toml (for --effects), discovery.json, discovery.txt. "
-        "Default: where the verdict is unknown, and as a rival of all causes that were found; --no-laws: never.",
+        "Default: where the verdict is unknown, and as a rival of all causes that were found (of joint logs never); "
+        "--no-laws: never.",
     ),
 ]
 OfMasses = Annotated[
@@ -91,7 +92,7 @@ Bootstrap = Annotated[
 MODES = {
     "joint logs": ("reference", "drive"),
     "measured poses": (
-        "together", "laws", "nuisance_masses", "prior", "prior_effects", "frozen",
+        "together", "nuisance_masses", "prior", "prior_effects", "frozen",
         "measure_next", "next_n", "room", "network", "highest_line", "bootstrap", "seed", "unlisted", "details",
     ),
 }  # fmt: skip
@@ -139,7 +140,7 @@ def diagnose(
     logs = read_logs(problem, campaigns, reference, drive, effects.split(",") if effects else ())
     o.refuse_of_others(context, "joint logs" if logs else "measured poses", MODES)
     if logs:
-        _diagnose_logs(logs, problem, out, report_file, json_file, quiet)
+        _diagnose_logs(logs, problem, bool(laws), out, report_file, json_file, quiet)
         return
     o.need(room, measure_next, "--room says where the poses of --next may lie; give --next FILE, too")
     o.need(unlisted, out, "--unlisted says what --out writes; give --out DIR, too")
@@ -174,15 +175,15 @@ def diagnose(
 
 
 def _diagnose_logs(
-    campaign: LogCampaign, problem: Path, out: Path | None, report_file: Path | None, json_file: Path | None,
-    quiet: bool,
+    campaign: LogCampaign, problem: Path, laws: bool, out: Path | None, report_file: Path | None,
+    json_file: Path | None, quiet: bool,
 ) -> None:  # fmt: skip
     console = wrapped(quiet)
     answers: list[LogDiagnosis] = []
     texts: dict[Path, str] = {}
     for path in campaign.logs:
         with working(quiet, "diagnosing", path.name) as show:
-            answers.append(campaign.diagnosed(path, show))
+            answers.append(campaign.diagnosed(path, show, laws=laws))
         console.print(terminal(answers[-1].blocks()))
         if answers[-1].verdict in ("ambiguous", "unknown"):
             suggest(console, "for a motion that tells more", "plan", problem, "--motion", path)

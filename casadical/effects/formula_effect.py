@@ -54,14 +54,16 @@ MOTION_SEAMS = ("torque", "torques", "response", "responses")
 MOTION = frozenset({
     "q", "v", "a", "speed", "turned", "slip", "load", "tau", "friction", "drag", "inertia", "motor", "t", "time", "run",
     "zero", "mass", "mass_x", "mass_y", "mass_z", "link", "servo", "command_speed", "command_acceleration", "side",
-    "delayed", "filtered", "heat", "at_limit", "after_limit", "at_speed_limit", "after_speed_limit",
+    "delayed", "filtered", "heat", "rest", "at_limit", "after_limit", "at_speed_limit", "after_speed_limit",
 })  # fmt: skip
+# The same of any joint, by its number.
+MOTION_OF = re.compile(r"(q|v|speed|slip|load|tau|heat|rest)(\d+)")
 # Columns by their name in a formula, where it is another one.
 COLUMNS = {"t": "progress", "payload": "payload_kg", "warmth": "warmth_0s"}
 COLUMN = re.compile(r"t|payload|warmth|warmth_\d+s|approach\d+|move\d+|(memory|play)\d+_\d+mrad")
 _OF_POSE = re.compile(r"(q|tau)(\d+)|m(\d+)[xyz]|[gp][xyz]")
 OF_JOINT = re.compile(r"q|tau|approach|move")
-_NUMBERED = re.compile(r"(?:q|tau|m|approach|move|memory|play)(\d+)(?:[xyz]|_\d+mrad)?")
+_NUMBERED = re.compile(r"(?:q|tau|m|approach|move|memory|play|v|speed|slip|load|heat|rest)(\d+)(?:[xyz]|_\d+mrad)?")
 # Of a beam from an instrument: its length, its direction about the vertical, its cosine with the flange's third axis.
 _BEAM = ("r", "azimuth", "incidence")
 # Of the measured point, at the seams behind it.
@@ -180,7 +182,8 @@ def check_formula(text: str, seam: str, own: Collection[str]) -> Formula:
     there = {*own, *(_BEAM if seam in ("beam", "distance") else ())}
     there |= set(_POINT if seam in ("beam", "distance", "point") else ())
     if seam in MOTION_SEAMS:
-        refuse_unknown(formula, lambda name: name in there | MOTION, ", ".join([*own, *sorted(MOTION)]))
+        allowed = ", ".join([*own, *sorted(MOTION), "q1 (and v, speed, slip, load, tau, heat, rest) of joint 1"])
+        refuse_unknown(formula, lambda name: name in there | MOTION or bool(MOTION_OF.fullmatch(name)), allowed)
         return formula
     refuse_unknown(formula, lambda name: name in there or _known(name, seam), f"{', '.join(own)}, {ALLOWED}")
     return formula

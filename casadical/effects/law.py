@@ -83,6 +83,7 @@ class Law(FormulaEffect):
     def place(self) -> str:
         """Where it acts, in words."""
         words = {"joint": "joint {}", "joints": "every joint", "tilt": "tilt of link {}", "shift": "shift of link {}"}
+        words |= {"torque": "torque of joint {}", "response": "response of joint {}"}
         return words.get(self.seam, self.seam).format(self.joint)
 
     @property

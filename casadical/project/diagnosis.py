@@ -30,7 +30,8 @@ from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.text import brief, page_of, titled
 from casadical.effects import Effect
 from casadical.effects.definition import DefinedEffect
-from casadical.effects.motion import MOTION_SEAMS
+from casadical.effects.law import Law
+from casadical.effects.motion import MOTION_SEAMS, Cause
 from casadical.effects.plugins import known_effects
 from casadical.identification.prior import Prior
 from casadical.measurements.logs.log import JointLog
@@ -246,11 +247,11 @@ class LogCampaign:
     logs: tuple[Path, ...]
     healthy: JointLog | None = None
     withheld: tuple[Path, ...] = ()
-    own: tuple[type[DefinedEffect], ...] = ()
+    own: tuple[Cause, ...] = ()
 
-    def diagnosed(self, log: Path, show: Show = silent) -> LogDiagnosis:
-        """Why the arm moves otherwise than its model in one of the logs. Raises InputError."""
-        return diagnose_log(self.robot, read_log(log, self.robot), self.healthy, show, own=self.own)
+    def diagnosed(self, log: Path, show: Show = silent, *, laws: bool = False) -> LogDiagnosis:
+        """Why the arm moves otherwise than its model in one of the logs, as of `diagnose_log`. Raises InputError."""
+        return diagnose_log(self.robot, read_log(log, self.robot), self.healthy, show, own=self.own, laws=laws)
 
     def proposed(self, names: Sequence[str] = (), show: Show = silent) -> Proposal:
         """The motion to log next, after the first of the logs; names : causes in question. Raises InputError."""
@@ -302,18 +303,19 @@ def read_logs(
     return LogCampaign(robot, tuple(tables or ()), healthy, tuple(withheld), own_causes(effects))
 
 
-def own_causes(files: Sequence[str]) -> tuple[type[DefinedEffect], ...]:
-    """Causes of joint logs that effect files define. Raises InputError: names, and effects of poses."""
-    kinds: list[type[DefinedEffect]] = []
+def own_causes(files: Sequence[str]) -> tuple[Cause, ...]:
+    """Causes and laws of joint logs that effect files have. Raises InputError: names, and effects of poses."""
+    kinds: list[Cause] = []
     for word in files:
         if not word.strip().endswith(".toml"):
             raise InputError(f"--effects {word}: of joint logs every cause of the list is judged; own ones are files")
-        for kind in read_effects(word.strip()).kinds:
-            if not issubclass(kind, DefinedEffect) or not set(kind.definition.formulas) <= set(MOTION_SEAMS):
-                raise InputError(
-                    f"{word}: {kind.name} is of poses; causes of joint logs act at {', '.join(MOTION_SEAMS)}"
-                )
-            kinds.append(kind)
+        file = read_effects(word.strip())
+        own = [k for k in file.kinds if issubclass(k, DefinedEffect) and {*k.definition.formulas} <= {*MOTION_SEAMS}]
+        laws = [e for e in file.effects if isinstance(e, Law) and e.seam in MOTION_SEAMS]
+        if len(own) + len(laws) < len(file.kinds) + len(file.effects):
+            other = [k.name for k in file.kinds if k not in own] + [e.name for e in file.effects if e not in laws]
+            raise InputError(f"{word}: {other[0]} is of poses; causes of joint logs act at {', '.join(MOTION_SEAMS)}")
+        kinds += [*own, *laws]
     return tuple(kinds)
 
 

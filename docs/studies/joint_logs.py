@@ -1,7 +1,8 @@
 """Joint logs with hidden causes, made in MuJoCo, and what `casadical diagnose ARM LOG` says of them.
 
 python docs/studies/joint_logs.py make DIR (4 minutes), run DIR (10 of CPU), score DIR. Synthetic data. Further
-arguments are another seed and number of logs: 20261124 to 20261126 and 72 are rounds on which rules were developed.
+arguments are another seed and number of logs: 20261124 to 20261126 and 72, 20261127 and 96 are rounds on which rules
+were developed.
 
 Written without having read the diagnosis. Two arms: the six axes of problems/ur10e, with currents, and the SO-101 of
 data/so101_logs, half with torques, half with commands and readings only. Causes act in the simulation (forces, servo),
@@ -26,8 +27,8 @@ import numpy as np
 import pandas as pd
 
 ROOT = Path(__file__).parents[2]
-SEED = int(sys.argv[3]) if len(sys.argv) > 3 else 20261127
-LOGS = int(sys.argv[4]) if len(sys.argv) > 4 else 96
+SEED = int(sys.argv[3]) if len(sys.argv) > 3 else 20261128
+LOGS = int(sys.argv[4]) if len(sys.argv) > 4 else 300
 STEP, ROW = 0.001, 8
 LISTED = [
     "payload",
@@ -50,6 +51,10 @@ LISTED = [
 # On no list: a stick one way near one angle; a push in a fixed rhythm; drag by another joint's motion; gusts.
 UNLISTED = ["one_way_stick", "periodic_push", "drag_of_other", "gusts"]
 INSTRUMENT = ("clock_scale", "lost_samples")
+# Of logs with a listed cause every so many have a second one, at another joint.
+EVERY_SECOND = 4
+# What belongs to one cause of a day.
+OF_CAUSE = ("kind", "joint", "size", "at", "sign", "phase", "other", "one_sided", "cog_n", "cog_at")
 GLOBAL = ("payload", "clock_scale", "lost_samples", "warm_up")
 TWINS = [{"transport_delay", "lag"}, {"payload", "link_mass"}]
 ARMS = {
@@ -303,8 +308,10 @@ def rigid(model: mujoco.MjModel, u: np.ndarray) -> np.ndarray:
 
 
 def put(day: dict, kind: str, joint: int, level: float, top: np.ndarray, rng: np.random.Generator) -> dict:
-    """A day with a cause of a size from barely visible (level 0) to clear (1). `top`: greatest torques (N m)."""
+    """A day with one more cause, from barely visible (level 0) to clear (1). `top`: greatest torques (N m)."""
     d, of, j = copy.deepcopy(day), ARMS[day["arm"]], joint
+    if d["kind"]:
+        d["also"] = {k: d[k] for k in OF_CAUSE if k in d}
     sign = float(rng.choice([-1, 1]))
     ranges = {
         "coulomb_friction": (0.12, 1.5),
@@ -366,30 +373,35 @@ def put(day: dict, kind: str, joint: int, level: float, top: np.ndarray, rng: np
     return d
 
 
+def causes_of(day: dict) -> list[dict]:
+    """The causes of a day, of which most have one."""
+    return [day, day["also"]] if "also" in day else [day]
+
+
 def outside(days: list[dict], t: float, q: np.ndarray, v: np.ndarray, gust: np.ndarray) -> np.ndarray:
     """Torques (logs, 6) of what touches the arms: spring, hose, contact, cogging, and what is on no list."""
     out = np.zeros_like(q)
-    for i, d in enumerate(days):
+    for i, own, d in [(k, x, c) for k, x in enumerate(days) for c in causes_of(x)]:
         kind, j = d["kind"], d["joint"]
-        scale = d["size"] * ARMS[d["arm"]]["dry"][j]
+        scale = d["size"] * ARMS[own["arm"]]["dry"][j]
         x = q[i, j] - d["at"]
         if kind == "spring":
-            out[i, j] = -scale * (max(x, 0.0) * 2 if d["one_sided"] else x)
+            out[i, j] -= scale * (max(x, 0.0) * 2 if d["one_sided"] else x)
         elif kind == "contact":
-            start = ends_of(d["seed"])[1] - 17 + 8 * d["phase"] if "start" not in d else d["start"]
+            start = ends_of(own["seed"])[1] - 17 + 8 * d["phase"] if "start" not in d else d["start"]
             d["start"] = start
             if start < t < start + 4:
-                out[i, j] = -np.clip(60 * scale * max(d["sign"] * x, 0.0), 0, 3 * scale) * d["sign"]
+                out[i, j] -= np.clip(60 * scale * max(d["sign"] * x, 0.0), 0, 3 * scale) * d["sign"]
         elif kind == "ripple":
-            out[i, j] = scale * np.sin(d["cog_n"] * q[i, j] + d["cog_at"])
+            out[i, j] += scale * np.sin(d["cog_n"] * q[i, j] + d["cog_at"])
         elif kind == "one_way_stick":
-            out[i, j] = -2 * scale * d["sign"] * np.exp(-((x / 0.12) ** 2)) * np.clip(d["sign"] * v[i, j] / 0.01, 0, 1)
+            out[i, j] -= 2 * scale * d["sign"] * np.exp(-((x / 0.12) ** 2)) * np.clip(d["sign"] * v[i, j] / 0.01, 0, 1)
         elif kind == "periodic_push":
-            out[i, j] = d["sign"] * scale * ((t / (1.3 + 2 * d["phase"])) % 1 < 0.15)
+            out[i, j] += d["sign"] * scale * ((t / (1.3 + 2 * d["phase"])) % 1 < 0.15)
         elif kind == "drag_of_other":
-            out[i, j] = -scale * np.tanh(v[i, d["other"]] / 0.1)
+            out[i, j] -= scale * np.tanh(v[i, d["other"]] / 0.1)
         elif kind == "gusts":
-            out[i, j] = scale * gust[i]
+            out[i, j] += scale * gust[i]
     return out
 
 
@@ -412,20 +424,22 @@ def simulate(days: list[dict]) -> list[dict]:
     q, v, z, gust = u[0].copy(), np.zeros((n, 6)), np.zeros((n, 6)), np.zeros(n)
     load, ends = np.abs(forward[0]), np.stack([ends_of(d["seed"]) for d in days])
     rngs, rows = [np.random.default_rng([d["seed"], 2]) for d in days], np.empty((total * 4 // ROW, n, 18))
-    zero = np.array([d["sign"] * d["size"] * (d["kind"] == "zero_offset_step") if d["kind"] else 0.0 for d in days])
-    joint, every = np.array([d["joint"] for d in days]), np.arange(n)
+    zero = np.zeros((n, 6))
+    for i, c in [(i, c) for i, d in enumerate(days) for c in causes_of(d) if c["kind"] == "zero_offset_step"]:
+        zero[i, c["joint"]] += c["sign"] * c["size"]
+    behind = ends[:, :1]
     for k in range(total * 4 // ROW * ROW):
         t, at, part = k * STEP, k // 4, (k % 4) / 4
         want, rate = (w[at] + (w[at + 1] - w[at]) * part for w in (u, speed))
         seen = q.copy()
         if arm == "ur10e":  # the encoder of the servo itself jumps; that of the SO-101 jumps against the host
-            seen[every, joint] += zero * (t > ends[:, 0])
+            seen += zero * (t > behind)
         push = p["kp"] * (want - seen) + p["kd"] * (rate - v) + forward[at] + (forward[at + 1] - forward[at]) * part
         push = np.clip(push, -p["limit"], p["limit"])
         if k % ROW == 0:
             logged = seen.copy()
             if arm == "so101":
-                logged[every, joint] += zero * (t > ends[:, 0])
+                logged += zero * (t > behind)
             rows[k // ROW] = np.concatenate([logged, v, push], 1)
         if k % 20 == 0:
             gust = 0.97 * gust + 0.24 * np.array([r.normal() for r in rngs])
@@ -591,26 +605,30 @@ def drawn() -> list[dict]:
     rng = np.random.default_rng(SEED)
     clean, other = LOGS // 3, LOGS // 8
     named = LOGS - clean - other
-    kinds = [""] * clean + [str(x) for _ in range(3) for x in rng.permutation(UNLISTED)][:other]
-    kinds += [str(x) for _ in range(4) for x in rng.permutation(LISTED)][:named]
+    kinds = [""] * clean + [str(x) for _ in range(1 + LOGS // 32) for x in rng.permutation(UNLISTED)][:other]
+    kinds += [str(x) for _ in range(1 + LOGS // 24) for x in rng.permutation(LISTED)][:named]
     order = rng.permutation(LOGS)
     with_reference, shuffled = rng.permutation(np.arange(LOGS) % 2 == 0), [kinds[k] for k in order]
     out = []
     for i, kind in enumerate(shuffled):
-        joint = int(rng.choice([0, 1, 2, 3, 4] if kind not in ("payload", "warm_up") else [1]))
-        if kind in ("load_friction", "torque_constant", "saturation", "servo_stiffness", "zero_offset_step"):
-            joint = int(rng.choice([1, 2, 3]))  # where a load acts
-        out.append(
-            {
-                "id": f"J{i + 1:03}",
-                "arm": ("ur10e", "so101")[i % 2],
-                "kind": kind,
-                "joint": joint,
-                "level": float(rng.uniform()),
-            }
-        )
+        out.append({"id": f"J{i + 1:03}", "arm": ("ur10e", "so101")[i % 2], **one_of(kind, rng)})
         out[-1] |= {"reference": bool(with_reference[i]), "torque": i % 4 != 1}
+    listed = [x for x in out if x["kind"] in LISTED and x["kind"] not in INSTRUMENT]
+    rng = np.random.default_rng([SEED, LOGS, 2])
+    for entry in listed[::EVERY_SECOND]:
+        again = one_of(str(rng.choice([k for k in LISTED if k not in (*INSTRUMENT, entry["kind"])])), rng)
+        while again["kind"] not in GLOBAL and again["joint"] == entry["joint"]:
+            again = one_of(again["kind"], rng)
+        entry["also"] = again
     return out
+
+
+def one_of(kind: str, rng: np.random.Generator) -> dict:
+    """A cause of a kind, at a joint where it can act."""
+    joint = int(rng.choice([0, 1, 2, 3, 4] if kind not in ("payload", "warm_up") else [1]))
+    if kind in ("load_friction", "torque_constant", "saturation", "servo_stiffness", "zero_offset_step"):
+        joint = int(rng.choice([1, 2, 3]))  # where a load acts
+    return {"kind": kind, "joint": joint, "level": float(rng.uniform())}
 
 
 def make(folder: Path, arm: str) -> None:
@@ -622,11 +640,23 @@ def make(folder: Path, arm: str) -> None:
         day, other = day_of(truth, arm, rng), day_of(truth, arm, rng)
         day["torque"] = other["torque"] = entry["torque"]
         top = np.abs(rigid(model_of(arm, truth["spread"]), motion(arm, day["seed"]))).max(0) + 0.5 * day["dry"]
-        hidden = put(day, entry["kind"], entry["joint"], entry["level"], top, rng) if entry["kind"] else day
+        hidden, also, alone = day, entry.get("also"), day
+        if entry["kind"]:
+            hidden = put(day, entry["kind"], entry["joint"], entry["level"], top, rng)
+        if also:
+            own = [SEED, int(entry["id"][1:]), 2]
+            first, hidden, alone = (
+                hidden,
+                *(
+                    put(x, also["kind"], also["joint"], also["level"], top, np.random.default_rng(own))
+                    for x in (hidden, day)
+                ),
+            )
         slot = {"log": len(days)}
         days.append(hidden)
         for name, extra, wanted in (
-            ("twin", day, entry["kind"] and entry["kind"] not in INSTRUMENT),
+            ("twin", alone, entry["kind"] and entry["kind"] not in INSTRUMENT),
+            ("second", first if also else day, also),
             ("reference", other, entry["reference"]),
         ):
             if wanted:
@@ -642,7 +672,12 @@ def make(folder: Path, arm: str) -> None:
         if entry["reference"]:
             written(days[slot["reference"]], logs[slot["reference"]], folder / f"{entry['id']}.reference.csv.gz")
         seen = bool(entry["kind"]) and visible(day, log, logs[slot.get("twin", slot["log"])], entry["reference"])
-        key.append(entry | {"size": day["size"], "visible": seen})
+        key.append(entry | {"size": causes_of(day)[-1]["size"], "visible": seen})
+        if "also" in entry:
+            key[-1]["also"] |= {
+                "size": day["size"],
+                "visible": visible(day, log, logs[slot["second"]], entry["reference"]),
+            }
     (folder / f"key-{arm}.json").write_text(json.dumps(key, indent=1))
 
 
@@ -755,8 +790,18 @@ def diagnosed(folder: Path, entry: dict) -> None:
     (folder / f"{name}.cost.json").write_text(json.dumps(cost))
 
 
+def hidden_of(entry: dict) -> list[dict]:
+    """The causes of a log of the key, each with its arm."""
+    return [entry, {**entry, **entry["also"]}] if "also" in entry else [entry]
+
+
 def right(claim: dict, entry: dict) -> bool:
-    """Whether a claim is the hidden cause, at its joint; twin names as the documentation has them."""
+    """Whether a claim is a hidden cause, at its joint; twin names as the documentation has them."""
+    return any(same_cause(claim, cause) for cause in hidden_of(entry))
+
+
+def same_cause(claim: dict, entry: dict) -> bool:
+    """Whether a claim is one hidden cause."""
     twins = (
         [*TWINS, {"servo_stiffness", "torque_constant"}] if entry["arm"] == "so101" and not entry["torque"] else TWINS
     )
@@ -777,7 +822,10 @@ def score(folder: Path) -> None:
             entry | cost | {"verdict": answer["verdict"], "claims": claims, "right": [right(c, entry) for c in claims]}
         )
         said = ", ".join(f"{c['effect']}@{c['joint']}" if c["joint"] else c["effect"] for c in claims)
-        hidden = f"{entry['kind']}@{entry['joint'] + 1}" if entry["kind"] not in ("", *GLOBAL) else entry["kind"] or "-"
+        hidden, *also = (
+            f"{c['kind']}@{c['joint'] + 1}" if c["kind"] not in ("", *GLOBAL) else c["kind"] or "-"
+            for c in hidden_of(entry)
+        )
         mark = "".join("+" if r else "x" for r in table[-1]["right"])
         channel = "current" if entry["arm"] == "ur10e" else "torque" if entry["torque"] else "command"
         print(
@@ -785,6 +833,9 @@ def score(folder: Path) -> None:
             f"{hidden:20} {entry['size']:7.3g} "
             f"{'visible' if entry['visible'] else '-':7} {answer['verdict']:9} {mark:3} {said}"
         )
+        if also:
+            second = f"{entry['also']['size']:7.3g} {'visible' if entry['also']['visible'] else '-'}"
+            print(f"{'and':24} {also[0]:20} {second}")
     print()
     summary(table)
     print("\nby channel and reference")
@@ -801,7 +852,7 @@ def score(folder: Path) -> None:
             )
     print("\ncause                 logs visible named(visible) named right  wrong claims  other verdicts")
     for kind in ["", *LISTED, *UNLISTED]:
-        of = [x for x in table if x["kind"] == kind]
+        of = [x for x in table if x["kind"] == kind and "also" not in x]
         if not of:
             continue
         seen = [x for x in of if x["visible"]]
@@ -811,6 +862,20 @@ def score(folder: Path) -> None:
             f"{kind or 'clean':20} {len(of):5} {len(seen):7} {named(seen):14} {named(of):11}  "
             f"{counted(wrong)}; {counted(rest)}"
         )
+
+
+def of_pairs(table: list[dict]) -> str:
+    """Recall and precision of logs with two causes."""
+    pairs = [x for x in table if "also" in x]
+    seen = [(x, c) for x in pairs for c in hidden_of(x) if c["visible"]]
+    found = [any(same_cause(claim, c) for claim in x["claims"]) for x, c in seen]
+    both = [x for x in pairs if all(c["visible"] for c in hidden_of(x))]
+    whole = sum(all(any(same_cause(claim, c) for claim in x["claims"]) for c in hidden_of(x)) for x in both)
+    claims = [r for x in pairs for r in x["right"]]
+    return (
+        f"two causes, {len(pairs)} logs: {sum(found)} of {len(found)} visible causes named, "
+        f"both of {whole} of {len(both)} where both are visible; claims right {sum(claims)} of {len(claims)}"
+    )
 
 
 def named(table: list[dict]) -> int:
@@ -826,20 +891,21 @@ def summary(table: list[dict], one: bool = False) -> None:
     """The figures of the study."""
     claims = [r for x in table for r in x["right"]]
     clean, other = [x for x in table if not x["kind"]], [x for x in table if x["kind"] in UNLISTED]
-    single = [x for x in table if x["kind"] in LISTED]
+    single = [x for x in table if x["kind"] in LISTED and "also" not in x]
     seen = [x for x in single if x["visible"]]
     alone = [r for x in single for r in x["right"]]
     hidden, strange = [x for x in single if not x["visible"]], [x for x in other if x["visible"]]
     cpu, memory = [x["cpu"] for x in table], [x["MB"] for x in table]
     lines = [
         f"claims right {sum(claims)} of {len(claims)}",
-        f"those of logs with a listed cause {sum(alone)} of {len(alone)}",
+        f"those of logs with one listed cause {sum(alone)} of {len(alone)}",
         f"false alarms on clean logs {sum(bool(x['claims']) for x in clean)} of {len(clean)}",
         f"unlisted claimed as listed {sum(bool(x['claims']) for x in other)} of {len(other)}",
         f"named where visible {named(seen)} of {len(seen)} (not visible, named {named(hidden)} of {len(hidden)})",
         f"unknown or ambiguous where an unlisted cause is visible "
         f"{sum(x['verdict'] in ('unknown', 'ambiguous') for x in strange)} of {len(strange)}",
     ]
+    lines += [of_pairs(table)]
     if max(cpu):
         lines += [f"CPU a log {np.median(cpu):.1f} s median, {max(cpu):.1f} s greatest"]
         lines += [f"memory a log {np.median(memory):.0f} MB median, {max(memory):.0f} MB greatest"]
@@ -847,7 +913,8 @@ def summary(table: list[dict], one: bool = False) -> None:
 
 
 ABOUT = f"""Three runs a log, 50 s, 125 Hz; {LOGS // 3} clean, {LOGS // 8} with a cause on no list. + right, x wrong.
-One cause a log. Columns: log, arm, channel, reference, hidden cause@joint, size, visible or not, verdict, claims.
+One cause a log, or two at different joints (the second in a line below).
+Columns: log, arm, channel, reference, hidden cause@joint, size, visible or not, verdict, claims.
 Sizes: share by which friction, gain or constant is off; s (delay, lag); rad (zero); kg (payload); share of rows or time
 (lost samples, clock); part of the greatest torque (saturation); of the joint's dry friction (what else is a torque).
 Visible: from two simulations that differ in the cause alone, see visible() of joint_logs.py; no diagnosis enters.

@@ -113,6 +113,23 @@ def test_named(robot, fault, labels):
     assert after.sum() < 1.001 * before.sum()
 
 
+def ripple_and_late(run, t, q, v, tau):
+    return ripple(run, t, q, v, tau)[0], np.array([0.0, 0.0, 0.03])
+
+
+def spring_and_contact(run, t, q, v, tau):
+    tau[:, 0] += 9.0 * (q[:, 0] - 0.1)
+    return contact(run, t, q, v, tau)
+
+
+@pytest.mark.parametrize(("fault", "labels"), [
+    (ripple_and_late, {"ripple@2", "transport_delay@3"}), (spring_and_contact, {"spring@1", "contact@3"}),
+])  # fmt: skip
+def test_two_causes_of_one_log_are_both_told(robot, fault, labels):
+    found = diagnose_log(robot, simulated(robot, 4, fault))
+    assert {f.label.replace("lag", "transport_delay") for f in found.fitting} == labels
+
+
 @pytest.mark.parametrize("seed", [2, 3])
 def test_of_a_healthy_arm_nothing_is_named(robot, seed):
     found = diagnose_log(robot, simulated(robot, seed))

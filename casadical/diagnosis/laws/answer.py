@@ -33,7 +33,7 @@ from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml
 
 # Unit of a factor -> (in words, its size).
-READABLE = {"rad": ("urad", 1e6), "m": ("um", 1e6), "kg/kg": ("%", 1e2)}
+READABLE = {"rad": ("urad", 1e6), "m": ("um", 1e6), "kg/kg": ("%", 1e2), "": ("of the great torque", 1.0)}
 NATS = (
     "Nats measure evidence: the natural logarithm of how many times more probable the data are with the law, less the "
     "price of the search; 3 nats are 20 times."

@@ -29,7 +29,7 @@ def refined(problem: Problem, found: Scored) -> Scored:
         score=found.score + better - found.evidence,
         evidence=better,
         columns=columns,
-        noise=likely_noise(problem.grids([columns])[0]),
+        noise=likely_noise(problem.grids([columns])[0], problem.evidence.sigmas),
         errors=_sigmas(problem, found.tried, found.seam, settings, better),
     )
 

@@ -16,6 +16,8 @@ from casadical.robot.robot import Robot
 
 # Realistic size of a law, one sigma: where a form varies by one.
 ANGLE, LENGTH, SHARE = 30e-6, 30e-6, 0.03
+# The same in joint logs, in shares of the great torque and rad.
+IN_LOGS = {"torque": 0.05, "response": 1e-3}
 # Where instruments stand: so many directions around the robot, at these distances from it, in reaches.
 DIRECTIONS, DISTANCES = 8, (1.5, 2.5, 4.0)
 LETTERS = "abcdefghijklmnopqsuvwxyz"
@@ -31,7 +33,7 @@ class Seam:
     @property
     def size(self) -> float:
         """One sigma of its factors."""
-        return {"rad": ANGLE, "m": LENGTH}.get(SEAMS[self.law.seam][1], SHARE)
+        return IN_LOGS.get(self.law.seam) or {"rad": ANGLE, "m": LENGTH}.get(SEAMS[self.law.seam][1], SHARE)
 
     def takes(self, driver: Driver) -> bool:
         """Whether a driver may act there: the payload's energy follows logged columns alone."""

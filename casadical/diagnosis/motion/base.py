@@ -160,7 +160,7 @@ def _variables(m: Motion, arm: Arm, great: Array, torque: Array, model: Array, Y
         "q": m.q, "v": m.v, "a": m.a, "speed": m.v / fast, "slip": slip, "load": model / great,
         "turned": (m.q - m.q.mean(axis=0)) / (np.abs(m.q - m.q.mean(axis=0)).max(axis=0) + 1e-9),
         "time": m.time[:, None] * ones, "t": (m.time / m.time[-1])[:, None] * ones, "run": m.run[:, None] * ones,
-        "side": np.tanh(20 * (model if m.torque is None else torque) / great),
+        "side": np.tanh(20 * (model if m.torque is None else torque) / great), "rest": m.rest,
     }  # fmt: skip
     known["inertia"] = arm.rotor * m.a / great
     if m.torque is not None:  # not the measured one, which would explain its own noise

@@ -21,8 +21,9 @@ from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.motion.base import Look, Part, base_of, bodies_of
 from casadical.diagnosis.motion.signals import behind, lagged
-from casadical.effects.definition import DefinedEffect
-from casadical.effects.motion import MOTION_SEAMS, motion_columns, motion_effects
+from casadical.effects.formula_effect import MOTION_OF
+from casadical.effects.law import Law
+from casadical.effects.motion import MOTION_SEAMS, Cause, MotionEffect, motion_columns, motion_effects
 from casadical.effects.settings import grid_points
 from casadical.measurements.noise import Noise
 
@@ -256,7 +257,7 @@ def white_problem(r: Array, base: Array, E: RowColumns, first: Array, noise: Fol
 
 def motion_case(
     looks: Sequence[Look], known: Mapping[tuple[str, int, bool], float] | None = None,
-    chosen: Sequence[type[DefinedEffect]] | None = None,
+    chosen: Sequence[Cause] | None = None,
 ) -> MotionCase:  # fmt: skip
     """The problem of a log, and of a reference behind it where there are two looks.
 
@@ -360,7 +361,7 @@ def frictions(case: MotionCase, log: Look) -> dict[str, Array]:
     return out
 
 
-def with_candidates(case: MotionCase, log: Look, chosen: Sequence[type[DefinedEffect]] | None = None) -> MotionCase:
+def with_candidates(case: MotionCase, log: Look, chosen: Sequence[Cause] | None = None) -> MotionCase:
     """The case with candidates: the causes of the list, or chosen ones, and what is on no list."""
     log = replace(log, frictions=frictions(case, log))
     total, rows = case.r.shape
@@ -383,9 +384,12 @@ def with_candidates(case: MotionCase, log: Look, chosen: Sequence[type[DefinedEf
     return case.with_noise(case.noise)
 
 
-def _listed(log: Look, chosen: Sequence[type[DefinedEffect]] | None) -> Iterator[_Judged]:
+def _listed(log: Look, chosen: Sequence[Cause] | None) -> Iterator[_Judged]:
     """Each variant of each cause, as a candidate of its own, with what its parameters do to the rows."""
     for kind in motion_effects().values() if chosen is None else chosen:
+        if isinstance(kind, Law):
+            yield Candidate(kind.label, kind.name, kind.joint, ((kind,),)), columns_of(log, kind)
+            continue
         name = kind.answers_as or kind.name
         for joint in range(1, log.arm.joints + 1) if kind.acts_at == "joints" else (None,):
             for point in grid_points(kind):
@@ -400,18 +404,20 @@ def _columns(made: Mapping[int, list[tuple[int, Array]]], width: int, rows: int,
     return RowColumns(Factors(tuple(blocks), width), rows, total)
 
 
-def columns_of(look: Look, effect: DefinedEffect) -> list[Mapping[int, Array]]:
+def columns_of(look: Look, effect: MotionEffect) -> list[Mapping[int, Array]]:
     """Of each parameter, what one size does to each row's windows; none where its variables were not logged."""
     n, out = look.arm.joints, [dict[int, Array]() for _ in effect.sizes()]
     known = {**look.names, **arm_names(look, effect)}
     for seam in MOTION_SEAMS:
         if seam not in effect.formulas:
             continue
-        if not set(effect.drivers) <= known.keys():
+        numbered = {name: found for name in effect.drivers if (found := MOTION_OF.fullmatch(name))}
+        if not {numbered[k][1] if k in numbered else k for k in effect.drivers} <= known.keys():
             return []
         where = range(n) if seam.endswith("s") else [(effect.joint or 1) - 1]
         for j in where:
-            names = {k: known[k][:, j] for k in effect.drivers}
+            names = {k: known[k][:, j] for k in effect.drivers if k not in numbered}
+            names |= {k: known[of[1]][:, int(of[2]) - 1] for k, of in numbered.items()}
             names = names or {"none": np.zeros(len(look.motion.time))}
             for k, values in enumerate(motion_columns(effect, seam, names)):
                 at_response = seam.startswith("response")
@@ -423,7 +429,7 @@ def columns_of(look: Look, effect: DefinedEffect) -> list[Mapping[int, Array]]:
     return [*whole]
 
 
-def arm_names(look: Look, effect: DefinedEffect) -> dict[str, Array]:
+def arm_names(look: Look, effect: MotionEffect) -> dict[str, Array]:
     """Variables of a cause's own link or joint, at every joint's torque."""
     found: dict[str, Array] = {}
     if "link" in effect.drivers and effect.joint:
@@ -432,6 +438,8 @@ def arm_names(look: Look, effect: DefinedEffect) -> dict[str, Array]:
     if "zero" in effect.drivers and effect.joint:
         found["zero"] = look.by_angle(effect.joint - 1)
     m = look.motion
+    if isinstance(effect, Law):
+        return found
     if "delayed" in effect.drivers and m.command is not None:
         found["delayed"] = m.by_run(lambda c: c - behind(c, effect.late, m.step), m.command)
     if "filtered" in effect.drivers and m.command is not None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,11 +18,11 @@ from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.motion.arm import Arm, arm_of
 from casadical.diagnosis.motion.base import COMMANDED, LOAD, MEASURED, Look, look
 from casadical.diagnosis.motion.instrument import Fault, faults_of
+from casadical.diagnosis.motion.laws import LogLaws, laws_of
 from casadical.diagnosis.motion.problem import WHITE, MotionCase, coefficients, motion_case
 from casadical.diagnosis.motion.search import Found, Outcome, columns_of, search, unfitted
 from casadical.diagnosis.motion.signals import motion_of
-from casadical.effects.definition import DefinedEffect
-from casadical.effects.motion import motion_effects
+from casadical.effects.motion import Cause, motion_effects
 from casadical.identification.inertial import contradictions, determined
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.robot import Robot
@@ -41,6 +42,7 @@ class LogDiagnosis(Result):
     log : that was diagnosed; arm : what was known of it; outcome : of the search
     faults : of the instrument itself; reference : source of the healthy log, empty without one
     contradictions : between the log and the robot's file; determined : by the motion, numbers of the bodies
+    laws : of what the causes leave, where they were asked for
     """
 
     kept_as: ClassVar[str] = "log_diagnosis"
@@ -52,6 +54,7 @@ class LogDiagnosis(Result):
     reference: str = ""
     contradictions: tuple[str, ...] = ()
     determined: tuple[str, ...] = ()
+    laws: LogLaws | None = None
 
     @property
     def fitting(self) -> tuple[Found, ...]:
@@ -117,7 +120,9 @@ class LogDiagnosis(Result):
 
     def blocks(self) -> Sequence[Words | Table]:
         """What `casadical diagnose ARM LOG` prints."""
-        return [Words(self._sentence(), "verdict"), *self._faults(), self._gap_table(), *self._causes(), *self._notes()]
+        laws = self.laws.blocks() if self.laws else ()
+        told = (self._gap_table(), *self._causes(), *laws, *self._notes())
+        return [Words(self._sentence(), "verdict"), *self._faults(), *told]
 
     def _sentence(self) -> str:
         said = [f.sentence for f in self.faults] + [told(self.outcome.case, f.label) for f in self.claims]
@@ -215,7 +220,13 @@ class LogDiagnosis(Result):
             "contradictions": list(self.contradictions),
             "determined": list(self.determined),
             "cannot_tell": list(cannot_tell(self.log, self.arm, bool(self.reference))),
+            **({"laws": self.laws.to_json()} if self.laws else {}),
         }
+
+    def files(self, folder: str | Path) -> Mapping[Path, str]:
+        """Plain data and words, and a law that is claimed."""
+        law = self.laws.files(Path(folder), self.arm.dynamics.given) if self.laws else {}
+        return {**super().files(folder), **law}
 
 
 def _plain(label: str, probability: float) -> dict[str, Any]:
@@ -260,7 +271,9 @@ def diagnose_log(
     reference: JointLog | None = None,
     show: Show = lambda _: None,
     healthy: Robot | None = None,
-    own: Sequence[type[DefinedEffect]] = (),
+    own: Sequence[Cause] = (),
+    *,
+    laws: bool = False,
 ) -> LogDiagnosis:
     """Why an arm moves otherwise than its model.
 
@@ -269,6 +282,7 @@ def diagnose_log(
     reference : of the same arm in health on another day: what differs from it by more than a day's friction is a cause
     healthy : robot of the reference, where it carried another payload
     own : causes beside those of the list, such as an effect file defines (seams torque, response ...)
+    laws : whether the law of what the causes leave is searched for, too
     Raises InputError: a log that is too short, or has other joints than the robot.
     """
     show("signals and rigid bodies")
@@ -278,7 +292,11 @@ def diagnose_log(
     own_numbers = tuple(k for k in told_of_bodies.independent if not k.startswith("Ia")) if told_of_bodies else ()
     compared, arm = reference.source if reference else "", looks[0].arm
     faults = faults_of(log, arm, reference)
-    return LogDiagnosis(log, arm, outcome, faults, compared, contradictions(robot, log), own_numbers)
+    if laws:
+        show("laws beside what was found")
+    missing = laws_of(looks, outcome, own) if laws else None
+    against = contradictions(robot, log)
+    return LogDiagnosis(log, arm, outcome, faults, compared, against, own_numbers, missing)
 
 
 def looks_of(
@@ -312,6 +330,6 @@ def looks_of(
     return seen(log, arm, known.great), known
 
 
-def _case_of(looks: tuple[Look, ...], own: Sequence[type[DefinedEffect]]) -> MotionCase:
+def _case_of(looks: tuple[Look, ...], own: Sequence[Cause]) -> MotionCase:
     known = coefficients(motion_case(looks[1:], chosen=())) if len(looks) > 1 else None
     return motion_case(looks, known, [*motion_effects().values(), *own])

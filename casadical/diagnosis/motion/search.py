@@ -9,15 +9,25 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.linear_gaussian.grid import log_sum
+from casadical.diagnosis.cause_sets import Chosen, most_probable_set
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.motion.problem import NONE, WHITE, MotionCase
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, rank
-from casadical.diagnosis.thresholds import CLAIM, DETECT_FURTHER, LEAST_ALIKE, MISMATCH, SET_SHARE, SET_SIZE
+from casadical.diagnosis.thresholds import (
+    CLAIM,
+    DETECT_FURTHER,
+    LEAST_ALIKE,
+    MISMATCH,
+    MOST_CAUSES,
+    SET_SHARE,
+    SET_SIZE,
+)
 
 # Something is there if "nothing" is less probable than this.
 DETECT = 0.02
-# A cause is at least so large over what is left, where it acts; most causes that are looked for.
-VISIBLE, MOST = 0.5, 3
+# A cause is at least so large over what is left, where it acts; one of the whole arm, which no flaw of a joint looks
+# like, half as large; most causes that are looked for.
+VISIBLE, OF_ARM, MOST = 0.5, 0.25, 3
 # A cause acts where it does more than this share of the most that it does.
 ACTS = 0.1
 # A usual base is within so many sigmas of its priors.
@@ -29,7 +39,8 @@ CERTAIN, LOCAL, UNLISTED, WITHOUT_TORQUE = 30.0, 150.0, 100.0, 2.5
 # every cause as one of their shapes.
 NAMED, MARGIN, GREAT = 150.0, 40.0, 500.0
 LOCAL_CAUSES = ("contact", "zero_offset_step")
-# Beside another cause it gains this share of that one's evidence: an equation that is roughly right leaves as much.
+# Beside another cause of its joint or of the arm it gains this share of that one's evidence: an equation that is
+# roughly right leaves as much, where it acts.
 NAMED_FURTHER = 0.2
 # What acts on its joint alone gains while that moves either way: what sticks one way alone is on no list. These are
 # short in time, or act where a load pulls one way.
@@ -49,7 +60,7 @@ class Found:
     share : what it does beyond a usual base over what is left, in units of what is visible; gain : log evidence
     held_out : gain on each run that was not fitted; rival : log evidence of the best that is on no list
     ways : fitted gain while its joint moves up and down, none of a cause that acts on several
-    before : the greatest gain of a cause that is in the model already
+    before : the greatest gain of a cause in the model already that acts on its joint, too
     """
 
     label: str
@@ -64,16 +75,20 @@ class Found:
     before: float = 0.0
 
     @property
+    def true(self) -> bool:
+        """Whether it gains on runs that were not fitted: all together its share, half of them each a little."""
+        share = HELD_LOCAL if self.label.startswith(LOCAL_CAUSES) else HELD
+        total, usual = sum(self.held_out), float(np.median(self.held_out))
+        return total >= max(share * self.gain, LEAST_HELD) and usual >= max(EACH * self.gain, LEAST_EACH)
+
+    @property
     def named(self) -> bool:
         """Whether it is large, alone, true of both directions and of runs that were not fitted."""
         local = self.label.startswith(LOCAL_CAUSES)
-        share = HELD_LOCAL if local else HELD
-        total, usual = sum(self.held_out), float(np.median(self.held_out))
-        true = total >= max(share * self.gain, LEAST_HELD) and usual >= max(EACH * self.gain, LEAST_EACH)
         alone = self.probability >= CLAIM and (local or self.gain >= min(self.rival + MARGIN, GREAT))
         great = self.gain >= max(NAMED, NAMED_FURTHER * self.before)
         either = self.label.startswith(ONE_WAY) or min(self.ways, default=1.0) > 0
-        return self.listed and self.share >= 1 and great and either and alone and true
+        return self.listed and self.share >= 1 and great and either and alone and self.true
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,16 +153,19 @@ def held_out(case: MotionCase, chosen: Array, own: Array, *, local: bool) -> tup
     """What a cause gains on each run that was not fitted, in nats; and fitted, at each of the log's blocks, (blocks,).
 
     Of a local cause, which acts in a part of one run, and where there is one run, parts of a run are left out in turn.
-    The reference is always fitted.
+    The reference is always fitted. A base that takes the cause's place by numbers far from their priors, such as a
+    delay of 30 ms that is known to one, pays for these, each run its share.
     """
-    folds = folds_of(case, local=local)
+    folds, P = folds_of(case, local=local), case.base.shape[2]
+    parts = np.unique(folds[case.of_log])
     errors, whole = [], []
     for columns in (chosen, np.union1d(chosen, own)):
         few = case.only(columns)
         fit = new_fit(few.white, np.arange(len(columns)), WHITE, combined=False)
+        others = [fit.to(np.flatnonzero(folds != k)) for k in parts]
         errors.append([
-            float((fit.left(fit.to(np.flatnonzero(folds != k)))[folds == k] ** 2).sum() / 2)
-            for k in np.unique(folds[case.of_log])
+            float((fit.left(x)[folds == k] ** 2).sum() / 2 + (x[:P] ** 2).sum() / 2 / len(parts))
+            for k, x in zip(parts, others, strict=True)
         ])  # fmt: skip
         whole.append((fit.left(fit.x)[case.of_log] ** 2).sum(axis=1) / 2)
     return tuple(a - b for a, b in zip(*errors, strict=True)), whole[0] - whole[1]
@@ -167,10 +185,12 @@ def search(case: MotionCase) -> Outcome:
             return Outcome(case, last, found, rankings)
         ranking, case = _sharper(case, found, ranking)
         rankings = (*rankings[:-1], ranking)
-        one = _judged(case, found, ranking)
-        if one.gain < max(least_gain(case, one.label), MISMATCH * max((f.gain for f in found), default=0.0)):
+        one = judged(case, found, ranking)
+        if one.gain < max(least_gain(case, one.label), MISMATCH * one.before):
             return Outcome(case, last, found, rankings)
         if one.share >= 1 and not one.named:
+            if several := _together(case, found, ranking):
+                return Outcome(case, "explained", (*found, *several), rankings)
             there = 1 - ranking.none
             alike = [
                 (k, ranking.probability[k] / there) for k in ranking.order
@@ -182,22 +202,53 @@ def search(case: MotionCase) -> Outcome:
         found = (*found, one)
 
 
-def _judged(case: MotionCase, found: tuple[Found, ...], ranking: Ranking) -> Found:
-    """The most probable next cause, with all that decides whether it is named."""
-    top, chosen = ranking.order[0], columns_of(case, found)
+def _together(case: MotionCase, found: tuple[Found, ...], ranking: Ranking) -> tuple[Found, ...]:
+    """Causes that explain together what no single one does, where each is named beside all others; else none."""
+    near = case.among({*ranking.order[:NEAREST], *(f.label for f in found)})
+    inside, fixed = frozenset(f.label for f in found), columns_of(near, found)
+
+    def beside(chosen: Chosen) -> Ranking:
+        groups = [near.group(k, near.by_label[k].variants.index(v)) for k, v in chosen.items()]
+        return rank(near, np.sort(np.concatenate([fixed, *groups])), inside | chosen.keys())
+
+    names = {c.label: c.variants for c in near.candidates}
+    listed = frozenset(k for k in names if near.by_label[k].listed)
+    first = ranking.among(names)
+    labels, doubted = most_probable_set(first, beside, names, listed, MOST_CAUSES - MOST + len(found))
+    if doubted or any(twins(case, a, b) for a in labels for b in labels if a < b):
+        return ()
+    several: list[Found] = []
+    for label in labels:
+        chosen = {k: names[k][ranking.variant[k]] for k in labels if k != label}
+        others = tuple(Found(k, ranking.variant[k], 1.0, 1.0, 0.0, (), True, 0.0) for k in chosen)
+        several.append(judged(case, (*found, *others), beside(chosen), label))
+    several = [replace(f, before=_before(case, (*found, *several), f.label)) for f in several]
+    return tuple(several) if all(f.named for f in several) else ()
+
+
+def _before(case: MotionCase, found: tuple[Found, ...], label: str) -> float:
+    """The greatest gain of other causes that act where a candidate does."""
+    joints = {f.label: case.by_label[f.label].joint for f in found if f.label != label}
+    own = case.by_label[label].joint
+    near = {k for k, joint in joints.items() if joint is None or own is None or joint == own}
+    return max((f.gain for f in found if f.label in near), default=0.0)
+
+
+def judged(case: MotionCase, found: tuple[Found, ...], ranking: Ranking, top: str = "") -> Found:
+    """A next cause, by default the most probable one, with all that decides whether it is named."""
+    top, chosen = top or ranking.order[0], columns_of(case, found)
     own = case.group(top, ranking.variant[top])
     there = 1 - ranking.none
     p = sum(ranking.probability[k] for k in ranking.order if twins(case, k, top)) / there
-    share = share_of(case, np.union1d(chosen, own), own) / VISIBLE
     candidate = case.by_label[top]
+    share = share_of(case, np.union1d(chosen, own), own) / (VISIBLE if candidate.joint else OF_ARM)
     gains, by_block = held_out(case, chosen, own, local=candidate.name in LOCAL_CAUSES)
     ways: tuple[float, ...] = ()
     if len(acts := {row % case.joints for row in case.rows_of(own)}) == 1 and candidate.joint:
         speed = case.over[1][:, acts.pop()]
         ways = float(by_block[speed > 0].sum()), float(by_block[speed < 0].sum())
     rival = max((g for k, g in ranking.log_factor.items() if not case.by_label[k].listed), default=0.0)
-    before = max((f.gain for f in found), default=0.0)
-    gain = ranking.log_factor[top]
+    before, gain = _before(case, found, top), ranking.log_factor[top]
     return Found(top, ranking.variant[top], p, share, gain, gains, candidate.listed, rival, ways, before)
 
 
