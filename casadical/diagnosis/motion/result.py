@@ -182,7 +182,7 @@ class LogDiagnosis(Result):
             yield Words(
                 f"As a payload: {found[0]:.3g} kg beyond what is declared, one sigma {found[1]:.2g} kg.", "note"
             )
-        small = [f.label for f in self.outcome.found if f.share < 1]
+        small = [f.label for f in self.outcome.found if f.share < 1 and not f.named]
         if small:
             yield Words(f"Seen, but small: {', '.join(small)}.", "note")
         yield from (Words(text, "warning") for text in self.contradictions)

@@ -9,25 +9,16 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.linear_gaussian.grid import log_sum
-from casadical.diagnosis.cause_sets import Chosen, most_probable_set
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.motion.problem import NONE, WHITE, MotionCase
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, rank
-from casadical.diagnosis.thresholds import (
-    CLAIM,
-    DETECT_FURTHER,
-    LEAST_ALIKE,
-    MISMATCH,
-    MOST_CAUSES,
-    SET_SHARE,
-    SET_SIZE,
-)
+from casadical.diagnosis.thresholds import CLAIM, DETECT_FURTHER, LEAST_ALIKE, MISMATCH, SET_SHARE, SET_SIZE
 
 # Something is there if "nothing" is less probable than this.
 DETECT = 0.02
-# A cause is at least so large over what is left, where it acts; one of the whole arm, which no flaw of a joint looks
-# like, half as large; most causes that are looked for.
-VISIBLE, OF_ARM, MOST = 0.5, 0.25, 3
+# A cause is at least so large over what is left, where it acts; a name of the whole arm, which no flaw of a joint looks
+# like, this part of it; most causes that are looked for.
+VISIBLE, OF_ARM, MOST = 0.5, 0.5, 3
 # A cause acts where it does more than this share of the most that it does.
 ACTS = 0.1
 # A usual base is within so many sigmas of its priors.
@@ -88,7 +79,8 @@ class Found:
         alone = self.probability >= CLAIM and (local or self.gain >= min(self.rival + MARGIN, GREAT))
         great = self.gain >= max(NAMED, NAMED_FURTHER * self.before)
         either = self.label.startswith(ONE_WAY) or min(self.ways, default=1.0) > 0
-        return self.listed and self.share >= 1 and great and either and alone and self.true
+        large = self.share >= (1.0 if "@" in self.label else OF_ARM)
+        return self.listed and large and great and either and alone and self.true
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,8 +181,6 @@ def search(case: MotionCase) -> Outcome:
         if one.gain < max(least_gain(case, one.label), MISMATCH * one.before):
             return Outcome(case, last, found, rankings)
         if one.share >= 1 and not one.named:
-            if several := _together(case, found, ranking):
-                return Outcome(case, "explained", (*found, *several), rankings)
             there = 1 - ranking.none
             alike = [
                 (k, ranking.probability[k] / there) for k in ranking.order
@@ -200,30 +190,6 @@ def search(case: MotionCase) -> Outcome:
             verdict: Verdict = "ambiguous" if whole > SET_SHARE and one.listed else "unknown"
             return Outcome(case, last if named else verdict, found, rankings, tuple(alike), one)
         found = (*found, one)
-
-
-def _together(case: MotionCase, found: tuple[Found, ...], ranking: Ranking) -> tuple[Found, ...]:
-    """Causes that explain together what no single one does, where each is named beside all others; else none."""
-    near = case.among({*ranking.order[:NEAREST], *(f.label for f in found)})
-    inside, fixed = frozenset(f.label for f in found), columns_of(near, found)
-
-    def beside(chosen: Chosen) -> Ranking:
-        groups = [near.group(k, near.by_label[k].variants.index(v)) for k, v in chosen.items()]
-        return rank(near, np.sort(np.concatenate([fixed, *groups])), inside | chosen.keys())
-
-    names = {c.label: c.variants for c in near.candidates}
-    listed = frozenset(k for k in names if near.by_label[k].listed)
-    first = ranking.among(names)
-    labels, doubted = most_probable_set(first, beside, names, listed, MOST_CAUSES - MOST + len(found))
-    if doubted or any(twins(case, a, b) for a in labels for b in labels if a < b):
-        return ()
-    several: list[Found] = []
-    for label in labels:
-        chosen = {k: names[k][ranking.variant[k]] for k in labels if k != label}
-        others = tuple(Found(k, ranking.variant[k], 1.0, 1.0, 0.0, (), True, 0.0) for k in chosen)
-        several.append(judged(case, (*found, *others), beside(chosen), label))
-    several = [replace(f, before=_before(case, (*found, *several), f.label)) for f in several]
-    return tuple(several) if all(f.named for f in several) else ()
 
 
 def _before(case: MotionCase, found: tuple[Found, ...], label: str) -> float:
@@ -241,7 +207,7 @@ def judged(case: MotionCase, found: tuple[Found, ...], ranking: Ranking, top: st
     there = 1 - ranking.none
     p = sum(ranking.probability[k] for k in ranking.order if twins(case, k, top)) / there
     candidate = case.by_label[top]
-    share = share_of(case, np.union1d(chosen, own), own) / (VISIBLE if candidate.joint else OF_ARM)
+    share = share_of(case, np.union1d(chosen, own), own) / VISIBLE
     gains, by_block = held_out(case, chosen, own, local=candidate.name in LOCAL_CAUSES)
     ways: tuple[float, ...] = ()
     if len(acts := {row % case.joints for row in case.rows_of(own)}) == 1 and candidate.joint:
