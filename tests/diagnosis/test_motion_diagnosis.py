@@ -2,11 +2,14 @@
 
 import ast
 import json
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from plugin_site import installed
 from typer.testing import CliRunner
 
 import casadical.diagnosis.motion
@@ -18,6 +21,8 @@ from casadical.diagnosis.motion.arm import arm_of
 from casadical.diagnosis.motion.proposal import proposed
 from casadical.diagnosis.motion.result import diagnose_log, looks_of
 from casadical.diagnosis.motion.signals import motion_of
+from casadical.effects.motion import motion_effects
+from casadical.effects.plugins import known_effects
 from casadical.measurements.logs.log import JointLog
 from casadical.project.diagnosis import own_causes
 from casadical.robot.dynamics import Dynamics
@@ -191,6 +196,45 @@ def test_what_is_on_no_list_is_not_named(robot):
     assert found.verdict in ("unknown", "ambiguous")
 
 
+def test_the_law_of_what_is_on_no_list_is_found(robot, tmp_path):
+    """The planted one is 8 sin(2.3 q1) at joint 2; its file makes it a cause of its own, which then is what fits."""
+    log = simulated(robot, 1, foreign)
+    found = diagnose_log(robot, log, laws=True)
+    laws = found.laws
+    assert laws.claimed
+    assert laws.laws[0].law.place == "torque of joint 2"
+    (cycles,) = laws.laws[0].settings
+    assert cycles == pytest.approx(2.3, rel=0.02)
+    assert 10 * found.outcome.case.scale[1] * max(map(abs, laws.values.values())) == pytest.approx(8.0, rel=0.1)
+    assert min(laws.found.held_out) > 100
+    assert "LAW  torque of joint 2 +=" in plain_text(found.blocks(), 200)
+    for path, text in found.files(tmp_path).items():
+        path.write_text(text)
+    own = own_causes([str(tmp_path / "law.effect.toml")])
+    again = diagnose_log(robot, log, own=own)
+    assert [f.label for f in again.fitting] == ["law at torque of joint 2 by q1"]
+
+
+@pytest.mark.parametrize("fault", [None, ripple])
+def test_where_nothing_is_left_no_law_is_claimed(robot, fault):
+    found = diagnose_log(robot, simulated(robot, 1, fault), laws=True)
+    assert not found.laws.claimed
+    assert "law.effect.toml" not in {path.name for path in found.files("out")}
+    assert not found.to_json()["laws"]["claimed"]
+
+
+@pytest.mark.parametrize(("current", "place"), [(True, "response of joint 1"), (False, "torque of joint 1")])
+def test_a_law_of_the_response_is_found(robot, current, place):
+    """Where commands alone were logged, the response is told as the torque that the servo gives to it."""
+    log = simulated(robot, 2)
+    command = log.command.copy()
+    command[:, 0] += 12e-3 * np.sin(2.6 * log.position[:, 2])
+    changed = replace(log, command=command, current=log.current if current else None)
+    found = diagnose_log(robot, changed, laws=True).laws
+    assert found.claimed
+    assert (found.laws[0].law.place, found.laws[0].tried.driver.text) == (place, "q3")
+
+
 def one_way(run, t, q, v, tau):
     tau[:, 1] += 14 * np.exp(-(((q[:, 1] - 0.7) / 0.12) ** 2)) * np.clip(v[:, 1] / 0.01, 0, 1)
     return tau, np.zeros(3)
@@ -348,3 +392,35 @@ def test_a_cause_of_ones_own_is_judged_beside_the_list(robot, tmp_path):
     (tmp_path / "pose.effect.toml").write_text(posed)
     with pytest.raises(InputError, match="worn_tooth is of poses"):
         own_causes([str(tmp_path / "pose.effect.toml")])
+
+
+PLUG_IN = """
+from casadical.effects.definition import Definition, effect_class
+
+Tooth = effect_class(Definition.model_validate({
+    "name": "toy_tooth", "on_list": "motion", "acts_at": "joints", "signature": "a tooth of a toy",
+    "physics": "It holds near one angle.", "sizes": {"push": (0.1, "great torque")},
+    "formulas": {"torque": "push * exp(-((q - 0.7) / 0.12) ** 2)"},
+}), __name__)
+"""
+
+
+def test_a_cause_of_an_installed_plug_in_is_judged_beside_the_list(robot, tmp_path, monkeypatch):
+    def worn(run, t, q, v, tau):
+        tau[:, 1] += 10 * np.exp(-(((q[:, 1] - 0.7) / 0.12) ** 2))
+        return tau, np.zeros(3)
+
+    site = installed(tmp_path, "casadical.effects", "toy_tooth = toy_teeth:Tooth", PLUG_IN)
+    monkeypatch.syspath_prepend(site)
+    known_effects.cache_clear()
+    motion_effects.cache_clear()
+    try:
+        assert "toy_tooth" in motion_effects()
+        found = diagnose_log(robot, simulated(robot, 1, worn))
+    finally:
+        sys.modules.pop("toy_teeth", None)
+        monkeypatch.undo()
+        known_effects.cache_clear()
+        motion_effects.cache_clear()
+    assert found.outcome.rankings[0].order[0] == "toy_tooth@2"
+    assert "toy_tooth" not in motion_effects()

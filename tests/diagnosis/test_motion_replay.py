@@ -1,6 +1,7 @@
 """Open-loop replay of joint logs: the response of joints found again, and real motions that were not fitted."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +62,18 @@ def test_a_planted_response_is_found_and_predicts_other_runs(arm):
         np.testing.assert_allclose(getattr(r, name), planted, rtol=0.25)
     np.testing.assert_allclose(r.delay, LATE, atol=0.012)
     np.testing.assert_allclose(r.friction / r.gain, DRY / GAIN, rtol=0.1)
+
+
+def test_torque_is_replayed_too_where_it_was_logged(arm):
+    """The torque of the servo, by the true gain, beside a run that was not fitted; without it none is told."""
+    log = moved(arm, 3)
+    shifted = np.column_stack([np.interp(log.time - LATE, log.time, c) for c in log.command.T])
+    found = replayed(arm, [moved(arm, 1)], [replace(log, torque=GAIN * (shifted - log.position))])
+    before, after = found.torque
+    assert (after < 0.35 * before).all()
+    assert found.to_json()["torque_Nm"] == [before.tolist(), after.tolist()]
+    assert "Torque in the same replay" in plain_text(found.blocks(), 120)
+    assert replayed(arm, [moved(arm, 1)], [log]).torque is None
 
 
 def test_runs_are_withheld_in_turn_where_none_are_kept_apart(arm):

@@ -31,7 +31,7 @@ from casadical.diagnosis.posterior import rank
 from casadical.effects.formula import NUMERIC, parse
 from casadical.effects.law import Law
 from casadical.effects.motion import Cause, motion_effects
-from casadical.robot.effect_file import effects_toml
+from casadical.robot.effect_tables import effects_toml
 from casadical.robot.robot import Robot
 
 # Laws whose evidence is computed exactly and refined; that are told.
@@ -132,10 +132,13 @@ def laws_of(looks: Sequence[Look], outcome: Outcome, own: Sequence[Cause] = ()) 
     if not laws:
         return None
     more = with_candidates(case, look, [*motion_effects().values(), *own, *(s.law for s in laws)])
-    chosen = of_found(more, outcome.found)
+    chosen, best = of_found(more, outcome.found), laws[0].law
+    own_columns = more.group(best.label, 0)
+    columns = np.union1d(chosen, own_columns)
+    more = more.renewed(columns)  # beside the best law the noise is another
     inside = frozenset(f.label for f in outcome.found)
     ranking = rank(more, chosen, inside)
-    best = laws[0].law
+    laws = [replace(s, score=s.score - s.evidence + ranking.log_factor[s.law.label]) for s in laws]
     # What is smooth in the law's own driver is no rival, but the same without a form.
     others = {*(s.law.label for s in laws), _smooth_of(laws[0])}
     by_list = {
@@ -145,8 +148,6 @@ def laws_of(looks: Sequence[Look], outcome: Outcome, own: Sequence[Cause] = ()) 
         )
         for listed in (True, False)
     }  # fmt: skip
-    own_columns = more.group(best.label, 0)
-    columns = np.union1d(chosen, own_columns)
     theta = more.fitted(columns)[1][np.isin(columns, own_columns)]
     values = {n: float(v) * size for (n, (size, _)), v in zip(best.sizes().items(), theta, strict=True)}
     least = UNLISTED * (1.0 if more.unit else WITHOUT_TORQUE)

@@ -19,7 +19,9 @@ from casadical.core.progress import Show, silent
 from casadical.core.telling.blocks import Block, Table, Words
 from casadical.core.telling.figure import Axis, Figure, Panel, Series
 from casadical.core.telling.result import Result
+from casadical.diagnosis.motion.arm import arm_of
 from casadical.diagnosis.motion.response import Response, fitted
+from casadical.diagnosis.motion.signals import torque_of
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml
@@ -56,6 +58,21 @@ class Replay(Result):
     def after(self) -> Array:
         """Rms of reading less prediction of each joint, shape (joints,) [rad]."""
         return self._rms(self.predicted)
+
+    @cached_property
+    def torque(self) -> tuple[Array, Array] | None:
+        """Rms of logged torque less that of the bodies along the commands, and less the replayed servo's, (joints,).
+
+        None where no torque was logged, nor a current of known constant; [N m]
+        """
+        arm = arm_of(self.response.dynamics.given)
+        logged = [None if run.torque is None and arm.per_ampere is None else torque_of(run, arm) for run in self.runs]
+        if any(each is None for each in logged):
+            return None
+        made = [self.response.torques(run, q) for run, q in zip(self.runs, self.predicted, strict=True)]
+        left = [[a - b for a, b in zip(logged, each, strict=True)] for each in zip(*made, strict=True)]
+        before, after = (np.sqrt(np.nanmean(np.concatenate(each) ** 2, axis=0)) for each in left)
+        return np.asarray(before), np.asarray(after)
 
     @cached_property
     def moves(self) -> Array:
@@ -97,6 +114,7 @@ class Replay(Result):
         return [
             Words(self._sentence(), "verdict"),
             self._table(),
+            *self._torques(),
             self._drives(),
             *self._notes(),
             *replay_figures(self),
@@ -130,6 +148,16 @@ class Replay(Result):
         title = "Open-loop replay, rms of each joint [mrad]: position = command, and with its response"
         return Table(title, ("joint", "before", "after", "less"), rows, frozenset({1, 2, 3}))
 
+    def _torques(self) -> Iterator[Table]:
+        if self.torque is None:
+            return
+        rows = [
+            (name, f"{b:.3g}", f"{a:.3g}", f"{100 * (1 - a / b):.0f} %" if b > 0 else "")
+            for name, b, a in zip(self.runs[0].joints, *self.torque, strict=True)
+        ]
+        title = "Torque in the same replay, rms of each joint [N m]: bodies along the commands, and with its response"
+        yield Table(title, ("joint", "before", "after", "less"), rows, frozenset({1, 2, 3}))
+
     def _drives(self) -> Table:
         r = self.response
         parts = (r.gain, r.friction, r.friction / r.gain * 1e3, r.damping, r.armature, r.delay * 1e3, r.bias)
@@ -153,6 +181,7 @@ class Replay(Result):
                 {"joint": name, "before_rad": float(b), "after_rad": float(a)}
                 for name, b, a in zip(self.runs[0].joints, self.before, self.after, strict=True)
             ],
+            "torque_Nm": None if self.torque is None else [each.tolist() for each in self.torque],
             "drive": self.response.drive().table(),
         }
 

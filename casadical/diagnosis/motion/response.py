@@ -87,6 +87,21 @@ class Response:
             out.append(np.column_stack([np.interp(run.time, t, column) for column in q.T]))
         return np.concatenate(out)
 
+    def torques(self, run: JointLog, position: Array) -> tuple[Array, Array]:
+        """Of the drives in a run [N m], as the bodies alone need it along the command, and as the servo gives it.
+
+        position : that of the replay, as of `predicted`; shapes (rows, joints)
+        """
+        (piece,) = pieces_of(run, np.inf)
+        v = np.gradient(piece.command, piece.step, axis=0)
+        bodies = self.dynamics.torque(piece.command, v, np.gradient(v, piece.step, axis=0))
+        wanted = late(piece.command, self.delay / piece.step)
+        t = run.time[0] + piece.step * np.arange(len(wanted))
+        bodies, wanted = (np.column_stack([np.interp(run.time, t, c) for c in each.T]) for each in (bodies, wanted))
+        kd = (self.dynamics.given.drive or Drive()).of_joints("kd", len(self.gain))
+        rate = 0.0 if kd is None else kd * np.gradient(wanted - position, run.time, axis=0)
+        return bodies, self.gain * (wanted - position) + rate
+
     def friction_of(self, run: JointLog) -> tuple[Array, Array]:
         """Speed [rad/s] and friction [N m] of a run, shapes (samples, joints), by the servo's law."""
         (piece,) = pieces_of(run, np.inf)

@@ -82,7 +82,7 @@ def motion_of(log: JointLog, arm: Arm, widths: tuple[float, ...], *, of_command:
     Raises InputError for a log that is too short.
     """
     parts: list[dict[str, Array]] = []
-    start, torque = 0.0, _torque(log, arm)
+    start, torque = 0.0, torque_of(log, arm)
     for number, run in enumerate(log.runs(), 1):
         own = None if torque is None else torque[log.run == run.run[0]]
         part = _run(_in_time(run, arm), log.step, own, widths, of_command)
@@ -136,7 +136,8 @@ def _quantum(position: Array) -> Array:
     return np.asarray(np.where(np.isfinite(smallest), smallest, LEAST_QUANTUM))
 
 
-def _torque(log: JointLog, arm: Arm) -> Array | None:
+def torque_of(log: JointLog, arm: Arm) -> Array | None:
+    """As logged, or by the current: in N m where the drive's constant is known, else in A; shape (rows, joints)."""
     if log.torque is not None:
         return log.torque
     if log.current is None or log.current_unsigned:
