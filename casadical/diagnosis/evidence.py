@@ -158,6 +158,8 @@ class Evidence:
         """
         A = self.J.reshape(self.r.size, -1) * (self.prior / self.reference)
         square, axes = np.linalg.eigh(A.T @ A)
+        # Which way an axis points is a processor's choice, and what is drawn by chance would follow it.
+        axes *= np.where(np.cos(np.arange(len(axes))) @ axes < 0, -1.0, 1.0)
         more = replace(self, turn=self.prior[:, None] * axes * np.where(square > DETERMINED, WIDER, 1.0))
         return replace(more, absorbed=more.model.absorbed_by_base)
 

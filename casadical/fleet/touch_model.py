@@ -322,7 +322,7 @@ class TouchModel:
         cross = cross + GROWTH_SIGMA**2 * warm * np.outer(L, (J @ L) * self.warmer)
         K = cross @ P
         values, U = np.linalg.eigh(V - K @ cross.T)
-        root = U * np.sqrt(np.maximum(values, 0.0))
+        root = (U * np.sqrt(np.maximum(values, 0.0))) @ U.T  # whichever way a processor's axes point
         mean = GROWTH * warm * L
 
         def draw(moved: Array) -> Array:

@@ -199,6 +199,7 @@ def _cut(M: Array, rest: float, J: Array) -> Array:
     squares = np.cumsum(((moved @ turn.T) ** 2).sum(axis=1), axis=1)
     enough = (squares[:, -1:] - squares <= _LOST * (rest + squares[:, -1:])).all(axis=0)
     factor = np.asarray(whole @ turn.T[:, : int(np.argmax(enough)) + 1])
-    # Columns that the svd leaves free in sign: the greatest entry is positive. Behind some digits is rounding.
+    # Columns that the svd leaves free in sign: the greatest entry is positive. Behind some digits is rounding,
+    # and so is the sign of a zero.
     factor = factor * np.sign(np.take_along_axis(factor, np.abs(factor).argmax(axis=0)[None], 0))
-    return np.asarray(factor.round(_DIGITS - math.floor(math.log10(np.abs(factor).max() or 1.0))))
+    return np.asarray(factor.round(_DIGITS - math.floor(math.log10(np.abs(factor).max() or 1.0))) + 0.0)

@@ -49,6 +49,16 @@ def test_gap_is_found_where_it_was_planted(name: str, seed: int, cause: Disturba
     assert row["low"] <= row["share"] <= row["high"]
 
 
+def test_which_way_axes_point_changes_nothing(monkeypatch) -> None:
+    """The signs of eigenvectors are a processor's choice: what is drawn by chance along them must not follow it."""
+    name, seed, cause, _ = PLACES[0]
+    before, eigh = planted(name, seed, cause), np.linalg.eigh
+    monkeypatch.setattr(np.linalg, "eigh", lambda M: (eigh(M)[0], -eigh(M)[1]))
+    after = planted(name, seed, cause)
+    for one, other in ((before.joints, after.joints), (before.links, after.links)):
+        pd.testing.assert_frame_equal(one, other, rtol=1e-6)
+
+
 def test_what_causes_explain_goes_to_their_joints_and_no_further() -> None:
     """Error curves of all joints hid in base and links before, as 28 % of the base on a real UR10."""
     ripples = [disturbances.TransmissionRipple(j, size=120e-6, cycles=c) for j, c in ((2, 9), (3, 17), (2, 4), (3, 6))]

@@ -46,6 +46,12 @@ def test_it_holds_about_95_percent_of_the_errors_at_poses_like_the_measured_ones
     assert bound.mean() < 1.5 * np.quantile(errors, 0.95)
 
 
+def test_a_zero_has_no_sign_that_rounding_chooses(calibrated) -> None:
+    factor = calibrated.bound.factor
+    assert (factor == 0).any()
+    assert not np.signbit(factor[factor == 0]).any()
+
+
 def test_it_grows_with_the_errors_where_nothing_was_measured(built, calibrated) -> None:
     inside, outside = 0.5 * arms.readings(built, 400, 7), arms.readings(built, 1600, 8)
     outside = outside[(abs(outside) > 1.5).any(axis=1)]
