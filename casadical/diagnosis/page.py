@@ -17,7 +17,7 @@ from casadical.diagnosis.spectrum import COLUMNS as CURVE_COLUMNS
 from casadical.diagnosis.spectrum import Spectrum, curve_rows
 from casadical.diagnosis.statements import Statement, floor_of, left_over, statements
 from casadical.identification.accuracy import summarise
-from casadical.identification.tables import correlated, held_table, parameter_tables
+from casadical.identification.figures import correlated, held_table, parameter_tables
 
 # Where a long name may be broken.
 BREAK = "\u200b"

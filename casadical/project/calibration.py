@@ -20,6 +20,7 @@ from casadical.core.telling.terminal import plain_text
 from casadical.diagnosis.localisation import Localisation
 from casadical.identification.accuracy import Accuracy
 from casadical.identification.error_bound import learn_bound
+from casadical.identification.figures import correlated, held_table, how_sure, parameter_tables
 from casadical.identification.identification import compliance_tried, identify, judged
 from casadical.identification.misfit import misfit_of
 from casadical.identification.plausibility import check_against
@@ -27,7 +28,6 @@ from casadical.identification.prepared import all_compliant, prepare, undeclared
 from casadical.identification.residuals import ALL_LOSSES
 from casadical.identification.result import Identification, without_poses
 from casadical.identification.solver import Progress
-from casadical.identification.tables import correlated, held_table, how_sure, parameter_tables
 from casadical.project import outcome
 from casadical.project.calibration_page import calibration_figures, calibration_page, used_poses, where_left
 from casadical.project.check.targets import unnamed_targets

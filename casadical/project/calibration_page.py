@@ -12,7 +12,14 @@ from casadical.diagnosis.figures import where_figures
 from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.localisation import Localisation, localise_residual
 from casadical.identification.accuracy import errors, residual_mm
-from casadical.identification.figures import fit_figures, parameter_figures
+from casadical.identification.figures import (
+    correlated,
+    fit_figures,
+    held_table,
+    how_sure,
+    parameter_figures,
+    parameter_tables,
+)
 from casadical.identification.pose_errors import (
     SETS,
     ModelErrors,
@@ -23,7 +30,6 @@ from casadical.identification.pose_errors import (
     workspace,
 )
 from casadical.identification.result import Identification, LeftOut, without_poses
-from casadical.identification.tables import correlated, held_table, how_sure, parameter_tables
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise

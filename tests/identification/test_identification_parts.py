@@ -11,12 +11,12 @@ from casadical import FourBar, Joint, Placement, Robot, identify
 from casadical.core.errors import InputError
 from casadical.core.transforms import frame, from_rpy
 from casadical.identification.accuracy import summarise
+from casadical.identification.figures import parameter_tables
 from casadical.identification.identifiability import analyse, correlated_pairs
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against, least_margins
 from casadical.identification.prior import Prior
 from casadical.identification.screening import OUTLIER_CHI2
-from casadical.identification.tables import parameter_tables
 from casadical.robot.knowledge import Knowledge
 
 PLANAR = arms.planar()

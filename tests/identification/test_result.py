@@ -8,7 +8,7 @@ import pytest
 
 from casadical import InputError, identify
 from casadical.effects.joint_error_curve import JointErrorCurve
-from casadical.identification.tables import correlated, parameter_tables, stiffness
+from casadical.identification.figures import correlated, parameter_tables, stiffness
 
 ARM = arms.six_axis()
 

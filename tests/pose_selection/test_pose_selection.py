@@ -13,8 +13,8 @@ from casadical import InputError, Joint, Robot, identify
 from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.effects import Backlash, FrameDrift, PayloadError, ThermalGrowth
 from casadical.identification.accuracy import errors
+from casadical.identification.figures import how_sure
 from casadical.identification.prior import carry_over
-from casadical.identification.tables import how_sure
 from casadical.pose_selection import Circumstances, Noise, Workspace, forecast
 from casadical.pose_selection.candidates import candidates_at, draw, expected
 from casadical.pose_selection.information import noise_covariance, scaled_jacobian
