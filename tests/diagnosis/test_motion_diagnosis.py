@@ -24,7 +24,7 @@ from casadical.diagnosis.motion.signals import motion_of
 from casadical.effects.motion import motion_effects
 from casadical.effects.plugins import known_effects
 from casadical.measurements.logs.log import JointLog
-from casadical.project.diagnosis import own_causes
+from casadical.project.diagnosis import own_causes, read_logs
 from casadical.robot.dynamics import Dynamics
 
 RATE, SECONDS = 100.0, 12.0
@@ -298,6 +298,59 @@ def test_the_command_recognises_a_log(robot, tmp_path):
     assert pd.read_csv(tmp_path / "next.csv").columns.tolist() == ["time_s", *(f"command{k}_rad" for k in (1, 2, 3))]
     refused = CliRunner().invoke(app, [*motion, "-n", "4"])
     assert "-n: is for poses to calibrate with" in str(refused.exception)
+
+
+def table(log):
+    named = {f"q{k + 1}_rad": log.position[:, k] for k in range(3)}
+    named |= {f"command{k + 1}_rad": log.command[:, k] for k in range(3)}
+    named |= {f"current{k + 1}_A": log.current[:, k] for k in range(3)}
+    return pd.DataFrame({"time_s": log.time, "run": log.run, **named})
+
+
+def pushed(run, t, q, v, tau):
+    tau[:, 2] += 15 * np.sign(np.sin(0.4 * t))
+    return tau, np.zeros(3)
+
+
+ORDER = {"command1_rad": "command2_rad", "command2_rad": "command1_rad"}
+MOTORS = {f"current{k}_A": f"torque{k}_Nm" for k in (1, 2, 3)}
+
+
+@pytest.mark.parametrize(("change", "sentence"), [
+    (lambda t: t.filter(regex="time|run|q|current"), "no commands: friction, load and inertia are told from"),
+    (lambda t: t.filter(regex="time|run|q|command"), "no torque and no signed current: causes are told from the resp"),
+    (lambda t: t.rename(columns=ORDER), "the command of joint 1 moves as the reading of joint 2 does"),
+    (lambda t: t.assign(**t.filter(like="current").abs()), "current is never negative"),
+    (lambda t: t.assign(q3_rad=0.1, command3_rad=0.1), "joint 3 never moves (0 mrad): of it only the load that"),
+    (lambda t: t.assign(q2_rad=0.7 + 1e-3 * t["q2_rad"]), "joint 2 moves at"),
+    (lambda t: t.drop(columns="run").assign(time_s=t["time_s"] - 3 * (t.index > 700)), "time jumps back"),
+    (lambda t: t.rename(columns=MOTORS) * ([1] * 8 + [0.1] * 3), "at the motor's side of the gears, or in"),
+    (lambda t: t * [1, 1, 1, -1, 1, 1, -1, 1, 1, -1, 1], "joint 2 counts the other way than the model, torque"),
+])  # fmt: skip
+def test_the_command_says_what_is_odd_in_a_log_and_diagnoses_it(robot, tmp_path, change, sentence):
+    from casadical import write_robot
+
+    change(table(simulated(robot, 2))).to_csv(tmp_path / "log.csv", index=False)
+    write_robot(robot, tmp_path / "arm.toml")
+    campaign = read_logs(tmp_path / "arm.toml", [tmp_path / "log.csv"])
+    found = campaign.diagnosed(campaign.logs[0])
+    assert sentence in " ".join(plain_text(found.blocks(), 200).split())
+    assert "Residual of each joint" in plain_text(found.blocks(), 200)
+
+
+def test_what_touches_the_arm_all_along_is_told_with_what_would_help(robot):
+    told = " ".join(plain_text(diagnose_log(robot, simulated(robot, 2, pushed)).blocks(), 200).split())
+    assert "log one run in free air; the other joints are told all the same" in told
+
+
+def test_motion_without_commands_or_currents_is_a_log_that_says_what_it_lacks(robot, tmp_path):
+    from casadical import write_robot
+
+    table(simulated(robot, 2)).filter(regex="time|run|q").to_csv(tmp_path / "log.csv", index=False)
+    write_robot(robot, tmp_path / "arm.toml")
+    campaign = read_logs(tmp_path / "arm.toml", [tmp_path / "log.csv"])
+    with pytest.raises(InputError, match=r"neither commands nor a torque or current.* Log the commanded positions"):
+        campaign.diagnosed(campaign.logs[0])
 
 
 def test_a_folder_with_logs_is_diagnosed_by_those_to_be_fitted(robot, tmp_path):

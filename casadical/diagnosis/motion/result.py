@@ -173,6 +173,11 @@ class LogDiagnosis(Result):
         rows += [("none", f"{ranking.none:.2f}", "", "a usual arm")]
         if not self.claims:
             yield Words("No cause is named; take what fits as a hint.", "note")
+        if not case.by_label[ranking.order[0]].listed:
+            yield Words(
+                "What fits best is on no list: --laws searches for its law. If the arm touches something all along, "
+                "log one run in free air; the other joints are told all the same.", "note",
+            )  # fmt: skip
         yield Table(
             "What fits", ("cause", "probability", "log evidence", "what the log shows"), rows, frozenset({1, 2})
         )
@@ -186,12 +191,15 @@ class LogDiagnosis(Result):
         if small:
             yield Words(f"Seen, but small: {', '.join(small)}.", "note")
         yield from (Words(text, "warning") for text in self.contradictions)
+        yield from (Words(text, "note") for text in self.log.findings)
         if self.determined:
             count = f"{len(self.determined)} of {10 * self.arm.joints}"
             yield Words(
                 f"This motion tells {count} masses, moments and inertias of the links (JSON: determined).", "note"
             )
-        yield from (Words(text, "note") for text in cannot_tell(self.log, self.arm, bool(self.reference)))
+        still = "never moved" if self.log.findings else "?"  # a finding of the log says it, with what would help
+        limits = cannot_tell(self.log, self.arm, bool(self.reference))
+        yield from (Words(text, "note") for text in limits if still not in text)
 
     def to_json(self) -> dict[str, Any]:
         """The verdict and all figures."""
@@ -218,6 +226,7 @@ class LogDiagnosis(Result):
             "none": ranking.none,
             "payload_kg": dict(zip(("beyond", "sigma"), found, strict=True)) if (found := self.payload()) else None,
             "contradictions": list(self.contradictions),
+            "findings": list(self.log.findings),
             "determined": list(self.determined),
             "cannot_tell": list(cannot_tell(self.log, self.arm, bool(self.reference))),
             **({"laws": self.laws.to_json()} if self.laws else {}),
@@ -322,6 +331,7 @@ def looks_of(
 
     def seen(one: JointLog, of: Arm, great: Array | None = None) -> Look:
         used = replace(one, torque=None, current=None) if of_command else one
+        of = of if one.torque is None else replace(of, per_ampere=None)
         return look(motion_of(used, of, COMMANDED if of_command else MEASURED, of_command=of_command), of, great)
 
     if reference is None:

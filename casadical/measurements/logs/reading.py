@@ -70,7 +70,10 @@ def read_log(
 
 
 def is_log(path: str | Path) -> bool:
-    """Whether a file holds a log of joints in motion: by its form, or its headings: a time, joints, what moved them."""
+    """Whether a file holds a log of joints in motion: by its form, or its headings: a time, joints, what moved them.
+
+    A time and joints alone are a log, too, of which is said what it lacks.
+    """
     path = Path(path)
     if path.name == STATE or path.suffix.lower() in BAGS or any((path / n).exists() for n in (STATE, "metadata.yaml")):
         return True
@@ -81,8 +84,10 @@ def is_log(path: str | Path) -> bool:
     if {"x_mm", "x_m", "distance_mm"} & {*headings}:  # measured poses
         return False
     found = {meaning(heading, ())[0] for heading in headings} | {STATES.get(heading, "") for heading in headings}
-    timed = any({*words_of(heading)[0]} & WORDS["time"] for heading in headings)
-    return timed and "position" in found and bool(found & {"command", "torque", "current"})
+    timed = [heading for heading in headings if {*words_of(heading)[0]} & WORDS["time"]]
+    motion_alone = all(meaning(heading, ())[0] for heading in headings if heading not in ("run", *timed))
+    driven = bool(found & {"command", "torque", "current"})
+    return bool(timed) and "position" in found and (driven or motion_alone)
 
 
 def _logged(path: Path, names: Sequence[str], unit: str | None) -> Logged:
