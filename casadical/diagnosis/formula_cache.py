@@ -1,11 +1,15 @@
-"""Formulas of the effects on the robots of one structure, kept in the user's cache: composing them takes a second."""
+"""What each effect does to the variables of the seams, at zero effect: a short formula, one for all its settings.
+
+Those on the robots of one structure are kept in the user's cache: composing them takes a second.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -21,6 +25,118 @@ from casadical.core.reading import MOST_JSON, read_text
 from casadical.core.sx_instructions import Instruction, SxInstructions
 from casadical.diagnosis.seams import Seams
 from casadical.effects import Effect
+from casadical.robot.kinematics import deflections, gravity_torques
+
+
+@lru_cache(maxsize=4096)
+def formula_of(s: Seams, template: Effect, settings: tuple[str, ...]) -> Formula | None:
+    """As `composed`; kept for other processes."""
+    kept = kept_formulas(s)
+    if not kept.keeps(template):
+        return composed(s, template, settings)
+    if (template, settings) not in kept:
+        kept.add(template, settings, composed(s, template, settings))
+    return kept[template, settings]
+
+
+def composed(s: Seams, template: Effect, settings: tuple[str, ...]) -> Formula | None:
+    """The formula of an effect whose settings of these names are inputs; None where it must know their values."""
+    symbols: dict[str, Any] = {name: ca.SX.sym(name) for name in settings}
+    conditions = tuple(dict.fromkeys((*s.exact.conditions, *template.conditions)))
+    q, own, phi, constants = s.inputs
+    w = ca.vertcat(own, ca.SX.sym("w", len(conditions) - own.numel()))
+    logged = dict(zip(conditions, ca.vertsplit(w) if conditions else [], strict=True))
+    try:
+        effect = replace(template, **symbols) if symbols else template
+        derivative = ca.sparsify(_seam_derivative(effect, s, logged))
+    except Exception:
+        if symbols:
+            return None
+        raise
+    inputs = [q, w, phi, constants, s.seen, ca.vertcat(*symbols.values())]
+    function = ca.Function("formula", [ca.SX(i) for i in inputs], [derivative])
+    rows, columns = (np.array(k, dtype=np.int64) for k in derivative.sparsity().get_triplet())
+    return Formula(SxInstructions.read(function), conditions, rows, columns)
+
+
+def _seam_derivative(effect: Effect, s: Seams, logged: dict[str, ca.SX]) -> ca.SX:
+    """Derivative of all seam variables by the effect's parameters at zero, shape (seams, parameters)."""
+    parameters = effect.parameters()
+    theta = ca.SX.sym("theta", len(parameters))
+    own = dict(zip((p.name for p in parameters), ca.vertsplit(theta), strict=True))
+    exact, context = (replace(c, values={**c.values, **own}, conditions=logged) for c in (s.exact, s.free))
+    angle = ca.SX(effect.joint_angle(context))
+    energy = ca.SX(effect.energy(replace(exact, torque=None)))
+    if ca.depends_on(energy, theta):
+        angle += deflections(context.arm, gravity_torques(exact, energy), context.values)
+    seams, n = [angle], context.arm.n
+    seams += [screw(effect.link(i, context)) for i in range(1, n + 1)] if _acts(effect, "link") else [ca.SX(6 * n, 1)]
+    seams += [screw(effect.base(context)) if _acts(effect, "base") else ca.SX(6, 1)]
+    seams += [screw(effect.tool(context)) if _acts(effect, "tool") else ca.SX(6, 1)]
+    seams += [effect.measurement(s.point, context) - s.point if _acts(effect, "measurement") else ca.SX(3, 1)]
+    derivative = ca.jacobian(ca.vertcat(*seams), theta)
+    return ca.substitute(derivative, theta, ca.SX.zeros(theta.numel()))
+
+
+def _acts(effect: Effect, seam: str) -> bool:
+    """Whether the effect overrides a seam."""
+    return getattr(type(effect), seam) is not getattr(Effect, seam)
+
+
+def screw(T: ca.SX) -> ca.SX:
+    """The six numbers of a transform near identity, to first order."""
+    T = ca.SX(T)
+    turn = 0.5 * ca.vertcat(T[2, 1] - T[1, 2], T[0, 2] - T[2, 0], T[1, 0] - T[0, 1])
+    return ca.vertcat(T[:3, 3], turn)
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Effects that share a formula.
+
+    settings : values of each setting that is an input, one for each effect
+    starts : of each effect's columns; width : how many an effect has
+    """
+
+    formula: Formula
+    settings: list[Array]
+    starts: Array
+    width: int
+
+
+@lru_cache(maxsize=32)
+def plan(s: Seams, effects: tuple[Effect, ...]) -> tuple[Part, ...]:
+    """How the columns of effects, one after the other, are made."""
+    starts = np.cumsum([0, *(len(e.sizes()) for e in effects)])
+    parts = []
+    for (template, names), which in _templates(effects).items():
+        width = len(template.sizes())
+        if formula := formula_of(s, template, names):
+            settings = [np.array([getattr(effects[k], name) for k in which]) for name in names]
+            parts.append(Part(formula, settings, starts[which], width))
+            continue
+        for k in which:
+            known = formula_of(s, effects[k], ())
+            assert known
+            parts.append(Part(known, [], starts[[k]], width))
+    kept_formulas(s).write()
+    return tuple(parts)
+
+
+def _templates(effects: Sequence[Effect]) -> dict[tuple[Effect, tuple[str, ...]], list[int]]:
+    """Effects that differ only in settings which their conditions do not depend on, under their first one."""
+    first: dict[Any, tuple[Effect, tuple[str, ...]]] = {}
+    found: dict[tuple[Effect, tuple[str, ...]], list[int]] = {}
+    for k, effect in enumerate(effects):
+        values = {f.name: getattr(effect, f.name) for f in fields(effect)}
+        names = tuple(n for n, v in values.items() if isinstance(v, float))
+        rest = tuple((n, v) for n, v in values.items() if n not in names)
+        key = (type(effect), rest, effect.conditions, tuple(effect.sizes()))
+        ones: dict[str, Any] = dict.fromkeys(names, 1.0)
+        template = first.setdefault(key, (replace(effect, **ones), names))
+        found.setdefault(template, []).append(k)
+    return found
+
 
 PACKAGE = Path(__file__).parents[1]
 # Rooms on whose code a formula depends.

@@ -17,7 +17,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.casadi_buffers import call
 from casadical.core.linear_gaussian.columns import EVERY, Combined, Directions, Factors, directions_of
-from casadical.diagnosis.formulas import Part, plan
+from casadical.diagnosis.formula_cache import Part, plan
 from casadical.diagnosis.seams import Seams, seams_of
 from casadical.effects import Effect
 from casadical.measurements.measurements import Measurements

@@ -16,8 +16,7 @@ import pandas as pd
 
 from casadical.core.arrays import Array
 from casadical.measurements.angle_unit import RADIANS
-from casadical.measurements.column_map import Source
-from casadical.measurements.columns import in_seconds
+from casadical.measurements.columns import Source, in_seconds
 from casadical.measurements.kinds.pose import FIRST
 from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.raw_table import RawTable

@@ -12,14 +12,12 @@ from casadical.core.arm import GRAVITY
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.measurements.angle_unit import refuse_other_unit
-from casadical.measurements.column_map import Source
-from casadical.measurements.columns import Columns
+from casadical.measurements.columns import Columns, Source
 from casadical.measurements.headings import Understanding, understand
 from casadical.measurements.kinds.registry import find_kind, kind_of, kinds
 from casadical.measurements.measurements import FIELDS, Measurements
 from casadical.measurements.raw_table import RawTable
-from casadical.measurements.stored import joined
-from casadical.measurements.table_parts import ROWS, read_columns, table_parts
+from casadical.measurements.table_parts import ROWS, joined, read_columns, table_parts
 
 _POSITIONS = {f"{c}{u}" for c in "xyz" for u in ("_mm", "_m")}
 
@@ -37,7 +35,7 @@ def read_measurements(
     """Measurements from a table of any size in a file (see `casadical.measurements.raw_table`).
 
     A table of more than some megabytes is read some rows at a time, and its numbers stand in temporary files that the
-    system maps (see `casadical.measurements.stored`), unless what a row says depends on others: rows of points and
+    system maps (see `casadical.measurements.table_parts`), unless what a row says depends on others: rows of points and
     relative poses, tools, sessions, columns that are moved by some rows.
 
     path : table, as text in any usual form, .xlsx (needs openpyxl) or .parquet (needs pyarrow)

@@ -14,7 +14,7 @@ from casadical.identification.accuracy import Accuracy, errors, summarise
 from casadical.identification.gravity import in_words
 from casadical.identification.result import AS_BEFORE, Identification, LeftOut, rows_in_words
 from casadical.identification.undetermined import undetermined
-from casadical.measurements.column_map import Source
+from casadical.measurements.columns import Source
 from casadical.measurements.vocabulary import UNITS
 from casadical.project.check.coverage import coverage
 from casadical.project.networks import Networks

@@ -17,7 +17,7 @@ from casadical.core.parts import Sessions
 from casadical.core.reading import load_json, load_toml, missing, read_bytes
 from casadical.core.schema import FaultError, check
 from casadical.identification.residuals import ALL_LOSSES, AnyLoss
-from casadical.measurements.column_map import Source
+from casadical.measurements.columns import Source
 from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.measurements import SETS
 from casadical.measurements.raw_table import RawTable
@@ -44,7 +44,7 @@ class _Separation(_Strict):
 
 
 class _Source(_Strict):
-    """How a column is made (see `casadical.measurements.column_map.Source`)."""
+    """How a column is made (see `casadical.measurements.columns.Source`)."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True, populate_by_name=True)
 

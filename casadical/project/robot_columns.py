@@ -13,8 +13,7 @@ from casadical.identification.accuracy import errors
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import of_another_frame, turned_off
 from casadical.identification.sessions import sessions_in
-from casadical.measurements.column_map import Source
-from casadical.measurements.columns import ORIENTATION, Columns
+from casadical.measurements.columns import ORIENTATION, Columns, Source
 from casadical.measurements.headings import Question, Understanding, understand
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.raw_table import RawTable

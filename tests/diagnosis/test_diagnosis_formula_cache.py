@@ -8,7 +8,7 @@ import pytest
 from cases import practice, robot
 
 from casadical.core.arrays import Array
-from casadical.diagnosis import formula_cache, formulas
+from casadical.diagnosis import formula_cache
 from casadical.diagnosis.linearisation import signatures
 from casadical.effects import Effect, TransmissionRipple
 from casadical.effects.joint_error_curve import JointErrorCurve
@@ -30,8 +30,8 @@ def columns(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Columns
     monkeypatch.setenv("CASADICAL_CACHE", str(tmp_path))
 
     def forget() -> None:
-        for function in (formulas.plan, formulas.formula_of, formula_cache.kept_formulas, formula_cache.code_hash):
-            function.cache_clear()
+        for name in ("plan", "formula_of", "kept_formulas", "code_hash"):
+            getattr(formula_cache, name).cache_clear()
 
     def made(effects: list[Effect] = EFFECTS, name: str = "kr210") -> Array:
         forget()
@@ -44,7 +44,7 @@ def columns(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Columns
 
 def test_kept_formulas_give_the_same_bits_and_are_not_composed_again(columns, monkeypatch):
     first = columns()
-    monkeypatch.delattr(formulas, "composed")
+    monkeypatch.delattr(formula_cache, "composed")
     np.testing.assert_array_equal(columns(), first)
 
 

@@ -29,8 +29,8 @@ from casadical.diagnosis.laws.discovery import laws_beside, with_law
 from casadical.diagnosis.laws.drivers import drivers_of, values_of, variables, with_columns
 from casadical.diagnosis.laws.forms import FINE_WAVE, FORMS, LINEAR, WAVE, wave_by, wave_plus
 from casadical.diagnosis.laws.problem import SCREENED, Problem, Tried, scale_of
+from casadical.diagnosis.laws.problem import with_columns as seams_with_columns
 from casadical.diagnosis.laws.screening import NEVER, Screen
-from casadical.diagnosis.laws.seams import with_columns as seams_with_columns
 from casadical.diagnosis.laws.search import search_laws
 from casadical.diagnosis.linearisation import linearise
 from casadical.diagnosis.posterior import rank

@@ -24,8 +24,7 @@ from casadical.diagnosis.candidates import Candidate, standard_candidates
 from casadical.diagnosis.conclusion import rivals_of
 from casadical.diagnosis.details import analyse
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, SIGMAS, KnownNoise, log_known
-from casadical.diagnosis.formula_cache import KeptFormulas
-from casadical.diagnosis.formulas import screw
+from casadical.diagnosis.formula_cache import KeptFormulas, screw
 from casadical.diagnosis.laws.drivers import Driver
 from casadical.diagnosis.laws.forms import with_widths
 from casadical.diagnosis.laws.problem import Problem

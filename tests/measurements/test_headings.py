@@ -10,8 +10,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "cli"))
 import first_hour
 
 from casadical import InputError, read_measurements
-from casadical.measurements.column_map import Source
-from casadical.measurements.columns import Columns
+from casadical.measurements.columns import Columns, Source
 from casadical.measurements.headings import understand, words_of
 from casadical.measurements.raw_table import read_table
 

@@ -19,8 +19,7 @@ from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import lengths, new_fit, random_folds
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, RHOS, Evidence
 from casadical.diagnosis.laws.problem import ABOVE, ALIKE, CLAIMED, Problem, Round, Scored, scaled
-from casadical.diagnosis.laws.refinement import refined_settings
-from casadical.diagnosis.laws.search import search_laws
+from casadical.diagnosis.laws.search import refined_settings, search_laws
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_forms import noise_forms
 from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, rank

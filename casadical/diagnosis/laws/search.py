@@ -2,6 +2,7 @@
 
 The score of a law is its log evidence over none, mean over its settings, less the logarithms of how many forms and how
 many places with drivers were tried. Evidence on all settings is that of `screening`; on the best it is exact.
+Settings of those that are kept are refined by steps of shrinking size.
 """
 
 from __future__ import annotations
@@ -24,12 +25,19 @@ from casadical.diagnosis.laws.drivers import (
     variables,
     with_columns,
 )
-from casadical.diagnosis.laws.forms import FINE_WAVE, FORMS, LAST_RESORT, POSES_FOR_FINE, Form, wave_by, wave_plus
-from casadical.diagnosis.laws.problem import Problem, Scored, Tried, scaled
-from casadical.diagnosis.laws.refinement import refined
+from casadical.diagnosis.laws.forms import (
+    FINE_WAVE,
+    FORMS,
+    LAST_RESORT,
+    POSES_FOR_FINE,
+    Form,
+    rounded,
+    wave_by,
+    wave_plus,
+)
+from casadical.diagnosis.laws.problem import Problem, Scored, Seam, Tried, scaled, seams_at, stations
+from casadical.diagnosis.laws.problem import with_columns as at_poses
 from casadical.diagnosis.laws.screening import NEVER, log_mean
-from casadical.diagnosis.laws.seams import Seam, seams_at, stations
-from casadical.diagnosis.laws.seams import with_columns as at_poses
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import EffectColumns, Linearisation
 from casadical.effects.formula import parse
@@ -229,3 +237,79 @@ def search_laws(case: Case, chosen: Array, without: frozenset[str] = frozenset()
             s = Scored(law, r.tried, r.seam, r.settings, scored[k], float(exact[k]), columns, noise, errors)
             found.append(refined(problem, s) if rank < REFINED else s)
     return sorted(found, key=lambda s: -s.score)
+
+
+# Steps of a refinement, first as shares of the driver's range (of a width: factors), halved when none helps.
+FIRST_STEP, HALVINGS, ROUNDS, GAIN = 0.03, 3, 10, 0.1
+
+
+def refined(problem: Problem, found: Scored) -> Scored:
+    """The law with its settings refined, which raises the score as much as the evidence."""
+    if not len(found.settings):
+        return found
+    settings, better = refined_settings(problem, found.tried, found.seam, found.settings)
+    law, columns = found.tried.column(found.seam, settings)
+    return replace(
+        found,
+        law=law,
+        settings=settings,
+        score=found.score + better - found.evidence,
+        evidence=better,
+        columns=columns,
+        noise=likely_noise(problem.grids([columns])[0], problem.evidence.sigmas),
+        errors=_sigmas(problem, found.tried, found.seam, settings, better),
+    )
+
+
+def _moved(tried: Tried, seam: int, settings: Array, k: int, step: float) -> Array:
+    """One setting moved: a width by a factor, a frequency by its share of the range, a position by a share of it."""
+    moved, span = settings.copy(), float(np.ptp(tried.x[seam]))
+    name = tried.form.settings[k]
+    if name == "w" and tried.form.name not in ("on and off", "levels"):
+        moved[k] *= np.exp(10 * step)
+    elif name == "p":
+        moved[k] += 20 * step
+    elif name == "f":
+        moved[k] += 10 * step / span
+    else:
+        moved[k] += step * span
+    return rounded(moved)
+
+
+def refined_settings(
+    problem: Problem, tried: Tried, seam: int, settings: Array, poses: Array | slice = slice(None)
+) -> tuple[Array, float]:
+    """The best settings near these, and their log evidence. poses : of those tried, the problem's."""
+
+    def evidences(trial: Sequence[Array]) -> Array:
+        return problem.evidences([tried.column(seam, s)[1][poses] for s in trial])
+
+    if not len(settings):
+        return settings, float(evidences([settings])[0])
+    evidence = float(evidences([settings])[0])
+    step, halved = FIRST_STEP, 0
+    for _ in range(ROUNDS):
+        near = [_moved(tried, seam, settings, k, s) for k in range(len(settings)) for s in (-step, step)]
+        logs = evidences(near)
+        best = int(np.argmax(logs))
+        if logs[best] > evidence + GAIN:
+            settings, evidence = near[best], float(logs[best])
+            continue
+        step, halved = step / 2, halved + 1
+        if halved > HALVINGS:
+            break
+    return settings, evidence
+
+
+def _sigmas(problem: Problem, tried: Tried, seam: int, settings: Array, evidence: float) -> Array:
+    """One sigma of each setting alone: where the log evidence has fallen by a half, from steps of growing size."""
+    found = np.empty(len(settings))
+    for k in range(len(settings)):
+        steps = np.array([0.003, 0.006, 0.012, 0.025, 0.05, 0.1])
+        moved = [_moved(tried, seam, settings, k, s) for s in (*steps, *-steps)]
+        logs = problem.evidences([tried.column(seam, n)[1] for n in moved])
+        fallen = evidence - np.maximum(logs[: len(steps)], logs[len(steps) :])
+        beyond = np.flatnonzero(fallen > 0.5)
+        at = int(beyond[0]) if len(beyond) else len(steps) - 1
+        found[k] = abs(moved[at][k] - settings[k]) / np.sqrt(max(2 * float(fallen[at]), 1.0))
+    return found

@@ -19,10 +19,9 @@ from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.laws.answer import line_of
 from casadical.diagnosis.laws.drivers import LEAST_SPREAD, Driver
 from casadical.diagnosis.laws.forms import BUMP, FORMS, Form
-from casadical.diagnosis.laws.problem import ABOVE, Problem, Scored, Tried, scale_of, scaled
-from casadical.diagnosis.laws.refinement import refined
+from casadical.diagnosis.laws.problem import ABOVE, Problem, Scored, Seam, Tried, scale_of, scaled
 from casadical.diagnosis.laws.screening import Screen, log_mean
-from casadical.diagnosis.laws.seams import Seam
+from casadical.diagnosis.laws.search import refined
 from casadical.diagnosis.motion.base import Look
 from casadical.diagnosis.motion.problem import MotionCase, columns_of, with_candidates
 from casadical.diagnosis.motion.search import MARGIN, UNLISTED, WITHOUT_TORQUE, Found, Outcome, judged

@@ -16,8 +16,7 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.files import write_together
 from casadical.core.reading import load_toml, read_text
-from casadical.measurements.column_map import Source
-from casadical.measurements.columns import ORIENTATION
+from casadical.measurements.columns import ORIENTATION, Source
 from casadical.measurements.raw_table import read_table
 from casadical.project.check.result import Precheck
 from casadical.project.check.slip_fit import Fit

@@ -25,7 +25,7 @@ from casadical.core.telling.terminal import plain_text
 from casadical.identification.plausibility import check_against
 from casadical.identification.prepared import all_compliant, prepare, undeclared
 from casadical.identification.sessions import with_sessions
-from casadical.measurements.column_map import Source as ColumnSource
+from casadical.measurements.columns import Source as ColumnSource
 from casadical.measurements.derived_columns import clock_faults
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements

@@ -9,7 +9,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.parts import Joint
 from casadical.core.transforms import frame, from_rpy
-from casadical.measurements.column_map import Source
+from casadical.measurements.columns import Source
 from casadical.project.problem_file import as_toml
 from casadical.robot.robot import Robot
 

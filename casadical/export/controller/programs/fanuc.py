@@ -15,8 +15,20 @@ from lark import Token, Tree
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.export.controller.programs.registry import ProgramLanguage, angles_of_matrix, matrix_of_angles
-from casadical.export.controller.programs.scan import islands_of, parts, tokens_of, words
-from casadical.export.controller.programs.target import DEG, MM, Given, Number, Posture, Target, line_of, whole
+from casadical.export.controller.programs.target import (
+    DEG,
+    MM,
+    Given,
+    Number,
+    Posture,
+    Target,
+    islands_of,
+    line_of,
+    parts,
+    tokens_of,
+    whole,
+    words,
+)
 
 GRAMMAR = r"""
 start: position | _other

@@ -13,8 +13,20 @@ from lark import Token, Tree
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.export.controller.programs.registry import ProgramLanguage, angles_of_matrix, matrix_of_angles
-from casadical.export.controller.programs.scan import islands_of, parts, tokens_of, words
-from casadical.export.controller.programs.target import DEG, MM, Given, Number, Posture, Target, only_one, whole
+from casadical.export.controller.programs.target import (
+    DEG,
+    MM,
+    Given,
+    Number,
+    Posture,
+    Target,
+    islands_of,
+    only_one,
+    parts,
+    tokens_of,
+    whole,
+    words,
+)
 
 GRAMMAR = r"""
 start: assign | move | pick | _other

@@ -14,8 +14,17 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.transforms import frame, from_quaternion, quaternion
 from casadical.export.controller.programs.registry import ProgramLanguage
-from casadical.export.controller.programs.scan import islands_of, parts, tokens_of
-from casadical.export.controller.programs.target import MM, Given, Number, Posture, Target, whole
+from casadical.export.controller.programs.target import (
+    MM,
+    Given,
+    Number,
+    Posture,
+    Target,
+    islands_of,
+    parts,
+    tokens_of,
+    whole,
+)
 
 GRAMMAR = r"""
 start: declaration | motion | assignment | _other

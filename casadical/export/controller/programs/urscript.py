@@ -17,8 +17,17 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.transforms import frame, quaternion
 from casadical.export.controller.programs.registry import ProgramLanguage
-from casadical.export.controller.programs.scan import islands_of, parts, tokens_of, words
-from casadical.export.controller.programs.target import DEG, Given, Number, Target, only_one
+from casadical.export.controller.programs.target import (
+    DEG,
+    Given,
+    Number,
+    Target,
+    islands_of,
+    only_one,
+    parts,
+    tokens_of,
+    words,
+)
 
 GRAMMAR = r"""
 start: assign | call | _other
