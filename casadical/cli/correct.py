@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from casadical.cli import options as o
-from casadical.cli.terminal import keep, plain, refuse_taken, suggest, with_json
+from casadical.cli.terminal import keep, plain, refuse_taken, suggest, suggest_later, with_json
 
 Model = Annotated[
     Path,
@@ -139,6 +139,6 @@ def correct(
         console.print(line)
     keep(with_json(made.files, json_file, made.figures), console)
     if model.is_file():
-        suggest(console, "when some ten poses were measured again", "verify", model, "later.csv")
+        suggest_later(console, model)
     else:
         suggest(console, "for the next program", "correct", model, "next.csv", "--out", "next-corrected.csv")

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from casadical.cli import options as o
-from casadical.cli.terminal import keep, plain, print_written, refuse_taken, suggest, with_json, working
+from casadical.cli.terminal import keep, plain, print_written, refuse_taken, suggest, suggest_later, with_json, working
 
 Robot = Annotated[
     Path,
@@ -227,4 +227,4 @@ def export_model(
     if source.is_dir():
         suggest(console, "to keep the robot file and its accuracy", "calibrate", source, "--out", "results")
     else:
-        suggest(console, "when some ten poses are measured again", "verify", source, "LATER.csv")
+        suggest_later(console, source)

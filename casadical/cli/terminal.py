@@ -76,8 +76,8 @@ def wrapped(quiet: bool, width: int | None = None) -> Console:
 
 
 def plain(quiet: bool) -> Console:
-    """A console for lines that are neither wrapped nor coloured."""
-    return _Console(quiet=quiet, soft_wrap=True, highlight=False, markup=False, emoji=False)
+    """A console for lines without colours; a terminal breaks them between words, a file has each whole."""
+    return _Console(quiet=quiet, soft_wrap=not sys.stdout.isatty(), highlight=False, markup=False, emoji=False)
 
 
 def keep_json(path: Path | None, figures: Mapping[str, Any] | Sequence[Mapping[str, Any]], console: Console) -> None:
@@ -106,6 +106,14 @@ def suggest(console: Console, purpose: str, command: str, *arguments: object) ->
     from casadical.core.telling.terminal import terminal
 
     console.print(terminal([next_step(purpose, command, *arguments)]))
+
+
+def suggest_later(console: Console, robot: Path) -> None:
+    """Print what a robot file is for on a later day: to be verified, where its results say what was promised."""
+    if (robot.parent / "result.json").exists():
+        suggest(console, "when some ten poses were measured again", "verify", robot, "LATER.csv")
+    else:
+        suggest(console, "when poses were measured", "calibrate", robot, "LATER.csv", "--out", "results")
 
 
 def print_written(path: Path | None, console: Console, about: str = "") -> None:

@@ -199,13 +199,14 @@ class Fleet(Result):
         return {name: self._correction(common, name) for name, _, _ in common.faults}
 
     def _types(self) -> Iterator[Table]:
-        rows = []
-        for kind, some in self.good.groupby("type", sort=False):
+        rows, types = [], self.good.groupby("type", sort=False)
+        large = bool((types.size() >= MANY).any())
+        for kind, some in types:
             after = some["after_mm"]
             figures = [f"{v:.4f}" for v in (some["before_mm"].median(), after.median())]
-            figures.append(f"{after.quantile(0.95):.4f}" if len(some) >= MANY else "")
+            figures += [f"{after.quantile(0.95):.4f}" if len(some) >= MANY else ""] if large else []
             rows.append((some["type_name"].iloc[0], str(kind), str(len(some)), *figures))
-        head = ("type", "drawing", "robots", "before", "after", "95 % below")
+        head = ("type", "drawing", "robots", "before", "after", *(["95 % below"] if large else []))
         if rows:
             yield Table("Types: median of the mean errors of their robots [mm]", head, rows, frozenset({2, 3, 4, 5}))
 

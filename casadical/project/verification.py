@@ -118,7 +118,8 @@ class Verification(Result):
         if self.valid and problem_of(robot):
             return (next_step("to state how accurate it is", "certificate", robot.parent),)
         if self.valid:
-            return (next_step("when some ten poses are measured again", "verify", robot, "LATER.csv"),)
+            return (next_step("when some ten poses are measured again", "verify", robot, "LATER.csv",
+                              "--promised-mm", f"{1e3 * self.promised:.4g}"),)  # fmt: skip
         few = len(self.far) <= max(1, FEW * self.n)
         if few and self.without is not None and self.without <= self.limit:
             return (next_step("when the rows that are far off are measured again", "verify", *self.sources),)

@@ -119,12 +119,16 @@ def test_completion_can_be_installed(tmp_path: Path) -> None:
     assert "casadical" in (tmp_path / ".bashrc").read_text()
 
 
-def on_terminal(*arguments: str | Path, **more: str) -> tuple[str, str]:
-    """Standard output, and what a terminal on standard error shows; more : of the environment."""
+def on_terminal(*arguments: str | Path, output: str = "", **more: str) -> tuple[str, str]:
+    """Standard output, and what a terminal on standard error shows, or on both; more : of the environment."""
     main, side = pty.openpty()
     environment = {k: v for k, v in os.environ.items() if k not in ("NO_COLOR", "CI")} | {"TERM": "xterm", **more}
     with subprocess.Popen(
-        [BIN / "casadical", *arguments], cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=side
+        [BIN / "casadical", *arguments],
+        cwd=ROOT,
+        env=environment,
+        stdout=side if output else subprocess.PIPE,
+        stderr=side,
     ) as process:
         os.close(side)
         shown = b""
@@ -159,6 +163,17 @@ def test_a_message_is_as_wide_as_the_terminal_and_all_faults_are_one_table(tmp_p
         ["poses.csv", "33", "x_mm"], ["poses.csv", "33", "y_mm"], ["poses.csv", "32", "q1"], ["poses.csv", "32", "q2"],
         ["other.csv", "32", "z_mm"],
     ]  # fmt: skip
+
+
+def test_lines_of_an_export_break_between_words_on_a_terminal(tmp_path: Path) -> None:
+    arguments = ["export", "model", "problems/ur10/robot.toml", "--overwrite", "--out", str(tmp_path / "arm.urdf")]
+    whole, _ = on_terminal(*arguments, COLUMNS="40")
+    _, shown = on_terminal(*arguments, COLUMNS="40", output="terminal")
+    said = "nothing is left out: the robot is rigid and has no effects"
+    assert said in whole.splitlines()
+    lines = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown).splitlines()
+    assert said not in lines
+    assert said in " ".join(" ".join(lines).split())
 
 
 def test_progress_is_shown_on_a_terminal_and_nowhere_else() -> None:
