@@ -65,10 +65,14 @@ def test_a_planted_response_is_found_and_predicts_other_runs(arm):
 
 
 def test_torque_is_replayed_too_where_it_was_logged(arm):
-    """The torque of the servo, by the true gain, beside a run that was not fitted; without it none is told."""
+    """The torque of the servo, by the true gain, of a run that was not fitted; without it none is told."""
+
+    def with_torque(log):
+        late = np.column_stack([np.interp(log.time - LATE, log.time, c) for c in log.command.T])
+        return replace(log, torque=GAIN * (late - log.position))
+
     log = moved(arm, 3)
-    shifted = np.column_stack([np.interp(log.time - LATE, log.time, c) for c in log.command.T])
-    found = replayed(arm, [moved(arm, 1)], [replace(log, torque=GAIN * (shifted - log.position))])
+    found = replayed(arm, [with_torque(moved(arm, 1))], [with_torque(log)])
     before, after = found.torque
     assert (after < 0.35 * before).all()
     assert found.to_json()["torque_Nm"] == [before.tolist(), after.tolist()]

@@ -61,13 +61,12 @@ class Replay(Result):
 
     @cached_property
     def torque(self) -> tuple[Array, Array] | None:
-        """Rms of logged torque less that of the bodies along the commands, and less the replayed servo's, (joints,).
+        """Rms of logged torque less that of the bodies along the commands, and less the replayed one, (joints,).
 
         None where no torque was logged, nor a current of known constant; [N m]
         """
-        arm = arm_of(self.response.dynamics.given)
-        logged = [None if run.torque is None and arm.per_ampere is None else torque_of(run, arm) for run in self.runs]
-        if any(each is None for each in logged):
+        logged = [torque_of(run, arm_of(self.response.dynamics.given)) for run in self.runs]
+        if self.response.beside is None or any(each is None for each in logged):
             return None
         made = [self.response.torques(run, q) for run, q in zip(self.runs, self.predicted, strict=True)]
         left = [[a - b for a, b in zip(logged, each, strict=True)] for each in zip(*made, strict=True)]
@@ -155,7 +154,9 @@ class Replay(Result):
             (name, f"{b:.3g}", f"{a:.3g}", f"{100 * (1 - a / b):.0f} %" if b > 0 else "")
             for name, b, a in zip(self.runs[0].joints, *self.torque, strict=True)
         ]
-        title = "Torque in the same replay, rms of each joint [N m]: bodies along the commands, and with its response"
+        title = (
+            "Torque in the same replay, rms of each joint [N m]: bodies along the commands, and replayed with friction"
+        )
         yield Table(title, ("joint", "before", "after", "less"), rows, frozenset({1, 2, 3}))
 
     def _drives(self) -> Table:

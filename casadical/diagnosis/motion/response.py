@@ -18,7 +18,8 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.drive import Drive
 from casadical.core.errors import InputError
-from casadical.diagnosis.motion.signals import RATE
+from casadical.diagnosis.motion.arm import Arm, arm_of
+from casadical.diagnosis.motion.signals import RATE, kernel_of, torque_of
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.dynamics import Dynamics
 from casadical.robot.robot import Robot
@@ -35,6 +36,8 @@ EFFECTIVE, OUTLIER = 0.05, 3.0
 ROUNDS, STEPS, ENOUGH, DIFFERENCE = 4, 6, 1e-3, 1e-4
 # A joint whose commands go through less than this tells nothing of its response [rad], which stays within this share.
 STILL, USUAL = 0.02, 0.05
+# From this speed on a joint slides [rad/s]; rows of a run whose torques are told.
+SLIDES, FEWEST = 0.01, 20
 # No residual is judged finer than this [rad].
 LEAST = 5e-4
 # Least share of a joint's inertia that is its rotor's.
@@ -59,6 +62,7 @@ class Response:
 
     gain : of the servo [N m/rad]; bias : a constant torque [N m]; friction [N m]; damping [N m s/rad]
     inertia : of the joint, rotor included [kg m^2]; delay [s]
+    beside : of logged torques, what the bodies leave: dry and viscous friction, rotor, constant, shape (joints, 4)
     fitted : sources of the logs; moved : which joints did in them: of others the response is a usual one
     """
 
@@ -71,6 +75,7 @@ class Response:
     delay: Array
     fitted: tuple[str, ...]
     moved: Array
+    beside: Array | None = None
 
     def predicted(self, log: JointLog) -> Array:
         """Positions of a log's runs by its commands alone, from the first reading of each, shape (rows, joints)."""
@@ -88,19 +93,15 @@ class Response:
         return np.concatenate(out)
 
     def torques(self, run: JointLog, position: Array) -> tuple[Array, Array]:
-        """Of the drives in a run [N m], as the bodies alone need it along the command, and as the servo gives it.
+        """Of the drives in a run, as the bodies need it along the command, and with what the fitted logs had beside.
 
-        position : that of the replay, as of `predicted`; shapes (rows, joints)
+        position : that of the replay, as of `predicted`; shapes (rows, joints) [N m]; some runs had torques
         """
-        (piece,) = pieces_of(run, np.inf)
-        v = np.gradient(piece.command, piece.step, axis=0)
-        bodies = self.dynamics.torque(piece.command, v, np.gradient(v, piece.step, axis=0))
-        wanted = late(piece.command, self.delay / piece.step)
-        t = run.time[0] + piece.step * np.arange(len(wanted))
-        bodies, wanted = (np.column_stack([np.interp(run.time, t, c) for c in each.T]) for each in (bodies, wanted))
-        kd = (self.dynamics.given.drive or Drive()).of_joints("kd", len(self.gain))
-        rate = 0.0 if kd is None else kd * np.gradient(wanted - position, run.time, axis=0)
-        return bodies, self.gain * (wanted - position) + rate
+        assert self.beside is not None
+        assert run.command is not None
+        bodies, _ = bodies_and_terms(self.dynamics, run, run.command)
+        moved, terms = bodies_and_terms(self.dynamics, run, position)
+        return bodies, moved + (terms * self.beside).sum(axis=2)
 
     def friction_of(self, run: JointLog) -> tuple[Array, Array]:
         """Speed [rad/s] and friction [N m] of a run, shapes (samples, joints), by the servo's law."""
@@ -231,8 +232,38 @@ def fitted(robot: Robot, logs: Sequence[JointLog]) -> Response:
     friction, lag, inertia, delay = np.exp(x[:, 2:]).T
     sources = tuple(log.source for log in logs)
     return Response(
-        dynamics, gain, gain * x[:, 1], gain * friction, gain * lag, gain * inertia, delay, sources, _moves(pieces)
-    )
+        dynamics, gain, gain * x[:, 1], gain * friction, gain * lag, gain * inertia, delay, sources, _moves(pieces),
+        _beside(dynamics, arm_of(robot), [run for log in logs for run in log.runs()]),
+    )  # fmt: skip
+
+
+def bodies_and_terms(dynamics: Dynamics, run: JointLog, position: Array) -> tuple[Array, Array]:
+    """Torque of the bodies along a motion with the times of a run, and what friction, rotor and offset follow.
+
+    position : shape (rows, joints); returns shapes (rows, joints) [N m] and (rows, joints, 4)
+    """
+    kernel = kernel_of(run.step)
+    padded = np.pad(position, ((len(kernel) // 2,) * 2, (0, 0)), "edge")
+    q = np.column_stack([np.convolve(column, kernel, "valid") for column in padded.T])
+    v = np.gradient(q, run.time, axis=0)
+    a = np.gradient(v, run.time, axis=0)
+    return dynamics.torque(q, v, a), np.stack([np.tanh(v / SLIDES), v, a, np.ones_like(v)], axis=2)
+
+
+def _beside(dynamics: Dynamics, arm: Arm, runs: Sequence[JointLog]) -> Array | None:
+    """Least squares of what the bodies leave of torques; None where a run has none [N m]."""
+    H, b = np.zeros((dynamics.robot.n, 4, 4)), np.zeros((dynamics.robot.n, 4))
+    for run in runs:
+        logged = torque_of(run, arm)
+        if logged is None or (run.torque is None and arm.per_ampere is None) or len(run) < FEWEST:
+            return None
+        bodies, terms = bodies_and_terms(dynamics, run, run.position)
+        known = np.isfinite(logged - bodies)
+        left = np.where(known, logged - bodies, 0.0)
+        H += np.einsum("tja,tjb->jab", terms * known[..., None], terms)
+        b += np.einsum("tja,tj->ja", terms, left)
+    H += 1e-9 * np.trace(H, axis1=1, axis2=2)[:, None, None] * np.eye(4)
+    return np.asarray(np.linalg.solve(H, b[..., None])[..., 0])
 
 
 def _moves(pieces: Sequence[Piece]) -> Array:

@@ -153,7 +153,7 @@ def _run(
         return None
     edge, every = int(EDGE / step), max(1, round(1 / (step * RATE)))
     kept = slice(edge, len(t) - edge, every)
-    kernel = _kernel(step)
+    kernel = kernel_of(step)
 
     def smooth(values: Array) -> Array:
         columns = []
@@ -186,7 +186,8 @@ def _run(
     return {"time": t[kept] - t[0], **{k: values[kept] for k, values in found.items()}}
 
 
-def _kernel(step: float) -> Array:
+def kernel_of(step: float) -> Array:
+    """By which all signals of a log are smoothed; step : between samples [s]."""
     half = max(1, round(SMOOTHED / step / 2))
     kernel = np.hanning(2 * half + 3)[1:-1]
     return np.asarray(kernel / kernel.sum())
