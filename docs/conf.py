@@ -33,6 +33,8 @@ default_role = "code"
 templates_path: list[str] = []
 
 html_theme = "furo"
+html_static_path = ["site.css"]
+html_css_files = ["site.css"]
 html_show_sphinx = False
 html_show_copyright = False
 pygments_dark_style = "github-dark"
