@@ -104,6 +104,17 @@ def started(folder: Path, source: Path) -> tuple[subprocess.Popen[str], str]:
     raise AssertionError("no address")
 
 
+def test_no_port_is_open_beyond_loopback(arm: Path) -> None:
+    """All that the command listens on, whatever it serves."""
+    psutil = pytest.importorskip("psutil", reason="psutil is not installed: ports were not listed")
+    process, _ = started(arm, ROOT / "data/planar/planar.csv")
+    own = psutil.Process(process.pid)
+    asked = [c for p in (own, *own.children(recursive=True)) for c in p.net_connections("inet")]
+    process.kill()
+    process.communicate()
+    assert {c.laddr.ip for c in asked if c.status == psutil.CONN_LISTEN} == {"127.0.0.1"}
+
+
 def test_a_browser_sees_what_comes_and_a_kill_loses_nothing(arm: Path, tmp_path: Path) -> None:
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: no page was opened")
     if CHROMIUM is None:
