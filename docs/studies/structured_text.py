@@ -26,9 +26,9 @@ from casadical.export import Sources, command_of, write_c  # noqa: E402
 from casadical.export.c import structured_text as language  # noqa: E402
 from casadical.export.c.c_language import comparison_inputs  # noqa: E402
 from casadical.export.c.kernel import compilers  # noqa: E402
+from casadical.export.c.language import Label  # noqa: E402
 from casadical.export.c.products import Command  # noqa: E402
 from casadical.export.c.reference import correct  # noqa: E402
-from casadical.export.c.registry import Label  # noqa: E402
 from casadical.export.c.runs import WIDTH, plan_of  # noqa: E402
 from casadical.export.c.tape_program import operations, tape_program  # noqa: E402
 from casadical.project.calibration import with_knowledge  # noqa: E402

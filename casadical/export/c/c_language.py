@@ -9,8 +9,8 @@ from casadical.core.arrays import Array
 from casadical.export.c.c_source import SCHEMA, common_values, header, source
 from casadical.export.c.coefficients import DTYPE, Real, literal
 from casadical.export.c.emit import filled, template
+from casadical.export.c.language import Label, Language
 from casadical.export.c.reference import bound, correct, forward, network, started, step
-from casadical.export.c.registry import Label, Language
 from casadical.export.c.tape_program import TapeProgram
 
 

@@ -10,8 +10,8 @@ from casadical.core.arrays import Array
 from casadical.export.c.chord import look_size, prepared_size, residual_size
 from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, Real, literal
 from casadical.export.c.emit import elementary_functions, filled, kernel, template
+from casadical.export.c.language import Label
 from casadical.export.c.products import Command, Product
-from casadical.export.c.registry import Label
 from casadical.export.c.tape_program import TapeProgram
 
 SCHEMA = 1

@@ -10,7 +10,7 @@ import numpy as np
 from casadical.export.c.c_language import self_test_source
 from casadical.export.c.c_source import common_values, header, source
 from casadical.export.c.emit import filled, template
-from casadical.export.c.registry import Label, Language
+from casadical.export.c.language import Label, Language
 from casadical.export.c.tape_program import TapeProgram
 
 _DATE = (1980, 1, 1, 0, 0, 0)  # the same bytes each time

@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from casadical.core.errors import InputError
 from casadical.core.reading import read_bytes
 from casadical.export.c.coefficients import Real
-from casadical.export.c.registry import NAME
+from casadical.export.c.language import NAME
 
 
 class Facts(BaseModel):

@@ -14,9 +14,9 @@ from casadical.export.c.c_source import box_share, boxes, command_numbers, joint
 from casadical.export.c.chord import look_size, prepared_size
 from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, TURNS, Real, turn_parts
 from casadical.export.c.emit import constants, filled, template
+from casadical.export.c.language import Label, Language
 from casadical.export.c.products import Command
 from casadical.export.c.reference import correct, network
-from casadical.export.c.registry import Label, Language
 from casadical.export.c.runs import WIDTH, Plan, plan_of
 from casadical.export.c.tape_program import TapeProgram, operations
 

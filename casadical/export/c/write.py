@@ -14,8 +14,9 @@ from casadical.core.reading import json_of, read_bytes
 from casadical.export.c.c_source import SCHEMA
 from casadical.export.c.coefficients import Real
 from casadical.export.c.kernel import compilers, remember
+from casadical.export.c.language import NAME, Label
 from casadical.export.c.products import Product
-from casadical.export.c.registry import NAME, Label, written_in
+from casadical.export.c.registry import written_in
 from casadical.export.c.tape_program import Operations, TapeProgram, operations, tape_program
 from casadical.export.c.verification import Comparison, accuracy, compared, shape_of
 

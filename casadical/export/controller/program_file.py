@@ -16,8 +16,9 @@ from casadical.export.controller.c_export import no_bound, poses_of, unreached, 
 from casadical.export.controller.commands import Sources, Tool, about_tool, followed, measured_range, robot_of
 from casadical.export.controller.correction import kernel_corrector
 from casadical.export.controller.programs.correction import Cell, refuse_accuracy
+from casadical.export.controller.programs.language import ProgramLanguage, text_of
 from casadical.export.controller.programs.program import assumptions, corrected_program, read_target_program, report_of
-from casadical.export.controller.programs.registry import ProgramLanguage, language_of, text_of
+from casadical.export.controller.programs.registry import language_of
 from casadical.export.controller.programs.target import Given
 
 

@@ -14,9 +14,10 @@ import pytest
 from casadical.export import Status, load, write_c
 from casadical.export.c.c_language import inside
 from casadical.export.c.kernel import compilers
+from casadical.export.c.language import Label
 from casadical.export.c.products import Command, Limits
 from casadical.export.c.reference import correct, started, step
-from casadical.export.c.registry import Label, written_in
+from casadical.export.c.registry import written_in
 from casadical.export.c.tape_program import tape_program
 from casadical.export.c.verification import accuracy, compared
 

@@ -14,9 +14,9 @@ from structured_text_in_c import Compiled, parsed
 from casadical import read_robot
 from casadical.export import Sources, Status, command_of, load, write_c
 from casadical.export.c.c_language import comparison_inputs
+from casadical.export.c.language import Label
 from casadical.export.c.products import Command, NetworkFunction
 from casadical.export.c.reference import correct, network
-from casadical.export.c.registry import Label
 from casadical.export.c.structured_text import structured_text
 from casadical.export.c.tape_program import operations, tape_program
 from casadical.robot.error_bound import doubted

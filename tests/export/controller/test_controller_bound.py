@@ -16,8 +16,8 @@ from casadical.compensator import Compensator
 from casadical.export import Sources, Status, command_of, load, write_c
 from casadical.export.c.c_language import comparison_inputs
 from casadical.export.c.kernel import compilers
+from casadical.export.c.language import Label
 from casadical.export.c.reference import bound, correct
-from casadical.export.c.registry import Label
 from casadical.export.c.structured_text import structured_text
 from casadical.export.c.tape_program import tape_program
 from casadical.export.controller.commands import bound_of

@@ -14,9 +14,9 @@ from casadical.effects import JointErrorCurve
 from casadical.export import Sources, Status, command_of, load, write_c
 from casadical.export.c.c_language import comparison_inputs, inside
 from casadical.export.c.kernel import compilers
+from casadical.export.c.language import Label
 from casadical.export.c.products import mapped
 from casadical.export.c.reference import correct
-from casadical.export.c.registry import Label
 from casadical.export.c.structured_text import structured_text
 from casadical.export.c.tape_program import operations, tape_program
 from casadical.export.controller.functions import changed

@@ -24,7 +24,7 @@ from casadical.export.controller.correction import FINE, LEAVES_BOX, Corrector, 
 from casadical.export.controller.functions import tool_function
 from casadical.export.controller.inverse import Newton
 from casadical.export.controller.postures import Postures
-from casadical.export.controller.programs.registry import ProgramLanguage
+from casadical.export.controller.programs.language import ProgramLanguage
 from casadical.export.controller.programs.target import Number, Target
 
 LEFT = "LEFT"  # statuses beside those of the correction

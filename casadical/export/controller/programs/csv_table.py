@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.files import csv_text
-from casadical.export.controller.programs.registry import ProgramLanguage
+from casadical.export.controller.programs.language import ProgramLanguage
 from casadical.export.controller.programs.target import DEG, MM, Given, Number, Target
 from casadical.measurements.columns import Columns
 from casadical.measurements.raw_table import RawTable, read_table

@@ -14,7 +14,7 @@ from lark import Token, Tree
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.export.controller.programs.registry import ProgramLanguage, angles_of_matrix, matrix_of_angles
+from casadical.export.controller.programs.language import ProgramLanguage, angles_of_matrix, matrix_of_angles
 from casadical.export.controller.programs.target import (
     DEG,
     MM,

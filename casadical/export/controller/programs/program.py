@@ -17,7 +17,8 @@ from casadical.core.files import csv_text
 from casadical.core.reading import read_bytes
 from casadical.export.controller.correction import FINE, MEANINGS, SHOWN, position_only
 from casadical.export.controller.programs import correction as c
-from casadical.export.controller.programs.registry import ProgramLanguage, language_of
+from casadical.export.controller.programs.language import ProgramLanguage
+from casadical.export.controller.programs.registry import language_of
 from casadical.export.controller.programs.target import Given, Target
 
 REPORT = ".correction.csv"  # after the name of a corrected program

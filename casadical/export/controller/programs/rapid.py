@@ -13,7 +13,7 @@ from lark import Token, Tree
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.transforms import frame, from_quaternion, quaternion
-from casadical.export.controller.programs.registry import ProgramLanguage
+from casadical.export.controller.programs.language import ProgramLanguage
 from casadical.export.controller.programs.target import (
     MM,
     Given,

@@ -13,8 +13,9 @@ from program_texts import OTHER_UNITS, REDEFINED, TOOLS, Point, held, loosened, 
 from casadical.core.errors import InputError
 from casadical.export.controller.commands import Sources
 from casadical.export.controller.programs.correction import Cell
+from casadical.export.controller.programs.language import ProgramLanguage, text_of
 from casadical.export.controller.programs.program import assumptions, corrected_program, read_target_program, report_of
-from casadical.export.controller.programs.registry import ProgramLanguage, known_program_languages, language_of, text_of
+from casadical.export.controller.programs.registry import known_program_languages, language_of
 from casadical.export.controller.programs.target import Given
 from casadical.robot.robot_file import read_robot, write_robot
 

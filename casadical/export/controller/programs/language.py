@@ -1,0 +1,120 @@
+"""A language that controllers are programmed in. Each is one file, and one line in `registry.py`."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.core.transforms import frame, from_rpy, to_rpy
+from casadical.export.controller.programs.target import DEG, MM, Given, Target
+
+_TURN = 2 * np.pi
+
+
+class ProgramLanguage(ABC):
+    """A controller's programming language. Derive from it, without arguments of the constructor.
+
+    name : by which messages know it; suffixes : of its files, in lower case, with their dot
+    units : of the numbers of a pose, each as a factor to SI; pose : what they are, in words
+    place : what a target stands in, in words; report_beside : whether a report goes beside a corrected program
+    """
+
+    name: ClassVar[str]
+    suffixes: ClassVar[tuple[str, ...]]
+    units: ClassVar[tuple[float, ...]] = (MM, MM, MM, DEG, DEG, DEG)
+    pose: ClassVar[str]
+    place: ClassVar[str] = "line"
+    report_beside: ClassVar[bool] = True
+
+    def decoded(self, source: str, content: bytes) -> str:
+        """A program's bytes as text, one character each. Raises InputError for what is not text."""
+        return text_of(source, content)
+
+    def written(self, source: str, text: str, results: Sequence[Any]) -> bytes:
+        """The program with the new texts of its targets (`Result.texts`), every other byte as it was."""
+        pieces, end = [], 0
+        for number, new in sorted(((n, t) for r in results for n, t in r.changes), key=lambda change: change[0].start):
+            pieces += [text[end : number.start], new]
+            end = number.stop
+        return "".join([*pieces, text[end:]]).encode("latin-1")
+
+    @abstractmethod
+    def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:
+        """Every target of a program, those that must be left as they are included, in their order.
+
+        text : one character for each byte; joints : their number, `given` says their units. Raises InputError that
+        names the line where the program cannot be corrected.
+        """
+
+    @abstractmethod
+    def matrix(self, values: Array) -> Array:
+        """The transform (4, 4) [m] of a pose's numbers [SI]. Raises InputError where they are none."""
+
+    @abstractmethod
+    def values(self, T: Array, like: Array) -> Array:
+        """The numbers [SI], shape (k,), of a transform, of all that are equal those nearest to `like`."""
+
+    def turns(self, q: Array) -> tuple[int, ...]:
+        """How the language counts the turns of joints q, shape (n,) [rad]; empty if it does not."""
+        return ()
+
+    def turns_text(self, target: Target, turns: tuple[int, ...]) -> list[str]:
+        """The texts of the words that say the turns, one for each of `target.turn_text`."""
+        raise NotImplementedError
+
+    def move_line(self, joints: Sequence[float]) -> str:
+        """A slow motion to joints [deg or mm], as lines of a program. Raises InputError where the language has none."""
+        raise InputError(f"{self.name}: has no motion in a line; give krl, rapid, urscript or fanuc")
+
+    def frame(self, where: str, values: Array) -> Array:
+        """A tool or base in a program, shape (4, 4) [m]. Raises InputError that begins with `where`."""
+        if not np.isfinite(values).all():
+            raise InputError(f"{where}: a tool or base needs finite numbers, {self.pose}")
+        return self.matrix(values)
+
+    def transform(self, option: str, text: str) -> Array:
+        """A pose that a user gives as the controller shows it, shape (4, 4) [m]. Raises InputError."""
+        try:
+            numbers = [float(part) for part in text.split(",")]
+        except ValueError:
+            numbers = []
+        if len(numbers) != len(self.units) or not np.isfinite(numbers).all():
+            raise InputError(f"{option} {text}: give {len(self.units)} numbers with commas, {self.pose}")
+        return self.matrix(np.array(numbers) * self.units)
+
+    def shown(self, T: Array) -> str:
+        """The numbers of a transform, shape (4, 4) [m], as `transform` takes them."""
+        values = self.values(T, np.zeros(len(self.units)))
+        return ",".join(f"{round(v / unit, 6) + 0.0:g}" for v, unit in zip(values, self.units, strict=True))
+
+
+def matrix_of_angles(values: Array, order: Sequence[int]) -> Array:
+    """Transform of x, y, z [m] and three angles [rad], of which `order` picks roll, pitch, yaw."""
+    return frame(from_rpy(values[3:][list(order)]), values[:3])
+
+
+def angles_of_matrix(T: Array, like: Array, order: Sequence[int]) -> Array:
+    """x, y, z [m] and angles [rad], the inverse of `matrix_of_angles`, with the angles nearest to `like`."""
+    roll, pitch, yaw = to_rpy(T[:3, :3])
+    flipped = np.array([roll + np.pi, np.pi - pitch, yaw + np.pi])
+    wanted = like[3:][list(order)]
+    near = [a - _TURN * np.round((a - wanted) / _TURN) for a in (np.array([roll, pitch, yaw]), flipped)]
+    best = min(near, key=lambda a: float(np.abs(a - wanted).max()))
+    angles = np.empty(3)
+    angles[list(order)] = best
+    return np.concatenate([T[:3, 3], angles])
+
+
+def text_of(source: str, content: bytes) -> str:
+    """A program's bytes as text, one character each. Raises InputError for what is not text."""
+    for place, byte in enumerate(content):
+        if byte < 32 and byte not in b"\t\n\r\f\x1a":
+            line = content.count(b"\n", 0, place) + 1
+            raise InputError(
+                f"{source}: line {line}: byte {byte} is not text; encrypted, compiled and UTF-16 programs cannot be "
+                "corrected: give the program as the controller shows it, as text"
+            )
+    return content.decode("latin-1")
