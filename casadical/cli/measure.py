@@ -17,7 +17,7 @@ from casadical.core.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from casadical.export.controller.programs.registry import ProgramLanguage
+    from casadical.export.controller.programs.language import ProgramLanguage
     from casadical.project.live.session import LiveSession
     from casadical.project.live.sources import Source
 
