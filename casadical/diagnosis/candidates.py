@@ -27,6 +27,17 @@ class Candidate:
     variants: tuple[tuple[Effect, ...], ...]
     listed: bool = True
 
+    @property
+    def together(self) -> bool:
+        """Whether it is an effect of several joints at once, each with a size of its own."""
+        return self.listed and len(_joints(self.variants[0])) > 1
+
+    @property
+    def covers(self) -> frozenset[str]:
+        """Names of effects that it holds; one of several joints holds each joint's."""
+        first = self.variants[0][0]
+        return first.covers | ({first.name} if self.together else frozenset())
+
 
 def standard_candidates(robot: Robot) -> list[Candidate]:
     """Every effect of the standard list, for a robot; unlisted, the rarer effects and every form of the unknown."""
@@ -120,14 +131,24 @@ def _of_kinds(kinds: Iterable[type[Effect]], robot: Robot) -> list[Candidate]:
     variants = [v for kind in kinds for v in kind.variants(robot)]
     runs = groupby(variants, key=lambda v: v[0].joint is None)
     by_label: dict[str, list[tuple[Effect, ...]]] = {}
-    for variant in (v for _, run in runs for v in sorted(run, key=lambda v: v[0].joint or 0)):
+    for variant in (v for _, run in runs for v in sorted(run, key=lambda v: (len(_joints(v)), v[0].joint or 0))):
         first = variant[0]
-        label = first.label.replace(first.name, first.answers_as) if first.answers_as else first.label
+        name = first.answers_as or first.name
+        label = name if len(_joints(variant)) > 1 else first.label.replace(first.name, name)
         by_label.setdefault(label, []).append(variant)
     return [
-        Candidate(label, found[0][0].answers_as or found[0][0].name, found[0][0].joint, tuple(found))
+        Candidate(
+            label,
+            found[0][0].answers_as or found[0][0].name,
+            found[0][0].joint if len(_joints(found[0])) == 1 else None,
+            tuple(found),
+        )
         for label, found in by_label.items()
     ]
+
+
+def _joints(variant: tuple[Effect, ...]) -> set[int | None]:
+    return {e.joint for e in variant}
 
 
 def _unlisted(robot: Robot) -> list[Candidate]:

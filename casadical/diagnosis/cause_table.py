@@ -40,7 +40,8 @@ def cause_rows(d: Diagnosis) -> list[CauseRow]:
     for c in d.causes:
         shown, mechanical = _signature(c)
         low, high = (100 * v for v in c.shrink_interval)
-        parameters = [(name, f"{value:.3g}", "", "") for e in c.effects for name, value in settings_of(e).items()]
+        settings = [setting for e in c.effects for setting in settings_of(e).items()]
+        parameters = [(name, f"{value:.3g}", "", "") for name, value in dict.fromkeys(settings)]
         parameters += [(name, value, "", unit) for e in c.effects for name, value, unit in e.summary]
         parameters += [_estimate(name, *given) for name, given in (c.estimates or {}).items()]
         if c.effect == "outliers":
@@ -92,7 +93,9 @@ def _signature(c: Cause) -> tuple[str, str]:
     shown, _, causes = words.partition(" (")
     if c.joint != 2:
         causes = causes.replace("; balancer on joint 2", "")
-    joint = "" if c.joint is None else f", joint {c.joint}"
+    joints = [str(e.joint) for e in c.effects if e.joint] if c.joint is None else [str(c.joint)]
+    joint = f", joint{'s' * (len(joints) > 1)} {' and '.join(filter(None, [', '.join(joints[:-1]), *joints[-1:]]))}"
+    joint = joint if joints else ""
     return shown + joint, causes.rstrip(")")
 
 

@@ -79,7 +79,8 @@ def _beside_others(state: State, k: int, *, first: bool = False) -> Step:
     step, others = state.steps[k], (*state.steps[:k], *state.steps[k + 1 :])
     if not others and not first:
         return step
-    ranking, label = state.rank(others), step.labels[0]
+    label = step.labels[0]
+    ranking = state.rank(others, keep=label if state.by_label[label].together else "")
     alike = indistinguishable(ranking, [label, *(c for c in state.listed(ranking) if c != label)])
     certain = ranking.none <= DETECT_FURTHER and len(alike) == 1
     return replace(step, ranking=ranking, labels=(label,) if certain else alike[: max(2, len(alike))])

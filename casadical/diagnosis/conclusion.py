@@ -127,7 +127,7 @@ def _cause(state: State, step: Step, before: Array, seed: int) -> Cause:
         shrink_interval=shrink_interval(before, alone, seed),
         indistinguishable=rivals_of(step, state.listed(ranking)),
         effects=step.effects,
-        estimates={name: v for (_, name), v in values.items()},
+        estimates={name if candidate.joint == e.joint else f"{name}@{e.joint}": v for (e, name), v in values.items()},
     )
 
 

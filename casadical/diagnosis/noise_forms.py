@@ -73,21 +73,12 @@ def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collec
         log_noise=none - plain,
         noise_form=noise_form,
     )
-    return _weighed(ranking, none)
+    return ranking.weighed(none)
 
 
 def scatter_of(joint: int) -> str:
     """The label of this form of noise."""
     return f"scatter of joint {joint}"
-
-
-def _weighed(ranking: Ranking, none: float) -> Ranking:
-    """The ranking with probabilities by its masses; none : that of no further cause."""
-    logs = np.array([none, *ranking.log_mass.values()])
-    share = np.exp(logs - log_sum(logs))
-    return replace(
-        ranking, none=float(share[0]), probability=dict(zip(ranking.log_mass, share[1:].tolist(), strict=True))
-    )
 
 
 def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Sequence[Rival]:

@@ -47,6 +47,14 @@ class Ranking:
         labels = list(self.probability)
         return tuple(labels[k] for k in ranked(list(self.probability.values())))
 
+    def weighed(self, none: float) -> "Ranking":
+        """The same with probabilities by its masses; none : log mass of no further cause."""
+        logs = np.array([none, *self.log_mass.values()])
+        share = np.exp(logs - log_sum(logs))
+        return replace(
+            self, none=float(share[0]), probability=dict(zip(self.log_mass, share[1:].tolist(), strict=True))
+        )
+
     def among(self, labels: Collection[str]) -> "Ranking":
         """The same between none and these candidates alone."""
         kept = {k: p for k, p in self.probability.items() if k in labels}
@@ -121,9 +129,7 @@ def rank(
             variant[candidate.label] = case.variants[judged[best]][1]
             noise[candidate.label] = likely_noise(grids[best], case.judged.sigmas)
     mass = {k: float(np.log(weights[k])) + f for k, f in factor.items()}
-    logs = np.array([np.log(prior["none"]), *mass.values()])
-    share = np.exp(logs - log_sum(logs))
-    return Ranking(float(share[0]), dict(zip(factor, share[1:].tolist(), strict=True)), factor, mass, variant, noise)
+    return Ranking(1.0, {}, factor, mass, variant, noise).weighed(float(np.log(prior["none"])))
 
 
 def prior_weights(
@@ -132,10 +138,10 @@ def prior_weights(
     """Listed effects share alike, then each its joints; so do the rarer ones, and all smooth forms have as much."""
     open_ = [c for c in case.candidates if c.label not in skip | covered]
     taken = {c.joint for c in case.candidates if c.label in skip and c.joint is not None}
-    names = Counter(c.name for c in open_)
+    names = Counter(c.name for c in open_ if not c.together)
     kinds = {c.name: c.listed for c in open_}
     rare = [name for name, listed in kinds.items() if not listed and name != "unknown"]
     part = {name: prior["listed"] / sum(kinds.values()) for name, listed in kinds.items() if listed}
     part |= {name: prior["unknown"] / 2 / len(rare) for name in rare}
     part["unknown"] = prior["unknown"] / (2 if rare else 1)
-    return {c.label: part[c.name] / names[c.name] * (SAME_JOINT if c.joint in taken else 1.0) for c in open_}
+    return {c.label: part[c.name] / max(names[c.name], 1) * (SAME_JOINT if c.joint in taken else 1.0) for c in open_}

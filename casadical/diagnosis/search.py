@@ -10,14 +10,16 @@ from typing import Literal
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.progress import Show
 from casadical.diagnosis.bootstrap import p_value
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cause_sets import most_probable_set
 from casadical.diagnosis.cross_validation import remainders
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_forms import best_following, with_noise_forms
-from casadical.diagnosis.posterior import Ranking, rank
+from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, rank
 from casadical.diagnosis.settings_search import refined
 from casadical.diagnosis.structure import remainder_of
 from casadical.diagnosis.thresholds import (
@@ -36,6 +38,9 @@ from casadical.diagnosis.thresholds import (
 from casadical.effects import Effect, TransmissionRipple
 from casadical.measurements.noise import Noise
 
+# An effect of several joints at once is one where so many show it, each by so much log evidence beside the others; the
+# joints that do not are left out.
+SEVERAL, SHOWN = 3, 3.0
 # Times that causes are searched again under another form of noise; log evidence over plain noise from which it is one.
 # Under it something is there if "nothing" is less probable than the third: what such noise is for sure is not known.
 MOST_FORMS, FORM_GAIN, FORM_NONE = 3, 10.0, 1e-3
@@ -82,26 +87,60 @@ class State:
         """Labels of listed effects, the most probable first."""
         return [k for k in ranking.order if k in self.by_label and self.by_label[k].listed]
 
-    def rank(self, beside: Sequence[Step], also: Mapping[str, tuple[Effect, ...]] | None = None) -> Ranking:
-        """Posterior over one more cause beside those of some steps; also : further ones beside them, by label."""
+    def rank(
+        self, beside: Sequence[Step], also: Mapping[str, tuple[Effect, ...]] | None = None, keep: str = ""
+    ) -> Ranking:
+        """Posterior over one more cause beside those of some steps; also : further ones beside them, by label.
+
+        keep : label of one that stays although few of its joints show it
+        """
         also = also or {}
-        groups = [s.effects for s in beside] + [*also.values()]
-        covers = frozenset[str]().union(*(e.covers for g in groups for e in g))
-        covered = frozenset(c.label for c in self.case.candidates if c.variants[0][0].name in covers)
-        columns = [self.columns(beside), *(self.case.group(e) for e in also.values())]
         skip = frozenset((*(s.labels[0] for s in beside), *also))
+        covers = frozenset[str]().union(*(self.by_label[label].covers for label in skip))
+        alone = {self.by_label[label].name for label in also}  # a set names one joint each, or several at once
+        covered = frozenset(
+            c.label for c in self.case.candidates if c.variants[0][0].name in covers or (c.together and c.name in alone)
+        )
+        columns = [self.columns(beside), *(self.case.group(e) for e in also.values())]
         chosen = np.unique(np.concatenate(columns))
         joints = (
-            *(self.by_label[s.labels[0]].joint for s in beside),
+            *(e.joint for s in beside for e in s.effects),
             *(j for s in beside for e in s.effects for j in e.parts),
         )
         # A search asks for the same ranking again when it looks at its causes once more.
         known: dict[object, Ranking] = self.case.judged.cache.rankings
-        key = (chosen.tobytes(), skip, covered, not also, joints)
+        key = (chosen.tobytes(), skip, covered, not also, joints, keep)
         if key not in known:
-            ranking = rank(self.case, chosen, skip, covered)
+            ranking = self._without_single(rank(self.case, chosen, skip, covered), chosen, keep)
             known[key] = ranking if also else with_noise_forms(ranking, self.case, chosen, joints)
         return known[key]
+
+    def _without_single(self, ranking: Ranking, chosen: Array, keep: str) -> Ranking:
+        """The ranking without effects of several joints that fewer than SEVERAL of them show."""
+        there = 1 - ranking.none
+        likely = [self.by_label[k] for k, p in ranking.probability.items() if p > LEAST_ALIKE * there]
+        lost = {
+            c.label
+            for c in likely
+            if c.together
+            and c.label != keep
+            and sum(g > SHOWN for g in self._gains(c.variants[ranking.variant[c.label]], chosen)) < SEVERAL
+        }
+        if not lost:
+            return ranking
+        mass = {k: m for k, m in ranking.log_mass.items() if k not in lost}
+        prior = PRIOR_FURTHER if len(chosen) else PRIOR_FIRST
+        return replace(ranking, log_mass=mass).weighed(float(np.log(prior["none"])))
+
+    def _gains(self, effects: Sequence[Effect], chosen: Array) -> list[float]:
+        """Log evidence that each of some effects adds beside the others and chosen columns."""
+        judged, every = self.case.judged, [self.case.group((e,)) for e in effects]
+        found = []
+        for own in every:
+            beside = np.setdiff1d(np.union1d(chosen, np.concatenate(every)), own)
+            grids = judged.log_grids([own], beside) + np.log(KAPPA_WEIGHTS)
+            found.append(float(log_sum(grids)) - float(log_sum(judged.log_base(beside))))
+        return found
 
     @property
     def log_gain(self) -> float:
@@ -126,13 +165,16 @@ class State:
         """A cause (the first of the labels) with its settings refined beside others."""
         label = labels[0]
         variant = self.by_label[label].variants[ranking.variant[label]]
+        if self.by_label[label].together:
+            gains = self._gains(variant, self.columns(beside))
+            variant = tuple(e for e, gain in zip(variant, gains, strict=True) if gain > SHOWN)
         case, effects = refined(self.case, label, variant, self.columns(beside), ranking.noise[label])
         return case, Step(ranking, tuple(labels), effects)
 
     def with_cause(self, labels: Sequence[str]) -> State:
         """The state with a cause of the last ranking in the model, outliers judged again."""
         ranking = self.rankings[-1]
-        covers = self.by_label[labels[0]].variants[0][0].covers
+        covers = self.by_label[labels[0]].covers
         steps = tuple(s for s in self.steps if s.effects[0].name not in covers)
         case, step = self.refined(ranking, labels, steps)
         return replace(self, case=case, steps=(*steps, step))._screened(ranking.noise[labels[0]])

@@ -80,6 +80,7 @@ class Effect:
     on_list: ClassVar[str] = ""  # standard, extended, unknown (names no cause), or only where it is asked for by name
     answers_as: ClassVar[str] = ""  # the effect under whose name it is a candidate and an answer, as one more law
     acts_at: ClassVar[str] = ""  # arm, payload, [turning or rigid] joints; by default joints where it adds an `angle`
+    together: ClassVar[bool] = False  # all joints at once are a candidate, too, where a drive's make is the cause
     covers: ClassVar[frozenset[str]] = frozenset()  # effects that it holds: beside it they are no causes of their own
     size: ClassVar[Mapping[str, tuple[float, str]]] = {}  # its parameters, where all settings have the same
     needs: ClassVar[tuple[str, ...]] = ()  # columns that must have been logged
@@ -113,8 +114,12 @@ class Effect:
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterable[tuple[Effect, ...]]:
-        """The candidates, those together that act together; by default each alone."""
-        return ((effect,) for effect in cls.candidates(arm))
+        """The candidates, those together that act together; by default each alone, and all joints' if `together`."""
+        alike: dict[str, list[Effect]] = {}
+        for effect in cls.candidates(arm):
+            yield (effect,)
+            alike.setdefault(str(settings_of(effect)), []).append(effect)
+        yield from (tuple(each) for each in alike.values() if cls.together and len(each) > 1)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Effect:

@@ -99,6 +99,7 @@ class Definition(TomlTable):
     of_measurement: bool = False
     from_kind: bool = False
     simulated_first: bool = False
+    together: bool = False
     needs: list[str] = []
     summary: str = ""
     signature: str = Field(min_length=1)
@@ -211,8 +212,20 @@ def _made(definition: str, module: str, name: str) -> type[DefinedEffect]:
     about = [f"{key} : {s.about}" for key, s in d.settings.items() if s.about]
     places = tuple(dict.fromkeys(place for text in _templates(d) for place in _PLACE.findall(text)))
     attributes = {
-        **{key: getattr(d, key) for key in ("name", "answers_as", "of_measurement", "from_kind", "simulated_first")},
-        **{key: getattr(d, key) for key in ("signature", "physics", "confused_with")},
+        **{
+            key: getattr(d, key)
+            for key in (
+                "name",
+                "answers_as",
+                "of_measurement",
+                "from_kind",
+                "simulated_first",
+                "together",
+                "signature",
+                "physics",
+                "confused_with",
+            )
+        },
         "on_list": d.on_list,
         "acts_at": d.acts_at or ("joints" if numbered else "arm"),
         "definition": d,

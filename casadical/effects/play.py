@@ -35,6 +35,7 @@ class Backlash(Effect):
         "flank that drove it there (Ruderman, Hoffmann and Bertram 2009)."
     )
     confused_with = "friction_windup where the torque is small; nonlinear_stiffness where it is large"
+    together = True
     size = {"half": (50e-6, "rad")}
 
     @classmethod

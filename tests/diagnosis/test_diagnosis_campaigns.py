@@ -82,6 +82,18 @@ def test_simulated_cause_is_found(name: str, seed: int, cause: disturbances.Dist
     assert d.gap.after < 1.3 * d.gap.floor
 
 
+def test_what_several_joints_do_is_one_cause() -> None:
+    """Drives of one make stay wound up alike: no single joint explains it; those that do not are left out."""
+    sizes = {1: 50, 2: 40, 4: 90, 5: 80}
+    wound = [disturbances.FrictionWindup(j, 1e-6 * size) for j, size in sizes.items()]
+    d = diagnose(robot("ur10e"), simulated("ur10e", 15, *wound), laws=False)
+    assert (d.verdict, named(d)) == ("explained", {("friction_windup", None)})
+    assert {e.joint for e in d.effects()} == {*sizes}
+    assert d.gap.after < 1.2 * d.gap.floor
+    assert "a lag behind the last motion, joints 1, 2, 4 and 5" in page_of(d)
+    assert set(d.causes[0].estimates) == {f"{name}@{j}" for name in ("constant", "load") for j in sizes}
+
+
 @pytest.mark.parametrize(("name", "seed"), [("kr210", 100), ("ur10e", 100)])
 def test_nothing_is_claimed_where_there_is_nothing(name: str, seed: int) -> None:
     """How often it is, is counted over hundreds of campaigns in the study, not here."""
