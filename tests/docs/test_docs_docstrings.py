@@ -124,7 +124,7 @@ def test_methods_from_the_literature_name_their_source() -> None:
             f"compensator.{name}"
             for name in ("iwo", "network", "task", "trainers.damped_least_squares", "trainers.distilled")
         ),
-        *("pose_selection.criteria", "pose_selection.experimental_design", "diagnosis.evidence", "core.statistics"),
+        *("pose_selection.information", "pose_selection.experimental_design", "diagnosis.evidence", "core.statistics"),
     ]
     without = []
     for module in modules:
