@@ -7,6 +7,7 @@ now: a slip is said when it is made, the process is killed and nothing is lost, 
 as if the table had come whole. In the workshop you would open the page; here a program reads it.
 """
 
+import atexit
 import json
 import shutil
 import signal
@@ -46,6 +47,7 @@ def started():
         stdout=subprocess.PIPE,
         text=True,
     )
+    atexit.register(process.kill)  # also where a step below fails
     for line in process.stdout:
         if line.startswith("open http"):
             return process, line.split()[1]
