@@ -21,6 +21,7 @@ from casadical.core.arrays import Array
 from casadical.core.errors import ConvergenceError, InputError
 from casadical.core.files import claimed, write_together
 from casadical.core.reading import load_json
+from casadical.core.statistics import column_space
 from casadical.diagnosis.linearisation import signatures
 from casadical.identification.identification import base_calibrated
 from casadical.identification.prepared import prepare
@@ -30,9 +31,6 @@ from casadical.measurements.reading import from_table
 from casadical.project.problem import read_campaign_robot
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml
-
-# A singular value below this share of the largest counts as zero.
-RANK = 1e-9
 
 
 def base_jacobian(robot: Robot, clean: Measurements) -> Array:
@@ -47,15 +45,6 @@ def unabsorbed_rms(J: Array, shift: Array) -> float:
     Q = column_space(J.reshape(shift.size, -1))
     left = shift.ravel() - Q @ (Q.T @ shift.ravel())
     return float(np.sqrt(np.mean(left**2)))
-
-
-def column_space(A: Array) -> Array:
-    """Orthonormal columns, shape (rows, rank), that span those of a matrix, shape (rows, columns), of any scale.
-
-    The base model has columns that depend on others; without a cut by rank these would add arbitrary directions.
-    """
-    U, s, _ = np.linalg.svd(A / np.maximum(np.linalg.norm(A, axis=0), 1e-300), full_matrices=False)
-    return np.asarray(U[:, s > RANK * s[0]])
 
 
 UNSEEN = 50

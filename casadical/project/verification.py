@@ -113,7 +113,9 @@ class Verification(Result):
 
     @property
     def next(self) -> tuple[Words, ...]:
-        """What to do now."""
+        """What to do now, where it is known of which files this is."""
+        if not self.sources:
+            return ()
         robot, *tables = self.sources
         if self.valid and problem_of(robot):
             return (next_step("to state how accurate it is", "certificate", robot.parent),)

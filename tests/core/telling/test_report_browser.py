@@ -109,7 +109,7 @@ def test_tooltips_tell_the_pose_its_error_and_the_interval(page) -> None:
 
 @on(DIAGNOSIS)
 def test_tooltips_tell_the_cause(page) -> None:
-    assert "friction_windup@5" in hover(page, "causes/1")
+    assert "backlash" in hover(page, "causes/1")
 
 
 @on(CALIBRATION)

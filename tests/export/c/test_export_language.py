@@ -102,7 +102,7 @@ def test_the_c_alone(tmp_path, network):
 
 FAULTY = {
     "not there": (MODULE, "rows = toy:Row", "cannot be loaded"),
-    "no language": ("Rows = 3", "rows = toy:Rows", "must be a subclass of casadical.export.c.registry.Language"),
+    "no language": ("Rows = 3", "rows = toy:Rows", "must be a subclass of casadical.export.c.language.Language"),
     "of another name": (MODULE, "tape = toy:Rows", "both need the same name"),
     "taken": (MODULE.replace('"rows"', '"c"'), "c = toy:Rows", "there is a 'c' already"),
     "files of the C": (MODULE.replace('_{key}.csv"]', '.c"]'), "rows = toy:Rows", "writes arm.c, which is"),
