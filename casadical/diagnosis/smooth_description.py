@@ -28,7 +28,8 @@ def describe_unlisted(found: Diagnosis) -> Unlisted | None:
     """
     if found.verdict != "unknown":
         return None
-    named = found.columns, frozenset(c.label for c in found.causes)
+    # Of a cause at several joints each joint's effect is in the model, too.
+    named = found.columns, frozenset((*(c.label for c in found.causes), *(e.label for e in found.effects())))
     noise = found.noise if found.effects() else found.rankings[0].noise[""]
     return _forms(found.case, found.rankings[-1], named, noise, found.seed)
 
