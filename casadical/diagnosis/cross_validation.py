@@ -9,6 +9,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.linear_gaussian.columns import EVERY
 from casadical.core.linear_gaussian.fit import Fit
+from casadical.core.statistics import first_of_best
 from casadical.diagnosis.evidence import REPEATABILITY, RHOS, SIGMAS, Evidence
 from casadical.diagnosis.thresholds import PARTITIONS
 from casadical.measurements.noise import Noise
@@ -23,7 +24,7 @@ MOST_FITS = 3
 def likely_noise(log_grid: Array, sigmas: Array = SIGMAS) -> Noise:
     """The most probable noise of a log likelihood over (rhos, sigmas, ...)."""
     grid = log_grid.reshape(len(RHOS), len(sigmas), -1).max(axis=2)
-    rho, sigma = np.unravel_index(int(np.argmax(grid)), grid.shape)
+    rho, sigma = np.unravel_index(first_of_best(grid, logs=True), grid.shape)
     return Noise(float(sigmas[sigma]), float(RHOS[rho] * sigmas[sigma]))
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.linear_gaussian.normal_equations import root_of_inverse
+from casadical.core.statistics import first_of_best, ranked
 
 # Frequencies that are tried [cycles a turn]: from half a cycle over all readings on, so many to a cycle over them.
 LOWEST, PER_CYCLE, WIDEST_STEP = 0.5, 5, 0.5
@@ -268,7 +269,7 @@ class Search:
         gain, amplitude, variance = self.sines(self.grid, nothing)
         tried = np.geomspace(1, 1e4, 4000)
         enough = tried[np.argmax(self.chance(tried, self.b.rows) <= CHANCE)] * self.unit(own)
-        strongest = int(np.argmax(gain)) if gain.any() else None
+        strongest = first_of_best(gain) if gain.any() else None
         error = np.sqrt(variance * self.unit(nothing))
         return Scan(self.frequency, amplitude, error, np.sqrt(enough * self.sines(self.grid, own)[2]), strongest)
 
@@ -279,15 +280,15 @@ class Search:
             return None
         padded = np.concatenate([[-1.0], gain, [-1.0]])
         peaks = np.flatnonzero((gain >= padded[:-2]) & (gain >= padded[2:]))
-        near = self.frequency[peaks[np.argsort(-gain[peaks])][:PEAKS]]
+        near = self.frequency[peaks[ranked(gain[peaks])[:PEAKS]]]
         found: list[tuple[float, float]] = []
         for f in (*near, near[0] / 2, near[0] * 2):
             fine = f + np.linspace(-1, 1, 2 * FINE + 1) * self.step
             fine = fine[(fine >= self.frequency[0]) & (fine <= self.frequency[-1])]
             if len(fine):
                 more = self.sines(self.b.waves(fine), own)[0]
-                found.append((float(more.max()), float(fine[np.argmax(more)])))
-        most, f = max(found)
+                found.append((float(more.max()), float(fine[first_of_best(more)])))
+        most, f = found[first_of_best([gain for gain, _ in found])]
         close = most - 2 * np.log(RIVAL) * self.unit(own)
         others = sorted({x for g, x in found if g >= close and abs(x - f) > 1 / self.turns})
         if others:  # those that explain little more beside the best
@@ -368,7 +369,7 @@ class Search:
         ]
         if max(doubt) <= 1:
             return tuple(found)
-        kept = [f for i, f in enumerate(frequencies) if i != int(np.argmax(doubt))]
+        kept = [f for i, f in enumerate(frequencies) if i != first_of_best(doubt)]
         return self.final(dict(zip(self.refined(kept, unnamed), (named[f] for f in kept), strict=True)), unnamed)
 
 

@@ -10,6 +10,7 @@ import pandas as pd
 
 from casadical.core.errors import InputError
 from casadical.core.linear_gaussian.grid import log_sum
+from casadical.core.statistics import first_of_best
 from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.linear_problem import Case
@@ -120,7 +121,7 @@ def causes_in_question(case: Case, labels: Sequence[str], beside: Sequence[str] 
         allowed = np.flatnonzero(likely > likely.max() - LIKELY)
         spread = allowed[np.linspace(0, len(allowed) - 1, MOST_VARIANTS).astype(int)]
         others = spread.tolist() if label in labels else []
-        for k in dict.fromkeys([int(np.argmax(likely)), *others]):
+        for k in dict.fromkeys([first_of_best(likely, logs=True), *others]):
             found.append(_Cause(label, variants[k], likely_noise(grids[k], case.evidence.sigmas)))
     # The cause that leaves the least noise comes first: its noise is taken for all.
     return sorted(found, key=lambda cause: cause.noise.sigma)

@@ -16,6 +16,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.linear_gaussian.marginals import REACH
+from casadical.core.statistics import first_of_best
 from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.evidence import RHOS
 from casadical.diagnosis.linear_problem import Case
@@ -104,7 +105,7 @@ def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Seq
             if logs[-1] < max(plain, logs.max()) - REACH:  # what follows itself still more is less likely yet
                 break
         factor = float(log_sum(logs)) - np.log(len(forms) * alike * 3) - plain
-        found.append(Rival(label, float(factor), likely_noise(grids[int(np.argmax(logs))], e.sigmas)))
+        found.append(Rival(label, float(factor), likely_noise(grids[first_of_best(logs, logs=True)], e.sigmas)))
     return found
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.statistics import first_of_best
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.evidence import REPEATABILITY, joint_noise
 from casadical.diagnosis.linear_problem import Case, widths
@@ -121,7 +122,7 @@ def pick(asked: Pairs, also: Pairs, n: int) -> tuple[list[int], list[float]]:
         # The truth with the smallest sum so far matters most.
         score = (gains / (1 + gained[:, None])).sum(axis=0)
         score[picked] = -np.inf
-        best = int(np.argmax(score))
+        best = first_of_best(score)
         gained = gained + gains[:, best]
         picked.append(best)
         course.append(float(gained[: 2 * len(asked)].min()))

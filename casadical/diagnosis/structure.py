@@ -22,6 +22,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.linear_gaussian.grid import log_sum
+from casadical.core.statistics import first_of_best
 from casadical.diagnosis.cross_validation import fitted_without
 from casadical.diagnosis.evidence import REPEATABILITY, joint_noise
 from casadical.diagnosis.linear_problem import Case
@@ -97,7 +98,7 @@ def joint_of_outliers(case: Case, columns: Array, noise: Noise) -> int | None:
     lengths = np.linalg.norm(left, axis=1)[:, None] * np.linalg.norm(motions, axis=1)
     cosine = np.abs(np.einsum("ki,kij->kj", left, motions)) / np.maximum(lengths, 1e-300)
     total = -np.log(np.clip(1 - cosine, 1e-300, 1.0)).sum(axis=0)
-    best = int(np.argmax(total))
+    best = first_of_best(total)
     # A sum of k has a gamma distribution, whose tail is that of fewer than k events of a Poisson process.
     terms = [i * log(max(total[best], 1e-300)) - lgamma(i + 1) for i in range(len(left))]
     chance = len(total) * float(np.exp(log_sum(np.array(terms)) - total[best]))

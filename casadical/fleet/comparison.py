@@ -298,7 +298,7 @@ def _change(
     likely = top.since[np.sort(np.argsort(-begun)[: int(np.searchsorted(np.cumsum(np.sort(begun)[::-1]), 0.95)) + 1])]
     rivals: dict[str, Rival] = {}
     for h, s in share:
-        label, best = h.candidate.label, int(np.argmax(s))
+        label, best = h.candidate.label, first_of_best(s)
         old = rivals.get(label)
         more = (old.probability if old else 0.0) + float(s.sum())
         if old and old.probability > s.sum():

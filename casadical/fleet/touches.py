@@ -15,6 +15,7 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.files import csv_text
 from casadical.core.reading import load_json
+from casadical.core.statistics import first_of_best
 from casadical.core.telling.blocks import Page, Section, Table, Tile, Words, mm, next_step
 from casadical.core.telling.figure import Axis, Figure, Rule, Series
 from casadical.core.telling.result import Result
@@ -96,7 +97,7 @@ class Touches(Result):
     def label(self) -> str:
         """What changed most probably; "" for nothing."""
         labels, counts = np.unique(self.draws.label.astype(str), return_counts=True)
-        return str(labels[int(np.argmax(counts))])
+        return str(labels[first_of_best(counts)])
 
     @cached_property
     def departure(self) -> tuple[Array, Array]:

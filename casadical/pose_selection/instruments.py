@@ -228,5 +228,5 @@ def usual_places(robot: Robot, kind: Literal["wires", "sockets"]) -> Array:
 
 def _farthest(places: Array) -> tuple[int, int]:
     apart = np.linalg.norm(places[:, None] - places, axis=2)
-    i, j = np.unravel_index(int(apart.argmax()), apart.shape)
+    i, j = np.unravel_index(first_of_best(apart), apart.shape)
     return int(min(i, j)), int(max(i, j))

@@ -1,5 +1,6 @@
-"""Lint, format and the floor plan hold; the types, in test_house_names."""
+"""Lint, format and the floor plan hold; the types, in test_house_names. Ties are broken by rule where answers are."""
 
+import ast
 import subprocess
 import sys
 from pathlib import Path
@@ -16,3 +17,12 @@ def test_house_rule(command: str) -> None:
     tool, *arguments = command.split()
     done = subprocess.run([BIN / tool, *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
+
+
+@pytest.mark.parametrize("room", ["diagnosis", "fleet", "pose_selection"])
+def test_what_is_chosen_is_the_first_of_the_best_on_every_processor(room) -> None:
+    for path in (ROOT / "casadical" / room).rglob("*.py"):
+        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(call, ast.Call) and ast.unparse(call.func).endswith(".argmax"):
+                of_mask = any(isinstance(argument, ast.Compare) for argument in call.args)
+                assert of_mask, f"{path.name}:{call.lineno}: rounding decides among ties: take first_of_best"

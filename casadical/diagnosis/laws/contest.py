@@ -15,6 +15,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.linear_gaussian.grid import log_sum
+from casadical.core.statistics import first_of_best
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import lengths, new_fit, random_folds
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, RHOS, Evidence
@@ -185,7 +186,7 @@ def _best(problem: Problem, law: Scored, train: Array) -> Array:
     for seam, x, settings in zip(tried.seams, tried.x, tried.settings, strict=True):
         functions = scaled(tried.form.values(x, settings))
         logs.append(problem.gains(replace(seam, columns=seam.columns[train]), functions[:, train]))
-    place = int(np.argmax([g.max() for g in logs]))
-    start = tried.settings[place][int(np.argmax(logs[place]))]
+    place = first_of_best([g.max() for g in logs], logs=True)
+    start = tried.settings[place][first_of_best(logs[place], logs=True)]
     best, _ = refined_settings(problem, tried, place, start, train)
     return tried.column(place, best)[1]

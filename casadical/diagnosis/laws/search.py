@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.statistics import first_of_best, ranked
 from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.laws.drivers import (
     LARGEST,
@@ -96,10 +97,10 @@ class _Rough:
 def _of_block(seam: Seam, block: _Block, gains: Array, keep: int) -> list[_Rough]:
     means = _means(gains, block.edges)
     found = []
-    for k in np.argsort(-means)[:keep]:
+    for k in ranked(means, logs=True)[:keep]:
         driver, form, x, settings = block.drivers[k]
         own = gains[block.edges[k] : block.edges[k + 1]]
-        best = int(np.argmax(own))
+        best = first_of_best(own, logs=True)
         tried = Tried((seam,), driver, form, (x,))
         found.append(_Rough(tried, 0, settings[best], float(own[best]), float(means[k])))
     return found
@@ -180,8 +181,8 @@ def _along_the_beam(problem: Problem, linear: Linearisation, beams: Sequence[Sea
                 (block,) = _blocks([(driver, values)], {kind: (form,)})
                 gains.append(problem.gains(seam, block.functions))
             tried = Tried(tuple(beams), driver, form, tuple(x))
-            k = int(np.argmax([g.max() for g in gains]))
-            best, whole = int(np.argmax(gains[k])), np.concatenate(gains)
+            k = first_of_best([g.max() for g in gains], logs=True)
+            best, whole = first_of_best(gains[k], logs=True), np.concatenate(gains)
             mean = float(log_mean(whole) - np.log(len(whole)))
             yield _Rough(tried, k, tried.settings[k][best], float(gains[k][best]), mean)
 
@@ -221,7 +222,7 @@ def search_laws(case: Case, chosen: Array, without: frozenset[str] = frozenset()
     instances = len(seams) * len(drivers) + len(joined) + 1
     rough = [r for r in rough if r.mean > NEVER / 2]
     prices = [np.log(instances) + np.log(1 + len(FORMS[r.tried.driver.kind])) + _last(r.tried) for r in rough]
-    order = np.argsort([-(r.mean - price) for r, price in zip(rough, prices, strict=True)])
+    order = ranked([r.mean - price for r, price in zip(rough, prices, strict=True)], logs=True)
     some = [rough[k] for k in order[:EXACT]]
     if not some:
         return []
@@ -230,13 +231,13 @@ def search_laws(case: Case, chosen: Array, without: frozenset[str] = frozenset()
     exact = problem.over_none(grids)
     scored = [float(e - r.best + r.mean - prices[k]) for e, r, k in zip(exact, some, order, strict=False)]
     found = []
-    for rank, k in enumerate(np.argsort([-s for s in scored])):
+    for rank, k in enumerate(ranked(scored, logs=True)):
         if made[k][0].label not in without:
             r, (law, columns) = some[k], made[k]
             errors, noise = np.full(len(r.settings), np.nan), likely_noise(grids[k])
             s = Scored(law, r.tried, r.seam, r.settings, scored[k], float(exact[k]), columns, noise, errors)
             found.append(refined(problem, s) if rank < REFINED else s)
-    return sorted(found, key=lambda s: -s.score)
+    return [found[k] for k in ranked([s.score for s in found], logs=True)]
 
 
 # Steps of a refinement, first as shares of the driver's range (of a width: factors), halved when none helps.
@@ -291,7 +292,7 @@ def refined_settings(
     for _ in range(ROUNDS):
         near = [_moved(tried, seam, settings, k, s) for k in range(len(settings)) for s in (-step, step)]
         logs = evidences(near)
-        best = int(np.argmax(logs))
+        best = first_of_best(logs, logs=True)
         if logs[best] > evidence + GAIN:
             settings, evidence = near[best], float(logs[best])
             continue

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.statistics import first_of_best, ranked
 from casadical.core.telling.blocks import Table, Words
 from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.laws.answer import line_of
@@ -218,12 +219,12 @@ def _searched(look: Look, case: MotionCase, chosen: Array) -> list[Scored]:
             for form in (*FORMS[driver.kind], *own):
                 tried = _InLog((place,), driver, form, (x,), look, case)
                 gains = _screened(tried, row, screen)
-                k, mean = int(np.argmax(gains)), float(log_mean(gains) - np.log(len(gains)))
+                k, mean = first_of_best(gains, logs=True), float(log_mean(gains) - np.log(len(gains)))
                 price = float(np.log(1 + len(FORMS[driver.kind])))
                 one = mean - price, float(gains[k]) - mean + price, tried, tried.settings[0][k]
                 rough[row, driver.text] = max(one, rough.get((row, driver.text), one), key=lambda each: each[0])
-    found = []
-    for _, price, tried, settings in sorted(rough.values(), key=lambda each: -each[0])[:EXACT]:
+    found, of_each = [], list(rough.values())
+    for _, price, tried, settings in (of_each[k] for k in ranked([each[0] for each in of_each], logs=True)[:EXACT]):
         law, columns = tried.column(0, settings)
         if not columns.any():
             continue
@@ -234,7 +235,7 @@ def _searched(look: Look, case: MotionCase, chosen: Array) -> list[Scored]:
             likely_noise(grids[0], problem.evidence.sigmas), np.full(len(settings), np.nan),
         )  # fmt: skip
         found.append(refined(problem, s))
-    return sorted(found, key=lambda s: -s.score)[:JUDGED]
+    return [found[k] for k in ranked([s.score for s in found], logs=True)[:JUDGED]]
 
 
 def _screened(tried: _InLog, row: int, screen: Screen) -> Array:

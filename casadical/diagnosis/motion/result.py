@@ -12,6 +12,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.progress import Show
+from casadical.core.statistics import first_of_best
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import Result
 from casadical.diagnosis.cross_validation import new_fit
@@ -156,9 +157,9 @@ class LogDiagnosis(Result):
             edges = np.quantile(values[:, j], np.linspace(0, 1, PARTS + 1))
             part = np.clip(np.searchsorted(edges, values[:, j], side="right") - 1, 0, PARTS - 1)
             mean = np.array([left[part == k].mean() if (part == k).any() else 0.0 for k in range(PARTS)])
-            k = int(mean.argmax())
+            k = first_of_best(mean)
             found.append((float(np.sqrt(mean[k] / left.mean())), f"{name} {edges[k]:.3g} to {edges[k + 1]:.3g}"))
-        worst = max(found)
+        worst = found[first_of_best([share for share, _ in found])]
         return worst[1] if worst[0] > OUT else ""
 
     def _causes(self) -> Iterator[Words | Table]:

@@ -23,7 +23,7 @@ def contend(data, clock, compile_from):
         robot = casadical.Robot("UR10-like", joints, *unknown)
     with clock("solve"):
         measured = casadical.Measurements(q=data.q, kind="position", position=data.p)
-        result = casadical.identify(robot, measured, ["kinematic"])
+        result = casadical.identify(robot, measured, ["kinematic"], loss="linear")  # as all the others
     clock.note("parameters", len(result.names))
     positions, _ = predicted(
         result.robot,
