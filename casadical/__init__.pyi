@@ -1,7 +1,7 @@
 from casadical.compensator.compensator import Compensator as Compensator
-from casadical.core.errors import CasadicalError as CasadicalError
-from casadical.core.errors import ConvergenceError as ConvergenceError
-from casadical.core.errors import InputError as InputError
+from casadical.core.basics import CasadicalError as CasadicalError
+from casadical.core.basics import ConvergenceError as ConvergenceError
+from casadical.core.basics import InputError as InputError
 from casadical.core.parts import Body as Body
 from casadical.core.parts import FourBar as FourBar
 from casadical.core.parts import Joint as Joint

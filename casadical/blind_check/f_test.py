@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from casadical.blind_check.prediction import Session, unseen_positions
-from casadical.core.arrays import Array
-from casadical.core.errors import ConvergenceError, optional
+from casadical.core.basics import Array, ConvergenceError, optional
 from casadical.core.statistics import RANK, column_space
 from casadical.diagnosis.candidates import standard_candidates
 from casadical.diagnosis.linear_problem import make_case

@@ -17,8 +17,7 @@ from casadical.blind_check.mujoco_physics.table import MEASURED, TRUE
 from casadical.blind_check.prediction import nominal
 from casadical.blind_check.recording import COLUMNS, MUJOCO, POSES, Plan, Record, Simulator, Subject, draw_plans, record
 from casadical.blind_check.worker_pool import completed, workers
-from casadical.core.arrays import Array
-from casadical.core.errors import ConvergenceError, InputError
+from casadical.core.basics import Array, ConvergenceError, InputError
 from casadical.core.files import claimed, write_together
 from casadical.core.reading import load_json
 from casadical.core.statistics import column_space

@@ -14,7 +14,7 @@ from statistics import NormalDist
 import numpy as np
 
 from casadical.blind_check.protocol import Answer, Kind, Secret
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 
 # A coordinate farther from the truth than so many robust standard deviations is an outlier of the instrument.
 FAR = 8.0

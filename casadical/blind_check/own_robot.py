@@ -35,8 +35,7 @@ from casadical.blind_check.prediction import answer_campaign
 from casadical.blind_check.protocol import Answer
 from casadical.blind_check.recording import COLUMNS, Plan, Subject, draw_plans
 from casadical.blind_check.worker_pool import completed, workers
-from casadical.core.arrays import Array
-from casadical.core.errors import ConvergenceError, InputError
+from casadical.core.basics import Array, ConvergenceError, InputError
 from casadical.core.estimated_masses import with_estimated_masses, without_masses
 from casadical.core.telling.blocks import Block, Table, Words
 from casadical.core.telling.result import Result

@@ -24,8 +24,7 @@ from casadical.blind_check.protocol import (
     whole_lines,
 )
 from casadical.blind_check.worker_pool import completed, workers
-from casadical.core.arrays import Array
-from casadical.core.errors import ConvergenceError, InputError
+from casadical.core.basics import Array, ConvergenceError, InputError
 from casadical.core.files import appending
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import base_calibrated

@@ -19,7 +19,7 @@ from typing import Any, Literal
 import pandas as pd
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.reading import MOST_UNPACKED, foreign, json_of, load_json, read_bytes
 from casadical.core.schema import check
 from casadical.measurements.raw_table import read_table as read_csv

@@ -18,7 +18,7 @@ from casadical.blind_check.metrics import (
     sign_tests,
 )
 from casadical.blind_check.protocol import Header, Key, read_answers, read_key, read_manifest
-from casadical.core.errors import InputError, optional
+from casadical.core.basics import InputError, optional
 from casadical.core.files import write_together
 from casadical.core.telling.blocks import Block, Table, Words
 from casadical.core.telling.result import Result

@@ -10,7 +10,7 @@ from io import TextIOWrapper
 
 from casadical.cli.root import app as app
 from casadical.cli.terminal import BAD_INPUT, NO_CONVERGENCE, OUR_BUG, refusal
-from casadical.core.errors import ConvergenceError, InputError, shown
+from casadical.core.basics import ConvergenceError, InputError, shown
 from casadical.core.subprocesses import one_thread
 
 

@@ -6,7 +6,7 @@ import typer
 
 from casadical.cli.options import Details, Json, Problems, Quiet, problems_of
 from casadical.cli.terminal import BAD_INPUT, CHECK, keep_json, working, wrapped
-from casadical.core.errors import InputError, shown
+from casadical.core.basics import InputError, shown
 
 # Slips hide targets, and targets slips: one is repaired after the other.
 REPAIRS = 3

@@ -11,7 +11,7 @@ import typer
 
 from casadical.cli import options as o
 from casadical.cli.terminal import DIAGNOSIS, html, keep, suggest, with_json, working, wrapped
-from casadical.core.errors import shown
+from casadical.core.basics import shown
 from casadical.core.telling.blocks import next_step
 from casadical.core.telling.terminal import terminal
 

@@ -12,7 +12,7 @@ import typer
 
 from casadical.cli.options import Json, Quiet, Room, refuse_of_others
 from casadical.cli.terminal import keep_json, plain, suggest
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -7,7 +7,7 @@ import typer
 
 from casadical.cli.options import Json, Quiet, refuse_of_others
 from casadical.cli.terminal import print_written, suggest, with_json, wrapped
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.telling.terminal import terminal
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from casadical.core.errors import InputError, shown
+from casadical.core.basics import InputError, shown
 
 if TYPE_CHECKING:
     from casadical.project.diagnosis import EffectChoice

@@ -9,7 +9,7 @@ from functools import wraps
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from casadical.core.errors import InputError, shown
+from casadical.core.basics import InputError, shown
 from casadical.core.files import claimed, own_stream, real_path
 from casadical.core.reading import load_toml, number_fault, read_bytes, text_fault
 

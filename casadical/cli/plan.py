@@ -24,7 +24,7 @@ from casadical.cli.options import (
 )
 from casadical.cli.options import effects as effect_words
 from casadical.cli.terminal import PLAN, keep, keep_json, suggest, with_json, working, wrapped
-from casadical.core.errors import InputError, shown
+from casadical.core.basics import InputError, shown
 from casadical.core.telling.terminal import terminal
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from casadical.cli.plan import plan
 from casadical.cli.terminal import BAD_INPUT
 from casadical.cli.verify import verify
 from casadical.cli.withheld import withheld_make, withheld_predict, withheld_robot, withheld_score
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 
 # What commands of earlier versions are called now.
 MOVED = {

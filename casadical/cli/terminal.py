@@ -14,9 +14,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, Task, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from casadical.core.errors import MOST_FAULTS, FaultsError, InputError, shown
+from casadical.core.basics import MOST_FAULTS, FaultsError, InputError, Show, shown
 from casadical.core.files import json_text, write_together
-from casadical.core.progress import Show
 
 if TYPE_CHECKING:
     from casadical.core.telling.blocks import Page

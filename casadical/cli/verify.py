@@ -21,7 +21,7 @@ from casadical.cli.terminal import (
     working,
     wrapped,
 )
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.telling.terminal import terminal
 
 Robot = Annotated[

@@ -8,8 +8,7 @@ import typer
 
 from casadical.cli.options import Json, Quiet
 from casadical.cli.terminal import keep_json, print_written, suggest, with_json, working, wrapped
-from casadical.core.errors import InputError
-from casadical.core.progress import Show
+from casadical.core.basics import InputError, Show
 
 if TYPE_CHECKING:
     from casadical.blind_check.protocol import Manifest

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.files import json_text, write_whole
 from casadical.core.reading import MOST_JSON, json_of, read_text
 

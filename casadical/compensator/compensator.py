@@ -19,8 +19,7 @@ from casadical.compensator.task import Loss, make_task, training_masks
 from casadical.compensator.trainers.base import Trainer
 from casadical.compensator.trainers.known import trainer_named
 from casadical.compensator.training import Progress, train_all
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 
 if TYPE_CHECKING:
     import casadi

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadical.compensator.checksummed_json import pack, unpack
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 
 
 @dataclass(frozen=True)

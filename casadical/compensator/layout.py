@@ -12,8 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadical.compensator.layout import JointBox, Layout, network_inputs
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 
 if TYPE_CHECKING:
     import casadi

@@ -5,7 +5,7 @@ from typing import Self
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from casadical.compensator.compensator import Compensator
 from casadical.compensator.layout import JointBox, Layout
 from casadical.compensator.network import Network
 from casadical.compensator.report import BeforeAfter, Errors
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 
 KIND, VERSION = "casadical-compensator", 1
 # A network that is read may correct by so many times the largest error that it was trained on, at poses drawn so often.

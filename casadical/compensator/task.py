@@ -7,8 +7,7 @@ import numpy as np
 
 from casadical.compensator.layout import JointBox, Layout, network_inputs
 from casadical.compensator.network import Memory, forward
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,7 @@ from typing import Any
 from casadical.compensator.checksummed_json import digest, pack, read_checksummed, unpack, write_checksummed
 from casadical.compensator.task import Task
 from casadical.compensator.trainers.base import Run, Trainer
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 
 _KIND, _VERSION = "casadical-training-checkpoint", 1
 

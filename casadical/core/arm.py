@@ -8,9 +8,8 @@ from typing import Literal
 import numpy as np
 
 from casadical.core import parts
-from casadical.core.arrays import Array
+from casadical.core.basics import Array, InputError
 from casadical.core.drive import Drive
-from casadical.core.errors import InputError
 
 STANDARD_GRAVITY = 9.80665
 # Columns of the direction of gravity in the robot's base frame, where it was logged at every pose.

@@ -5,7 +5,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 
 
 class Buffered:

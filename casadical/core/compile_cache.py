@@ -19,7 +19,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.casadi_buffers import Buffered
 from casadical.core.file_locks import private_folder
 from casadical.core.files import PREFIX

@@ -12,7 +12,7 @@ from typing import TypeVar
 import numpy as np
 
 from casadical.core.arm import Arm
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.parts import Body, BodyWidth
 
 # Of the moving links together, by the cube of the reach [kg/m^3]; of each link, as a share of the one before.

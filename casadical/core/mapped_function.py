@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.casadi_buffers import Buffered
 from casadical.core.compile_cache import MachineCode, compiled
 

@@ -8,8 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 
 NEAR_PARALLEL = np.deg2rad(5.0)
 

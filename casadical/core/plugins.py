@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from importlib.metadata import EntryPoint, entry_points
 from typing import TypeVar
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 
 T = TypeVar("T")
 

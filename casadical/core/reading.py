@@ -22,7 +22,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from casadical.core.errors import InputError, shown
+from casadical.core.basics import InputError, shown
 from casadical.core.files import own_stream, settle
 
 # Bytes of a table; of a TOML file, an XML file or a program; of a JSON file.

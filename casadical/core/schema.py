@@ -8,7 +8,7 @@ from typing import Annotated, Any, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from casadical.core.errors import MOST_FAULTS, InputError
+from casadical.core.basics import MOST_FAULTS, InputError
 from casadical.core.reading import unusable
 
 

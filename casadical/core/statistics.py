@@ -6,7 +6,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 
 
 def student_t(probability: float, degrees_of_freedom: int) -> float:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 
 _NAMES = {getattr(ca, name): name.removeprefix("OP_").lower() for name in dir(ca) if name.startswith("OP_")}
 _SPECIAL = frozenset(("input", "const", "output", "call"))

@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 
 Symbolic = Any  # ca.SX, ca.MX, ca.DM or float: casadi's operators accept them all
 

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array, Show
 from casadical.core.linear_gaussian.grid import log_sum
-from casadical.core.progress import Show
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, Evidence
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, prior_weights

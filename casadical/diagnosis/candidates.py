@@ -4,7 +4,7 @@ from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import groupby
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.effects import Effect
 from casadical.effects.plugins import known_effects
 from casadical.measurements.derived_columns import derive

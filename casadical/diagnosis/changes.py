@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.linear_gaussian.normal_equations import joined

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.linear_gaussian.normal_equations import root_of_inverse
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.evidence import Evidence

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.diagnosis import thresholds
 from casadical.diagnosis.claims import cause_set, named, with_further
 from casadical.diagnosis.cross_validation import (

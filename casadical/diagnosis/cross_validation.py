@@ -6,7 +6,7 @@ evidence uses; the errors are those of the poses left out.
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import EVERY
 from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.statistics import first_of_best

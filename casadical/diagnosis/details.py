@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import pandas as pd
 
-from casadical.core.progress import Show, silent
+from casadical.core.basics import Show, silent
 from casadical.diagnosis.held_out_gap import Check, NetworkGap, check_refit, network_gaps
 from casadical.diagnosis.isolability import Isolability, isolability
 from casadical.diagnosis.laws.answer import Discovery

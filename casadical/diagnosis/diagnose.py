@@ -7,8 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from casadical.core.errors import InputError
-from casadical.core.progress import Show, silent
+from casadical.core.basics import InputError, Show, silent
 from casadical.core.statistics import robust_std
 from casadical.diagnosis.candidates import Candidate, candidates_of
 from casadical.diagnosis.changes import changes

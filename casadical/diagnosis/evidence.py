@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import EVERY, ArrayColumns, Columns
 from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.linear_gaussian.grid import Grid

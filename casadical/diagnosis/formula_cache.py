@@ -17,8 +17,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.file_locks import private_folder
 from casadical.core.files import write_whole
 from casadical.core.reading import MOST_JSON, read_text

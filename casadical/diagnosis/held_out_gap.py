@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from casadical.core.arrays import Array
-from casadical.core.progress import Show, silent
+from casadical.core.basics import Array, Show, silent
 from casadical.diagnosis.cross_validation import FOLDS, fitted_without, held_out_errors, noise_square, random_folds
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.refit import left_by, refit, refit_measurements

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.diagnosis.linearisation import of_turn
 from casadical.diagnosis.observations import edges_of
 from casadical.diagnosis.stops import Stops

@@ -15,8 +15,7 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import Result
 from casadical.core.telling.terminal import table_lines

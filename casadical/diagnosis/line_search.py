@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.linear_gaussian.normal_equations import root_of_inverse
 from casadical.core.statistics import first_of_best, ranked

@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.casadi_buffers import call
 from casadical.core.linear_gaussian.columns import EVERY, Combined, Directions, Factors, directions_of
 from casadical.diagnosis.formula_cache import Part, plan

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 import pandas as pd
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.diagnosis.components import INSTRUMENT, Components, components
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.result import Diagnosis

@@ -8,7 +8,7 @@ from math import erf, log, sqrt
 import numpy as np
 import pandas as pd
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.statistics import first_of_best
 from casadical.diagnosis.cross_validation import likely_noise

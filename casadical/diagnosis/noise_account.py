@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.statistics import exceeded_by_chance
 from casadical.core.telling.blocks import mm

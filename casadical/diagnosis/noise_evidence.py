@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import ArrayColumns, MovedColumns
 from casadical.core.linear_gaussian.model import axes_of_base, beside_base
 from casadical.core.linear_gaussian.noise import Axes

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.diagnosis.cross_validation import held_out_errors, partitions
 from casadical.diagnosis.evidence import Evidence
 from casadical.measurements.measurements import Measurements

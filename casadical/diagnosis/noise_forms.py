@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.linear_gaussian.marginals import REACH
 from casadical.core.statistics import first_of_best

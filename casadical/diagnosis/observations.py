@@ -15,7 +15,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.casadi_buffers import call
 from casadical.diagnosis.linearisation import BLOCK, POINT, TURN, Linearisation, of_turn
 from casadical.diagnosis.seams import observed_at_seams, seams_of

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.statistics import first_of_best
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.evidence import REPEATABILITY, joint_noise

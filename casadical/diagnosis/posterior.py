@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.statistics import first_of_best, ranked
 from casadical.diagnosis.candidates import Candidate

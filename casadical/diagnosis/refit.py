@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.observations import edges_of, separated
 from casadical.effects import Effect

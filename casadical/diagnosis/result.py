@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import pandas as pd
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.telling.blocks import Table, Words, mm
 from casadical.core.telling.result import Result
 from casadical.diagnosis.cross_validation import fitted_without, partitioned_errors

@@ -9,9 +9,8 @@ from typing import Literal
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array, Show
 from casadical.core.linear_gaussian.grid import log_sum
-from casadical.core.progress import Show
 from casadical.diagnosis.bootstrap import p_value
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cause_sets import most_probable_set

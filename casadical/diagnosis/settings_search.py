@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.linear_gaussian.normal_equations import root_of_inverse
 from casadical.core.statistics import first_of_best

@@ -6,7 +6,7 @@ beside it. Together they are a description all the same, and where it predicts p
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.diagnosis.cross_validation import partitioned_errors, shrink_interval
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.posterior import Ranking, rank

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.fit import Fit
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.line_search import Background, Line, Scan, Search, Whole

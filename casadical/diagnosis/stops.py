@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.measurements.measurements import Measurements, same_readings
 
 # Logged columns that are of the stop and not of the reading.

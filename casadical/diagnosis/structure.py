@@ -20,7 +20,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.statistics import first_of_best
 from casadical.diagnosis.cross_validation import fitted_without

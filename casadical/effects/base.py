@@ -14,8 +14,7 @@ from typing import Any, ClassVar, Self
 import casadi as ca
 
 from casadical.core.arm import Arm
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.parameters import Parameter
 from casadical.core.transforms import Symbolic
 from casadical.effects.context import Context as Context

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.parts import Body
 
 # Of a rigid joint [N m/rad or N/m]: 10 kN m turn it by 1e-8 rad.

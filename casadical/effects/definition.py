@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import Field, Strict, model_validator
 
 from casadical.core.arm import Arm
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.reading import MOST_COUNT, load_toml
 from casadical.core.schema import FaultError, TomlTable, Triple, check
 from casadical.core.transforms import Symbolic

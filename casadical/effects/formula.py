@@ -18,7 +18,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.reading import LARGEST
 
 MOST_CHARACTERS, MOST_NODES, MOST_LEVELS, MOST_POWER = 400, 120, 20, 6

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.arm import Arm
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.transforms import Symbolic, small_frame, translate
 from casadical.effects.base import Context, Effect
 from casadical.effects.formula import NUMERIC, Formula, Interval, bounds, parse, refuse_unknown

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.arm import Arm
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Effect
 from casadical.effects.counterparts import Counterparts

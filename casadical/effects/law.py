@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from casadical.core.arm import Arm
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Effect
 from casadical.effects.formula import Formula, parse

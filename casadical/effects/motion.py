@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.effects.definition import DefinedEffect, read_definitions
 from casadical.effects.formula import NUMERIC
 from casadical.effects.formula_effect import MOTION_SEAMS as MOTION_SEAMS

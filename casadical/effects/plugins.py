@@ -9,7 +9,7 @@ A plug-in is a class in another package, under the entry point group `casadical.
 from collections.abc import Iterable, Mapping
 from functools import cache
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.plugins import members
 from casadical.effects import registry
 from casadical.effects.base import Effect

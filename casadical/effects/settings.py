@@ -10,7 +10,7 @@ from typing import Any, get_type_hints
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 # Of a setting that counts, and of combinations of settings on their grids.

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError, Show, silent
 from casadical.core.files import json_text
-from casadical.core.progress import Show, silent
 from casadical.core.reading import missing
 from casadical.core.telling.result import Shown
 from casadical.effects.counterparts import Omission

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.effects import Effect
 from casadical.effects.counterparts import Omission
 from casadical.identification.accuracy import errors

@@ -13,8 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from casadical.core.errors import CasadicalError, InputError, shown
-from casadical.core.progress import Show, silent
+from casadical.core.basics import CasadicalError, InputError, Show, shown, silent
 from casadical.core.reading import missing, read_bytes
 from casadical.fleet.changes import Comparison
 from casadical.fleet.comparison import compare

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.parameters import Parameter
 from casadical.identification.misfit import ORDERS
 from casadical.robot.error_bound import doubted

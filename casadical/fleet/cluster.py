@@ -13,7 +13,7 @@ from time import monotonic, sleep
 from typing import Any
 
 from casadical import __version__
-from casadical.core.errors import InputError, optional, shown
+from casadical.core.basics import InputError, optional, shown
 
 # Tasks that each worker has or waits for.
 AHEAD = 4

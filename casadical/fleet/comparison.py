@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.statistics import first_of_best
 from casadical.fleet import evidence

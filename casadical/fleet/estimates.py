@@ -17,8 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.normal_equations import without_others
 from casadical.core.statistics import exceeded_by_chance
 from casadical.core.telling.result import Shown

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.linear_gaussian.grid import gain, log_sum
 from casadical.core.linear_gaussian.normal_equations import inverse_of, root_of_inverse
 from casadical.core.statistics import first_of_best

@@ -24,8 +24,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from casadical.core.arrays import Array
-from casadical.core.errors import CasadicalError, InputError
+from casadical.core.basics import Array, CasadicalError, InputError
 from casadical.core.linear_gaussian.normal_equations import inverse_of
 from casadical.core.parameters import Parameter
 from casadical.core.reading import load_toml

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from casadical import __version__
-from casadical.core.errors import CasadicalError, InputError
+from casadical.core.basics import CasadicalError, InputError
 from casadical.core.files import json_text
 from casadical.core.reading import read_bytes
 from casadical.fleet.campaigns import estimates_of, in_order, later_tables, other_regions

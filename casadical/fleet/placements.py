@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.transforms import small_frame, to_xyz
 from casadical.fleet.candidates import Candidate
 from casadical.fleet.estimates import Estimate

@@ -10,8 +10,7 @@ from typing import Any
 
 import pandas as pd
 
-from casadical.core.errors import InputError, shown
-from casadical.core.progress import Show, silent
+from casadical.core.basics import InputError, Show, shown, silent
 from casadical.fleet.cluster import SchedulerLostError, client_of, results
 from casadical.fleet.one_robot import NOTHING, fingerprint, name_of, one_robot
 from casadical.fleet.result import KEPT, SHARED, Fleet, fleet_of

@@ -12,7 +12,7 @@ from typing import Any
 
 import pandas as pd
 
-from casadical.core.errors import InputError, optional, shown
+from casadical.core.basics import InputError, optional, shown
 from casadical.core.file_locks import Lock
 from casadical.core.files import write_together
 from casadical.core.reading import read_bytes

@@ -19,8 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.core.linear_gaussian.normal_equations import inverse_of

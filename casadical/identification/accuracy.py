@@ -5,8 +5,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.telling.blocks import mm
 from casadical.core.telling.result import Shown
 from casadical.measurements.kinds.base import PositionsAt

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.normal_equations import NormalSums, normal_sums
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.residuals import make_block

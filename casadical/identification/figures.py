@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.figure import Axis, Figure, Note, Panel, Series, Values
 from casadical.identification.gravity import in_words

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.result import Identification
 

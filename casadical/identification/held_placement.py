@@ -13,7 +13,7 @@ from itertools import product
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.transforms import from_xyz, nearest_rotation, to_xyz
 
 TOOL, TURN, SHIFT = 0.1, 0.3, 100.0

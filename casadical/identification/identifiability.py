@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.parameters import Parameter
 
 DEPENDENT = 1e-6

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from casadical.core.errors import ConvergenceError, InputError
+from casadical.core.basics import ConvergenceError, InputError
 from casadical.core.statistics import exceeded_by_chance
 from casadical.identification.least_squares import LeastSquares, first_sigmas
 from casadical.identification.prepared import METHODS, Method, Prepared, prepare

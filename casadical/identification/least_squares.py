@@ -15,7 +15,7 @@ from itertools import chain
 import casadi as ca
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.parameters import Parameter
 from casadical.core.statistics import robust_std
 from casadical.identification.accuracy import predicted

@@ -13,8 +13,7 @@ from functools import partial, reduce
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.noise import NoiseModel
 from casadical.core.linear_gaussian.normal_equations import NormalSums, normal_sums
 from casadical.identification.error_bound import ROUNDS, Doubts, doubts_of, posterior_of

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import ConvergenceError
+from casadical.core.basics import Array, ConvergenceError
 from casadical.core.transforms import frame, nearest_rotation, to_xyz
 from casadical.identification.accuracy import predicted
 from casadical.identification.held_placement import Held, Placed, Readings

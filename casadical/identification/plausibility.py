@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import Fault, FaultsError, InputError
+from casadical.core.basics import Array, Fault, FaultsError, InputError
 from casadical.core.transforms import nearest_rotation
 from casadical.identification.accuracy import positions_at, predicted
 from casadical.identification.placement import place_frames

@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.telling.drawing import EYE
 from casadical.core.telling.figure import Axis, Figure, Note, Rule, Series
 from casadical.identification.result import LeftOut

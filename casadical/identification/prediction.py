@@ -18,7 +18,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.least_squares import FRAMES, LeastSquares
 from casadical.robot.knowledge import Covariance

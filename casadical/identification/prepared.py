@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.estimated_masses import with_estimated_masses, with_payload, without_masses
 from casadical.core.telling.result import Shown
 from casadical.core.transforms import frame

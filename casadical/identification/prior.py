@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.parameters import Parameter
 from casadical.core.telling.result import Shown
 from casadical.effects import Effect

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import ConvergenceError, InputError
+from casadical.core.basics import Array, ConvergenceError, InputError
 from casadical.identification.identifiability import (
     INVISIBLE,
     NO_EFFECT,

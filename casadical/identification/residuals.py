@@ -15,8 +15,7 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.mapped_function import CHUNK, MappedFunction
 from casadical.measurements.kinds.base import MeasurementKind, PoseExpression
 from casadical.measurements.kinds.registry import find_kind

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.statistics import student_t
 from casadical.core.telling.blocks import Table, Words, mm
 from casadical.core.telling.result import Result

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.statistics import robust_std
 from casadical.identification.identifiability import Identifiability
 from casadical.identification.least_squares import LeastSquares

@@ -8,8 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.transforms import to_xyz
 from casadical.effects import Session
 from casadical.identification.placement import place_frames

@@ -11,8 +11,7 @@ from typing import Any, TypeVar
 import casadi as ca
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import ConvergenceError
+from casadical.core.basics import Array, ConvergenceError
 
 Progress = Callable[[int, float], None]
 

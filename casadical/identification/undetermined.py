@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.identification.least_squares import LeastSquares
 from casadical.identification.sessions import not_shared
 from casadical.measurements.kinds.distance import Distance

@@ -4,8 +4,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 
 # More turns than this are refused; joints that all move less [deg] may have been logged in radians.
 MOST_TURNS, RADIANS = 4, 6.3

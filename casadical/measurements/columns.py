@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from casadical.core.arrays import Array
-from casadical.core.errors import Fault, FaultsError, InputError, shown
+from casadical.core.basics import Array, Fault, FaultsError, InputError, shown
 from casadical.core.reading import LARGEST
 from casadical.measurements.raw_table import RawTable, refuse_repeated_names
 

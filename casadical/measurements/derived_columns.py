@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.measurements.measurements import Measurements
 
 _WARMTH = re.compile(r"warmth_(\d+)s")

@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 import pandas as pd
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.measurements.angle_unit import RADIANS
 from casadical.measurements.columns import Source, in_seconds
 from casadical.measurements.kinds.pose import FIRST

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.telling.blocks import Table
 from casadical.core.telling.result import Shown, html
 from casadical.measurements.kinds.registry import find_kind

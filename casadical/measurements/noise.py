@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,7 @@ from typing import Any
 
 import pandas as pd
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError, optional
+from casadical.core.basics import Array, InputError, optional
 from casadical.core.reading import MOST_CELLS, archive_of, foreign, read_bytes, unpacked
 from casadical.measurements import table_form
 

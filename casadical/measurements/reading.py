@@ -9,8 +9,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.arm import GRAVITY
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.measurements.angle_unit import refuse_other_unit
 from casadical.measurements.columns import Columns, Source
 from casadical.measurements.headings import Understanding, understand

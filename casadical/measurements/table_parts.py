@@ -16,8 +16,7 @@ from typing import IO
 import numpy as np
 import pandas as pd
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError, optional
+from casadical.core.basics import Array, InputError, optional
 from casadical.core.reading import MOST_NUMBERS
 from casadical.measurements.measurements import FIELDS, Measurements
 from casadical.measurements.raw_table import RawTable, read_table, records_in, table_of

@@ -5,8 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.identification.identifiability import Unidentifiable
 from casadical.identification.prior import Prior

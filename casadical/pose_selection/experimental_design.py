@@ -12,8 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.statistics import first_of_best, ranked
 from casadical.pose_selection.information import SPECTRAL
 

@@ -15,8 +15,7 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.noise import NoiseModel
 from casadical.identification.identifiability import Unidentifiable, drop_poor
 from casadical.identification.least_squares import LeastSquares

@@ -16,8 +16,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.core.statistics import first_of_best
 from casadical.identification.residuals import POINT_SCALE

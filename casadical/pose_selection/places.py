@@ -5,7 +5,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.measurements.noise import Noise
 from casadical.pose_selection.candidates import Circumstances, reached
 from casadical.pose_selection.design_problem import prepare

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.files import json_text
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import Result

@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 
 from casadical.core.arm import GRAVITY
-from casadical.core.arrays import Array
-from casadical.core.errors import optional
+from casadical.core.basics import Array, optional
 from casadical.core.statistics import TIE
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.candidates import SESSION, SOCKET, Candidates, Circumstances, expected, timeline

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.telling.result import Shown
 from casadical.identification.identifiability import Unidentifiable
 from casadical.identification.prior import Prior

@@ -11,8 +11,7 @@ import casadi as ca
 import numpy as np
 from pydantic import Field
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.reading import load_toml
 from casadical.core.schema import ANGLE, LENGTH, READING, Angle, Length, Pair, TomlTable, Triple, check
 from casadical.robot.kinematics import LEAST_MARGIN, link_frames

@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from casadical.compensator.saving import compensator_text
-from casadical.core.errors import ConvergenceError, InputError
+from casadical.core.basics import ConvergenceError, InputError, Show, silent
 from casadical.core.files import claimed, json_text, write_together
-from casadical.core.progress import Show, silent
 from casadical.core.telling.blocks import Page, Table, Words, mm, next_step
 from casadical.core.telling.figure import Figure
 from casadical.core.telling.result import Result, html

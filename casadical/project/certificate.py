@@ -15,8 +15,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.reading import load_json, load_toml
 from casadical.core.schema import LENGTH, TomlTable, check
 from casadical.core.telling.blocks import Page, Section, Table, Words, mm

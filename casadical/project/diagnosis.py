@@ -9,9 +9,8 @@ from typing import Any, Literal
 
 from rich.console import RenderableType
 
+from casadical.core.basics import InputError, Show, silent
 from casadical.core.drive import read_drive
-from casadical.core.errors import InputError
-from casadical.core.progress import Show, silent
 from casadical.core.telling.blocks import Block, Page, Section, Table, Words
 from casadical.core.telling.figure import Figure
 from casadical.core.telling.result import Result

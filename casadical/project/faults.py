@@ -8,7 +8,7 @@ from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
-from casadical.core.errors import FaultsError, InputError, all_faults
+from casadical.core.basics import FaultsError, InputError, all_faults
 from casadical.core.reading import load_toml
 from casadical.core.schema import check
 from casadical.identification.plausibility import check_against

@@ -9,8 +9,7 @@ import numpy as np
 from casadical.compensator import Compensator, Trainer
 from casadical.compensator.trainers.known import network_methods
 from casadical.compensator.training import Progress
-from casadical.core.arrays import Array
-from casadical.core.progress import Show, silent
+from casadical.core.basics import Array, Show, silent
 from casadical.identification.accuracy import Accuracy, residual_mm, summarise
 from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements

@@ -7,8 +7,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import shown
+from casadical.core.basics import Array, shown
 from casadical.core.telling.blocks import Table, Words, mm
 from casadical.identification.accuracy import Accuracy, errors, summarise
 from casadical.identification.gravity import in_words

@@ -10,9 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
-from casadical.core.progress import Show, silent
+from casadical.core.basics import Array, InputError, Show, silent
 from casadical.core.telling.blocks import Words, next_step
 from casadical.diagnosis.candidates import named
 from casadical.effects import Effect, Session

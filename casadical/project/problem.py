@@ -13,7 +13,7 @@ import numpy as np
 
 from casadical.compensator.trainers.known import network_methods
 from casadical.core.arm import GRAVITY
-from casadical.core.errors import InputError, all_faults, shown
+from casadical.core.basics import InputError, all_faults, shown
 from casadical.core.telling.result import Shown
 from casadical.identification.prior import Prior, carry_over
 from casadical.identification.residuals import AnyLoss

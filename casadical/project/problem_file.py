@@ -12,7 +12,7 @@ import tomlkit
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from casadical.compensator.trainers.known import network_methods
-from casadical.core.errors import InputError, shown
+from casadical.core.basics import InputError, shown
 from casadical.core.parts import Sessions
 from casadical.core.reading import load_json, load_toml, missing, read_bytes
 from casadical.core.schema import FaultError, check

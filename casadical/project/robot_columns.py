@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.identification.accuracy import errors
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import of_another_frame, turned_off

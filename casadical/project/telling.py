@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeAlias, overload
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.reading import load_toml
 from casadical.core.telling.blocks import Page
 from casadical.core.telling.drawing import dark as darkened

@@ -20,8 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.statistics import student_t
 from casadical.identification.accuracy import errors, residual_mm
 from casadical.identification.error_bound import evaluated

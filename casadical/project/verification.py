@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.reading import load_json
 from casadical.core.telling.blocks import Table, Words, mm, next_step
 from casadical.core.telling.result import Result

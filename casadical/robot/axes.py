@@ -12,7 +12,7 @@ from itertools import accumulate
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.parts import NEAR_PARALLEL, Joint
 from casadical.core.transforms import frame, rot_x, rot_y, rot_z, translate
 

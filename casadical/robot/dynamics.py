@@ -13,7 +13,7 @@ from functools import cached_property, lru_cache
 import casadi as ca
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.estimated_masses import with_estimated_masses, without_masses
 from casadical.core.mapped_function import MappedFunction
 from casadical.core.parts import Body, Coupling

@@ -16,8 +16,7 @@ from pydantic import Field
 
 from casadical import __version__
 from casadical.core.arm import Arm
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.reading import load_toml
 from casadical.core.schema import Pair, TomlTable, check
 from casadical.core.statistics import known_digits

@@ -14,8 +14,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.effects import JointErrorCurve
 from casadical.effects.joint_error_curve import USUAL
 from casadical.robot.knowledge import ErrorBound

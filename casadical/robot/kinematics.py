@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.arm import Arm
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.parts import FourBar
 from casadical.core.transforms import Symbolic, apply, product, rot_x, rot_y, rot_z, translate
 from casadical.effects import Context

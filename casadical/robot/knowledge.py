@@ -9,8 +9,7 @@ from itertools import groupby
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 
 # Parameters whose covariances are kept in one block; of more, those of each effect have their own.
 ONE_BLOCK = 120

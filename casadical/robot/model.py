@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.arm import GRAVITY, Arm
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.mapped_function import MappedFunction
 from casadical.core.parameters import Parameters
 from casadical.core.transforms import Symbolic, carry, product, rot_x, rot_y, rot_z, small_frame, translate

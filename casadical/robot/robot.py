@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.arm import GRAVITY, Arm
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.parameters import Parameters
 from casadical.core.parts import FourBar, Joint
 from casadical.core.telling.blocks import Table, Words

@@ -12,7 +12,7 @@ import numpy as np
 import tomlkit
 
 from casadical import __version__
-from casadical.core.errors import InputError, shown
+from casadical.core.basics import InputError, shown
 from casadical.core.files import write_whole
 from casadical.core.parts import WIDTHS, Body, BodyWidth, FourBar, Joint, Placement, Target
 from casadical.core.reading import load_toml

@@ -29,7 +29,7 @@ from diagnosis_scores import CAUSES, FALSE_ALARMS
 from instrument_campaigns import campaign
 from kept import Row, add_options, rows_of
 
-from casadical.core.errors import ConvergenceError, InputError
+from casadical.core.basics import ConvergenceError, InputError
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements

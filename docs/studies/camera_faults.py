@@ -16,7 +16,7 @@ import kept
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from casadical.core.errors import ConvergenceError, InputError
+from casadical.core.basics import ConvergenceError, InputError
 from casadical.diagnosis.diagnose import diagnose
 from casadical.export.mjcf.mjcf import mjcf
 from casadical.measurements.measurements import Measurements

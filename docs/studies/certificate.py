@@ -25,7 +25,7 @@ from kept import add_options, rows_of
 from lives import moved, robots
 
 from casadical import Measurements, Robot, identify, read_problem
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import STANDS, same_readings, unmeasured
 from casadical.project.calibration import with_knowledge

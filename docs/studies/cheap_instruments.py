@@ -30,7 +30,7 @@ import kept
 import numpy as np
 from scipy.spatial import cKDTree
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.diagnosis.diagnose import diagnose
 from casadical.identification.accuracy import errors, predicted
 from casadical.identification.identification import identify

@@ -29,7 +29,7 @@ sys.path[:0] = [
 import program_texts as texts  # noqa: E402
 from controller_arms import nominal_path, planted, poses  # noqa: E402
 
-from casadical.core.errors import InputError  # noqa: E402
+from casadical.core.basics import InputError  # noqa: E402
 from casadical.export import Sources  # noqa: E402
 from casadical.export.controller.commands import in_own_frame  # noqa: E402
 from casadical.export.controller.programs.correction import Cell  # noqa: E402

@@ -18,7 +18,7 @@ from casadical.blind_check.mujoco_physics import Hidden, Plant
 from casadical.blind_check.mujoco_physics.fourbar import unfolded
 from casadical.blind_check.mujoco_physics.statics import rated_torque
 from casadical.blind_check.mujoco_physics.stops import Stops, Warmup, draw_poses, draw_stops
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.transforms import frame
 from casadical.effects import (
     Effect,

@@ -15,7 +15,7 @@ import numpy as np
 from synthetic import NOISE, measured, planted, readings
 
 from casadical import Body, Identification, Joint, Measurements, Placement, Robot, identify
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.statistics import student_t
 from casadical.core.transforms import frame
 from casadical.identification.accuracy import predicted

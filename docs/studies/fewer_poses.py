@@ -40,8 +40,7 @@ import pandas as pd
 
 from casadical import Measurements, Robot, calibrate, write_robot
 from casadical.cli.options import carried
-from casadical.core.arrays import Array
-from casadical.core.errors import CasadicalError, InputError
+from casadical.core.basics import Array, CasadicalError, InputError
 from casadical.core.transforms import frame, from_rpy
 from casadical.fleet.one_robot import one_robot
 from casadical.fleet.result import fleet_of

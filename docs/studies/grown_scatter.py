@@ -24,7 +24,7 @@ from fewer_poses import ROOT, built, measured
 from kept import Row, add_options, rows_of
 
 from casadical import identify
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.statistics import exceeded_by_chance
 from casadical.fleet.estimates import estimate
 from casadical.fleet.result import ALARMS, grown

@@ -23,7 +23,7 @@ import numpy as np
 import pandas as pd
 
 from casadical import Diagnosis, diagnose, read_problem
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.diagnosis.spectrum import curve_of, spectrum
 from casadical.effects import TransmissionRipple
 from casadical.identification.accuracy import predicted

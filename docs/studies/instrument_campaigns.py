@@ -21,8 +21,7 @@ from scipy.stats import ncx2
 from sessions import UNLISTED, Session
 
 from casadical.blind_check.mujoco_physics import Plant, perturb
-from casadical.core.arrays import Array
-from casadical.core.errors import ConvergenceError, InputError
+from casadical.core.basics import Array, ConvergenceError, InputError
 from casadical.identification.placement import place_frames
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot

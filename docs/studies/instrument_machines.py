@@ -14,7 +14,7 @@ from casadical.blind_check import mujoco_physics
 from casadical.blind_check.generation import column_space
 from casadical.blind_check.mujoco_physics import Plant
 from casadical.blind_check.mujoco_physics.table import MEASURED
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.diagnosis.linearisation import signatures
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements

@@ -10,8 +10,7 @@ from instrument_machines import POINTS, Machine, Model, blank, scaled, visible
 
 from casadical.blind_check.mujoco_physics import Plant
 from casadical.blind_check.mujoco_physics.fourbar import crank_distance, unfolded
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot

@@ -28,7 +28,7 @@ from kept import add_options, rows_of
 from casadical.blind_check.generation import base_jacobian, unabsorbed_rms
 from casadical.blind_check.mujoco_physics import perturb
 from casadical.blind_check.mujoco_physics.plant import Plant
-from casadical.core.errors import CasadicalError
+from casadical.core.basics import CasadicalError
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.laws.contest import held_out
 from casadical.diagnosis.laws.discovery import Discovery, laws_beside

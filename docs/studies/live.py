@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from casadical import read_measurements, read_problem, select_poses
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.transforms import from_rpy
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements

@@ -40,7 +40,7 @@ import numpy as np
 from scipy.stats import beta
 
 from casadical import Measurements, Robot, calibrate
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.transforms import frame, from_rpy
 from casadical.effects import JointErrorCurve
 from casadical.fleet.campaigns import campaign_estimate

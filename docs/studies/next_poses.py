@@ -15,7 +15,7 @@ from campaign_robots import plant_of
 
 from casadical.blind_check.mujoco_physics import Plant, Warmup, perturb
 from casadical.blind_check.mujoco_physics.stops import Stops, draw_poses, draw_stops
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.next_poses import next_poses

@@ -38,8 +38,7 @@ from casadical.blind_check.generation import base_jacobian, unabsorbed_rms
 from casadical.blind_check.metrics import Estimate, mean, share
 from casadical.blind_check.mujoco_physics import perturb
 from casadical.blind_check.mujoco_physics.table import MEASURED
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.laws.contest import laws_before_causes, replaces_causes
 from casadical.measurements.reading import from_table

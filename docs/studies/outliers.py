@@ -14,7 +14,7 @@ import numpy as np
 from synthetic import measured, planted, random_robot, readings
 
 from casadical import Measurements, identify
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.identification.accuracy import errors
 from casadical.identification.residuals import Loss
 

@@ -12,7 +12,7 @@ from counterpart_pairs import Bench, Pair, named, progress, without_mass, withou
 from casadical.blind_check.mujoco_physics import Hidden
 from casadical.blind_check.mujoco_physics.statics import stretched_moments
 from casadical.blind_check.mujoco_physics.stops import Stops
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.effects import (
     AxisWobble,
     BaseCompliance,

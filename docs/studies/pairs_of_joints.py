@@ -14,7 +14,7 @@ from counterpart_pairs import Bench, Pair, approach, named, progress
 from casadical.blind_check.mujoco_physics import Hidden, Plant
 from casadical.blind_check.mujoco_physics.cause import warmth_inside
 from casadical.blind_check.mujoco_physics.stops import Stops
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.effects import (
     Backlash,
     CubicStiffness,

@@ -13,7 +13,7 @@ from counterpart_pairs import Bench, Pair, approach, named, progress
 
 from casadical.blind_check.mujoco_physics.rigid import motion, move, slide
 from casadical.blind_check.mujoco_physics.stops import Stops, only
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.effects import (
     CrossCoupling,
     FrameStep,

@@ -12,7 +12,7 @@ import numpy as np
 from synthetic import NOISE, correct_set, measured, planted, random_robot, readings
 
 from casadical import identify
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.identification.accuracy import errors
 from casadical.identification.least_squares import LeastSquares
 from casadical.robot.robot import Robot

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from kept import Row, add_options, rows_of
 
-from casadical.core.errors import ConvergenceError, InputError
+from casadical.core.basics import ConvergenceError, InputError
 from casadical.core.transforms import frame, from_xyz, to_xyz
 from casadical.identification.accuracy import errors, predicted
 from casadical.identification.identification import identify

@@ -28,8 +28,7 @@ from coverage import arm
 from synthetic import NOISE, measured, readings
 
 from casadical import Identification, Robot, identify, read_campaign_robot
-from casadical.core.arrays import Array
-from casadical.core.errors import CasadicalError
+from casadical.core.basics import Array, CasadicalError
 from casadical.core.statistics import student_t
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import unmeasured

@@ -38,7 +38,7 @@ from kept import Row, add_options, rows_of
 
 from casadical import Identification, Measurements, Robot, identify
 from casadical.cli.options import carried
-from casadical.core.errors import CasadicalError
+from casadical.core.basics import CasadicalError
 from casadical.core.statistics import student_t
 from casadical.fleet.one_robot import one_robot
 from casadical.fleet.result import fleet_of

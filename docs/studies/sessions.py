@@ -16,7 +16,7 @@ from casadical.blind_check import mujoco_physics
 from casadical.blind_check.mujoco_physics import Plant
 from casadical.blind_check.mujoco_physics.rigid import random_vector
 from casadical.blind_check.mujoco_physics.stops import Stops, only
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
 

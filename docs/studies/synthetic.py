@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from casadical import Joint, Measurements, Placement, Robot
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.transforms import frame, from_rpy
 from casadical.identification.accuracy import predicted
 

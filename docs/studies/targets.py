@@ -30,7 +30,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "cli"))
 import first_hour
 from slips import ARMS, robots
 
-from casadical.core.errors import ConvergenceError, InputError
+from casadical.core.basics import ConvergenceError, InputError
 from casadical.core.parts import Target
 from casadical.core.transforms import frame
 from casadical.identification.accuracy import predicted

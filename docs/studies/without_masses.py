@@ -23,7 +23,7 @@ from kept import Row, add_options, rows_of
 from casadical.blind_check.generation import campaign_of
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, Plant
 from casadical.blind_check.recording import MUJOCO, Plan, Subject, draw_plans
-from casadical.core.errors import CasadicalError
+from casadical.core.basics import CasadicalError
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.identification.accuracy import errors
 from casadical.identification.gravity import in_words

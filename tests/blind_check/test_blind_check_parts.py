@@ -24,7 +24,7 @@ from casadical.blind_check.mujoco_physics.plant import home_with_errors
 from casadical.blind_check.mujoco_physics.robot import mechanism
 from casadical.blind_check.mujoco_physics.stops import Warmup, draw_stops
 from casadical.blind_check.protocol import read_table
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 
 ARM = plants.arm()
 Q = np.random.default_rng(0).uniform(-0.5, 0.5, (4, 6))

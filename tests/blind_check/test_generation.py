@@ -15,7 +15,7 @@ from casadical.blind_check.generation import UNSEEN, campaign_of, make, unabsorb
 from casadical.blind_check.own_robot import subject_of
 from casadical.blind_check.protocol import Manifest, read_key, read_manifest
 from casadical.blind_check.recording import MUJOCO, Simulator, draw_plans, in_shares
-from casadical.core.errors import ConvergenceError, InputError
+from casadical.core.basics import ConvergenceError, InputError
 from casadical.project.problem import read_campaign_robot
 
 WORDS = (["a", "b", "c", "d"], ["x", "y"])

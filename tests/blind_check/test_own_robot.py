@@ -21,7 +21,7 @@ from casadical.blind_check.mujoco_physics.stops import Stops, draw_poses
 from casadical.blind_check.own_robot import RobotCheck, check_robot, subject_of
 from casadical.blind_check.recording import Plan
 from casadical.cli import app
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.parts import Coupling
 from casadical.project.problem import read_campaign, read_campaign_robot
 from casadical.robot.robot import Robot

@@ -11,7 +11,7 @@ from checks import Here, N
 
 from casadical.blind_check.prediction import predict
 from casadical.blind_check.protocol import read_answers, read_manifest
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 
 VERBS = {"own_robot": "check_robot", "generation": "make", "prediction": "predict", "scoring": "score"}
 

@@ -24,7 +24,7 @@ from casadical.blind_check.metrics import (
 from casadical.blind_check.protocol import Answer, HiddenEffect, Secret, content, label, read_manifest
 from casadical.blind_check.scoring import in_common, score
 from casadical.cli import app
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 
 
 def test_a_changed_key_is_refused(small, tmp_path) -> None:

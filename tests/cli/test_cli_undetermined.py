@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from command_line import run
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.measurements.kinds.distance import Distance
 from casadical.robot.robot_file import read_robot
 

@@ -22,7 +22,7 @@ from casadical.compensator import (
 from casadical.compensator.checksummed_json import digest
 from casadical.compensator.report import BeforeAfter, Errors
 from casadical.compensator.trainers.known import known_trainers
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.files import json_text
 from problems import smooth
 

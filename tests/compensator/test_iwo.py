@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from casadical.compensator import InvasiveWeeds, IwoSettings, iwo_minimise
 from casadical.compensator.iwo import seed_counts
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 
 
 def sphere(x):

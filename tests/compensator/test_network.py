@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from casadical.compensator import JointBox, Layout, Network
 from casadical.compensator.layout import network_inputs
 from casadical.compensator.network import forward, gradient, outputs_and_jacobian
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 
 LAYOUTS = [
     Layout(),

@@ -8,7 +8,7 @@ import pytest
 
 from casadical.compensator import Compensator, load_compensator, save_compensator
 from casadical.compensator.checksummed_json import checksummed
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from casadical.compensator.network import forward
 from casadical.compensator.task import Loss, random_weights, training_masks
 from casadical.compensator.trainers.damped_least_squares import advance, begin_batch
 from casadical.compensator.training import train_all
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from problems import small_task
 
 QUICK = {

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.files import appending, claimed, write_together, write_whole
 from casadical.core.reading import MOST_BYTES, read_bytes
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from casadical import read_robot, read_urdf
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.reading import (
     DEEPEST,
     MOST_CELLS,

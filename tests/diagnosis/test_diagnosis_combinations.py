@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cases import case, diagnose, robot, simulated
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import Factors, combined, directions_of
 from casadical.core.parts import Placement
 from casadical.diagnosis.cross_validation import estimates, fold_errors, new_fit, random_folds

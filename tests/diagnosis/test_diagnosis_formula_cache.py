@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from cases import practice, robot
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.diagnosis import formula_cache
 from casadical.diagnosis.linearisation import signatures
 from casadical.effects import Effect, TransmissionRipple

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from cases import diagnose, identified, practice, robot, simulated
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.parts import Sessions
 from casadical.core.transforms import frame, from_rpy
 from casadical.diagnosis.candidates import candidates_of

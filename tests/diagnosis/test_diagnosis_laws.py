@@ -15,7 +15,7 @@ from numpy_physics.disturbances_rare import CableStop
 
 from casadical import Discovery, diagnose, discover
 from casadical.blind_check.mujoco_physics import perturb
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.telling.blocks import Words
 from casadical.core.telling.terminal import plain_text

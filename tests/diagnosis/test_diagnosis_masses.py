@@ -8,7 +8,7 @@ import pytest
 from cases import diagnose, robot, simulated
 from numpy_physics import disturbances
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.parts import Body, BodyWidth, Joint
 from casadical.diagnosis.candidates import standard_candidates
 from casadical.effects import Context, LinkMasses

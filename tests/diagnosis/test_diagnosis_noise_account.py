@@ -9,7 +9,7 @@ from numpy_physics import Disturbance
 from scipy import stats
 
 from casadical import diagnose
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.diagnosis import page_of
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.noise_account import Rule

@@ -11,7 +11,7 @@ from scipy import stats
 from scipy.signal import lfilter
 
 from casadical.blind_check.mujoco_physics.stops import Stops, only
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.diagnosis.evidence import RHOS, SIGMAS, Evidence, KnownNoise
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.noise_evidence import Form, Problem

@@ -10,7 +10,7 @@ import pytest
 from cases import PRACTICE, ROOT, diagnosed, practice, robot
 
 from casadical.blind_check import prediction
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.refit import refit
 from casadical.export.model_file import robot_to_write

@@ -9,7 +9,7 @@ import pytest
 from cases import case, diagnose, robot, simulated
 from numpy_physics import disturbances
 
-from casadical.core.progress import silent
+from casadical.core.basics import silent
 from casadical.diagnosis import search
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.cause_table import layers

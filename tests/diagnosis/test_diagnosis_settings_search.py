@@ -8,7 +8,7 @@ from cases import case, robot, simulated
 from numpy_physics import Disturbance, disturbances
 
 from casadical.blind_check.mujoco_physics.stops import Stops, only
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS

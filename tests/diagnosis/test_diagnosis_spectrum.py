@@ -10,7 +10,7 @@ from numpy_physics import Disturbance, campaign
 
 from casadical.blind_check.mujoco_physics import perturb
 from casadical.blind_check.mujoco_physics.stops import Stops, only
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.json_answer import as_json

@@ -11,7 +11,7 @@ import pytest
 from bench import ROOT, campaign, robot, with_columns
 
 from casadical.cli.options import effects_of
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.reading import load_toml
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.diagnose import diagnose

@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.effects.formula import NUMERIC, bounds, parse
 from casadical.effects.law import Law
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from bench import campaign, robot, with_columns
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.diagnosis.linearisation import signatures
 from casadical.effects import Law
 from casadical.export.mjcf.mjcf import counterparts

@@ -7,7 +7,7 @@ import pytest
 from lives import as_built, changed, measured
 
 from casadical import Measurements, Robot
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import estimate
 from casadical.identification.accuracy import predicted

@@ -44,7 +44,7 @@ def test_nothing_is_named_twice_and_nothing_that_is_gone() -> None:
         "tests/cli",
         "tests/house",
     ]
-    assert affected(["pyproject.toml", "casadical/core/errors.py"]) == ["tests"]
+    assert affected(["pyproject.toml", "casadical/core/basics.py"]) == ["tests"]
 
 
 def test_the_command_prints_paths() -> None:

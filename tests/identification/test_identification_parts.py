@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from casadical import FourBar, Joint, Placement, Robot, identify
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.transforms import frame, from_rpy
 from casadical.identification.accuracy import summarise
 from casadical.identification.figures import parameter_tables

@@ -20,7 +20,7 @@ from casadical import (
     identify,
     read_measurements,
 )
-from casadical.core.errors import FaultsError
+from casadical.core.basics import FaultsError
 from casadical.core.transforms import frame
 from casadical.identification.plausibility import check_against
 

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from casadical import Measurements, read_measurements
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.measurements.kinds.distance import distance_fault
 from casadical.measurements.noise import Noise
 from casadical.measurements.table_form import Form, decoded

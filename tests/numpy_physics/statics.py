@@ -9,7 +9,7 @@ from casadical.blind_check.mujoco_physics.plant import Plant
 from casadical.blind_check.mujoco_physics.rigid import Array, move
 from casadical.blind_check.mujoco_physics.statics import link_angles, moments, moved_by, rated_torque
 from casadical.blind_check.mujoco_physics.stops import Stops
-from casadical.core.errors import ConvergenceError
+from casadical.core.basics import ConvergenceError
 from numpy_physics.disturbance import Disturbance
 from numpy_physics.state import State
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pose_arms import planar
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.pose_selection import experimental_design, pose_search
 from casadical.pose_selection.candidates import Candidates, Circumstances
 from casadical.pose_selection.pose_order import TIME_PARTS, arranged

@@ -10,7 +10,7 @@ import pytest
 from casadical import calibrate, read_problem
 from casadical.compensator import Backprop, load_compensator
 from casadical.compensator.trainers.known import network_methods
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.identification import residual_mm
 from casadical.project.networks import Material, train_networks, training_material
 

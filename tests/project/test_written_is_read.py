@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from casadical.blind_check.protocol import json_line, read_answers
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.files import json_text, write_together, write_whole
 from casadical.core.reading import load_toml, read_bytes
 from casadical.export.mjcf.mjcf import mjcf

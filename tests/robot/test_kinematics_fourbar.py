@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numeric_arm import hh800, pose, readings, rocker_angle, vector
 
 from casadical import FourBar, Joint, Placement, Robot
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.identification.plausibility import check_against
 from casadical.measurements.reading import from_table
 from casadical.robot import fourbar

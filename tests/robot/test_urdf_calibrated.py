@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from urdf_arms import UR10, Oracle, joint, link, pose_of, random_arm, readings, robot
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.identification.identification import identify
 from casadical.measurements.reading import from_table
 from casadical.robot.urdf import calibrated_urdf, read_urdf

@@ -5,7 +5,7 @@ import sys
 import pytest
 from urdf_arms import joint, link, robot
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.robot.urdf import read_urdf
 
 ABC = link("a", 1.0) + link("b", 1.0) + link("c", 1.0)

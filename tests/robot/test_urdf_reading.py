@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from urdf_arms import UR10, Oracle, joint, link, pose_of, random_arm, readings, robot
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.robot.robot import modified_dh
 from casadical.robot.urdf import read_urdf
 

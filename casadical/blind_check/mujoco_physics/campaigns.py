@@ -15,7 +15,7 @@ from casadical.blind_check.mujoco_physics.robot import mechanism, start
 from casadical.blind_check.mujoco_physics.stops import Stops, Warmup
 from casadical.blind_check.mujoco_physics.table import Machine, Options, approaches, simulate
 from casadical.blind_check.mujoco_physics.table import readings as columns_of_readings
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 
 REPEATABILITY_URAD = 5.0
 

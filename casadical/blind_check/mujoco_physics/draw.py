@@ -9,7 +9,7 @@ from casadical.blind_check.mujoco_physics.hidden import LISTED, UNLISTED, Hidden
 from casadical.blind_check.mujoco_physics.plant import Plant
 from casadical.blind_check.mujoco_physics.rigid import random_vector
 from casadical.blind_check.mujoco_physics.statics import largest_torque, rated_torque, stretched_moments
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 
 SECONDS_A_POSE = 30.0
 NEARLY_RIGID = 1e-5  # rad at the rated torque

@@ -14,7 +14,7 @@ import numpy as np
 from casadical.blind_check.mujoco_physics.mechanism import Mechanism
 from casadical.blind_check.mujoco_physics.mjcf import mjcf
 from casadical.blind_check.mujoco_physics.rigid import Array
-from casadical.core.errors import ConvergenceError, optional
+from casadical.core.basics import ConvergenceError, optional
 
 STILL = 2e-9  # rad/s or m/s; the way left to go is a tenth of it in rad or m
 CREEP = 2e-7  # rad/s or m/s; what friction holds creeps in the engine

@@ -9,7 +9,7 @@ import numpy as np
 
 from casadical.blind_check.mujoco_physics import causes_drive, causes_load, causes_setup, causes_structure
 from casadical.blind_check.mujoco_physics.cause import Cause
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 
 
 def _by_name(*kinds: type[Cause]) -> dict[str, type[Cause]]:

@@ -12,7 +12,7 @@ from typing import Any, Self
 import numpy as np
 
 from casadical.blind_check.mujoco_physics.rigid import Array, motion
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.telling.result import Shown
 
 _X, _Y, _Z, _0 = np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), np.array([0, 0, 1.0]), np.zeros(3)

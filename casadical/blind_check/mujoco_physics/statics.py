@@ -13,7 +13,7 @@ from casadical.blind_check.mujoco_physics.fourbar import close_loop, crank_angle
 from casadical.blind_check.mujoco_physics.plant import Plant
 from casadical.blind_check.mujoco_physics.rigid import Array, move, point, slide, turn
 from casadical.blind_check.mujoco_physics.stops import Stops, draw_poses
-from casadical.core.errors import ConvergenceError
+from casadical.core.basics import ConvergenceError
 
 
 @dataclass(frozen=True)

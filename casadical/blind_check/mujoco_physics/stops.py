@@ -9,7 +9,7 @@ import numpy as np
 from casadical.blind_check.mujoco_physics.fourbar import crank_distance
 from casadical.blind_check.mujoco_physics.plant import Plant
 from casadical.blind_check.mujoco_physics.rigid import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from casadical.blind_check.mujoco_physics.fourbar import unfolded
 from casadical.blind_check.mujoco_physics.plant import Plant
 from casadical.blind_check.mujoco_physics.rigid import Array
 from casadical.blind_check.mujoco_physics.stops import Stops, Warmup, draw_poses, draw_stops
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 
 MEASURED, TRUE = ["x_mm", "y_mm", "z_mm"], ["x_true_mm", "y_true_mm", "z_true_mm"]
 

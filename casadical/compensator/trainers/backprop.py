@@ -9,7 +9,7 @@ from casadical.compensator.checksummed_json import pack, unpack
 from casadical.compensator.network import forward, gradient
 from casadical.compensator.task import Task, random_weights
 from casadical.compensator.trainers.base import Trainer
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 
 
 @dataclass(frozen=True)

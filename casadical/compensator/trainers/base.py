@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, Self
 
 from casadical.compensator.task import Task
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 
 
 class Run(Protocol):

@@ -13,7 +13,7 @@ import numpy as np
 from casadical.compensator.checksummed_json import pack, unpack
 from casadical.compensator.network import forward, outputs_and_jacobian
 from casadical.compensator.task import Task
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 
 _CHUNK = 4_000_000  # doubles of one Jacobian held at a time
 

@@ -14,7 +14,7 @@ from casadical.compensator.task import Task
 from casadical.compensator.trainers.base import Trainer
 from casadical.compensator.trainers.gaussian_process import GaussianProcess
 from casadical.compensator.trainers.levenberg_marquardt import LevenbergMarquardt, LmRun
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 
 
 @dataclass(frozen=True)

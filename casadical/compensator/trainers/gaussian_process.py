@@ -9,7 +9,7 @@ from typing import Self
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 
 _STARTS = (1.0, 3.0)  # lengths to start from, in units of half the box
 _LENGTHS = (0.1, 100.0)

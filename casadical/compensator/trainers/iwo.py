@@ -9,8 +9,7 @@ from casadical.compensator.iwo import InvasiveWeeds, IwoSettings
 from casadical.compensator.task import Task
 from casadical.compensator.trainers.base import Trainer
 from casadical.compensator.trainers.levenberg_marquardt import LevenbergMarquardt, LmRun
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from functools import cache
 
 from casadical.compensator.trainers import registry
 from casadical.compensator.trainers.base import Trainer
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.plugins import members
 
 GROUP = "casadical.trainers"

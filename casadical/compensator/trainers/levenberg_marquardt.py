@@ -17,8 +17,7 @@ from casadical.compensator.network import forward
 from casadical.compensator.task import Task, random_weights, training_masks
 from casadical.compensator.trainers.base import Trainer
 from casadical.compensator.trainers.damped_least_squares import Batch, advance, begin_batch
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 
 _FIRST, _WARM = 100, 20  # iterations at the weakest ridge and at each stronger one
 

@@ -17,7 +17,7 @@ from typing import Protocol
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 
 # All blocks.
 EVERY = slice(None)

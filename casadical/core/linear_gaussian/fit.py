@@ -7,7 +7,7 @@ from functools import cached_property, reduce
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import EVERY, Combined
 from casadical.core.linear_gaussian.model import LinearModel, axes_of_base, beside_base
 from casadical.core.linear_gaussian.noise import Ratio

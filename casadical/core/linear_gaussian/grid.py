@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 
 # A sigma counts where the log likelihood may come within so much of a group's greatest one.
 NEGLIGIBLE = 40.0

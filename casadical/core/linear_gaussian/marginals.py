@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import Combined
 from casadical.core.linear_gaussian.grid import log_gain
 from casadical.core.linear_gaussian.model import LinearModel

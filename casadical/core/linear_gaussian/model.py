@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import EVERY, Columns, Combined, combined_of
 from casadical.core.linear_gaussian.grid import Grid
 from casadical.core.linear_gaussian.noise import NoiseModel, Ratio, Whitening

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 
 # Of a component: over sigma, alike for all of its sources, or of each of them, shape (sources,).
 Ratio = float | Array

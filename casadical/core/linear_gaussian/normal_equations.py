@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 
 # Up to so many rows a triangle is inverted in one go.
 SMALL = 48

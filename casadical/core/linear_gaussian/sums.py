@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import EVERY, Columns, Factors, as_slice, combined_of
 from casadical.core.linear_gaussian.noise import Axes, NoiseModel
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from math import log10
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from casadical.core.errors import optional
+from casadical.core.basics import optional
 from casadical.core.telling.figure import Axis, Figure, Note, Panel, Rule, Series, Span, ticks_of_decades
 
 # plotly is imported when a figure is drawn.

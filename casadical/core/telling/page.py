@@ -13,7 +13,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from casadical.core.errors import InputError, optional
+from casadical.core.basics import InputError, optional
 from casadical.core.telling.blocks import Page, Table, Words
 from casadical.core.telling.drawing import COLOURS, DARK, NEEDED, draw
 from casadical.core.telling.figure import Figure

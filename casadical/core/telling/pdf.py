@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from casadical.core.errors import InputError, optional
+from casadical.core.basics import InputError, optional
 from casadical.core.telling.blocks import Page, Table, Words
 from casadical.core.telling.drawing import COLOURS
 from casadical.core.telling.figure import Figure

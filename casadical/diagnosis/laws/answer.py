@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.files import json_text
 from casadical.core.telling.blocks import Page, Section, Table, Words, mm
 from casadical.core.telling.figure import Axis, Figure, Series

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.progress import Show, silent
+from casadical.core.basics import Array, Show, silent
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.conclusion import parameter_values
 from casadical.diagnosis.cross_validation import shrink_interval

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadical.core.arm import Arm
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.diagnosis.linearisation import Linearisation
 from casadical.effects.formula import NUMERIC, names_in, parse
 from casadical.effects.formula_effect import COLUMN, columns_of

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.effects.formula import NUMERIC, parse
 
 # Cycles per turn of an angle: of slow waves, and of fine ones, which need so many poses.

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, Evidence
 from casadical.diagnosis.laws.drivers import (

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, REPEATABILITY, RHOS, SIGMAS, Evidence
 
 # Log evidence of what is not judged.

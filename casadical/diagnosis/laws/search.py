@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.statistics import first_of_best, ranked
 from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.laws.drivers import (

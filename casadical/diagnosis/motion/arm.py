@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.drive import Drive
 from casadical.robot.dynamics import Dynamics
 from casadical.robot.robot import Robot

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.diagnosis.motion.arm import Arm
 from casadical.diagnosis.motion.signals import Motion, lagged, servo_error
 

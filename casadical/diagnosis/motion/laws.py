@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.statistics import first_of_best, ranked
 from casadical.core.telling.blocks import Table, Words
 from casadical.diagnosis.cross_validation import likely_noise

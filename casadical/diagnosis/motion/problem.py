@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import EVERY, Combined, Factors
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import new_fit

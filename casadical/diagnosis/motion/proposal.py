@@ -16,9 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
-from casadical.core.progress import Show, silent
+from casadical.core.basics import Array, InputError, Show, silent
 from casadical.core.statistics import first_of_best
 from casadical.core.telling.blocks import Block, Table, Words
 from casadical.core.telling.result import Result

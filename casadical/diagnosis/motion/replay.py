@@ -14,8 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.progress import Show, silent
+from casadical.core.basics import Array, Show, silent
 from casadical.core.telling.blocks import Block, Table, Words
 from casadical.core.telling.figure import Axis, Figure, Panel, Series
 from casadical.core.telling.result import Result

@@ -15,9 +15,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array, InputError
 from casadical.core.drive import Drive
-from casadical.core.errors import InputError
 from casadical.diagnosis.motion.arm import Arm, arm_of
 from casadical.diagnosis.motion.signals import RATE, kernel_of, torque_of
 from casadical.measurements.logs.log import JointLog

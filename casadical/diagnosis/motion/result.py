@@ -9,9 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
-from casadical.core.progress import Show
+from casadical.core.basics import Array, InputError, Show
 from casadical.core.statistics import first_of_best
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import Result

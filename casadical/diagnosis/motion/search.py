@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.motion.problem import NONE, WHITE, MotionCase

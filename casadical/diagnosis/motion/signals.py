@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.diagnosis.motion.arm import Arm
 from casadical.measurements.logs.log import JointLog
 

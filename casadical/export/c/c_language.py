@@ -5,7 +5,7 @@ from typing import Any
 import casadi
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.export.c.c_source import SCHEMA, common_values, header, source
 from casadical.export.c.coefficients import DTYPE, Real, literal
 from casadical.export.c.emit import filled, template

@@ -18,8 +18,7 @@ from typing import Any, Literal
 import casadi
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 
 Real = Literal["float", "double"]
 

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, Real
 from casadical.export.c.tape import Node, Tape
 

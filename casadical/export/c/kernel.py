@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import CasadicalError, InputError
+from casadical.core.basics import Array, CasadicalError, InputError
 from casadical.core.file_locks import private_folder
 from casadical.core.files import write_whole
 from casadical.core.reading import read_bytes

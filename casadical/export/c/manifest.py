@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.reading import read_bytes
 from casadical.export.c.coefficients import Real
 from casadical.export.c.language import NAME

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.export.c import coefficients
 from casadical.export.c.tape import Tape
 

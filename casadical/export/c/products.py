@@ -6,8 +6,7 @@ from typing import Any, ClassVar
 import casadi
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 
 
 @dataclass(frozen=True)

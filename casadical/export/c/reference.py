@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.export.c.c_source import box_share, boxes, command_numbers
 from casadical.export.c.chord import prepared_size
 from casadical.export.c.coefficients import DTYPE

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.plugins import members
 from casadical.export.c.language import Label, Language
 from casadical.export.c.tape_program import TapeProgram

@@ -15,8 +15,7 @@ from functools import partial
 import casadi
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.sx_instructions import SxInstructions
 from casadical.export.c.coefficients import ANGLE_LIMIT, EXP_LIMIT, TABLE_LIMIT, periodic_tables
 

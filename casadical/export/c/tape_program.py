@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.export.c.chord import advance, apart, prepare
 from casadical.export.c.coefficients import DTYPE, Real
 from casadical.export.c.intervals import bounds, without_needless_guards

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.export.c.c_language import comparison_inputs, functions, inside
 from casadical.export.c.kernel import WARNINGS, Compiler, Shape, build
 from casadical.export.c.products import mapped

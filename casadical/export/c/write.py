@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from casadical.core.errors import CasadicalError, InputError
+from casadical.core.basics import CasadicalError, InputError
 from casadical.core.files import claimed, write_together
 from casadical.core.reading import json_of, read_bytes
 from casadical.export.c.c_source import SCHEMA

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.reading import read_bytes
 from casadical.export.c.coefficients import Real
 from casadical.export.c.products import Command, Product

@@ -14,8 +14,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.compensator import Compensator, load_compensator
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.parts import Body, Placement
 from casadical.effects import Effect
 from casadical.effects.counterparts import Omission

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import CasadicalError, InputError
+from casadical.core.basics import Array, CasadicalError, InputError
 from casadical.export.c.kernel import load
 from casadical.export.c.products import Command, mapped
 from casadical.export.c.reference import Status

@@ -10,8 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.files import csv_text
 from casadical.core.transforms import frame, inverse, to_rpy
 from casadical.export.controller.commands import Sources, own_robots, robot_of

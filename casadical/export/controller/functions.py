@@ -14,8 +14,7 @@ from functools import partial
 import casadi as ca
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.sx_instructions import SxInstructions
 from casadical.core.transforms import Symbolic
 from casadical.effects import Effect, JointErrorCurve

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.export.controller.functions import pose_of
 from casadical.robot.robot import Robot
 

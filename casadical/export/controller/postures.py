@@ -10,7 +10,7 @@ from itertools import product
 import casadi as ca
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.export.controller.inverse import Newton, pose_function
 from casadical.export.controller.programs.target import Posture
 from casadical.robot.kinematics import link_frames

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.reading import missing, read_bytes
 from casadical.export.c.manifest import read_manifest
 from casadical.export.controller.c_export import no_bound, poses_of, unreached, wants_pose

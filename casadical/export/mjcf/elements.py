@@ -20,7 +20,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.parts import Body, FourBar, Joint
 from casadical.core.transforms import frame, quaternion
 from casadical.effects.counterparts import Balancer, Drive

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import ConvergenceError, InputError, optional
+from casadical.core.basics import Array, ConvergenceError, InputError, optional
 from casadical.export.mjcf.mjcf import POINT
 from casadical.measurements.measurements import Measurements
 

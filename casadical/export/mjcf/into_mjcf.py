@@ -11,8 +11,7 @@ from xml.dom import minidom
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.transforms import frame, nearest_rotation, quaternion
 from casadical.export.mjcf.elements import inert, numbers
 from casadical.export.mjcf.equilibrium import load_mujoco

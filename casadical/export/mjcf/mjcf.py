@@ -10,7 +10,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.parts import Body, Joint
 from casadical.core.transforms import frame, from_rpy, quaternion
 from casadical.effects.counterparts import Counterparts, Drive, Omission

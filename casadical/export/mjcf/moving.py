@@ -11,8 +11,8 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from casadical.core.basics import InputError
 from casadical.core.drive import Drive
-from casadical.core.errors import InputError
 from casadical.export.mjcf.elements import add_spring, numbers
 from casadical.export.mjcf.mjcf import STEP, MjcfExport, mjcf
 from casadical.robot.robot import Robot

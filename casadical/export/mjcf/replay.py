@@ -12,9 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from casadical.core.arrays import Array
-from casadical.core.errors import ConvergenceError, InputError
-from casadical.core.progress import Show, silent
+from casadical.core.basics import Array, ConvergenceError, InputError, Show, silent
 from casadical.core.telling.blocks import Block, Table, Words, mm
 from casadical.core.telling.figure import Axis, Figure, Note, Rule, Series, ticks_of_decades
 from casadical.core.telling.result import Result

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.transforms import Symbolic
 from casadical.measurements.columns import Columns
 

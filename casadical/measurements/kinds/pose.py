@@ -7,8 +7,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.transforms import Symbolic, from_quaternion, from_rpy, from_xyz
 from casadical.measurements.columns import ORIENTATION, Columns
 from casadical.measurements.kinds.base import Arrays, MeasurementKind, PoseExpression, PositionsAt

@@ -6,8 +6,7 @@ from typing import ClassVar
 import casadi as ca
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.core.transforms import Symbolic
 from casadical.measurements.columns import Columns

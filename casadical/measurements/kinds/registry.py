@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from functools import cache
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.plugins import members
 from casadical.measurements.columns import Columns
 from casadical.measurements.kinds.base import MeasurementKind

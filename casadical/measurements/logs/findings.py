@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from casadical.core.arm import Arm
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.measurements.angle_unit import MOST_TURNS
 from casadical.measurements.logs.log import JointLog
 

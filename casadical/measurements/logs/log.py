@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import Fault, FaultsError, InputError
+from casadical.core.basics import Array, Fault, FaultsError, InputError
 from casadical.core.reading import LARGEST
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import Shown, html

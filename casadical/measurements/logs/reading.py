@@ -11,8 +11,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.arm import Arm
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.reading import read_bytes, unpacked
 from casadical.measurements.angle_unit import RADIANS
 from casadical.measurements.headings import words_of

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError, optional
+from casadical.core.basics import Array, InputError, optional
 from casadical.core.reading import MOST_BYTES, foreign, load_json, read_text, regular
 from casadical.measurements.logs.columns import Logged, logged
 from casadical.measurements.raw_table import RawTable, read_table

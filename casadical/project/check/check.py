@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from casadical.core.errors import FaultsError, InputError, shown
-from casadical.core.progress import Show, silent
+from casadical.core.basics import FaultsError, InputError, Show, shown, silent
 from casadical.identification.identifiability import CONFOUNDED
 from casadical.identification.plausibility import check_against
 from casadical.identification.prepared import METHODS, all_compliant, by_method, undeclared

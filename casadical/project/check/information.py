@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.identification.identifiability import Unidentifiable, drop_poor
 from casadical.identification.least_squares import SIGMA_ANGLE_GUESS, SIGMA_GUESS, LeastSquares
 from casadical.identification.reduction import independent_parameters

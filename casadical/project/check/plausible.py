@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.reading import load_toml
 from casadical.core.statistics import first_of_best
 from casadical.identification.accuracy import errors, predicted

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 import tomlkit
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.files import write_together
 from casadical.core.reading import load_toml, read_text
 from casadical.measurements.columns import ORIENTATION, Source

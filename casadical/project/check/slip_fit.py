@@ -13,7 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.parts import Joint
 from casadical.core.transforms import nearest_rotation
 from casadical.identification.placement import solve_placement

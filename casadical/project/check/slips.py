@@ -12,8 +12,7 @@ from itertools import product
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.progress import Show, silent
+from casadical.core.basics import Array, Show, silent
 from casadical.core.statistics import ranked
 from casadical.measurements.measurements import Measurements
 from casadical.project.check.slip_fit import Fit, Hypothesis, LengthFit, SlipFit

@@ -12,8 +12,7 @@ from itertools import permutations, product
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.parts import Target
 from casadical.core.transforms import frame
 from casadical.identification.accuracy import errors, predicted

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.effects import Session
 from casadical.identification.accuracy import predicted
 from casadical.identification.least_squares import LeastSquares

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
 
-from casadical.core.errors import InputError, shown
+from casadical.core.basics import InputError, shown
 from casadical.core.files import appending
 from casadical.core.reading import json_of, read_bytes
 

@@ -11,7 +11,7 @@ from itertools import combinations, permutations
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import FIELDS, Measurements
 from casadical.pose_selection.information import by_joints

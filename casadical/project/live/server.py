@@ -16,7 +16,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
-from casadical.core.errors import ConvergenceError, InputError, optional
+from casadical.core.basics import ConvergenceError, InputError, optional
 from casadical.project.live.session import LiveSession, finished
 from casadical.project.live.sources import Source
 

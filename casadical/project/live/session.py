@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 import tomlkit
 
-from casadical.core.arrays import Array
-from casadical.core.errors import ConvergenceError, InputError, shown
+from casadical.core.basics import Array, ConvergenceError, InputError, shown
 from casadical.core.files import csv_text, write_whole
 from casadical.core.reading import read_text
 from casadical.core.telling.terminal import plain_text

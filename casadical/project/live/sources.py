@@ -14,8 +14,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError, shown
+from casadical.core.basics import Array, InputError, shown
 from casadical.core.reading import MOST_TEXT, read_bytes
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.pose_selection.candidates import expected

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from casadical.core.errors import FaultsError, InputError, all_faults
+from casadical.core.basics import FaultsError, InputError, all_faults
 from casadical.measurements.headings import words_of
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.measurements.vocabulary import UNITS, WORDS

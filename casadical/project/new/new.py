@@ -11,8 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError, all_faults
+from casadical.core.basics import Array, InputError, all_faults
 from casadical.core.estimated_masses import with_estimated_masses, without_masses
 from casadical.core.files import claimed, write_together
 from casadical.core.reading import read_bytes, read_text

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from casadical.core.arrays import Array
+from casadical.core.basics import Array
 from casadical.core.parts import Joint
 from casadical.core.transforms import frame, from_rpy
 from casadical.measurements.columns import Source

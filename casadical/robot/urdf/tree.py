@@ -8,8 +8,7 @@ from xml.dom import minidom
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError, optional
+from casadical.core.basics import Array, InputError, optional
 from casadical.core.reading import foreign, read_xml
 
 # Levels of elements: of links of links in a MuJoCo model, say.

@@ -8,8 +8,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.files import write_whole
 from casadical.core.parts import Body
 from casadical.core.transforms import frame, from_rpy, to_rpy

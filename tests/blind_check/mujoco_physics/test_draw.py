@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from casadical.blind_check import mujoco_physics as engine
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 
 from .machines import ROBOTS, built, drawn
 

@@ -14,7 +14,7 @@ from scipy.optimize import fsolve
 from casadical.blind_check.mujoco_physics import Plant, perturb
 from casadical.blind_check.mujoco_physics.fourbar import close_loop, crank_distance, unfolded
 from casadical.blind_check.mujoco_physics.stops import draw_poses
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 
 
 @pytest.fixture(params=[None, 1, 2, 3])

@@ -9,7 +9,7 @@ from plants import ARM, arm, stops_at
 
 from casadical.blind_check.mujoco_physics import Plant, Warmup, perturb
 from casadical.blind_check.mujoco_physics.fourbar import crank_distance
-from casadical.core.errors import ConvergenceError, InputError
+from casadical.core.basics import ConvergenceError, InputError
 
 COLUMNS = [
     *("pose", "time_s", "temperature_degC", "payload_kg"),

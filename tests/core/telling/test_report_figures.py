@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from casadical import plot
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.telling.drawing import COLOURS, draw
 from casadical.core.telling.page import require, safe_json
 from casadical.identification.figures import most_correlated, residual_quantiles
@@ -241,6 +241,6 @@ def test_without_plotly_the_message_says_what_to_install(monkeypatch) -> None:
     def missing(name: str):
         raise ModuleNotFoundError(f"No module named {name!r}", name=name.partition(".")[0])
 
-    monkeypatch.setattr("casadical.core.errors.importlib.import_module", missing)
+    monkeypatch.setattr("casadical.core.basics.importlib.import_module", missing)
     with pytest.raises(InputError, match=r"plotly and jinja2.*pip install 'casadical\[report\]'"):
         require()

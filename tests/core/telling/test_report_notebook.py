@@ -8,7 +8,7 @@ import pytest
 import casadical
 from casadical import plot
 from casadical.blind_check.mujoco_physics import Plant
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import Shown, html
 from casadical.diagnosis.isolability import Isolability

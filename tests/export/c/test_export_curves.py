@@ -10,7 +10,7 @@ import pytest
 from structured_text_in_c import Compiled
 from test_export_targets import need
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.export import load, write_c
 from casadical.export.c.c_language import inside
 from casadical.export.c.coefficients import LARGEST_ERROR

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from plugin_site import ROOT, installed, run
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.export import Sources, command_of, write_c
 from casadical.export.c.registry import known_languages
 

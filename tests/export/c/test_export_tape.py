@@ -5,7 +5,7 @@ import export_models as models
 import numpy as np
 import pytest
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.export.c.intervals import bounds, without_needless_guards
 from casadical.export.c.numpy_evaluation import NumpyFunctions, run
 from casadical.export.c.products import mapped

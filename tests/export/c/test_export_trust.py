@@ -9,7 +9,7 @@ import export_models as models
 import numpy as np
 import pytest
 
-from casadical.core.errors import CasadicalError, InputError
+from casadical.core.basics import CasadicalError, InputError
 from casadical.export import load, write_c
 from casadical.export.c.products import Command, NetworkFunction
 

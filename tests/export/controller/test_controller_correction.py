@@ -11,7 +11,7 @@ import pytest
 from controller_arms import NAMES, nominal_path, planted, poses, positions, rigid_motion
 
 from casadical.compensator import Compensator, save_compensator
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.effects import GearEccentricity, Law, PayloadError, ThermalGrowth
 from casadical.export.controller.commands import Sources, command_of, network_of
 from casadical.export.controller.correction import POSITION_ONLY, corrected_joints, model_corrector

@@ -7,7 +7,7 @@ import pytest
 from command_line import main as run
 from controller_arms import nominal_path, planted, poses, positions, rigid_motion
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.effects import GearEccentricity, JointErrorCurve
 from casadical.export import load
 from casadical.export.c.kernel import compilers

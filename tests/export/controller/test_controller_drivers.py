@@ -11,7 +11,7 @@ from command_line import main as run
 from controller_arms import nominal_path, planted, poses
 from scipy.spatial.transform import Rotation
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.export import Sources, inverse_kinematics
 from casadical.export.controller.commands import own_robots
 from casadical.export.controller.drivers import driver_file

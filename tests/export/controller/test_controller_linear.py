@@ -12,7 +12,7 @@ from controller_arms import poses as readings
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.parts import Joint, Placement
 from casadical.export import Sources, Status, command_of, inverse_kinematics, model_corrector, write_c
 from casadical.export.c.kernel import compilers

@@ -7,7 +7,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.transforms import frame, from_rpy, quaternion
 from casadical.export.mjcf.elements import numbers
 from casadical.export.mjcf.into_mjcf import into_mjcf

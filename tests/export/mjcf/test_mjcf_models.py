@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from bench import robot as robot_of
 
-from casadical.core.errors import ConvergenceError, InputError
+from casadical.core.basics import ConvergenceError, InputError
 from casadical.effects import (
     Backlash,
     BaseCompliance,

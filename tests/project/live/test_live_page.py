@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.project.live import LiveSession
 from casadical.project.live.journal import journal
 from casadical.project.live.server import LivePage, bound

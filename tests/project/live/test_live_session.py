@@ -14,7 +14,7 @@ import pytest
 from command_line import run
 
 import casadical
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.files import csv_text
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import unmeasured

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from command_line import run
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.identification.identification import identify
 from casadical.project.check import precheck
 from casadical.project.new import new_problem

@@ -14,8 +14,7 @@ from itertools import permutations, product
 import casadi as ca
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.parts import Placement
 from casadical.core.transforms import frame
 from casadical.export.c.reference import Status

@@ -6,8 +6,7 @@ Its own reader knows encodings and separators; the text of the file is not used.
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.files import csv_text
 from casadical.export.controller.programs.language import ProgramLanguage
 from casadical.export.controller.programs.target import DEG, MM, Given, Number, Target

@@ -12,8 +12,7 @@ from dataclasses import replace
 import numpy as np
 from lark import Token, Tree
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.export.controller.programs.language import ProgramLanguage, angles_of_matrix, matrix_of_angles
 from casadical.export.controller.programs.target import (
     DEG,

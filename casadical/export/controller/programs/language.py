@@ -6,8 +6,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.transforms import frame, from_rpy, to_rpy
 from casadical.export.controller.programs.target import DEG, MM, Given, Target
 

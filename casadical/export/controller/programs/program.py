@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.files import csv_text
 from casadical.core.reading import read_bytes
 from casadical.export.controller.correction import FINE, MEANINGS, SHOWN, position_only

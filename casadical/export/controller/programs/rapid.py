@@ -10,8 +10,7 @@ from dataclasses import replace
 import numpy as np
 from lark import Token, Tree
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.transforms import frame, from_quaternion, quaternion
 from casadical.export.controller.programs.language import ProgramLanguage
 from casadical.export.controller.programs.target import (

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.core.plugins import members
 from casadical.export.controller.programs.language import ProgramLanguage
 

@@ -17,8 +17,7 @@ import numpy as np
 from lark import Lark, Token, Tree, UnexpectedInput
 from lark.parsers.lalr_interactive_parser import InteractiveParser
 
-from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.basics import Array, InputError
 
 DEG, MM = np.pi / 180, 1e-3
 _FINEST = {DEG: 6, MM: 4, 1.0: 9}  # decimals: below a tenth of a micrometre at the tool

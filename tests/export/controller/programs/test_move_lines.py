@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.export.controller.programs.registry import language_named
 from casadical.export.controller.programs.target import Given
 

@@ -10,7 +10,7 @@ from command_line import main as run
 from controller_arms import nominal_path, planted
 from program_texts import OTHER_UNITS, REDEFINED, TOOLS, Point, held, loosened, matrix, with_line, write
 
-from casadical.core.errors import InputError
+from casadical.core.basics import InputError
 from casadical.export.controller.commands import Sources
 from casadical.export.controller.programs.correction import Cell
 from casadical.export.controller.programs.language import ProgramLanguage, text_of

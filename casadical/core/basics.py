@@ -1,9 +1,27 @@
-"""The errors of the package; each message says what is wrong, the value, what is allowed, and what to do."""
+"""What nearly every module needs: the one name for arrays, the errors, and how long work says where it stands.
+
+Each message of an error says what is wrong, the value, what is allowed, and what to do.
+"""
 
 import importlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+if TYPE_CHECKING:  # numpy is not loaded for a name in annotations
+    from numpy.typing import NDArray
+
+    Array: TypeAlias = NDArray[Any]
+else:
+    Array = Any
+
+# How long work says where it stands: a function that is called with a line.
+Show = Callable[[str], None]
+
+
+def silent(_text: str) -> None:
+    """Shows nothing."""
+
 
 # Faults of one file that a message tells.
 MOST_FAULTS = 50
