@@ -245,12 +245,15 @@ def _by_rows(F: Factors, U: Array) -> Iterator[tuple[slice, Array, Array]]:
 
 def _add_weighted(total: Array, F: Factors, G: Factors, U: Array, weight: Array, at: slice) -> None:
     """Add products at the points of some axes; U : levers in these axes; weight : of the axes, shape (points, n, m)."""
+    W, V = weight.transpose(0, 2, 1), np.ascontiguousarray(U[:, :, [t for t, _, _ in G.blocks]].transpose(2, 1, 0))
+    others = [(as_slice(own), factors) for _, own, factors in G.blocks]
+    across = np.empty((len(weight), G.width, len(U)))
     for s, columns, values in F.blocks:
         # What the variable in between does, times each column of G.
-        across = np.zeros((len(weight), G.width, len(U)))
-        shares = np.einsum("kni,ni,nit->tkn", weight, U[:, :, s], U[:, :, [t for t, _, _ in G.blocks]], optimize=True)
-        for share, (_, own, factors) in zip(shares, G.blocks, strict=True):
-            across[:, as_slice(own)] += share[:, None] * factors
+        across[:] = 0
+        shares = np.einsum("kin,tin->tkn", W * U[:, :, s].T, V)
+        for share, (own, factors) in zip(shares, others, strict=True):
+            across[:, own] += share[:, None] * factors
         product = values @ across.reshape(-1, len(U)).T
         total[as_slice(columns), at] += product.reshape(len(values), len(weight), G.width)
 
