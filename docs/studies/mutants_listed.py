@@ -40,6 +40,9 @@ LISTED = (
 
 # Mutants of the draw that lived and do not differ from the original for a caller: file and change, and why.
 EQUIVALENT: dict[str, str] = {
+    "core/linear_gaussian/columns.py ReplaceComparisonOperator_Eq_Lt 2: return slice(columns[0], columns[-1] + 1) if (np.diff(columns) == 1).all() else columns => return slice(columns[0], columns[-1] + 1) if (np.diff(columns) < 1).all() else columns": "columns rise, so that all are taken by number, the same ones: time alone",
+    "core/linear_gaussian/marginals.py NumberReplacer 63: return value, vector.T @ every.combine(chosen.b[k][group][:, 0]) => return value, vector.T @ every.combine(chosen.b[k][group][:, -1])": "what is left is one column: the last is the first",
+    "core/sx_instructions.py ReplaceTrueWithFalse 1: for place, value in zip(results, call([work[k] for k in operands]), strict=True): => for place, value in zip(results, call([work[k] for k in operands]), strict=False):": "a call gives as many results as CasADi's instruction has places for",
     "effects/formula_effect.py RemoveDecorator 0:  => class FormulaEffect(Effect):": "a class without fields of its own has those of its base",
     "effects/formula.py ReplaceTrueWithFalse 0: @dataclass(frozen=True) => @dataclass(frozen=False)": "frozen keeps from assigning; nothing assigns",
     "robot/model.py RemoveDecorator 11:  => def expressions(structure: Structure, fixed_loads: bool = False) -> Expressions:": "expressions are composed again, and are the same: time alone",

@@ -34,11 +34,14 @@ def details(folder: Path, text: str = "") -> Path:
     return path
 
 
-def text_of(pdf: bytes) -> str:
-    """Words of a PDF of fpdf2, whose streams are deflated and whose letters are Latin-1."""
+def drawn_in(pdf: bytes) -> str:
+    """Operators of a PDF of fpdf2, whose streams are deflated and whose letters are Latin-1."""
     streams = re.findall(rb"stream\r?\n(.*?)\r?\nendstream", pdf, re.DOTALL)
-    drawn = b"".join(zlib.decompress(s) for s in streams).decode("latin-1")
-    words = (re.sub(r"\\([()\\])", r"\1", t) for t in re.findall(r"\(((?:\\.|[^()\\])*)\) Tj", drawn))
+    return b"".join(zlib.decompress(s) for s in streams).decode("latin-1")
+
+
+def text_of(pdf: bytes) -> str:
+    words = (re.sub(r"\\([()\\])", r"\1", t) for t in re.findall(r"\(((?:\\.|[^()\\])*)\) Tj", drawn_in(pdf)))
     return " ".join(words)
 
 
@@ -60,6 +63,8 @@ def test_the_command_writes_two_pages_with_fields_as_text(results, tmp_path, mon
     assert "accredited" not in text
     assert "They state no accreditation" in text
     told = json.loads(kept.read_text())
+    filled = re.findall(r"\bf$", drawn_in(pdf), re.MULTILINE)
+    assert len(filled) == 2 * told["after"]["poses"]  # a point a pose, before and after
     assert told["missing"] == ["traceability", "calibrated", "repeatability", "temperature"]
     assert main(monkeypatch, "certificate", results, *options) == 0  # its own file is replaced
     assert out.read_bytes() == pdf

@@ -30,6 +30,7 @@ FAULTS = {
     "text for a number": (("a_mm = 300", 'a_mm = "300"'), ["joint[2].a_mm = '300'", "must be a valid number"]),
     "boolean for a number": (("a_mm = 300", "a_mm = true"), ["joint[2].a_mm = True", "must be a valid number"]),
     "not finite": (("a_mm = 300", "a_mm = nan"), ["joint[2].a_mm = nan", "finite"]),
+    "longer than any arm": (("a_mm = 300", "a_mm = 1e12"), ["joint[2].a_mm = 1000000000000", "allowed: at most 1e+07"]),
     "no unit": (("a_mm = 300", "a = 0.3"), ["joint[2].a = 0.3", "a_mm or a_m"]),
     "an angle's unit on a length": (("a_mm = 300", "a_deg = 3"), ["joint[2].a_deg = 3", "not a known key", "a_mm"]),
     "a length's unit on an angle": (("a_mm = 300", "theta_mm = 3"), ["joint[2].theta_mm", "theta_deg"]),

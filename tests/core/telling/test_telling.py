@@ -33,6 +33,14 @@ def test_the_terminal_leaves_figures_out_and_blank_lines_about_tables() -> None:
     ]  # fmt: skip
 
 
+def test_a_long_command_is_broken_so_that_it_can_be_copied() -> None:
+    command = " ".join(["casadical plan arm", *(f"--option{k} value" for k in range(20))])
+    _, *lines = plain_text([Words("Then:", code=command)]).splitlines()
+    assert len(lines) > 2
+    assert " ".join(line.strip().removesuffix("\\").strip() for line in lines) == command
+    assert all(line.rstrip().endswith("\\") for line in lines[:-1])
+
+
 def test_nothing_of_a_wide_table_is_cut() -> None:
     """Headings and first cells are broken; numbers stay on one line."""
     head = ["source of uncertainty", *(f"share {k} of the square [mm²]" for k in range(4))]
