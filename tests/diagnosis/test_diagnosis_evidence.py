@@ -10,8 +10,9 @@ from scipy.stats import multivariate_normal
 from casadical.core.linear_gaussian import grid
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.diagnosis.evidence import ALL_SIGMAS, KAPPAS, RHOS, SIGMAS, Evidence
-from casadical.diagnosis.noise_floor import outlier_probability
+from casadical.diagnosis.noise_floor import noise_floor, outlier_probability, scatter_of_coordinate
 from casadical.effects.base import CHOSEN
+from casadical.measurements.noise import Noise
 
 
 def direct(e: Evidence, rho: float, sigma: float, kappa: float, group: np.ndarray, chosen: np.ndarray) -> float:
@@ -100,6 +101,14 @@ def test_log_sum() -> None:
     a = np.random.default_rng(0).normal(size=(3, 4, 5)) - 2000
     np.testing.assert_allclose(log_sum(a, axis=(1, 2)), np.log(np.exp(a + 2000).sum(axis=(1, 2))) - 2000)
     assert float(log_sum(a)) == pytest.approx(np.log(np.exp(a + 2000).sum()) - 2000)
+
+
+@pytest.mark.parametrize("noise", [Noise(2e-5, 0.0), Noise(1e-8, 2e-5)], ids=["instrument", "joints"])
+def test_the_floor_grows_with_the_noise_that_something_else_says(noise: Noise) -> None:
+    e = small_problem(n=20)
+    told = scatter_of_coordinate(e, noise)
+    assert noise_floor(e, noise, told, seed=0) == pytest.approx(noise_floor(e, noise, 0.0, seed=0))
+    assert noise_floor(e, noise, 2 * told, seed=0) == pytest.approx(2 * noise_floor(e, noise, told, seed=0), rel=0.2)
 
 
 def test_outliers_have_the_probability_of_their_distance() -> None:

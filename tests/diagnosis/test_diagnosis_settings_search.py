@@ -36,6 +36,8 @@ def test_refining_never_lowers_the_evidence(label: str) -> None:
     assert evidence(found, variant) == pytest.approx(evidence(start, variant))
     if label == "backlash@5":  # the campaign's own cause, whose flanks lie between the grid's
         assert evidence(found, better) > evidence(start, variant) + 1
+    if label == "thermal_growth":  # of which these data tell little: it is not followed along what gains nothing
+        assert abs(np.log(better[0].lag / variant[0].lag)) < 1
     chosen = start.group(start.candidates[0].variants[0])
     found, better = refined(start, label, variant, chosen, ranking.noise[label])
     assert evidence(found, better, chosen) >= evidence(found, variant, chosen) - 1e-9
