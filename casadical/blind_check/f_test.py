@@ -19,8 +19,7 @@ from casadical.core.statistics import RANK, column_space
 from casadical.diagnosis.candidates import standard_candidates
 from casadical.diagnosis.linear_problem import make_case
 from casadical.effects import Effect
-from casadical.identification.identification import base_calibrated
-from casadical.identification.prepared import prepare
+from casadical.identification.identification import base_calibrated, prepare
 
 SIGNIFICANT = 0.01
 MOST = 4

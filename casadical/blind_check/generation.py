@@ -22,8 +22,7 @@ from casadical.core.files import claimed, write_together
 from casadical.core.reading import load_json
 from casadical.core.statistics import column_space
 from casadical.diagnosis.linearisation import signatures
-from casadical.identification.identification import base_calibrated
-from casadical.identification.prepared import prepare
+from casadical.identification.identification import base_calibrated, prepare
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import from_table

@@ -27,9 +27,9 @@ from casadical.blind_check.metrics import (
     share,
 )
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, FourBar, Plant
+from casadical.blind_check.mujoco_physics.cause import rated_torque
 from casadical.blind_check.mujoco_physics.draw import SECONDS_A_POSE, impossible
 from casadical.blind_check.mujoco_physics.plant import Building, home_frames
-from casadical.blind_check.mujoco_physics.statics import rated_torque
 from casadical.blind_check.mujoco_physics.stops import Warmup
 from casadical.blind_check.prediction import answer_campaign
 from casadical.blind_check.protocol import Answer

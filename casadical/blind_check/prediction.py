@@ -27,8 +27,7 @@ from casadical.blind_check.worker_pool import completed, workers
 from casadical.core.basics import Array, ConvergenceError, InputError
 from casadical.core.files import appending
 from casadical.identification.accuracy import predicted
-from casadical.identification.identification import base_calibrated
-from casadical.identification.prepared import prepare
+from casadical.identification.identification import base_calibrated, prepare
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import from_table

@@ -7,7 +7,7 @@ import typer
 
 from casadical.cli import options as o
 from casadical.cli.terminal import WORSE, html, keep, suggest, with_json, working, wrapped
-from casadical.core.telling.terminal import terminal
+from casadical.core.telling.result import terminal
 
 Out = Annotated[
     Path | None,

@@ -10,7 +10,7 @@ import typer
 
 from casadical.cli.options import Json, Quiet
 from casadical.cli.terminal import keep, suggest, with_json, working, wrapped
-from casadical.core.telling.terminal import terminal
+from casadical.core.telling.result import terminal
 
 
 def certificate(

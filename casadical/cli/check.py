@@ -47,7 +47,7 @@ def check(
 
     Exit codes: 0 ready, 2 something is wrong, 70 a bug in casadical.
     """
-    from casadical.core.telling.terminal import terminal
+    from casadical.core.telling.result import terminal
     from casadical.project.check import precheck
     from casadical.project.check.repair import not_repaired, repaired
 

@@ -124,8 +124,8 @@ def correct(
     Exit codes: 0 written, with or without refused targets; 2 bad input, or poses that are not reached; 70 a bug in
     casadical.
     """
-    from casadical.export.controller.program_file import OfLanguage, WithRobot, correct_file
     from casadical.export.controller.programs.csv_table import CsvTable
+    from casadical.export.controller.programs.program import OfLanguage, WithRobot, correct_file
     from casadical.export.controller.programs.registry import language_of
 
     refuse_taken(out, overwrite)

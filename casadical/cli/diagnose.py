@@ -13,7 +13,7 @@ from casadical.cli import options as o
 from casadical.cli.terminal import DIAGNOSIS, html, keep, suggest, with_json, working, wrapped
 from casadical.core.basics import shown
 from casadical.core.telling.blocks import next_step
-from casadical.core.telling.terminal import terminal
+from casadical.core.telling.result import terminal
 
 if TYPE_CHECKING:
     from rich.console import Console

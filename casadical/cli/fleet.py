@@ -9,7 +9,7 @@ import typer
 from casadical.cli.options import Json, Quiet, Report
 from casadical.cli.terminal import html, keep, suggest, with_json, working, wrapped
 from casadical.core.basics import shown
-from casadical.core.telling.terminal import terminal
+from casadical.core.telling.result import terminal
 
 
 def fleet(

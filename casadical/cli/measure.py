@@ -90,9 +90,8 @@ def measure(
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
-    from casadical.project.live.journal import journal
     from casadical.project.live.session import LiveSession, finished
-    from casadical.project.live.sources import SimulatedSource, source_of
+    from casadical.project.live.sources import SimulatedSource, journal, source_of
 
     console = plain(quiet)
     refuse_of_others(context, [*SOURCES][not simulate], SOURCES)

@@ -8,7 +8,7 @@ import typer
 from casadical.cli.options import Json, Quiet, refuse_of_others
 from casadical.cli.terminal import print_written, suggest, with_json, wrapped
 from casadical.core.basics import InputError
-from casadical.core.telling.terminal import terminal
+from casadical.core.telling.result import terminal
 
 if TYPE_CHECKING:
     from casadical.project.new import Question

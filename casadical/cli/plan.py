@@ -25,7 +25,7 @@ from casadical.cli.options import (
 from casadical.cli.options import effects as effect_words
 from casadical.cli.terminal import PLAN, keep, keep_json, suggest, with_json, working, wrapped
 from casadical.core.basics import InputError, shown
-from casadical.core.telling.terminal import terminal
+from casadical.core.telling.result import terminal
 
 if TYPE_CHECKING:
     from casadical.project.planning import Places, Wanted
@@ -250,7 +250,7 @@ def _motion(
 
 def _iso9283(problem: Path, out: Path, cube_mm: float | None, room: Path | None, seed: int, quiet: bool) -> None:
     """The table of a test by the standard."""
-    from casadical.core.telling.terminal import terminal
+    from casadical.core.telling.result import terminal
     from casadical.project.planning import iso9283_plan
 
     console = wrapped(quiet)

@@ -29,7 +29,7 @@ def refusal(error: object) -> None:
     """Print why a command ends, to standard error: as wide as the terminal, several faults of tables as one table."""
     if isinstance(error, FaultsError) and len(error.faults) > 1:
         from casadical.core.telling.blocks import Table
-        from casadical.core.telling.terminal import terminal
+        from casadical.core.telling.result import terminal
 
         rows = [
             (f.source, f"{', '.join(map(str, f.rows[:NAMED]))}{' ...' * (len(f.rows) > NAMED)}", f.column, f.value,
@@ -102,7 +102,7 @@ def keep(texts: Mapping[Path, Any], console: Console, about: Mapping[Path, str] 
 def suggest(console: Console, purpose: str, command: str, *arguments: object) -> None:
     """Print the one command to go on with; see `next_step`."""
     from casadical.core.telling.blocks import next_step
-    from casadical.core.telling.terminal import terminal
+    from casadical.core.telling.result import terminal
 
     console.print(terminal([next_step(purpose, command, *arguments)]))
 

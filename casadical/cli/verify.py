@@ -22,7 +22,7 @@ from casadical.cli.terminal import (
     wrapped,
 )
 from casadical.core.basics import InputError
-from casadical.core.telling.terminal import terminal
+from casadical.core.telling.result import terminal
 
 Robot = Annotated[
     Path,

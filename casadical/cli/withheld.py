@@ -56,7 +56,7 @@ def withheld_robot(
     """
     from casadical.blind_check.own_robot import check_robot
     from casadical.blind_check.worker_pool import workers as pool
-    from casadical.core.telling.terminal import terminal
+    from casadical.core.telling.result import terminal
     from casadical.project.problem import read_campaign, read_campaign_robot
 
     subject = read_campaign_robot(robot)
@@ -200,7 +200,7 @@ def withheld_score(
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
     from casadical.blind_check.scoring import draw_confusion, in_common, score, side_by_side
-    from casadical.core.telling.terminal import terminal
+    from casadical.core.telling.result import terminal
 
     scores = in_common([score(folder, key, path) for path in answers])
     console = wrapped(quiet)

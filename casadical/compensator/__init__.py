@@ -1,14 +1,12 @@
 """A small network that learns the error left after calibration. It can be used alone: it loads no kinematics."""
 
-from casadical.compensator.compensator import Compensator
+from casadical.compensator.compensator import Compensator, train
 from casadical.compensator.iwo import InvasiveWeeds, IwoSettings, iwo_minimise
 from casadical.compensator.layout import JointBox, Layout
-from casadical.compensator.network import Network
+from casadical.compensator.network import Network, make_task
 from casadical.compensator.saving import load_compensator, save_compensator
-from casadical.compensator.task import make_task
 from casadical.compensator.trainers.base import Trainer
 from casadical.compensator.trainers.registry import *  # noqa: F403 - every trainer, by its line there
-from casadical.compensator.training import train
 
 __all__ = [
     "Compensator",

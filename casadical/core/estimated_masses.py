@@ -11,9 +11,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from casadical.core.arm import Arm
 from casadical.core.basics import Array
-from casadical.core.parts import Body, BodyWidth
+from casadical.core.parts import Arm, Body, BodyWidth
 
 # Of the moving links together, by the cube of the reach [kg/m^3]; of each link, as a share of the one before.
 DENSITY = 10.0

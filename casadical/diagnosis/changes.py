@@ -19,7 +19,7 @@ from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.result import Change
 from casadical.identification.prior import Prior, probability_of_change
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 
 # From this probability on, nothing of the earlier campaign is taken for known of a part.
 NEW = 0.5

@@ -14,7 +14,7 @@ from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.result import CauseSet
 from casadical.diagnosis.search import End, State, Step, indistinguishable, next_cause
 from casadical.diagnosis.thresholds import CLAIM, DETECT_FURTHER, LEAST_ALIKE, SET_SIZE
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 
 # Probabilities below this are not distinguished.
 LEAST = 1e-12

@@ -24,7 +24,7 @@ from casadical.diagnosis.search import End, State, Step
 from casadical.diagnosis.structure import joint_of_outliers
 from casadical.effects import Effect
 from casadical.identification.result import Identification
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 
 
 def conclude(

@@ -12,7 +12,7 @@ from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.statistics import first_of_best
 from casadical.diagnosis.evidence import REPEATABILITY, RHOS, SIGMAS, Evidence
 from casadical.diagnosis.thresholds import PARTITIONS
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 
 FOLDS = 5
 # Poses from which on one partition is enough.

@@ -19,9 +19,8 @@ from casadical.diagnosis.observations import Ratios
 from casadical.diagnosis.result import Change, Diagnosis
 from casadical.diagnosis.search import State, search_with_forms
 from casadical.effects import Effect
-from casadical.identification.identification import base_calibrated, compliance_tried
+from casadical.identification.identification import Prepared, base_calibrated, compliance_tried, prepare, prepared_again
 from casadical.identification.plausibility import fault_of_orientations
-from casadical.identification.prepared import Prepared, prepare, prepared_again
 from casadical.identification.prior import Prior
 from casadical.identification.result import Identification
 from casadical.identification.sessions import sessions_in

@@ -22,7 +22,7 @@ from casadical.core.linear_gaussian.marginals import NONE, Marginals
 from casadical.core.linear_gaussian.model import LinearModel, Projection
 from casadical.core.linear_gaussian.noise import NoiseModel
 from casadical.effects.base import CHOSEN
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 
 SIGMAS = np.geomspace(3e-6, 300e-6, 33)
 # The same steps from 1 um to 11 mm, for instruments that are finer or coarser.

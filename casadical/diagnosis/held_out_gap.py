@@ -16,7 +16,7 @@ from casadical.diagnosis.refit import left_by, refit, refit_measurements
 from casadical.diagnosis.result import Diagnosis
 from casadical.effects import Effect
 from casadical.measurements.derived_columns import derive
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 
 if TYPE_CHECKING:
     from casadical.compensator import Trainer

@@ -17,8 +17,7 @@ import pandas as pd
 
 from casadical.core.basics import Array, InputError
 from casadical.core.telling.blocks import Table, Words
-from casadical.core.telling.result import Result
-from casadical.core.telling.terminal import table_lines
+from casadical.core.telling.result import Result, table_lines
 from casadical.diagnosis.candidates import Candidate, candidates_of, choose, columns_to_log, gathered_by_columns
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.linear_problem import Case, base_prior, column_numbers, widths
@@ -26,8 +25,7 @@ from casadical.diagnosis.linearisation import signatures
 from casadical.diagnosis.result import Diagnosis
 from casadical.effects import Effect
 from casadical.measurements.derived_columns import derive
-from casadical.measurements.measurements import Measurements
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
 
 # Noncentrality at which one among a hundred or so candidates is found nine times in ten.

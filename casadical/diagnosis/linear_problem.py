@@ -26,8 +26,7 @@ from casadical.identification.result import Identification
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.position import PositionCovariance
 from casadical.measurements.kinds.registry import find_kind
-from casadical.measurements.measurements import Measurements
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
 
 # Compliances are known from data sheets to about themselves: a joint 2.5 times softer is no rarity; a narrower prior

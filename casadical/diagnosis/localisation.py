@@ -1,20 +1,220 @@
 """Where the gap lies: shares by joint, link, direction, region, payload, temperature, time and approach, each with a
-95 % interval."""
+95 % interval.
+
+In which part of the robot the gap arises: what the whole model explains of each.
+
+What named causes explain is theirs: it goes to the joints, links, base, tool or instrument through which they act,
+with the values and the spread that a fit to all poses gives them. For what they leave there is a variance component
+for every joint, link, the base and the tool. Each may be wrong by any smooth function of joint readings, load,
+approach, time and temperature; its errors act through the base model's own Jacobian, whose constant part is
+re-estimated. The size of each part's errors, and of the noise, is found by maximum likelihood
+(y ~ N(0, sigma^2 I + sum v_k E_k E_k'), monotone updates as in Zhou et al. 2019), so that parts which the data do not
+need fall to nothing. Shares and their spread are those of draws from the posterior, each at poses drawn from these.
+"""
 
 import itertools
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array
-from casadical.diagnosis.components import INSTRUMENT, Components, components
+from casadical.core.linear_gaussian.normal_equations import root_of_inverse
+from casadical.diagnosis.cross_validation import new_fit
+from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.linearisation import EffectColumns
 from casadical.diagnosis.result import Diagnosis
 from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
+
+# Of smooth errors, more poses make the shares no more accurate, and cost the third power of their number.
+MOST_POSES = 120
+# Poses at which causes are shared out.
+OF_CAUSES = 1000
+ROUNDS = 40
+PART_DRAWS = 200
+SIZE = 30e-6
+# Harmonics of a joint's own reading, beside the slow ones of every joint.
+FAST = range(3, 13)
+INSTRUMENT = "instrument"
+# Variables of a twist among the seams.
+TWIST = 6
+_NUMBERED = re.compile(r"(alpha|a|beta|b|d)(\d+)")
+
+
+@dataclass(frozen=True, eq=False)
+class Components:
+    """Visible signal of each part: draws of its mean square, shape (draws, parts) [m^2] a coordinate."""
+
+    parts: tuple[str, ...]
+    energy: Array
+
+
+def components(case: Case, noise: Noise, columns: Array, seed: int = 0, *, noise_is_left: bool = False) -> Components:
+    """The parts' shares of what the base model leaves, at a known noise.
+
+    columns : of the named causes; noise_is_left : whether these leave noise alone
+    """
+    rng = np.random.default_rng(seed)
+    energy, left = _of_causes(case, noise, columns, rng)
+    for part in _levers(case):
+        energy.setdefault(part, np.zeros(PART_DRAWS))
+    if not noise_is_left:
+        for part, drawn in _of_smooth_errors(case, noise, left, rng).items():
+            energy[part] = energy[part] + drawn
+    return Components(tuple(energy), np.stack([*energy.values()], axis=1))
+
+
+def _of_smooth_errors(case: Case, noise: Noise, left: Evidence, rng: np.random.Generator) -> dict[str, Array]:
+    """Draws of the mean square that smooth errors of each part explain; left : the problem that causes leave."""
+    kept = _some(np.flatnonzero(case.kept), MOST_POSES, rng)
+    functions = _functions(case)[kept]
+    E = {part: _products(lever[kept], functions) for part, lever in _levers(case).items()}
+    for j, joint in enumerate(case.given.joints, 1):
+        if joint.kind == "revolute":
+            own = np.stack([f(h * case.m.q[kept, j - 1]) for h in FAST for f in (np.sin, np.cos)], axis=1)
+            E[f"joint {j}"] = np.concatenate(
+                [E[f"joint {j}"], SIZE * case.whole.Jq[kept][:, :, [j - 1]] * own[:, None]], axis=2
+            )
+    widths = [part.shape[2] for part in E.values()]
+    some = left.at(np.searchsorted(np.flatnonzero(case.kept), kept))
+    projection = some.projection(noise.repeatability / noise.sigma)
+    white = projection.columns(np.concatenate([*E.values()], axis=2))
+    edges = np.cumsum([0, *widths])
+    groups = [white[:, a:b] for a, b in itertools.pairwise(edges)]
+    K = products_of_rows(groups)
+    size, sigma = sizes_of_groups(projection.y, K, noise.sigma)
+    drawn = _draws(projection.y, groups, K, size, sigma, rng)
+    return dict(zip(E, _mean_squares(drawn, some, rng), strict=True))
+
+
+def _some(kept: Array, most: int, rng: np.random.Generator) -> Array:
+    return kept if len(kept) <= most else np.sort(rng.choice(kept, most, replace=False))
+
+
+def _of_causes(case: Case, noise: Noise, columns: Array, rng: np.random.Generator) -> tuple[dict[str, Array], Evidence]:
+    """Draws of the mean square that causes explain through each part, and the problem that their mean leaves."""
+    e = case.evidence
+    if not len(columns):
+        return {}, e
+    fit = new_fit(e, columns, noise, combined=False)
+    first = len(fit.prior) - len(columns)
+    mean, spread = fit.x[first:], fit.root.T[first:] @ rng.standard_normal((len(fit.x), PART_DRAWS))
+    left = np.asarray(e.r - (e.take(columns) @ mean))
+    poses = _some(np.arange(len(e.r)), OF_CAUSES, rng)
+    assert isinstance(e.E, EffectColumns)
+    E, some = e.E.only(columns).at(poses), e.at(poses)
+    S, signal = E.levers(), dict[str, Array]()
+    for variable, own, values in E.factors().blocks:
+        part, drawn = _part_of(variable, case.given.n), values.T @ (mean[own, None] + spread[own])
+        signal[part] = signal.get(part, 0.0) + S[:, :, variable, None] * drawn[:, None]
+    projection = some.projection(noise.repeatability / noise.sigma)
+    squares = _mean_squares([projection.columns(drawn) for drawn in signal.values()], some, rng)
+    return dict(zip(signal, squares, strict=True)), replace(e, r=left)
+
+
+def _mean_squares(signals: Sequence[Array], e: Evidence, rng: np.random.Generator) -> list[Array]:
+    """Mean square of each signal, shape (rows, PART_DRAWS), in every draw, at poses drawn with replacement."""
+    n, numbers = e.r.shape[:2]
+    times = rng.multinomial(n, np.full(n, 1 / n), PART_DRAWS).T
+    weights = np.concatenate([np.repeat(times, numbers, axis=0), np.ones((len(signals[0]) - n * numbers, PART_DRAWS))])
+    return [(weights * rows**2).sum(axis=0) / e.count for rows in signals]
+
+
+def _part_of(variable: int, joints: int) -> str:
+    """The part that a seam's variable belongs to: joint variables, twists behind links, at base and tool, the point."""
+    frames = [*(f"link {j}" for j in range(1, joints)), "tool", "base", "tool"]
+    places = [*(f"joint {j}" for j in range(1, joints + 1)), *(f for f in frames for _ in range(TWIST))]
+    return places[variable] if variable < len(places) else INSTRUMENT
+
+
+def _products(lever: Array, functions: Array) -> Array:
+    """Every lever times every function, shape (n, 3, levers * functions)."""
+    return np.asarray((lever[:, :, :, None] * functions[:, None, None, :]).reshape(*lever.shape[:2], -1))
+
+
+def _levers(case: Case) -> dict[str, Array]:
+    """What an error of one size in each part does to the point, shape (n, 3, ways in which the part can err) [m]."""
+    names = case.given.parameters.names
+    found: dict[str, list[int]] = {}
+    for k, name in enumerate(names):
+        if hit := _NUMBERED.fullmatch(name):
+            found.setdefault("base" if hit[2] == "0" else f"link {hit[2]}", []).append(k)
+        elif name.startswith(("base_", "tool_")):
+            found.setdefault(name[:4], []).append(k)
+        elif name.startswith("L"):
+            found.setdefault("loop", []).append(k)
+    n = case.robot.n
+    moved = [k for k in ("base", *(f"link {i}" for i in range(1, n)), "loop") if k in found]
+    links = {k: SIZE * case.whole.J[:, :, found[k]] for k in moved}
+    last = [*found.get(f"link {n}", []), *found.get("tool", [])]
+    tool = {"tool": SIZE * case.whole.J[:, :, last]} if last else {}
+    joints = {f"joint {j + 1}": SIZE * case.whole.Jq[:, :, [j]] for j in range(n)}
+    return {**joints, **links, **tool}
+
+
+def _functions(case: Case) -> Array:
+    """Smooth functions of pose and circumstances, shape (n, functions), each of size one or so."""
+    robot, q = case.given, case.m.q
+    parts = []
+    for j, joint in enumerate(robot.joints):
+        if joint.kind == "revolute":
+            parts += [f(h * q[:, j]) / h for h in (1, 2) for f in (np.sin, np.cos)]
+        else:
+            parts += [(q[:, j] - q[:, j].mean()) / max(float(q[:, j].std()), 1e-9)]
+    m, _ = derive(case.m, ["progress", "warmth_0s", *(f"approach{i}" for i in range(1, robot.n + 1))])
+    w = m.condition_matrix(robot.conditions, robot.declared)
+    tau = robot.model.function("torque", ("tau",)).map(len(m))(q.T, w.T, case.values).full().T
+    parts += [*np.tanh(2 * tau / robot.torque_scale).T]
+    parts += [np.cos(h * np.pi * m.conditions["progress"]) / h for h in (1, 2, 3)]
+    parts += [m.conditions[c] for c in m.conditions if re.fullmatch(r"approach\d", c)]
+    for name in ("warmth_0s", "payload_kg"):
+        column = m.conditions.get(name)
+        if column is not None and np.ptp(column) > 0:
+            parts.append((column - column.mean()) / column.std())
+    return np.stack(parts, axis=1)
+
+
+def sizes_of_groups(y: Array, K: Array, sigma: float) -> tuple[Array, float]:
+    """Variance of each group of columns by maximum likelihood, shape (groups,), and the noise.
+
+    K : see `products_of_rows`. The noise is no less than sigma, but grows where no group explains what is there.
+    """
+    n, share = len(y), float(y @ y) / len(K)
+    size, variance = share / np.maximum(K[:, :: n + 1].sum(axis=1), 1e-30), sigma**2
+    for _ in range(ROUNDS):
+        root = root_of_inverse(_total(K, size, variance))
+        inverse = root.T @ root
+        z = inverse @ y
+        fit, cost = K @ np.outer(z, z).ravel(), K @ inverse.ravel()
+        size *= np.sqrt(fit / np.maximum(cost, 1e-30))
+        variance = max(variance * float(np.sqrt(z @ z / np.trace(inverse))), sigma**2)
+    return np.asarray(size), float(np.sqrt(variance))
+
+
+def products_of_rows(groups: list[Array]) -> Array:
+    """Products of the rows of each group, one matrix a row, shape (groups, n * n)."""
+    return np.stack([(g @ g.T).ravel() for g in groups])
+
+
+def _total(K: Array, size: Array, variance: float) -> Array:
+    """Covariance of all groups and the noise, shape (n, n)."""
+    n = math.isqrt(K.shape[1])
+    return (size @ K).reshape(n, n) + variance * np.eye(n)
+
+
+def _draws(y: Array, groups: list[Array], K: Array, size: Array, sigma: float, rng: np.random.Generator) -> list[Array]:
+    """Each group's signal in draws from the posterior, shape (rows, PART_DRAWS) (Matheron's rule)."""
+    prior = [np.sqrt(v) * g @ rng.standard_normal((g.shape[1], PART_DRAWS)) for v, g in zip(size, groups, strict=True)]
+    noise = sigma * rng.standard_normal((len(y), PART_DRAWS))
+    missed = np.linalg.solve(_total(K, size, sigma**2), y[:, None] - sum(prior) - noise)
+    return [f + v * g @ (g.T @ missed) for f, v, g in zip(prior, size, groups, strict=True)]
+
 
 DRAWS = 500
 ELSEWHERE = "elsewhere"

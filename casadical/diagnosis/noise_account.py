@@ -17,7 +17,7 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_floor import Replicates, scatter_of_coordinate
 from casadical.diagnosis.noise_forms import FOLLOWING, best_following
 from casadical.diagnosis.structure import BEFORE, Remainder, Structure, remainder_of
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 
 # Noise that is so many times what is known of it is not that noise, unless chance alone does it as often as this.
 FAR, BY_CHANCE = 1.4, 1e-3

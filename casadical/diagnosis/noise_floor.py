@@ -8,8 +8,7 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.diagnosis.cross_validation import held_out_errors, partitions
 from casadical.diagnosis.evidence import Evidence
-from casadical.measurements.measurements import Measurements
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Measurements, Noise
 
 # Readings that differ by less than this [rad or m] are one pose; the model's own small difference is taken off.
 SAME_POSE = 1e-3

@@ -23,7 +23,7 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_evidence import Form, Problem
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, Rival
 from casadical.diagnosis.thresholds import DETECT
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 
 # Of the instrument.
 FOLLOWING, TAILED = "noise that follows itself", "noise with heavy tails"

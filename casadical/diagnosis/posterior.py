@@ -13,7 +13,7 @@ from casadical.core.statistics import first_of_best, ranked
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, Evidence
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 
 # Before any data: nothing, one of the listed effects, something on no list; and the same once causes were found.
 PRIOR_FIRST = {"none": 0.25, "listed": 0.60, "unknown": 0.15}

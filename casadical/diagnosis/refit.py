@@ -9,15 +9,13 @@ from casadical.core.basics import Array
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.observations import edges_of, separated
 from casadical.effects import Effect
-from casadical.identification.identification import calibrated
-from casadical.identification.prepared import prepare
+from casadical.identification.identification import calibrated, prepare
 from casadical.identification.residuals import make_block
 from casadical.identification.result import Identification
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.position import PositionCovariance, typical_sigma, whitening
 from casadical.measurements.kinds.registry import find_kind
-from casadical.measurements.measurements import Measurements
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Measurements, Noise
 
 
 def refit(

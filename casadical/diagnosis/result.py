@@ -23,7 +23,7 @@ from casadical.effects import Effect
 from casadical.identification.pose_errors import ModelErrors, PoseErrors
 from casadical.identification.prior import Prior
 from casadical.identification.result import Identification, LeftOut
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 from casadical.robot.robot import Robot
 
 if TYPE_CHECKING:

@@ -35,7 +35,7 @@ from casadical.diagnosis.thresholds import (
     SET_SIZE,
 )
 from casadical.effects import Effect, TransmissionRipple
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 
 # An effect of several joints at once is one where so many show it, each by so much log evidence beside the others; the
 # joints that do not are left out.

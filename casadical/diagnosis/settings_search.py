@@ -19,7 +19,7 @@ from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, Evidence
 from casadical.diagnosis.linear_problem import Case
 from casadical.effects import Effect
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 
 # Steps are halved once none of them helps, so often at most; a gain of log evidence below the second is none.
 HALVINGS, GAIN, MOST_ROUNDS = 2, 0.3, 10

@@ -13,7 +13,7 @@ from casadical.diagnosis.posterior import Ranking, rank
 from casadical.diagnosis.result import Diagnosis, Unlisted
 from casadical.diagnosis.thresholds import DETECT_FURTHER
 from casadical.effects import Effect
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 
 MOST_FORMS = 4
 

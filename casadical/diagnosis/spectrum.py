@@ -15,7 +15,7 @@ from casadical.diagnosis.line_search import Background, Line, Scan, Search, Whol
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.result import Cause, Diagnosis
 from casadical.effects.joint_error_curve import JointErrorCurve
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 
 # Highest frequency that may be asked for [cycles a turn].
 MOST = 2000

@@ -29,8 +29,7 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_evidence import Form
 from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive
-from casadical.measurements.measurements import Measurements
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
 
 # What is left follows a driver, and outliers a joint, if chance alone does it so rarely, among all that are tried.

@@ -8,7 +8,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from casadical.core.telling.blocks import Table, Words, mm
-from casadical.core.telling.terminal import table_lines
+from casadical.core.telling.result import table_lines
 from casadical.diagnosis.cause_table import LAYER_COLUMNS, cause_rows, layer_rows
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.result import Diagnosis

@@ -8,7 +8,7 @@ from functools import reduce
 
 import casadi as ca
 
-from casadical.core.arm import Arm
+from casadical.core.parts import Arm
 from casadical.core.transforms import Symbolic, apply
 
 

@@ -16,13 +16,12 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from pydantic import Field, Strict, model_validator
 
-from casadical.core.arm import Arm
 from casadical.core.basics import InputError
+from casadical.core.parts import Arm
 from casadical.core.reading import MOST_COUNT, load_toml
 from casadical.core.schema import FaultError, TomlTable, Triple, check
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Context, Effect
-from casadical.effects.counterparts import Counterparts
+from casadical.effects.base import Context, Counterparts, Effect
 from casadical.effects.formula import Formula, parse
 from casadical.effects.formula_effect import SEAMS, FormulaEffect, check_formula, check_values, columns_of
 from casadical.effects.named_counterparts import COUNTERPARTS

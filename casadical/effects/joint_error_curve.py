@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from casadical.core.arm import Arm
 from casadical.core.basics import Array
+from casadical.core.parts import Arm
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Context, Effect
-from casadical.effects.counterparts import Counterparts
+from casadical.effects.base import Context, Counterparts, Effect
 
 # One sigma of a harmonic of a joint about which nothing is known yet [rad].
 USUAL = 60e-6

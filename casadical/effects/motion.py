@@ -16,7 +16,7 @@ from casadical.core.basics import Array
 from casadical.effects.definition import DefinedEffect, read_definitions
 from casadical.effects.formula import NUMERIC
 from casadical.effects.formula_effect import MOTION_SEAMS as MOTION_SEAMS
-from casadical.effects.law import Law
+from casadical.effects.formula_effect import Law
 from casadical.effects.plugins import known_effects
 
 # What acts in a log; what may be asked for as its cause: a law with its settings, or a kind with all of its own.

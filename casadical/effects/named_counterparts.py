@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from casadical.core.parts import Body
-from casadical.effects.base import Effect
-from casadical.effects.counterparts import Counterparts
+from casadical.effects.base import Counterparts, Effect
 
 # tanh(x) is nearest to SLOPE x that stops at STOP, off by OFF at most.
 SLOPE, STOP, OFF = 0.76, 0.92, 0.083

@@ -1,4 +1,7 @@
-"""Play in a gear."""
+"""Play in a gear.
+
+Bearings that run out or have play.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,9 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from casadical.core.arm import Arm
-from casadical.core.transforms import Symbolic
-from casadical.effects.base import Context, Effect
-from casadical.effects.counterparts import Counterparts
+from casadical.core.parts import Arm
+from casadical.core.transforms import Symbolic, small_frame, translate
+from casadical.effects.base import Context, Counterparts, Effect, setting
 
 FRICTIONS = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32)
 
@@ -85,3 +87,92 @@ class BacklashByLoad(Backlash):
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
         return self.value(context, "half") * ca.tanh(context.load(self.joint) / self.width)
+
+
+@dataclass(frozen=True)
+class AxisWobble(Effect):
+    """A joint's axis tilts and shifts as it turns.
+
+    A wave of the bearing ring that turns with the link, or of the one that stands still.
+
+    cycles : 1 or 2 a turn; still : whether the wave is seen from the link before the joint, where it has one cycle less
+    and one more as seen from the link behind it
+    """
+
+    cycles: int = setting(1, (1, 2))
+    still: bool = setting(False, (False, True))
+
+    name = "axis_wobble"
+    on_list = "standard"
+    acts_at = "turning joints"
+    signature = "an axis that tilts and shifts as it turns (bearing, eccentric flange)"
+    physics = "Bearing run-out: the axis of rotation tilts and translates periodically (ISO 230-7)."
+    confused_with = "base_compliance for joint 1; gear_eccentricity of neighbours"
+
+    def sizes(self) -> Mapping[str, tuple[float, str]]:
+        parts = [f"{c}_{f}" for c in ("rx", "ry", "x", "y") for f in ("sin", "cos")]
+        return {p: (25e-6, "rad") if p[0] == "r" else (20e-6, "m") for p in parts}
+
+    def link(self, number: int, context: Context) -> Symbolic:
+        if number != self.joint:
+            return ca.SX.eye(4)
+        q = context.q[number - 1]
+        rx, ry, x, y = (
+            self.value(context, f"{c}_sin") * ca.sin(self.cycles * q)
+            + self.value(context, f"{c}_cos") * ca.cos(self.cycles * q)
+            for c in ("rx", "ry", "x", "y")
+        )
+        if self.still:
+            (rx, ry), (x, y) = _turned_back(rx, ry, q), _turned_back(x, y, q)
+        return small_frame(x, y, 0, rx, ry, 0)
+
+
+def _turned_back(x: Symbolic, y: Symbolic, q: Symbolic) -> tuple[Symbolic, Symbolic]:
+    """A vector across the axis as seen from a link that has turned by q."""
+    return ca.cos(q) * x + ca.sin(q) * y, ca.cos(q) * y - ca.sin(q) * x
+
+
+@dataclass(frozen=True)
+class BearingPlay(Effect):
+    """Play of a bearing across its axis: it tilts under the moment of the weight beyond it and moves along the load.
+
+    soft : moment at which the play is taken up, as a share of the great torques there; above 1 it is a spring
+
+    The last joint's bearing stands for the tool flange too.
+    """
+
+    soft: float = setting(0.3, (0.1, 0.3))
+
+    name = "bearing_play"
+    on_list = "extended"
+    acts_at = "joints"
+    signature = "a bearing or flange that rocks under the weight beyond it"
+    physics = (
+        "A bearing or a bolted flange holds the moment across its axis by its tilting stiffness, after play; its inner "
+        "ring drops along the load by the radial play (ISO 5753-1; Harris, Rolling Bearing Analysis)."
+    )
+    confused_with = "link_flexure of the links beside it; axis_wobble; payload_error at the flange"
+    size = {"rock": (60e-6, "rad"), "drop": (30e-6, "m")}
+
+    def link(self, number: int, context: Context) -> Symbolic:
+        if number != self.joint:
+            return ca.SX.eye(4)
+        turn = context.frames[number - 1][:3, :3].T
+        moment = turn @ context.moment(number) / self._great(context)
+        return translate(*ca.vertsplit(self._drop(turn @ context.gravity / 9.81, context))) @ small_frame(
+            0, 0, 0, *self._rock(moment, context), 0
+        )
+
+    def _great(self, context: Context) -> Symbolic:
+        """The greatest torque that joints here or one joint before carry, since moments across are like theirs."""
+        assert self.joint is not None
+        return context.greatest(max(self.joint - 1, 1), self.joint)
+
+    def _rock(self, moment: Symbolic, context: Context) -> tuple[Symbolic, Symbolic]:
+        size = ca.sqrt(moment[0] ** 2 + moment[1] ** 2 + 1e-8)
+        share = self.value(context, "rock") * ca.tanh(size / self.soft) / ca.tanh(1 / self.soft) / size
+        return share * moment[0], share * moment[1]
+
+    def _drop(self, down: Symbolic, context: Context) -> Symbolic:
+        across = ca.vertcat(down[0], down[1], 0)
+        return self.value(context, "drop") * across / ca.sqrt(ca.sumsqr(across) + 0.01)

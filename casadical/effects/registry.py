@@ -11,7 +11,7 @@ _defined = _read(_LISTED, __name__)
 
 GearEccentricity = _defined["gear_eccentricity"]
 TransmissionRipple = _defined["transmission_ripple"]
-from casadical.effects.bearings import AxisWobble as AxisWobble
+from casadical.effects.play import AxisWobble as AxisWobble
 
 JointScale = _defined["joint_scale"]
 JointCoupling = _defined["joint_coupling"]
@@ -24,7 +24,7 @@ FrictionWindup = _defined["friction_windup"]
 ThermalGrowth = _defined["thermal_growth"]
 TargetShift = _defined["target_shift"]
 PayloadError = _defined["payload_error"]
-from casadical.effects.link_masses import LinkMasses as LinkMasses
+from casadical.effects.springs import LinkMasses as LinkMasses
 from casadical.effects.springs import GravityCompensator as GravityCompensator
 
 BaseCompliance = _defined["base_compliance"]
@@ -34,11 +34,11 @@ from casadical.effects.joint_error_curve import JointErrorCurve as JointErrorCur
 
 NonlinearStiffness = _defined["nonlinear_stiffness"]
 CubicStiffness = _defined["cubic_stiffness"]
-from casadical.effects.link_flexure import LinkFlexure as LinkFlexure
+from casadical.effects.springs import LinkFlexure as LinkFlexure
 
 LoadHysteresis = _defined["load_hysteresis"]
 CrossCoupling = _defined["cross_coupling"]
-from casadical.effects.bearings import BearingPlay as BearingPlay
+from casadical.effects.play import BearingPlay as BearingPlay
 
 GearMesh = _defined["gear_mesh"]
 MissingCompliance = _defined["missing_compliance"]
@@ -68,5 +68,5 @@ from casadical.effects.smooth import SmoothInTime as SmoothInTime
 from casadical.effects.smooth import WarmUp as WarmUp
 from casadical.effects.smooth import SmoothInSpace as SmoothInSpace
 from casadical.effects.smooth import SmoothInLoad as SmoothInLoad
-from casadical.effects.law import Law as Law
+from casadical.effects.formula_effect import Law as Law
 from casadical.effects.instrument import Session as Session

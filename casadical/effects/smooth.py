@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from casadical.core.arm import Arm
+from casadical.core.parts import Arm
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Effect, setting
 from casadical.effects.formula_effect import grown_link

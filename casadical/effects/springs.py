@@ -1,4 +1,9 @@
-"""Springs beside those of the joints: a balancer, a hose."""
+"""Springs beside those of the joints: a balancer, a hose.
+
+The declared masses and mass centres of the links are wrong.
+
+A link bends and twists under the weight beyond it.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +13,9 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from casadical.core.arm import Arm
-from casadical.core.transforms import Symbolic, apply
-from casadical.effects.base import Context, Effect, setting
-from casadical.effects.counterparts import Balancer, Counterparts
+from casadical.core.parts import Arm, Body
+from casadical.core.transforms import Symbolic, apply, small_frame, translate
+from casadical.effects.base import Balancer, Context, Counterparts, Effect, setting
 
 PHASES = tuple(float(p) for p in np.deg2rad(np.arange(0, 360, 30)))
 
@@ -101,3 +105,136 @@ class HoseDrag(Effect):
         drawn = length / usual - 1
         pull = context.torque_scale[n - 2]
         return pull * (self.value(context, "tension") * drawn + self.value(context, "spring") * drawn**2)
+
+
+@dataclass(frozen=True)
+class LinkMasses(Effect):
+    """share, centre : one sigma of each link's mass as a share of the declared one, and of each coordinate of its mass
+    centre [m]; zero for a link without declared mass, and where both are known exactly (see `Arm.body_width`)
+    """
+
+    share: tuple[float, ...] = (0.2,) * 6
+    centre: tuple[float, ...] = (0.03,) * 6
+
+    name = "link_masses"
+    on_list = "standard"
+    signature = "torque errors of the links' own weight (masses and mass centres of the robot file)"
+    # The widths are what the user says of the declared values, not the size of a usual effect.
+    held = 1.0
+    physics = (
+        "Gravity on the true links differs from that on the declared ones; it acts through the joints' springs. Masses "
+        "and mass centres of data sheets and of drawings without cables are off by a tenth and some centimetres."
+    )
+    confused_with = "nonlinear_stiffness and gravity_compensator; payload_error where the payload never changes"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        width = arm.body_width
+        there = [bool(j.body and j.body.mass > 0) for j in arm.joints]
+        share = tuple(width.share * yes for yes in there)
+        centre = tuple(max(width.centre, _undeclared(arm, i)) * yes for i, yes in enumerate(there))
+        compliant = any(j.compliance is not None for j in arm.joints)
+        return (cls(None, share, centre),) if compliant and (any(share) or (width.centre and any(centre))) else ()
+
+    def sizes(self) -> Mapping[str, tuple[float, str]]:
+        masses = {f"m{i}": (size, "kg/kg") for i, size in enumerate(self.share, 1) if size}
+        return masses | {f"{c}{i}": (size, "m") for i, size in enumerate(self.centre, 1) if size for c in "xyz"}
+
+    @property
+    def summary(self) -> tuple[tuple[str, str, str], ...]:
+        centres = ", ".join(f"{1e3 * size:.0f}" for size in self.centre)
+        return (
+            ("one sigma of each mass", ", ".join(f"{100 * size:.0f}" for size in self.share), "%"),
+            ("of each coordinate of a mass centre", centres, "mm"),
+        )
+
+    def energy(self, context: Context) -> Symbolic:
+        total: Symbolic = 0.0
+        for i, (joint, T) in enumerate(zip(context.arm.joints, context.frames, strict=True), 1):
+            if joint.body and (self.share[i - 1] or self.centre[i - 1]):
+                more = self.value(context, f"m{i}") if self.share[i - 1] else 0.0
+                shift = ca.vertcat(*(self.value(context, f"{c}{i}") for c in "xyz")) if self.centre[i - 1] else 0.0
+                first_moment = T[:3, :3] @ (more * ca.DM(joint.body.com) + shift) + more * T[:3, 3]
+                total = total - joint.body.mass * ca.dot(context.gravity, first_moment)
+        return total
+
+    def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
+        """True masses, and the centres whose first moments are those of the effect."""
+        bodies = list(simulator.bodies)
+        for k, body in enumerate(bodies):
+            factor = 1 + v.get(f"m{k + 1}", 0.0)
+            if body is None or not (self.share[k] or self.centre[k]):
+                continue
+            if factor <= 0:
+                return simulator.without(self.label, f"the mass of link {k + 1} came out negative")
+            shift = np.array([v.get(f"{c}{k + 1}", 0.0) for c in "xyz"])
+            bodies[k] = Body(body.mass * factor, body.com + shift / factor)
+        masses = ", ".join("-" if b is None else f"{b.mass:.4g}" for b in bodies)
+        return replace(simulator, bodies=tuple(bodies)).noted(f"link_masses: {masses} kg, mass centres moved")
+
+
+def _undeclared(arm: Arm, row: int) -> float:
+    """Half of a link's length [m] where its mass centre stands at its frame's origin, as if nobody had declared it."""
+    body = arm.joints[row].body
+    if body is None or np.any(body.com):
+        return 0.0
+    if row + 1 == arm.n:
+        return 0.5 * float(np.linalg.norm(arm.tool.T[:3, 3]))
+    following = arm.joints[row + 1]
+    return 0.5 * float(np.hypot(following.a, following.d))
+
+
+# A link shorter than this share of the longest bends a thirtieth of it.
+BEAM = 0.3
+
+
+@dataclass(frozen=True)
+class LinkFlexure(Effect):
+    """member : the link (1-based) that bends."""
+
+    member: int = setting(2, joint=True)
+
+    name = "link_flexure"
+    on_list = "standard"
+    signature = "a link that bends under the weight beyond it"
+    physics = (
+        "A beam under a moment turns its end by M l / (E I) about each axis; the part about the next joint's axis is "
+        "that joint's compliance (Klimchik, Pashkevich and Chablat 2013)."
+    )
+    confused_with = "cross_coupling of torques; base_compliance for the first link"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        """The links long enough to bend: a beam's sag goes with the cube of its length; short links are castings."""
+        lengths = np.array([np.hypot(j.a, j.d) for j in arm.joints[1:]])
+        return (cls(None, k) for k, length in enumerate(lengths, 1) if length >= BEAM * lengths.max())
+
+    @classmethod
+    def variants(cls, arm: Arm) -> Iterable[tuple[Effect, ...]]:
+        """Each beam alone, and all of them together."""
+        links = tuple(cls.candidates(arm))
+        return (*((e,) for e in links), links)
+
+    def sizes(self) -> Mapping[str, tuple[float, str]]:
+        return {f"{c}{self.member}": (60e-6, "rad") for c in ("rx", "ry", "rz")}
+
+    def link(self, number: int, context: Context) -> Symbolic:
+        if number != self.member:
+            return ca.SX.eye(4)
+        turn = context.frames[number - 1][:3, :3].T
+        root, end = (turn @ context.moment(k) / context.great_moment for k in (number, min(number + 1, context.arm.n)))
+        k = ca.vertcat(*(self.value(context, f"{c}{self.member}") for c in ("rx", "ry", "rz")))
+        # End slope and deflection of a beam whose moment runs linearly from root to end.
+        slope, sag = k * (root + end) / 2, k * (2 * root + end) / 6
+        far = ca.SX.zeros(3)
+        if number < context.arm.n:
+            far = turn @ (context.frames[number][:3, 3] - context.frames[number - 1][:3, 3])
+        shift = far + ca.cross(sag, far)
+        return (
+            translate(*ca.vertsplit(shift))
+            @ small_frame(0, 0, 0, *ca.vertsplit(slope))
+            @ translate(*ca.vertsplit(-far))
+        )
+
+    def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
+        return simulator.with_springs(self.label, v, self.member)

@@ -8,7 +8,7 @@ from casadical.core.basics import InputError, Show, silent
 from casadical.core.files import json_text
 from casadical.core.reading import missing
 from casadical.core.telling.result import Shown
-from casadical.effects.counterparts import Omission
+from casadical.effects.base import Omission
 from casadical.export.controller.commands import Sources
 from casadical.export.controller.drivers import FORMS as DRIVERS
 from casadical.export.controller.drivers import driver_file

@@ -8,7 +8,7 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.effects import Effect
-from casadical.effects.counterparts import Omission
+from casadical.effects.base import Omission
 from casadical.identification.accuracy import errors
 from casadical.robot.kinematics import LEAST_MARGIN
 from casadical.robot.robot import Robot

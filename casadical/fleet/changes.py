@@ -14,8 +14,8 @@ from casadical.core.statistics import exceeded_by_chance
 from casadical.core.telling.blocks import Page, Section, Table, Tile, Words, mm, next_step, shown
 from casadical.core.telling.figure import Axis, Figure, Series, Span
 from casadical.core.telling.result import Result
-from casadical.fleet.candidates import ROBOT, Candidate, Course
 from casadical.fleet.estimates import Estimate
+from casadical.fleet.evidence import ROBOT, Candidate, Course
 from casadical.identification.prior import probability_of_change
 
 # A change is said to be there where the data are so many times more probable with one; by chance that happens once in
@@ -132,7 +132,7 @@ class Comparison(Result):
     --------
     >>> comparison
     <Comparison of 2 campaigns of 'Planar arm of two links': lengths>
-    >>> print(casadical.core.telling.terminal.plain_text(comparison.blocks()))  # doctest: +ELLIPSIS
+    >>> print(casadical.core.telling.result.plain_text(comparison.blocks()))  # doctest: +ELLIPSIS
     CHANGED: lengths...
     >>> comparison.to_json()["changes"][0]["since"]
     'March'

@@ -11,7 +11,9 @@ from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.statistics import first_of_best
 from casadical.fleet import evidence
-from casadical.fleet.candidates import (
+from casadical.fleet.changes import SURE, Amount, Change, Comparison, Rival
+from casadical.fleet.estimates import Estimate, with_common_noise
+from casadical.fleet.evidence import (
     FREQUENCY,
     GRADUAL,
     ROBOT,
@@ -22,8 +24,6 @@ from casadical.fleet.candidates import (
     daily,
     shared_names,
 )
-from casadical.fleet.changes import SURE, Amount, Change, Comparison, Rival
-from casadical.fleet.estimates import Estimate, with_common_noise
 from casadical.fleet.placements import placements_of, seen_from
 from casadical.identification.prior import refuse_another
 

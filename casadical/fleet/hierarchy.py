@@ -30,8 +30,7 @@ from casadical.core.parameters import Parameter
 from casadical.core.reading import load_toml
 from casadical.project.problem import read_problem_robot
 from casadical.project.problem_file import problem_file
-from casadical.robot.knowledge import Covariance, Knowledge
-from casadical.robot.robot import Robot
+from casadical.robot.robot import Covariance, Knowledge, Robot
 
 # Robots of a type from which anything is learnt, and most that are used.
 LEAST, MOST = 5, 1000

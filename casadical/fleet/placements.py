@@ -8,9 +8,8 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.transforms import small_frame, to_xyz
-from casadical.fleet.candidates import Candidate
 from casadical.fleet.estimates import Estimate
-from casadical.fleet.evidence import Model, jumps, visible
+from casadical.fleet.evidence import Candidate, Model, jumps, visible
 from casadical.identification.identifiability import scaled_inverse
 from casadical.robot.axes import row_matrix
 from casadical.robot.parameter_list import SIX

@@ -18,8 +18,7 @@ from casadical.core.telling.result import Result
 from casadical.fleet.changes import ALARMS, leaves_more, left_figure
 from casadical.fleet.estimates import date_text
 from casadical.fleet.hierarchy import LEAST, MOST, Common, Drawing, common_of, drawings_of, near, nearly_one
-from casadical.fleet.one_robot import NOTHING
-from casadical.fleet.store import records
+from casadical.fleet.store import NOTHING, records
 from casadical.project.problem import read_problem_robot
 from casadical.robot.robot_file import to_toml
 

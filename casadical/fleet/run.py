@@ -12,9 +12,8 @@ import pandas as pd
 
 from casadical.core.basics import InputError, Show, shown, silent
 from casadical.fleet.cluster import SchedulerLostError, client_of, results
-from casadical.fleet.one_robot import NOTHING, fingerprint, name_of, one_robot
 from casadical.fleet.result import KEPT, SHARED, Fleet, fleet_of
-from casadical.fleet.store import add, each, opened, rows
+from casadical.fleet.store import NOTHING, add, each, fingerprint, name_of, one_robot, opened, rows
 
 # Rows are written when there are so many, or after so many seconds.
 ROWS, SECONDS = 50, 20.0

@@ -23,9 +23,8 @@ from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.core.linear_gaussian.normal_equations import inverse_of
-from casadical.fleet.candidates import FREQUENCY, Candidate, candidates_of, daily
 from casadical.fleet.comparison import CAMPAIGNS, YEAR, courses_of
-from casadical.fleet.evidence import KAPPAS, log_evidence
+from casadical.fleet.evidence import FREQUENCY, KAPPAS, Candidate, candidates_of, daily, log_evidence
 from casadical.identification.error_bound import evaluated
 from casadical.measurements.measurements import STANDS, Measurements, same_readings, unmeasured
 from casadical.robot.error_bound import doubted

@@ -22,13 +22,11 @@ from casadical.fleet.campaigns import day_of
 from casadical.fleet.estimates import date_text
 from casadical.fleet.touch_model import CRASH, GROWTH, MM, OFTEN, UNKNOWN, Draws, TouchModel, limit_of
 from casadical.identification.prior import Prior
-from casadical.measurements.measurements import Measurements
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Measurements, Noise
 from casadical.project.planning import poses_of_changes
 from casadical.project.problem import read_campaign
 from casadical.project.problem_file import result_in
-from casadical.robot.knowledge import Covariance, ErrorBound, Knowledge
-from casadical.robot.robot import Robot
+from casadical.robot.robot import Covariance, ErrorBound, Knowledge, Robot
 from casadical.robot.robot_file import read_robot, to_toml
 
 # A robot is said to be valid where that is so probable, and not to be where its error is above with this probability.

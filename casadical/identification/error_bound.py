@@ -17,13 +17,12 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.normal_equations import NormalSums, normal_sums
 from casadical.identification.identifiability import scaled_inverse
+from casadical.identification.reduction import TELLING
 from casadical.identification.residuals import make_block
 from casadical.identification.result import Identification
-from casadical.identification.screening import TELLING
 from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.robot.error_bound import doubted
-from casadical.robot.knowledge import ErrorBound
-from casadical.robot.robot import Robot
+from casadical.robot.robot import ErrorBound, Robot
 
 LEVEL = 0.95  # share of errors that the bound is to hold
 FOLDS = 5

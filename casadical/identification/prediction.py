@@ -21,8 +21,7 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.least_squares import FRAMES, LeastSquares
-from casadical.robot.knowledge import Covariance
-from casadical.robot.robot import Robot
+from casadical.robot.robot import Covariance, Robot
 
 # One sigma of the logarithm of the arm's size, of that of base and tool, and both are looked at so far from one.
 SPREADS, FARTHEST, POINTS = (1.0, 1.5), 50.0, 61

@@ -19,8 +19,7 @@ from casadical.core.telling.result import Shown
 from casadical.effects import Effect
 from casadical.identification.least_squares import FRAMES
 from casadical.measurements.measurements import Measurements
-from casadical.robot.knowledge import Covariance, Knowledge
-from casadical.robot.robot import Robot
+from casadical.robot.robot import Covariance, Knowledge, Robot
 
 # Of the variances: they come from the scatter of one campaign, which does not hold what differs between campaigns.
 WIDENED = 1.5

@@ -17,14 +17,12 @@ from casadical.identification.accuracy import Accuracy, errors, predicted, summa
 from casadical.identification.identifiability import Identifiability
 from casadical.identification.least_squares import SETTLED, LeastSquares, first_sigmas
 from casadical.identification.prediction import covariance_of_all
-from casadical.identification.reduction import POOR_FIT
+from casadical.identification.reduction import POOR_FIT, SCREENINGS, TELLING, solve_without_outliers
 from casadical.identification.residuals import POINT_SCALE, Loss, make_block
-from casadical.identification.screening import SCREENINGS, TELLING, solve_without_outliers
 from casadical.identification.solver import Solution
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements, unmeasured
-from casadical.robot.knowledge import Knowledge, blocks
-from casadical.robot.robot import Robot, modified_dh
+from casadical.robot.robot import Knowledge, Robot, blocks, modified_dh
 from casadical.robot.robot_file import to_toml
 
 # With this share of the standard error that it had before, a parameter was told by the prior alone.

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from casadical.core.arm import GRAVITY
 from casadical.core.basics import Array, InputError
+from casadical.core.parts import GRAVITY
 from casadical.measurements.angle_unit import refuse_other_unit
 from casadical.measurements.columns import Columns, Source
 from casadical.measurements.headings import Understanding, understand

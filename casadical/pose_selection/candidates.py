@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from casadical.core.arm import GRAVITY
 from casadical.core.basics import Array, InputError
+from casadical.core.parts import GRAVITY
 from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements, unmeasured

@@ -10,8 +10,7 @@ from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.identification.identifiability import Unidentifiable
 from casadical.identification.prior import Prior
 from casadical.measurements.derived_columns import derive
-from casadical.measurements.measurements import Measurements
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Measurements, Noise
 from casadical.pose_selection.candidates import SOCKET, Candidates, Circumstances, candidates_at, draw, held_in, reached
 from casadical.pose_selection.experimental_design import Design, Determinant, Linear, Spectral, inverse
 from casadical.pose_selection.information import (

@@ -21,8 +21,7 @@ from casadical.identification.identifiability import Unidentifiable, drop_poor
 from casadical.identification.least_squares import LeastSquares
 from casadical.identification.prior import Prior
 from casadical.identification.reduction import independent_parameters
-from casadical.measurements.measurements import Measurements
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
 
 Criterion = Literal["O1", "O2", "O3", "O4", "O5", "D", "A", "V"]

@@ -20,8 +20,7 @@ from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.core.statistics import first_of_best
 from casadical.identification.residuals import POINT_SCALE
-from casadical.measurements.measurements import Measurements
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Measurements, Noise
 from casadical.pose_selection.candidates import SOCKET, draw, expected
 from casadical.pose_selection.experimental_design import inverse
 from casadical.pose_selection.information import noise_covariance, scaled_jacobian

@@ -11,11 +11,11 @@ from casadical.core.basics import Array
 from casadical.core.files import json_text
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import Result
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 from casadical.pose_selection.instruments import Instrument
 from casadical.pose_selection.pose_order import travel
+from casadical.pose_selection.pose_search import Forecast
 from casadical.pose_selection.selection import Selection
-from casadical.pose_selection.stopping_rule import Forecast
 
 _HEIGHTS, _DISTANCES = ("low", "middle", "high"), ("near", "middle", "far")
 

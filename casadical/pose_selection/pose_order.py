@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from casadical.core.arm import GRAVITY
 from casadical.core.basics import Array, optional
+from casadical.core.parts import GRAVITY
 from casadical.core.statistics import TIE
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.candidates import SESSION, SOCKET, Candidates, Circumstances, expected, timeline

@@ -12,8 +12,7 @@ from casadical.core.basics import Array
 from casadical.core.telling.result import Shown
 from casadical.identification.identifiability import Unidentifiable
 from casadical.identification.prior import Prior
-from casadical.measurements.measurements import Measurements
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Measurements, Noise
 from casadical.pose_selection.candidates import Candidates, Circumstances
 from casadical.pose_selection.experimental_design import inverse
 from casadical.pose_selection.information import (

@@ -14,16 +14,21 @@ from casadical.core.basics import ConvergenceError, InputError, Show, silent
 from casadical.core.files import claimed, json_text, write_together
 from casadical.core.telling.blocks import Page, Table, Words, mm, next_step
 from casadical.core.telling.figure import Figure
-from casadical.core.telling.result import Result, html
-from casadical.core.telling.terminal import plain_text
+from casadical.core.telling.result import Result, html, plain_text
 from casadical.diagnosis.localisation import Localisation
 from casadical.identification.accuracy import Accuracy
 from casadical.identification.error_bound import learn_bound
 from casadical.identification.figures import correlated, held_table, how_sure, parameter_tables
-from casadical.identification.identification import compliance_tried, identify, judged
+from casadical.identification.identification import (
+    all_compliant,
+    compliance_tried,
+    identify,
+    judged,
+    prepare,
+    undeclared,
+)
 from casadical.identification.misfit import misfit_of
 from casadical.identification.plausibility import check_against
-from casadical.identification.prepared import all_compliant, prepare, undeclared
 from casadical.identification.residuals import ALL_LOSSES
 from casadical.identification.result import Identification, without_poses
 from casadical.identification.solver import Progress

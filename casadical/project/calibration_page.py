@@ -31,8 +31,7 @@ from casadical.identification.pose_errors import (
 )
 from casadical.identification.result import Identification, LeftOut, without_poses
 from casadical.measurements.derived_columns import derive
-from casadical.measurements.measurements import Measurements
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Measurements, Noise
 from casadical.project.networks import Networks
 from casadical.project.outcome import left_out_table
 from casadical.project.problem import Problem

@@ -29,7 +29,7 @@ from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.text import brief, page_of, titled
 from casadical.effects import Effect
 from casadical.effects.definition import DefinedEffect
-from casadical.effects.law import Law
+from casadical.effects.formula_effect import Law
 from casadical.effects.motion import MOTION_SEAMS, Cause
 from casadical.effects.plugins import known_effects
 from casadical.identification.prior import Prior

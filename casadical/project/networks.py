@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from casadical.compensator import Compensator, Trainer
+from casadical.compensator.compensator import Progress
 from casadical.compensator.trainers.known import network_methods
-from casadical.compensator.training import Progress
 from casadical.core.basics import Array, Show, silent
 from casadical.identification.accuracy import Accuracy, residual_mm, summarise
 from casadical.identification.result import Identification

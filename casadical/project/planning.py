@@ -19,18 +19,15 @@ from casadical.identification.prior import Prior
 from casadical.measurements.columns import POSSIBLE, Columns
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.registry import find_kind
-from casadical.measurements.measurements import Measurements
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Measurements, Noise
 from casadical.measurements.raw_table import read_table
 from casadical.pose_selection.candidates import Circumstances
 from casadical.pose_selection.information import CRITERIA, Criterion, checked
 from casadical.pose_selection.instruments import usual_places
-from casadical.pose_selection.places import place_instrument, select_with_places
 from casadical.pose_selection.plan import MeasurementPlan
 from casadical.pose_selection.pose_order import tours
-from casadical.pose_selection.pose_search import select_poses
+from casadical.pose_selection.pose_search import forecast, place_instrument, select_poses, select_with_places
 from casadical.pose_selection.selection import Selection
-from casadical.pose_selection.stopping_rule import forecast
 from casadical.pose_selection.workspace import Workspace, read_workspace
 from casadical.project.iso9283 import planned_test, words_of_plan
 from casadical.project.problem import Carried, nothing_carried, read_campaign, read_campaign_robot

@@ -12,8 +12,8 @@ from typing import Any, Literal
 import numpy as np
 
 from casadical.compensator.trainers.known import network_methods
-from casadical.core.arm import GRAVITY
 from casadical.core.basics import InputError, all_faults, shown
+from casadical.core.parts import GRAVITY
 from casadical.core.telling.result import Shown
 from casadical.identification.prior import Prior, carry_over
 from casadical.identification.residuals import AnyLoss

@@ -24,8 +24,7 @@ from casadical.core.basics import Array, InputError
 from casadical.core.statistics import student_t
 from casadical.identification.accuracy import errors, residual_mm
 from casadical.identification.error_bound import evaluated
-from casadical.identification.identification import calibrated
-from casadical.identification.prepared import prepare
+from casadical.identification.identification import calibrated, prepare
 from casadical.measurements.measurements import STANDS, Measurements, same_readings, unmeasured
 from casadical.robot.robot import Robot
 

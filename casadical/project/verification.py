@@ -15,8 +15,7 @@ from casadical.core.reading import load_json
 from casadical.core.telling.blocks import Table, Words, mm, next_step
 from casadical.core.telling.result import Result
 from casadical.identification.accuracy import errors
-from casadical.identification.identification import calibrated
-from casadical.identification.prepared import Prepared, prepare
+from casadical.identification.identification import Prepared, calibrated, prepare
 from casadical.identification.result import LeftOut, rows_in_words
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements

@@ -15,16 +15,15 @@ import tomlkit
 from pydantic import Field
 
 from casadical import __version__
-from casadical.core.arm import Arm
 from casadical.core.basics import Array, InputError
+from casadical.core.parts import Arm
 from casadical.core.reading import load_toml
 from casadical.core.schema import Pair, TomlTable, check
 from casadical.core.statistics import known_digits
 from casadical.effects import Effect
 from casadical.effects.definition import Definition, DefinitionFile
 from casadical.effects.plugins import defined_in_files, find_effect, new_effects
-from casadical.robot.knowledge import Covariance, ErrorBound, Knowledge
-from casadical.robot.robot import Robot
+from casadical.robot.robot import Covariance, ErrorBound, Knowledge, Robot
 
 # A standard error and the variance of its parameter may differ by so much, relative.
 SAME = 1e-6

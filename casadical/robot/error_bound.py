@@ -17,8 +17,7 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.effects import JointErrorCurve
 from casadical.effects.joint_error_curve import USUAL
-from casadical.robot.knowledge import ErrorBound
-from casadical.robot.robot import Robot
+from casadical.robot.robot import ErrorBound, Robot
 
 _DIGITS = 6  # of the numbers of a bound's factor
 _SAMPLES, _SAME = 200, 1e-9  # poses at which columns are compared, and what is left of those that others make up

@@ -5,9 +5,8 @@ from collections.abc import Mapping, Sequence
 import casadi as ca
 import numpy as np
 
-from casadical.core.arm import Arm
 from casadical.core.basics import InputError
-from casadical.core.parts import FourBar
+from casadical.core.parts import Arm, FourBar
 from casadical.core.transforms import Symbolic, apply, product, rot_x, rot_y, rot_z, translate
 from casadical.effects import Context
 from casadical.robot import fourbar

@@ -12,10 +12,10 @@ from functools import cached_property, lru_cache
 import casadi as ca
 import numpy as np
 
-from casadical.core.arm import GRAVITY, Arm
 from casadical.core.basics import Array
 from casadical.core.mapped_function import MappedFunction
 from casadical.core.parameters import Parameters
+from casadical.core.parts import GRAVITY, Arm
 from casadical.core.transforms import Symbolic, carry, product, rot_x, rot_y, rot_z, small_frame, translate
 from casadical.effects import Context, Effect
 from casadical.robot import kinematics

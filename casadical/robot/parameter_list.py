@@ -5,9 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadical.core.arm import Arm
 from casadical.core.parameters import Parameter
-from casadical.core.parts import FourBar, Joint, Placement, parallel
+from casadical.core.parts import Arm, FourBar, Joint, Placement, parallel
 from casadical.effects import Effect, LinkMasses, PayloadError, Session
 
 NEAR_PARALLELOGRAM = 0.02

@@ -14,9 +14,9 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from casadical.core import parts
-from casadical.core.arm import STANDARD_GRAVITY
 from casadical.core.basics import Array, InputError
 from casadical.core.drive import Drive
+from casadical.core.parts import STANDARD_GRAVITY
 from casadical.core.reading import MOST_COUNT
 from casadical.core.schema import ANGLE, LENGTH, READING, Angle, FaultError, Length, Pair, TomlTable, Triple
 from casadical.core.transforms import frame, from_rpy

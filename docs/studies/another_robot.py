@@ -25,9 +25,9 @@ import numpy as np
 from lives import BUILT, CAMPAIGNS, MISFIT, ROBOTS, Life, by_draws, drawn, frame_of, robots, together
 
 from casadical import Robot
-from casadical.fleet.candidates import ROBOT
 from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate
+from casadical.fleet.evidence import ROBOT
 
 KINDS = ("robot", "alike", "two", "four", "crash", "gears")
 SWAPS = {"robot": (BUILT, 0.3), "alike": (1e-4, 0.1)}

@@ -23,7 +23,7 @@ from casadical.blind_check.metrics import Estimate, sign_tests
 from casadical.blind_check.protocol import XZ, stored
 from casadical.blind_check.scoring import Score, draw_confusion, in_common, score
 from casadical.core.files import write_whole
-from casadical.core.telling.terminal import terminal
+from casadical.core.telling.result import terminal
 
 ROOT = Path(__file__).parents[2]
 DATA, PAGE, HERE = ROOT / "data" / "withheld", ROOT / "docs" / "blind-check.md", ROOT / "docs" / "studies"

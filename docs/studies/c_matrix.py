@@ -33,7 +33,7 @@ from casadical.export.c.c_language import inside
 from casadical.export.c.kernel import build, compilers
 from casadical.export.c.reference import correct, network
 from casadical.export.c.tape_program import tape_program
-from casadical.export.c.verification import shape_of
+from casadical.export.c.write import shape_of
 
 CALLS = (("network", "arm_network", 3, network), ("command", "arm_correct", 6, correct))
 

@@ -10,7 +10,7 @@ from c_bench import PRODUCTS, REALS, WORK, arms, casadi_c, lacking, line, run, s
 from casadical.export import Sources, command_of, write_c
 from casadical.export.c.kernel import WARNINGS
 from casadical.export.c.tape_program import tape_program
-from casadical.robot.knowledge import ErrorBound
+from casadical.robot.robot import ErrorBound
 
 
 def analysers(folders):

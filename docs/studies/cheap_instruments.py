@@ -34,14 +34,12 @@ from casadical.core.basics import Array
 from casadical.diagnosis.diagnose import diagnose
 from casadical.identification.accuracy import errors, predicted
 from casadical.identification.identification import identify
-from casadical.measurements.measurements import Measurements
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Measurements, Noise
 from casadical.pose_selection.candidates import SOCKET, Circumstances
 from casadical.pose_selection.design_problem import prepare
 from casadical.pose_selection.information import by_joints, scaled_jacobian
 from casadical.pose_selection.instruments import Instrument, best_places, usual_places, without_base
-from casadical.pose_selection.places import place_instrument
-from casadical.pose_selection.pose_search import select_poses
+from casadical.pose_selection.pose_search import place_instrument, select_poses
 from casadical.pose_selection.workspace import Workspace
 from casadical.project.problem import read_problem
 from casadical.robot.robot import Robot

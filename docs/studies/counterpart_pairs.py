@@ -15,8 +15,8 @@ from campaign_robots import machine
 from casadical import Placement, Robot
 from casadical.blind_check import mujoco_physics
 from casadical.blind_check.mujoco_physics import Hidden, Plant
+from casadical.blind_check.mujoco_physics.cause import rated_torque
 from casadical.blind_check.mujoco_physics.fourbar import unfolded
-from casadical.blind_check.mujoco_physics.statics import rated_torque
 from casadical.blind_check.mujoco_physics.stops import Stops, Warmup, draw_poses, draw_stops
 from casadical.core.basics import Array
 from casadical.core.transforms import frame

@@ -34,8 +34,7 @@ from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.diagnosis.thresholds import PARTITIONS
 from casadical.identification.identification import identify
 from casadical.identification.result import Identification
-from casadical.measurements.measurements import Measurements
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Measurements, Noise
 from casadical.measurements.reading import from_table
 from casadical.robot.robot import Robot
 

@@ -13,7 +13,7 @@ from casadical.blind_check import metrics
 from casadical.blind_check.metrics import Estimate, quantile, share
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.linear_problem import Case
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 
 # Name, value, target, theoretical limit.
 Row = tuple[str, Estimate, str, str]

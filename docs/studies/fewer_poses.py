@@ -42,11 +42,11 @@ from casadical import Measurements, Robot, calibrate, write_robot
 from casadical.cli.options import carried
 from casadical.core.basics import Array, CasadicalError, InputError
 from casadical.core.transforms import frame, from_rpy
-from casadical.fleet.one_robot import one_robot
 from casadical.fleet.result import fleet_of
+from casadical.fleet.store import one_robot
 from casadical.identification.accuracy import errors, predicted
 from casadical.identification.error_bound import evaluated
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 from casadical.project.planning import plan
 from casadical.project.problem import read_campaign_robot
 

@@ -26,9 +26,8 @@ import numpy as np
 from fewer_poses import built, measured
 
 from casadical.fleet import cluster
-from casadical.fleet.one_robot import NOTHING, one_robot
 from casadical.fleet.run import run_fleet
-from casadical.fleet.store import add, rows
+from casadical.fleet.store import NOTHING, add, one_robot, rows
 from casadical.project.problem import read_campaign_robot
 
 ROOT = Path(__file__).parents[2]

@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from casadical.blind_check.mujoco_physics.fourbar import close_loop
-from casadical.blind_check.mujoco_physics.plant import Plant
-from casadical.blind_check.mujoco_physics.rigid import Array, back, motion, move, point, random_vector, slide
+from casadical.blind_check.mujoco_physics.plant import Array, Plant, back, motion, move, point, random_vector, slide
 from casadical.blind_check.mujoco_physics.stops import Stops, only
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy

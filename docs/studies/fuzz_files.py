@@ -117,8 +117,7 @@ def kinds(place: Path) -> dict[str, Kind]:
     from casadical.project.certificate import certificate
     from casadical.project.iso9283 import evaluated_table
     from casadical.project.live import LiveSession
-    from casadical.project.live.journal import journal
-    from casadical.project.live.sources import FileSource, rows_of
+    from casadical.project.live.sources import FileSource, journal, rows_of
     from casadical.project.new.new import new_problem
     from casadical.project.problem import read_problem
     from casadical.project.problem_file import result_in, tables_of

@@ -13,8 +13,7 @@ import time
 import numpy as np
 
 from casadical.compensator import InvasiveWeeds, Iwo, IwoSettings, JointBox, Layout, make_task, train
-from casadical.compensator.network import forward
-from casadical.compensator.task import Task
+from casadical.compensator.network import Task, forward
 
 SEEDS = 10
 DATA_SETS = 4

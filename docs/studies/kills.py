@@ -219,8 +219,7 @@ def answers_trial(scratch: Path, n: int) -> tuple[bool, str]:
 def fleet_trial(scratch: Path, *kills: int) -> tuple[bool, str]:
     """Kill processes that add rows to a fleet's store one after the other; each robot of a complete row stays, and the
     next process, which computes what is missing, goes on."""
-    from casadical.fleet.one_robot import NOTHING
-    from casadical.fleet.store import add, opened, rows
+    from casadical.fleet.store import NOTHING, add, opened, rows
 
     store, names = scratch / "store.parquet", [f"R{k}" for k in range(8)]
     shutil.rmtree(store, ignore_errors=True)

@@ -26,15 +26,13 @@ from casadical import read_measurements, read_problem, select_poses
 from casadical.core.basics import Array
 from casadical.core.transforms import from_rpy
 from casadical.identification.accuracy import predicted
-from casadical.measurements.measurements import Measurements
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Measurements, Noise
 from casadical.pose_selection.candidates import draw, expected
 from casadical.pose_selection.workspace import Workspace
 from casadical.project.live import LiveSession
 from casadical.project.live.ahead import candidates
 from casadical.project.live.estimate import estimate
-from casadical.project.live.journal import journal
-from casadical.project.live.sources import FileSource, Row, rows_of
+from casadical.project.live.sources import FileSource, Row, journal, rows_of
 from casadical.project.new.new import NOISE, as_built, one_turn
 from casadical.robot.robot import Robot
 

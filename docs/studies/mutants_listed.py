@@ -57,5 +57,5 @@ EQUIVALENT: dict[str, str] = {
     "identification/reduction.py ReplaceTrueWithFalse 1: places, origin = zip(problem.labels, problem.points, strict=True), problem.robot.base.T[:3, 3] => places, origin = zip(problem.labels, problem.points, strict=False), problem.robot.base.T[:3, 3]": "both have the same length wherever they are made",
     "pose_selection/selection.py NumberReplacer 2: A = rows.reshape(-1, rows.shape[2]) => A = rows.reshape(- 2, rows.shape[2])": "numpy takes any negative number for the dimension that is left",
     "compensator/report.py ReplaceTrueWithFalse 1: @dataclass(frozen=True) => @dataclass(frozen=False)": "frozen keeps from assigning; nothing assigns",
-    "identification/held_placement.py NumberReplacer 70: turns = {tuple(np.round(from_xyz(np.array(a) * np.pi / 2), 6).ravel()) for a in product(range(4), repeat=3)} => turns = {tuple(np.round(from_xyz(np.array(a) * np.pi / 2), 6).ravel()) for a in product(range( 5), repeat=3)}": "a fifth quarter turn is the first one: a set",
+    "identification/placement.py NumberReplacer 70: turns = {tuple(np.round(from_xyz(np.array(a) * np.pi / 2), 6).ravel()) for a in product(range(4), repeat=3)} => turns = {tuple(np.round(from_xyz(np.array(a) * np.pi / 2), 6).ravel()) for a in product(range( 5), repeat=3)}": "a fifth quarter turn is the first one: a set",
 }

@@ -10,7 +10,7 @@ import numpy as np
 from counterpart_pairs import Bench, Pair, named, progress, without_mass, without_tool
 
 from casadical.blind_check.mujoco_physics import Hidden
-from casadical.blind_check.mujoco_physics.statics import stretched_moments
+from casadical.blind_check.mujoco_physics.cause import stretched_moments
 from casadical.blind_check.mujoco_physics.stops import Stops
 from casadical.core.basics import Array
 from casadical.effects import (

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from counterpart_pairs import Bench, Pair, approach, named, progress
 
-from casadical.blind_check.mujoco_physics.rigid import motion, move, slide
+from casadical.blind_check.mujoco_physics.plant import motion, move, slide
 from casadical.blind_check.mujoco_physics.stops import Stops, only
 from casadical.core.basics import Array
 from casadical.effects import (

@@ -40,8 +40,8 @@ from casadical import Identification, Measurements, Robot, identify
 from casadical.cli.options import carried
 from casadical.core.basics import CasadicalError
 from casadical.core.statistics import student_t
-from casadical.fleet.one_robot import one_robot
 from casadical.fleet.result import fleet_of
+from casadical.fleet.store import one_robot
 from casadical.identification.least_squares import LeastSquares
 from casadical.identification.prior import Prior
 from casadical.project.problem import read_campaign_robot

@@ -17,7 +17,7 @@ from kept import Row, add_options, rows_of
 from real_data import ROOT
 
 from casadical import diagnose
-from casadical.core.telling.terminal import plain_text
+from casadical.core.telling.result import plain_text
 from casadical.diagnosis import analyse
 from casadical.diagnosis.smooth_description import describe_unlisted
 from casadical.diagnosis.text import brief

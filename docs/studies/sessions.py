@@ -14,7 +14,7 @@ from foreign_effects import FOREIGN, draw_foreign
 
 from casadical.blind_check import mujoco_physics
 from casadical.blind_check.mujoco_physics import Plant
-from casadical.blind_check.mujoco_physics.rigid import random_vector
+from casadical.blind_check.mujoco_physics.plant import random_vector
 from casadical.blind_check.mujoco_physics.stops import Stops, only
 from casadical.core.basics import Array
 

@@ -31,7 +31,7 @@ from casadical.compensator import (
     make_task,
     train,
 )
-from casadical.compensator.task import Loss
+from casadical.compensator.network import Loss
 
 TRAINING_POSES, HELD_OUT_POSES = 50, 1000
 PLAIN_LM = LevenbergMarquardt(restarts=1, iterations=400, ridges=(0.0,))

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from casadical import Measurements, Robot, read_problem
-from casadical.core.telling.terminal import plain_text
+from casadical.core.telling.result import plain_text
 from casadical.fleet.campaigns import other_regions
 from casadical.fleet.changes import Comparison
 from casadical.fleet.comparison import compare

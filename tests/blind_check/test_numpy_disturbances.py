@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from casadical.blind_check.mujoco_physics import Plant, perturb
-from casadical.blind_check.mujoco_physics.statics import rated_torque
+from casadical.blind_check.mujoco_physics.cause import rated_torque
 from casadical.blind_check.mujoco_physics.stops import Stops, Warmup, draw_poses, draw_stops
 
 ALL = disturbances.LISTED | disturbances.UNLISTED

@@ -15,7 +15,7 @@ from scipy.optimize import fsolve, least_squares
 from scipy.spatial.transform import Rotation
 
 from casadical.blind_check.mujoco_physics import Plant
-from casadical.blind_check.mujoco_physics.rigid import rotation
+from casadical.blind_check.mujoco_physics.plant import rotation
 
 Q, XYZ = [f"q{j}_deg" for j in range(1, 7)], ["x_mm", "y_mm", "z_mm"]
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from casadical.compensator import JointBox, Layout, make_task
-from casadical.compensator.task import Task
+from casadical.compensator.network import Task
 
 
 def smooth(poses: int, seed: int, noise_mm: float = 0.01):

@@ -8,14 +8,12 @@ import pytest
 
 from casadical.compensator import Compensator, JointBox, Layout, load_compensator, save_compensator
 from casadical.compensator.checksummed_json import checksummed, pack, unpack
+from casadical.compensator.compensator import train
 from casadical.compensator.iwo import IwoSettings
-from casadical.compensator.network import forward
-from casadical.compensator.task import Task, random_weights
+from casadical.compensator.network import Task, forward, random_weights
 from casadical.compensator.trainers.backprop import Backprop
-from casadical.compensator.trainers.damped_least_squares import advance, begin_batch
 from casadical.compensator.trainers.iwo import Iwo, IwoThenLm
-from casadical.compensator.trainers.levenberg_marquardt import LevenbergMarquardt
-from casadical.compensator.training import train
+from casadical.compensator.trainers.levenberg_marquardt import LevenbergMarquardt, advance, begin_batch
 from problems import small_task, smooth
 
 

@@ -6,7 +6,7 @@ from scipy.optimize import approx_fprime
 from scipy.stats import multivariate_normal
 
 from casadical.compensator import Compensator, Layout, LevenbergMarquardt, Taught, train
-from casadical.compensator.trainers.gaussian_process import GaussianProcess, cost_and_slope
+from casadical.compensator.trainers.distilled import GaussianProcess, cost_and_slope
 from casadical.core.basics import InputError
 
 from problems import small_task  # isort: skip

@@ -7,10 +7,9 @@ import pytest
 from scipy.optimize import least_squares, minimize
 
 from casadical.compensator import Backprop, Iwo, IwoSettings, IwoThenLm, LevenbergMarquardt, train
-from casadical.compensator.network import forward
-from casadical.compensator.task import Loss, random_weights, training_masks
-from casadical.compensator.trainers.damped_least_squares import advance, begin_batch
-from casadical.compensator.training import train_all
+from casadical.compensator.compensator import train_all
+from casadical.compensator.network import Loss, forward, random_weights, training_masks
+from casadical.compensator.trainers.levenberg_marquardt import advance, begin_batch
 from casadical.core.basics import InputError
 from problems import small_task
 

@@ -18,11 +18,10 @@ from scipy.spatial.transform import Rotation
 
 import casadical as ca_package
 from casadical.core import file_locks, lazy, subprocesses
-from casadical.core.arm import Arm
 from casadical.core.casadi_buffers import call
 from casadical.core.file_locks import exchange
 from casadical.core.parameters import Parameter
-from casadical.core.parts import Joint
+from casadical.core.parts import Arm, Joint
 from casadical.core.schema import TomlTable
 from casadical.core.statistics import first_of_best, known_digits, ranked, student_t
 from casadical.core.sx_instructions import SxInstructions

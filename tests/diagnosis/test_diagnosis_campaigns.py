@@ -14,7 +14,7 @@ from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.text import page_of
 from casadical.diagnosis.thresholds import CLAIM
-from casadical.fleet.one_robot import first_diagnosis, one_robot
+from casadical.fleet.store import first_diagnosis, one_robot
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
 from casadical.measurements.reading import read_measurements

@@ -16,7 +16,7 @@ from casadical.diagnosis.linearisation import EffectColumns
 from casadical.diagnosis.noise_evidence import Form, Problem
 from casadical.diagnosis.settings_search import learnt_sizes
 from casadical.identification.accuracy import predicted
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 
 NOISE = Noise(2e-5, 4e-6)
 

@@ -18,7 +18,7 @@ from casadical.diagnosis.cross_validation import (
 )
 from casadical.diagnosis.evidence import ALL_SIGMAS, RHOS, SIGMAS, Evidence
 from casadical.effects.base import CHOSEN
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 
 NOISE = Noise(2e-5, 8e-6)
 

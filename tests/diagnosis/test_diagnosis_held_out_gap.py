@@ -20,8 +20,7 @@ from casadical.effects import FrameDrift, FrictionWindup, ThermalGrowth
 from casadical.identification.accuracy import errors, predicted
 from casadical.identification.identification import identify
 from casadical.measurements.derived_columns import derive
-from casadical.measurements.measurements import Measurements
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Measurements, Noise
 
 FEW = ["friction_windup", "backlash"]
 NOTHING = np.zeros(0, dtype=np.int64)

@@ -12,7 +12,7 @@ from casadical.diagnosis.linear_problem import base_prior
 from casadical.diagnosis.linearisation import signatures
 from casadical.effects import Backlash, BaseCompliance, FrictionWindup
 from casadical.measurements.derived_columns import derive
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 
 FIRST = {"hh800": "hh800-P01", "kr210": "kr210-P02", "ur10e": "ur10e-P03"}
 WHITE = Noise(20e-6, 0.0)

@@ -18,16 +18,26 @@ from casadical.blind_check.mujoco_physics import perturb
 from casadical.core.basics import InputError
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.telling.blocks import Words
-from casadical.core.telling.terminal import plain_text
+from casadical.core.telling.result import plain_text
 from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.evidence import RHOS
 from casadical.diagnosis.json_answer import as_json as diagnosis_json
-from casadical.diagnosis.laws import contest, drivers
+from casadical.diagnosis.laws import contest, forms
 from casadical.diagnosis.laws.answer import line_of
 from casadical.diagnosis.laws.contest import aliases, held_out
 from casadical.diagnosis.laws.discovery import laws_beside, with_law
-from casadical.diagnosis.laws.drivers import drivers_of, values_of, variables, with_columns
-from casadical.diagnosis.laws.forms import FINE_WAVE, FORMS, LINEAR, WAVE, wave_by, wave_plus
+from casadical.diagnosis.laws.forms import (
+    FINE_WAVE,
+    FORMS,
+    LINEAR,
+    WAVE,
+    drivers_of,
+    values_of,
+    variables,
+    wave_by,
+    wave_plus,
+    with_columns,
+)
 from casadical.diagnosis.laws.problem import SCREENED, Problem, Tried, scale_of
 from casadical.diagnosis.laws.problem import with_columns as seams_with_columns
 from casadical.diagnosis.laws.screening import NEVER, Screen
@@ -330,7 +340,7 @@ def test_a_driver_beyond_all_measure_is_none(monkeypatch: pytest.MonkeyPatch) ->
     r, m = robot(NAME), from_table(table(1), 6)
     m, some = with_columns(m, drivers_of(r))
     linear = linearise(r, m, r.parameters.values)
-    monkeypatch.setattr(drivers, "LARGEST", 0.5)
+    monkeypatch.setattr(forms, "LARGEST", 0.5)
     kept, values = values_of(linear, some)
     assert 0 < len(kept) < len(some)
     assert np.abs(values).max() < 0.5

@@ -9,12 +9,20 @@ from cases import case, diagnosed, robot, simulated
 from numpy_physics import Disturbance, disturbances
 
 from casadical.diagnosis.candidates import candidates_of
-from casadical.diagnosis.components import products_of_rows, sizes_of_groups
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.linear_problem import Case, make_case
-from casadical.diagnosis.localisation import BINS, DIRECTIONS, PARTS, Localisation, localise, localise_residual
+from casadical.diagnosis.localisation import (
+    BINS,
+    DIRECTIONS,
+    PARTS,
+    Localisation,
+    localise,
+    localise_residual,
+    products_of_rows,
+    sizes_of_groups,
+)
 from casadical.identification.identification import identify
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 
 NOISE = Noise(15e-6, 6e-6)
 NONE = np.zeros(0, dtype=np.int64)

@@ -13,8 +13,15 @@ from casadical import InputError, identify
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.linearisation import linearise
-from casadical.diagnosis.next_poses import causes_in_question, next_poses
-from casadical.diagnosis.pose_separation import Comparison, Prediction, Predictive, noise_at, predict_cause
+from casadical.diagnosis.next_poses import (
+    Comparison,
+    Prediction,
+    Predictive,
+    causes_in_question,
+    next_poses,
+    noise_at,
+    predict_cause,
+)
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import from_table

@@ -25,8 +25,7 @@ from casadical.diagnosis.conclusion import rivals_of
 from casadical.diagnosis.details import analyse
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, SIGMAS, KnownNoise, log_known
 from casadical.diagnosis.formula_cache import KeptFormulas, screw
-from casadical.diagnosis.laws.drivers import Driver
-from casadical.diagnosis.laws.forms import with_widths
+from casadical.diagnosis.laws.forms import Driver, with_widths
 from casadical.diagnosis.laws.problem import Problem
 from casadical.diagnosis.laws.screening import Screen, log_mean
 from casadical.diagnosis.line_search import Background, Line, Search, Whole
@@ -42,10 +41,9 @@ from casadical.diagnosis.statements import Statement, statements
 from casadical.diagnosis.text import things_to_know
 from casadical.effects import Backlash, GearEccentricity, NonlinearStiffness
 from casadical.effects.base import CHOSEN
-from casadical.identification.identification import base_calibrated
-from casadical.identification.prepared import prepare
+from casadical.identification.identification import base_calibrated, prepare
 from casadical.identification.prior import Prior
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 from casadical.project.problem import read_problem
 
 NONE = np.zeros(0, dtype=np.int64)

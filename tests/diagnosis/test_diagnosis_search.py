@@ -27,7 +27,7 @@ from casadical.diagnosis.text import page_of
 from casadical.identification.accuracy import errors, predicted
 from casadical.identification.identification import identify
 from casadical.measurements.derived_columns import derive
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 from casadical.project.problem import read_problem
 from casadical.robot.robot_file import read_robot
 

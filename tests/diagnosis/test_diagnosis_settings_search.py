@@ -17,7 +17,7 @@ from casadical.diagnosis.posterior import rank
 from casadical.diagnosis.settings_search import neighbours, refined
 from casadical.effects import Backlash, Effect, FrictionWindup, TransmissionRipple
 from casadical.identification.identification import identify
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 
 NOTHING = np.zeros(0, dtype=np.int64)
 

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from cases import diagnose, practice, robot
 
-from casadical.core.telling.terminal import plain_text
+from casadical.core.telling.result import plain_text
 from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.held_out_gap import COLUMNS, Check, NetworkGap
@@ -23,7 +23,7 @@ from casadical.diagnosis.result import Cause, CauseSet, Gap, Outlier
 from casadical.diagnosis.statements import missing_columns, not_logged
 from casadical.diagnosis.text import WIDTH, brief, page_of
 from casadical.effects import Backlash, ThermalZeroDrift
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 
 GOLDEN = Path(__file__).parent / "golden"
 

@@ -16,7 +16,7 @@ import casadical.diagnosis.motion
 from casadical import Body, InputError, Joint, Robot
 from casadical.cli.root import app
 from casadical.core.drive import Drive
-from casadical.core.telling.terminal import plain_text
+from casadical.core.telling.result import plain_text
 from casadical.diagnosis.motion.arm import arm_of
 from casadical.diagnosis.motion.proposal import proposed
 from casadical.diagnosis.motion.result import diagnose_log, looks_of

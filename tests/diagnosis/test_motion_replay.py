@@ -13,7 +13,7 @@ from casadical import Body, InputError, Joint, Robot, read_robot
 from casadical.cli.root import app
 from casadical.core.telling.drawing import draw
 from casadical.core.telling.figure import Figure
-from casadical.core.telling.terminal import plain_text
+from casadical.core.telling.result import plain_text
 from casadical.diagnosis.motion.replay import replayed
 from casadical.diagnosis.motion.response import fitted
 from casadical.measurements.logs.log import JointLog

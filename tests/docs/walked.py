@@ -42,7 +42,7 @@ def fleet(folder: Path) -> None:
     """The row of one robot, in this process: a worker of a cluster does no more."""
     import pandas as pd
 
-    from casadical.fleet.one_robot import one_robot
+    from casadical.fleet.store import one_robot
 
     arm = folder / "arm"
     shutil.copytree(PROBLEMS / "planar", arm)

@@ -6,7 +6,7 @@ import pytest
 
 from casadical.core.basics import InputError
 from casadical.effects.formula import NUMERIC, bounds, parse
-from casadical.effects.law import Law
+from casadical.effects.formula_effect import Law
 
 X = np.linspace(-2.0, 2.0, 9)
 

@@ -7,7 +7,7 @@ import pytest
 from bench import campaign, robot
 
 from casadical.effects import FrictionWindup, MissingCompliance, NonlinearStiffness
-from casadical.effects.counterparts import RIGID, Counterparts, Drive
+from casadical.effects.base import RIGID, Counterparts, Drive
 from casadical.effects.plugins import known_effects
 from casadical.effects.registry import FrameSettling
 from casadical.effects.smooth import AnyOfOtherAngle

@@ -8,10 +8,10 @@ from bench import robot
 
 from casadical import InputError, Robot
 from casadical.effects import Backlash, Effect, FrameDrift, JointScale, LinkFlexure, ThermalGrowth
-from casadical.effects.counterparts import Omission
+from casadical.effects.base import Omission
 from casadical.export.mjcf.mjcf import mjcf
 from casadical.export.omission import left_out, lost, rest_of_rigid, rigid_rest
-from casadical.robot.knowledge import Knowledge
+from casadical.robot.robot import Knowledge
 
 
 def with_values(name: str, *effects: Effect, **values: float) -> Robot:

@@ -10,10 +10,10 @@ from lives import as_built, changed, measured
 from casadical import plot
 from casadical.core.telling.blocks import Table
 from casadical.fleet.campaigns import in_order, name_of
-from casadical.fleet.candidates import FREQUENCY, Candidate
 from casadical.fleet.changes import MEANT, Change, times_in_words
 from casadical.fleet.comparison import compare, courses_of
 from casadical.fleet.estimates import estimate
+from casadical.fleet.evidence import FREQUENCY, Candidate
 
 ZERO = Candidate("joint_zero", 2, ("theta2",), np.ones((1, 1)), np.array([3e-4]))
 JUMP = Change(ZERO, "jump", 1, (1, 1), 1.0, 1.0, 9.0, (), (), np.zeros((2, 2)))

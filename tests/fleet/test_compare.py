@@ -12,12 +12,22 @@ from lives import NOISE, as_built, changed, measured, write_table
 from scipy.stats import multivariate_normal
 
 from casadical import InputError, Robot, calibrate, identify, read_robot, write_robot
-from casadical.core.telling.terminal import plain_text
+from casadical.core.telling.result import plain_text
 from casadical.fleet.campaigns import compare_files, day_of, in_order, other_regions
-from casadical.fleet.candidates import candidates_of, shared_names
 from casadical.fleet.comparison import changes_in, compare, shared_information
 from casadical.fleet.estimates import Estimate, estimate, estimate_of_file, repeatability, with_common_noise
-from casadical.fleet.evidence import KAPPAS, Known, SharedInformation, drifts, jumps, log_evidence, solve, visible
+from casadical.fleet.evidence import (
+    KAPPAS,
+    Known,
+    SharedInformation,
+    candidates_of,
+    drifts,
+    jumps,
+    log_evidence,
+    shared_names,
+    solve,
+    visible,
+)
 from casadical.identification.accuracy import predicted
 from casadical.identification.misfit import misfit_of, wide_fit
 from casadical.robot.error_bound import doubted

@@ -12,8 +12,7 @@ from fleet_plants import ROOT, planar
 
 from casadical import read_robot
 from casadical.fleet.hierarchy import Common, Drawing, drawings_of, near, nearly_one
-from casadical.fleet.one_robot import one_robot, type_of
-from casadical.fleet.store import add
+from casadical.fleet.store import add, one_robot, type_of
 from casadical.project.problem import read_problem
 
 

@@ -22,10 +22,9 @@ from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.drawing import COLOURS
 from casadical.fleet.cluster import client_of, results
 from casadical.fleet.hierarchy import Common, common_of, learnt
-from casadical.fleet.one_robot import NOTHING, fingerprint, one_robot
 from casadical.fleet.result import APART, LABELS, Fleet, fleet_of, name_of_type
 from casadical.fleet.run import run_fleet
-from casadical.fleet.store import KEY, add, each, parts, records, rows
+from casadical.fleet.store import KEY, NOTHING, add, each, fingerprint, one_robot, parts, records, rows
 
 distributed = pytest.importorskip("distributed", reason="distributed (Dask) is not installed")
 parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
@@ -228,7 +227,7 @@ def test_two_fleets_run_at_a_time() -> None:
 
 
 def test_a_bug_in_one_robot_is_a_row(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("casadical.fleet.one_robot.calibrate", lambda _problem: 1 / 0)
+    monkeypatch.setattr("casadical.fleet.store.calibrate", lambda _problem: 1 / 0)
     row = one_robot(str(plant / "arm0"), False)
     assert row["status"] == "bug"
     assert "ZeroDivisionError" in row["error"]

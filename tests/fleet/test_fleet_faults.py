@@ -15,9 +15,8 @@ from fleet_plants import planar
 from casadical import InputError, report
 from casadical.fleet.campaigns import compare_files
 from casadical.fleet.cluster import SchedulerLostError, client_of, results
-from casadical.fleet.one_robot import NOTHING, one_robot
 from casadical.fleet.run import robots_in, run_fleet
-from casadical.fleet.store import add, parts, rows
+from casadical.fleet.store import NOTHING, add, one_robot, parts, rows
 
 distributed = pytest.importorskip("distributed", reason="distributed (Dask) is not installed")
 psutil = pytest.importorskip("psutil", reason="psutil (of Dask) is not installed")

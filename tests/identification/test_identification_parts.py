@@ -16,8 +16,8 @@ from casadical.identification.identifiability import analyse, correlated_pairs
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against, least_margins
 from casadical.identification.prior import Prior
-from casadical.identification.screening import OUTLIER_CHI2
-from casadical.robot.knowledge import Knowledge
+from casadical.identification.reduction import OUTLIER_CHI2
+from casadical.robot.robot import Knowledge
 
 PLANAR = arms.planar()
 

@@ -5,8 +5,7 @@ import pytest
 
 from casadical import InputError, Placement, identify
 from casadical.core.transforms import frame, from_xyz
-from casadical.identification.held_placement import Held, Placed, Readings
-from casadical.identification.placement import place_frames, solve_placement
+from casadical.identification.placement import Held, Placed, Readings, place_frames, solve_placement
 from casadical.measurements.measurements import Measurements
 from tests.identification import arms
 

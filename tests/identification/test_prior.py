@@ -12,7 +12,7 @@ from casadical.core.transforms import frame, from_rpy
 from casadical.effects import JointErrorCurve, JointScale
 from casadical.identification.prior import carry_over
 from casadical.project.problem import read_campaign_robot
-from casadical.robot.knowledge import Covariance, Knowledge
+from casadical.robot.robot import Covariance, Knowledge
 from casadical.robot.robot_file import robot_from, to_toml
 
 ROOT = Path(__file__).parents[2]

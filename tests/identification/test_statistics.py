@@ -10,8 +10,8 @@ from scipy import stats
 from casadical import identify
 from casadical.core.parameters import Parameter
 from casadical.identification.identifiability import drop_poor
+from casadical.identification.reduction import outlier_masks
 from casadical.identification.residuals import loss_slope
-from casadical.identification.screening import outlier_masks
 
 ARM = arms.six_axis()
 KINDS = {"distance": 1, "position": 3, "pose": 6}

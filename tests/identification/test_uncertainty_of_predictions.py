@@ -11,7 +11,7 @@ import pytest
 from casadical import identify
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import unmeasured
-from casadical.robot.knowledge import Covariance, Knowledge
+from casadical.robot.robot import Covariance, Knowledge
 
 sys.path.append(str(Path(__file__).parents[2] / "docs" / "studies"))
 import prediction_coverage as study

@@ -10,12 +10,11 @@ from arms import TRACKER, planted, positions, readings, six_axis
 
 from casadical import Body, InputError, Joint, Robot, calibrate, identify, read_robot, write_robot
 from casadical.core.estimated_masses import with_estimated_masses
-from casadical.core.telling.terminal import terminal
+from casadical.core.telling.result import terminal
 from casadical.identification.accuracy import errors
 from casadical.identification.figures import parameter_tables
 from casadical.identification.gravity import as_json, gravity_deflections, in_words
-from casadical.identification.identification import base_calibrated
-from casadical.identification.prepared import prepare, with_unknown_masses
+from casadical.identification.identification import base_calibrated, prepare, with_unknown_masses
 
 MASSES = (20.0, 14.0, 6.0, 4.0, 2.0, 1.0)
 CENTRES = ((0, 0, -0.1), (0.3, 0.02, 0.06), (0.03, 0.05, 0), (0, 0.02, -0.2), (0, 0.03, 0), (0, 0, -0.02))

@@ -9,7 +9,7 @@ import pytest
 from casadical import Measurements, read_measurements
 from casadical.core.basics import InputError
 from casadical.measurements.kinds.distance import distance_fault
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 from casadical.measurements.table_form import Form, decoded
 
 

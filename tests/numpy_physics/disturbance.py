@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics.plant import Plant
-from casadical.blind_check.mujoco_physics.rigid import Array
+from casadical.blind_check.mujoco_physics.plant import Array, Plant
 from casadical.blind_check.mujoco_physics.stops import Stops
 from numpy_physics.state import State
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics.rigid import Array
+from casadical.blind_check.mujoco_physics.plant import Array
 from casadical.blind_check.mujoco_physics.stops import Stops, only
 from numpy_physics.disturbance import Disturbance
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics.rigid import Array, back, motion, move
+from casadical.blind_check.mujoco_physics.plant import Array, back, motion, move
 from casadical.blind_check.mujoco_physics.stops import only
 from numpy_physics.disturbance import Disturbance
 from numpy_physics.state import GRAVITY, State

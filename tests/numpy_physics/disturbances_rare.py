@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics.plant import Plant
-from casadical.blind_check.mujoco_physics.rigid import Array, back, motion, move, slide
+from casadical.blind_check.mujoco_physics.plant import Array, Plant, back, motion, move, slide
 from casadical.blind_check.mujoco_physics.stops import Stops, only
 from numpy_physics.disturbance import Disturbance
 from numpy_physics.state import State

@@ -4,9 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics.plant import Plant
-from casadical.blind_check.mujoco_physics.rigid import Array, back, motion, move, slide
-from casadical.blind_check.mujoco_physics.statics import stretched_moments
+from casadical.blind_check.mujoco_physics.cause import stretched_moments
+from casadical.blind_check.mujoco_physics.plant import Array, Plant, back, motion, move, slide
 from numpy_physics.disturbance import Disturbance
 from numpy_physics.state import GRAVITY, State
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics.rigid import random_vector
+from casadical.blind_check.mujoco_physics.plant import random_vector
 from casadical.core.basics import InputError
 from numpy_physics.disturbance import Disturbance
 from numpy_physics.disturbances import LISTED, UNLISTED

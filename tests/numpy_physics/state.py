@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from casadical.blind_check.mujoco_physics import statics
-from casadical.blind_check.mujoco_physics.rigid import Array
-from casadical.blind_check.mujoco_physics.statics import moments
+from casadical.blind_check.mujoco_physics import cause as statics
+from casadical.blind_check.mujoco_physics.cause import moments
+from casadical.blind_check.mujoco_physics.plant import Array
 
 GRAVITY = 9.81
 

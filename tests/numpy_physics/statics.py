@@ -5,9 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics.plant import Plant
-from casadical.blind_check.mujoco_physics.rigid import Array, move
-from casadical.blind_check.mujoco_physics.statics import link_angles, moments, moved_by, rated_torque
+from casadical.blind_check.mujoco_physics.cause import link_angles, moments, moved_by, rated_torque
+from casadical.blind_check.mujoco_physics.plant import Array, Plant, move
 from casadical.blind_check.mujoco_physics.stops import Stops
 from casadical.core.basics import ConvergenceError
 from numpy_physics.disturbance import Disturbance

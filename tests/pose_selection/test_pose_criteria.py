@@ -9,8 +9,7 @@ from scipy import linalg
 from casadical import InputError, read_campaign_robot
 from casadical.effects import Backlash, JointZeroStep
 from casadical.identification.accuracy import predicted
-from casadical.measurements.measurements import unmeasured
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise, unmeasured
 from casadical.pose_selection.information import SPECTRAL, checked, noise_covariance, observability
 from casadical.pose_selection.plan import thirds_of
 

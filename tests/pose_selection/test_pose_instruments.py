@@ -17,8 +17,7 @@ from casadical.pose_selection import Noise, forecast, place_instrument
 from casadical.pose_selection.candidates import SOCKET, expected
 from casadical.pose_selection.experimental_design import inverse
 from casadical.pose_selection.instruments import Instrument, usual_places
-from casadical.pose_selection.places import select_with_places
-from casadical.pose_selection.pose_search import select_poses
+from casadical.pose_selection.pose_search import select_poses, select_with_places
 from casadical.project.planning import plan as planned
 
 SIGMA = 5e-5

@@ -16,7 +16,7 @@ import users
 
 from casadical import Calibration, InputError, calibrate, read_problem, read_robot
 from casadical.core.telling.blocks import Table, Words
-from casadical.core.telling.terminal import plain_text
+from casadical.core.telling.result import plain_text
 from casadical.identification import errors, residual_mm
 from casadical.project.new import new_problem
 

@@ -22,7 +22,7 @@ from casadical.diagnosis.candidates import extended_candidates
 from casadical.effects import Backlash, Effect, ThermalGrowth
 from casadical.identification.accuracy import predicted
 from casadical.robot.effect_tables import text_of
-from casadical.robot.knowledge import ONE_BLOCK, Covariance, Knowledge, blocks
+from casadical.robot.robot import ONE_BLOCK, Covariance, Knowledge, blocks
 from casadical.robot.robot_file import robot_from, to_toml
 
 # What reads distances or full poses has columns of its own, of where it measures to.

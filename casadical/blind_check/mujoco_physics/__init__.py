@@ -9,10 +9,9 @@ checked against these campaigns is not checked against its own formulas. MuJoCo 
 
 from casadical.blind_check.mujoco_physics.campaigns import campaign, measure, positions
 from casadical.blind_check.mujoco_physics.draw import draw_effect
-from casadical.blind_check.mujoco_physics.equilibrium import Engine, Setting, Stop
+from casadical.blind_check.mujoco_physics.equilibrium import Engine, Setting, Stop, mjcf
 from casadical.blind_check.mujoco_physics.hidden import LISTED, UNLISTED, Hidden
 from casadical.blind_check.mujoco_physics.mechanism import Body, Cord, Joint, Loop, Mechanism, Shaft
-from casadical.blind_check.mujoco_physics.mjcf import mjcf
 from casadical.blind_check.mujoco_physics.plant import FourBar, Plant, perturb
 from casadical.blind_check.mujoco_physics.robot import mechanism
 from casadical.blind_check.mujoco_physics.stops import Warmup

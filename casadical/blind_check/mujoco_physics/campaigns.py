@@ -9,8 +9,7 @@ import pandas as pd
 
 from casadical.blind_check.mujoco_physics.equilibrium import Engine, Setting, Stop
 from casadical.blind_check.mujoco_physics.hidden import Hidden, causes
-from casadical.blind_check.mujoco_physics.plant import Plant
-from casadical.blind_check.mujoco_physics.rigid import Array
+from casadical.blind_check.mujoco_physics.plant import Array, Plant
 from casadical.blind_check.mujoco_physics.robot import mechanism, start
 from casadical.blind_check.mujoco_physics.stops import Stops, Warmup
 from casadical.blind_check.mujoco_physics.table import Machine, Options, approaches, simulate

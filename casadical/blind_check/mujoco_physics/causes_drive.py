@@ -7,8 +7,7 @@ import numpy as np
 
 from casadical.blind_check.mujoco_physics.cause import Cause, JointCause, warmth_inside
 from casadical.blind_check.mujoco_physics.mechanism import Mechanism, Shaft
-from casadical.blind_check.mujoco_physics.plant import Plant
-from casadical.blind_check.mujoco_physics.rigid import Array
+from casadical.blind_check.mujoco_physics.plant import Array, Plant
 from casadical.blind_check.mujoco_physics.stops import Stops, only
 
 

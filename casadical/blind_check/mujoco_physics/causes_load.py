@@ -5,12 +5,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics.cause import Cause, JointCause
+from casadical.blind_check.mujoco_physics.cause import Cause, JointCause, rated_torque, settle
 from casadical.blind_check.mujoco_physics.mechanism import Body, Cord, Joint, Mechanism, Shaft
-from casadical.blind_check.mujoco_physics.plant import Plant
-from casadical.blind_check.mujoco_physics.rigid import Array
+from casadical.blind_check.mujoco_physics.plant import Array, Plant
 from casadical.blind_check.mujoco_physics.robot import SLOW, spring
-from casadical.blind_check.mujoco_physics.statics import rated_torque, settle
 from casadical.blind_check.mujoco_physics.stops import Stops, only
 
 

@@ -5,11 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics.cause import Cause
+from casadical.blind_check.mujoco_physics.cause import Cause, reflector, settle
 from casadical.blind_check.mujoco_physics.equilibrium import Setting
-from casadical.blind_check.mujoco_physics.plant import Plant
-from casadical.blind_check.mujoco_physics.rigid import Array
-from casadical.blind_check.mujoco_physics.statics import reflector, settle
+from casadical.blind_check.mujoco_physics.plant import Array, Plant
 from casadical.blind_check.mujoco_physics.stops import Stops
 
 

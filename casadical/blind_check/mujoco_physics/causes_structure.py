@@ -12,16 +12,15 @@ from casadical.blind_check.mujoco_physics.cause import (
     beam_axes,
     into_parent,
     length_of,
+    stretched_moments,
     triple,
     turned,
     warmth_inside,
 )
 from casadical.blind_check.mujoco_physics.equilibrium import Setting
 from casadical.blind_check.mujoco_physics.mechanism import Body, Mechanism, X, Y
-from casadical.blind_check.mujoco_physics.plant import Plant
-from casadical.blind_check.mujoco_physics.rigid import Array
+from casadical.blind_check.mujoco_physics.plant import Array, Plant
 from casadical.blind_check.mujoco_physics.robot import SLOW, spring, springs
-from casadical.blind_check.mujoco_physics.statics import stretched_moments
 from casadical.blind_check.mujoco_physics.stops import Stops
 
 

@@ -4,11 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics.cause import length_of
+from casadical.blind_check.mujoco_physics.cause import largest_torque, length_of, rated_torque, stretched_moments
 from casadical.blind_check.mujoco_physics.hidden import LISTED, UNLISTED, Hidden
-from casadical.blind_check.mujoco_physics.plant import Plant
-from casadical.blind_check.mujoco_physics.rigid import random_vector
-from casadical.blind_check.mujoco_physics.statics import largest_torque, rated_torque, stretched_moments
+from casadical.blind_check.mujoco_physics.plant import Plant, random_vector
 from casadical.core.basics import InputError
 
 SECONDS_A_POSE = 30.0

@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics.plant import FourBar, Plant
-from casadical.blind_check.mujoco_physics.rigid import Array
+from casadical.blind_check.mujoco_physics.plant import Array, FourBar, Plant
 from casadical.core.basics import InputError
 
 

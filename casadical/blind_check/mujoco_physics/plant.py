@@ -3,17 +3,83 @@
 The nominal robot comes from plain numbers (modified DH rows, masses, stiffness, an optional four-bar); from there on
 there are no DH parameters, only frames at zero readings and the axes about which the bodies turn or along which they
 slide.
+
+Rigid motions as homogeneous matrices, for one pose or for n at once; the simulator's only geometry.
+
+A motion moves points from where they were to where they are, both seen from one frame: ``move(G, x)``.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Self
+from typing import Any, Self, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from casadical.blind_check.mujoco_physics.rigid import Array, motion
 from casadical.core.basics import InputError
 from casadical.core.telling.result import Shown
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+def rotation(rotvec: Array) -> Array:
+    """Rotation matrices, shape (..., 3, 3), that turn about ``rotvec`` (..., 3) by its length [rad] (Rodrigues)."""
+    rotvec = np.asarray(rotvec, float)
+    angle = np.linalg.norm(rotvec, axis=-1)[..., None, None]
+    x, y, z = np.moveaxis(rotvec, -1, 0)
+    zero = np.zeros_like(x)
+    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*rotvec.shape[:-1], 3, 3)
+    first = np.sinc(angle / np.pi)
+    second = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
+    turned: Array = np.eye(3) + first * cross + second * (cross @ cross)
+    return turned
+
+
+def motion(rotvec: Array, shift: Array, about: Array) -> Array:
+    """Motions (..., 4, 4): turn about the point ``about`` by ``rotvec`` [rad], then shift [m]."""
+    R = rotation(rotvec)
+    G = np.zeros((*R.shape[:-2], 4, 4))
+    G[..., :3, :3] = R
+    G[..., :3, 3] = about - np.einsum("...ij,...j->...i", R, np.broadcast_to(about, rotvec.shape)) + shift
+    G[..., 3, 3] = 1.0
+    return G
+
+
+def turn(axis: Array, point: Array, angle: Array) -> Array:
+    """Motions (n, 4, 4) about the line through ``point`` along the unit vector ``axis`` by ``angle`` (n,) [rad]."""
+    rotvec = np.asarray(angle, float)[..., None] * axis
+    return motion(rotvec, np.zeros(3), point)
+
+
+def slide(shift: Array) -> Array:
+    """Motions (..., 4, 4) that only shift by ``shift`` (..., 3) [m]."""
+    return motion(np.zeros_like(np.asarray(shift, float)), shift, np.zeros(3))
+
+
+def move(G: Array, x: Array) -> Array:
+    """Where the points ``x`` (..., 3) are after the motions ``G`` (..., 4, 4)."""
+    moved: Array = np.einsum("...ij,...j->...i", G[..., :3, :3], x) + G[..., :3, 3]
+    return moved
+
+
+def point(G: Array, v: Array) -> Array:
+    """The directions ``v`` (..., 3) after the motions ``G``."""
+    turned: Array = np.einsum("...ij,...j->...i", G[..., :3, :3], v)
+    return turned
+
+
+def back(G: Array, v: Array) -> Array:
+    """The directions ``v`` (..., 3) brought back to before the motions ``G``."""
+    turned: Array = np.einsum("...ji,...j->...i", G[..., :3, :3], v)
+    return turned
+
+
+def random_vector(rng: np.random.Generator, length: float) -> tuple[float, float, float]:
+    """A vector of the length, in any direction with equal probability."""
+    direction = rng.standard_normal(3)
+    x, y, z = (float(c) for c in length * direction / np.linalg.norm(direction))
+    return x, y, z
+
 
 _X, _Y, _Z, _0 = np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), np.array([0, 0, 1.0]), np.zeros(3)
 _KEYS = ("name", "modified_dh", "tool_m", "mass_kg", "com_m", "payload", "stiffness_Nm_per_rad", "joint_range_deg")

@@ -7,8 +7,7 @@ import numpy as np
 
 from casadical.blind_check.mujoco_physics.fourbar import close_loop, crank_angle, pivot
 from casadical.blind_check.mujoco_physics.mechanism import Body, Joint, Loop, Mechanism, X, Y, Z
-from casadical.blind_check.mujoco_physics.plant import Plant
-from casadical.blind_check.mujoco_physics.rigid import Array, slide, turn
+from casadical.blind_check.mujoco_physics.plant import Array, Plant, slide, turn
 
 SLOW = 0.1  # s: every spring joint alone would come to rest with this time constant
 NONE = np.zeros(3)

@@ -7,8 +7,7 @@ from typing import Literal
 import numpy as np
 
 from casadical.blind_check.mujoco_physics.fourbar import crank_distance
-from casadical.blind_check.mujoco_physics.plant import Plant
-from casadical.blind_check.mujoco_physics.rigid import Array
+from casadical.blind_check.mujoco_physics.plant import Array, Plant
 from casadical.core.basics import InputError
 
 

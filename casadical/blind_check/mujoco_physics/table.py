@@ -11,8 +11,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.blind_check.mujoco_physics.fourbar import unfolded
-from casadical.blind_check.mujoco_physics.plant import Plant
-from casadical.blind_check.mujoco_physics.rigid import Array
+from casadical.blind_check.mujoco_physics.plant import Array, Plant
 from casadical.blind_check.mujoco_physics.stops import Stops, Warmup, draw_poses, draw_stops
 from casadical.core.basics import InputError
 

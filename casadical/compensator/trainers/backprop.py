@@ -6,8 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from casadical.compensator.checksummed_json import pack, unpack
-from casadical.compensator.network import forward, gradient
-from casadical.compensator.task import Task, random_weights
+from casadical.compensator.network import Task, forward, gradient, random_weights
 from casadical.compensator.trainers.base import Trainer
 from casadical.core.basics import Array
 

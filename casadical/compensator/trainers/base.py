@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, Self
 
-from casadical.compensator.task import Task
+from casadical.compensator.network import Task
 from casadical.core.basics import Array
 
 

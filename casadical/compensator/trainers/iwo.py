@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from casadical.compensator.iwo import InvasiveWeeds, IwoSettings
-from casadical.compensator.task import Task
+from casadical.compensator.network import Task
 from casadical.compensator.trainers.base import Trainer
 from casadical.compensator.trainers.levenberg_marquardt import LevenbergMarquardt, LmRun
 from casadical.core.basics import Array, InputError

@@ -15,8 +15,7 @@ from casadical.core.basics import Array
 from casadical.core.files import json_text
 from casadical.core.telling.blocks import Page, Section, Table, Words, mm
 from casadical.core.telling.figure import Axis, Figure, Series
-from casadical.core.telling.result import Result
-from casadical.core.telling.terminal import plain_text
+from casadical.core.telling.result import Result, plain_text
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.laws.contest import CORRELATION
 from casadical.diagnosis.laws.problem import ABOVE, ALIKE, CLAIMED, Round, Scored
@@ -24,10 +23,9 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.refit import refit
 from casadical.diagnosis.result import Diagnosis, Unlisted
 from casadical.effects import Effect
-from casadical.effects.formula_effect import SEAMS
-from casadical.effects.law import Law
+from casadical.effects.formula_effect import SEAMS, Law
 from casadical.identification.result import Identification
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 from casadical.robot.effect_tables import effects_toml
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml

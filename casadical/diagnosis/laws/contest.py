@@ -27,7 +27,7 @@ from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, rank
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.settings_search import refined
 from casadical.effects.base import CHOSEN
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 
 # Laws are searched on so many poses at most, spread over the campaign: its time grows with the poses.
 MOST_POSES = 600

@@ -22,7 +22,7 @@ from casadical.diagnosis.settings_search import refined
 from casadical.diagnosis.smooth_description import describe_unlisted
 from casadical.diagnosis.thresholds import CLAIM, DETECT_FURTHER
 from casadical.effects import Effect
-from casadical.effects.law import Law
+from casadical.effects.formula_effect import Law
 from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot

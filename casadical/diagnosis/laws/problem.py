@@ -12,16 +12,15 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, Evidence
-from casadical.diagnosis.laws.drivers import (
+from casadical.diagnosis.laws.forms import (
     Driver,
+    Form,
 )
-from casadical.diagnosis.laws.forms import Form
 from casadical.diagnosis.laws.screening import Screen, log_mean
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import Linearisation
-from casadical.effects.formula_effect import SEAMS
-from casadical.effects.law import Law
-from casadical.measurements.noise import Noise
+from casadical.effects.formula_effect import SEAMS, Law
+from casadical.measurements.measurements import Noise
 from casadical.robot.robot import Robot
 
 # Realistic size of a law, one sigma: where a form varies by one.

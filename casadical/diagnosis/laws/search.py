@@ -15,26 +15,24 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.statistics import first_of_best, ranked
 from casadical.diagnosis.cross_validation import likely_noise
-from casadical.diagnosis.laws.drivers import (
-    LARGEST,
-    WARM,
-    Driver,
-    drivers_of,
-    own_drivers,
-    own_values,
-    values_of,
-    variables,
-    with_columns,
-)
 from casadical.diagnosis.laws.forms import (
     FINE_WAVE,
     FORMS,
+    LARGEST,
     LAST_RESORT,
     POSES_FOR_FINE,
+    WARM,
+    Driver,
     Form,
+    drivers_of,
+    own_drivers,
+    own_values,
     rounded,
+    values_of,
+    variables,
     wave_by,
     wave_plus,
+    with_columns,
 )
 from casadical.diagnosis.laws.problem import Problem, Scored, Seam, Tried, scaled, seams_at, stations
 from casadical.diagnosis.laws.problem import with_columns as at_poses
@@ -42,7 +40,7 @@ from casadical.diagnosis.laws.screening import NEVER, log_mean
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import EffectColumns, Linearisation
 from casadical.effects.formula import parse
-from casadical.effects.law import Law
+from casadical.effects.formula_effect import Law
 
 # What a law pays that can follow anything that varied with time, where the driver itself may be there.
 TIME_PRICE = 5.0

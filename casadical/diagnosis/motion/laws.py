@@ -18,8 +18,7 @@ from casadical.core.statistics import first_of_best, ranked
 from casadical.core.telling.blocks import Table, Words
 from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.laws.answer import line_of
-from casadical.diagnosis.laws.drivers import LEAST_SPREAD, Driver
-from casadical.diagnosis.laws.forms import BUMP, FORMS, Form
+from casadical.diagnosis.laws.forms import BUMP, FORMS, LEAST_SPREAD, Driver, Form
 from casadical.diagnosis.laws.problem import ABOVE, Problem, Scored, Seam, Tried, scale_of, scaled
 from casadical.diagnosis.laws.screening import Screen, log_mean
 from casadical.diagnosis.laws.search import refined
@@ -29,7 +28,7 @@ from casadical.diagnosis.motion.search import MARGIN, UNLISTED, WITHOUT_TORQUE, 
 from casadical.diagnosis.motion.search import columns_of as of_found
 from casadical.diagnosis.posterior import rank
 from casadical.effects.formula import NUMERIC, parse
-from casadical.effects.law import Law
+from casadical.effects.formula_effect import Law
 from casadical.effects.motion import Cause, motion_effects
 from casadical.robot.effect_tables import effects_toml
 from casadical.robot.robot import Robot

@@ -21,11 +21,10 @@ from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.motion.base import Look, Part, base_of, bodies_of
 from casadical.diagnosis.motion.signals import behind, lagged
-from casadical.effects.formula_effect import MOTION_OF
-from casadical.effects.law import Law
+from casadical.effects.formula_effect import MOTION_OF, Law
 from casadical.effects.motion import MOTION_SEAMS, Cause, MotionEffect, motion_columns, motion_effects
 from casadical.effects.settings import grid_points
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 
 # Noise is what is left where the base is so many times freer than its priors.
 FREE = 8.0

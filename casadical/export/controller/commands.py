@@ -17,7 +17,7 @@ from casadical.compensator import Compensator, load_compensator
 from casadical.core.basics import Array, InputError
 from casadical.core.parts import Body, Placement
 from casadical.effects import Effect
-from casadical.effects.counterparts import Omission
+from casadical.effects.base import Omission
 from casadical.export.c.products import Command, CurveFunction, Limits, NetworkFunction, mapped
 from casadical.export.controller import functions
 from casadical.export.controller.inverse import SINGULAR_POSE, freedom_of

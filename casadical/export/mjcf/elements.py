@@ -23,7 +23,7 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.parts import Body, FourBar, Joint
 from casadical.core.transforms import frame, quaternion
-from casadical.effects.counterparts import Balancer, Drive
+from casadical.effects.base import Balancer, Drive
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Robot
 

@@ -13,7 +13,7 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.parts import Body, Joint
 from casadical.core.transforms import frame, from_rpy, quaternion
-from casadical.effects.counterparts import Counterparts, Drive, Omission
+from casadical.effects.base import Counterparts, Drive, Omission
 from casadical.export.mjcf.elements import (
     SLOW,
     add_body,

@@ -21,8 +21,7 @@ from casadical.diagnosis.result import Diagnosis
 from casadical.export.mjcf.equilibrium import load_mujoco, positions
 from casadical.export.mjcf.mjcf import MjcfExport, counterparts, mjcf
 from casadical.identification.accuracy import Accuracy, predicted, summarise
-from casadical.identification.identification import base_calibrated, calibrated
-from casadical.identification.prepared import prepare
+from casadical.identification.identification import base_calibrated, calibrated, prepare
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 from casadical.project.diagnosis import Campaign, EffectChoice, Options, diagnose_campaign

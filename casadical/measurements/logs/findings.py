@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadical.core.arm import Arm
 from casadical.core.basics import Array, InputError
+from casadical.core.parts import Arm
 from casadical.measurements.angle_unit import MOST_TURNS
 from casadical.measurements.logs.log import JointLog
 

@@ -10,8 +10,8 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from casadical.core.arm import Arm
 from casadical.core.basics import Array, InputError
+from casadical.core.parts import Arm
 from casadical.core.reading import read_bytes, unpacked
 from casadical.measurements.angle_unit import RADIANS
 from casadical.measurements.headings import words_of

@@ -8,8 +8,8 @@ import numpy as np
 
 from casadical.core.basics import FaultsError, InputError, Show, shown, silent
 from casadical.identification.identifiability import CONFOUNDED
+from casadical.identification.identification import METHODS, all_compliant, by_method, undeclared
 from casadical.identification.plausibility import check_against
-from casadical.identification.prepared import METHODS, all_compliant, by_method, undeclared
 from casadical.identification.sessions import apart, place_sessions, with_sessions
 from casadical.identification.undetermined import undetermined_at_start
 from casadical.measurements.derived_columns import clock_faults

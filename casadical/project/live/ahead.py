@@ -14,15 +14,14 @@ from casadical.identification.least_squares import LeastSquares
 from casadical.identification.prior import Prior
 from casadical.identification.reduction import independent_parameters
 from casadical.measurements.kinds.registry import find_kind
-from casadical.measurements.measurements import Measurements
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Measurements, Noise
 from casadical.pose_selection.candidates import Circumstances, draw, expected, held_in
 from casadical.pose_selection.design_problem import prepare
 from casadical.pose_selection.experimental_design import search
 from casadical.pose_selection.information import MM
 from casadical.pose_selection.instruments import Instrument
 from casadical.pose_selection.pose_order import distances
-from casadical.pose_selection.stopping_rule import Forecast, forecast
+from casadical.pose_selection.pose_search import Forecast, forecast
 from casadical.pose_selection.workspace import Workspace, places_about
 from casadical.project.live.estimate import Estimate, known_at_first, labels_of
 from casadical.project.new.new import one_turn

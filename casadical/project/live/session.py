@@ -20,9 +20,9 @@ import tomlkit
 from casadical.core.basics import Array, ConvergenceError, InputError, shown
 from casadical.core.files import csv_text, write_whole
 from casadical.core.reading import read_text
-from casadical.core.telling.terminal import plain_text
+from casadical.core.telling.result import plain_text
+from casadical.identification.identification import all_compliant, prepare, undeclared
 from casadical.identification.plausibility import check_against
-from casadical.identification.prepared import all_compliant, prepare, undeclared
 from casadical.identification.sessions import with_sessions
 from casadical.measurements.columns import Source as ColumnSource
 from casadical.measurements.derived_columns import clock_faults
@@ -35,9 +35,8 @@ from casadical.project.calibration import calibrate
 from casadical.project.check.check import precheck
 from casadical.project.live.ahead import Ahead, arms, in_base, look_ahead, task_readings
 from casadical.project.live.estimate import FEW, FEWEST, Estimate, counted
-from casadical.project.live.journal import Add, Course, Reading
 from casadical.project.live.reading_slips import slips_of
-from casadical.project.live.sources import Row, Source
+from casadical.project.live.sources import Add, Course, Reading, Row, Source
 from casadical.project.problem import read_campaign, read_problem_robot
 from casadical.project.problem_file import DataTable, problem_file
 from casadical.project.robot_columns import refuse_nameless, understood, with_known_targets

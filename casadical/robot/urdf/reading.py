@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from casadical.core.arm import STANDARD_GRAVITY
 from casadical.core.basics import Array, InputError
-from casadical.core.parts import Body, Coupling, Joint, Placement, possible_inertia
+from casadical.core.parts import STANDARD_GRAVITY, Body, Coupling, Joint, Placement, possible_inertia
 from casadical.robot.axes import Axis, Chain, rows_from_axes
 from casadical.robot.robot import Robot
 from casadical.robot.urdf.tree import Tree, parse_urdf

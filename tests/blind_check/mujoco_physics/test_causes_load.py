@@ -10,10 +10,10 @@ from numpy_physics.statics import positions, settle
 
 from casadical.blind_check import mujoco_physics as engine
 from casadical.blind_check.mujoco_physics import Hidden
+from casadical.blind_check.mujoco_physics.cause import rated_torque
 from casadical.blind_check.mujoco_physics.equilibrium import Engine, Stop
 from casadical.blind_check.mujoco_physics.hidden import cause
 from casadical.blind_check.mujoco_physics.robot import start
-from casadical.blind_check.mujoco_physics.statics import rated_torque
 
 from .machines import angle_about, built, drawn, nominal, shift, stops
 

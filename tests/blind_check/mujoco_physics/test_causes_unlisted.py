@@ -8,7 +8,7 @@ from numpy_physics.statics import placed, settle, tool_point
 
 from casadical.blind_check import mujoco_physics as engine
 from casadical.blind_check.mujoco_physics import Hidden
-from casadical.blind_check.mujoco_physics.statics import rated_torque
+from casadical.blind_check.mujoco_physics.cause import rated_torque
 
 from .machines import angle_about, built, drawn, shift, stops
 

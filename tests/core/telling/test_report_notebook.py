@@ -15,10 +15,10 @@ from casadical.diagnosis.isolability import Isolability
 from casadical.export.model_file import RobotModel
 from casadical.fleet.estimates import Estimate
 from casadical.identification.accuracy import Accuracy
-from casadical.identification.prepared import Prepared
+from casadical.identification.identification import Prepared
 from casadical.identification.prior import Prior
 from casadical.pose_selection.plan import MeasurementPlan
-from casadical.pose_selection.stopping_rule import Forecast
+from casadical.pose_selection.pose_search import Forecast
 
 
 class Cells(HTMLParser):

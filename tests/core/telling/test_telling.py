@@ -7,8 +7,7 @@ import pytest
 from casadical.core.telling.blocks import Page, Section, Table, Tile, Words, shown
 from casadical.core.telling.figure import Axis, Figure, Note, Rule, Series, Span, ticks_of_decades
 from casadical.core.telling.page import html_of
-from casadical.core.telling.result import html
-from casadical.core.telling.terminal import plain_text, table_lines
+from casadical.core.telling.result import html, plain_text, table_lines
 
 TABLE = Table("Errors [mm]", ("model", "mean"), [("before", "1.70"), ("after [KM]", "0.03")], frozenset({1}))
 BLOCKS = [

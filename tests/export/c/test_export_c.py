@@ -19,7 +19,7 @@ from casadical.export.c.products import Command, Limits
 from casadical.export.c.reference import correct, started, step
 from casadical.export.c.registry import written_in
 from casadical.export.c.tape_program import tape_program
-from casadical.export.c.verification import accuracy, compared
+from casadical.export.c.write import accuracy, compared
 
 REALS = ("float", "double")
 TYPE = {"float": np.float32, "double": np.float64}

@@ -14,14 +14,13 @@ from casadical.core.basics import InputError
 from casadical.export import load, write_c
 from casadical.export.c.c_language import inside
 from casadical.export.c.coefficients import LARGEST_ERROR
-from casadical.export.c.intervals import without_needless_guards
 from casadical.export.c.language import Label
-from casadical.export.c.numpy_evaluation import run
 from casadical.export.c.products import CurveFunction
 from casadical.export.c.reference import network as reference
+from casadical.export.c.reference import run
 from casadical.export.c.structured_text import structured_text
 from casadical.export.c.tape import tape_of
-from casadical.export.c.tape_program import tape_program
+from casadical.export.c.tape_program import tape_program, without_needless_guards
 
 STILL = 3  # a joint that did not move: all its coefficients are zero
 

@@ -11,15 +11,14 @@ from casadical.export.c.c_language import C99
 from casadical.export.c.c_source import command_numbers
 from casadical.export.c.chord import residual_size
 from casadical.export.c.coefficients import spline_errors, spline_table
-from casadical.export.c.intervals import bounds
 from casadical.export.c.kernel import compilers
 from casadical.export.c.language import Label
 from casadical.export.c.manifest import Facts
-from casadical.export.c.numpy_evaluation import NumpyFunctions
 from casadical.export.c.products import Command, Limits
+from casadical.export.c.reference import NumpyFunctions
 from casadical.export.c.tape import Node, Tape, tape_of
-from casadical.export.c.tape_program import operations, tape_program
-from casadical.export.c.verification import accuracy
+from casadical.export.c.tape_program import bounds, operations, tape_program
+from casadical.export.c.write import accuracy
 
 X = ca.SX.sym("x", 2)
 

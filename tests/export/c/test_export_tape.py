@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from casadical.core.basics import InputError
-from casadical.export.c.intervals import bounds, without_needless_guards
-from casadical.export.c.numpy_evaluation import NumpyFunctions, run
 from casadical.export.c.products import mapped
+from casadical.export.c.reference import NumpyFunctions, run
 from casadical.export.c.tape import tape_of
+from casadical.export.c.tape_program import bounds, without_needless_guards
 
 REALS = ("float", "double")
 TYPE = {"float": np.float32, "double": np.float64}

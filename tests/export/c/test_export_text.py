@@ -20,7 +20,7 @@ from casadical.export.c.reference import correct, network
 from casadical.export.c.structured_text import structured_text
 from casadical.export.c.tape_program import operations, tape_program
 from casadical.robot.error_bound import doubted
-from casadical.robot.knowledge import ErrorBound
+from casadical.robot.robot import ErrorBound
 
 REALS = ("float", "double")
 

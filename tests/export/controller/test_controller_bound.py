@@ -24,7 +24,7 @@ from casadical.export.controller.commands import bound_of
 from casadical.export.controller.programs.correction import Cell, corrected_targets
 from casadical.export.controller.programs.program import read_target_program
 from casadical.export.controller.programs.target import Given
-from casadical.robot.knowledge import ErrorBound
+from casadical.robot.robot import ErrorBound
 from casadical.robot.robot_file import read_robot
 
 sys.path.append(str(Path(__file__).parents[1] / "c"))

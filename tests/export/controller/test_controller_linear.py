@@ -26,8 +26,7 @@ from casadical.export.controller.programs.krl import Krl
 from casadical.export.controller.programs.program import corrected_program, read_target_program
 from casadical.export.controller.programs.target import Given
 from casadical.export.controller.programs.urscript import UrScript
-from casadical.robot.knowledge import Knowledge
-from casadical.robot.robot import Robot
+from casadical.robot.robot import Knowledge, Robot
 from casadical.robot.robot_file import write_robot
 
 RIGHT = np.pi / 2

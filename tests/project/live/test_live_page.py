@@ -14,9 +14,8 @@ import pytest
 
 from casadical.core.basics import InputError
 from casadical.project.live import LiveSession
-from casadical.project.live.journal import journal
 from casadical.project.live.server import LivePage, bound
-from casadical.project.live.sources import SimulatedSource
+from casadical.project.live.sources import SimulatedSource, journal
 
 ROOT = Path(__file__).parents[3]
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")

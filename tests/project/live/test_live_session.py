@@ -21,9 +21,8 @@ from casadical.measurements.measurements import unmeasured
 from casadical.pose_selection.candidates import draw, held_in
 from casadical.pose_selection.workspace import Workspace
 from casadical.project.live import LiveSession
-from casadical.project.live.journal import journal
 from casadical.project.live.session import finished
-from casadical.project.live.sources import FileSource, FolderSource, Row, StreamSource
+from casadical.project.live.sources import FileSource, FolderSource, Row, StreamSource, journal
 from casadical.project.new.new import as_built
 
 ROOT = Path(__file__).parents[3]
