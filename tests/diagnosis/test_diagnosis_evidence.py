@@ -12,7 +12,7 @@ from casadical.core.linear_gaussian.grid import log_sum
 from casadical.diagnosis.evidence import ALL_SIGMAS, KAPPAS, RHOS, SIGMAS, Evidence
 from casadical.diagnosis.noise_floor import noise_floor, outlier_probability, scatter_of_coordinate
 from casadical.effects.base import CHOSEN
-from casadical.measurements.noise import Noise
+from casadical.measurements.measurements import Noise
 
 
 def direct(e: Evidence, rho: float, sigma: float, kappa: float, group: np.ndarray, chosen: np.ndarray) -> float:
