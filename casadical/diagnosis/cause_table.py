@@ -1,6 +1,7 @@
 """Rows of a diagnosis: its causes, what the data show of each and how far the gap shrinks; its error layer by layer."""
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -93,10 +94,19 @@ def _signature(c: Cause) -> tuple[str, str]:
     shown, _, causes = words.partition(" (")
     if c.joint != 2:
         causes = causes.replace("; balancer on joint 2", "")
-    joints = [str(e.joint) for e in c.effects if e.joint] if c.joint is None else [str(c.joint)]
-    joint = f", joint{'s' * (len(joints) > 1)} {' and '.join(filter(None, [', '.join(joints[:-1]), *joints[-1:]]))}"
-    joint = joint if joints else ""
-    return shown + joint, causes.rstrip(")")
+    return ", ".join(filter(None, [shown, joints_of(c)])), causes.rstrip(")")
+
+
+def joints_of(c: Cause) -> str:
+    """At which joints a cause acts, in words; nothing where at none."""
+    joints = dict.fromkeys(str(e.joint) for e in c.effects if e.joint) if c.joint is None else [str(c.joint)]
+    return f"joint{'s' * (len(joints) > 1)} {listed(joints)}" if joints else ""
+
+
+def listed(words: Iterable[str]) -> str:
+    """Words with "and" before the last."""
+    *first, last = [*words] or [""]
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 def _estimate(name: str, value: float, error: float, unit: str) -> tuple[str, str, str, str]:

@@ -1,13 +1,13 @@
 """What a diagnosis says: the statements and rows that the terminal and the page of HTML both show."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
 from casadical.diagnosis.candidates import columns_to_log, gathered, gathered_by_columns
-from casadical.diagnosis.cause_table import mm, wires_at_fault
+from casadical.diagnosis.cause_table import joints_of, listed, mm, wires_at_fault
 from casadical.diagnosis.changes import NEW
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import Check, NetworkGap, of_time
@@ -131,8 +131,9 @@ def _hidden(d: Diagnosis) -> bool:
 
 def members(d: Diagnosis) -> str:
     """The causes; one that these data do not tell from others with all their names, each with its probability."""
-    each = [names_of(d, c.label) for c in d.causes]
-    return "; ".join(each) if d.cause_set and d.cause_set.names else _and(each)
+    at = {c.label: f" ({joints_of(c)})" for c in d.causes if c.joint is None and len(c.effects) > 1 and joints_of(c)}
+    each = [names_of(d, c.label) + at.get(c.label, "") for c in d.causes]
+    return "; ".join(each) if d.cause_set and d.cause_set.names else listed(each)
 
 
 def names_of(d: Diagnosis, label: str) -> str:
@@ -238,11 +239,11 @@ def assumptions(d: Diagnosis) -> tuple[str, ...]:
 def _instrument(d: Diagnosis) -> Iterator[Statement]:
     """What to do about causes that are in the instrument."""
     if faults := [c for c in d.causes if c.of_instrument]:
-        which = _and(dict.fromkeys(w for c in faults for w in wires_at_fault(d, c)))
+        which = listed(dict.fromkeys(w for c in faults for w in wires_at_fault(d, c)))
         what = f"{which}, calibrate without" if which else "it"
         yield Statement(
             "CHECK",
-            f"the instrument, not the robot, shows {_and(c.label for c in faults)}: check {what}, or go on with "
+            f"the instrument, not the robot, shows {listed(c.label for c in faults)}: check {what}, or go on with "
             "diagnosed.robot.toml (--out DIR), which has it identified beside the robot",
             doubtful=True,
         )
@@ -492,11 +493,6 @@ def _next(d: Diagnosis, more: Details) -> Iterator[Statement]:
         f"measure {len(poses)} poses{where} ({kinds_of_poses(d.case, poses)}) to tell {asked}: "
         f"P(correct) {before:.2f} -> {after:.2f}",
     )
-
-
-def _and(words: Iterable[str]) -> str:
-    *first, last = [*words] or [""]
-    return f"{', '.join(first)} and {last}" if first else last
 
 
 def _tied(item: str) -> str:

@@ -12,6 +12,7 @@ from numpy_physics import disturbances
 from casadical.diagnosis.details import analyse
 from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.json_answer import as_json
+from casadical.diagnosis.smooth_description import describe_unlisted
 from casadical.diagnosis.text import page_of
 from casadical.diagnosis.thresholds import CLAIM
 from casadical.fleet.store import first_diagnosis, one_robot
@@ -91,7 +92,13 @@ def test_what_several_joints_do_is_one_cause() -> None:
     assert {e.joint for e in d.effects()} == {*sizes}
     assert d.gap.after < 1.2 * d.gap.floor
     assert "a lag behind the last motion, joints 1, 2, 4 and 5" in page_of(d)
+    assert "explained: friction_windup (joints 1, 2, 4 and 5); " in page_of(d)
     assert set(d.causes[0].estimates) == {f"{name}@{j}" for name in ("constant", "load") for j in sizes}
+    # Beside something on no list: what is left is not described by one of these joints again.
+    d = diagnose(robot("ur10e"), simulated("ur10e", 15, *wound, disturbances.HoseDrag(400e-6)), laws=False)
+    left = describe_unlisted(d)
+    assert (d.verdict, named(d), left.labels[0]) == ("unknown", {("friction_windup", None)}, "hose_drag")
+    assert not {f"friction_windup@{j}" for j in sizes} & {*left.beside.order}
 
 
 @pytest.mark.parametrize(("name", "seed"), [("kr210", 100), ("ur10e", 100)])
