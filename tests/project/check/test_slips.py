@@ -13,9 +13,11 @@ from command_line import main
 sys.path.insert(0, str(Path(__file__).parents[2] / "cli"))
 import first_hour
 
-from casadical import calibrate
+from casadical import Measurements, calibrate
 from casadical.project.check import precheck
 from casadical.project.check.repair import MIRRORED, OF_LENGTHS, write_repair
+from casadical.project.check.slip_fit import Hypothesis
+from casadical.project.check.targets import recognised
 from casadical.project.new import new_problem
 from casadical.project.problem import read_problem
 
@@ -227,3 +229,24 @@ def test_slips_of_a_table_of_lengths_are_found_and_repaired(tmp_path, monkeypatc
     assert "Rival" not in said
     assert main(monkeypatch, "check", arm, "--repair", "-q") == 0
     assert calibrate(arm).accuracies["KM"]["report"]["calibrated"].mean < 1e-4
+
+
+def test_two_columns_that_are_swapped_are_one_slip() -> None:
+    none = Hypothesis.none(6)
+    assert none.slips == 0
+    assert none._replace(source=(0, 1, 2, 4, 3, 5)).slips == 1
+    assert none._replace(source=(1, 0, 2, 4, 3, 5), sign=(1, -1, 1, 1, 1, 1)).slips == 3
+
+
+def test_repeats_that_disagree_each_by_another_way_are_no_targets() -> None:
+    robot = read_problem(ROOT / "problems" / "planar").robot
+    q = np.repeat(np.random.default_rng(3).uniform(-1, 1, (20, robot.n)), 2, axis=0)
+    apart = np.linspace(0.01, 0.2, 20)
+    apart[8:13] = apart[10]
+    p = np.random.default_rng(4).uniform(-0.3, 0.3, (40, 3))
+    p[1::2] = p[::2] + apart[:, None] * [1, 0, 0]
+    assert recognised(robot, Measurements(q=q, kind="position", position=p)) is None
+    p[1::2] = p[::2] + apart[10] * np.eye(3)[0]
+    found = recognised(robot, Measurements(q=q, kind="position", position=p))
+    assert found is not None
+    assert "the station was moved" in found.in_words("t.csv")
