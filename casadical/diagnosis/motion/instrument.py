@@ -1,7 +1,5 @@
 """Faults of the instrument that wrote a joint log: a clock that runs wrong, samples that are lost or repeated."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ midpoint rule, dry friction as in Moreau's (1988) time stepping. Fitted by Leven
 outliers (contacts) at less weight; masses are those of the robot file.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
