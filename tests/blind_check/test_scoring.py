@@ -94,6 +94,12 @@ def test_the_command_prints_every_figure_and_writes_them(small, tmp_path) -> Non
     assert done.exit_code == 0, done.output
     told = json.loads(files["json"].read_text())
     assert told["campaigns"] == 4
+    (table,) = [
+        b for b in score(small.folder, small.key, small.answers).blocks() if getattr(b, "title", "")[:6] == "Hidden"
+    ]
+    columns = [name.replace("\n", "_") for name in table.columns]
+    shown = {row[0]: {c: int(n) for c, n in zip(columns[1:], row[1:], strict=True) if n != "."} for row in table.rows}
+    assert shown == told["confusion"]
     assert set(told["figures"]) == {r.name for r in score(small.folder, small.key, small.answers).metrics}
     assert all(name in done.output for name in told["figures"])
     assert read_manifest(small.folder).key_sha256 in done.output

@@ -15,6 +15,7 @@ from casadical.core.basics import InputError
 from casadical.export import Sources, inverse_kinematics
 from casadical.export.controller.commands import own_robots
 from casadical.export.controller.drivers import driver_file
+from casadical.export.controller.inverse import Postures
 from casadical.robot.robot_file import read_robot, write_robot
 
 
@@ -125,6 +126,22 @@ def test_the_inverse_of_the_calibrated_robot_reaches_poses(name):
     only = inverse_kinematics(real, goal[:, :3, 3], None, start)
     assert np.linalg.norm(only.q - start, axis=1).mean() < np.linalg.norm(found.q - start, axis=1).mean()
     assert only.reached.mean() > 0.9
+
+
+def test_a_wrist_that_is_nearly_straight_is_singular():
+    real = planted("kr210")
+    q = np.deg2rad([[10, -60, 60, 20, wrist, 0] for wrist in (3, 12)])
+    goal = np.array([model_pose(real, row) for row in q])
+    assert inverse_kinematics(real, goal[:, :3, 3], goal[:, :3, :3], q).singular.tolist() == [True, False]
+
+
+def test_the_nearest_solution_has_the_whole_turns_that_its_range_allows():
+    """Joint 1 turns from -140 to 140 deg: what came before at 225 deg goes on at -135."""
+    robot = read_robot(nominal_path("kr210"))
+    q = np.deg2rad([-135, -60, 60, 20, 40, 100])
+    postures = Postures(robot, np.eye(4))
+    found = postures.nearest(model_pose(robot, q)[None], (q + 2 * np.pi * np.eye(6)[0])[None])[0]
+    np.testing.assert_allclose(found, q, atol=1e-6)
 
 
 def test_an_inverse_out_of_reach_says_so():
