@@ -24,6 +24,7 @@ _CONSTANT = Quantity({"_Nm_per_A": 1.0, "_N_per_A": 1.0}, 1e6)
 _INERTIA = Quantity({"_kgm2": 1.0, "_kg": 1.0}, 1e6)
 _ANGLE = Quantity({"_rad": 1.0, "_deg": np.pi / 180, "_m": 1.0, "_mm": 1e-3}, 10.0)
 _TIME = Quantity({"_s": 1.0, "_ms": 1e-3}, 10.0)
+_HEIGHT = Quantity({"_m": 1.0, "_mm": 1e-3}, 1e4)
 
 
 class Drive(TomlTable):
@@ -37,6 +38,8 @@ class Drive(TomlTable):
     encoder_side : on which the logged position is measured
     delay : from the logged command to the servo; command_filter : time constant; read_skew : from joint to joint
     servo, command_logged, temperature : in words (before or after limits and interpolation, and so on)
+    floor : height of the tool's point on a surface below that it rests on, over the measuring frame's origin
+    log_angles, log_effort : unit of angles, and what stands in the field effort, where a log does not say it
 
     Examples
     --------
@@ -69,7 +72,10 @@ class Drive(TomlTable):
     delay: Annotated[Each, _TIME] = None
     command_filter: Annotated[Each, _TIME] = None
     read_skew: Annotated[Each, _TIME] = None
+    floor: Annotated[float | None, _HEIGHT] = None
     log_rate_Hz: Annotated[float, Field(gt=0)] | None = None
+    log_angles: Literal["deg", "rad", "percent"] | None = None
+    log_effort: Literal["torque", "current"] | None = None
     temperature: str = ""
 
     def of_joints(self, field: str, joints: int) -> Array | None:

@@ -12,7 +12,6 @@ import pytest
 from plugin_site import installed
 from typer.testing import CliRunner
 
-import casadical.diagnosis.motion
 from casadical import Body, InputError, Joint, Robot
 from casadical.cli.root import app
 from casadical.core.drive import Drive
@@ -23,10 +22,12 @@ from casadical.diagnosis.motion.result import diagnose_log, looks_of
 from casadical.diagnosis.motion.signals import motion_of
 from casadical.effects.motion import motion_effects
 from casadical.effects.plugins import known_effects
+from casadical.measurements.logs.findings import with_signs
 from casadical.measurements.logs.log import JointLog
 from casadical.project.diagnosis import own_causes, read_logs
 from casadical.robot.dynamics import Dynamics
 
+ROOT = Path(__file__).parents[2]
 RATE, SECONDS = 100.0, 12.0
 STIFF, DAMPED, PER_AMPERE = np.array([9e3, 9e3, 3e3]), np.array([300.0, 300.0, 100.0]), 10.0
 
@@ -257,6 +258,9 @@ def test_faults_of_the_log_itself(robot):
     assert [f.name for f in diagnose_log(robot, log[kept]).faults] == ["lost_samples"]
     slow = JointLog(log.time * 1.04, log.joints, log.position, log.command, current=log.current, run=log.run)
     assert [f.name for f in diagnose_log(robot, slow).faults] == ["clock_scale"]
+    sizes = replace(log, current=None if log.current is None else np.abs(log.current))
+    assert diagnose_log(robot, with_signs(sizes)).verdict == "explained"
+    assert [f.name for f in diagnose_log(robot, with_signs(sizes)).faults] == ["unsigned_current"]
 
 
 def test_the_command_recognises_a_log(robot, tmp_path):
@@ -382,17 +386,51 @@ def test_it_says_what_such_a_log_cannot_tell(robot):
         diagnose_log(robot, log.of_joints([0, 1]))
 
 
+def reached(module):
+    """Sources of the package that a module's imports lead to, by module."""
+    found, left = {}, [module]
+    while left:
+        name = left.pop()
+        path = ROOT.joinpath(*name.split(".")).with_suffix(".py")
+        path = path if path.is_file() else path.with_suffix("") / "__init__.py"
+        if name not in found and path.is_file():
+            found[name] = ast.parse(path.read_text())
+            nodes = [node for node in ast.walk(found[name]) if isinstance(node, ast.ImportFrom) and node.module]
+            of = [name for node in nodes for name in (node.module, *(f"{node.module}.{a.name}" for a in node.names))]
+            left += [name for name in of if name.startswith("casadical.")]
+    return found
+
+
 def test_no_second_engine():
-    """Evidence, noise and fits come from the one linear-Gaussian model: nothing here inverts or factors on its own."""
-    folder = Path(casadical.diagnosis.motion.__file__).parent
-    calls = {
-        node.attr for path in folder.glob("*.py") for node in ast.walk(ast.parse(path.read_text()))
-        if isinstance(node, ast.Attribute)
+    """What judges a log is what judges poses: all that factors or solves is reached from there, too."""
+    solvers = {
+        "cholesky",
+        "lstsq",
+        "eigh",
+        "svd",
+        "inv",
+        "slogdet",
+        "qr",
+        "solve",
+        "nlpsol",
+        "minimize",
+        "least_squares",
+    }
+    own, poses = (reached(f"casadical.diagnosis.{name}") for name in ("motion.search", "diagnose"))
+    assert {f"casadical.diagnosis.{name}" for name in ("posterior", "cross_validation", "evidence")} <= {*own} & {
+        *poses
+    }
+    beside = {
+        name for name, tree in own.items() if name not in poses
+        and any(isinstance(node, ast.Attribute) and node.attr in solvers for node in ast.walk(tree))
     }  # fmt: skip
-    assert not calls & {"cholesky", "lstsq", "eigh", "svd", "inv", "slogdet", "qr"}
-    imports = "".join(path.read_text() for path in folder.glob("*.py"))
-    for engine in ("diagnosis.evidence", "diagnosis.posterior", "diagnosis.cross_validation", "linear_gaussian"):
-        assert engine in imports
+    assert not beside
+
+
+def test_each_cause_has_sizes_a_phrase_and_a_counterpart_in_mujoco():
+    for name, kind in motion_effects().items():
+        assert "MuJoCo: " in kind.definition.physics, name
+        assert all((kind.definition.signature, kind.definition.confused_with, kind.definition.sizes)), name
 
 
 def test_a_motion_is_proposed_that_tells_delay_from_lag(robot):

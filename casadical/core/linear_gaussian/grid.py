@@ -1,5 +1,7 @@
 """Values of the noise's sigma and ratios and of a cause's size, and log likelihoods over them."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,5 +1,7 @@
 """Discover the law of what is left: laws beside listed causes and smooth forms; what each leaves on poses held out."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,4 +1,6 @@
-"""Faults of the instrument that wrote a joint log: a clock that runs wrong, samples that are lost or repeated."""
+"""Faults of the instrument that wrote a joint log: its clock, lost or repeated samples, a current without sign."""
+
+from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -26,7 +28,7 @@ class Fault:
 
 def faults_of(log: JointLog, arm: Arm, reference: JointLog | None = None) -> tuple[Fault, ...]:
     """What is wrong with the log itself."""
-    return (*_clock(log, arm, reference), *_samples(log))
+    return (*_clock(log, arm, reference), *_samples(log), *_signs(log))
 
 
 def _clock(log: JointLog, arm: Arm, reference: JointLog | None) -> Iterator[Fault]:
@@ -48,6 +50,15 @@ def _samples(log: JointLog) -> Iterator[Fault]:
             "lost_samples",
             f"samples are missing ({100 * lost:.1f} %) or repeated ({100 * repeated:.1f} %)",
             "Log over a wired link, at a rate that the link carries; rows that are missing are interpolated here.",
+        )
+
+
+def _signs(log: JointLog) -> Iterator[Fault]:
+    if log.signs_lost:
+        yield Fault(
+            "unsigned_current",
+            f"the {log.signs_lost} is logged without its sign",
+            "Until it has one, friction and load are told by the response to commands.",
         )
 
 

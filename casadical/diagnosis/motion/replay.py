@@ -3,6 +3,8 @@
 Its figures: errors over time, joint by joint and as a map, friction, hysteresis.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -121,6 +123,12 @@ class Replay(Result):
         if still := ", ".join(name for name, moved in zip(joints, self.response.moved, strict=True) if not moved):
             yield Words(
                 f"Did not move in the fitted runs: {still}; the response there is a usual one, not found.", "note"
+            )
+        if floor := self.response.floor:
+            yield Words(
+                f"The tool rests on a surface: its point comes no lower than {1e3 * floor.height:.4g} mm over the "
+                "origin of the measuring frame, where commands go on. The replay and an exported MuJoCo model have it.",
+                "note",
             )
         worse = [name for name, b, a in zip(joints, self.before, self.after, strict=True) if a > b]
         if worse:

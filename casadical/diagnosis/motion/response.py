@@ -3,19 +3,23 @@
 J q'' + b q' + F sign(q') + g(c) + o = kp (c(t - delay) - q), and within F of balance a joint stands: droop under
 gravity, hysteresis over the command's history, lag and delay, as a simulator's joint has them. Stepped by the implicit
 midpoint rule, dry friction as in Moreau's (1988) time stepping. Fitted by Levenberg and Marquardt's steps with priors,
-outliers (contacts) at less weight; masses are those of the robot file.
+outliers at less weight, without the samples at a surface that the arm rests on; masses are those of the robot file.
 """
 
-from collections.abc import Sequence
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.drive import Drive
 from casadical.diagnosis.motion.arm import Arm, arm_of
+from casadical.diagnosis.motion.floor import AT, Floor, floor_of
 from casadical.diagnosis.motion.signals import RATE, kernel_of, torque_of
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.dynamics import Dynamics
@@ -24,7 +28,9 @@ from casadical.robot.robot import Robot
 # A fit goes over pieces of a run of this length, each from its first reading [s].
 PIECE = 30.0
 # Logarithms of a joint's friction and times [rad, s, s^2, s], and of its yield: one sigma; what times usually are.
-YIELD, KNOWN_GAIN, DRY, TIMES = 1.0, 0.1, 1.5, 1.5
+YIELD, KNOWN_GAIN, TOLD_GAIN, DRY, TIMES = 0.5, 0.1, 0.02, 1.5, 1.5
+# A joint that gravity loads by less than this share of the most has a gain near that of the others: of its logarithm.
+LIGHT, ALIKE = 0.1, 0.25
 LAG, INERTIA, DELAY = 0.05, 0.002, 0.02
 # One sigma of a constant part of the error [rad].
 OFFSET = 0.05
@@ -33,6 +39,8 @@ EFFECTIVE, OUTLIER = 0.05, 3.0
 ROUNDS, STEPS, ENOUGH, DIFFERENCE = 4, 6, 1e-3, 1e-4
 # A joint whose commands go through less than this tells nothing of its response [rad], which stays within this share.
 STILL, USUAL = 0.02, 0.05
+# A torque that a servo gives in proportion has so great a correlation to its error, later by one of these [s].
+SERVED, LATES = 0.95, (0.0, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.06)
 # From this speed on a joint slides [rad/s]; rows of a run whose torques are told.
 SLIDES, FEWEST = 0.01, 20
 # No residual is judged finer than this [rad].
@@ -60,6 +68,7 @@ class Response:
     gain : of the servo [N m/rad]; bias : a constant torque [N m]; friction [N m]; damping [N m s/rad]
     inertia : of the joint, rotor included [kg m^2]; delay [s]
     beside : of logged torques, what the bodies leave: dry and viscous friction, rotor, constant, shape (joints, 4)
+    floor : surface that the tool came to rest on, or None
     fitted : sources of the logs; moved : which joints did in them: of others the response is a usual one
     """
 
@@ -73,6 +82,7 @@ class Response:
     fitted: tuple[str, ...]
     moved: Array
     beside: Array | None = None
+    floor: Floor | None = None
 
     def predicted(self, log: JointLog) -> Array:
         """Positions of a log's runs by its commands alone, from the first reading of each, shape (rows, joints)."""
@@ -80,10 +90,11 @@ class Response:
         for run in log.runs():
             (piece,) = pieces_of(run, np.inf)
             load = self.dynamics.torque(piece.command, *[np.zeros_like(piece.command)] * 2)
-            known = (self.friction, self.damping, self.inertia)
+            friction, lag, inertia = (each / self.gain for each in (self.friction, self.damping, self.inertia))
+            balance = late(piece.command, self.delay / piece.step) - (load + self.bias) / self.gain
             q = simulated(
-                late(piece.command, self.delay / piece.step), (load + self.bias) / self.gain, piece.position[0],
-                np.array(piece.step), *(each / self.gain for each in known),
+                _middles(balance), len(balance) - 1, piece.position[0], np.array(piece.step), friction, lag, inertia,
+                self.floor, self.gain,
             )  # fmt: skip
             t = run.time[0] + piece.step * np.arange(len(q))
             out.append(np.column_stack([np.interp(run.time, t, column) for column in q.T]))
@@ -130,7 +141,9 @@ class Response:
             "kp": self.gain, "bias": self.bias, "friction": self.friction, "damping": self.damping,
             "rotor_inertia_at_joint": self.armature, "delay": self.delay,
         }  # fmt: skip
-        rounded = {name: [float(f"{v:.4g}") for v in each] for name, each in found.items()}
+        rounded: dict[str, Any] = {name: [float(f"{v:.4g}") for v in each] for name, each in found.items()}
+        if self.floor:
+            rounded["floor"] = round(self.floor.height, 4)
         return (self.dynamics.given.drive or Drive()).model_copy(update=rounded)
 
 
@@ -163,26 +176,46 @@ def late(values: Array, samples: Array) -> Array:
     return np.column_stack([np.interp(at - d, at, v) for v, d in zip(values.T, np.atleast_1d(samples), strict=True)])
 
 
-def simulated(
-    command: Array, droop: Array, start: Array, step: Array, friction: Array, lag: Array, inertia: Array
-) -> Array:
-    """Angles of joints that follow their commands, shape (n, ...) as command and droop [rad].
+def _middles(values: Array) -> Array:
+    """Between each sample and the next one."""
+    return np.asarray((values[1:] + values[:-1]) / 2)
 
-    friction [rad], lag [s], inertia [s^2] are over the gain; start : first angles; step : between samples [s]
+
+def simulated(
+    balance: Iterable[Array], steps: int, start: Array, step: Array, friction: Array, lag: Array, inertia: Array,
+    floor: Floor | None = None, gain: Array | None = None,
+) -> Array:  # fmt: skip
+    """Angles of joints that follow their commands, shape (1 + steps, ...), from the first ones, `start` [rad].
+
+    balance : where each joint would come to rest, in the middle of each step, arrays (...) that may be changed [rad]
+    friction [rad], lag [s], inertia [s^2] are over the gain; step : between samples [s]
+    floor : surface that the tool stays above, of a run alone, shape (n, joints), with the gains [N m/rad]
     """
-    out, v = np.empty(np.broadcast_shapes(command.shape, droop.shape)), np.zeros(droop.shape[1:])
-    force = (command[1:] + command[:-1] - droop[1:] - droop[:-1]) / 2
     keeps, gives = 2 * inertia / step, 1 / (2 * inertia / step + lag + step / 2)
-    q = np.broadcast_to(start, out.shape[1:]).astype(float)
-    out[0] = q
-    for k, now in enumerate(force, 1):
-        push = now - q
-        push += keeps * v
-        push -= np.clip(push, -friction, friction)
+    shape = np.broadcast_shapes(start.shape, gives.shape)
+    out, q, v = np.empty((1 + steps, *shape)), np.broadcast_to(start, shape).astype(float), np.zeros(shape)
+    pushed, held, least = 0.0, np.empty(shape), -friction
+
+    def slid(push: Array) -> Array:
+        np.minimum(push, friction, out=held)
+        np.maximum(held, least, out=held)
+        push -= held
         push *= gives
-        v = np.where(push == 0, 0.0, 2 * push - v)
-        q = q + step * push
-        out[k] = q
+        return push
+
+    def ends(q: Array, push: Array, torque: Array) -> Array:
+        return np.asarray(q + step * slid(push + torque / gain))
+
+    out[0] = q
+    for k, push in enumerate(balance, 1):
+        push -= q
+        push += keeps * v
+        if floor is not None and gain is not None:
+            torque, pushed = floor.torque(partial(ends, q, push), step * gives / gain, pushed)
+            push += torque / gain
+        slid(push)
+        v = push.copy() if pushed else (2 * push - v) * (push != 0)
+        q = np.add(q, step * push, out=out[k])
     return out
 
 
@@ -206,13 +239,29 @@ class _Problem:
         x = x.copy()
         x[:, _LOGS] = np.exp(x[:, _LOGS])
         yields, offset, friction, lag, inertia, delay = x.transpose(1, 0, 2)
-        command = np.empty((*self.command.shape, x.shape[2]))
-        for s, h in enumerate(self.step):
-            command[:, s] = late(self.command[:, s], delay[:, 0] / h)[..., None]
-            if x.shape[2] > 1:  # of the variants only the last is of another delay
-                command[:, s, :, -1] = late(self.command[:, s], delay[:, -1] / h)
-        droop = yields * self.load[..., None] + offset
-        return simulated(command, droop, self.position[0][..., None], self.step[:, None, None], friction, lag, inertia)
+        # Of the variants only the last is of another delay.
+        first, last = (
+            _middles(np.stack([late(c, d / h) for c, h in zip(self.command.swapaxes(0, 1), self.step, strict=True)], 1))
+            for d in (delay[:, 0], delay[:, -1])
+        )
+
+        def balance() -> Iterator[Array]:  # of all steps at once it would be large
+            for command, more, load in zip(first, last - first, _middles(self.load), strict=True):
+                rest = command[..., None] - yields * load[..., None]
+                rest -= offset
+                rest[..., -1] += more
+                yield rest
+
+        return simulated(
+            balance(), len(first), self.position[0][..., None], self.step[:, None, None], friction, lag, inertia
+        )
+
+    def left(self, x: Array) -> tuple[Array, Array]:
+        """What parameters leave, (steps, pieces, joints), and how angles change with each, (..., LOCAL)."""
+        variants = np.repeat(x[:, :, None], 1 + LOCAL, axis=2)
+        variants[:, np.arange(LOCAL), 1 + np.arange(LOCAL)] += DIFFERENCE
+        angles = self.angles(variants)
+        return self.position - angles[..., 0], (angles[..., 1:] - angles[..., :1]) / DIFFERENCE
 
 
 def fitted(robot: Robot, logs: Sequence[JointLog]) -> Response:
@@ -220,18 +269,37 @@ def fitted(robot: Robot, logs: Sequence[JointLog]) -> Response:
 
     Raises InputError: logs without commands, or without a run of two seconds.
     """
-    dynamics = Dynamics(robot)
-    pieces = [piece for log in logs for run in log.runs() for piece in pieces_of(run)]
+    dynamics, runs = Dynamics(robot), [run for log in logs for run in log.runs()]
+    pieces = [piece for run in runs for piece in pieces_of(run)]
     if not pieces:
         raise InputError(f"{logs[0].source}: no run of two seconds or more; log 20 s or more of motion")
-    x = _solved(_problem(dynamics, pieces))
+    arm = arm_of(robot)
+    x, floor = _above_floor(dynamics, _problem(dynamics, pieces, _gains_by_torque(runs, arm)))
     gain = np.exp(-x[:, 0])
     friction, lag, inertia, delay = np.exp(x[:, 2:]).T
     sources = tuple(log.source for log in logs)
     return Response(
         dynamics, gain, gain * x[:, 1], gain * friction, gain * lag, gain * inertia, delay, sources, _moves(pieces),
-        _beside(dynamics, arm_of(robot), [run for log in logs for run in log.runs()]),
+        _beside(dynamics, arm, runs, floor), floor,
     )  # fmt: skip
+
+
+def _above_floor(dynamics: Dynamics, problem: _Problem) -> tuple[Array, Floor | None]:
+    """Parameters of all joints, and the surface that the tool came to rest on, or that the drives know of."""
+    seen, free = problem.weight[..., 0] > 0, Floor(dynamics)
+    read, sent = free.above(problem.position), free.above(problem.command)
+    lowest = float(read[seen].min())
+
+    def above(there: Array, start: Array) -> tuple[Array, Floor | None]:
+        x = _solved(replace(problem, weight=problem.weight * there[..., None]), start)
+        return x, floor_of(dynamics, problem.position[seen], problem.angles(x[:, :, None])[..., 0][seen])
+
+    known = (dynamics.given.drive or Drive()).floor
+    x, found = above((read > lowest + AT) | (sent > lowest - AT), problem.middle)
+    if found:
+        x, again = above(read > found.height + AT, x)
+        found = again or found
+    return x, found or (None if known is None else Floor(dynamics, known))
 
 
 def bodies_and_terms(dynamics: Dynamics, run: JointLog, position: Array) -> tuple[Array, Array]:
@@ -247,8 +315,8 @@ def bodies_and_terms(dynamics: Dynamics, run: JointLog, position: Array) -> tupl
     return dynamics.torque(q, v, a), np.stack([np.tanh(v / SLIDES), v, a, np.ones_like(v)], axis=2)
 
 
-def _beside(dynamics: Dynamics, arm: Arm, runs: Sequence[JointLog]) -> Array | None:
-    """Least squares of what the bodies leave of torques; None where a run has none [N m]."""
+def _beside(dynamics: Dynamics, arm: Arm, runs: Sequence[JointLog], floor: Floor | None) -> Array | None:
+    """Least squares of what the bodies leave of torques off the floor; None where a run has none [N m]."""
     H, b = np.zeros((dynamics.robot.n, 4, 4)), np.zeros((dynamics.robot.n, 4))
     for run in runs:
         logged = torque_of(run, arm)
@@ -256,6 +324,8 @@ def _beside(dynamics: Dynamics, arm: Arm, runs: Sequence[JointLog]) -> Array | N
             return None
         bodies, terms = bodies_and_terms(dynamics, run, run.position)
         known = np.isfinite(logged - bodies)
+        if floor is not None:
+            known &= (floor.above(np.nan_to_num(run.position)) > AT)[:, None]
         left = np.where(known, logged - bodies, 0.0)
         H += np.einsum("tja,tjb->jab", terms * known[..., None], terms)
         b += np.einsum("tja,tj->ja", terms, left)
@@ -268,7 +338,22 @@ def _moves(pieces: Sequence[Piece]) -> Array:
     return np.asarray(np.max([np.ptp(piece.command, axis=0) for piece in pieces], axis=0) > STILL)
 
 
-def _problem(dynamics: Dynamics, pieces: Sequence[Piece]) -> _Problem:
+def _gains_by_torque(runs: Sequence[JointLog], arm: Arm) -> Array:
+    """Gains where logged torques are proportional to the error of position, else NaN, shape (joints,) [N m/rad]."""
+    runs = [r for r in runs if r.step]
+    torques = [None if r.torque is None and arm.per_ampere is None else torque_of(r, arm) for r in runs]
+    best, gains = np.full(arm.joints, SERVED), np.full(arm.joints, np.nan)
+    for delay in LATES if all(t is not None for t in torques) else ():
+        errors = [late(np.asarray(r.command), np.full(arm.joints, delay / r.step)) - r.position for r in runs]
+        e, torque = (np.concatenate([np.asarray(v) for v in each]) for each in (errors, torques))
+        e, torque = (v - np.nanmean(v, axis=0) for v in (e, torque))
+        both, ee, tt = (np.nansum(v, axis=0) + 1e-30 for v in (e * torque, e * e, torque * torque))
+        better = both / np.sqrt(ee * tt) > best
+        best, gains = np.where(better, both / np.sqrt(ee * tt), best), np.where(better, both / ee, gains)
+    return gains
+
+
+def _problem(dynamics: Dynamics, pieces: Sequence[Piece], told: Array) -> _Problem:
     n, longest = dynamics.robot.n, max(len(piece.command) for piece in pieces)
     command, position, weight = (np.zeros((longest, len(pieces), n)) for _ in range(3))
     for s, piece in enumerate(pieces):
@@ -283,7 +368,9 @@ def _problem(dynamics: Dynamics, pieces: Sequence[Piece]) -> _Problem:
     drive = dynamics.given.drive or Drive()
     gain, delay = (drive.of_joints(name, n) for name in ("kp", "delay"))
     middle = np.zeros((n, LOCAL))
-    middle[:, 0] = np.log(np.median((error / heavy)[heavy > 0.1 * heavy.max()])) if gain is None else -np.log(gain)
+    middle[:, 0] = np.log(np.median((error / heavy)[heavy > LIGHT * heavy.max()])) if gain is None else -np.log(gain)
+    if gain is None:
+        middle[:, 0] = np.where(np.isfinite(told), -np.log(told), middle[:, 0])
     middle[:, 2:] = np.log(np.column_stack([error / 3, *(np.full(n, v) for v in (LAG, INERTIA, DELAY))]))
     if delay is not None:
         middle[:, 5] = np.log(np.maximum(delay, 1e-4))
@@ -292,28 +379,33 @@ def _problem(dynamics: Dynamics, pieces: Sequence[Piece]) -> _Problem:
     for k, name in ((2, "friction"), (3, "damping"), (1, "bias")):
         if (known := drive.of_joints(name, n)) is not None:
             middle[:, k] = known * yields if k == 1 else np.log(np.maximum(known * yields, 1e-6))
+    light = heavy < LIGHT * heavy.max()
     width = np.tile([YIELD if gain is None else KNOWN_GAIN, OFFSET, DRY, TIMES, TIMES, TIMES], (n, 1))
+    if gain is None:
+        width[light, 0] = ALIKE
+        width[np.isfinite(told), 0] = TOLD_GAIN
     width[np.ix_(~_moves(pieces), np.array(_LOGS))] = USUAL
     steps = np.array([piece.step for piece in pieces])
     return _Problem(command, position, weight, load.reshape(command.shape), steps, middle, width)
 
 
-def _solved(p: _Problem) -> Array:
+def _solved(p: _Problem, start: Array) -> Array:
     """Parameters at the least cost, shape (joints, LOCAL); joints do not know of each other."""
-    x = p.middle.copy()
-    damping = np.full(len(x), 1e-3)
+    x, damping = start.copy(), np.full(len(start), 1e-3)
+    left, slope = p.left(x)
     for _ in range(ROUNDS):
-        left = p.position - p.angles(x[:, :, None])[..., 0]
         sigma = (
             1.4826 * np.array([np.median(np.abs(e[w > 0])) for e, w in zip(left.T, p.weight.T, strict=True)]) + LEAST
         )
         before = _cost(p, left, sigma, x)
         for _ in range(STEPS):
-            H, b = _normal(p, sigma, x)
+            H, b = _normal(p, sigma, x, left, slope)
             step = np.linalg.solve(H + damping[:, None, None] * H * np.eye(LOCAL), b[..., None])[..., 0]
-            now = _cost(p, p.position - p.angles((x + step)[:, :, None])[..., 0], sigma, x + step)
+            further, slopes = p.left(x + step)
+            now = _cost(p, further, sigma, x + step)
             better = now < before
-            x = np.where(better[:, None], x + step, x)
+            x[better] += step[better]
+            left[:, :, better], slope[:, :, better] = further[:, :, better], slopes[:, :, better]
             damping = np.clip(np.where(better, damping / 5, damping * 8), 1e-9, 1e9)
             done = (np.abs(before - now) < ENOUGH * before).all()
             before = np.where(better, now, before)
@@ -328,14 +420,11 @@ def _cost(p: _Problem, left: Array, sigma: Array, x: Array) -> Array:
     return np.asarray(EFFECTIVE * rows.sum(axis=(0, 1)) + (((x - p.middle) / p.width) ** 2).sum(axis=1))
 
 
-def _normal(p: _Problem, sigma: Array, x: Array) -> tuple[Array, Array]:
+def _normal(p: _Problem, sigma: Array, x: Array, left: Array, slope: Array) -> tuple[Array, Array]:
     """Normal equations of each joint, shapes (joints, LOCAL, LOCAL) and (joints, LOCAL); outliers at less weight."""
-    variants = np.repeat(x[:, :, None], 1 + LOCAL, axis=2)
-    variants[:, np.arange(LOCAL), 1 + np.arange(LOCAL)] += DIFFERENCE
-    angles = p.angles(variants)
-    left = p.position - angles[..., 0]
-    slope = (angles[..., 1:] - angles[..., :1]) / DIFFERENCE
+    n = left.shape[2]
     weight = EFFECTIVE * p.weight / (sigma**2 * np.sqrt(1 + (left / (OUTLIER * sigma)) ** 2))
-    H = np.einsum("tsja,tsj,tsjb->jab", slope, weight, slope, optimize=True)
-    b = np.einsum("tsja,tsj,tsj->ja", slope, weight, left, optimize=True)
-    return H + np.eye(LOCAL) / p.width[:, None, :] ** 2, b - (x - p.middle) / p.width**2
+    A = slope.reshape(-1, n, LOCAL).transpose(1, 2, 0)
+    weighted = A * weight.reshape(-1, n).T[:, None]
+    b = (weighted @ left.reshape(-1, n).T[..., None])[..., 0]
+    return weighted @ A.transpose(0, 2, 1) + np.eye(LOCAL) / p.width[:, None, :] ** 2, b - (x - p.middle) / p.width**2

@@ -2,6 +2,7 @@
 
 Of each joint: dry friction, damping, armature; an actuator with the servo's gain, constant torque, limit, filter and
 delay, whose `ctrl` is the command. Bodies get their inertias. A spring between servo and link stands beside the joint.
+A surface on which the tool came to rest is a plane, which a ball at the measured point touches without friction.
 The same numbers by joint names, as JSON, are for actuator models elsewhere (Isaac Lab, Genesis).
 """
 
@@ -14,12 +15,14 @@ import numpy as np
 from casadical.core.basics import InputError
 from casadical.core.drive import Drive
 from casadical.export.mjcf.elements import add_spring, numbers
-from casadical.export.mjcf.mjcf import STEP, MjcfExport, mjcf
+from casadical.export.mjcf.mjcf import HARD, POINT, STEP, MjcfExport, mjcf
 from casadical.robot.robot import Robot
 
 # What a joint needs to move as it does: names in `Drive`, and what another program calls them.
 NEEDED = {"kp": "stiffness", "damping": "damping", "friction": "friction", "rotor_inertia_at_joint": "armature"}
 ALSO = {"delay": "delay_s", "bias": "constant_torque", "torque_limit": "effort_limit", "speed_limit": "velocity_limit"}
+# Radius of what touches a surface [m].
+BALL = 0.005
 
 
 def knows_motion(robot: Robot) -> bool:
@@ -41,6 +44,7 @@ def moving_mjcf(robot: Robot) -> MjcfExport:
         compiler.set("balanceinertia", "true")
     _set_joints(root, robot, robot.drive)
     _set_inertias(root, robot)
+    _set_floor(root, robot.drive.floor)
     (actuators,) = root.iter("actuator")
     for i in robot.numbers:
         place = next(k for k, node in enumerate(actuators) if node.get("name") == f"drive{i}")
@@ -73,6 +77,25 @@ def _set_inertias(root: ET.Element, robot: Robot) -> None:
                 about = own.likely_inertia
                 inertial.attrib.pop("diaginertia", None)
                 inertial.set("fullinertia", numbers(*np.diag(about), *about[np.triu_indices(3, 1)]))
+
+
+def _set_floor(root: ET.Element, height: float | None) -> None:
+    """The plane across gravity at which the measured point has this height."""
+    world, (option,) = root.find("worldbody"), root.iter("option")
+    gravity = np.array([float(word) for word in str(option.get("gravity")).split()])
+    if height is None or world is None or not gravity.any():
+        return
+    up = -gravity / np.linalg.norm(gravity)
+    alone = {"contype": "0", "conaffinity": "0"}
+    place = {"pos": numbers(*((height - BALL) * up)), "zaxis": numbers(*up), "size": "0 0 0.01"}
+    ET.SubElement(world, "geom", {"name": "floor", "type": "plane", **place, **alone})
+    last, site = next(
+        (body, node) for body in root.iter("body") for node in body.findall("site") if node.get("name") == POINT
+    )
+    ball = {"name": "ball", "type": "sphere", "pos": str(site.get("pos")), "size": numbers(BALL), "mass": "0"}
+    ET.SubElement(last, "geom", {**ball, **alone})
+    pair = {"geom1": "floor", "geom2": "ball", "condim": "1", **HARD}
+    ET.SubElement(ET.SubElement(root, "contact"), "pair", pair)
 
 
 def _actuator(robot: Robot, drive: Drive, i: int) -> ET.Element:
@@ -121,7 +144,10 @@ def servos_of(robot: Robot) -> tuple[str, ...]:
         return ()
     droop = 1e3 * float(np.max(robot.torque_scale / _of(robot.drive, "kp", robot)))
     late = 1e3 * float(np.max(_of(robot.drive, "delay", robot)))
-    return (f"gains, armature and delay of the drives: droop up to {droop:.3g} mrad under gravity, {late:.3g} ms",)
+    floor = "" if robot.drive.floor is None else f"; a surface where the tool is {1e3 * robot.drive.floor:.4g} mm high"
+    return (
+        f"gains, armature and delay of the drives: droop up to {droop:.3g} mrad under gravity, {late:.3g} ms{floor}",
+    )
 
 
 def actuators_of(robot: Robot) -> dict[str, Any]:

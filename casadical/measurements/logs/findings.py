@@ -247,7 +247,8 @@ def with_signs(log: JointLog) -> JointLog:
             "current, which tells friction and load by size alone. Log it with its sign"
         )
         changed: dict[str, Array | None] = {"torque": None if channel == "torque" else log.torque, "current": values}
-        return replace(log, **changed, current_unsigned=True, findings=(*log.findings, said))  # type: ignore[arg-type]
+        known = {"current_unsigned": True, "signs_lost": channel, "findings": (*log.findings, said)}
+        return replace(log, **changed, **known)  # type: ignore[arg-type]
     return log
 
 
@@ -266,9 +267,7 @@ def refuse_other_units(log: JointLog, robot: Arm | None) -> None:
             reach = max(abs(lower), abs(upper))
             beyond = largest > 2 * reach + BEYOND and largest > np.pi and bool(inside[np.isfinite(column)].all())
         if beyond:
-            raise InputError(
-                f"{known}: {largest:.6g} rad; such angles are degrees: name the columns q{k + 1}_deg, or give the unit"
-            )
+            raise InputError(f"{known}: {largest:.6g} rad; such angles are degrees: name the columns q{k + 1}_deg")
         _refuse_change(log, k)
         if log.command is not None and np.nanstd(column) > STILL and np.nanstd(log.command[:, k]) > STILL:
             ratio = float(np.nanstd(log.command[:, k]) / np.nanstd(column))

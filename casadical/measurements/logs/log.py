@@ -37,6 +37,7 @@ class JointLog(Shown):
     position : as the encoders read [rad or m]; command : as sent to the drives; speed, command_speed [rad/s or m/s]
     torque : of the drive, as the controller says [N m or N]; current : of the motor [A]; temperature [degC]
     current_unsigned : whether the current is an absolute value, or a raw one of unknown sign
+    signs_lost : channel (torque, current) whose heading promises a sign that its numbers do not have; or empty
     voltage : shape (n,) [V]; payload : shape (n,) [kg]; run : shape (n,): number of each row's run, whose rows stand
         together
     kinds : of each joint, revolute or prismatic; all revolute where none are given
@@ -66,6 +67,7 @@ class JointLog(Shown):
     current: Array | None = None
     temperature: Array | None = None
     current_unsigned: bool = False
+    signs_lost: str = ""
     voltage: Array | None = None
     payload: Array | None = None
     run: Array = field(default_factory=lambda: np.zeros(0, dtype=np.int64))

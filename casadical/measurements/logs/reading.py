@@ -35,7 +35,7 @@ def read_log(
     robot: Arm | None = None,
     *,
     unit: Literal["deg", "rad", "percent"] | None = None,
-    effort: Literal["torque", "current"] = "torque",
+    effort: Literal["torque", "current"] | None = None,
 ) -> JointLog:
     """A joint log from a file of a controller, a simulator or a recorder.
 
@@ -43,7 +43,7 @@ def read_log(
         SAGE, a Parquet file of a LeRobot dataset, a ROS bag (.db3, .mcap, .bag, or the folder with metadata.yaml)
     robot : its joints, by their names or their order, are those of the log; others are left out
     unit : of angles whose unit the file does not say; percent: of half a joint's range about its middle
-    effort : what stands in the field effort, torque or torques
+    effort : what stands in the field effort, torque by default; both as [drive] of the robot says where None
     Returns the log in SI; its findings say what was understood, and what is odd.
     Raises InputError: a file that cannot be used; it names file, row and column, and what to do.
 
@@ -58,6 +58,8 @@ def read_log(
     (('joint 1',), 1.0)
     """
     path = Path(path)
+    if robot and robot.drive:
+        unit, effort = unit or robot.drive.log_angles, effort or robot.drive.log_effort
     log = _logged(path, [joint.name for joint in robot.joints if joint.name] if robot else [], unit)
     if effort == "current" and "torque" in log.channels:
         channels = {("current" if name == "torque" else name): columns for name, columns in log.channels.items()}

@@ -53,7 +53,8 @@ def lerobot(path: Path, table: RawTable, unit: str | None) -> Logged:
     if not unit and max(sizes, default=0.0) <= 100.0:
         raise InputError(
             f"{path.name}: positions within -100 to 100 are degrees or, as LeRobot writes by default, per cent of each "
-            'joint\'s calibrated range; nothing here says which. Give unit = "deg", or "percent" with the robot'
+            "joint's calibrated range; nothing here says which. Say it in the table [drive] of the robot file, or of "
+            '--drive FILE.toml: log_angles = "deg", or "percent"'
         )
     return replace(log, units=dict.fromkeys(log.units, unit or "deg"))
 
@@ -147,7 +148,7 @@ def _of_stream(stream: _Stream, path: Path) -> Logged:
     if "torque" in channels:
         notes.append(
             f"{stream.topic}: effort is read as torque [N m]; some drivers write currents there (Universal Robots' "
-            'among them): then give effort = "current"'
+            'among them): then write log_effort = "current" into the table [drive]'
         )
     units = {(name, joint): "rad" for name, columns in channels.items() for joint in columns}
     row = np.arange(len(stamps)) + 1

@@ -1,6 +1,7 @@
 """Logs of other systems: folders of SAGE, LeRobot's Parquet, ROS bags and MCAP written by rosbags itself."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from casadical import InputError, Joint, Robot
+from casadical.core.drive import Drive
 from casadical.measurements.logs.reading import is_log, read_log
 
 T = np.arange(200) / 50
@@ -191,6 +193,8 @@ def test_lerobot_in_per_cent_asks_and_takes_the_robots_ranges(tmp_path) -> None:
     log = read_log(path, ARM, unit="percent")
     assert log.command == pytest.approx(Q + np.array([0, 1]), abs=1e-5)
     assert read_log(path, ARM, unit="deg").command == pytest.approx(np.deg2rad(50 * Q), abs=1e-5)
+    said = replace(ARM, drive=Drive(log_angles="deg"))  # [drive] says it where no argument can, as in a command
+    assert read_log(path, said).command == pytest.approx(np.deg2rad(50 * Q), abs=1e-5)
     with pytest.raises(InputError, match="needs the ranges of the joints: give the robot"):
         read_log(path, unit="percent")
 
