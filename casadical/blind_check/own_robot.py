@@ -1,7 +1,5 @@
 """How often a diagnosis of a robot of one's own would be right: hidden campaigns of it, diagnosed, and counted."""
 
-from __future__ import annotations
-
 import json
 import secrets
 from collections.abc import Callable, Sequence
@@ -36,7 +34,7 @@ from casadical.blind_check.protocol import Answer
 from casadical.blind_check.recording import COLUMNS, Plan, Subject, draw_plans
 from casadical.blind_check.worker_pool import completed, workers
 from casadical.core.basics import Array, ConvergenceError, InputError
-from casadical.core.estimated_masses import with_estimated_masses, without_masses
+from casadical.core.parts import with_estimated_masses, without_masses
 from casadical.core.telling.blocks import Block, Table, Words
 from casadical.core.telling.result import Result
 from casadical.measurements.derived_columns import derive

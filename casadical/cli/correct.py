@@ -124,16 +124,18 @@ def correct(
     Exit codes: 0 written, with or without refused targets; 2 bad input, or poses that are not reached; 70 a bug in
     casadical.
     """
+    from casadical.export.controller.c_export import OfCommand
+    from casadical.export.controller.commands import Sources
     from casadical.export.controller.programs.csv_table import CsvTable
-    from casadical.export.controller.programs.program import OfLanguage, WithRobot, correct_file
+    from casadical.export.controller.programs.program import OfLanguage, correct_file
     from casadical.export.controller.programs.registry import language_of
 
     refuse_taken(out, overwrite)
     o.refuse_of_others(context, [*MODELS][model.is_dir()], MODELS)
     o.refuse_of_others(context, [*PROGRAMS][isinstance(language_of(program), CsvTable)], PROGRAMS)
-    robot = WithRobot(nominal, compensator, payload, steps, what, limit, tool, leave_out, tcp_error)
+    sources = Sources(model, nominal, compensator, payload, tool or "shared", leave_out, tcp_error)  # type: ignore[arg-type]
     language = OfLanguage(tcp, base, root, flange, data, nearest, external_still, leave_unreached, accuracy_off)
-    made = correct_file(model, program, out, robot, language, trust=trust)
+    made = correct_file(sources, program, out, OfCommand(steps or 2, what, limit), language, trust=trust)
     console = plain(quiet)
     for line in made.lines:
         console.print(line)

@@ -1,7 +1,5 @@
 """The commands `casadical export c` and `casadical export model`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -5,8 +5,6 @@ with its size. Every ranking beside a set gives the mass of that set with each c
 compare thousands of sets, those with something unlisted in them too.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 

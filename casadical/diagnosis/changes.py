@@ -4,8 +4,6 @@ The evidence of both in the linear problem, the size of the noise integrated on 
 of each joint), each part alone; what changed is then no longer known, and the others are judged again beside it.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

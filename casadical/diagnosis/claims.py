@@ -1,7 +1,5 @@
 """Which causes of a search are named: each passes the same gate beside all others; the set's own probability."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Figures of a diagnosis: the gap and its causes, where the gap lies, joint error curves."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

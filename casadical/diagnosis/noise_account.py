@@ -1,7 +1,5 @@
 """What a diagnosis took as noise, beside what was declared and what repeated poses say, and which of them rules."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import StrEnum
 from math import floor, log

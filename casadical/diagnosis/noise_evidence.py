@@ -5,8 +5,6 @@ Sums over the poses are those of plain noise less what some poses or directions 
 where fewer numbers were measured than there are columns, their covariance is used instead.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

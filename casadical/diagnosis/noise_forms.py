@@ -6,8 +6,6 @@ joint that scatters is still something that nobody listed, unless it has a cause
 Where an effect leads whose sizes are learnt once it is in the model, its joints' scatter is no rival before.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 

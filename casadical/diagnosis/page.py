@@ -1,7 +1,5 @@
 """A diagnosis as a page: its words, tables and figures in the order in which a reader asks."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 
 import pandas as pd

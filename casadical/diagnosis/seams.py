@@ -3,8 +3,6 @@
 They are those of the position, or of what another kind of measurement observes, by that kind's own residual.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import ClassVar

@@ -1,7 +1,5 @@
 """The joint error curves of a diagnosis, each with its band, its share and its lines; as rows and as plain data."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Stops of the robot: what is read while it stands still shares how its joints repeat there."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass

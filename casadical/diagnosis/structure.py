@@ -8,8 +8,6 @@ freedom that the scatter of the squares says (Satterthwaite 1946), so that heavy
 count for as much as they are. Close poses are compared, too: in joint space, and one after the other.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """What an effect may look at where it enters the model."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import reduce

@@ -5,8 +5,6 @@ here; numbers, length and depth are limited, and by interval arithmetic every va
 or three in brackets, `[a, b, 0] * max(0, t - 0.5)`.
 """
 
-from __future__ import annotations
-
 import ast
 import math
 import warnings

@@ -7,8 +7,6 @@ A law given as text: what is added at one place of the robot, as a formula of wh
 It is data: a formula is parsed and never executed (see `formula`). `casadical diagnose --laws` writes such laws.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The measuring frame and the reflector move, at once or slowly, or stand elsewhere in a later session."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ A torque is in shares of the joint's great torque in the log, a response in rad 
 seams `torques` and `responses` a formula is taken for every joint, else for the cause's own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path

@@ -3,8 +3,6 @@
 Bearings that run out or have play.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 

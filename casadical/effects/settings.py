@@ -1,7 +1,5 @@
 """Settings of an effect: fields in which it is not linear, with their grid, and as plain data."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field, fields

@@ -5,8 +5,6 @@ The declared masses and mass centres of the links are wrong.
 A link bends and twists under the weight beyond it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 

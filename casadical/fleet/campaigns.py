@@ -1,7 +1,5 @@
 """Campaigns of one robot as they lie in files: robot files, results, problem folders, tables; and their order."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """What a comparison of campaigns found, and its words, tables and plain data."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path

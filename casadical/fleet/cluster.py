@@ -1,7 +1,5 @@
 """Robots on a Dask cluster, the machine's own or another one: a row of each as it is done, few in flight at a time."""
 
-from __future__ import annotations
-
 import re
 import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """What changed in a robot between campaigns: which parameter or effect, when, by how much, and how sure that is."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 

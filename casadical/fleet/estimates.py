@@ -10,8 +10,6 @@ too much, and a change explained that. How well joints repeat and how large thei
 the noise of a coordinate to the instrument: all campaigns tell of these together.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 

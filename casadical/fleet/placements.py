@@ -1,7 +1,5 @@
 """Base and tool, which are fitted again in each campaign; and how large a change must be to be seen."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np

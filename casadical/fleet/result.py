@@ -1,7 +1,5 @@
 """The result of a fleet: a row of each robot, outliers, trends, what robots of one type share; and its figures."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """A fleet: every robot's folder calibrated, diagnosed and compared on a cluster, and what the robots have in common."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path

@@ -3,8 +3,6 @@
 All that is computed of one robot of a fleet: calibrated, diagnosed, compared; an error is a row, too.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import os

@@ -1,7 +1,5 @@
 """Five touches a day: which poses tell most of what usually changes, and what the touches say of a calibrated robot."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

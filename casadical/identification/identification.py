@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from casadical.core.basics import ConvergenceError, InputError
-from casadical.core.estimated_masses import with_estimated_masses, with_payload, without_masses
+from casadical.core.parts import with_estimated_masses, with_payload, without_masses
 from casadical.core.statistics import exceeded_by_chance
 from casadical.core.telling.result import Shown
 from casadical.core.transforms import frame

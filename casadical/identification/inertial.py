@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.estimated_masses import without_masses
+from casadical.core.parts import without_masses
 from casadical.identification.identifiability import Identifiability, analyse
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.dynamics import Dynamics

@@ -5,8 +5,6 @@ are in no base model. What is left may still have something in common at poses t
 readings: gear errors of higher order, slow drifts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial, reduce

@@ -7,8 +7,6 @@ model that is not calibrated yet is wrong by MODEL at a pose, and not by chance:
 than so many. What the readings determine is freed of these priors in the end.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product

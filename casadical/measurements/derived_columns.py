@@ -1,7 +1,5 @@
 """Columns that effects need and that follow from logged ones: progress, lagged warmth, approach directions."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 from dataclasses import replace

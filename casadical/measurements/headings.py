@@ -17,7 +17,7 @@ import pandas as pd
 from casadical.core.basics import Array
 from casadical.measurements.angle_unit import RADIANS
 from casadical.measurements.columns import Source, in_seconds
-from casadical.measurements.kinds.pose import FIRST
+from casadical.measurements.kinds.position import FIRST
 from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.raw_table import RawTable
 from casadical.measurements.vocabulary import UNITS, UNSPACED, WORDS

@@ -5,8 +5,6 @@ at one point: the position less that point. Places that were not measured are fu
 behind those of the parameters; what reads them is placed against the robot, not the other way round.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations

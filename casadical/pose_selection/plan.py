@@ -13,9 +13,8 @@ from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import Result
 from casadical.measurements.measurements import Noise
 from casadical.pose_selection.instruments import Instrument
-from casadical.pose_selection.pose_order import travel
 from casadical.pose_selection.pose_search import Forecast
-from casadical.pose_selection.selection import Selection
+from casadical.pose_selection.selection import Selection, travel
 
 _HEIGHTS, _DISTANCES = ("low", "middle", "high"), ("near", "middle", "far")
 

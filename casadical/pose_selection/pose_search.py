@@ -23,8 +23,7 @@ from casadical.pose_selection.design_problem import DesignProblem, prepare
 from casadical.pose_selection.experimental_design import improve, inverse, search
 from casadical.pose_selection.information import MM, Criterion
 from casadical.pose_selection.instruments import Instrument, best_places
-from casadical.pose_selection.pose_order import arranged
-from casadical.pose_selection.selection import Selection
+from casadical.pose_selection.selection import Selection, arranged
 from casadical.pose_selection.workspace import Workspace
 from casadical.robot.robot import Robot
 

@@ -1,7 +1,5 @@
 """A problem calibrated with its methods: one result, its accuracy, and its files."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace

@@ -3,8 +3,6 @@
 It is data for a certificate, in the form that an auditor asks for. It never says that a laboratory is accredited.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date

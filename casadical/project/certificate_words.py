@@ -1,7 +1,5 @@
 """Sentences of the certificate in its languages; a pair for each key, English and German."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cache
 

@@ -10,8 +10,6 @@ x_mm, y_mm, z_mm. Formulas, with a bar for the mean over a pose's n visits and c
     dAP = max |AP_0 - AP_T|, dRP alike        drift, over the groups after the first
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations

@@ -1,7 +1,5 @@
 """What a reader of a calibration must know first: rows that were left out, doubts, and whether it helped at all."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping
 
@@ -15,7 +13,7 @@ from casadical.identification.result import AS_BEFORE, Identification, LeftOut, 
 from casadical.identification.undetermined import undetermined
 from casadical.measurements.columns import Source
 from casadical.measurements.vocabulary import UNITS
-from casadical.project.check.coverage import coverage
+from casadical.project.check.plausible import coverage
 from casadical.project.networks import Networks
 from casadical.project.problem import Problem, together
 from casadical.project.tables import Accuracies, judged_on

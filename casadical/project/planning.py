@@ -25,9 +25,8 @@ from casadical.pose_selection.candidates import Circumstances
 from casadical.pose_selection.information import CRITERIA, Criterion, checked
 from casadical.pose_selection.instruments import usual_places
 from casadical.pose_selection.plan import MeasurementPlan
-from casadical.pose_selection.pose_order import tours
 from casadical.pose_selection.pose_search import forecast, place_instrument, select_poses, select_with_places
-from casadical.pose_selection.selection import Selection
+from casadical.pose_selection.selection import Selection, tours
 from casadical.pose_selection.workspace import Workspace, read_workspace
 from casadical.project.iso9283 import planned_test, words_of_plan
 from casadical.project.problem import Carried, nothing_carried, read_campaign, read_campaign_robot

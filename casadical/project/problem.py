@@ -1,7 +1,5 @@
 """A problem: a folder with a robot, measurements and how they are split, checked before anything is solved."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -13,8 +13,6 @@ that measures everything too long leaves no residual. u(E) = u(E^2) / (2 E), and
 Student's t for 95.45 % at the effective degrees of freedom (Welch and Satterthwaite), 2 where they are many.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

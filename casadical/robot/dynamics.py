@@ -5,8 +5,6 @@ origin of its frame, and in the rotor inertia of each drive. Physical bodies are
 definite (Wensing, Kim and Slotine 2018); `Dynamics.at` leads to no others (log-Cholesky, Rucker and Wensing 2022).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -14,9 +12,8 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.estimated_masses import with_estimated_masses, without_masses
 from casadical.core.mapped_function import MappedFunction
-from casadical.core.parts import Body, Coupling
+from casadical.core.parts import Body, Coupling, with_estimated_masses, without_masses
 from casadical.core.transforms import Symbolic, product
 from casadical.robot.kinematics import own_variables, row_factors
 from casadical.robot.model import Structure, base_frame, gravity_in_base

@@ -6,8 +6,6 @@ distance is rest^2 + tr(J M J'), and the bound is that times a factor, taken fro
 conformal prediction with a scale of its own (Lei et al. 2018, section 5.2). Away from the measured poses J M J' grows.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

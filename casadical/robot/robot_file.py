@@ -1,7 +1,5 @@
 """A robot as a TOML file: read and checked by `robot_schema`, written again after calibration."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

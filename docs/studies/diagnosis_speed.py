@@ -1,13 +1,14 @@
 """Time and memory of a diagnosis: python docs/studies/diagnosis_speed.py [PART...] > docs/studies/diagnosis_speed.txt
 
-Parts, all by default: command (a minute), series-b (half a minute), command-b (two minutes), series-a (two minutes),
-simulated-1000, simulated-10000 (half a minute), simulated-100000 (ten minutes). Each row is a process of its own with
-one thread: seconds of CPU, seconds of wall time, peak of its memory. On a busy machine both times are longer. The print
-has the parts that were run so far, and what else ran on the machine.
+Parts, all by default: command (a minute), series-b (half a minute), command-b, command-c (two minutes), full-poses,
+series-a (two minutes), simulated-1000, simulated-10000 (half a minute), simulated-100000 (ten minutes). Each row is a
+process of its own with one thread: seconds of CPU, seconds of wall time, peak of its memory. On a busy machine both
+times are longer. The print has the parts that were run so far, and what else ran on the machine.
 
 command: `casadical diagnose` of 100 poses. First: nothing is in the cache. Again: formulas are. Next: each further
 campaign of the same command. series-b and series-a: all poses of two series of the real UR10, by `diagnose` of Python;
-command-b: by the command, which also refits and judges the poses. simulated: poses of a UR10e with backlash.
+command-b: by the command, which also refits and judges the poses; command-c: series C, with --details. full-poses: 100
+poses of series C with orientations, the causes of series B as a prior. simulated: poses of a UR10e with backlash.
 """
 
 import os
@@ -32,7 +33,11 @@ from numpy_physics import campaign, draw_disturbance
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "data" / "ur10_laser_tracker"
-SERIES = {"a": ("series_A_grid.csv", "ur10_grid"), "b": ("series_B_joint_configurations.csv", "ur10_joints")}
+SERIES = {
+    "a": ("series_A_grid.csv", "ur10_grid"),
+    "b": ("series_B_joint_configurations.csv", "ur10_joints"),
+    "c": ("series_C_random_poses.csv", "ur10"),
+}
 SIZES = (1000, 10_000, 100_000)
 FURTHER = 3
 COMMAND = "from casadical.cli import main; main()"
@@ -95,11 +100,29 @@ def series(folder: Path, letter: str) -> None:
     row(f"diagnose, series {letter.upper()}", used, (folder / "said.txt").read_text())
 
 
-def command_of_series(folder: Path, letter: str) -> None:
+def command_of_series(folder: Path, letter: str, *options: str) -> None:
     """All poses of a real series by the command."""
     file, problem = SERIES[letter]
-    used = process(["-c", COMMAND, "diagnose", ROOT / "problems" / problem, DATA / file], folder)
-    row(f"command, series {letter.upper()}", used)
+    used = process(["-c", COMMAND, "diagnose", ROOT / "problems" / problem, DATA / file, *options], folder)
+    row(" ".join([f"command, series {letter.upper()}", *options]), used)
+
+
+def full_poses(folder: Path) -> None:
+    """100 poses with their orientations, beside the causes of another series."""
+    file, problem = SERIES["b"]
+    process(["-c", COMMAND, "diagnose", ROOT / "problems" / problem, DATA / file, "--out", folder / "b"], folder)
+    (prior,) = (folder / "b").rglob("diagnosed.robot.toml")
+    file, problem = SERIES["c"]
+    table = pd.read_csv(DATA / file, comment="#")
+    table.iloc[:: len(table) // 100][:100].to_csv(folder / "poses.csv", index=False)
+    (folder / "robot.toml").write_text((ROOT / "problems" / problem / "robot.toml").read_text())
+    (folder / "problem.toml").write_text(
+        'casadical = 1\ntitle = "Full poses"\n[[measurements]]\nfile = "poses.csv"\nkind = "pose"\n'
+    )
+    row(
+        "command, 100 full poses, B's causes as a prior",
+        process(["-c", COMMAND, "diagnose", folder, "--prior", prior], folder),
+    )
 
 
 def simulated(folder: Path, size: int) -> None:
@@ -124,7 +147,9 @@ def one(problem: Path, file: Path, answer: Path) -> None:
 PARTS = {
     "command": command,
     "series-b": partial(series, letter="b"),
-    "command-b": partial(command_of_series, letter="b"),
+    "command-b": lambda folder: command_of_series(folder, "b"),
+    "command-c": lambda folder: command_of_series(folder, "c", "--details"),
+    "full-poses": full_poses,
     "series-a": partial(series, letter="a"),
     **{f"simulated-{size}": partial(simulated, size=size) for size in SIZES},
 }

@@ -7,9 +7,8 @@ import pytest
 from checks import ROOT
 from numpy_physics import campaign, disturbances
 
-from casadical.blind_check.f_test import SIGNIFICANT, Regression
 from casadical.blind_check.mujoco_physics import Plant, perturb
-from casadical.blind_check.prediction import answer_campaign
+from casadical.blind_check.prediction import SIGNIFICANT, Regression, answer_campaign
 from casadical.project.problem import read_campaign_robot
 from casadical.robot.robot_file import to_toml
 

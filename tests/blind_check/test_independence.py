@@ -42,7 +42,7 @@ except SystemExit as end:
 """
 PREDICTING = """
 from casadical.blind_check.prediction import predict
-import casadical.blind_check.prediction, casadical.blind_check.f_test
+import casadical.blind_check.prediction, casadical.blind_check.prediction
 import casadical.diagnosis.diagnose, casadical.diagnosis.json_answer
 """
 

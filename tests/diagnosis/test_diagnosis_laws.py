@@ -38,9 +38,8 @@ from casadical.diagnosis.laws.forms import (
     wave_plus,
     with_columns,
 )
-from casadical.diagnosis.laws.problem import SCREENED, Problem, Tried, scale_of
+from casadical.diagnosis.laws.problem import NEVER, SCREENED, Problem, Screen, Tried, scale_of
 from casadical.diagnosis.laws.problem import with_columns as seams_with_columns
-from casadical.diagnosis.laws.screening import NEVER, Screen
 from casadical.diagnosis.laws.search import search_laws
 from casadical.diagnosis.linearisation import linearise
 from casadical.diagnosis.posterior import rank

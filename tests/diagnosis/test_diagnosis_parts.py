@@ -26,8 +26,7 @@ from casadical.diagnosis.details import analyse
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, SIGMAS, KnownNoise, log_known
 from casadical.diagnosis.formula_cache import KeptFormulas, screw
 from casadical.diagnosis.laws.forms import Driver, with_widths
-from casadical.diagnosis.laws.problem import Problem
-from casadical.diagnosis.laws.screening import Screen, log_mean
+from casadical.diagnosis.laws.problem import Problem, Screen, log_mean
 from casadical.diagnosis.line_search import Background, Line, Search, Whole
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.localisation import thirds_of

@@ -9,7 +9,7 @@ import pytest
 from arms import TRACKER, planted, positions, readings, six_axis
 
 from casadical import Body, InputError, Joint, Robot, calibrate, identify, read_robot, write_robot
-from casadical.core.estimated_masses import with_estimated_masses
+from casadical.core.parts import with_estimated_masses
 from casadical.core.telling.result import terminal
 from casadical.identification.accuracy import errors
 from casadical.identification.figures import parameter_tables

@@ -10,8 +10,8 @@ from pose_arms import planar
 from casadical.core.basics import InputError
 from casadical.pose_selection import experimental_design, pose_search
 from casadical.pose_selection.candidates import Candidates, Circumstances
-from casadical.pose_selection.pose_order import TIME_PARTS, arranged
 from casadical.pose_selection.pose_search import select_poses
+from casadical.pose_selection.selection import TIME_PARTS, arranged
 from casadical.pose_selection.workspace import read_workspace
 
 ROBOT = planar()

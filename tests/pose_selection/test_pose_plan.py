@@ -12,7 +12,7 @@ from pose_arms import elbow, positions, readings
 
 from casadical import read_measurements, write_robot
 from casadical.core.transforms import frame
-from casadical.pose_selection.pose_order import travel
+from casadical.pose_selection.selection import travel
 
 ROOT = Path(__file__).parents[2]
 

@@ -18,8 +18,8 @@ from casadical.identification.prior import carry_over
 from casadical.pose_selection import Circumstances, Noise, Workspace, forecast
 from casadical.pose_selection.candidates import candidates_at, draw, expected
 from casadical.pose_selection.information import noise_covariance, scaled_jacobian
-from casadical.pose_selection.pose_order import distances, travel
 from casadical.pose_selection.pose_search import Forecast, select_poses
+from casadical.pose_selection.selection import distances, travel
 from casadical.robot.robot import Covariance, Knowledge
 
 SIGMA = 3e-5

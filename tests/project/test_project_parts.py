@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,19 +10,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from casadical import report
+from casadical import InputError, Measurements, report
 from casadical.diagnosis.localisation import Localisation
 from casadical.project import calibration_page
 from casadical.project.calibration import accuracy_without_prior
 from casadical.project.calibration_page import where_left
 from casadical.project.check.check import LACKS, outlook_findings
 from casadical.project.check.information import outlook
+from casadical.project.check.plausible import far_rows
 from casadical.project.check.result import Precheck
 from casadical.project.check.slip_fit import Hypothesis
 from casadical.project.check.slips import outside
 from casadical.project.new.texts import Given, with_measured
 from casadical.project.outcome import made_readings, no_better
-from casadical.project.planning import plan
+from casadical.project.planning import declared, plan
 from casadical.project.problem import read_problem
 
 if TYPE_CHECKING:
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
     from casadical.project.problem import Problem
 
 PLANAR = Path(__file__).parents[2] / "problems" / "planar"
+DATA = PLANAR.parents[1] / "data" / "planar" / "planar.csv"
 
 
 @pytest.fixture(scope="module")
@@ -138,3 +141,34 @@ def test_readings_that_problem_toml_makes_are_said_with_the_result(planar: Probl
     assert "q5 = 0.5 x 'Achse 5' - 2 x 'Achse 2', 1 row above. " in words.text
     assert "Achse 3" not in words.text
     assert made_readings(planar) == []
+
+
+@pytest.mark.parametrize("key", ["identify", "train", "choose", "report"])
+def test_a_set_of_no_poses_is_refused(key: str, tmp_path: Path) -> None:
+    shutil.copy(PLANAR / "robot.toml", tmp_path)
+    table = f'casadical = 1\n[[measurements]]\nfile = "{DATA}"\n[sets]\n{key} = 0\n'
+    (tmp_path / "problem.toml").write_text(table)
+    with pytest.raises(InputError, match=rf"sets\.{key} = 0"):
+        read_problem(tmp_path)
+
+
+def test_a_plan_takes_the_kind_of_a_table_that_says_none(tmp_path: Path) -> None:
+    robot = read_problem(PLANAR).robot
+    text = (PLANAR / "problem.toml").read_text().replace("../../data/planar/planar.csv", str(DATA))
+    for name, kind in (("said", 'kind = "position"'), ("read", "")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "problem.toml").write_text(text.replace('kind = "position"', kind))
+        shutil.copy(PLANAR / "robot.toml", tmp_path / name)
+        assert declared(tmp_path / name, robot)[0] == ("position",)
+
+
+@pytest.mark.parametrize("far", [8, 9])
+def test_eight_rows_that_are_far_off_are_named(far: int) -> None:
+    problem = read_problem(PLANAR)
+    sets = [m for name in ("identify", "report") for m in problem.sets[name]]
+    q, p = (np.concatenate([getattr(m, name) for m in sets]) for name in ("q", "position"))
+    away = np.random.default_rng(1).normal(size=(far, 3))
+    p[:far] += 0.03 * away / np.linalg.norm(away, axis=1)[:, None]
+    (found,) = far_rows(problem.robot, Measurements(q=q, kind="position", position=p))
+    assert found.text.count(" mm)") == 8
+    assert (" mm) ... are" in found.text) == (far > 8)

@@ -1,7 +1,5 @@
 """Estimates at one noise: base and some columns fitted together to the blocks, and to all but some of them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cached_property, reduce
 

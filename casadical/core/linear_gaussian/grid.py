@@ -1,7 +1,5 @@
 """Values of the noise's sigma and ratios and of a cause's size, and log likelihoods over them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The blocks that a result is told in, as plain data: words, tables and figures, and the page that they make."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

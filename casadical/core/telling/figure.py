@@ -3,8 +3,6 @@
 Colours are roles of the palette (`drawing.COLOURS`). Text may hold what a user wrote; the drawer escapes it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What a discovery found: laws, their rivals, what each leaves; as words, tables, figures, JSON and files."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

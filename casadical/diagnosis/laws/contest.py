@@ -6,8 +6,6 @@ are those of a listed effect, it is that effect under another name. Laws that sc
 takes the place of causes only where it predicts poses held out better, too.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Discover the law of what is left: laws beside listed causes and smooth forms; what each leaves on poses held out."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

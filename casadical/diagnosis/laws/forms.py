@@ -5,8 +5,6 @@ A form is text in x (the driver) and its settings k, w, f. Values of settings ar
 formula that is written out is the one that was judged.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -5,8 +5,6 @@ many places with drivers were tried. Evidence on all settings is that of `screen
 Settings of those that are kept are refined by steps of shrinking size.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -34,9 +32,8 @@ from casadical.diagnosis.laws.forms import (
     wave_plus,
     with_columns,
 )
-from casadical.diagnosis.laws.problem import Problem, Scored, Seam, Tried, scaled, seams_at, stations
+from casadical.diagnosis.laws.problem import NEVER, Problem, Scored, Seam, Tried, log_mean, scaled, seams_at, stations
 from casadical.diagnosis.laws.problem import with_columns as at_poses
-from casadical.diagnosis.laws.screening import NEVER, log_mean
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import EffectColumns, Linearisation
 from casadical.effects.formula import parse

@@ -1,7 +1,5 @@
 """What is known of an arm that moves: its bodies and its drives, one number a joint, None where nothing is known."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

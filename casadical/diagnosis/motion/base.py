@@ -4,8 +4,6 @@ Torques are in shares of each joint's great torque in the log. Friction remember
 of several widths), grows with speed and load, dips at low speed and relaxes at rest.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

@@ -5,8 +5,6 @@ prevents it acts at all joints by the slope of the height over their angles: a u
 (Moreau 1988), without friction along the surface.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Faults of the instrument that wrote a joint log: its clock, lost or repeated samples, a current without sign."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ Forms, prices and refinement are those of laws of poses (see `diagnosis.laws`); 
 follows itself. It is claimed where it is large, true of runs that were not fitted, and above all rivals.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,8 +17,7 @@ from casadical.core.telling.blocks import Table, Words
 from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.laws.answer import line_of
 from casadical.diagnosis.laws.forms import BUMP, FORMS, LEAST_SPREAD, Driver, Form
-from casadical.diagnosis.laws.problem import ABOVE, Problem, Scored, Seam, Tried, scale_of, scaled
-from casadical.diagnosis.laws.screening import Screen, log_mean
+from casadical.diagnosis.laws.problem import ABOVE, Problem, Scored, Screen, Seam, Tried, log_mean, scale_of, scaled
 from casadical.diagnosis.laws.search import refined
 from casadical.diagnosis.motion.base import Look
 from casadical.diagnosis.motion.problem import MotionCase, columns_of, with_candidates

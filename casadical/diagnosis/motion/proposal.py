@@ -5,8 +5,6 @@ it was found in the log, columns of base and causes. Expected log evidence of a 
 of what it does beside the base, in units of the noise; between two causes, of what the other cannot do either.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product

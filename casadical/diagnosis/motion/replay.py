@@ -3,8 +3,6 @@
 Its figures: errors over time, joint by joint and as a map, friction, hysteresis.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property

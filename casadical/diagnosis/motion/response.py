@@ -6,8 +6,6 @@ midpoint rule, dry friction as in Moreau's (1988) time stepping. Fitted by Leven
 outliers at less weight, without the samples at a surface that the arm rests on; masses are those of the robot file.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial

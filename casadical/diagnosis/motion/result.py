@@ -1,7 +1,5 @@
 """The diagnosis of a joint log as a result: the residual of each joint, where it is greatest, what fits, how sure."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The search for causes of a joint log: one by one, noise found again beside each, until no further one is claimed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Literal
 

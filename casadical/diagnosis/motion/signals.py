@@ -3,8 +3,6 @@
 Everything is smoothed alike, by one symmetric kernel, so that no signal is late against another.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise

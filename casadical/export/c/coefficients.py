@@ -9,8 +9,6 @@ own numbers stay those of the exact function. The error of a cubic spline throug
 closed form; the sum over the function's harmonics, as if all were greatest at one place, is a bound for every angle.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """The export of a robot file as C: what is made of it, and what must be said of the files that are written."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections.abc import Callable, Mapping, Sequence

@@ -3,8 +3,6 @@
 Each holds the geometry of a rigid arm in the robot's own base frame; what a form cannot hold is told in millimetres.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

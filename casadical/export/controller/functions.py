@@ -5,8 +5,6 @@ harmonics is some 600 operations, a table some 30. The model takes the curves' v
 else in it (deflections, other effects) follows the readings, as in the robot.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial

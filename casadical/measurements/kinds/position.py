@@ -1,6 +1,11 @@
-"""Measured positions of the tool, with one noise for all or a covariance at each pose."""
+"""Measured positions of the tool, with one noise for all or a covariance at each pose.
 
+Measured positions and orientations of the tool, in the measuring frame or from those of another pose.
+"""
+
+import re
 from collections.abc import Set
+from itertools import pairwise
 from typing import ClassVar
 
 import casadi as ca
@@ -8,9 +13,10 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.noise import whitening_of
-from casadical.core.transforms import Symbolic
-from casadical.measurements.columns import Columns
+from casadical.core.transforms import Symbolic, from_quaternion, from_rpy, from_xyz
+from casadical.measurements.columns import ORIENTATION, Columns
 from casadical.measurements.kinds.base import Arrays, MeasurementKind, PoseExpression, PositionsAt
+from casadical.measurements.kinds.distance import other_poses
 
 
 class Position(MeasurementKind):
@@ -98,3 +104,130 @@ def whitening(covariance: Array) -> Array:
 def typical_sigma(covariance: Array) -> float:
     """Root of the mean variance of a coordinate [m]; covariance : shape (n, 3, 3) [m^2]."""
     return float(np.sqrt(np.trace(covariance, axis1=1, axis2=2).mean() / 3))
+
+
+# The first column of each way to say an orientation.
+FIRST = "(rx|rotvec_x|roll)_(deg|rad)|R00|qw"
+
+
+class Pose(Position):
+    """Position and orientation; the reported error is that of the position."""
+
+    name = "pose"
+    columns = (
+        "those of `position` and one of `qw, qx, qy, qz`, `R00` .. `R22`, `rotvec_x_rad, rotvec_y_rad, rotvec_z_rad` "
+        "(axis times angle), `roll_deg, pitch_deg, yaw_deg` (about the fixed x, y, z), or `rx_deg, ry_deg, rz_deg` "
+        "(about x, then the new y, then the new z); angles in `_deg` or `_rad`"
+    )
+    fill = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
+    pattern = f"{Position.pattern}|{ORIENTATION}"
+    arrays = ("position", "orientation")
+    angles = 3
+
+    def matches(self, names: Set[str]) -> bool:
+        return super().matches(names) and any(re.fullmatch(FIRST, name) for name in names)
+
+    def read(self, columns: Columns, q: Array) -> dict[str, Array]:
+        return {**super().read(columns, q), "orientation": orientations(columns)}
+
+    def residual(self, pose: PoseExpression) -> Symbolic:
+        return ca.vertcat(super().residual(pose), turned_off(pose.R, pose.take("orientation", 9)))
+
+
+def turned_off(R: Symbolic, measured: Symbolic) -> Symbolic:
+    """Rotation vector, shape (3,) [rad], from an orientation as measured, its nine numbers row by row, to R, (3, 3)."""
+    # CasADi fills by columns, so this is the transpose of the measured orientation.
+    E = ca.reshape(measured, 3, 3) @ R
+    # sin(angle) times the axis: smooth, and the rotation vector itself to third order.
+    return 0.5 * ca.vertcat(E[2, 1] - E[1, 2], E[0, 2] - E[2, 0], E[1, 0] - E[0, 1])
+
+
+def orientations(columns: Columns) -> Array:
+    """Rotation matrices, shape (n, 3, 3). Raises InputError."""
+    if "R00" in columns.table:
+        R = np.stack([columns.column(f"R{i}{j}") for i in range(3) for j in range(3)], axis=1).reshape(-1, 3, 3)
+    elif "qw" in columns.table:
+        quaternion = np.stack([columns.column(c) for c in ("qw", "qx", "qy", "qz")], axis=1)
+        length = np.linalg.norm(quaternion, axis=1)
+        if np.abs(length - 1).max() > 1e-2:
+            row = int(np.abs(length - 1).argmax())
+            raise InputError(
+                f"{columns.at(row)}, columns 'qw' to 'qz': length {length[row]:.4g}; "
+                "allowed: unit quaternions (w first), within 1 %"
+            )
+        R = from_quaternion(quaternion)
+    else:
+        R = _from_angles(columns)
+    off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(R) < 0)
+    if off.max() > 1e-3:
+        row = int(off.argmax())
+        raise InputError(
+            f"{columns.at(row)}, columns 'R00' to 'R22': no rotation (R R' differs from one by "
+            f"{off[row]:.3g}, mirrored ones by more than one); allowed: orthonormal matrices, right-handed"
+        )
+    return R
+
+
+def _from_angles(columns: Columns) -> Array:
+    """Rotation matrices, shape (n, 3, 3), of three angles as their names say. Raises InputError."""
+    units, names = ("_deg", "_rad"), {str(name).rpartition("_")[0] for name in columns.table}
+    if "rotvec_x" in names:
+        vector = columns.vector("rotvec_", units)
+        angle = np.linalg.norm(vector, axis=1, keepdims=True)
+        axis = np.divide(vector, angle, out=np.zeros_like(vector), where=angle > 0)
+        return from_quaternion(np.hstack([np.cos(angle / 2), np.sin(angle / 2) * axis]))
+    if "roll" in names:
+        angles = np.stack([columns.si(name, units) for name in ("roll", "pitch", "yaw")], axis=1)
+        return np.stack([from_rpy(each) for each in angles])
+    return np.stack([from_xyz(each) for each in columns.vector("r", units)])
+
+
+class RelativePose(MeasurementKind):
+    """Position and orientation of the tool in its own frame at another pose, or at that of the row before.
+
+    The reported error is that of the way between the two.
+    """
+
+    name = "relative_pose"
+    columns = (
+        "`dx_mm, dy_mm, dz_mm` (or `_m`) and an orientation as of `pose`: of the tool in its frame at another pose, by "
+        "`pose` and `other_pose`, or else that of the row before; all of the first row, which has none, is zero, and a "
+        "row behind one that is left out does not count"
+    )
+    pattern = f"d[xyz]_mm?|{ORIENTATION}"
+    arrays = ("shift", "turn", "other")
+    fill = ("dx_mm", "dy_mm", "dz_mm", "qw", "qx", "qy", "qz")
+    lengths = 3
+    angles = 3
+
+    def matches(self, names: Set[str]) -> bool:
+        return bool(names & {"dx_mm", "dx_m"})
+
+    def read(self, columns: Columns, q: Array) -> dict[str, Array]:
+        """Shifts [m], turns, readings at the other end. Raises InputError: a first row that begins elsewhere."""
+        arrays = {"shift": columns.vector("d"), "turn": orientations(columns)}
+        if "other_pose" in columns.table:
+            return arrays | {"other": q[other_poses(columns)]}
+        gone = np.array(columns.left_out)
+        begins = np.array([((last < gone) & (gone < row)).any() for last, row in pairwise([0, *columns.row])])
+        begun = max(np.abs(arrays["shift"][0]).max(), np.abs(arrays["turn"][0] - np.eye(3)).max())
+        if begun > 0 and not begins[0]:
+            raise InputError(
+                f"{columns.at(0)}: has no row before that it could be relative to, but a shift or a turn; give zeros "
+                "there, or name the other pose of each row in `pose` and `other_pose`"
+            )
+        before = np.maximum(np.arange(len(q)) - 1, 0)
+        begins[0] = True
+        return arrays | {"other": q[before], "counted": (~begins).astype(float)}
+
+    def residual(self, pose: PoseExpression) -> Symbolic:
+        p, R = pose.pose_at(pose.take("other", pose.joints))
+        shift = R.T @ (pose.p - p) - pose.take("shift", 3)
+        return ca.vertcat(shift, turned_off(R.T @ pose.R, pose.take("turn", 9)))
+
+    def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
+        way = np.linalg.norm(p - positions_at(arrays["other"]), axis=1)
+        return np.asarray(np.abs(way - np.linalg.norm(arrays["shift"], axis=1)))
+
+    def at_rest(self, arrays: Arrays) -> bool:
+        return False

@@ -12,7 +12,7 @@ from casadical.measurements.kinds.base import MeasurementKind
 GROUP = "casadical.measurement_kinds"
 # Tried on a table in this order, so that a kind comes before those that need fewer columns; plug-ins come last.
 _OURS = (
-    "casadical.measurements.kinds.pose:Pose",
+    "casadical.measurements.kinds.position:Pose",
     "casadical.measurements.kinds.position:PositionCovariance",
     "casadical.measurements.kinds.position:Position",
     "casadical.measurements.kinds.distance:PairDistance",
@@ -21,7 +21,7 @@ _OURS = (
     "casadical.measurements.kinds.surfaces:Sphere",
     "casadical.measurements.kinds.surfaces:Plane",
     "casadical.measurements.kinds.contact:Contact",
-    "casadical.measurements.kinds.pose:RelativePose",
+    "casadical.measurements.kinds.position:RelativePose",
 )
 
 

@@ -14,23 +14,21 @@ from casadical.identification.sessions import apart, place_sessions, with_sessio
 from casadical.identification.undetermined import undetermined_at_start
 from casadical.measurements.derived_columns import clock_faults
 from casadical.measurements.measurements import Measurements
-from casadical.project.check.coverage import (
-    coverage,
-    coverage_findings,
-    limits_findings,
-    margin,
-    margin_findings,
-    repeats,
-)
 from casadical.project.check.findings import Finding, unknown_columns
 from casadical.project.check.information import Outlook, outlook
 from casadical.project.check.plausible import (
     GROSS,
     convention_of,
+    coverage,
+    coverage_findings,
     far_off,
     far_rows,
+    limits_findings,
+    margin,
+    margin_findings,
     other_conventions,
     plausible,
+    repeats,
 )
 from casadical.project.check.repair import MIRRORED, OF_LENGTHS, in_words, left_mm, other_lengths
 from casadical.project.check.result import Precheck

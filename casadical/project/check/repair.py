@@ -1,7 +1,5 @@
 """Slips in words, and their repair in problem.toml and in the robot file."""
 
-from __future__ import annotations
-
 import difflib
 import re
 from collections.abc import Iterator, Mapping, Sequence

@@ -7,9 +7,9 @@ from typing import Any
 
 from casadical.core.telling.blocks import Table, Words, next_step
 from casadical.core.telling.result import Result
-from casadical.project.check.coverage import JointCoverage
 from casadical.project.check.findings import Finding, Level
 from casadical.project.check.information import Outlook
+from casadical.project.check.plausible import JointCoverage
 from casadical.project.check.slips import Slips
 from casadical.project.check.targets import Targets, WrongNames
 from casadical.robot.robot import Robot

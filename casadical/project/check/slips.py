@@ -4,8 +4,6 @@ A further slip must halve the error at least, so that of two explanations the si
 finds itself (zeros and lengths that are off by little) is no slip.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product

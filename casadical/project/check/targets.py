@@ -4,8 +4,6 @@ Distances between the targets are the same at every pose, their directions turn 
 (one direction), nor bad rows, nor shifted readings (other distances each time) do both.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations, product

@@ -1,7 +1,5 @@
 """The next poses, planned with what is known by now, and how many more gain something."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -20,8 +18,8 @@ from casadical.pose_selection.design_problem import prepare
 from casadical.pose_selection.experimental_design import search
 from casadical.pose_selection.information import MM
 from casadical.pose_selection.instruments import Instrument
-from casadical.pose_selection.pose_order import distances
 from casadical.pose_selection.pose_search import Forecast, forecast
+from casadical.pose_selection.selection import distances
 from casadical.pose_selection.workspace import Workspace, places_about
 from casadical.project.live.estimate import Estimate, known_at_first, labels_of
 from casadical.project.new.new import one_turn

@@ -7,8 +7,6 @@ that a kind leaves unknown: what is touched, far ends of distances. An angle's n
 evident of some ratios.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

@@ -3,8 +3,6 @@
 Slips of the whole table are those of `project.check`; here the others of the table say where the robot is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations

@@ -4,8 +4,6 @@ The journal is the truth; `measured.csv` and the [[measurements]] of problem.tom
 that the folder can be calibrated at any time, and again after the process was killed.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress

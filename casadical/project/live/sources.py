@@ -5,8 +5,6 @@ Any table is taken that `casadical new` understands. A line counts once its line
 What happened while measuring, in lines that are on disk before anything else is done with them.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Callable, Iterator

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from casadical.core.basics import Array, InputError, all_faults
-from casadical.core.estimated_masses import with_estimated_masses, without_masses
 from casadical.core.files import claimed, write_together
+from casadical.core.parts import with_estimated_masses, without_masses
 from casadical.core.reading import read_bytes, read_text
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.transforms import frame, from_rpy

@@ -122,7 +122,8 @@ def test_a_loose_flange_moves_only_under_a_payload_and_no_further_than_its_stops
     hidden = Hidden("loose_flange", None, {"size": 100e-6})
     assert np.abs(shift(machine, hidden, stops(q, 0.0))).max() < 1e-7
     moved = np.linalg.norm(shift(machine, hidden, stops(q, machine.payload_kg)), axis=1)
-    assert 1e-5 < moved.max() <= 1.001 * np.sqrt(2) * 100e-6 * np.linalg.norm(machine.reflector)
+    farthest = 100e-6 * np.linalg.norm(machine.reflector)
+    assert 1.2 * farthest < moved.max() <= 1.001 * np.sqrt(2) * farthest
 
 
 def test_a_worn_bearing_lets_the_link_drop_along_gravity_within_its_play():

@@ -397,7 +397,8 @@ def test_a_pose_beyond_the_limits_is_doubted_and_a_lost_cell_is_said(arm: Path) 
         told = session.state()["readings"]
     assert told[5]["state"] != "good"
     assert "44" in told[5]["why"] or "degrees" in told[5]["why"]
-    assert told[6]["state"] == "unread"
+    assert (told[6]["state"], told[6]["why"]) == ("unread", "a cell is empty or no number")
+    assert [told[k]["why"] for k in (0, 1, 2, 3, 4, 7)] == [""] * 6
     assert {told[k]["state"] for k in (0, 1, 2, 3, 4, 7)} == {"good"}
 
 

@@ -4,8 +4,6 @@ A pose is solved with the nominal robot in its posture, its joints are corrected
 robot's pose at the corrected joints is written: the controller, which solves it with the nominal robot, finds them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -21,8 +19,7 @@ from casadical.export.c.reference import Status
 from casadical.export.controller.commands import Sources, command_of, own_robots, robot_of
 from casadical.export.controller.correction import FINE, LEAVES_BOX, Corrector, corrected_joints, model_corrector
 from casadical.export.controller.functions import tool_function
-from casadical.export.controller.inverse import Newton
-from casadical.export.controller.postures import Postures
+from casadical.export.controller.inverse import Newton, Postures
 from casadical.export.controller.programs.language import ProgramLanguage
 from casadical.export.controller.programs.target import Number, Target
 

@@ -3,8 +3,6 @@
 A program corrected, file for file: a CSV of joint targets or one in a controller's language.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Mapping, Sequence
@@ -18,8 +16,8 @@ from casadical.core.basics import Array, InputError
 from casadical.core.files import csv_text
 from casadical.core.reading import missing, read_bytes
 from casadical.export.c.manifest import read_manifest
-from casadical.export.controller.c_export import no_bound, poses_of, unreached, wants_pose
-from casadical.export.controller.commands import Sources, Tool, about_tool, followed, measured_range, robot_of
+from casadical.export.controller.c_export import OfCommand, no_bound, poses_of, unreached, wants_pose
+from casadical.export.controller.commands import Sources, about_tool, followed, measured_range, robot_of
 from casadical.export.controller.correction import FINE, MEANINGS, SHOWN, kernel_corrector, position_only
 from casadical.export.controller.programs import correction as c
 from casadical.export.controller.programs.correction import Cell, refuse_accuracy
@@ -215,28 +213,6 @@ def assumptions(corrected: CorrectedProgram, cell: c.Cell) -> list[str]:
 
 
 @dataclass(frozen=True)
-class WithRobot:
-    """What a correction by robot files needs; in a folder of an export all of it was decided. None: the usual.
-
-    As of `Sources` and `command_of`; correct : position or pose
-    """
-
-    nominal: Path | None = None
-    compensator: Path | None = None
-    payload: float | None = None
-    steps: int | None = None
-    correct: str = "position"
-    limit: float | None = None
-    tool: str | None = None
-    leave_out: bool = False
-    tcp_mm: float | None = None
-
-    def sources(self, model: Path) -> Sources:
-        tool = cast(Tool, self.tool or "shared")
-        return Sources(model, self.nominal, self.compensator, self.payload, tool, self.leave_out, self.tcp_mm)
-
-
-@dataclass(frozen=True)
 class OfLanguage:
     """What a program in a controller's language does not say of its frames.
 
@@ -267,32 +243,31 @@ class CorrectedFile:
 
 
 def correct_file(
-    model: Path,
+    sources: Sources,
     program: Path,
     out: Path,
-    robot: WithRobot | None = None,
-    language: OfLanguage | None = None,
+    asked: OfCommand,
+    language: OfLanguage,
     *,
     trust: bool = False,
 ) -> CorrectedFile:
     """Correct the targets of a program so that the real tool reaches what the nominal one would.
 
-    model : folder that `write_c` wrote, or a robot file; out : where the corrected program is to be
+    sources : robot files, or in place of the robot a folder that `write_c` wrote, in which all else was decided
+    out : where the corrected program is to be
     trust : whether C of a folder that was exported elsewhere is compiled and run
     Raises InputError.
     """
-    robot, language = robot or WithRobot(), language or OfLanguage()
-    oriented = wants_pose(robot.correct)
+    model, oriented = Path(cast(Path, sources.robot)), wants_pose(asked.correct)
     if not model.exists():
         raise missing(model, "folder or robot file")
     folder = kernel_corrector(model, trust=trust) if model.is_dir() else None
-    sources = None if folder else robot.sources(model)
     spoken = language_of(program)
     cell = Cell(
-        sources,
-        robot.steps or 2,
+        None if folder else sources,
+        asked.steps,
         oriented,
-        robot.limit,
+        asked.limit_mm,
         root=_frame(spoken, "--root", language.root),
         flange=_frame(spoken, "--flange", language.flange),
         nearest=language.nearest,
@@ -306,7 +281,7 @@ def correct_file(
     if not language.accuracy_off:
         refuse_accuracy(read.source, read.targets)
     result = corrected_program(read, cell)
-    said = _of_sources(sources, oriented) if sources else [_stated(model)]
+    said = [_stated(model)] if folder else _of_sources(sources, oriented)
     lines = (result.report(), *(f"ASSUMED {line}" for line in assumptions(result, cell)), *said)
     beside: dict[Path, str | bytes] = {report_of(out): result.to_csv()} if spoken.report_beside else {}
     return CorrectedFile(lines, {**beside, out: result.content()}, result.to_json())

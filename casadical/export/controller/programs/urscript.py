@@ -4,8 +4,6 @@ A pose is a target where a motion or get_inverse_kin takes it as it is; one that
 pose_add) is relative to something that only the controller knows, and stays.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
