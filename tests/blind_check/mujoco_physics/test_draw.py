@@ -24,6 +24,14 @@ def test_an_effect_is_drawn_by_its_name_and_seed(effect):
     assert {h.effect for h in drawn_twice} == {effect}
 
 
+def test_directions_are_drawn_all_round():
+    machine = built("kr210")
+    sizes = [engine.draw_effect(machine, "gear_eccentricity", np.random.default_rng(k)).size for k in range(40)]
+    for name in ("towards", "oval_towards"):
+        quarters = {int(size[name] // (np.pi / 2)) for size in sizes}
+        assert quarters == {0, 1, 2, 3}
+
+
 def test_an_effect_survives_json():
     for effect in (*engine.LISTED, *engine.UNLISTED):
         hidden = engine.draw_effect(built("ur10e"), effect, np.random.default_rng(1))

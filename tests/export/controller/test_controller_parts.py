@@ -58,3 +58,4 @@ def test_positions_of_a_listing_are_joints_or_a_pose() -> None:
     assert (joints.name, joints.left, pose.name, pose.left) == ("P[1]", "", "P[2]", "")
     np.testing.assert_allclose([n.si for n in joints.numbers], np.deg2rad([10, -20, 30, 40, 50, 60]))
     np.testing.assert_allclose([n.si for n in pose.numbers], [0.1, 0.2, 0.3, *np.deg2rad([10, 20, 30])])
+    assert {n.written(0.12345678) for n in pose.numbers} == {"123.457", "7.074"}  # a controller of FANUC reads three
