@@ -6,13 +6,16 @@ import subprocess
 import sys
 
 import numpy as np
+import pandas as pd
 import pytest
-from checks import Here, N
+from checks import ROOT, Here, N
 
-from casadical.blind_check.prediction import predict
+from casadical.blind_check.prediction import predict, session
 from casadical.blind_check.protocol import read_answers, read_manifest
 from casadical.core.basics import InputError
+from casadical.effects import ThermalGrowth
 
+UR10E = ROOT / "problems" / "ur10e" / "robot.toml"
 VERBS = {"own_robot": "check_robot", "generation": "make", "prediction": "predict", "scoring": "score"}
 
 
@@ -43,6 +46,21 @@ def test_the_diagnosis_answers_with_the_campaigns_alone(small, tmp_path) -> None
     assert head.by == "diagnosis"
     assert sum(answers[name].probabilities.values()) == pytest.approx(1, abs=0.01)
     assert np.isfinite(answers[name].unseen.base_mm).all()
+
+
+def test_unseen_poses_are_as_warm_as_they_are_beside_the_measured_ones() -> None:
+    """A thermometer that shows 7 K more predicts the same positions."""
+    q = np.rad2deg(np.random.default_rng(1).uniform(-1, 1, (30, 6)))
+    poses = pd.DataFrame(q, columns=[f"q{k}_deg" for k in range(1, 7)])
+    poses = poses.assign(pose=range(1, 31), payload_kg=0.0, time_s=60.0 * np.arange(30))
+    grown = []
+    for least in (20.0, 27.0):
+        table = poses.assign(temperature_degC=least + 0.2 * np.arange(30))
+        found = session("c", UR10E.read_text(), table[:20].assign(x_mm=0.0, y_mm=0.0, z_mm=0.0), table[20:])
+        warm = found.robot.with_effect(ThermalGrowth(None, 600.0)).with_values({"thermal_growth.alpha": 2e-5})
+        grown.append(found.at_unseen(warm) - found.at_unseen(found.robot))
+    assert np.abs(grown[0]).max() > 5e-5
+    np.testing.assert_allclose(*grown, atol=1e-12)
 
 
 def test_answers_that_are_there_are_kept(small, tmp_path) -> None:
