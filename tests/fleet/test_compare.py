@@ -14,7 +14,7 @@ from scipy.stats import multivariate_normal
 from casadical import InputError, Robot, calibrate, identify, read_robot, write_robot
 from casadical.core.telling.result import plain_text
 from casadical.fleet.campaigns import compare_files, day_of, in_order, other_regions
-from casadical.fleet.comparison import changes_in, compare, shared_information
+from casadical.fleet.comparison import changes_in, compare, courses_of, shared_information
 from casadical.fleet.estimates import Estimate, estimate, estimate_of_file, repeatability, with_common_noise
 from casadical.fleet.evidence import (
     KAPPAS,
@@ -440,3 +440,28 @@ def test_a_table_without_noise_is_compared_too(arm, before: Estimate) -> None:
     found = compare([before, estimate((arm[0], exact), "exact")])
     assert not found.changes
     assert np.linalg.eigvalsh(estimate((arm[0], exact)).information)[-1] < 1e12
+
+
+def test_a_hall_that_is_warm_in_summer_makes_lengths_come_and_go(arm: tuple[Robot, Robot]) -> None:
+    nominal, real = arm
+    lengths = {p.name: p.value for p in real.parameters if p.unit == "m" and p.group in ("geometry", "tool")}
+    told = []
+    for k, day in enumerate(np.arange(0.0, 400.0, 61.0)):
+        share = 1 + 3e-4 * np.sin(2 * np.pi * day / 365.25)
+        longer = real.with_values({name: share * value for name, value in lengths.items()})
+        told.append(estimate((nominal, measured(longer, k)), str(k), day))
+    (change,) = compare(told).changes
+    assert change.course == "season"
+    sizes = {a.name: (a.value, a.std_error, a.unit) for a in change.amounts}
+    for name, value in (("lengths, sine", 300.0), ("lengths, cosine", 0.0)):
+        found, error, unit = sizes[name]
+        assert (unit, error < 30) == ("um/m", True)
+        assert abs(found - value) < 3 * error
+
+
+def test_a_change_may_begin_between_any_two_campaigns() -> None:
+    """Half by a chance that falls with the square of the number, half by one of 3 % each time."""
+    for n in (2, 5, 40):
+        ((course, weights, since, _),) = courses_of("lengths?", np.arange(n) / 12, dated=False)
+        assert (course, since.tolist()) == ("jump", list(range(1, n)))
+        assert weights.sum() == pytest.approx(1 - 0.5 / n - 0.5 * 0.97 ** (n - 1))
