@@ -79,6 +79,11 @@ def inputs(place: Path, moved: bool) -> None:
         path.write_text("\n".join([head, *(",".join(row) for row in cells)]) + "\n", "utf-8")
 
 
+def place_of(base: Path, which: str) -> Path:
+    """Folder of an environment; all names are as long and have no space: commands that are printed break alike."""
+    return base / "as" / which.replace(" ", "_").ljust(max(map(len, ENVIRONMENTS)), "_")
+
+
 def run(name: str, words: list[str], place: Path, environment: dict[str, str]) -> None:
     """One command; what it writes, prints and returns goes to a folder of its name."""
     out = place / "made" / name
@@ -159,8 +164,8 @@ def _cells(text: str) -> list[list[Any]]:
 
 def told(base: Path, name: str, which: str) -> bool:
     """Prints what differs of one command as another machine; whether anything does."""
-    one = base / "as/here/made" / name
-    found = compared(one, base / "as" / which / "made" / name, which)
+    one = place_of(base, "here") / "made" / name
+    found = compared(one, place_of(base, which) / "made" / name, which)
     few = sum(len(re.findall(rf"\.\d{{1,{FEW}}}(?![\de])", p.read_text("utf-8"))) for p in one.rglob("*.json"))
     rounded = [line for line in found if ROUNDED in line]
     others = [line for line in found if line not in rounded or len(rounded) > max(1.0, BETWEEN * few)]
@@ -177,14 +182,14 @@ def study(base: Path, given: argparse.Namespace) -> int:
     (base / "inputs").mkdir(exist_ok=True, parents=True)
     wanted = todo(base / "inputs", given.only or (QUICK_COMMANDS if given.quick else ""))
     for which in ("here", *chosen):
-        if not (base / "as" / which).exists():
-            inputs(base / "as" / which, which == MOVED)
+        if not place_of(base, which).exists():
+            inputs(place_of(base, which), which == MOVED)
     end, ran, count = time.monotonic() + 60 * given.minutes, 0, 0
     for name in wanted:
         if time.monotonic() > end:
             break
         with ThreadPoolExecutor(given.jobs) as pool:
-            places = ((which, base / "as" / which, ENVIRONMENTS.get(which, {})) for which in ("here", *chosen))
+            places = ((which, place_of(base, which), ENVIRONMENTS.get(which, {})) for which in ("here", *chosen))
             list(pool.map(lambda p: run(name, wanted[name], *p[1:]), places))  # noqa: B023
         differs = [which for which in chosen if told(base, name, which)]
         ran, count = ran + 1, count + len(differs)
