@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -248,19 +249,28 @@ class LogCampaign:
     withheld: tuple[Path, ...] = ()
     own: tuple[Cause, ...] = ()
 
+    @cached_property
+    def read(self) -> dict[Path, JointLog]:
+        """The logs as they were read so far."""
+        return {}
+
+    def log(self, path: Path) -> JointLog:
+        """A log, read once. Raises InputError."""
+        return self.read.get(path) or self.read.setdefault(path, read_log(path, self.robot))
+
     def diagnosed(self, log: Path, show: Show = silent, *, laws: bool = False) -> LogDiagnosis:
         """Why the arm moves otherwise than its model in one of the logs, as of `diagnose_log`. Raises InputError."""
-        return diagnose_log(self.robot, read_log(log, self.robot), self.healthy, show, own=self.own, laws=laws)
+        return diagnose_log(self.robot, self.log(log), self.healthy, show, own=self.own, laws=laws)
 
     def proposed(self, names: Sequence[str] = (), show: Show = silent) -> Proposal:
         """The motion to log next, after the first of the logs; names : causes in question. Raises InputError."""
-        log = read_log(self.logs[0], self.robot)
+        log = self.log(self.logs[0])
         found = diagnose_log(self.robot, log, self.healthy, show, own=self.own)
         return proposed(found, looks_of(self.robot, log, self.healthy), names, show)
 
     def replayed(self, show: Show = silent) -> Replay | None:
         """Runs that were not fitted, from their commands alone; None where no commands were logged."""
-        logs, withheld = ([read_log(path, self.robot) for path in paths] for paths in (self.logs, self.withheld))
+        logs, withheld = ([self.log(path) for path in paths] for paths in (self.logs, self.withheld))
         if any(log.command is None for log in (*logs, *withheld)):
             return None
         return replayed(self.robot, logs, withheld, show)

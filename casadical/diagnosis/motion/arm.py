@@ -1,6 +1,7 @@
 """What is known of an arm that moves: its bodies and its drives, one number a joint, None where nothing is known."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -53,6 +54,7 @@ class Arm:
         return np.concatenate([self.dynamics.regressor(q[s], v[s], a[s])[:, :, own] for s in parts])
 
 
+@lru_cache(maxsize=4)
 def arm_of(robot: Robot) -> Arm:
     """What a robot file says of an arm that moves."""
     dynamics, drive, n = Dynamics(robot), robot.drive or Drive(), robot.n

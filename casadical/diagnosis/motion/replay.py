@@ -17,7 +17,7 @@ from casadical.core.telling.blocks import Block, Table, Words
 from casadical.core.telling.figure import Axis, Figure, Panel, Series
 from casadical.core.telling.result import Result
 from casadical.diagnosis.motion.arm import arm_of
-from casadical.diagnosis.motion.response import Response, fitted
+from casadical.diagnosis.motion.response import Response, fitted, fitted_each
 from casadical.diagnosis.motion.signals import torque_of
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.robot import Robot
@@ -205,17 +205,14 @@ def replayed(robot: Robot, logs: Sequence[JointLog], withheld: Sequence[JointLog
     """
     show("response of each joint")
     own, kept = ([run for log in each for run in log.runs()] for each in (logs, withheld))
-    response = fitted(robot, own)
     if kept or len(own) == 1:
-        runs = kept or own
+        response, runs = fitted(robot, own), kept or own
         return Replay(response, tuple(runs), tuple(response.predicted(run) for run in runs), bool(kept))
     folds = min(FOLDS, len(own))
-    predicted: dict[int, Array] = {}
-    for k in range(folds):
-        show(f"replay, part {k + 1} of {folds}")
-        other = fitted(robot, [run for i, run in enumerate(own) if i % folds != k])
-        predicted |= {i: other.predicted(own[i]) for i in range(k, len(own), folds)}
-    return Replay(response, tuple(own), tuple(predicted[i] for i in range(len(own))), True)
+    parts = [own, *([run for i, run in enumerate(own) if i % folds != k] for k in range(folds))]
+    response, *others = fitted_each(robot, parts)
+    show("replay")
+    return Replay(response, tuple(own), tuple(others[i % folds].predicted(run) for i, run in enumerate(own)), True)
 
 
 def replay_figures(replay: Replay) -> Iterator[Figure]:

@@ -6,7 +6,7 @@ midpoint rule, dry friction as in Moreau's (1988) time stepping. Fitted by Leven
 outliers at less weight, without the samples at a surface that the arm rests on; masses are those of the robot file.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import pairwise
@@ -221,7 +221,7 @@ def simulated(
 class _Problem:
     """Pieces side by side, shape (steps, pieces, joints); weight : 0 behind a piece's end; load : of gravity [N m]
 
-    middle, width : of the priors, shape (joints, LOCAL)
+    step : between samples, shape (pieces, joints) [s]; middle, width : of the priors, shape (joints, LOCAL)
     """
 
     command: Array
@@ -251,7 +251,7 @@ class _Problem:
                 yield rest
 
         return simulated(
-            balance(), len(first), self.position[0][..., None], self.step[:, None, None], friction, lag, inertia
+            balance(), len(first), self.position[0][..., None], self.step[..., None], friction, lag, inertia
         )
 
     def left(self, x: Array) -> tuple[Array, Array]:
@@ -267,37 +267,74 @@ def fitted(robot: Robot, logs: Sequence[JointLog]) -> Response:
 
     Raises InputError: logs without commands, or without a run of two seconds.
     """
-    dynamics, runs = Dynamics(robot), [run for log in logs for run in log.runs()]
-    pieces = [piece for run in runs for piece in pieces_of(run)]
-    if not pieces:
-        raise InputError(f"{logs[0].source}: no run of two seconds or more; log 20 s or more of motion")
+    return fitted_each(robot, [logs])[0]
+
+
+def fitted_each(robot: Robot, parts: Sequence[Sequence[JointLog]]) -> list[Response]:
+    """The responses as they are in some logs, and in others: simulated side by side, which costs little more than one.
+
+    Raises InputError as of `fitted`.
+    """
     arm = arm_of(robot)
-    x, floor = _above_floor(dynamics, _problem(dynamics, pieces, _gains_by_torque(runs, arm)))
-    gain = np.exp(-x[:, 0])
-    friction, lag, inertia, delay = np.exp(x[:, 2:]).T
-    sources = tuple(log.source for log in logs)
-    return Response(
-        dynamics, gain, gain * x[:, 1], gain * friction, gain * lag, gain * inertia, delay, sources, _moves(pieces),
-        _beside(dynamics, arm, runs, floor), floor,
+    runs = [[run for log in logs for run in log.runs()] for logs in parts]
+    pieces = [[piece for run in each for piece in pieces_of(run)] for each in runs]
+    for logs, each in zip(parts, pieces, strict=True):
+        if not each:
+            raise InputError(f"{logs[0].source}: no run of two seconds or more; log 20 s or more of motion")
+    problems = [_problem(arm.dynamics, p, _gains_by_torque(r, arm)) for p, r in zip(pieces, runs, strict=True)]
+    found = []
+    for (x, floor), logs, p, r in zip(_above_floors(arm.dynamics, problems), parts, pieces, runs, strict=True):
+        gain = np.exp(-x[:, 0])
+        friction, lag, inertia, delay = np.exp(x[:, 2:]).T
+        sources = tuple(log.source for log in logs)
+        found.append(Response(
+            arm.dynamics, gain, gain * x[:, 1], gain * friction, gain * lag, gain * inertia, delay, sources, _moves(p),
+            _beside(arm.dynamics, arm, r, floor), floor,
+        ))  # fmt: skip
+    return found
+
+
+def _above_floors(dynamics: Dynamics, problems: Sequence[_Problem]) -> list[tuple[Array, Floor | None]]:
+    """Of each: parameters of all joints, and the surface that the tool came to rest on, or that the drives know of."""
+    free, known = Floor(dynamics), (dynamics.given.drive or Drive()).floor
+    heights = [free.above(p.position) for p in problems]
+
+    def solved(there: Mapping[int, Array], starts: Mapping[int, Array]) -> dict[int, Array]:
+        parts = [replace(problems[k], weight=problems[k].weight * rows[..., None]) for k, rows in there.items()]
+        x = _solved(_together(parts), np.concatenate([starts[k] for k in there]))
+        return dict(zip(there, np.split(x, len(parts)), strict=True))
+
+    def surface(k: int) -> Floor | None:
+        p, seen = problems[k], problems[k].weight[..., 0] > 0
+        return floor_of(dynamics, p.position[seen], p.angles(x[k][:, :, None])[..., 0][seen])
+
+    off = {}
+    for k, (z, p) in enumerate(zip(heights, problems, strict=True)):
+        low = z[p.weight[..., 0] > 0].min()
+        off[k] = (z > low + AT) | (free.above(p.command) > low - AT)
+    x = solved(off, {k: p.middle for k, p in enumerate(problems)})
+    floors = {k: floor for k in x if (floor := surface(k))}
+    if floors:
+        x |= solved({k: heights[k] > floor.height + AT for k, floor in floors.items()}, x)
+        floors = {k: surface(k) or floor for k, floor in floors.items()}
+    usual = None if known is None else Floor(dynamics, known)
+    return [(x[k], floors.get(k, usual)) for k in x]
+
+
+def _together(problems: Sequence[_Problem]) -> _Problem:
+    """Problems as one, with the joints of each, which do not know of each other; pieces beyond weigh nothing."""
+    steps, pieces = (max(p.command.shape[k] for p in problems) for k in (0, 1))
+
+    def wide(of: Callable[[_Problem], Array]) -> Array:
+        parts = [np.pad(of(p), ((0, steps - len(of(p))), (0, pieces - of(p).shape[1]), (0, 0))) for p in problems]
+        return np.concatenate(parts, axis=2)
+
+    every = [np.pad(p.step, ((0, pieces - len(p.step)), (0, 0)), "edge") for p in problems]
+    return _Problem(
+        wide(lambda p: p.command), wide(lambda p: p.position), wide(lambda p: p.weight), wide(lambda p: p.load),
+        np.concatenate(every, axis=1), np.concatenate([p.middle for p in problems]),
+        np.concatenate([p.width for p in problems]),
     )  # fmt: skip
-
-
-def _above_floor(dynamics: Dynamics, problem: _Problem) -> tuple[Array, Floor | None]:
-    """Parameters of all joints, and the surface that the tool came to rest on, or that the drives know of."""
-    seen, free = problem.weight[..., 0] > 0, Floor(dynamics)
-    read, sent = free.above(problem.position), free.above(problem.command)
-    lowest = float(read[seen].min())
-
-    def above(there: Array, start: Array) -> tuple[Array, Floor | None]:
-        x = _solved(replace(problem, weight=problem.weight * there[..., None]), start)
-        return x, floor_of(dynamics, problem.position[seen], problem.angles(x[:, :, None])[..., 0][seen])
-
-    known = (dynamics.given.drive or Drive()).floor
-    x, found = above((read > lowest + AT) | (sent > lowest - AT), problem.middle)
-    if found:
-        x, again = above(read > found.height + AT, x)
-        found = again or found
-    return x, found or (None if known is None else Floor(dynamics, known))
 
 
 def bodies_and_terms(dynamics: Dynamics, run: JointLog, position: Array) -> tuple[Array, Array]:
@@ -383,7 +420,7 @@ def _problem(dynamics: Dynamics, pieces: Sequence[Piece], told: Array) -> _Probl
         width[light, 0] = ALIKE
         width[np.isfinite(told), 0] = TOLD_GAIN
     width[np.ix_(~_moves(pieces), np.array(_LOGS))] = USUAL
-    steps = np.array([piece.step for piece in pieces])
+    steps = np.repeat([[piece.step] for piece in pieces], n, axis=1)
     return _Problem(command, position, weight, load.reshape(command.shape), steps, middle, width)
 
 

@@ -1,7 +1,9 @@
 """Logs from files: the contract's tables, and those of other systems, as one `JointLog`."""
 
+import gzip
 import io
 import re
+import zlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +29,8 @@ from casadical.measurements.vocabulary import WORDS
 SLOWEST, PAUSE = 10.0, 600.0
 # Channels in units of angle or length.
 _OF_MOTION = ("position", "command", "speed", "command_speed")
+# Characters of a line of headings that are looked at.
+MOST_HEAD = 100_000
 _HEADINGS = re.compile(r'[^\n"]*[A-Za-z][^\n"]*,[^\n"]*')
 
 
@@ -79,7 +83,7 @@ def is_log(path: str | Path) -> bool:
     if path.name == STATE or path.suffix.lower() in BAGS or any((path / n).exists() for n in (STATE, "metadata.yaml")):
         return True
     try:
-        headings = next(table_parts(path)).header
+        headings = _plain_headings(path) or next(table_parts(path)).header
     except InputError:
         return False
     if {"x_mm", "x_m", "distance_mm"} & {*headings}:  # measured poses
@@ -89,6 +93,19 @@ def is_log(path: str | Path) -> bool:
     motion_alone = all(meaning(heading, ())[0] for heading in headings if heading not in ("run", *timed))
     driven = bool(found & {"command", "torque", "current"})
     return bool(timed) and "position" in found and (driven or motion_alone)
+
+
+def _plain_headings(path: Path) -> tuple[str, ...]:
+    """Of a text with one line of headings above plain numbers, of which little is read; empty of another table."""
+    if not path.is_file() or path.suffix.lower() not in (".csv", ".gz"):
+        return ()
+    try:
+        with (gzip.open if path.suffix.lower() == ".gz" else open)(path, "rb") as file:
+            head, first = (file.readline(MOST_HEAD).decode("ascii").strip() for _ in range(2))
+        [float(cell or "nan") for cell in first.split(",")]
+    except (OSError, EOFError, zlib.error, ValueError):
+        return ()
+    return tuple(word.strip() for word in head.split(",")) if _HEADINGS.fullmatch(head) else ()
 
 
 def _logged(path: Path, names: Sequence[str], unit: str | None) -> Logged:
