@@ -33,7 +33,7 @@ from casadical.core import mapped_function  # noqa: E402
 # Label, module where the name is looked up, name there.
 STAGES = (
     ("checks of the measurements", "measurements.measurements", "Measurements.__post_init__"),
-    ("check against the nominal robot", "identification.prepared", "check_against"),
+    ("check against the nominal robot", "identification.identification", "check_against"),
     ("start of base and tool", "identification.sessions", "place_frames"),
     ("  placement in closed form", "identification.placement", "solve_placement"),
     ("list of parameters", "robot.robot", "Parameters"),

@@ -1,8 +1,10 @@
 """Lint, format and the floor plan hold; the types, in test_house_names. Ties are broken by rule where answers are."""
 
 import ast
+import importlib
 import subprocess
 import sys
+from operator import attrgetter
 from pathlib import Path
 
 import pytest
@@ -26,3 +28,11 @@ def test_what_is_chosen_is_the_first_of_the_best_on_every_processor(room) -> Non
             if isinstance(call, ast.Call) and ast.unparse(call.func).endswith(".argmax"):
                 of_mask = any(isinstance(argument, ast.Compare) for argument in call.args)
                 assert of_mask, f"{path.name}:{call.lineno}: rounding decides among ties: take first_of_best"
+
+
+def test_what_a_study_times_is_there() -> None:
+    study = ast.parse((ROOT / "docs" / "studies" / "identify_time.py").read_text(encoding="utf-8"))
+    (stages,) = (s.value for s in study.body if isinstance(s, ast.Assign) and ast.unparse(s.targets[0]) == "STAGES")
+    for _, module, name in ast.literal_eval(stages):
+        owner = importlib.import_module(module if module.startswith("numpy") else f"casadical.{module}")
+        assert attrgetter(name)(owner)
