@@ -56,11 +56,6 @@ def test_teeth_err_at_their_frequency_and_its_odd_multiples():
     assert np.delete(parts, [4, 12, 20]).max() < 1e-2 * parts[4]
 
 
-def test_a_belt_errs_in_proportion_to_the_reading():
-    angle = errors_of_a_turn(Hidden("joint_scale", 6, {"size": 70e-6}))
-    np.testing.assert_allclose(angle, 70e-6 * TURN, atol=1e-8)
-
-
 def test_a_scratch_errs_only_beside_it():
     angle = errors_of_a_turn(Hidden("encoder_pit", 6, {"size": 90e-6, "at_rad": 1.0, "width_rad": 0.5}))
     assert np.abs(angle[np.abs(TURN - 1.0) > 0.5]).max() < 1e-8
@@ -72,15 +67,6 @@ def test_a_damaged_tooth_errs_for_a_tenth_of_each_turn_of_its_pinion():
     hit = np.abs(angle) > 1e-7
     np.testing.assert_allclose(angle[hit], -90e-6, rtol=1e-3)
     assert np.mean(hit) == pytest.approx(0.1, abs=0.05)
-
-
-def test_a_step_is_none_before_its_time_and_whole_after_it():
-    machine, q = built("ur10e"), drawn(built("ur10e"), 10)
-    at = stops(q, 0.0)
-    angle, _ = angle_about(
-        machine, at, 2, shift(machine, Hidden("joint_zero_step", 2, {"size": -5e-5, "at_s": 160.0}), at)
-    )
-    np.testing.assert_allclose(angle, np.where(at.time_s < 160.0, 0.0, -5e-5), atol=2e-7)
 
 
 def test_a_warm_gear_drifts_late_but_in_the_end_in_proportion():
