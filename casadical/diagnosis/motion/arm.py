@@ -49,9 +49,11 @@ class Arm:
 
     def regressor(self, q: Array, v: Array, a: Array) -> Array:
         """Of the bodies, shape (n, joints, 10 joints); q, v, a : shape (n, joints)."""
-        own = slice(0, 10 * self.joints)
-        parts = (slice(k, k + AT_ONCE) for k in range(0, len(q), AT_ONCE))
-        return np.concatenate([self.dynamics.regressor(q[s], v[s], a[s])[:, :, own] for s in parts])
+        out = np.empty((*q.shape, 10 * self.joints))
+        for k in range(0, len(q), AT_ONCE):
+            s = slice(k, k + AT_ONCE)
+            out[s] = self.dynamics.regressor(q[s], v[s], a[s])[:, :, : 10 * self.joints]
+        return out
 
 
 @lru_cache(maxsize=4)

@@ -74,9 +74,10 @@ class Look:
     def by_angle(self, joint: int) -> Array:
         """Derivative of the torques by one joint's angle, shape (samples, joints), in great torques."""
         m, arm = self.motion, self.arm
-        step = np.zeros(arm.joints)
-        step[joint] = 1e-4
-        return np.asarray((arm.regressor(m.q + step, m.v, m.a) - self.Y) @ arm.inertial / 1e-4 / self.great)
+        step, bodies = np.zeros(arm.joints), np.append(arm.inertial, np.zeros(arm.joints))
+        step[joint] = 5e-5
+        more, less = (arm.dynamics.torque(m.q + s, m.v, m.a, bodies) for s in (step, -step))
+        return np.asarray((more - less) / 1e-4 / self.great)
 
 
 def look(motion: Motion, arm: Arm, great: Array | None = None) -> Look:

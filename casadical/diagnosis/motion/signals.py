@@ -22,6 +22,8 @@ RATE, MOST_WINDOWS, PAUSE = 62.5, 1500, 10.0
 STANDS, SLOW = 0.02, 2e-3
 # A joint has not moved in a run while it is within this of where it began [rad].
 UNMOVED = 5e-3
+# Samples that a filter takes at a time.
+AT_ONCE = 64
 # No reading is finer than this [rad].
 LEAST_QUANTUM = 1e-6
 
@@ -199,19 +201,24 @@ def _count_while(there: Array) -> Array:
 def play(q: Array, width: float) -> Array:
     """Where an angle lies in a play that it drags along, -1 to 1: the memory of dry friction (Iwan 1966)."""
     out, centre = np.empty_like(q), q[0].copy()
-    for k, now in enumerate(q):
-        np.clip(centre, now - width, now + width, out=centre)
-        out[k] = now - centre
-    return np.asarray(out / width)
+    for row, low, high in zip(out, q - width, q + width, strict=True):
+        np.maximum(centre, low, out=centre)
+        np.minimum(centre, high, out=centre)
+        row[:] = centre
+    return np.asarray((q - out) / width)
 
 
 def lagged(values: Array, within: float, step: float) -> Array:
     """Values through a first-order filter."""
-    out, share = np.empty_like(values), step / (within + step)
-    now = values[0].copy()
-    for k, value in enumerate(values):
-        now += share * (value - now)
-        out[k] = now
+    out, keeps = np.empty_like(values), within / (within + step)
+    k = np.arange(min(AT_ONCE, len(values)))
+    weight = (1 - keeps) * np.tril(keeps ** np.abs(k[:, None] - k))
+    now = values[0]
+    for start in range(0, len(values), AT_ONCE):
+        part = values[start : start + AT_ONCE]
+        own = slice(start, start + len(part))
+        out[own] = weight[: len(part), : len(part)] @ part + keeps ** (k[: len(part), None] + 1) * now
+        now = out[own][-1]
     return out
 
 
