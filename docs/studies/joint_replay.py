@@ -6,17 +6,22 @@ says of each motion on its own: the arm is healthy as far as its makers know, an
 Made by
 
     python docs/studies/joint_replay.py > docs/studies/joint_replay.txt
+    python docs/studies/joint_replay.py docs/images/so101.png
+
+the second of which draws the motions of report.
 """
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
 
 from casadical import read_robot
-from casadical.diagnosis.motion.replay import replayed
+from casadical.diagnosis.motion.replay import Replay, replayed
 from casadical.diagnosis.motion.result import diagnose_log
 from casadical.export.mjcf.moving import moving_mjcf
 from casadical.measurements.logs.log import JointLog
@@ -43,12 +48,32 @@ def driven(text: str, run: JointLog) -> np.ndarray:
     return out
 
 
+def picture(found: Replay, path: str) -> None:
+    """Errors of one joint over one motion, and rms of all joints over all motions, before and after."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3), layout="constrained", width_ratios=(2, 1))
+    run, joint = next(k for k, r in enumerate(found.runs) if "random" in r.source), 1
+    t, each = found.runs[run].time, np.arange(5)
+    for before, colour, label in ((True, "0.65", "position = command"), (False, "C0", "with the response")):
+        left.plot(t, 1e3 * found.left(run, before=before)[:, joint], colour, label=label)
+        rms = found.before if before else found.after
+        right.bar(each + (-0.2 if before else 0.2), 1e3 * rms[:5], 0.4, color=colour)
+    left.set(xlabel="time [s]", ylabel="mrad", title=f"random_waypoints, {found.runs[run].joints[joint]}: reading less")
+    left.legend(loc="lower right")
+    right.set(xticks=each, xticklabels=each + 1, xlabel="joint", ylabel="mrad", title="rms, motions not fitted")
+    figure.savefig(path, dpi=90, metadata={"Software": None})
+
+
 def main() -> None:
     folder = ROOT / "problems" / "so101"
     robot = read_robot(folder / "robot.toml")
     logs = [read_log(path, robot) for path in sorted((ROOT / "data" / "so101_logs").glob("*.csv.gz"))]
     campaign = read_logs(folder)
     assert campaign is not None
+    if sys.argv[1:]:
+        drawn = campaign.replayed()
+        assert drawn is not None
+        picture(drawn, sys.argv[1])
+        return
     for title, found in (
         (f"{len(logs)} motions, each quarter withheld in turn", replayed(robot, logs)),
         ("problems/so101: the motions of report", campaign.replayed()),
