@@ -230,7 +230,11 @@ def rows(folder: Path, columns: Sequence[str] | None = None, damaged: list[str] 
 
     damaged : files that cannot be read are named here and passed over; where it is not given they raise InputError, too
     """
-    tables = [table.to_pandas() for path in parts(folder) if (table := _read(path, columns, damaged)) is not None]
+    tables = [
+        table.to_pandas(ignore_metadata=True)
+        for path in parts(folder)
+        if (table := _read(path, columns, damaged)) is not None
+    ]
     empty = pd.DataFrame({name: [] for name in columns or NOTHING})
     whole = pd.concat(tables, ignore_index=True) if tables else empty
     return whole.drop_duplicates("robot", keep="last", ignore_index=True)
@@ -246,7 +250,7 @@ def each(folder: Path, robots: Collection[str], columns: Sequence[str] | None = 
         table = _read(path, columns, [])
         last = {name: k for k, name in enumerate(names["robot"].to_pylist()) if name in left}
         left -= last.keys()
-        yield from records(table.take(list(last.values())).to_pandas())
+        yield from records(table.take(list(last.values())).to_pandas(ignore_metadata=True))
 
 
 def records(robots: pd.DataFrame) -> list[dict[str, Any]]:

@@ -175,7 +175,7 @@ def _parquet(path: Path) -> Iterator[RawTable]:
                 about.schema.column(k).max_repetition_level for k in range(about.num_columns)
             ):  # cells that are lists
                 refuse_many(path, sum(g.column(k).num_values for g in groups for k in range(about.num_columns)))
-            for frame in (batch.to_pandas() for batch in file.iter_batches(ROWS)):
+            for frame in (batch.to_pandas(ignore_metadata=True) for batch in file.iter_batches(ROWS)):
                 rows = range(line, line + len(frame))
                 line += len(frame)
                 if len(frame):

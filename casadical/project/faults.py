@@ -76,7 +76,8 @@ def _problem_file(folder: Path, found: _Collected) -> ProblemFile:
     tables = data.get("measurements")
     good = {key: value for key, value in data.items() if _holds({key: value})}
     if isinstance(tables, list) and "measurements" not in good:
-        named = [t if _holds({"measurements": [t]}) else {"file": dict(t).get("file")} for t in tables]
+        some = [t for t in tables if isinstance(t, Mapping)]
+        named = [t if _holds({"measurements": [t]}) else {"file": t.get("file")} for t in some]
         good["measurements"] = [t for t in named if _holds({"measurements": [t]})]
     return check(ProblemFile, {"casadical": 1, "title": "", **good}, str(path))
 

@@ -236,3 +236,12 @@ def test_what_is_no_table_is_refused_in_parts_as_at_once(tmp_path, monkeypatch, 
             in_parts(monkeypatch, size)
         with pytest.raises(InputError, match=told):
             table_parts.read_columns(path)
+
+
+def test_notes_for_pandas_in_a_parquet_file_are_not_needed(tmp_path: Path) -> None:
+    arrow, parquet = (pytest.importorskip(name) for name in ("pyarrow", "pyarrow.parquet"))
+    table = arrow.table({"q1_deg": [1.0, 2.0], "x_mm": [3.0, 4.0]})
+    cut = '{"columns": [{"name": "q1_deg"}], "index_columns": ["x_mm"]}'
+    parquet.write_table(table.replace_schema_metadata({"pandas": cut}), tmp_path / "cut.parquet")
+    (part,) = table_parts.table_parts(tmp_path / "cut.parquet")
+    assert part.frame.to_dict("list") == {"q1_deg": [1.0, 2.0], "x_mm": [3.0, 4.0]}
