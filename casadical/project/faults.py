@@ -15,6 +15,7 @@ from casadical.identification.plausibility import check_against
 from casadical.measurements.columns import Columns
 from casadical.measurements.headings import understand
 from casadical.measurements.kinds.registry import kinds
+from casadical.measurements.logs.reading import is_log
 from casadical.measurements.reading import from_columns
 from casadical.measurements.table_parts import SIZE, read_columns
 from casadical.project.problem_file import DataTable, ProblemFile, UrdfTable, robot_of_file, table_like, tables_of
@@ -30,14 +31,14 @@ Read = TypeVar("Read")
 def every_fault(error: InputError, paths: Iterable[Path], *, later: bool = False) -> InputError:
     """The error at which a command ended, together with those of all other files that it was given.
 
-    paths : problem folders, robot files and tables; others are left aside, as are tables that take long to read
+    paths : problem folders, robot files and tables; not joint logs, nor tables that take long to read
     later : whether rows with a cell that is no number are left out of tables
     """
     found, given = _Collected([error]), list(paths)
-    tables = [path for path in given if path.suffix.lower() in TABLES]
+    tables = [path for path in given if path.suffix.lower() in TABLES and not is_log(path)]
     robot: Robot | None = None
     joints: list[str] = []
-    source = next((path for path in given if path not in tables), Path())
+    source = next((path for path in given if path.suffix.lower() not in TABLES), Path())
     for path in given:
         if (path / "problem.toml").is_file():
             file = found.tried(_problem_file, path, found) or ProblemFile(casadical=1, title="")
@@ -45,7 +46,7 @@ def every_fault(error: InputError, paths: Iterable[Path], *, later: bool = False
             own = _robot(found, place, urdf)
             for data in () if tables and not later else file.measurements:  # others are given in their place
                 found.tried(_read, path / data.file, data, *own, False)
-        elif path not in tables and path.is_file() and _is_robot(path):
+        elif path.suffix.lower() not in TABLES and path.is_file() and _is_robot(path):
             own = _robot(found, path, UrdfTable())
         else:
             continue

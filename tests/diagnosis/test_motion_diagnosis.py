@@ -342,6 +342,18 @@ def test_the_command_says_what_is_odd_in_a_log_and_diagnoses_it(robot, tmp_path,
     assert "Residual of each joint" in plain_text(found.blocks(), 200)
 
 
+def test_a_log_that_is_refused_is_not_read_as_poses_as_well(robot, tmp_path):
+    from casadical import write_robot
+
+    log = simulated(robot, 2)
+    rows = {"action": list(50 * log.command), "observation.state": list(50 * log.position), "timestamp": log.time}
+    pd.DataFrame(rows).to_parquet(tmp_path / "log.parquet")
+    write_robot(robot, tmp_path / "arm.toml")
+    told = CliRunner().invoke(app, ["diagnose", str(tmp_path / "arm.toml"), str(tmp_path / "log.parquet")])
+    assert "degrees or, as LeRobot writes" in str(told.exception)
+    assert "missing" not in str(told.exception)
+
+
 def test_what_touches_the_arm_all_along_is_told_with_what_would_help(robot):
     told = " ".join(plain_text(diagnose_log(robot, simulated(robot, 2, pushed)).blocks(), 200).split())
     assert "log one run in free air; the other joints are told all the same" in told
