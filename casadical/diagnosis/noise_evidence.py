@@ -20,6 +20,8 @@ from casadical.diagnosis.evidence import REPEATABILITY, RHOS, Evidence, joint_no
 
 # Columns that are kept, in bytes; else they are made again, so many at a time.
 MOST_BYTES, PART_BYTES = 64_000_000, 32_000_000
+# A parameter that its prior holds to less than so many sigmas of the noise, all rows together.
+HELD = 100.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,14 +190,20 @@ class Problem:
         def moved(numbers: Array) -> Array:
             return axes.turned(form.moved(numbers.reshape(*self.e.r.shape, -1), every)).reshape(rows, -1)
 
-        P = self.e.model.base.shape[2]
+        P, weights = self.e.model.base.shape[2], self._weights
         y, base = moved(X[:, :, -1] - X[:, :, :-1] @ self._mean)[:, 0], moved(X[:, :, :P])
-        causes, log_width = moved(moved(self._covariance_of_causes).T), float(np.log(self._weights[P:]).sum())
+        # What priors hold tightly counts as causes do: of many such parameters the covariance of the rows is smaller.
+        top = np.sqrt(axes.precision.reshape(len(near), rows).max(axis=0))
+        held = np.linalg.norm(top[:, None] * base, axis=0) < HELD * weights[:P]
+        known = base[:, held] / weights[:P][held]
+        causes = moved(moved(self._covariance_of_causes).T) + known @ known.T
+        log_width = float(np.log(weights[P:]).sum() + np.log(weights[:P][held]).sum())
+        base, free = base[:, ~held], weights[:P][~held]
         fits = []
         for precision, log_det in zip(axes.precision.reshape(len(near), rows), axes.log_det, strict=True):
             weight = np.sqrt(precision)
-            Q, of_base = axes_of_base(weight[:, None] * base, self._weights[:P])
-            left = np.append(weight * y, np.zeros(P))
+            Q, of_base = axes_of_base(weight[:, None] * base, free)
+            left = np.append(weight * y, np.zeros(len(free)))
             normal = beside_base(Q, weight[:, None] * causes * weight)
             fit = joined(normal, left - Q @ (Q.T @ left), 0.0, -0.5 * (float(log_det) + of_base) - log_width)
             fits.append((fit, -fit.square))
