@@ -3,7 +3,7 @@
 ========================================
 
 A hobby arm, real: five joints and a gripper on position servos. In a simulator each joint is where it was sent; here
-the readings are up to 67 mrad (rms) off. Four motions of its own log say how much of that is droop, dry friction and
+the readings are up to 67 mrad (rms) off. Six motions of its own log say how much of that is droop, dry friction and
 delay, and a MuJoCo model that moves like the arm comes out. Data: project SAGE, Apache-2.0 (data/README.md).
 
 All it takes is ``pip install 'casadical[mujoco]'`` (here: from a clone, ``pip install '.[mujoco]'``), a robot file or a
@@ -39,7 +39,7 @@ def casadical(*words):
 # A row a sample: the time, and of each joint what was commanded and what was read (``docs/log-files.md`` lists what
 # else may be there, and in which forms). Rate, jitter, lost samples and steps of the readings are found before a fit.
 
-names = ("wave_motion", "staircase_motion", "reach_and_return", "symmetric_motion")
+names = ("wave_motion", "staircase_motion", "reach_and_return", "symmetric_motion", "circular_motion", "end_effector")
 paths = [LOGS / f"{name}.csv.gz" for name in names]
 log = pd.read_csv(paths[0])
 command, position = (log[[f"{name}{i}_rad" for i in range(1, 7)]].to_numpy() for name in ("command", "q"))
