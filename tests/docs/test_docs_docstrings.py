@@ -120,10 +120,7 @@ def test_methods_from_the_literature_name_their_source() -> None:
     modules = [
         *(f"robot.{name}" for name in ("fourbar", "kinematics", "robot")),
         *(f"identification.{name}" for name in ("identifiability", "identification", "placement")),
-        *(
-            f"compensator.{name}"
-            for name in ("iwo", "network", "task", "trainers.damped_least_squares", "trainers.distilled")
-        ),
+        *(f"compensator.{name}" for name in ("iwo", "network", "trainers.levenberg_marquardt", "trainers.distilled")),
         *("pose_selection.information", "pose_selection.experimental_design", "diagnosis.evidence", "core.statistics"),
     ]
     without = []
