@@ -163,15 +163,25 @@ def diagnose(
     if report_file:
         texts[report_file] = _report(answers, quiet)
     keep(with_json(texts, json_file, [answer.to_json() for answer in answers] if json_file else []), console)
-    if len(answers) == 1 and out is None:
-        console.print(terminal([_next_command(answers[0], problem, campaigns or ())]))
-    elif len(answers) == 1:
-        robot = next((path for path in texts if path.name == "diagnosed.robot.toml"), None)
-        suggest(console, "when it was measured again", "compare", robot or problem, "LATER.csv")
-    else:
-        suggest(console, "to learn what changed between them", "compare", problem, *(c.tables[0] for c in given))
+    _suggested(answers, problem, campaigns or (), list(texts) if out else None, console)
     if not details:
         console.print("where it lies, how sure, what is left: --details, --out DIR or --report FILE.html", style="dim")
+
+
+def _suggested(
+    answers: Sequence[CampaignDiagnosis], problem: Path, campaigns: Sequence[Path],
+    written: Sequence[Path] | None, console: Console,
+) -> None:  # fmt: skip
+    """The next command; written : files of --out, none without it."""
+    if len(answers) > 1:
+        suggest(
+            console, "to learn what changed between them", "compare", problem, *(a.campaign.tables[0] for a in answers)
+        )
+    elif written is not None:
+        robot = next((path for path in written if path.name == "diagnosed.robot.toml"), None)
+        suggest(console, "when it was measured again", "compare", robot or problem, "LATER.csv")
+    else:
+        console.print(terminal([_next_command(answers[0], problem, campaigns)]))
 
 
 def _diagnose_logs(
