@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.basics import Array
+from casadical.core.statistics import first_of_best
 from casadical.robot.dynamics import Dynamics
 
 # Heights that are tried above the lowest one that was read [m]; noise of a height at least [m].
@@ -90,6 +91,6 @@ def floor_of(dynamics: Dynamics, read: Array, replayed: Array) -> Floor | None:
         return EFFECTIVE * OUTLIER**2 * float(wide.sum())
 
     tried = there.min() + np.arange(0.0, WITHIN, EVERY)
-    costs = [cost(np.maximum(said, height)) for height in tried]
-    best = int(np.argmin(costs))
+    costs = np.array([cost(np.maximum(said, height)) for height in tried])
+    best = first_of_best(-costs, logs=True)
     return Floor(dynamics, float(tried[best])) if cost(said) - costs[best] > CERTAIN else None
