@@ -84,13 +84,17 @@ def _of_smooth_errors(case: Case, noise: Noise, left: Evidence, rng: np.random.G
     widths = [part.shape[2] for part in E.values()]
     some = left.at(np.searchsorted(np.flatnonzero(case.kept), kept))
     projection = some.projection(noise.repeatability / noise.sigma)
-    white = projection.columns(np.concatenate([*E.values()], axis=2))
+    every = np.concatenate([*E.values()], axis=2)
     edges = np.cumsum([0, *widths])
-    groups = [white[:, a:b] for a, b in itertools.pairwise(edges)]
-    K = products_of_rows(groups)
+    white, plain = (
+        [rows[:, a:b] for a, b in itertools.pairwise(edges)]
+        for rows in (projection.columns(every), some.projection(0.0).columns(every))
+    )
+    K = products_of_rows(white)
     size, sigma = sizes_of_groups(projection.y, K, noise.sigma)
-    drawn = _draws(projection.y, groups, K, size, sigma, rng)
-    return dict(zip(E, _mean_squares(drawn, some, rng), strict=True))
+    drawn = _draws(projection.y, white, K, size, sigma, rng)
+    squares = _mean_squares([g @ values for g, values in zip(plain, drawn, strict=True)], some, rng)
+    return dict(zip(E, squares, strict=True))
 
 
 def _some(kept: Array, most: int, rng: np.random.Generator) -> Array:
@@ -113,7 +117,8 @@ def _of_causes(case: Case, noise: Noise, columns: Array, rng: np.random.Generato
     for variable, own, values in E.factors().blocks:
         part, drawn = _part_of(variable, case.given.n), values.T @ (mean[own, None] + spread[own])
         signal[part] = signal.get(part, 0.0) + S[:, :, variable, None] * drawn[:, None]
-    projection = some.projection(noise.repeatability / noise.sigma)
+    # In mm, whatever part of it the noise of the joints can hide.
+    projection = some.projection(0.0)
     squares = _mean_squares([projection.columns(drawn) for drawn in signal.values()], some, rng)
     return dict(zip(signal, squares, strict=True)), replace(e, r=left)
 
@@ -209,11 +214,12 @@ def _total(K: Array, size: Array, variance: float) -> Array:
 
 
 def _draws(y: Array, groups: list[Array], K: Array, size: Array, sigma: float, rng: np.random.Generator) -> list[Array]:
-    """Each group's signal in draws from the posterior, shape (rows, PART_DRAWS) (Matheron's rule)."""
-    prior = [np.sqrt(v) * g @ rng.standard_normal((g.shape[1], PART_DRAWS)) for v, g in zip(size, groups, strict=True)]
+    """Factors of each group's columns in draws from the posterior, shape (columns, PART_DRAWS) (Matheron's rule)."""
+    prior = [np.sqrt(v) * rng.standard_normal((g.shape[1], PART_DRAWS)) for v, g in zip(size, groups, strict=True)]
     noise = sigma * rng.standard_normal((len(y), PART_DRAWS))
-    missed = np.linalg.solve(_total(K, size, sigma**2), y[:, None] - sum(prior) - noise)
-    return [f + v * g @ (g.T @ missed) for f, v, g in zip(prior, size, groups, strict=True)]
+    known = sum(g @ f for f, g in zip(prior, groups, strict=True))
+    missed = np.linalg.solve(_total(K, size, sigma**2), y[:, None] - known - noise)
+    return [f + v * (g.T @ missed) for f, v, g in zip(prior, size, groups, strict=True)]
 
 
 DRAWS = 500

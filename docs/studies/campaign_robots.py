@@ -1,25 +1,50 @@
-"""Robots of synthetic campaigns: the model that a user has, and the drawing of which a simulator builds one."""
+"""Robots of synthetic campaigns: the model that a user has, and the drawing of which a simulator builds one.
+
+And the campaigns of positions that the repository ships, with the robot of each.
+"""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from casadical.blind_check.mujoco_physics import Plant
-from casadical.project.problem import read_campaign_robot
+from casadical.measurements.measurements import Measurements
+from casadical.project.problem import read_campaign, read_campaign_robot
 from casadical.robot.robot import Robot
 
 ROOT = Path(__file__).parents[2]
+CAMPAIGNS = ROOT / "data" / "campaigns"
 
 
 @cache
 def machine(name: str) -> tuple[Robot, Plant]:
     """A robot of data/campaigns: its model and its drawing."""
-    drawing = json.loads((ROOT / "data" / "campaigns" / "robots" / f"{name}.json").read_text(encoding="utf-8"))
+    drawing = json.loads((CAMPAIGNS / "robots" / f"{name}.json").read_text(encoding="utf-8"))
     return read_campaign_robot(ROOT / "problems" / name), Plant.from_dict(drawing)
+
+
+def campaigns(more: Sequence[Path] = ()) -> list[Path]:
+    """Tables of all practice and sealed campaigns, and of further folders, whose robot is known by its name."""
+    folders = [CAMPAIGNS / name for name in ("practice", "sealed", "sealed_B")]
+    return [path for folder in (*folders, *more) for path in sorted(folder.glob("*-*.csv")) if place_of(path).exists()]
+
+
+def place_of(path: Path) -> Path:
+    """Where the robot of a campaign is, which its file's name begins with: a robot file, or a problem folder."""
+    name = path.stem.split("-")[0]
+    own = CAMPAIGNS / "robots_B" / f"{name}.robot.toml"
+    return own if own.is_file() else ROOT / "problems" / name
+
+
+def read(path: Path) -> tuple[Robot, Measurements]:
+    """A campaign and its robot, as the diagnosis takes them."""
+    robot = read_campaign_robot(place_of(path))
+    return robot, read_campaign(place_of(path), path, robot)
 
 
 def plant_of(robot: Robot) -> Plant:

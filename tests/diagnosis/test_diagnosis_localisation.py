@@ -117,6 +117,20 @@ def test_direction_of_a_vertical_error(any_case: Case) -> None:
     assert shares[("tool", "z")] < 0.8
 
 
+@pytest.mark.parametrize("named", [True, False])
+def test_rms_is_in_mm_however_much_the_joints_scatter(any_case: Case, named: bool) -> None:
+    """Of noise in the joints a long lever hides more; what is there is as large (48 um passed for 11 before)."""
+    scale = any_case.group(next(k for k in any_case.candidates if k.label == "joint_scale@2").variants[0])
+    c = doctored(20 * any_case.whole.take(scale)[:, :, 0] + 5e-6 * np.random.default_rng(0).normal(size=(120, 3)))
+    sizes = [
+        localise_residual(c, Noise(5e-6, rho * 5e-6), scale if named else NONE, noise_is_left=named)
+        .joints.set_index("part")
+        .loc["joint 2", "rms_mm"]
+        for rho in (0.0, 1.6)
+    ]
+    assert sizes[1] == pytest.approx(sizes[0], rel=0.1)
+
+
 def test_part_of_the_data_that_is_worse_is_named(any_case: Case) -> None:
     """Errors twice as large with payload, and thrice as large where joint 2 rose, are the worst parts."""
     rng, m = np.random.default_rng(1), any_case.m
