@@ -32,6 +32,7 @@ and without joint_error_curve among the named causes are told apart. Seed 0 was 
 
 import argparse
 import os
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -44,7 +45,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from campaign_robots import ROOT, campaigns, read
 from kept import Row, add_options, rows_of
-from sessions import REPEATABILITY_URAD, numpy_physics
+from sessions import REPEATABILITY_URAD
 
 from casadical import Diagnosis, InputError, diagnose, read_campaign_robot, read_measurements
 from casadical.blind_check.mujoco_physics.stops import Stops
@@ -54,6 +55,10 @@ from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
+
+sys.path.insert(0, str(ROOT / "tests"))  # for the simulator in numpy
+
+from numpy_physics import draw_disturbance
 
 WORDS = {
     "gear_eccentricity": "", "transmission_ripple": "", "joint_scale": "", "joint_zero_step": "",
@@ -122,7 +127,7 @@ def effect(k: Known, joints: Sequence[int], noise: float, rng: np.random.Generat
     words = [word for word, needed in WORDS.items() if not needed or needed in k.m.conditions]
     for _ in range(100):
         word, joint = str(rng.choice(words)), int(rng.choice(joints))
-        it = numpy_physics.draw_disturbance(word, int(rng.integers(1 << 30)), joint=joint)
+        it = draw_disturbance(word, int(rng.integers(1 << 30)), joint=joint)
         angle = it.misread(k.state.stops) + it.twist(k.state)
         shift = k.moved(joint, angle[:, joint - 1])
         factor = rng.uniform(1, 4) * noise / max(k.unabsorbed(shift), 1e-12)
