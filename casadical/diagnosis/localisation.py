@@ -126,9 +126,9 @@ def _of_causes(case: Case, noise: Noise, columns: Array, rng: np.random.Generato
 def _mean_squares(signals: Sequence[Array], e: Evidence, rng: np.random.Generator) -> list[Array]:
     """Mean square of each signal, shape (rows, PART_DRAWS), in every draw, at poses drawn with replacement."""
     n, numbers = e.r.shape[:2]
-    times = rng.multinomial(n, np.full(n, 1 / n), PART_DRAWS).T
-    weights = np.concatenate([np.repeat(times, numbers, axis=0), np.ones((len(signals[0]) - n * numbers, PART_DRAWS))])
-    return [(weights * rows**2).sum(axis=0) / e.count for rows in signals]
+    times = np.repeat(rng.multinomial(n, np.full(n, 1 / n), PART_DRAWS).T, numbers, axis=0)
+    # Behind the poses' rows stand those of the base's priors, which are no errors of a pose.
+    return [(times * rows[: n * numbers] ** 2).sum(axis=0) / e.count for rows in signals]
 
 
 def _part_of(variable: int, joints: int) -> str:

@@ -16,8 +16,8 @@ robot's Jacobian of that joint. Each is scaled so that what the base model does 
 (in measured campaigns what the diagnosis took for noise); one that would have to be above 8 times its usual size is
 drawn again (on the UR10 above 60 times: what is taken for noise there is far above an instrument's).
 
-Truth: the mean square, over the poses that count, of what the base model leaves of what each joint does (its
-parameters may go 100 times as far as their priors are wide).
+Truth: the mean square, over the poses that count, of what the base model leaves of what each joint does, its
+parameters as far as their priors let them go beside a noise of 20 um.
 A joint's share is its own over the sum of all joints. In measured campaigns a share is known by its difference: the
 mean of what WHERE says with the effect added and taken away (shares times the sum of the whole model, over the mean of
 these sums) must be what it said of that joint before, which is a range, and the effect's own. For with an error a of
@@ -27,12 +27,13 @@ Judged: joints that hide something, with a true share of 2 to 98 %. "inside": th
 is printed, and the true range meet. "error": of the share from that range. "not a share": any share or end of an
 interval outside [0, 1]. "rms wrong": any rms that is not finite or above the gap. "idle": joints that hide nothing
 (known campaigns) whose interval begins above 2 %. "rms": stated rms over the true one, of shares above 10 %. Rows with
-and without joint_error_curve among the named causes are told apart. Seed 0 was for practice; 1 judges.
+and without joint_error_curve among the named causes are listed separately. Seed 0 was for practice; 1 judges.
 """
 
 import argparse
 import os
 import sys
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -70,9 +71,7 @@ SERIES = {"ur10_grid": "A_grid", "ur10_joints": "B_joint_configurations", "ur10"
 # Times its usual size that an effect may have; on a real robot what is taken for noise is far above an instrument's.
 MOST, MOST_REAL = 8.0, 60.0
 LEAST, POSES = 0.02, 300
-# The base model goes so many widths of its priors, which hold at such a noise [m]: a column that depends on others
-# within round-off absorbs nothing.
-WIDTHS, NOISE = 100.0, 20e-6
+NOISE = 20e-6  # at which the base model's priors hold [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +91,7 @@ class Known:
     def unabsorbed(self, shift: Array, kept: Array | slice = slice(None)) -> float:
         """Root mean square [m] of what the base model leaves of a shift, shape (n, 3) [m], at some poses."""
         e, y = self.found.case.whole, shift[kept].ravel()
-        A = e.J[kept].reshape(y.size, -1) * e.prior * WIDTHS / NOISE
+        A = e.J[kept].reshape(y.size, -1) * e.prior / NOISE
         U, s, _ = np.linalg.svd(A, full_matrices=False)
         return float(np.sqrt(np.mean((y - U @ (s**2 / (1 + s**2) * (U.T @ y))) ** 2)))
 
@@ -158,7 +157,7 @@ def stated(found: Diagnosis, joints: Sequence[int]) -> Array:
 
 def judged(entry: tuple[Path, str, int]) -> Row:
     path, kind, number = entry
-    rng = np.random.default_rng([number, sum(path.stem.encode()), list(KINDS).index(kind)])
+    rng = np.random.default_rng([number, zlib.crc32(path.stem.encode()), list(KINDS).index(kind)])
     try:
         k = known(path)
         return {"kind": kind, **answered(k, kind, rng)}

@@ -131,6 +131,18 @@ def test_rms_is_in_mm_however_much_the_joints_scatter(any_case: Case, named: boo
     assert sizes[1] == pytest.approx(sizes[0], rel=0.1)
 
 
+def test_what_priors_of_the_base_cost_is_no_error_of_a_pose(any_case: Case) -> None:
+    """A base parameter that its prior lets take up half of an effect leaves the other half (71 % was told before)."""
+    (scale,) = any_case.group(next(k for k in any_case.candidates if k.label == "joint_scale@2").variants[0])
+    moved = 20 * any_case.whole.take(np.array([scale]))[:, :, 0]
+    c, e = doctored(moved), any_case.whole
+    J, prior = np.zeros_like(e.J), e.prior.copy()
+    J[:, :, 0], prior[0] = moved, e.reference / np.linalg.norm(moved)
+    c = replace(c, whole=replace(c.whole, J=J, prior=prior, delta0=0 * e.delta0, turn=None))
+    table = localise_residual(c, Noise(5e-6, 0.0), np.array([scale]), noise_is_left=True).joints.set_index("part")
+    assert table.loc["joint 2", "rms_mm"] == pytest.approx(500 * np.sqrt(np.mean(moved**2)), rel=0.05)
+
+
 def test_part_of_the_data_that_is_worse_is_named(any_case: Case) -> None:
     """Errors twice as large with payload, and thrice as large where joint 2 rose, are the worst parts."""
     rng, m = np.random.default_rng(1), any_case.m
