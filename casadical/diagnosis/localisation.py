@@ -8,8 +8,10 @@ with the values and the spread that a fit to all poses gives them. For what they
 for every joint, link, the base and the tool. Each may be wrong by any smooth function of joint readings, load,
 approach, time and temperature; its errors act through the base model's own Jacobian, whose constant part is
 re-estimated. The size of each part's errors, and of the noise, is found by maximum likelihood
-(y ~ N(0, sigma^2 I + sum v_k E_k E_k'), monotone updates as in Zhou et al. 2019), so that parts which the data do not
-need fall to nothing. Shares and their spread are those of draws from the posterior, each at poses drawn from these.
+(y ~ N(0, sigma^2 I + sum v_k E_k E_k'), monotone updates as in Zhou et al. 2019), and drawn from its own likelihood
+beside the others' best, so that parts which the data do not need come near nothing, and may still be what the data
+cannot exclude. Harmonics of a joint's own angle have a size of their own.
+Shares and their spread are those of draws from the posterior, each at poses drawn from these.
 """
 
 import itertools
@@ -38,6 +40,8 @@ MOST_POSES = 120
 OF_CAUSES = 1000
 ROUNDS = 40
 PART_DRAWS = 200
+# Sizes that are tried, as a share of what would explain an even part of all, and how many of these are drawn.
+SIZES, SIZE_DRAWS = np.geomspace(1e-4, 1e2, 61), 20
 SIZE = 30e-6
 # Harmonics of a joint's own reading, beside the slow ones of every joint.
 FAST = range(3, 13)
@@ -74,27 +78,22 @@ def _of_smooth_errors(case: Case, noise: Noise, left: Evidence, rng: np.random.G
     """Draws of the mean square that smooth errors of each part explain; left : the problem that causes leave."""
     kept = _some(np.flatnonzero(case.kept), MOST_POSES, rng)
     functions = _functions(case)[kept]
-    E = {part: _products(lever[kept], functions) for part, lever in _levers(case).items()}
+    E = [(part, _products(lever[kept], functions)) for part, lever in _levers(case).items()]
     for j, joint in enumerate(case.given.joints, 1):
         if joint.kind == "revolute":
             own = np.stack([f(h * case.m.q[kept, j - 1]) for h in FAST for f in (np.sin, np.cos)], axis=1)
-            E[f"joint {j}"] = np.concatenate(
-                [E[f"joint {j}"], SIZE * case.whole.Jq[kept][:, :, [j - 1]] * own[:, None]], axis=2
-            )
-    widths = [part.shape[2] for part in E.values()]
+            E.append((f"joint {j}", SIZE * case.whole.Jq[kept][:, :, [j - 1]] * own[:, None]))
     some = left.at(np.searchsorted(np.flatnonzero(case.kept), kept))
     projection = some.projection(noise.repeatability / noise.sigma)
-    every = np.concatenate([*E.values()], axis=2)
-    edges = np.cumsum([0, *widths])
+    every, edges = np.concatenate([e for _, e in E], axis=2), np.cumsum([0, *(e.shape[2] for _, e in E)])
     white, plain = (
         [rows[:, a:b] for a, b in itertools.pairwise(edges)]
         for rows in (projection.columns(every), some.projection(0.0).columns(every))
     )
-    K = products_of_rows(white)
-    size, sigma = sizes_of_groups(projection.y, K, noise.sigma)
-    drawn = _draws(projection.y, white, K, size, sigma, rng)
-    squares = _mean_squares([g @ values for g, values in zip(plain, drawn, strict=True)], some, rng)
-    return dict(zip(E, squares, strict=True))
+    signal = dict[str, Array]()
+    for (part, _), g, values in zip(E, plain, _draws(projection.y, white, noise.sigma, rng), strict=True):
+        signal[part] = signal.get(part, 0.0) + g @ values
+    return dict(zip(signal, _mean_squares([*signal.values()], some, rng), strict=True))
 
 
 def _some(kept: Array, most: int, rng: np.random.Generator) -> Array:
@@ -190,8 +189,7 @@ def sizes_of_groups(y: Array, K: Array, sigma: float) -> tuple[Array, float]:
 
     K : see `products_of_rows`. The noise is no less than sigma, but grows where no group explains what is there.
     """
-    n, share = len(y), float(y @ y) / len(K)
-    size, variance = share / np.maximum(K[:, :: n + 1].sum(axis=1), 1e-30), sigma**2
+    size, variance = _even_sizes(y, K), sigma**2
     for _ in range(ROUNDS):
         root = root_of_inverse(_total(K, size, variance))
         inverse = root.T @ root
@@ -200,6 +198,28 @@ def sizes_of_groups(y: Array, K: Array, sigma: float) -> tuple[Array, float]:
         size *= np.sqrt(fit / np.maximum(cost, 1e-30))
         variance = max(variance * float(np.sqrt(z @ z / np.trace(inverse))), sigma**2)
     return np.asarray(size), float(np.sqrt(variance))
+
+
+def _even_sizes(y: Array, K: Array) -> Array:
+    """The variance at which each group explains an even part of all, shape (groups,)."""
+    return np.asarray(float(y @ y) / len(K) / np.maximum(K[:, :: len(y) + 1].sum(axis=1), 1e-30))
+
+
+def _drawn_sizes(y: Array, groups: list[Array], K: Array, size: Array, sigma: float, rng: np.random.Generator) -> Array:
+    """Variances of the groups, each drawn from its likelihood beside the others' best, shape (SIZE_DRAWS, groups)."""
+    root = root_of_inverse(_total(K, size, sigma**2))
+    found = []
+    for g, best, even in zip(groups, size, _even_sizes(y, K), strict=True):
+        white = root @ g
+        d, axes = np.linalg.eigh(white.T @ white)
+        more = even * SIZES[:, None] - best
+        grown = np.maximum(1 + more * np.maximum(d, 0.0), 1e-12)
+        log = 0.5 * (more * (axes.T @ (white.T @ (root @ y))) ** 2 / grown - np.log(grown)).sum(axis=1)
+        # Alike for all standard deviations (Gelman 2006).
+        log += 0.5 * np.log(SIZES)
+        share = np.cumsum(np.exp(log - log.max()))
+        found.append(even * np.exp(np.interp(rng.random(SIZE_DRAWS) * share[-1], share, np.log(SIZES))))
+    return np.stack(found, axis=1)
 
 
 def products_of_rows(groups: list[Array]) -> Array:
@@ -213,13 +233,18 @@ def _total(K: Array, size: Array, variance: float) -> Array:
     return (size @ K).reshape(n, n) + variance * np.eye(n)
 
 
-def _draws(y: Array, groups: list[Array], K: Array, size: Array, sigma: float, rng: np.random.Generator) -> list[Array]:
+def _draws(y: Array, groups: list[Array], sigma: float, rng: np.random.Generator) -> list[Array]:
     """Factors of each group's columns in draws from the posterior, shape (columns, PART_DRAWS) (Matheron's rule)."""
-    prior = [np.sqrt(v) * rng.standard_normal((g.shape[1], PART_DRAWS)) for v, g in zip(size, groups, strict=True)]
-    noise = sigma * rng.standard_normal((len(y), PART_DRAWS))
-    known = sum(g @ f for f, g in zip(prior, groups, strict=True))
-    missed = np.linalg.solve(_total(K, size, sigma**2), y[:, None] - known - noise)
-    return [f + v * (g.T @ missed) for f, v, g in zip(prior, size, groups, strict=True)]
+    K = products_of_rows(groups)
+    size, sigma = sizes_of_groups(y, K, sigma)
+    found, each = [], PART_DRAWS // SIZE_DRAWS
+    for own in _drawn_sizes(y, groups, K, size, sigma, rng):
+        prior = [np.sqrt(v) * rng.standard_normal((g.shape[1], each)) for v, g in zip(own, groups, strict=True)]
+        known = sum(g @ f for f, g in zip(prior, groups, strict=True))
+        noise = sigma * rng.standard_normal((len(y), each))
+        missed = np.linalg.solve(_total(K, own, sigma**2), y[:, None] - known - noise)
+        found.append([f + v * (g.T @ missed) for f, v, g in zip(prior, own, groups, strict=True)])
+    return [np.concatenate(values, axis=1) for values in zip(*found, strict=True)]
 
 
 DRAWS = 500
