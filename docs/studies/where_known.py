@@ -26,9 +26,9 @@ the joint that was there before, (a + b)^2 and (a - b)^2 are a^2 + b^2 in the me
 Judged: joints that hide something, with a true share of 2 to 98 %. "inside": the interval, rounded to a percent as it
 is printed, and the true range meet. "error": of the share from that range. "not a share": any share or end of an
 interval outside [0, 1]. "rms wrong": any rms that is not finite or above the gap. "idle": joints that hide nothing
-(known campaigns) whose interval begins above 2 %. "rms": stated rms over the true one, of shares above 10 %. Rows with and without
-joint_error_curve among the named causes are listed separately. Laws are not searched. Seed 0 was for practice; 1
-judges.
+(known campaigns) whose interval begins above 2 %. "rms": stated rms over the true one, of shares above 10 %. Rows
+with and without joint_error_curve among the named causes are listed separately. Laws are not searched. Seed 0 was for
+practice; 1 judges.
 """
 
 import argparse
