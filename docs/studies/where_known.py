@@ -52,7 +52,7 @@ from sessions import REPEATABILITY_URAD
 from casadical import Diagnosis, InputError, diagnose, read_campaign_robot, read_measurements
 from casadical.blind_check.mujoco_physics.stops import Stops
 from casadical.core.basics import Array
-from casadical.diagnosis.localisation import localise
+from casadical.diagnosis.localisation import Localisation, localise
 from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
@@ -148,9 +148,9 @@ def curves(k: Known, noise: float, rng: np.random.Generator) -> dict[int, Array]
     return {joint: factor * shift for joint, shift in found.items()}
 
 
-def stated(found: Diagnosis, joints: Sequence[int]) -> Array:
+def stated(where: Localisation, joints: Sequence[int]) -> Array:
     """What WHERE says of each joint: its mean square, low, high [m^2] and that of the whole, shape (joints, 4)."""
-    table = localise(found).joints.set_index("part")
+    table = where.joints.set_index("part")
     total = float((1e-6 * table["rms_mm"] ** 2).sum())
     own = table.loc[[f"joint {j}" for j in joints], ["share", "low", "high"]].to_numpy()
     return np.column_stack([own, np.ones(len(own))]) * total
@@ -171,7 +171,12 @@ def answered(k: Known, kind: str, rng: np.random.Generator) -> Row:
     n, shifts, signs = len(k.m), dict[int, Array](), [1]
     before = np.zeros((len(k.joints), 4))
     if kind == "measured":
-        noise, position, signs, before = k.found.account.taken, k.m.position, [1, -1], stated(k.found, k.joints)
+        noise, position, signs, before = (
+            k.found.account.taken,
+            k.m.position,
+            [1, -1],
+            stated(localise(k.found), k.joints),
+        )
     else:
         noise = float(rng.choice([1e-5, 2e-5, 3e-5]))
         repeats = 1e-6 * REPEATABILITY_URAD * rng.standard_normal((n, k.robot.n, 1))
@@ -186,12 +191,13 @@ def answered(k: Known, kind: str, rng: np.random.Generator) -> Row:
         shifts[joint] = shifts.get(joint, 0.0) + shift
     whole = np.sum([*shifts.values()], axis=0)
     runs = [diagnose(k.robot, replace(k.m, position=position + sign * whole), laws=False) for sign in signs]
+    places_of_gap = [localise(found) for found in runs]
     kept = np.all([found.case.kept for found in runs], axis=0)
     own = np.array([k.unabsorbed(shifts[j], kept) ** 2 if j in shifts else 0.0 for j in k.joints])
-    said, total = np.mean([stated(found, k.joints) for found in runs], axis=0), own.sum() + before[0, 3]
+    said, total = np.mean([stated(where, k.joints) for where in places_of_gap], axis=0), own.sum() + before[0, 3]
     truth = (own[:, None] + before[:, 1:3]) / total
     share, rms = said[:, :3] / max(said[0, 3], 1e-30), np.sqrt(said[:, 0] / np.maximum(own + before[:, 0], 1e-30))
-    tables = [t for found in runs for t in (localise(found).joints, localise(found).links)]
+    tables = [t for where in places_of_gap for t in (where.joints, where.links)]
     every = np.concatenate([t[["share", "low", "high", "rms_mm"]].to_numpy() for t in tables])
     shares, gap = every[:, :3], max(1e3 * found.gap.before for found in runs)
     return {
