@@ -5,7 +5,7 @@ with its size. Every ranking beside a set gives the mass of that set with each c
 compare thousands of sets, those with something unlisted in them too.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -28,7 +28,7 @@ MEMBER = 0.95
 FOLLOWED, BEYOND = 2, 4
 
 Chosen = Mapping[str, tuple[Effect, ...]]
-Beside = Callable[[Chosen], Ranking]
+Beside = Callable[[Sequence[Chosen]], Sequence[Ranking]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,11 +64,14 @@ class _Search:
                 self.mass[labels], self.reached[labels] = mass, (found, label)
         return found
 
-    def expand(self, labels: frozenset[str]) -> _Set:
-        """The set of these labels, ranked beside."""
-        before, label = self.reached[labels]
-        chosen = {**before.chosen, label: self.variants[label][before.ranking.variant[label]]}
-        return self.take(_Set(chosen, self.mass[labels], self.beside(chosen)))
+    def expand(self, sets: Sequence[frozenset[str]]) -> list[_Set]:
+        """The sets of these labels, ranked beside."""
+        chosen = []
+        for before, label in (self.reached[labels] for labels in sets):
+            chosen.append({**before.chosen, label: self.variants[label][before.ranking.variant[label]]})
+        rankings = self.beside(chosen)
+        masses = [self.mass[labels] for labels in sets]
+        return [self.take(_Set(*one)) for one in zip(chosen, masses, rankings, strict=True)]
 
     def best(self, of: Iterable[frozenset[str]], count: int) -> list[frozenset[str]]:
         """Those of most mass that are not expanded yet."""
@@ -96,14 +99,14 @@ def most_probable_set(
 
     In doubt are causes that sets of much probability do without; where all are, there is no set.
 
-    first : ranking beside the causes in the model, of which there are `steps`; beside : one with further causes in it
+    first : ranking beside the causes in the model, of which there are `steps`; beside : those with further ones in it
     variants : settings of each candidate; listed : labels of those that may be named
     """
     search = _Search(beside, variants, listed)
     root = search.take(_Set({}, 0.0, first))
     frontier, width = [root], STARTS
     for _ in range(MOST_CAUSES - steps):
-        frontier = [search.expand(k) for k in search.best(search.gaining(frontier), width)]
+        frontier = search.expand(search.best(search.gaining(frontier), width))
         if not frontier:
             break
         width = BEAM
@@ -116,7 +119,7 @@ def most_probable_set(
         best = known[first_of_best([search.mass[k] for k in known], logs=True)]
         if best in search.expanded:
             break
-        search.expand(best)
+        search.expand([best])
     closed = np.array(list(search.mass.values())) + np.log(PRIOR_FURTHER["none"])
     of_listed = np.array([search.mass[k] for k in search.mass if k <= listed]) + np.log(PRIOR_FURTHER["none"])
     share = float(np.exp(log_sum(of_listed) - log_sum(np.append(closed, none))))
@@ -139,4 +142,4 @@ def _follow_unlisted(search: _Search, root: _Set) -> None:
         label = unlisted[0] if not k else next((c for c in found.ranking.order if c in search.variants), None)
         if label is None or found.ranking.log_factor[label] < GAIN:
             return
-        found = search.expand(frozenset((*found.chosen, label)))
+        (found,) = search.expand([frozenset((*found.chosen, label))])

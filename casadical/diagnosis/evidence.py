@@ -43,6 +43,9 @@ DECLARED, DECLARED_TAIL = 0.2, 2.0
 # The data determine a direction of the base where its prior tells less of it than one part in so many; the prior is
 # then made so many times wider.
 DETERMINED, WIDER = 100.0, 100.0
+# Where all poses together move by less than the root of this, in sigmas of the noise, by one sigma of the prior, the
+# data tell nothing: of a curve at joint angles that no pose has, say.
+UNMOVED = 1e-8
 
 
 @dataclass(frozen=True)
@@ -86,7 +89,9 @@ class Evidence:
     alike : number of the unknown point that each pose shares with others, shape (n,), where there are such
     absorbed : numbers that the base model's parameters take, which tell nothing of the noise; with one number at a
         pose they are a large share, and a cause that follows noise would gain by them (compare REML: Harville 1977)
-    turn : of the base parameters, shape (P, P): parameters = turn @ (those of the model, each of one sigma one)
+    turn : of the base parameters, shape (P, k): parameters = turn @ (those of the model, each of one sigma one)
+    still : directions of the base parameters that move nothing at these poses, which are not in the model, shape
+        (P, P - k): they are their priors, before and after the data
     """
 
     r: Array
@@ -105,6 +110,7 @@ class Evidence:
     alike: Array | None = None
     absorbed: float = 0.0
     turn: Array | None = None
+    still: Array | None = None
     cache: Cache = field(init=False, repr=False, default_factory=Cache)
 
     @property
@@ -120,12 +126,16 @@ class Evidence:
     @cached_property
     def model(self) -> LinearModel:
         """The same without the names of things."""
-        turned = self.turn is not None
+        base, mean, prior = self.J, self.delta0, self.prior
+        if self.turn is not None:
+            base, prior = self.J @ self.turn, np.ones(self.turn.shape[1])
+            units = self.turn / self.prior[:, None]  # these are orthogonal
+            mean = units.T @ (self.delta0 / self.prior) / (units**2).sum(axis=0)
         return LinearModel(
             self.r,
-            self.J if self.turn is None else self.J @ self.turn,
-            self.delta0 if self.turn is None else np.linalg.solve(self.turn, self.delta0),
-            np.ones_like(self.prior) if turned else self.prior,
+            base,
+            mean,
+            prior,
             ArrayColumns(self.E) if isinstance(self.E, np.ndarray) else self.E,
             np.full(self.width, CHOSEN) if self.held is None else self.held,
             self.noise,
@@ -160,8 +170,17 @@ class Evidence:
         square, axes = np.linalg.eigh(A.T @ A)
         # Which way an axis points is a processor's choice, and what is drawn by chance would follow it.
         axes *= np.where(np.cos(np.arange(len(axes))) @ axes < 0, -1.0, 1.0)
-        more = replace(self, turn=self.prior[:, None] * axes * np.where(square > DETERMINED, WIDER, 1.0))
+        axes, moved = self.prior[:, None] * axes, square > UNMOVED
+        turn = axes * np.where(square > DETERMINED, WIDER, 1.0)
+        more = replace(self, turn=turn[:, moved], still=axes[:, ~moved])
         return replace(more, absorbed=more.model.absorbed_by_base)
+
+    @property
+    def everywhere(self) -> Evidence:
+        """The problem with all directions of the base parameters in the model, for other poses than these."""
+        if self.turn is None or self.still is None:
+            return self
+        return replace(self, turn=np.concatenate([self.turn, self.still], axis=1), still=None)
 
     def take(self, columns: Array, poses: Array | slice = EVERY) -> Array:
         """Some of the candidates' columns at some poses, shape (poses, 3, len(columns)) [m per unit of size]."""
@@ -179,15 +198,19 @@ class Evidence:
 
     def with_known(self, columns: Array, prior: Array) -> Evidence:
         """The problem with further columns in the base model, shape (n, 3, k), of zero mean; prior : shape (k,)."""
-        turn = None if self.turn is None else np.diag(np.append(np.zeros_like(self.prior), prior))
-        if turn is not None and self.turn is not None:
-            turn[: len(self.turn), : len(self.turn)] = self.turn
+        turn, still, none = self.turn, self.still, np.zeros((len(prior), len(self.prior)))
+        if turn is not None:
+            known = np.concatenate([np.zeros((len(turn), len(prior))), np.diag(prior)])
+            turn = np.concatenate([np.concatenate([turn, none[:, : turn.shape[1]]]), known], axis=1)
+        if still is not None:
+            still = np.concatenate([still, none[:, : still.shape[1]]])
         return replace(
             self,
             J=np.concatenate([self.J, columns], axis=2),
             delta0=np.append(self.delta0, np.zeros(len(prior))),
             prior=np.append(self.prior, prior),
             turn=turn,
+            still=still,
         )
 
     @property

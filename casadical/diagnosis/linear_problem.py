@@ -254,9 +254,7 @@ class Case:
         held = E.held if self.whole.held is None else np.append(self.whole.held, E.held[self.whole.width :])
         more = replace(self, m=m, candidates=candidates, columns=columns, whole=replace(self.whole, E=E, held=held))
         known = self.evidence
-        assert isinstance(known.E, EffectColumns)
-        own = known.E.plus(effects, {name: values[self.kept] for name, values in m.conditions.items()})
-        more.selected.evidence = replace(known, E=own, held=held).extending(known)
+        more.selected.evidence = replace(known, E=E.at(np.flatnonzero(self.kept)), held=held).extending(known)
         if self.form is not PLAIN:
             more.judged.extending(self.judged)
         return more

@@ -96,7 +96,7 @@ class Linearisation:
 
     def factors(self, parts: Sequence[Part]) -> Factors:
         """The same columns as factors of the seams at which they act; parts : of `plan`."""
-        n, found = len(self.q), dict[int, list[tuple[Array, Array]]]()
+        n, found = len(self.q), dict[int, list[tuple[Array, Array | float]]]()
         for numbers, first, least, turn in self._places():
             q, seen = ([c[None] for c in of.T] for of in numbers)
             for part in parts:
@@ -108,13 +108,15 @@ class Linearisation:
                 (factors,) = f.function.on_arrays(q, logged, list(self.phi), list(self.constants), seen, settings)
                 for seam, column, factor in zip(f.rows.tolist(), f.columns, factors, strict=True):
                     if seam >= least:
-                        own = np.broadcast_to(factor, (len(part.starts), n))
-                        found.setdefault(first + seam, []).append((part.starts + column, own))
-        blocks = tuple(
-            (seam, np.concatenate([c for c, _ in own]), np.concatenate([f for _, f in own]))
-            for seam, own in sorted(found.items())
-        )
-        return Factors(blocks, sum(len(part.starts) * part.width for part in parts))
+                        found.setdefault(first + seam, []).append((part.starts + column, factor))
+        blocks = []
+        for seam, own in sorted(found.items()):
+            edges = np.cumsum([0, *(len(columns) for columns, _ in own)]).tolist()
+            values = np.empty((edges[-1], n))
+            for start, end, (_, factor) in zip(edges[:-1], edges[1:], own, strict=True):
+                values[start:end] = factor
+            blocks.append((seam, np.concatenate([columns for columns, _ in own]), values))
+        return Factors(tuple(blocks), sum(len(part.starts) * part.width for part in parts))
 
     def _places(self) -> Iterator[tuple[tuple[Array, Array], int, int, int]]:
         """Where effects act: readings and what effects look at, number of the first seam, the least that is used, turn.
@@ -170,10 +172,14 @@ KEPT = 100_000_000
 
 @dataclass(eq=False)
 class Made:
-    """What was made of columns: their factors at all poses, and the sizes of their parameters."""
+    """What was made of columns: their factors at all poses, and the sizes of their parameters.
+
+    of : the columns at more poses that these are of, whose factors are kept once, and which of the poses, shape (n,)
+    """
 
     factors: Factors | None = None
     sizes: Array | None = None
+    of: tuple[EffectColumns, Array] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,6 +235,9 @@ class EffectColumns:
 
     @property
     def _all(self) -> Factors:
+        if self.made.of is not None:
+            whole, poses = self.made.of
+            return whole._all.at(poses)
         if self.made.factors is None:
             if self.first is None:
                 self.made.factors = self._factors_at(self.linear)
@@ -246,6 +255,9 @@ class EffectColumns:
 
     def factors(self, blocks: Array | slice = EVERY) -> Factors:
         """All columns at some poses as factors of the seams (see `Linearisation.S`)."""
+        if self.made.of is not None:
+            whole, poses = self.made.of
+            return whole.factors(poses[blocks])
         return self._all.at(blocks) if self._few else self._factors_at(self.linear.at(blocks))
 
     def levers(self, blocks: Array | slice = EVERY) -> Array:
@@ -258,6 +270,9 @@ class EffectColumns:
         return (factors.combined(every) if every else factors).columns_at(self.linear.S[blocks])
 
     def _factors_of(self, columns: Array, poses: Array | slice) -> Factors:
+        if self.made.of is not None:
+            whole, own = self.made.of
+            return whole._factors_of(columns, own[poses])
         if self._few:
             return self._all.only(columns).at(poses)
         some, places = self._owning(columns)
@@ -282,7 +297,9 @@ class EffectColumns:
     def at(self, blocks: Array) -> EffectColumns:
         """The same columns at some of the poses."""
         some = EffectColumns(self.linear.at(blocks), self.effects, self.growth, directions=self.directions)
-        some.made.factors = self._all.at(blocks) if self._few else None
+        if self._few:
+            whole, poses = self.made.of or (self, np.arange(self.shape[0]))
+            some.made.of = whole, poses[blocks]
         return some
 
     def with_directions(self) -> EffectColumns:

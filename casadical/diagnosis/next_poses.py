@@ -48,7 +48,7 @@ class Prediction:
 
 def predict_cause(case: Case, variant: tuple[Effect, ...], noise: Noise, poses: Linearisation) -> Prediction:
     """Mean and spread at new poses of base model and one cause fitted to the case's data."""
-    old, E = case.evidence, poses.columns(variant)
+    old, E = case.evidence.everywhere, poses.columns(variant)
     # Unknown points of the campaign, which new poses do not see.
     points = np.zeros((*poses.J.shape[:2], old.J.shape[2] - poses.J.shape[2]))
     J = np.concatenate([poses.J, points], axis=2)

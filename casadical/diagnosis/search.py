@@ -150,11 +150,17 @@ class State:
         """Listed causes that explain together what the last ranking gives to no single one, and those in doubt."""
         return most_probable_set(
             self.rankings[-1],
-            lambda also: self.rank(self.steps, also),
+            self._rank_sets,
             {c.label: c.variants for c in self.case.candidates},
             frozenset(c.label for c in self.case.candidates if c.listed),
             len(self.steps),
         )
+
+    def _rank_sets(self, sets: Sequence[Mapping[str, tuple[Effect, ...]]]) -> list[Ranking]:
+        """The same beside each of some sets of further causes."""
+        effects = dict.fromkeys(e for also in sets for own in also.values() for e in own)
+        self.case.judged.marginals.look_ahead([self.case.group((e,)) for e in effects], self.case.groups)
+        return [self.rank(self.steps, also) for also in sets]
 
     def ranked(self) -> State:
         """The state with one more round's ranking."""

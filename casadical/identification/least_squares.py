@@ -30,7 +30,8 @@ from casadical.robot.robot import Robot
 SIGMA_GUESS, SIGMA_ANGLE_GUESS = 1e-4, 1e-4
 # What one more step gains at an optimum [chi-squared]: a ten-thousandth of a standard error.
 ROUND_OFF = 1e-8
-# The same where guesses are free, along whose common scale a search creeps: a tenth of a standard error.
+# The same where a search creeps, for what priors hold is much: guesses, along their common scale, and what another
+# campaign has told; a tenth of a standard error.
 SETTLED = 5e-3
 # Groups of parameters that belong to a campaign, not to the robot.
 FRAMES = ("base", "tool")
@@ -223,8 +224,8 @@ class LeastSquares:
         return replace(solution, message=OPTIMUM) if sharp else solution
 
     def _settled(self, v: Array) -> bool:
-        """Whether little is left to gain, where guesses make the search creep."""
-        return bool(self.guesses.any()) and self.decrement(v) < SETTLED
+        """Whether little is left to gain, where what priors hold makes the search creep."""
+        return bool(self.guesses.any() or self.known) and self.decrement(v) < SETTLED
 
     def cost(self, v: Array) -> float:
         """Half the sum of squares at v, through the robust loss, with the priors.

@@ -66,6 +66,26 @@ def test_noise_is_the_same_however_far_a_robot_departs_from_its_priors(off: floa
     assert np.exp((share * np.log(SIGMAS)).sum() / share.sum()) == pytest.approx(left, rel=0.03)
 
 
+def test_what_moves_nothing_is_not_in_the_model_and_changes_no_evidence() -> None:
+    """Parameters of a curve at angles that no pose has: many of them, with a prior mean of their own."""
+    rng = np.random.default_rng(5)
+    e = small_problem()
+    still = np.zeros((*e.r.shape, 40))
+    mixed = np.linalg.qr(rng.normal(size=(e.J.shape[2] + 40,) * 2))[0]
+    J, prior = np.concatenate([e.J * e.prior, still], axis=2) @ mixed, np.full(len(mixed), 1.0)
+    mean = mixed.T @ np.append(e.delta0 / e.prior, rng.normal(size=40))
+    wide = replace(e, J=J, prior=prior, delta0=mean).restricted()
+    own, groups = e.restricted(), [np.array([0]), np.array([1, 2])]
+    assert wide.model.base.shape[2] == own.model.base.shape[2]
+    np.testing.assert_allclose(wide.log_grids(groups), own.log_grids(groups), rtol=1e-7, atol=1e-6)
+    assert wide.everywhere.model.base.shape[2] == len(mixed)
+    np.testing.assert_allclose(
+        wide.everywhere.model.base @ wide.everywhere.model.mean, wide.model.base @ wide.model.mean, atol=1e-12
+    )
+    more = wide.with_base(np.array([3]))
+    np.testing.assert_allclose(more.log_base(), own.with_base(np.array([3])).log_base(), rtol=1e-7, atol=1e-6)
+
+
 def test_wider_noise_grid_holds_the_usual_one(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(grid, "NEGLIGIBLE", np.inf)
     e = small_problem()

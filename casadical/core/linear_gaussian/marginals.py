@@ -123,6 +123,10 @@ class Marginals:
                 out[which, k] = log_gain(grid.sigmas, grid.kappas, chosen.log_base[k], value, turned)
         return out
 
+    def look_ahead(self, chosen: Sequence[Array], groups: Sequence[Array]) -> None:
+        """Add up in one go over the blocks what the groups need when they are judged beside each of the chosen ones."""
+        self.sums.cross(chosen, self.model.near, np.unique(np.concatenate(groups)))
+
     def _with(self, columns: Array) -> Chosen:
         """The base with these columns in it too."""
         key = columns.tobytes()

@@ -17,7 +17,7 @@ from casadical.core.linear_gaussian.columns import EVERY, Columns, Factors, as_s
 from casadical.core.linear_gaussian.noise import Axes, NoiseModel
 
 # Columns that are in memory at a time, in bytes; at least so many blocks.
-BYTES, LEAST_BLOCKS = 32_000_000, 64
+BYTES, LEAST_BLOCKS = 32_000_000, 512
 # Groups of so many columns are added up one by one, at the points that are asked for.
 WIDE = 64
 
@@ -165,31 +165,40 @@ class GridSums:
         firsts, lasts = ([key[k] for key in self._cross] for k in (0, 1))
         apart = (np.diff(columns) != 1) | np.isin(columns[1:], firsts) | np.isin(columns[:-1], lasts)
         runs = np.split(columns, np.flatnonzero(apart) + 1)
-        parts: dict[int, list[Array]] = {k: [] for k in points}
-        for run in runs:
-            keys = {k: (int(run[0]), int(run[-1]), k) for k in points}
-            for key in keys.values():
-                if key not in self._cross:
-                    every = combined_of(self.E, run)
-                    self._cross[key] = KnownRows(self.E.shape[2], every.width)
-                    if len(run) > WIDE:
-                        self._cross[key].add(run, every.values(self.wide(run, key[2])))
-            unknown = np.max([self._cross[key].place[wanted] < 0 for key in keys.values()], axis=0)
-            if unknown.any():
-                self._add_crossed(run, wanted[unknown], {k: self._cross[key] for k, key in keys.items()})
-            for k, key in keys.items():
-                parts[k].append(self._cross[key][wanted])
-        return {k: np.concatenate(own, axis=1) for k, own in parts.items()}
+        self.cross(runs, points, wanted)
+        return {k: np.concatenate([self._cross[_key(run, k)][wanted] for run in runs], axis=1) for k in points}
 
-    def _add_crossed(self, run: Array, new: Array, to: dict[int, KnownRows]) -> None:
-        """Add up products of new columns with a run, at some points, in one go."""
-        E, R, every = self.E.only(new), self.E.only(run), combined_of(self.E, run)
-        total = np.zeros((E.shape[2], len(to), every.width))
+    def cross(self, runs: Sequence[Array], points: Sequence[int], wanted: Array) -> None:
+        """Make known the products of wanted columns with runs of columns, those of which as much is unknown in one go.
+
+        runs : in rising order each, no two overlapping
+        """
+        lacking: dict[bytes, tuple[Array, list[Array]]] = {}
+        for run in runs:
+            for k in points:
+                if (key := _key(run, k)) not in self._cross:
+                    every = combined_of(self.E, run)
+                    self._cross[key] = known = KnownRows(self.E.shape[2], every.width)
+                    if len(run) > WIDE:
+                        known.add(run, every.values(self.wide(run, k)))
+            unknown = np.max([self._cross[_key(run, k)].place[wanted] < 0 for k in points], axis=0)
+            if unknown.any():
+                lacking.setdefault(unknown.tobytes(), (wanted[unknown], []))[1].append(run)
+        for new, some in lacking.values():
+            self._add_crossed(sorted(some, key=lambda run: int(run[0])), new, points)
+
+    def _add_crossed(self, runs: Sequence[Array], new: Array, points: Sequence[int]) -> None:
+        """Add up products of new columns with runs, at some points, in one go."""
+        columns = np.concatenate(runs)
+        E, R, every = self.E.only(new), self.E.only(columns), combined_of(self.E, columns)
+        edges = np.cumsum([0, *(combined_of(self.E, run).width for run in runs)])
+        total = np.zeros((E.shape[2], len(points), every.width))
         for blocks in self._parts(E):
             G = R.factors(blocks).combined(every)
-            self._add_products(total, E.factors(blocks), G, E.levers(blocks), blocks, [*to])
-        for i, known in enumerate(to.values()):
-            known.add(new, total[:, i])
+            self._add_products(total, E.factors(blocks), G, E.levers(blocks), blocks, points)
+        for run, start, end in zip(runs, edges[:-1], edges[1:], strict=True):
+            for i, k in enumerate(points):
+                self._cross[_key(run, k)].add(new, total[:, i, start:end])
 
     def _by_base(self, E: Columns) -> Array:
         numbers = self.base.shape[1]
@@ -226,6 +235,11 @@ class GridSums:
         """The blocks in parts whose columns take little memory."""
         n, step = self._shape[0], max(LEAST_BLOCKS, BYTES // (8 * E.shape[1] * max(E.shape[2], 1)))
         return (slice(first, min(first + step, n)) for first in range(0, n, step))
+
+
+def _key(run: Array, k: int) -> tuple[int, int, int]:
+    """Of the products with a run at a point."""
+    return int(run[0]), int(run[-1]), k
 
 
 def _each_alone(U: Array) -> bool:

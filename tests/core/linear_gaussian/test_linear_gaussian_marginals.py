@@ -61,6 +61,17 @@ def test_marginal_likelihood_is_the_normal_density(name: str, chosen: np.ndarray
                     assert grids[g, point, s, k] == pytest.approx(expected, rel=1e-7, abs=1e-6)
 
 
+@pytest.mark.parametrize("ratios", [RATIOS, TWO], ids=["one component", "two components"])
+def test_looking_ahead_changes_nothing(ratios: dict[str, np.ndarray]) -> None:
+    model, sets = small_model(ratios), [np.array([3]), np.array([4, 5])]
+    ready = Marginals(model)
+    ready.look_ahead(sets, GROUPS)
+    for chosen in (*sets, np.array([3, 4, 5])):
+        np.testing.assert_allclose(
+            ready.log_grids(GROUPS, chosen), Marginals(model).log_grids(GROUPS, chosen), rtol=1e-9
+        )
+
+
 def test_what_else_is_known_of_the_noise_is_added() -> None:
     model = small_model()
     known = np.random.default_rng(1).normal(size=(3, len(SIGMAS)))
