@@ -183,13 +183,17 @@ class Case:
         """Of the usual sizes of effects."""
         return self.whole.E.growth if isinstance(self.whole.E, EffectColumns) else 1.0
 
-    def with_kept(self, kept: Array) -> Case:
-        """The case with other poses left out. Raises InputError where most of them are."""
+    def screened(self, kept: Array) -> Case:
+        """The case without outliers. Raises InputError where most poses are."""
         if 2 * kept.sum() < len(kept):
             raise InputError(
                 f"{self.m.source}: the model does not fit: {len(kept) - int(kept.sum())} of {len(kept)} poses are far "
                 "off; check the signs and zeros of the joints, their order, units and the DH convention"
             )
+        return self.with_kept(kept)
+
+    def with_kept(self, kept: Array) -> Case:
+        """The case with other poses left out."""
         if np.array_equal(kept, self.kept):
             return self
         lost, gained = (self.whole.at(np.flatnonzero(a & ~b)) for a, b in ((self.kept, kept), (kept, self.kept)))

@@ -187,7 +187,7 @@ class State:
     def _screened(self, noise: Noise) -> State:
         case = self.case
         _, distance = remainders(case.whole, self.columns(), noise, case.kept)
-        return replace(self, case=case.with_kept(np.where(case.kept, distance < OUT, distance < IN)))
+        return replace(self, case=case.screened(np.where(case.kept, distance < OUT, distance < IN)))
 
     def revisited(self) -> State:
         """Each cause compared again with the others in the model; a more probable one replaces it."""

@@ -334,7 +334,7 @@ def test_a_robot_that_fits_hardly_any_pose_is_refused() -> None:
     case = make_case(identified("hh800-P01"), [])
     few = np.arange(len(case.kept)) < len(case.kept) // 3
     with pytest.raises(InputError, match="poses are far off; check the signs and zeros of the joints"):
-        case.with_kept(few)
+        case.screened(few)
 
 
 def in_two_sessions(m: Measurements, moved: np.ndarray) -> Measurements:

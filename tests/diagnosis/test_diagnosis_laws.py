@@ -269,13 +269,13 @@ def test_noise_is_a_rival_of_every_law() -> None:
 
 def test_laws_of_a_large_campaign_are_searched_on_some_of_its_poses(monkeypatch: pytest.MonkeyPatch) -> None:
     diagnosis = discovered(5, STOP).diagnosis
-    monkeypatch.setattr(contest, "MOST_POSES", 60)
+    monkeypatch.setattr(contest, "MOST_POSES", 36)
     found = laws_beside(replace(diagnosis, law=None))
-    assert found.thinned == (60, 80)
-    assert found.case.kept.sum() == 60
+    assert found.thinned == (36, 80)
+    assert found.case.kept.sum() == 36
     assert [s.law.place for s in found.laws] == ["joint 3"]
-    assert "Laws were searched on 60 of 80 poses." in plain_text(found.blocks(), 100)
-    assert found.to_json("stop")["poses"] == {"searched": 60, "all": 80}
+    assert "Laws were searched on 36 of 80 poses." in plain_text(found.blocks(), 100)
+    assert found.to_json("stop")["poses"] == {"searched": 36, "all": 80}
     assert len(found.refit().measurements[0]) == 80
 
 
