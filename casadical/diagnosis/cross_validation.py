@@ -19,6 +19,8 @@ FOLDS = 5
 MANY = 400
 # Fits that are kept with a problem.
 MOST_FITS = 3
+# Poses that a bootstrap draws at a time.
+PICKED = 1_000_000
 
 
 def likely_noise(log_grid: Array, sigmas: Array = SIGMAS) -> Noise:
@@ -126,7 +128,17 @@ def random_folds(n: int, seed: int, count: int = FOLDS, alike: Array | None = No
 
 def shrink_interval(before: Array, after: Array, seed: int, draws: int = 2000) -> tuple[float, float]:
     """95 % interval of 1 - mean(after)/mean(before), by bootstrap over poses."""
-    pick = np.random.default_rng(seed).integers(0, len(before), (draws, len(before)))
-    shrink = 1 - after[pick].mean(axis=1) / before[pick].mean(axis=1)
-    low, high = np.quantile(shrink, [0.025, 0.975])
+    means = resampled_means(np.stack([before, after]), seed, draws)
+    low, high = np.quantile(1 - means[1] / means[0], [0.025, 0.975])
     return float(low), float(high)
+
+
+def resampled_means(values: Array, seed: int, draws: int) -> Array:
+    """Means over poses that are drawn with replacement, the same of all values; shape (k, n) -> (k, draws)."""
+    rng, n, means = np.random.default_rng(seed), values.shape[1], np.empty((len(values), draws))
+    step = max(1, PICKED // n)
+    for start in range(0, draws, step):
+        pick = rng.integers(0, n, (min(step, draws - start), n))
+        for own, some in zip(means, values, strict=True):
+            own[start : start + len(pick)] = some[pick].mean(axis=1)
+    return means

@@ -10,7 +10,14 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array, Show, silent
-from casadical.diagnosis.cross_validation import FOLDS, fitted_without, held_out_errors, noise_square, random_folds
+from casadical.diagnosis.cross_validation import (
+    FOLDS,
+    fitted_without,
+    held_out_errors,
+    noise_square,
+    random_folds,
+    resampled_means,
+)
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.refit import left_by, refit, refit_measurements
 from casadical.diagnosis.result import Diagnosis
@@ -47,13 +54,16 @@ def course(case: Case, stages: Sequence[Stage], folds: Sequence[Array], noise: N
     e = case.evidence
     alone, blocks = np.arange(len(e.r)), time_blocks(case)
     floor = noise_square(e, noise)
-    pick = np.random.default_rng(seed).integers(0, len(e.r), (DRAWS, len(e.r)))
     rows = []
     for stage in stages:
         runs = np.stack([held_out_errors(e, stage.columns, stage.noise, f) for f in folds])
         error, square = runs.mean(axis=0), (runs**2).mean(axis=0) - floor
         loo, block = (held_out_errors(e, stage.columns, stage.noise, f).mean() for f in (alone, blocks))
-        rows.append((stage.added, *_with_interval(error, pick), 1e3 * loo, 1e3 * block, *_rooted(square, pick)))
+        of_error, of_square = np.quantile(
+            resampled_means(np.stack([error, square]), seed, DRAWS), [0.025, 0.975], axis=1
+        ).T
+        rooted = 1e3 * np.sqrt(np.maximum([square.mean(), *of_square], 0.0))
+        rows.append((stage.added, *(1e3 * np.array([error.mean(), *of_error, loo, block])).tolist(), *rooted.tolist()))
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
@@ -75,17 +85,6 @@ def time_blocks(case: Case) -> Array:
 def of_time(effects: Sequence[Effect]) -> bool:
     """Whether any of the effects follows time or temperature, so that leaving out single poses flatters it."""
     return any(c == "progress" or c.startswith("warmth") for e in effects for c in e.conditions)
-
-
-def _with_interval(error: Array, pick: Array) -> tuple[float, float, float]:
-    low, high = np.quantile(error[pick].mean(axis=1), [0.025, 0.975])
-    return 1e3 * float(error.mean()), 1e3 * float(low), 1e3 * float(high)
-
-
-def _rooted(square: Array, pick: Array) -> tuple[float, float, float]:
-    low, high = np.quantile(square[pick].mean(axis=1), [0.025, 0.975])
-    mean, low, high = (1e3 * float(np.sqrt(max(0.0, float(v)))) for v in (square.mean(), low, high))
-    return mean, low, high
 
 
 @dataclass(frozen=True)

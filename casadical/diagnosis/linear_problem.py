@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.basics import Array, InputError
+from casadical.core.linear_gaussian.marginals import FEW
 from casadical.core.parameters import Parameter
 from casadical.core.statistics import robust_std
 from casadical.diagnosis.candidates import Candidate, choose
@@ -115,7 +116,7 @@ class Case:
     def evidence(self) -> Evidence:
         """Residuals and columns of the poses that are no outliers."""
         if self.selected.evidence is None:
-            self.selected.evidence = self.whole.at(np.flatnonzero(self.kept))
+            self.selected.evidence = self.whole if self.kept.all() else self.whole.at(np.flatnonzero(self.kept))
         return self.selected.evidence
 
     @property
@@ -196,9 +197,10 @@ class Case:
         """The case with other poses left out."""
         if np.array_equal(kept, self.kept):
             return self
-        lost, gained = (self.whole.at(np.flatnonzero(a & ~b)) for a, b in ((self.kept, kept), (kept, self.kept)))
         more = replace(self, kept=kept)
-        more.evidence.moving(self.evidence, lost, gained)
+        if (kept != self.kept).sum() <= FEW * self.kept.sum():
+            lost, gained = (self.whole.at(np.flatnonzero(a & ~b)) for a, b in ((self.kept, kept), (kept, self.kept)))
+            more.evidence.moving(self.evidence, lost, gained)
         return more
 
     @cached_property
@@ -258,7 +260,10 @@ class Case:
         held = E.held if self.whole.held is None else np.append(self.whole.held, E.held[self.whole.width :])
         more = replace(self, m=m, candidates=candidates, columns=columns, whole=replace(self.whole, E=E, held=held))
         known = self.evidence
-        more.selected.evidence = replace(known, E=E.at(np.flatnonzero(self.kept)), held=held).extending(known)
+        assert isinstance(known.E, EffectColumns)
+        conditions = {name: values[self.kept] for name, values in m.conditions.items()}
+        own = known.E.plus(effects, conditions, (E, np.flatnonzero(self.kept)))
+        more.selected.evidence = replace(known, E=own, held=held).extending(known)
         if self.form is not PLAIN:
             more.judged.extending(self.judged)
         return more
@@ -307,11 +312,11 @@ def _problem(
     left = robust_std(r)
     # Gross only: an effect that leaves the points in two clouds must not lose one of them as outliers.
     kept = seen.measured.any(axis=1) & (np.linalg.norm(r, axis=1) / np.sqrt(numbers) <= GROSS * left)
-    E = EffectColumns(seen.linear, effects).with_directions()
+    E = EffectColumns(replace(seen.linear, J=seen.linear.J[:, :, :0]), effects).with_directions()
     again = replicates(seen.m, r, kept, seen.apart, seen.measured)
     whole = Evidence(
         r,
-        np.concatenate([seen.linear.J, seen.U], axis=2),
+        np.concatenate([seen.linear.J, seen.U], axis=2) if seen.U.size else seen.linear.J,
         seen.Jq,
         np.append(delta0, seen.mean),
         np.append(base_prior(robot, free), np.ones(len(seen.mean))),

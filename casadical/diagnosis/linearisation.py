@@ -320,7 +320,17 @@ class EffectColumns:
         """The columns from this one on, with which an effect's columns begin."""
         return EffectColumns(self.linear, self.effects[int(np.searchsorted(self._edges, column)) :], self.growth)
 
-    def plus(self, effects: tuple[Effect, ...], conditions: Mapping[str, Array]) -> EffectColumns:
-        """With further effects behind the others; conditions : all logged and derived columns of these poses."""
+    def plus(
+        self,
+        effects: tuple[Effect, ...],
+        conditions: Mapping[str, Array],
+        of: tuple[EffectColumns, Array] | None = None,
+    ) -> EffectColumns:
+        """With further effects behind the others; conditions : all logged and derived columns of these poses.
+
+        of : the same effects at more poses, and which of these the poses are
+        """
         linear = replace(self.linear, conditions=dict(conditions))
-        return EffectColumns(linear, (*self.effects, *effects), self.growth, self, self.directions)
+        more = EffectColumns(linear, (*self.effects, *effects), self.growth, self, self.directions)
+        more.made.of = of if self._few else None
+        return more

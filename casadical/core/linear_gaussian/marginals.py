@@ -24,7 +24,7 @@ REACH = 25.0
 HOPELESS = 50.0
 # Models that are kept ready for judging further groups.
 MOST_KEPT = 2
-# Sums of other blocks are made from those of known ones if at most this share of the blocks differs.
+# Sums of other blocks are made from those of known ones where at most this share of the blocks differs.
 FEW = 0.2
 
 NONE = np.zeros(0, dtype=np.int64)
@@ -83,10 +83,8 @@ class Marginals:
             more._chosen = {key: chosen.widened(model.width, made) for key, chosen in self._chosen.items()}
         return more
 
-    def moved(self, model: LinearModel, lost: LinearModel, gained: LinearModel) -> Marginals | None:
-        """Those of a model without some blocks (lost) and with others (gained); None where these are many."""
-        if len(lost.residual) + len(gained.residual) > FEW * len(self.model.residual):
-            return None
+    def moved(self, model: LinearModel, lost: LinearModel, gained: LinearModel) -> Marginals:
+        """Those of a model without some blocks (lost) and with others (gained), which are FEW."""
         more = Marginals(model)
         more.sums.move(self.sums, Marginals(lost).sums, Marginals(gained).sums)
         return more

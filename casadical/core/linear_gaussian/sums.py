@@ -17,7 +17,7 @@ from casadical.core.linear_gaussian.columns import EVERY, Columns, Factors, as_s
 from casadical.core.linear_gaussian.noise import Axes, NoiseModel
 
 # Columns that are in memory at a time, in bytes; at least so many blocks.
-BYTES, LEAST_BLOCKS = 32_000_000, 512
+BYTES, LEAST_BLOCKS = 32_000_000, 256
 # Groups of so many columns are added up one by one, at the points that are asked for.
 WIDE = 64
 
@@ -42,18 +42,23 @@ class GridSums:
         self._axes = noise.axes(ratios)
         self._points = sum(len(axes.points) for axes in self._axes)
         self.log_det = np.concatenate([axes.log_det for axes in self._axes])
-        both = np.concatenate([base, residual[:, :, None]], axis=2)
-        self._base = [axes.turned(both) for axes in self._axes]
-        self.base = np.zeros((self._points, *[both.shape[2]] * 2))
-        for axes, turned in zip(self._axes, self._base, strict=True):
-            for k, precision in zip(axes.points, axes.precision, strict=True):
-                if k in near:
-                    white = (turned * np.sqrt(precision[:, :, None])).reshape(-1, both.shape[2])
-                    self.base[k] = white.T @ white
+        self._given, width = (base, residual[:, :, None]), base.shape[2] + 1
+        self.base = np.zeros((self._points, width, width))
+        for blocks in _slices(len(residual), BYTES // (8 * residual.shape[1] * width)):
+            for axes in self._axes:
+                turned = self._turned_base(axes, blocks)
+                for k, precision in zip(axes.points, axes.precision[:, blocks], strict=True):
+                    if k in near:
+                        white = (turned * np.sqrt(precision[:, :, None])).reshape(-1, width)
+                        self.base[k] += white.T @ white
         self._columns: Array | None = None
         self._own: dict[bytes, Array] = {}
         self._wide: dict[tuple[bytes, int], Array] = {}
         self._cross: dict[tuple[int, int, int], KnownRows] = {}
+
+    def _turned_base(self, axes: Axes, blocks: slice) -> Array:
+        """The base columns and the residual of some blocks in some axes, shape (blocks, m, P + 1)."""
+        return axes.turned(np.concatenate([rows[blocks] for rows in self._given], axis=2), blocks)
 
     @property
     def rows(self) -> int:
@@ -205,13 +210,14 @@ class GridSums:
         total = np.zeros((E.shape[2], self._points, numbers))
         for blocks in self._parts(E):
             F, levers = E.factors(blocks), E.levers(blocks)
-            for axes, turned in zip(self._axes, self._base, strict=True):
+            for axes in self._axes:
+                turned = self._turned_base(axes, blocks)
                 U, points = axes.turned(levers, blocks), slice(axes.points[0], axes.points[-1] + 1)
                 alone = _each_alone(U)
                 for s, columns, values in F.blocks:
                     # What the variable in between does, times the base's columns, at each point.
                     rows = slice(s, s + 1) if alone else EVERY
-                    own = axes.precision[:, blocks, rows], U[:, rows, s], turned[blocks, rows]
+                    own = axes.precision[:, blocks, rows], U[:, rows, s], turned[:, rows]
                     across = np.einsum("kni,ni,nip->nkp", *own, optimize=True)
                     product = values @ across.reshape(len(U), -1)
                     total[as_slice(columns), points] += product.reshape(len(values), -1, numbers)
@@ -233,8 +239,13 @@ class GridSums:
 
     def _parts(self, E: Columns) -> Iterator[slice]:
         """The blocks in parts whose columns take little memory."""
-        n, step = self._shape[0], max(LEAST_BLOCKS, BYTES // (8 * E.shape[1] * max(E.shape[2], 1)))
-        return (slice(first, min(first + step, n)) for first in range(0, n, step))
+        return _slices(self._shape[0], BYTES // (8 * E.shape[1] * max(E.shape[2], 1)))
+
+
+def _slices(blocks: int, step: int) -> Iterator[slice]:
+    """All blocks, so many at a time."""
+    step = max(LEAST_BLOCKS, step)
+    return (slice(first, min(first + step, blocks)) for first in range(0, blocks, step))
 
 
 def _key(run: Array, k: int) -> tuple[int, int, int]:
