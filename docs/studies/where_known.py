@@ -162,7 +162,7 @@ def judged(entry: tuple[Path, str, int]) -> Row:
     try:
         k = known(path)
         return {"kind": kind, **answered(k, kind, rng)}
-    except InputError as error:
+    except (InputError, np.linalg.LinAlgError) as error:
         return {"kind": kind, "refused": str(error)}
 
 
