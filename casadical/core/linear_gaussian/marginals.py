@@ -184,7 +184,8 @@ class Marginals:
     def _look_at(self, chosen: Chosen, groups: Sequence[Array]) -> None:
         """Make known what is needed to judge these groups."""
         near, P, before = self.model.near, self.model.base.shape[2], chosen.before
-        asked = np.setdiff1d(np.concatenate(groups), chosen.columns)
+        # Of those in the model already, too: a group may share some with them.
+        asked = np.unique(np.concatenate(groups))
         more = asked[chosen.b[near[0]].place[asked] < 0]
         if not more.size:
             return

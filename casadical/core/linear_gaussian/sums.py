@@ -298,8 +298,11 @@ class KnownRows:
         return np.flatnonzero(self.place >= 0)
 
     def __getitem__(self, columns: Array) -> Array:
-        """Rows of columns, shape (*columns.shape, numbers)."""
-        return np.asarray(self._rows[self.place[columns]])
+        """Rows of columns, shape (*columns.shape, numbers). Raises KeyError for one that is not known."""
+        place = self.place[columns]
+        if place.size and place.min() < 0:
+            raise KeyError(f"columns {columns[place < 0]} were not added up")
+        return np.asarray(self._rows[place])
 
     def add(self, columns: Array, rows: Array) -> None:
         more = self.count + len(rows)

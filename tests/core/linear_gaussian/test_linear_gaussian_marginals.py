@@ -44,7 +44,15 @@ MODELS = {
 }
 
 
-@pytest.mark.parametrize("chosen", [NONE, np.array([3]), np.array([3, 4])], ids=["alone", "beside one", "beside two"])
+CHOSEN = {
+    "alone": NONE,
+    "beside one": np.array([3]),
+    "beside two": np.array([3, 4]),
+    "beside its own": np.array([1, 3]),
+}
+
+
+@pytest.mark.parametrize("chosen", CHOSEN.values(), ids=CHOSEN)
 @pytest.mark.parametrize("name", MODELS)
 def test_marginal_likelihood_is_the_normal_density(name: str, chosen: np.ndarray) -> None:
     model = MODELS[name]
