@@ -126,7 +126,9 @@ def main() -> None:
     # What an end of the run leaves undone are other kinds of sealed campaigns.
     every.sort(key=lambda entry: entry[0].parent.name != "practice" and entry[1] != KINDS[0])
     todo = [(f"{path.stem} {kind}s", (path, kind)) for path, kind in every]
-    told(rows_of(todo, judged, given))
+    rows = rows_of(todo, judged, given)
+    print(f"{len(rows)} of {len(todo)} done")
+    told(rows)
 
 
 if __name__ == "__main__":

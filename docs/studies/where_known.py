@@ -256,6 +256,7 @@ def main() -> None:
         todo += [(f"UR10 {name} {k}", (path, "measured", 100 * given.seed + k)) for k in range(4)]
     todo += [(f"{path.stem} {kind}", (path, kind, given.seed)) for path in paths for kind in KINDS]
     rows = rows_of(todo, judged, given)
+    print(f"{len(rows)} of {len(todo)} done")
     table([row | ({"kind": "real"} if row["name"].startswith("UR10 ") else {}) for row in rows])
 
 
