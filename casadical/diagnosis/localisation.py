@@ -83,7 +83,8 @@ def _of_smooth_errors(case: Case, noise: Noise, left: Evidence, rng: np.random.G
         if joint.kind == "revolute":
             own = np.stack([f(h * case.m.q[kept, j - 1]) for h in FAST for f in (np.sin, np.cos)], axis=1)
             E.append((f"joint {j}", SIZE * case.whole.Jq[kept][:, :, [j - 1]] * own[:, None]))
-    some = left.at(np.searchsorted(np.flatnonzero(case.kept), kept))
+    # With as many rows, however many directions of the base round-off leaves: what is drawn by chance follows them.
+    some = left.everywhere.at(np.searchsorted(np.flatnonzero(case.kept), kept))
     projection = some.projection(noise.repeatability / noise.sigma)
     every, edges = np.concatenate([e for _, e in E], axis=2), np.cumsum([0, *(e.shape[2] for _, e in E)])
     white, plain = (
@@ -107,7 +108,8 @@ def _of_causes(case: Case, noise: Noise, columns: Array, rng: np.random.Generato
         return {}, e
     fit = new_fit(e, columns, noise, combined=False)
     first = len(fit.prior) - len(columns)
-    mean, spread = fit.x[first:], fit.root.T[first:] @ rng.standard_normal((len(fit.x), PART_DRAWS))
+    # The root is a triangle: nothing is drawn for the base, whose number of directions round-off decides.
+    mean, spread = fit.x[first:], fit.root.T[first:, first:] @ rng.standard_normal((len(columns), PART_DRAWS))
     left = np.asarray(e.r - (e.take(columns) @ mean))
     poses = _some(np.arange(len(e.r)), OF_CAUSES, rng)
     assert isinstance(e.E, EffectColumns)
@@ -207,14 +209,15 @@ def _even_sizes(y: Array, K: Array) -> Array:
 
 def _drawn_sizes(y: Array, groups: list[Array], K: Array, size: Array, sigma: float, rng: np.random.Generator) -> Array:
     """Variances of the groups, each drawn from its likelihood beside the others' best, shape (SIZE_DRAWS, groups)."""
-    root = root_of_inverse(_total(K, size, sigma**2))
     found = []
-    for g, best, even in zip(groups, size, _even_sizes(y, K), strict=True):
+    for k, (g, even) in enumerate(zip(groups, _even_sizes(y, K), strict=True)):
+        # Without the group: to take it away again would leave round-off alone where it explains much.
+        root = root_of_inverse(_total(K, np.where(np.arange(len(size)) == k, 0.0, size), sigma**2))
         white = root @ g
         d, axes = np.linalg.eigh(white.T @ white)
-        more = even * SIZES[:, None] - best
-        grown = np.maximum(1 + more * np.maximum(d, 0.0), 1e-12)
-        log = 0.5 * (more * (axes.T @ (white.T @ (root @ y))) ** 2 / grown - np.log(grown)).sum(axis=1)
+        own = even * SIZES[:, None]
+        grown = 1 + own * np.maximum(d, 0.0)
+        log = 0.5 * (own * (axes.T @ (white.T @ (root @ y))) ** 2 / grown - np.log(grown)).sum(axis=1)
         # Alike for all standard deviations (Gelman 2006).
         log += 0.5 * np.log(SIZES)
         share = np.cumsum(np.exp(log - log.max()))

@@ -145,6 +145,20 @@ def test_what_priors_of_the_base_cost_is_no_error_of_a_pose(any_case: Case) -> N
     assert table.loc["joint 2", "rms_mm"] == pytest.approx(500 * np.sqrt(np.mean(moved**2)), rel=0.05)
 
 
+@pytest.mark.parametrize("named", [True, False])
+def test_how_many_directions_of_the_base_round_off_leaves_changes_nothing(any_case: Case, named: bool) -> None:
+    """Readings that moved by 1e-12 left one more, all draws were others, and shares changed by .01 to .1."""
+    scale = any_case.group(next(k for k in any_case.candidates if k.label == "joint_scale@2").variants[0])
+    still = any_case.whole.still
+    assert still is not None
+    assert still.shape[1] > 0
+    tables = [
+        localise_residual(replace(any_case, whole=whole), NOISE, scale if named else NONE).joints
+        for whole in (any_case.whole, any_case.whole.everywhere)
+    ]
+    np.testing.assert_allclose(tables[0]["share"], tables[1]["share"], atol=1e-4)
+
+
 def test_part_of_the_data_that_is_worse_is_named(any_case: Case) -> None:
     """Errors twice as large with payload, and thrice as large where joint 2 rose, are the worst parts."""
     rng, m = np.random.default_rng(1), any_case.m
