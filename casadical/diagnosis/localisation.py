@@ -83,16 +83,17 @@ def _of_smooth_errors(case: Case, noise: Noise, left: Evidence, rng: np.random.G
         if joint.kind == "revolute":
             own = np.stack([f(h * case.m.q[kept, j - 1]) for h in FAST for f in (np.sin, np.cos)], axis=1)
             E.append((f"joint {j}", SIZE * case.whole.Jq[kept][:, :, [j - 1]] * own[:, None]))
-    # With as many rows, however many directions of the base round-off leaves: what is drawn by chance follows them.
-    some = left.everywhere.at(np.searchsorted(np.flatnonzero(case.kept), kept))
+    some = left.at(np.searchsorted(np.flatnonzero(case.kept), kept))
     projection = some.projection(noise.repeatability / noise.sigma)
+    axes = np.eye(len(some.prior)) if some.turn is None else some.turn / some.prior[:, None]
+    axes = axes / np.linalg.norm(axes, axis=0)
     every, edges = np.concatenate([e for _, e in E], axis=2), np.cumsum([0, *(e.shape[2] for _, e in E)])
     white, plain = (
         [rows[:, a:b] for a, b in itertools.pairwise(edges)]
         for rows in (projection.columns(every), some.projection(0.0).columns(every))
     )
     signal = dict[str, Array]()
-    for (part, _), g, values in zip(E, plain, _draws(projection.y, white, noise.sigma, rng), strict=True):
+    for (part, _), g, values in zip(E, plain, _draws(projection.y, white, noise.sigma, axes, rng), strict=True):
         signal[part] = signal.get(part, 0.0) + g @ values
     return dict(zip(signal, _mean_squares([*signal.values()], some, rng), strict=True))
 
@@ -236,15 +237,20 @@ def _total(K: Array, size: Array, variance: float) -> Array:
     return (size @ K).reshape(n, n) + variance * np.eye(n)
 
 
-def _draws(y: Array, groups: list[Array], sigma: float, rng: np.random.Generator) -> list[Array]:
-    """Factors of each group's columns in draws from the posterior, shape (columns, PART_DRAWS) (Matheron's rule)."""
+def _draws(y: Array, groups: list[Array], sigma: float, axes: Array, rng: np.random.Generator) -> list[Array]:
+    """Factors of each group's columns in draws from the posterior, shape (columns, PART_DRAWS) (Matheron's rule).
+
+    axes : of the base's parameters, as columns, whose priors are the last rows: noise is drawn for the parameters, for
+        round-off chooses between axes that the data determine alike, and how many move a pose
+    """
     K = products_of_rows(groups)
     size, sigma = sizes_of_groups(y, K, sigma)
     found, each = [], PART_DRAWS // SIZE_DRAWS
     for own in _drawn_sizes(y, groups, K, size, sigma, rng):
         prior = [np.sqrt(v) * rng.standard_normal((g.shape[1], each)) for v, g in zip(own, groups, strict=True)]
         known = sum(g @ f for f, g in zip(prior, groups, strict=True))
-        noise = sigma * rng.standard_normal((len(y), each))
+        of_poses = rng.standard_normal((len(y) - axes.shape[1], each))
+        noise = sigma * np.concatenate([of_poses, axes.T @ rng.standard_normal((len(axes), each))])
         missed = np.linalg.solve(_total(K, own, sigma**2), y[:, None] - known - noise)
         found.append([f + v * (g.T @ missed) for f, v, g in zip(prior, own, groups, strict=True)])
     return [np.concatenate(values, axis=1) for values in zip(*found, strict=True)]
