@@ -116,6 +116,7 @@ def test_unseen_poses_are_others_and_come_without_positions(small) -> None:
         assert len(seen) == secret.poses
         assert len(unseen) == UNSEEN == len(secret.measured_mm) == len(secret.true_mm)
         assert not set(seen["pose"]) & set(unseen["pose"])
+        assert unseen["pose"].between(seen["pose"].min(), seen["pose"].max()).all()  # nothing is predicted beyond
         assert set(seen) - set(unseen) == {"x_mm", "y_mm", "z_mm"}
         assert not set(unseen) - set(seen)
 

@@ -104,6 +104,9 @@ def test_the_command_prints_every_figure_and_writes_them(small, tmp_path) -> Non
     assert all(name in done.output for name in told["figures"])
     assert read_manifest(small.folder).key_sha256 in done.output
     assert files["figure"].read_bytes()[:4] == b"\x89PNG"
+    drawn = tmp_path / "score.svg"
+    assert CliRunner().invoke(app, [*words, "--figure", str(drawn)]).exit_code == 0
+    assert b"<svg" in drawn.read_bytes()
 
 
 def test_unanswered_campaigns_are_told(small, tmp_path) -> None:

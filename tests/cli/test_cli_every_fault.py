@@ -7,6 +7,8 @@ import pytest
 from command_line import ROOT, run
 
 from casadical import InputError, read_problem
+from casadical.cli.terminal import refusal
+from casadical.core.basics import MOST_FAULTS, Fault, FaultsError
 
 GOOD = (ROOT / "data" / "planar" / "planar.csv").read_text().splitlines()
 
@@ -61,3 +63,13 @@ def test_robot_table_and_poses_of_a_new_problem_are_told_at_once(tmp_path: Path)
     for told in ("row 2, column 'd_mm': 'NA'", "row 3, column 'theta_deg'", "column 'alpha_deg': 'x'", "it is empty"):
         assert told in done.stderr
     assert not (tmp_path / "arm").exists()
+
+
+@pytest.mark.parametrize("tables", [3, MOST_FAULTS + 5])
+def test_what_is_not_told_is_counted(tables: int, capfd: pytest.CaptureFixture[str]) -> None:
+    faults = [Fault("poses.csv", (k,), "x_mm", "nan", "no number", "", "") for k in range(tables)]
+    refusal(FaultsError(faults, ["one.toml: wrong", "two.toml: wrong"]))
+    told = capfd.readouterr().err
+    assert told.count("poses.csv") == min(tables, MOST_FAULTS)
+    assert told.count("toml: wrong") == (2 if tables == 3 else 0)
+    assert ("and 7 more" in told, "more" in told) == (tables > 3, tables > 3)

@@ -392,7 +392,13 @@ def test_of_many_robots_those_that_stand_out_are_named_and_the_axes_have_numbers
          "left_free": [40.0] * 3, "changes": "lengths" if k == 199 else ""}
         for k in range(count)
     ])  # fmt: skip
-    figures = plot(Fleet(good, (), ("arm7",)))
+    good = pd.concat([good, pd.DataFrame([{**NOTHING, "robot": "bad", "before_mm": np.nan, "after_mm": np.nan}])])
+    fleet = Fleet(good, (), ("arm7",))
+    (every,) = (b for s in fleet.page().sections for b in s.blocks if getattr(b, "title", "").startswith("Mean errors"))
+    before, after = (every.columns.index(name) for name in ("before", "after"))
+    assert [every.rows[k][before] for k in (0, 7, 200)] == ["2.0000", "2.0000", ""]
+    assert every.rows[7][after] == "0.5000"
+    figures = plot(fleet)
     assert [a.text for a in figures["map"].layout.annotations] == ["arm7"]
     assert figures["map"].layout.annotations[0].y == pytest.approx(np.log10(0.5))  # as plotly wants it
     axis = figures["map"].layout.yaxis

@@ -11,6 +11,7 @@ import pytest
 from command_line import main
 
 from casadical import InputError, Joint, Placement, Robot, identify, read_robot, write_robot
+from casadical.core.telling.figure import Figure
 from casadical.core.transforms import frame, from_rpy
 from casadical.fleet.touches import plan_touches, touched
 from casadical.identification.accuracy import predicted
@@ -89,6 +90,10 @@ def test_the_same_robot_is_valid_and_a_crash_is_found_and_corrected(place, tmp_p
     (name, amount, std_error, unit), *_ = found.moved
     assert (name, unit) == ("theta3", "deg")
     assert abs(amount - np.rad2deg(4e-4)) < 4 * std_error
+    assert found.more is None  # it is sure
+    (chart,) = (b for s in found.page().sections for b in s.blocks if isinstance(b, Figure))
+    for series in chart.series:
+        assert (list(series.x), list(series.y)) == ([1, 2, 3], [row[4] / row[5] for row in found.rows()])
     low, high = np.quantile(found.errors, [0.005, 0.995])
     assert low < np.hypot(error(read_robot(file), hit), NOISE * np.sqrt(3)) < high
     assert found.better
@@ -113,6 +118,8 @@ def test_another_tool_and_a_moved_foot_are_told_apart(place, tmp_path, by, label
     found = touched(file, [*days, day(tmp_path, 3, moved(true, by), q)])
     assert found.label == label
     assert found.verdict == "changed"
+    sure = [abs(amount) / error for _, amount, error, _ in found.moved]
+    assert sure == sorted(sure, reverse=True)
 
 
 def test_a_logged_temperature_explains_growth(place, tmp_path):
@@ -170,7 +177,7 @@ def test_the_command_plans_judges_charts_and_corrects(place, tmp_path, monkeypat
     file, true, q = place
     monkeypatch.chdir(tmp_path)
     assert main(monkeypatch, "verify", file.parent, "--touches", 3) == 0
-    assert len(pd.read_csv("touches.csv")) == 3
+    pd.testing.assert_frame_equal(pd.read_csv("touches.csv"), plan_touches(file, 3, seed=0), check_exact=False)
     hit = moved(true, {"theta2": -5e-4})
     days = [day(tmp_path, k, true if k < 3 else hit, q) for k in (1, 2, 3)]
     kept = ("--update", "new.robot.toml", "--chart", "chart.csv", "--report", "page.html", "--json", "touched.json")

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import main
+from scipy.stats import chi2
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "cli"))
 import first_hour
@@ -45,6 +46,8 @@ def test_the_same_robot_keeps_its_promise_and_a_changed_one_does_not(calibrated_
     assert figures["valid"]
     assert figures["poses"] == 12
     assert 0.02 < figures["found_rms_mm"] < 0.1
+    most = 3 * 12 - 9  # less base and tool; an error so great shows in nine of ten draws
+    assert figures["limit_mm"] / figures["seen_from_mm"] == pytest.approx(np.sqrt(chi2.ppf(0.1, most) / most), rel=0.01)
     broken = tmp_path / "broken.json"
     assert main(monkeypatch, "verify", calibrated_arm, later(tmp_path, 0.03), "--json", broken) == 5
     assert "NO LONGER VALID" in capfd.readouterr().out

@@ -40,6 +40,8 @@ def bound_of(expression: Any, lower: list[float], upper: list[float], real: Any 
         (-X[0], (-2.0, 1.5)),
         (X[0] / (X[1] + 5), (-0.75, 1.0)),
         (ca.sqrt(X[1] + 5), (np.sqrt(2), 3.0)),
+        (X[0] / ca.fmin(X[1], 0), (-np.inf, np.inf)),
+        (X[0] / ca.fmax(X[1], 0), (-np.inf, np.inf)),
     ],
 )
 def test_bounds_are_those_of_the_ends(expression: Any, expected: tuple[float, float]) -> None:

@@ -126,7 +126,7 @@ def test_a_robot_with_a_four_bar_is_repaired_of_one_slip(tmp_path: Path, monkeyp
 
 def test_why_nothing_is_written_is_said(tmp_path: Path, monkeypatch, capfd) -> None:
     folder = folder_of(tmp_path, lambda q, p: (q, np.random.default_rng(0).permutation(p)))
-    assert main(monkeypatch, "check", folder, "--repair") == 2
+    assert main(monkeypatch, "check", ROOT / "problems" / "planar", folder, "--repair") == 2
     assert "nothing more is written: of " in capfd.readouterr().out
 
 

@@ -70,6 +70,9 @@ def test_the_real_tool_ends_where_the_nominal_one_would(language, end, pose, cel
     program = read_target_program(path, given if language == "fanuc" else Given(), 6)
     result = corrected_program(program, cell)
     new = result.content()
+    told = dict(re.findall(r"^  (before|after) \[[mu]m\] +(\S+)", result.report(), re.M))
+    off = np.mean([r.off_mm for r in result.results if r.fine], axis=0)
+    assert [float(told["before"]), 1e-3 * float(told["after"])] == pytest.approx(off, abs=1e-4)
     assert len(result.results) == len(points)
     fine = [r.fine for r in sorted(result.results, key=lambda r: r.target.line)]
     assert np.mean(fine) > 0.8

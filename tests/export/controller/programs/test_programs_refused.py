@@ -192,6 +192,9 @@ def test_what_the_others_do_not_say_is_left(tmp_path, cell):
     assert found["movel"][0] == "LEFT"
     listing = "/POS\n" + LS.format(config="'N L U T, 0, 0, 0'", unit="mm")
     assert "CONFIG" in statuses(tmp_path, cell, "p.ls", listing, Given(TOOL))["P[1]"][1]
+    for off in (5, -5):
+        aside = LS.format(config="'N U T, 0, 0, 0'", unit="mm").replace("\n};", f",\n\tE1 = {off}.000 mm\n}};")
+        assert statuses(tmp_path, cell, "p.ls", f"/POS\n{aside}", Given(TOOL))["P[1]"][0] == "EXTERNAL_AXIS"
 
 
 @pytest.mark.parametrize("name", ["krl", "rapid", "urscript", "fanuc"])
