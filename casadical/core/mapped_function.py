@@ -12,8 +12,9 @@ from casadical.core.compile_cache import MachineCode, compiled
 # So many points, evaluated since the start of the process, take as long as to look for a compiled library, and to make
 # one. Waiting for that costs at most twice what knowing beforehand would (the ski rental problem).
 LOOK_FROM, COMPILE_FROM = 10_000, 500_000
-# Points at a time: their Jacobians fit the processor's cache, and to map a function over more of them takes longer.
-CHUNK = 1024
+# Points at a time, and fewer where each has many numbers: their Jacobians fit the processor's cache, and to map a
+# function over more of them takes longer.
+CHUNK, NUMBERS, LEAST = 1024, 400_000, 64
 # Numbers of points for which the mapped functions are kept.
 SIZES = 64
 
@@ -32,6 +33,8 @@ class MappedFunction:
         each, symbols, once = ca.extract_parametric(whole, shared, {})
         self._shared = Buffered(ca.Function(name + "_once", [shared], [ca.vertcat(ca.SX(0, 1), *once)]))
         self._each = ca.Function(name, [point, shared, ca.vertcat(ca.SX(0, 1), *symbols)], each)
+        outputs_of_each = sum(self._each.nnz_out(k) for k in range(self._each.n_out()))
+        self._chunk = min(CHUNK, max(LEAST, NUMBERS // max(outputs_of_each, 1)))
         self._mapped: dict[int, Buffered] = {}
         self._evaluated = self._tried = 0
         self._machine_code: MachineCode | None = None
@@ -47,12 +50,12 @@ class MappedFunction:
         (once,) = self._shared(shared)
         if self._machine_code:
             return self._machine_code(points, shared, once)
-        if n <= CHUNK:
+        if n <= self._chunk:
             return self._over(n)(points, shared, once)
         sizes = [self._each.size_out(k) for k in range(self._each.n_out())]
         whole = [np.empty((rows, columns * n), order="F") for rows, columns in sizes]
-        for start in range(0, n, CHUNK):
-            some = points[:, start : start + CHUNK]
+        for start in range(0, n, self._chunk):
+            some = points[:, start : start + self._chunk]
             for out, part, (_, columns) in zip(
                 whole, self._over(some.shape[1])(some, shared, once), sizes, strict=True
             ):
