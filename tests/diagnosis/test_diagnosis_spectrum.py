@@ -15,7 +15,7 @@ from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.line_search import Line
-from casadical.diagnosis.spectrum import JointCurve, Spectrum, curve_of, spectrum, spectrum_of, with_multiples
+from casadical.diagnosis.spectrum import JointCurve, Spectrum, curve_of, lines_of, spectrum, spectrum_of, with_multiples
 from casadical.diagnosis.text import WIDTH, page_of
 from casadical.measurements.reading import from_table
 
@@ -88,6 +88,7 @@ def test_a_curve_holds_its_ripples_where_there_are_readings() -> None:
     assert inside[c.covered].mean() > 0.85
     assert c.rms == pytest.approx(np.sqrt((80e-6**2 + 40e-6**2) / 2), abs=2 * c.rms_error)
     assert c.rms > 2 * c.rms_error
+    assert c.middle == pytest.approx((17, 17), abs=1)  # four fifths of its square
 
 
 def test_the_band_grows_where_there_are_no_readings() -> None:
@@ -164,6 +165,8 @@ def test_what_lines_suggest_is_said_of_shared_and_of_known_ratios() -> None:
     assert sum("ratio 50" in s for s in both) == 2
     assert not any("23.4" in s for s in both)
     assert Spectrum((joint(1, line(1, 41.3)),), 60).suggestions == ()
+    many = [line(1, 10.0 + k) for k in range(6)]
+    assert [lines_of(joint(1, *many[:k])).endswith(" and 2 more") for k in (4, 6)] == [False, True]
 
 
 def table_of_curves() -> list[str]:

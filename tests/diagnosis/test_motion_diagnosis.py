@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 from casadical import Body, InputError, Joint, Robot
 from casadical.cli.root import app
 from casadical.core.drive import Drive
+from casadical.core.telling.blocks import Table
 from casadical.core.telling.result import plain_text
 from casadical.diagnosis.motion.arm import arm_of
 from casadical.diagnosis.motion.proposal import proposed
@@ -117,6 +118,16 @@ def test_named(robot, fault, labels):
     assert found.verdict == "unknown"  # no claim is made: see docs/joint-logs.md
     before, after = found.gap()[1:]
     assert after.sum() < 1.001 * before.sum()
+
+
+def test_the_time_of_a_contact_is_told(robot):
+    log = simulated(robot, 1, contact)
+    found = diagnose_log(robot, log)
+    (joints,) = (b for b in found.blocks() if isinstance(b, Table) and b.columns[-1] == "most at")
+    what, low, _, high = joints.rows[2][-1].split()
+    assert what == "time"
+    began = found.outcome.case.over[-1].max() - SECONDS  # the second run
+    assert float(low) < began + 5.6 < float(high)
 
 
 def ripple_and_late(run, t, q, v, tau):
@@ -242,7 +253,9 @@ def one_way(run, t, q, v, tau):
 
 
 def test_what_sticks_one_way_alone_is_no_ripple(robot):
-    found = diagnose_log(robot, simulated(robot, 5, one_way, runs=4))
+    found = diagnose_log(robot, simulated(robot, 5, one_way, runs=4), laws=True)
+    tried = found.laws.laws[0].tried
+    assert (tried.driver.text, tried.form.name) == ("q2", "bump by direction")
     refused = found.outcome.refused
     assert (refused.label, refused.share > 1, refused.gain > 150, refused.probability > 0.97) == (
         "ripple@2",

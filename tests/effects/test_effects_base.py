@@ -14,6 +14,12 @@ from casadical.identification.accuracy import predicted
 CLASSES = [kind for kind in known_effects().values() if kind.on_list != "unknown"]
 
 
+def test_every_candidate_has_sizes_also_of_effects_on_no_list() -> None:
+    for kind in known_effects().values():
+        for effect in kind.candidates(robot("hh800")):
+            assert all(size > 0 for size, _ in effect.sizes().values()), effect.label
+
+
 @pytest.mark.parametrize("kind", CLASSES, ids=lambda c: c.__name__)
 def test_effect_says_what_it_is(kind: type[Effect]) -> None:
     effect = kind(2) if "joint" in kind.__init__.__annotations__ else kind()

@@ -112,7 +112,7 @@ class _PositionFirst(_Step):
     @property
     def size(self) -> int:
         """J, two factors of three rows, and P G^T with G = J_o P."""
-        return 6 * self.n + 2 * _factor_size(3) + 3 * self.n
+        return (self.m + 3) * self.n + 2 * _factor_size(3)
 
     def factored(self, J: SX) -> tuple[SX, SX]:
         Jp, Jo = J[:3, :], J[3:, :]
@@ -125,9 +125,9 @@ class _PositionFirst(_Step):
         return casadi.vertcat(casadi.vec(J), _packed(L, inverse), _packed(M, inverse_o), casadi.vec(back)), weakness
 
     def solved(self, factors: SX, r: SX) -> tuple[SX, SX]:
-        n, f = self.n, _factor_size(3)
-        parts = casadi.vertsplit(factors, [0, 6 * n, 6 * n + f, 6 * n + 2 * f, 9 * n + 2 * f])
-        J = casadi.reshape(parts[0], 6, n)
+        n, m, f = self.n, self.m, _factor_size(3)
+        parts = casadi.vertsplit(factors, [0, m * n, m * n + f, m * n + 2 * f, (m + 3) * n + 2 * f])
+        J = casadi.reshape(parts[0], m, n)
         (L, inverse), (M, inverse_o) = _factors_of(parts[1], 3), _factors_of(parts[2], 3)
         first = casadi.mtimes(J[:3, :].T, _solved(L, inverse, r[:3]))
         rest = r[3:] - casadi.mtimes(J[3:, :], first)

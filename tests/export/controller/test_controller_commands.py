@@ -3,6 +3,7 @@
 import csv
 import hashlib
 import json
+import re
 
 import numpy as np
 import pytest
@@ -98,7 +99,11 @@ def test_without_a_compiler_the_export_is_written_and_called_unverified(files, t
     monkeypatch.setenv("PATH", str(tmp_path))
     arguments = ("export", "c", files / "ur10.toml", "--nominal", nominal_path("ur10"), "--out", tmp_path / "c")
     assert run(monkeypatch, *arguments) == 0
-    assert "UNVERIFIED: no C compiler found" in capfd.readouterr().out
+    printed = capfd.readouterr().out
+    assert "UNVERIFIED: no C compiler found" in printed
+    assert re.search(r"NO BOUND of the error that remains: \S* ?has no \[bound\]", printed)
+    assert run(monkeypatch, *arguments, "--no-bound", "--overwrite") == 0
+    assert "it was left out, as asked" in capfd.readouterr().out
     job = program(tmp_path / "job.csv", poses(planted("ur10"), 3))
     assert run(monkeypatch, "correct", tmp_path / "c", job, "--out", tmp_path / "new.csv") == 2
     message = capfd.readouterr().err
