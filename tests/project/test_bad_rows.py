@@ -148,7 +148,11 @@ def test_a_method_that_is_worse_than_nothing_is_named(tmp_path: Path) -> None:
 
 
 def test_check_looks_at_the_compliance_that_calibrate_tries(tmp_path: Path) -> None:
-    """Of a robot file that declares none: no warning that there is none, and what the poses tell of it."""
-    found = precheck(arm(tmp_path, {}))
-    assert "c2" in next(view.names for view in found.outlooks if view.method == "SKCM")
-    assert not any("no compliance is identifiable" in finding.text for finding in found.findings)
+    """Of a robot file that declares none, or some: no warning that there is none, and what the poses tell of it."""
+    folder = arm(tmp_path, {})
+    file = folder / "robot.toml"
+    for text in (file.read_text(), file.read_text().replace("[[joint]]\n", "[[joint]]\ncompliant = true\n")):
+        file.write_text(text)
+        found = precheck(folder)
+        assert "c2" in next(view.names for view in found.outlooks if view.method == "SKCM")
+        assert not any("no compliance is identifiable" in finding.text for finding in found.findings)

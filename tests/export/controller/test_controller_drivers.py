@@ -142,6 +142,9 @@ def test_the_nearest_solution_has_the_whole_turns_that_its_range_allows():
     postures = Postures(robot, np.eye(4))
     found = postures.nearest(model_pose(robot, q)[None], (q + 2 * np.pi * np.eye(6)[0])[None])[0]
     np.testing.assert_allclose(found, q, atol=1e-6)
+    assert postures.why_not == ""
+    bent = Postures(read_robot(nominal_path("ur10")), np.eye(4)).why_not
+    assert "miss each other by 116 mm" in bent  # its d5
 
 
 def test_an_inverse_out_of_reach_says_so():

@@ -22,8 +22,8 @@ from casadical.pose_selection.candidates import draw, held_in
 from casadical.pose_selection.workspace import Workspace
 from casadical.project.live import LiveSession
 from casadical.project.live.session import finished
-from casadical.project.live.sources import FileSource, FolderSource, Row, StreamSource, journal
-from casadical.project.new.new import as_built
+from casadical.project.live.sources import FileSource, FolderSource, Row, SimulatedSource, StreamSource, journal
+from casadical.project.new.new import NOISE, as_built
 
 ROOT = Path(__file__).parents[3]
 SERIES = ROOT / "data/ur10_laser_tracker/series_C_random_poses.csv"
@@ -491,3 +491,12 @@ def test_a_stream_that_cannot_be_read_ends_and_says_so(tmp_path: Path) -> None:
         time.sleep(0.01)
     assert source.ended
     assert "standard input: is read no further" in source.news().said[0]
+
+
+def test_a_simulated_reading_is_of_a_robot_as_built() -> None:
+    arm, q = casadical.read_robot(ROOT / "problems/ur10/robot.toml"), np.linspace(0.3, -1.2, 6)
+    (row,) = SimulatedSource(arm, lambda: q, 1).news().rows
+    told = np.array([float(cell) for cell in row.cells])
+    np.testing.assert_allclose(np.deg2rad(told[:6]), q, atol=1e-7)
+    place = predicted(as_built(arm, np.random.default_rng(0)), unmeasured(q[None]))[0][0]
+    np.testing.assert_allclose(told[6:], 1e3 * place, atol=5e3 * NOISE)
