@@ -167,7 +167,9 @@ class Evidence:
         pass for noise. Directions of the parameters, in units of their priors, that the data determine get a wide one.
         """
         A = self.J.reshape(self.r.size, -1) * (self.prior / self.reference)
-        square, axes = np.linalg.eigh(A.T @ A)
+        # Not of A' A, whose round-off beside a wide prior's direction would pass for what moves a pose.
+        _, singular, turned = np.linalg.svd(np.linalg.qr(A, mode="r"))
+        square, axes = np.append(singular, np.zeros(len(turned) - len(singular)))[::-1] ** 2, turned[::-1].T.copy()
         # Which way an axis points is a processor's choice, and what is drawn by chance would follow it.
         axes *= np.where(np.cos(np.arange(len(axes))) @ axes < 0, -1.0, 1.0)
         axes, moved = self.prior[:, None] * axes, square > UNMOVED
