@@ -58,6 +58,12 @@ def ranked(values: Sequence[float] | Array, *, logs: bool = False) -> list[int]:
     return [int(k) for k in order[np.lexsort((order, step))]]
 
 
+def thirds(values: Array) -> tuple[Array, Array]:
+    """The third in which each value lies, 0 to 2, and the four edges; one at an edge, but for rounding, is below."""
+    edges = np.quantile(values, [0, 1 / 3, 2 / 3, 1])
+    return np.searchsorted(edges[1:-1] + TIE * np.ptp(edges), values), edges
+
+
 def known_digits(value: float, size: float, digits: int) -> float:
     """A value without the digits that rounding decides: so many are left behind the first one of `size`."""
     if not (size and math.isfinite(size)):

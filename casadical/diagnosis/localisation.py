@@ -25,6 +25,7 @@ import pandas as pd
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.normal_equations import root_of_inverse
+from casadical.core.statistics import thirds
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.linear_problem import Case
@@ -408,18 +409,10 @@ def _directions(case: Case, split: _Split) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(DIRECTIONS))
 
 
-def _binned(by: str, values: Array, edges: Array, unit: str, digits: int) -> Masks:
-    """Parts of the range of some values between edges."""
-    which = np.searchsorted(edges[1:-1], values, side="left")
-    return [
-        (by, f"{a:.{digits}f} .. {b:.{digits}f} {unit}", which == k)
-        for k, (a, b) in enumerate(itertools.pairwise(edges))
-    ]
-
-
 def _in_thirds(by: str, values: Array, unit: str, digits: int) -> Masks:
-    edges = np.quantile(values, [0, 1 / 3, 2 / 3, 1])
-    return _binned(by, values, edges, unit, digits) if (np.diff(edges) > 0).all() else []
+    which, edges = thirds(values)
+    parts = enumerate(itertools.pairwise(edges)) if (np.diff(edges) > 0).all() else ()
+    return [(by, f"{a:.{digits}f} .. {b:.{digits}f} {unit}", which == k) for k, (a, b) in parts]
 
 
 def _regions(case: Case) -> Masks:

@@ -10,6 +10,8 @@ from casadical.core.basics import Array
 from casadical.measurements.measurements import Measurements
 
 _WARMTH = re.compile(r"warmth_(\d+)s")
+# Less is no motion but rounding of the same reading [rad or m].
+AT_REST = 1e-9
 _APPROACH = re.compile(r"approach(\d+)")
 _MOVE = re.compile(r"move(\d+)")
 _MEMORY = re.compile(r"memory(\d+)_(\d+)mrad")
@@ -104,7 +106,8 @@ def _moves(m: Measurements, joint: int) -> Array:
 
 def _approach(m: Measurements, joint: int) -> Array:
     order = np.argsort(_order(m), kind="stable")
-    motion = np.sign(np.diff(m.q[order, joint], prepend=m.q[order[0], joint]))
+    moved = np.diff(m.q[order, joint], prepend=m.q[order[0], joint])
+    motion = np.sign(np.where(np.abs(moved) > AT_REST, moved, 0.0))
     for k in range(1, len(motion)):
         motion[k] = motion[k] or motion[k - 1]
     direction = np.empty(len(m))

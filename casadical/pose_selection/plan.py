@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from casadical.core.basics import Array
 from casadical.core.files import json_text
+from casadical.core.statistics import thirds
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import Result
 from casadical.measurements.measurements import Noise
@@ -167,17 +167,13 @@ def _map(plan: Selection) -> Table:
     assert plan.task.position is not None
     local = (plan.task.position - plan.robot.base.T[:3, 3]) @ plan.robot.base.T[:3, :3]
     error = plan.expected_error()
-    height = thirds_of(local[:, 2])
-    distance = thirds_of(np.hypot(local[:, 0], local[:, 1]))
+    height, _ = thirds(local[:, 2])
+    distance, _ = thirds(np.hypot(local[:, 0], local[:, 1]))
     rows = []
     for k in (2, 1, 0):
         cells = [error[(height == k) & (distance == i)] for i in range(3)]
         rows.append((_HEIGHTS[k], *(f"{1e3 * np.sqrt(np.mean(c**2)):.4f}" if len(c) else "-" for c in cells)))
     return Table("Expected error [mm]", ("point", *_DISTANCES), rows, frozenset({1, 2, 3}))
-
-
-def thirds_of(values: Array) -> Array:
-    return np.searchsorted(np.quantile(values, [1 / 3, 2 / 3]), values)
 
 
 def _errors(plan: Selection) -> Table:

@@ -49,6 +49,8 @@ def test_approach_follows_from_the_order_of_the_poses() -> None:
     np.testing.assert_array_equal(found, [-1, 0, 1, 1, 1])  # a joint that rests keeps its last direction
     logged = replace(m, conditions={"approach1": -np.ones(5)})
     np.testing.assert_array_equal(derive(logged, ["approach1"])[0].conditions["approach1"], -np.ones(5))
+    jitter = replace(m, q=q + 1e-12 * np.array([[0.0], [0.0], [-1.0], [0.0], [0.0]]))
+    np.testing.assert_array_equal(derive(jitter, ["approach1"])[0].conditions["approach1"], [0, 1, 1, -1, 1])
 
 
 def test_what_cannot_be_had_is_named() -> None:

@@ -7,11 +7,11 @@ import pytest
 from scipy import linalg
 
 from casadical import InputError, read_campaign_robot
+from casadical.core.statistics import thirds
 from casadical.effects import Backlash, JointZeroStep
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Noise, unmeasured
 from casadical.pose_selection.information import SPECTRAL, checked, noise_covariance, observability
-from casadical.pose_selection.plan import thirds_of
 
 ROOT = Path(__file__).parents[2]
 
@@ -51,8 +51,17 @@ def test_an_unknown_criterion_is_refused_with_those_there_are() -> None:
 
 def test_thirds_hold_a_third_each() -> None:
     values = np.random.default_rng(0).permutation(np.arange(300.0))
-    assert np.bincount(thirds_of(values)).tolist() == [100, 100, 100]
-    assert (thirds_of(values) == values // 100).all()
+    assert np.bincount(thirds(values)[0]).tolist() == [100, 100, 100]
+    assert (thirds(values)[0] == values // 100).all()
+
+
+def test_rounding_moves_no_value_over_an_edge() -> None:
+    """Of joints that stand at few angles, readings moved by 1e-12 made other parts."""
+    rng = np.random.default_rng(0)
+    values = rng.integers(0, 5, 301) * 0.5
+    for _ in range(5):
+        moved = values + 1e-12 * rng.standard_normal(301)
+        assert (thirds(moved)[0] == thirds(values)[0]).all()
 
 
 def test_the_covariance_of_a_point_holds_what_each_joint_repeats() -> None:
