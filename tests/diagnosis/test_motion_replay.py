@@ -113,6 +113,16 @@ def test_real_motions_of_an_so101_that_were_not_fitted():
     assert (found.after[:5] < 0.25 * found.before[:5]).all()
 
 
+def test_rounding_of_readings_moves_no_parameter():
+    """Each step multiplied it where the cost has kinks: processors ended at dampings that differed by 6e-4."""
+    robot = read_robot(ROOT / "problems" / "so101" / "robot.toml")
+    log = read_log(ROOT / "data" / "so101_logs" / "circular_motion.csv.gz", robot)
+    rounding = 1 + 2e-16 * np.random.default_rng(0).standard_normal(log.position.shape)
+    one, other = (fitted(robot, [each]) for each in (log, replace(log, position=rounding * log.position)))
+    for name in ("gain", "friction", "damping", "inertia", "delay"):
+        np.testing.assert_allclose(getattr(other, name), getattr(one, name), rtol=1e-9)
+
+
 def test_the_command_replays_and_keeps_the_drives_in_a_robot_file(arm, tmp_path):
     from casadical import write_robot
 

@@ -35,6 +35,9 @@ OFFSET = 0.05
 # Of the samples so many tell something new; residuals beyond so many sigma weigh less.
 EFFECTIVE, OUTLIER = 0.05, 3.0
 ROUNDS, STEPS, ENOUGH, DIFFERENCE = 4, 6, 1e-3, 1e-4
+# Decimals of a step: where the cost has kinks (a delay that passes a sample, a joint that sticks), each step multiplies
+# what rounding had changed, and processors would end at other parameters.
+KEPT = 6
 # A joint whose commands go through less than this tells nothing of its response [rad], which stays within this share.
 STILL, USUAL = 0.02, 0.05
 # A torque that a servo gives in proportion has so great a correlation to its error, later by one of these [s].
@@ -426,7 +429,7 @@ def _problem(dynamics: Dynamics, pieces: Sequence[Piece], told: Array) -> _Probl
 
 def _solved(p: _Problem, start: Array) -> Array:
     """Parameters at the least cost, shape (joints, LOCAL); joints do not know of each other."""
-    x, damping = start.copy(), np.full(len(start), 1e-3)
+    x, damping = start.round(KEPT), np.full(len(start), 1e-3)
     left, slope = p.left(x)
     for _ in range(ROUNDS):
         sigma = (
@@ -435,7 +438,7 @@ def _solved(p: _Problem, start: Array) -> Array:
         before = _cost(p, left, sigma, x)
         for _ in range(STEPS):
             H, b = _normal(p, sigma, x, left, slope)
-            step = np.linalg.solve(H + damping[:, None, None] * H * np.eye(LOCAL), b[..., None])[..., 0]
+            step = np.linalg.solve(H + damping[:, None, None] * H * np.eye(LOCAL), b[..., None])[..., 0].round(KEPT)
             further, slopes = p.left(x + step)
             now = _cost(p, further, sigma, x + step)
             better = now < before
