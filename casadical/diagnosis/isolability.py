@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array, InputError
+from casadical.core.statistics import ranked
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import Result, table_lines
 from casadical.diagnosis.candidates import Candidate, candidates_of, choose, columns_to_log, gathered_by_columns
@@ -72,9 +73,9 @@ class Isolability(Result):
 
     def rivals(self, label: str, above: float = 0.5) -> dict[str, float]:
         """Candidates that reproduce more than a share of a candidate's visible signal, the worst first."""
-        shares = zip(self.alike.columns, self.alike.loc[label].to_numpy(), strict=True)
-        found = [(str(k), float(v)) for k, v in shares if k != label and v > above]
-        return dict(sorted(found, key=lambda rival: -rival[1]))
+        shares = self.alike.loc[label].drop(label)
+        order = (k for k in ranked(shares.to_numpy()) if shares.iloc[k] > above)
+        return {str(shares.index[k]): float(shares.iloc[k]) for k in order}
 
     def blocks(self) -> list[Words]:
         """Its text, to be printed unwrapped."""

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from casadical.core.basics import Array, InputError, Show
-from casadical.core.statistics import first_of_best
+from casadical.core.statistics import first_of_best, known_digits
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import Result
 from casadical.diagnosis.cross_validation import new_fit
@@ -113,7 +113,8 @@ class LogDiagnosis(Result):
         columns = np.union1d(columns_of(case, others), own)
         values, errors = new_fit(case.white, columns, WHITE, combined=False).causes
         k, unit = int(np.searchsorted(columns, own[0])), LOAD * float(self.arm.inertial[::10].sum())
-        return float(values[k]) * unit, float(errors[k]) * unit
+        mass, error = float(values[k]) * unit, float(errors[k]) * unit
+        return known_digits(mass, error, 4), known_digits(error, error, 4)
 
     def blocks(self) -> Sequence[Words | Table]:
         """What `casadical diagnose ARM LOG` prints."""

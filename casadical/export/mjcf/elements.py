@@ -43,8 +43,13 @@ def numbers(*values: float) -> str:
     return " ".join(repr(float(v)) for v in values)
 
 
+def place(T: Array) -> dict[str, str]:
+    """Attributes pos and quat of a frame, to a picometre: the last digits of a double are a processor's rounding."""
+    return {"pos": numbers(*T[:3, 3].round(12)), "quat": numbers(*quaternion(T[:3, :3]).round(12))}
+
+
 def add_body(parent: ET.Element, name: str, T: Array) -> ET.Element:
-    return ET.SubElement(parent, "body", name=name, pos=numbers(*T[:3, 3]), quat=numbers(*quaternion(T[:3, :3])))
+    return ET.SubElement(parent, "body", {"name": name, **place(T)})
 
 
 def add_mass(body: ET.Element, mass: float, com: Array) -> None:

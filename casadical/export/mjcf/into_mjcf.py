@@ -13,7 +13,7 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.transforms import frame, nearest_rotation, quaternion
-from casadical.export.mjcf.elements import inert, numbers
+from casadical.export.mjcf.elements import inert, numbers, place
 from casadical.export.mjcf.equilibrium import load_mujoco
 from casadical.robot.axes import frames_at_zero
 from casadical.robot.robot import Robot
@@ -73,8 +73,8 @@ def _write_pose(element: minidom.Element, T: Array) -> None:
     for other in ("axisangle", "euler", "xyaxes", "zaxis"):
         if element.hasAttribute(other):
             element.removeAttribute(other)
-    element.setAttribute("pos", numbers(*T[:3, 3]))
-    element.setAttribute("quat", numbers(*quaternion(T[:3, :3])))
+    for attribute, value in place(T).items():
+        element.setAttribute(attribute, value)
 
 
 def _add_spring(document: minidom.Document, name: str, compliance: float, source: str) -> None:

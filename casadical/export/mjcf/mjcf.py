@@ -12,7 +12,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.parts import Body, Joint
-from casadical.core.transforms import frame, from_rpy, quaternion
+from casadical.core.transforms import frame, from_rpy
 from casadical.effects.base import Counterparts, Drive, Omission
 from casadical.export.mjcf.elements import (
     SLOW,
@@ -26,6 +26,7 @@ from casadical.export.mjcf.elements import (
     closed,
     inert,
     numbers,
+    place,
 )
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Robot
@@ -179,8 +180,7 @@ def _drive_joints(body: ET.Element, name: str, row: Joint, drive: Drive) -> None
 
 
 def _tool(last: ET.Element, robot: Robot, payload: Body | None) -> None:
-    T = robot.tool.T
-    ET.SubElement(last, "site", name=POINT, pos=numbers(*T[:3, 3]), quat=numbers(*quaternion(T[:3, :3])))
+    ET.SubElement(last, "site", {"name": POINT, **place(robot.tool.T)})
     if payload is not None:
         body = add_body(last, "payload", frame(from_rpy(np.zeros(3)), np.asarray(payload.com)))
         add_mass(body, payload.mass, np.zeros(3))
