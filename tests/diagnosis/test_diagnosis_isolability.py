@@ -138,3 +138,11 @@ def test_page_and_json() -> None:
     data = found.to_json("design")
     assert set(data) == {"campaign", "effects", "alike", "missing"}
     assert data["alike"]["joint_scale@3"]["gear_eccentricity@3"] > 0.9
+
+
+def test_effects_that_look_equally_alike_stand_in_their_order() -> None:
+    """Rounding of the shares had put either of two first, on one processor or another."""
+    names = ["a", "b", "c"]
+    for k in (1, -1):
+        alike = pd.DataFrame([[1.0, 0.62, 0.62 + k * 1e-13]] * 3, index=names, columns=names)
+        assert list(Isolability(pd.DataFrame(index=names), alike, {}).rivals("a")) == ["b", "c"]
