@@ -80,11 +80,10 @@ def positions(plant: Plant, hidden: Sequence[Hidden], stops: Stops, jitter: Arra
     Raises ConvergenceError where the engine finds no rest.
     """
     acting = causes(hidden, plant.n)
-    built, factor = mechanism(plant), 1.0
+    built = mechanism(plant)
     for cause in acting:
         built = cause.built(built, plant)
-        factor *= cause.payload_factor
-    engine = Engine(built, travels=any(c.travels for c in acting), factor=factor, gravity=tuple(plant.gravity))
+    engine = Engine(built, tuple(plant.gravity))
     motors = stops.q + jitter + sum(c.motors(plant, stops) for c in acting)
     changes = [s for c in acting for s in c.settings(plant, stops)]
     seen = np.empty((len(stops), 3))

@@ -161,22 +161,13 @@ class Stop:
 class Engine:
     """A mechanism, effects included, compiled by MuJoCo, that can be brought to rest at one pose after the other.
 
-    travels : whether it moves to every pose from the side it is approached from, which only friction and play need
-    factor : true over declared mass of the payload; gravity : in the measuring frame [m/s^2]
-    Raises InputError: MuJoCo is missing.
+    gravity : in the measuring frame [m/s^2]. Raises InputError: MuJoCo is missing.
     """
 
-    def __init__(
-        self,
-        mechanism: Mechanism,
-        *,
-        travels: bool = False,
-        factor: float = 1.0,
-        gravity: Sequence[float] = (0.0, 0.0, -9.81),
-    ) -> None:
+    def __init__(self, mechanism: Mechanism, gravity: Sequence[float] = (0.0, 0.0, -9.81)) -> None:
         self.mujoco = optional("mujoco", "the engine needs MuJoCo; install it with: pip install 'casadical[withheld]'")
         self.mujoco.set_mju_user_warning(lambda _text: None)  # into a file otherwise; what matters is raised below
-        self.mechanism, self.travels, self.factor = mechanism, travels, factor
+        self.mechanism = mechanism
         self.xml = mjcf(mechanism, gravity)
         self.model = self.mujoco.MjModel.from_xml_string(self.xml)
         self.data = self.mujoco.MjData(self.model)
@@ -200,7 +191,7 @@ class Engine:
         Raises ConvergenceError where it does not come to rest within some thousand steps.
         """
         self._arrange(stop)
-        if self.travels:
+        if self.mechanism.travels:
             self._travel(stop)
         else:
             self._drive(stop.motors)
@@ -220,8 +211,9 @@ class Engine:
             getattr(m, name)[:] = value
         for setting in stop.settings:
             self._set(setting)
-        if m.body_mass[self._payload] != stop.payload_kg * self.factor:
-            m.body_mass[self._payload] = stop.payload_kg * self.factor
+        mass = stop.payload_kg * self.mechanism.payload_factor
+        if m.body_mass[self._payload] != mass:
+            m.body_mass[self._payload] = mass
             self.mujoco.mj_setConst(m, d)
             self.mujoco.mj_resetData(m, d)
         for joint, value in stop.start.items():

@@ -101,12 +101,16 @@ class Mechanism:
     """Bodies, parents before their children, and what connects them besides their joints.
 
     loops : ball joints that close them; cords : springs between two bodies; shafts : couplings between joints
+    travels : whether where it rests depends on where it comes from, as by friction and play
+    payload_factor : true over declared mass of the payload
     """
 
     bodies: tuple[Body, ...]
     loops: tuple[Loop, ...] = ()
     cords: tuple[Cord, ...] = ()
     shafts: tuple[Shaft, ...] = ()
+    travels: bool = False
+    payload_factor: float = 1.0
 
     def body(self, name: str) -> Body:
         """The body of that name. Raises InputError with those that there are."""
