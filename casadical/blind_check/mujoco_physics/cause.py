@@ -124,8 +124,7 @@ def largest_torque(plant: Plant) -> Array:
     """The largest torque or force of the weights on each joint in 300 fixed poses, (joints,) [N m or N]."""
     q = draw_poses(plant, 300, np.random.default_rng(0), plant.ranges, unfolded(plant))
     still = Stops(q, np.arange(300.0), np.zeros(300), np.full(300, plant.payload_kg), np.ones_like(q))
-    largest: Array = np.abs(moments(placed(plant, still, q))).max(0)
-    return largest
+    return np.asarray(np.abs(moments(placed(plant, still, q))).max(0))
 
 
 def rated_torque(plant: Plant) -> Array:
@@ -135,8 +134,7 @@ def rated_torque(plant: Plant) -> Array:
     """
     largest, full = largest_torque(plant), stretched_moments(plant, 0)[1]
     greatest = largest.max() if largest.max() > 1e-3 * full else full
-    floored: Array = np.maximum(largest, 0.05 * greatest)
-    return floored
+    return np.asarray(np.maximum(largest, 0.05 * greatest))
 
 
 def stretched_moments(plant: Plant, link: int) -> tuple[float, float]:
@@ -210,20 +208,6 @@ class Cause:
         return cast(Array, self._in("measured", xyz, xyz, stops, rng))
 
 
-def turned(plant: Plant, stops: Stops, joint: int) -> Array:
-    """How far the link beyond ``joint`` is turned in the one before it, (n,) [rad], by the readings."""
-    if plant.four_bar is not None and joint == plant.four_bar.driven:
-        return close_loop(plant, crank_angle(plant, stops.q)).passive
-    return stops.q[:, joint - 1]
-
-
-def into_parent(plant: Plant, link: int) -> Array:
-    """Rotation (3, 3) from the axes of ``link`` (1-based), at zero readings, to those of the link before it."""
-    before = np.eye(3) if link == 1 else plant.home[link - 2, :3, :3]
-    rotation: Array = before.T @ plant.home[link - 1, :3, :3]
-    return rotation
-
-
 def warmth_inside(stops: Stops, lag_minutes: float) -> Array:
     """Warmth (n,) [K] inside a casting: heat passes through its wall (a third of the lag) into its core (the rest)."""
     steps = np.diff(stops.time_s, prepend=0.0) / 60.0
@@ -242,8 +226,7 @@ def warmth_inside(stops: Stops, lag_minutes: float) -> Array:
 def length_of(plant: Plant, link: int) -> Array:
     """From the joint of ``link`` to the next, (3,) [m] in its own axes."""
     frame = plant.home[link - 1]
-    length: Array = frame[:3, :3].T @ (plant.stations[link + 1] - frame[:3, 3])
-    return length
+    return np.asarray(frame[:3, :3].T @ (plant.stations[link + 1] - frame[:3, 3]))
 
 
 def beam_axes(length: Array) -> tuple[Array, Array, Array]:

@@ -8,11 +8,10 @@ from casadical.blind_check.mujoco_physics.cause import (
     Vector,
     acts,
     beam_axes,
-    into_parent,
     length_of,
+    link_angles,
     stretched_moments,
     triple,
-    turned,
     warmth_inside,
 )
 from casadical.blind_check.mujoco_physics.equilibrium import Setting
@@ -71,12 +70,13 @@ def axis_wobble(
     by up to ``shift_m`` sideways.
     """
     pads = np.array([0.0, 2.0, 4.2])
-    track = cycles * (turned(plant, stops, joint)[:, None] - pads) + phase
+    track = cycles * (link_angles(plant, stops.q)[:, [joint - 1]] - pads) + phase
     height = np.cos(track) * np.array([1.0, 1.0, 0.0])
     plane = height @ np.linalg.inv(np.column_stack([np.cos(pads), np.sin(pads), np.ones(3)])).T
     tilt = size * np.column_stack([plane[:, 1], -plane[:, 0], np.zeros(len(stops))])
     shift = shift_m * np.column_stack([height[:, 0], height[:, 1], np.zeros(len(stops))])
-    R, link = into_parent(plant, joint), f"link{joint}"
+    before = np.eye(3) if joint == 1 else plant.home[joint - 2, :3, :3]
+    R, link = before.T @ plant.home[joint - 1, :3, :3], f"link{joint}"
     return [Setting("turn", link, tilt @ R.T), Setting("shift", link, shift @ R.T)]
 
 

@@ -38,15 +38,7 @@ def mechanism(plant: Plant) -> Mechanism:
         place = np.linalg.solve(before, plant.home[i])
         size = float(np.linalg.norm(place[:3, 3])) + 0.1
         bodies.append(
-            Body(
-                f"link{i + 1}",
-                parent,
-                _moved(place, joint),
-                (joint,),
-                plant.mass[i],
-                tuple(plant.com[i]),
-                0.3 * size,
-            )
+            Body(f"link{i + 1}", parent, _moved(place, joint), (joint,), plant.mass[i], tuple(plant.com[i]), 0.3 * size)
         )
         parent, before = f"link{i + 1}", plant.home[i]
     bodies.append(Body("tool", f"link{plant.n}", np.eye(4), marks={"reflector": plant.reflector}))
@@ -129,5 +121,4 @@ def _coupler(plant: Plant, angles: Array) -> float:
 def _moved(place: Array, joint: Joint) -> Array:
     """Where a body is when its joint is at its reference."""
     up, by = np.array([0.0, 0.0, 1.0]), np.array(joint.ref)
-    moved: Array = place @ (slide(joint.ref * up) if joint.kind == "slide" else turn(up, NONE, by))
-    return moved
+    return np.asarray(place @ (slide(joint.ref * up) if joint.kind == "slide" else turn(up, NONE, by)))

@@ -286,12 +286,7 @@ def _sha256(blob: bytes) -> str:
     return hashlib.sha256(blob).hexdigest()
 
 
-def _manifest(
-    program: TapeProgram,
-    label: Label,
-    blobs: dict[str, bytes],
-    made: Export,
-) -> bytes:
+def _manifest(program: TapeProgram, label: Label, blobs: dict[str, bytes], made: Export) -> bytes:
     content = {
         "written_by": "casadical",
         "schema": SCHEMA,

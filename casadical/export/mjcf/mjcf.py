@@ -5,6 +5,7 @@ weight. Links and bars have the robot's exact lengths and angles; inertias, damp
 model is right about positions at rest, not about motion.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from xml.etree import ElementTree as ET
 
@@ -34,6 +35,10 @@ STEP = 0.002
 # The hardest impedance that MuJoCo allows.
 HARD = {"solref": numbers(2 * STEP, 1), "solimp": "0.9999 0.9999 0.001 0.5 2"}
 POINT = "measured"
+_ABOUT = (
+    "Written by casadical. Statics are exact: geometry, masses, joint springs. Inertias, damping and armature are",
+    f"placeholders (every spring comes to rest in some {SLOW:g} s). ctrl takes the joint readings [rad or m].",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +65,7 @@ def mjcf(robot: Robot) -> MjcfExport:
     """
     parts = counterparts(robot)
     root = ET.Element("mujoco", model=robot.name)
-    root.append(ET.Comment(_about(parts)))
+    describe(root, _ABOUT, parts.written, map(str, parts.left_out))
     ET.SubElement(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
     R = robot.base.T[:3, :3] if robot.gravity_frame != "measuring" else np.eye(3)
     ET.SubElement(
@@ -86,9 +91,18 @@ def mjcf(robot: Robot) -> MjcfExport:
             add_tendons(balancer, tendons, actuators)
     sensor = ET.SubElement(root, "sensor")
     ET.SubElement(sensor, "framepos", name=POINT, objtype="site", objname=POINT)
+    return MjcfExport(xml_text(root), parts.written, parts.left_out)
+
+
+def xml_text(root: ET.Element) -> str:
     ET.indent(root)
-    text = '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
-    return MjcfExport(text, parts.written, parts.left_out)
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def describe(root: ET.Element, lines: Iterable[str], written: Iterable[str], left_out: Iterable[str]) -> None:
+    """Begin a model with what it is, how each effect is in it, and what is not."""
+    every = (*lines, *(f"effect {text}" for text in written), *(f"left out: {text}" for text in left_out))
+    root.insert(0, ET.Comment("\n  " + "\n  ".join(line.replace("--", "- -") for line in every) + "\n"))
 
 
 def counterparts(robot: Robot) -> Counterparts:
@@ -111,16 +125,6 @@ def _mean_torque(robot: Robot) -> Array:
     q = np.random.default_rng(0).uniform(lower, upper, (256, robot.n))
     tau: Array = bare.torque.map(256)(q.T, bare.parameters.values).full()
     return np.array([np.nanmean(np.abs(row)) for row in tau])
-
-
-def _about(found: Counterparts) -> str:
-    lines = [
-        "Written by casadical. Statics are exact: geometry, masses, joint springs. Inertias, damping and armature are",
-        f"placeholders (every spring comes to rest in some {SLOW:g} s). ctrl takes the joint readings [rad or m].",
-        *(f"effect {text}" for text in found.written),
-        *(f"left out: {text}" for text in found.left_out),
-    ]
-    return "\n  " + "\n  ".join(line.replace("--", "- -") for line in lines) + "\n"
 
 
 def _bodies(world: ET.Element, robot: Robot, found: Counterparts) -> ET.Element:

@@ -127,12 +127,7 @@ def _of_the_measurement(robot: Robot, m: Measurements) -> Array:
 
 
 def replay_campaign(
-    robot: Robot,
-    m: Measurements,
-    effects: EffectChoice = "standard",
-    *,
-    seed: int = 0,
-    show: Show = silent,
+    robot: Robot, m: Measurements, effects: EffectChoice = "standard", *, seed: int = 0, show: Show = silent
 ) -> Replay:
     """Identify, diagnose and replay a campaign on poses that were held out.
 

@@ -243,13 +243,7 @@ class CorrectedFile:
 
 
 def correct_file(
-    sources: Sources,
-    program: Path,
-    out: Path,
-    asked: OfCommand,
-    language: OfLanguage,
-    *,
-    trust: bool = False,
+    sources: Sources, program: Path, out: Path, asked: OfCommand, language: OfLanguage, *, trust: bool = False
 ) -> CorrectedFile:
     """Correct the targets of a program so that the real tool reaches what the nominal one would.
 
