@@ -54,7 +54,7 @@ def joint_coupling(mechanism: Mechanism, plant: Plant, *, joint: int, source: in
     bevel = Shaft(f"bevel{joint}", {name: 1.0, other: -size}, held.stiffness, motor=joint)
     loose = replace(held, stiffness=0.0, motor=None)
     shafts = [replace(s, joints={**s.joints, other: -size}) if s.motor == joint else s for s in mechanism.shafts]
-    return replace(mechanism.with_joint(loose), shafts=(*shafts, bevel))
+    return replace(mechanism.with_joints(name, loose), shafts=(*shafts, bevel))
 
 
 @acts("motors")

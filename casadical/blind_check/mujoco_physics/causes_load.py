@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from casadical.blind_check.mujoco_physics.cause import acts, rated_torque, settle
-from casadical.blind_check.mujoco_physics.mechanism import Body, Cord, Joint, Mechanism, Shaft
+from casadical.blind_check.mujoco_physics.mechanism import Cord, Joint, Mechanism, Shaft
 from casadical.blind_check.mujoco_physics.plant import Array, Plant
 from casadical.blind_check.mujoco_physics.robot import SLOW, spring
 from casadical.blind_check.mujoco_physics.stops import Stops
@@ -23,7 +23,7 @@ def backlash(mechanism: Mechanism, plant: Plant, *, joint: int, size: float, fri
     k = 0.1 * stiffness
     play = Joint(f"play{joint}", limits=(-size, size), inertia=k * SLOW**2, damping=k * SLOW)
     rub = Shaft(f"bearing{joint}", {name: 1.0, play.name: 1.0}, friction=friction * size * stiffness)
-    mechanism = mechanism.with_more(name, after=(play,))
+    mechanism = mechanism.with_joints(name, mechanism.joint(name), play)
     return replace(mechanism, shafts=(*mechanism.shafts, rub), travels=True)
 
 
@@ -35,8 +35,8 @@ def friction_windup(mechanism: Mechanism, plant: Plant, *, joint: int, size: flo
     """
     j, held = joint - 1, mechanism.joint(f"joint{joint}")
     idle = size * float(plant.stiffness[j])
-    rubbing = load_share * idle / float(rated_torque(plant)[j])
-    return replace(mechanism.with_joint(replace(held, friction=idle, rubbing=rubbing)), travels=True)
+    held = replace(held, friction=idle, rubbing=load_share * idle / float(rated_torque(plant)[j]))
+    return replace(mechanism.with_joints(held.name, held), travels=True)
 
 
 @acts("built")
@@ -56,11 +56,11 @@ def nonlinear_stiffness(
         soft = at * k / (size * k + at)
         second = Shaft(f"second{joint}", {name: 1.0}, k - soft, motor=joint, slack=at / soft)
         calm = spring(name, soft, inertia_of=max(3 * soft, k / 16))
-        mechanism = mechanism.with_joint(replace(held, stiffness=soft, inertia=calm.inertia, damping=calm.damping))
-        return replace(mechanism, shafts=(*mechanism.shafts, second))
+        held = replace(held, stiffness=soft, inertia=calm.inertia, damping=calm.damping)
+        return replace(mechanism.with_joints(name, held), shafts=(*mechanism.shafts, second))
     a, b = linear * rated / size, (1 - linear) * rated / size**3
     wheel = spring(f"flexible{joint}", a, hardening=b, inertia_of=3 * a)
-    return mechanism.with_more(name, after=(wheel,))
+    return mechanism.with_joints(name, held, wheel)
 
 
 @acts("built")
@@ -98,9 +98,8 @@ def hose_pull(mechanism: Mechanism, plant: Plant, *, size: float) -> Mechanism:
     forearm = plant.centres[2] - wrist
     clip = wrist + 0.3 * forearm + 0.15 * float(np.linalg.norm(forearm)) * plant.axes[2]
     mechanism = mark(mechanism, plant, 3, "clip", clip)
-    mechanism = mechanism.with_body(
-        replace(mechanism.body("tool"), marks={**mechanism.body("tool").marks, "hose_end": 1.1 * plant.reflector})
-    )
+    tool = mechanism.body("tool")
+    mechanism = mechanism.with_body(replace(tool, marks={**tool.marks, "hose_end": 1.1 * plant.reflector}))
     usual, lever = float(np.linalg.norm(end - clip)), float(np.linalg.norm(end - wrist))
     stiffness = size * plant.stiffness[4] / (lever * usual / 3)
     hose = Cord("hose", "clip", "hose_end", stiffness, (0.0, 0.85 * usual))
@@ -113,8 +112,8 @@ def tight_cable(mechanism: Mechanism, plant: Plant, *, joint: int, size: float, 
 
     ``size`` [rad] is how far it winds the joint at either end, ``free`` the share of the range in which it is slack.
     """
-    j, half = joint - 1, float(np.ptp(plant.ranges[joint - 1])) / 2
-    k = size * float(plant.stiffness[j]) / ((1 - free) * half)
+    half = float(np.ptp(plant.ranges[joint - 1])) / 2
+    k = size * float(plant.stiffness[joint - 1]) / ((1 - free) * half)
     cable = Shaft(f"cable{joint}", {f"joint{joint}": 1.0}, k, slack=free * half)
     return replace(mechanism, shafts=(*mechanism.shafts, cable))
 
@@ -138,8 +137,6 @@ def rubber_coupling(plant: Plant, stops: Stops, *, joint: int, size: float, lag_
 
 def mark(mechanism: Mechanism, plant: Plant, link: int, name: str, home: Array) -> Mechanism:
     """The mechanism with a mark on ``link``, given where it is (3,) [m] in the base at zero readings."""
-    body: Body = mechanism.body(f"link{link}")
-    frame = plant.home[link - 1]
-    return mechanism.with_body(
-        replace(body, marks={**body.marks, name: frame[:3, :3].T @ (np.asarray(home) - frame[:3, 3])})
-    )
+    body, frame = mechanism.body(f"link{link}"), plant.home[link - 1]
+    there = frame[:3, :3].T @ (np.asarray(home) - frame[:3, 3])
+    return mechanism.with_body(replace(body, marks={**body.marks, name: there}))

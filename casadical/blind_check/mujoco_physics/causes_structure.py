@@ -135,8 +135,8 @@ def bearing_play(mechanism: Mechanism, plant: Plant, *, joint: int, size: float)
     weight = plant.weight * (plant.mass[joint - 1 :].sum() + plant.payload_kg)
     k = 0.1 * weight / size
     slides = springs(f"worn{joint}", k, size, "xy", kind="slide")
-    name = next(j.name for j in mechanism.body(f"link{joint}").joints if j.name in (f"joint{joint}", "elbow"))
-    return mechanism.with_more(name, before=slides)
+    own = next(j for j in mechanism.body(f"link{joint}").joints if j.name in (f"joint{joint}", "elbow"))
+    return mechanism.with_joints(own.name, *slides, own)
 
 
 @acts("built")

@@ -148,16 +148,14 @@ class Plant(Shown):
         for key in _KEYS:
             if key not in robot:
                 raise InputError(f"robot: key {key!r} is missing; needed are {', '.join(_KEYS)}")
-        rows, bar = robot["modified_dh"], robot.get("four_bar")
-        n = len(rows)
+        bar, n = robot.get("four_bar"), len(robot["modified_dh"])
+        rows = [
+            (_radians(r["alpha_deg"]), r["a_m"], 0.0, 0.0, _radians(r.get("theta0_deg", 0.0)), r["d_m"])
+            for r in robot["modified_dh"]
+        ]
         return cls(
             name=str(robot["name"]),
-            home=home_frames(
-                [
-                    (_radians(r["alpha_deg"]), r["a_m"], 0.0, 0.0, _radians(r.get("theta0_deg", 0.0)), r["d_m"])
-                    for r in rows
-                ]
-            ),
+            home=home_frames(rows),
             reflector=_table(robot, "tool_m", (3,)),
             mass=_table(robot, "mass_kg", (n,)),
             com=_table(robot, "com_m", (n, 3)),
@@ -281,12 +279,8 @@ def perturb(
     bar = plant.four_bar
     if bar is not None:
         crank, coupler, zero = bars.normal(0, [length_mm, length_mm, angle_mrad]) * 1e-3
-        bar = replace(
-            bar,
-            crank_m=bar.crank_m + crank,
-            coupler_m=bar.coupler_m + coupler,
-            crank_zero_rad=bar.crank_zero_rad + zero,
-        )
+        lengths = {"crank_m": bar.crank_m + crank, "coupler_m": bar.coupler_m + coupler}
+        bar = replace(bar, **lengths, crank_zero_rad=bar.crank_zero_rad + zero)
     turned = building.base_turn * np.deg2rad(base[1]) * _in_ball(place)
     shifted = building.base_shift * base[0] * _in_ball(place)
     return replace(
