@@ -269,15 +269,9 @@ def f_test(s: Session) -> dict[str, Any]:
         candidate = case.candidates[number]
         effects = candidate.variants[variant]
         left = left.with_columns(left.E[:, case.group(effects)])
-        causes.append(
-            {
-                "effect": candidate.name,
-                "joint": candidate.joint,
-                "confidence": 1.0,
-                "shrink": round(1 - left.mean_length / before, 4),
-                "indistinguishable": [],
-            }
-        )
+        shrink = round(1 - left.mean_length / before, 4)
+        named = {"effect": candidate.name, "joint": candidate.joint, "confidence": 1.0}
+        causes.append({**named, "shrink": shrink, "indistinguishable": []})
         labels.append(candidate.label)
         together |= dict.fromkeys(effects)
         # A label is taken once; its columns stay where they are.

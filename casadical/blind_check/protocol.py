@@ -252,9 +252,9 @@ def sha256(content: bytes) -> str:
 
 def _intact(line: bytes) -> bool:
     """Whether a line is as it was written; one without a checksum, of an earlier casadical, if it is JSON."""
-    found = _CHECKED.fullmatch(line)
-    if found:
-        return sha256(found[1] + b"}") == found[2].decode()
+    checked = _CHECKED.fullmatch(line)
+    if checked:
+        return sha256(checked[1] + b"}") == checked[2].decode()
     try:
         return json_of(line, "a line") is not None
     except InputError:

@@ -25,7 +25,7 @@ HARD = "0.9999 0.9999 0.001 0.5 2"  # the hardest impedance that MuJoCo has, at 
 def mjcf(mechanism: Mechanism, gravity: Sequence[float] = (0.0, 0.0, -9.81)) -> str:
     """The mechanism in MuJoCo's XML: world = the measuring frame.
 
-    Loops are equality constraints between sites, motors the rests of joint springs (``qpos_spring`` and
+    The loop is an equality constraint between sites, motors the rests of joint springs (``qpos_spring`` and
     ``tendon_lengthspring``, which the model keeps at ``ref``). The body ``tracker`` stands at the world's origin, and
     a sensor gives the site ``reflector`` in its frame.
     """
@@ -47,10 +47,9 @@ def mjcf(mechanism: Mechanism, gravity: Sequence[float] = (0.0, 0.0, -9.81)) -> 
     nodes = {"world": world}
     for body in mechanism.bodies:
         nodes[body.name] = _body(nodes[body.parent], body)
-    if mechanism.loops:
-        equality = ET.SubElement(root, "equality")
-        for loop in mechanism.loops:
-            ET.SubElement(equality, "connect", name=loop.name, site1=loop.first, site2=loop.second)
+    if mechanism.loop is not None:
+        first, second = mechanism.loop
+        ET.SubElement(ET.SubElement(root, "equality"), "connect", name="four_bar", site1=first, site2=second)
     if mechanism.cords or mechanism.shafts:
         _tendons(ET.SubElement(root, "tendon"), mechanism)
     sensor = ET.SubElement(root, "sensor")

@@ -1,4 +1,4 @@
-"""A mechanism in the terms of a physics engine: bodies, joints, loops, cords."""
+"""A mechanism in the terms of a physics engine: bodies, joints, a loop, cords."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -60,15 +60,6 @@ class Body:
 
 
 @dataclass(frozen=True)
-class Loop:
-    """Two marks that are one ball joint: it closes a chain of bodies to a loop."""
-
-    name: str
-    first: str
-    second: str
-
-
-@dataclass(frozen=True)
 class Cord:
     """A spring between two marks: no force while its length [m] is within ``rest``, then ``stiffness`` [N/m]."""
 
@@ -99,13 +90,14 @@ class Shaft:
 class Mechanism:
     """Bodies, parents before their children, and what connects them besides their joints.
 
-    loops : ball joints that close them; cords : springs between two bodies; shafts : couplings between joints
+    loop : two marks that are one ball joint, which closes a chain of bodies
+    cords : springs between two bodies; shafts : couplings between joints
     travels : whether where it rests depends on where it comes from, as by friction and play
     payload_factor : true over declared mass of the payload
     """
 
     bodies: tuple[Body, ...]
-    loops: tuple[Loop, ...] = ()
+    loop: tuple[str, str] | None = None
     cords: tuple[Cord, ...] = ()
     shafts: tuple[Shaft, ...] = ()
     travels: bool = False

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from casadical.blind_check.mujoco_physics.fourbar import close_loop, crank_angle, pivot
-from casadical.blind_check.mujoco_physics.mechanism import Body, Joint, Loop, Mechanism, X, Y, Z
+from casadical.blind_check.mujoco_physics.mechanism import Body, Joint, Mechanism, X, Y, Z
 from casadical.blind_check.mujoco_physics.plant import Array, FourBar, Plant, slide, turn
 
 SLOW = 0.1  # s: every spring joint alone would come to rest with this time constant
@@ -94,7 +94,7 @@ def _with_four_bar(plain: Mechanism, plant: Plant, bar: FourBar, middle: Array) 
     end_home = plant.at_home(d - 1, np.append(pivot(plant) + bar.rocker_m * direction, 0.0))
     mark = plant.home[d - 1, :3, :3].T @ (end_home - plant.home[d - 1, :3, 3])
     plain = plain.with_body(replace(link, marks={"rocker_end": mark}))
-    return replace(plain, bodies=plain.bodies + bodies, loops=(Loop("four_bar", "coupler_end", "rocker_end"),))
+    return replace(plain, bodies=plain.bodies + bodies, loop=("coupler_end", "rocker_end"))
 
 
 def _coupler(plant: Plant, angles: Array) -> float:

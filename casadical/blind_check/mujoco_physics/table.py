@@ -5,11 +5,12 @@ A physics says where the reflector is; what is drawn, rounded and written does n
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol, TypedDict, Unpack
+from typing import Literal, TypedDict, Unpack
 
 import numpy as np
 import pandas as pd
 
+from casadical.blind_check.mujoco_physics.cause import Cause
 from casadical.blind_check.mujoco_physics.fourbar import unfolded
 from casadical.blind_check.mujoco_physics.plant import Array, Plant
 from casadical.blind_check.mujoco_physics.stops import Stops, Warmup, draw_poses, draw_stops
@@ -40,13 +41,6 @@ def in_si(plant: Plant, shown: Array) -> Array:
     return _per_joint(plant, np.deg2rad(shown), 1e-3 * shown)
 
 
-class Instrument(Protocol):
-    """An effect as the instrument sees it."""
-
-    def measured(self, xyz: Array, stops: Stops, rng: np.random.Generator) -> Array:
-        """What the instrument makes of the positions ``xyz`` (n, 3) [m]."""
-
-
 @dataclass(frozen=True, eq=False)
 class Machine:
     """A robot as built (see ``perturb``) with its effects, as a physics simulates it.
@@ -57,7 +51,7 @@ class Machine:
 
     plant: Plant
     positions: Callable[[Stops, Array | float], Array]
-    instruments: Sequence[Instrument]
+    instruments: Sequence[Cause]
     true_decimals: int = 6
 
 
@@ -65,6 +59,7 @@ class Options(TypedDict, total=False):
     """Keywords of ``simulate`` that have a default.
 
     noise_mm : one sigma of each measured coordinate [mm], 0.02
+    repeatability_urad : one sigma of each joint about its reading [urad, or um of a prismatic joint], 5
     payload_states : declared payloads [kg], in alternating blocks; by default none and the plant's
     warmup : the arm's temperature; by default 7 K in some 35 minutes
     approach : direction of each joint's last motion, random or (``"motion"``) as it follows from the order of the poses
@@ -76,6 +71,7 @@ class Options(TypedDict, total=False):
     """
 
     noise_mm: float
+    repeatability_urad: float
     payload_states: Sequence[float] | None
     warmup: Warmup | None
     approach: Literal["chance", "motion"]
@@ -86,9 +82,7 @@ class Options(TypedDict, total=False):
     truth: bool
 
 
-def simulate(
-    machine: Machine, n: int, seed: int, *, repeatability_urad: float, **options: Unpack[Options]
-) -> pd.DataFrame:
+def simulate(machine: Machine, n: int, seed: int, **options: Unpack[Options]) -> pd.DataFrame:
     """Measure ``n`` poses of a machine, in a table rounded like a real one; the same seed gives the same table.
 
     Poses, circumstances and noise do not depend on the effects: the same campaign without them is their absence.
@@ -98,9 +92,9 @@ def simulate(
     machine : the robot as built, with its effects
     n : number of poses
     seed : what everything drawn follows from
-    repeatability_urad : one sigma of each joint about its reading [urad, or um of a prismatic joint]
     """
-    plant, warmup, noise_mm = machine.plant, options.get("warmup") or Warmup(), options.get("noise_mm", 0.02)
+    plant, warmup = machine.plant, options.get("warmup") or Warmup()
+    noise_mm, repeatability_urad = options.get("noise_mm", 0.02), options.get("repeatability_urad", 5.0)
     states, ranges_deg = options.get("payload_states"), options.get("ranges_deg")
     if n < 1:
         raise InputError(f"n is {n}; a campaign needs at least 1 pose")

@@ -32,10 +32,10 @@ class Compiler:
 
 def compilers() -> list[Compiler]:
     """gcc and clang where installed, else cc; an empty list on a machine without a C compiler."""
-    found = [Compiler(name, version) for name in ("gcc", "clang") if (version := _version(name))]
-    if not found and (version := _version("cc")):
-        found = [Compiler("cc", version)]
-    return found
+    installed = [Compiler(name, version) for name in ("gcc", "clang") if (version := _version(name))]
+    if not installed and (version := _version("cc")):
+        installed = [Compiler("cc", version)]
+    return installed
 
 
 def _version(command: str) -> str:

@@ -32,13 +32,6 @@ class OfCommand:
     rate_rad_s: float | None = None
     ramp_s: float | None = None
 
-    @property
-    def times(self) -> dict[str, float]:
-        """Of `Limits`, those that are given."""
-        cycle = None if self.cycle_ms is None else 1e-3 * self.cycle_ms
-        times = {"cycle_s": cycle, "rate_rad_s": self.rate_rad_s, "ramp_s": self.ramp_s}
-        return {name: value for name, value in times.items() if value is not None}
-
 
 def export_c(
     sources: commands.Sources,
@@ -129,7 +122,10 @@ def product_of(sources: commands.Sources, what: str, asked: OfCommand) -> Produc
         command = commands.command_of(
             sources, asked.steps, orientation=oriented, limit_mm=asked.limit_mm, precise=asked.precise
         )
-        return replace(command, limits=replace(command.limits, **asked.times))
+        cycle_s = None if asked.cycle_ms is None else 1e-3 * asked.cycle_ms
+        times = {"cycle_s": cycle_s, "rate_rad_s": asked.rate_rad_s, "ramp_s": asked.ramp_s}
+        given = {name: value for name, value in times.items() if value is not None}
+        return replace(command, limits=replace(command.limits, **given))
     return commands.network_of(sources) if what == "network" else commands.curves_of(sources)
 
 

@@ -127,18 +127,18 @@ def _mean_torque(robot: Robot) -> Array:
     return np.array([np.nanmean(np.abs(row)) for row in tau])
 
 
-def _bodies(world: ET.Element, robot: Robot, found: Counterparts) -> ET.Element:
+def _bodies(world: ET.Element, robot: Robot, parts: Counterparts) -> ET.Element:
     """The tree of links; the last one is returned."""
     base = add_body(world, "base", robot.base.T)
-    if np.isfinite(found.base).any():
+    if np.isfinite(parts.base).any():
         add_mass(base, 0.0, np.zeros(3))
-        for axis, words, k in zip("xy", ("1 0 0", "0 1 0"), found.base, strict=True):
+        for axis, words, k in zip("xy", ("1 0 0", "0 1 0"), parts.base, strict=True):
             if np.isfinite(k):
                 add_spring(base, f"base_{axis}", words, k)
     driven = {loop.driven: loop for loop in robot.loops}
     parent, behind = base, np.eye(4)
     ends = [(parent, behind)]  # of each link: the piece on which the next joint stands, and the link's frame in it
-    for i, (row, drive) in enumerate(zip(robot.joints, found.drives, strict=True), 1):
+    for i, (row, drive) in enumerate(zip(robot.joints, parts.drives, strict=True), 1):
         loop = driven.get(i)
         # A loop's theta turns the crank; the link it drives turns with the rocker, from the offset on.
         place = row_matrix(replace(row, theta=loop.offset) if loop else row)
@@ -148,14 +148,14 @@ def _bodies(world: ET.Element, robot: Robot, found: Counterparts) -> ET.Element:
             add_loop(robot, loop, ends, links, drive, _drive_joints)
         else:
             _drive_joints(body, f"joint{i}", row, drive)
-        for balancer in found.balancers:
+        for balancer in parts.balancers:
             if balancer.joint == i:
                 add_sites(balancer, *ends[-1], body, row)
-        mass = found.bodies[i - 1] or Body(0.0, np.zeros(3))
+        mass = parts.bodies[i - 1] or Body(0.0, np.zeros(3))
         parent, behind = body, np.eye(4)
-        if i in found.flexures and i < robot.n:
+        if i in parts.flexures and i < robot.n:
             end = row_matrix(robot.joints[i])[:3, 3]
-            parent, behind = add_pieces(body, f"link{i}", mass, end, found.flexures[i])
+            parent, behind = add_pieces(body, f"link{i}", mass, end, parts.flexures[i])
         else:
             add_mass(body, mass.mass, mass.com)
         ends.append((parent, behind))

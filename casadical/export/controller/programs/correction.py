@@ -171,9 +171,8 @@ def corrected_targets(language: ProgramLanguage, targets: Sequence[Target], cell
         q = np.array([results[k].q[0] for k in chosen])  # type: ignore[index]
         new, names = corrected_joints(made.corrector, q)
         fine = np.array([name in FINE for name in names])
-        written = iter(
-            _written(language, [results[k].target for k in np.array(chosen)[fine]], cell, made, q[fine], new[fine])
-        )
+        corrected = [results[k].target for k in np.array(chosen)[fine]]
+        written = _written(language, corrected, cell, made, q[fine], new[fine])
         for k, name in zip(chosen, names, strict=True):
             result = next(written) if name in FINE else replace(results[k], q=None)
             results[k] = replace(result, status=name if result.fine else result.status)

@@ -56,8 +56,8 @@ class UrScript(ProgramLanguage):
             for line, pose in program.tools.items()
         }
         tool = given.tools.get("", only_one(source, "the tool centre point", tools))
-        placed = [replace(t, tool=tool, about="set_tcp" if tools else "") for t in program.targets()]
-        return [replace(t, base=given.bases.get("", np.eye(4))) for t in placed]
+        base, about = given.bases.get("", np.eye(4)), "set_tcp" if tools else ""
+        return [replace(t, tool=tool, base=base, about=about) for t in program.targets()]
 
     def move_line(self, joints: Sequence[float]) -> str:
         return f"movej([{', '.join(f'{value:.6f}' for value in np.deg2rad(joints))}], a=0.5, v=0.3)"
@@ -117,8 +117,9 @@ class _Program:
             self.tools[call.meta.line] = _si(self._resolved(arguments[0]))
         elif name == "get_inverse_kin" and arguments:
             near = next((self._resolved(a) for a in arguments[1:] if _keyword(a) in ("", "qnear")), None)
-            for argument in arguments[1:]:
-                self._read(argument)
+            for word in (word for argument in arguments[1:] for word in words(argument, "NAME")):
+                if str(word) in self.variables:
+                    self.variables[str(word)].read += 1
             self._take(arguments[0], near, call)
         elif name in _MOTIONS:
             for argument in arguments[: _MOTIONS[name]]:
@@ -137,11 +138,6 @@ class _Program:
         elif not (single and isinstance(value, Tree) and str(value.children[0]) == "get_inverse_kin"):
             why = "is an expression that only the controller can evaluate"
             self.made.append((call.meta.start_pos, Target(call.meta.line, str(call.children[0]), False, (), left=why)))
-
-    def _read(self, argument: Tree[Token]) -> None:
-        for token in words(argument, "NAME"):
-            if str(token) in self.variables:
-                self.variables[str(token)].read += 1
 
     def _resolved(self, argument: Tree[Token]) -> Tree[Token] | None:
         """A pose or list that is written there, or that its variable always has."""
