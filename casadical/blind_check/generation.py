@@ -1,6 +1,5 @@
 """Make a blind check: public campaigns, and in another folder the key, whose hash is published with them."""
 
-import hashlib
 import secrets
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
@@ -95,14 +94,14 @@ def make(
             made[campaign.name] = campaign
             show(campaign.name, done, len(todo))
     inside = protocol.Key(
-        salt=hashlib.sha256(f"casadical withheld {seed}".encode()).hexdigest(),
+        salt=protocol.sha256(f"casadical withheld {seed}".encode()),
         seed=seed,
         reality="mujoco",
         versions=versions,
         campaigns={p.name: made[p.name].secret for p in todo},
     )
     manifest = protocol.Manifest(
-        key_sha256=protocol.sha256(inside.text()),
+        key_sha256=protocol.sha256(inside.text().encode()),
         campaigns={p.name: protocol.CampaignEntry(robot=p.robot) for p in todo},
     )
     # The key first: campaigns whose key was lost would be of no use.

@@ -157,12 +157,12 @@ def share(hits: Sequence[bool]) -> Estimate:
     return Estimate(p, max(0.0, low), min(1.0, high), n, count)
 
 
-def bootstrap(values: Sequence[float], statistic: Callable[[Array], Array], seed: int = 0) -> Estimate:
+def bootstrap(values: Sequence[float], statistic: Callable[[Array], Array]) -> Estimate:
     """A statistic of values; it takes them along the last axis."""
     if not len(values):
         return Estimate(None, None, None, 0)
     data = np.asarray(values, dtype=float)
-    draws = statistic(data[np.random.default_rng(seed).integers(0, len(data), (DRAWS, len(data)))])
+    draws = statistic(data[np.random.default_rng(0).integers(0, len(data), (DRAWS, len(data)))])
     low, high = np.quantile(draws, [0.025, 0.975])
     return Estimate(float(statistic(data)), float(low), float(high), len(data))
 

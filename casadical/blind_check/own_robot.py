@@ -163,14 +163,12 @@ def _stiffness(robot: Robot, nominal: Plant) -> tuple[Array, list[str]]:
             rigid.append(str(i + 1))
         else:
             soft.append(str(i + 1))
-    words = []
-    if soft:
-        words.append(
-            f"joint {', '.join(soft)}: no stiffness in the file: {1e6 * SOFT:.0f} urad (um) at the rated torque"
-        )
-    if rigid:
-        words.append(f"joint {', '.join(rigid)}: rigid in the file: {1e6 * RIGID:.0f} urad (um) at the rated torque")
-    return values, words
+    groups = ((soft, "no stiffness", SOFT), (rigid, "rigid", RIGID))
+    return values, [
+        f"joint {', '.join(numbers)}: {word} in the file: {1e6 * size:.0f} urad (um) at the rated torque"
+        for numbers, word, size in groups
+        if numbers
+    ]
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,16 +21,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from casadical.blind_check.protocol import (
-    MANIFEST,
-    ROBOTS,
-    Manifest,
-    json_line,
-    read_answers,
-    read_manifest,
-    read_table,
-    whole_lines,
-)
+from casadical.blind_check import protocol
 from casadical.blind_check.worker_pool import completed, workers
 from casadical.core.basics import Array, ConvergenceError, InputError, optional
 from casadical.core.files import appending
@@ -168,37 +159,38 @@ def predict(
     folder = Path(folder)
     if by not in METHODS:
         raise InputError(f"--by {by}: not known; allowed: {', '.join(METHODS)}")
-    manifest = read_manifest(folder)
+    manifest = protocol.read_manifest(folder)
     path = Path(out) if out else folder / f"answers.{by}.jsonl"
     done = _begun(path, manifest, by)
     left = [name for name in manifest.campaigns if name not in done]
-    robots = {c.robot: folder / ROBOTS / f"{c.robot}.robot.toml" for c in manifest.campaigns.values()}
+    robots = {c.robot: folder / protocol.ROBOTS / f"{c.robot}.robot.toml" for c in manifest.campaigns.values()}
     models = {robot: to_toml(read_robot(path)) for robot, path in robots.items()}
     tasks = [(by, name, models[manifest.campaigns[name].robot], *_tables(folder, name)) for name in left]
-    with workers(executor) as pool, appending(path, whole_lines(path)) as add:
+    with workers(executor) as pool, appending(path, protocol.whole_lines(path)) as add:
         if not path.stat().st_size:
             versions = {package: version(package) for package in ("casadical", "casadi", "numpy")}
-            add(json_line({"key_sha256": manifest.key_sha256, "by": by, "versions": versions}))
+            add(protocol.json_line({"key_sha256": manifest.key_sha256, "by": by, "versions": versions}))
         for count, answer in enumerate(completed(pool, answer_campaign, tasks), len(done) + 1):
-            add(json_line(answer))
+            add(protocol.json_line(answer))
             show(answer["campaign"], count, len(manifest.campaigns))
     return path
 
 
-def _begun(path: Path, manifest: Manifest, by: str) -> set[str]:
+def _begun(path: Path, manifest: protocol.Manifest, by: str) -> set[str]:
     """Campaigns that are answered already. Raises InputError for answers to another check."""
-    if not whole_lines(path):
+    if not protocol.whole_lines(path):
         return set()
-    head, answers = read_answers(path)
+    head, answers = protocol.read_answers(path)
     if (head.key_sha256, head.by) != (manifest.key_sha256, by):
         raise InputError(f"{path}: holds answers by {head.by} to another check; name another file by --out")
     return set(answers)
 
 
 def _tables(folder: Path, name: str) -> tuple[pd.DataFrame, pd.DataFrame]:
-    seen, unseen = (read_table(folder, name + end) for end in ("", ".unseen"))
+    seen, unseen = (protocol.read_table(folder, name + end) for end in ("", ".unseen"))
     if {"x_mm", "y_mm", "z_mm"} & set(unseen):
-        raise InputError(f"{folder / name}.unseen.csv: holds positions; they belong in the key alone ({MANIFEST})")
+        place = folder / name
+        raise InputError(f"{place}.unseen.csv: holds positions; they belong in the key alone ({protocol.MANIFEST})")
     return seen, unseen
 
 
@@ -277,15 +269,9 @@ def f_test(s: Session) -> dict[str, Any]:
         candidate = case.candidates[number]
         effects = candidate.variants[variant]
         left = left.with_columns(left.E[:, case.group(effects)])
-        causes.append(
-            {
-                "effect": candidate.name,
-                "joint": candidate.joint,
-                "confidence": 1.0,
-                "shrink": round(1 - left.mean_length / before, 4),
-                "indistinguishable": [],
-            }
-        )
+        shrink = round(1 - left.mean_length / before, 4)
+        named = {"effect": candidate.name, "joint": candidate.joint, "confidence": 1.0}
+        causes.append({**named, "shrink": shrink, "indistinguishable": []})
         labels.append(candidate.label)
         together |= dict.fromkeys(effects)
         # A label is taken once; its columns stay where they are.

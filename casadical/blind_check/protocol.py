@@ -115,10 +115,6 @@ class Key(_Strict):
         return json.dumps(head, indent=1)[:-2] + ',\n "campaigns": {\n' + ",\n".join(lines) + "\n }\n}\n"
 
 
-def sha256(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
 def stored(path: Path) -> Path:
     """The file itself, or the one packed by xz beside it where that alone is there."""
     packed = path.with_name(path.name + XZ)
@@ -152,7 +148,7 @@ def read_key(folder: Path, manifest: Manifest) -> Key:
     if not path.is_file():
         raise InputError(f"{path}: no such key; name the folder that `make --key` wrote, or its {KEY}")
     data = content(path)
-    digest = hashlib.sha256(data).hexdigest()
+    digest = sha256(data)
     if digest != manifest.key_sha256:
         raise InputError(
             f"{path}: its SHA-256 is {digest}, but {manifest.key_sha256} was published with the campaigns; "
@@ -247,18 +243,18 @@ def relabelled(text: str) -> str:
 
 def json_line(data: Mapping[str, Any]) -> str:
     text = json.dumps(data, allow_nan=False, separators=(",", ":"))
-    return f'{text[:-1]},"sha256":"{_sum(text.encode())}"}}\n'
+    return f'{text[:-1]},"sha256":"{sha256(text.encode())}"}}\n'
 
 
-def _sum(text: bytes) -> str:
-    return hashlib.sha256(text).hexdigest()
+def sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
 
 
 def _intact(line: bytes) -> bool:
     """Whether a line is as it was written; one without a checksum, of an earlier casadical, if it is JSON."""
-    found = _CHECKED.fullmatch(line)
-    if found:
-        return _sum(found[1] + b"}") == found[2].decode()
+    checked = _CHECKED.fullmatch(line)
+    if checked:
+        return sha256(checked[1] + b"}") == checked[2].decode()
     try:
         return json_of(line, "a line") is not None
     except InputError:

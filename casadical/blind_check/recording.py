@@ -3,12 +3,12 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
 
-from casadical.blind_check.mujoco_physics import Plant, campaign, draw_effect, perturb
+from casadical.blind_check.mujoco_physics import Hidden, Plant, campaign, draw_effect, perturb
 from casadical.blind_check.mujoco_physics.draw import SECONDS_A_POSE
 from casadical.blind_check.mujoco_physics.plant import Building
 from casadical.blind_check.mujoco_physics.stops import Warmup
@@ -70,20 +70,11 @@ def draw_plans(
     for k, kind in enumerate(kinds):
         count = {"none": 0, "one": 1, "unlisted": 1}.get(kind) if kind != "several" else int(rng.integers(2, 4))
         pool, names_of = (foreign, words[1]) if kind == "unlisted" else (known, words[0])
-        robot = next(names)
-        plans.append(
-            Plan(
-                name=f"{robot}-{k + 1:03d}",
-                robot=robot,
-                kind=kind,
-                effects=distinct(pool, min(count or 0, len(set(names_of)))),
-                poses=next(sizes),
-                missing=next(columns) if lacking[k] else None,
-                noise=float(rng.choice(noises)),
-                repeatability=float(rng.uniform(*REPEATABILITIES)),
-                seed=int(rng.integers(1 << 62)),
-            )
-        )
+        robot, effects = next(names), distinct(pool, min(count or 0, len(set(names_of))))
+        size, missing = next(sizes), next(columns) if lacking[k] else None
+        noise, repeatability = float(rng.choice(noises)), float(rng.uniform(*REPEATABILITIES))
+        name, own_seed = f"{robot}-{k + 1:03d}", int(rng.integers(1 << 62))
+        plans.append(Plan(name, robot, kind, effects, size, missing, noise, repeatability, own_seed))
     return plans
 
 
@@ -138,22 +129,11 @@ class Subject:
         return replace(plant, gravity=now @ before.T @ plant.gravity)
 
 
-class Acting(Protocol):
-    """An effect that is switched on: its name, its 1-based joint or None, and its sizes in words."""
-
-    @property
-    def effect(self) -> str: ...
-    @property
-    def joint(self) -> int | None: ...
-    @property
-    def about(self) -> str: ...
-
-
 @dataclass(frozen=True, eq=False)
 class Simulator:
     """What measures robots: draw gives an effect by its name for a campaign of so many poses, campaign its table."""
 
-    draw: Callable[[Plant, str, np.random.Generator, int], Acting]
+    draw: Callable[[Plant, str, np.random.Generator, int], Hidden]
     campaign: Callable[..., pd.DataFrame]
 
 
@@ -168,7 +148,7 @@ class Record:
     clean : without any effect; alone : with each effect by itself; of the same seed, poses and noise
     """
 
-    hidden: tuple[Acting, ...]
+    hidden: tuple[Hidden, ...]
     session: pd.DataFrame
     clean: pd.DataFrame
     alone: tuple[pd.DataFrame, ...]
@@ -178,10 +158,11 @@ def record(subject: Subject, plan: Plan, n: int, poses: pd.DataFrame | None, sim
     """The session of a plan, of n poses; poses : of all of them, as of `Subject`."""
     rng = np.random.default_rng(plan.seed)
     plant = subject.built(int(rng.integers(1 << 30)))
-    options: dict[str, Any] = {}
+    options: dict[str, Any] = {"approach": "motion", "truth": True}
+    options |= {"noise_mm": 1e3 * plan.noise, "repeatability_urad": 1e6 * plan.repeatability}
     lasting = n
     if poses is not None:
-        options = {"q_deg": poses[readings(plant)].to_numpy(), "given": poses}
+        options |= {"q_deg": poses[readings(plant)].to_numpy(), "given": poses}
         if "temperature_degC" in poses:
             options["warmup"] = Warmup(start_degC=float(poses["temperature_degC"].iloc[0]))
         if "time_s" in poses:
@@ -194,18 +175,8 @@ def record(subject: Subject, plan: Plan, n: int, poses: pd.DataFrame | None, sim
     hidden = tuple(simulator.draw(plant, effect, rng, lasting) for effect in plan.effects)
     seed = int(rng.integers(1 << 30))
 
-    def session(*acting: Acting) -> pd.DataFrame:
-        return simulator.campaign(
-            plant,
-            acting,
-            n,
-            seed,
-            noise_mm=1e3 * plan.noise,
-            repeatability_urad=1e6 * plan.repeatability,
-            approach="motion",
-            truth=True,
-            **options,
-        )
+    def session(*acting: Hidden) -> pd.DataFrame:
+        return simulator.campaign(plant, acting, n, seed, **options)
 
     return Record(
         hidden=hidden,

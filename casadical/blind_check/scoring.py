@@ -121,13 +121,10 @@ def side_by_side(scores: Sequence[Score]) -> list[Block]:
         title = "Right on the same campaign: the first alone : the other alone"
         beside = [Table(title, ["", *by], [[r[0].name, *map(str, r)] for r in rows])]
     every = zip(*(s.metrics for s in scores), strict=True)
+    lines = [[r[0].name, *(str(m.estimate) for m in r), r[0].target] for r in every]
     return [
         Words(_title(first)),
-        Table(
-            "",
-            ["", *(s.head.by for s in scores), "target"],
-            [[r[0].name, *(str(m.estimate) for m in r), r[0].target] for r in every],
-        ),
+        Table("", ["", *(s.head.by for s in scores), "target"], lines),
         *beside,
         _parts(first),
         _confusion(first),

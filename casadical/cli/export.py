@@ -157,7 +157,7 @@ def export_c(
 
     if (product := f"--what {what}") in PRODUCTS:
         o.refuse_of_others(context, product, PRODUCTS)
-    made = c_export.export_c(
+    said = c_export.export_c(
         Sources(robot, nominal, compensator, payload, tool, leave_out, tcp_error, not no_bound),  # type: ignore[arg-type]
         out,
         what,
@@ -169,7 +169,7 @@ def export_c(
         also=lambda written: with_json({}, json_file, written.to_json()),
     )
     console = plain(quiet)
-    console.print(made.report())
+    console.print(said)
     print_written(json_file, console)
     if what == "command":
         suggest(console, "to correct an offline program by it", "correct", out, "program.csv", "--out", "corrected.csv")

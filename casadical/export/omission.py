@@ -58,13 +58,13 @@ def rest_of_rigid(robot: Robot) -> tuple[str, ...]:
     return (*lines, *(f"{label}: {_NOT_KNOWN} {name}" for label, name in unknown.items()))
 
 
-def rigid_rest(robot: Robot, seed: int = 0) -> tuple[float, float]:
+def rigid_rest(robot: Robot) -> tuple[float, float]:
     """How far the measured point is from that of the rigid geometry alone: mean and maximum [m].
 
     Over the range on which the robot was learnt, as of `lost`; effects of the measurement are left out of both.
     """
     robot = robot.with_only(e for e in robot.effects if not e.of_measurement)
-    q, w = _poses(robot, seed)
+    q, w = _poses(robot)
     bare = geometry_of(robot)
     (p,) = bare.model.evaluate(("p",), q, np.tile(bare.declared, (POSES, 1)), bare.parameters.values)
     return _apart(robot, q, w, p)
@@ -100,10 +100,8 @@ _NOT_KNOWN = "what would be lost is not known, for the robot file gives no range
 def _without_range(robot: Robot, effects: Iterable[Effect]) -> str:
     """A condition that effects follow and whose range the robot file does not give; empty where there is none."""
     known = robot.knowledge.conditions if robot.knowledge else {}
-    for name in (c for e in effects for c in e.conditions):
-        if name not in known and not name.startswith(("approach", "progress", "payload_kg")):
-            return name
-    return ""
+    names = (name for e in effects for name in e.conditions if name not in known)
+    return next((name for name in names if not name.startswith(("approach", "progress", "payload_kg"))), "")
 
 
 def _loss(robot: Robot, omission: Omission) -> str:
@@ -116,13 +114,13 @@ def _loss(robot: Robot, omission: Omission) -> str:
     return f"lost without it: {1e3 * mean:.4f} mm on average, {1e3 * greatest:.4f} mm at most over the {range_}"
 
 
-def lost(robot: Robot, parameters: Collection[str], seed: int = 0) -> tuple[float, float]:
+def lost(robot: Robot, parameters: Collection[str]) -> tuple[float, float]:
     """How far the measured point moves if these parameters are zero: mean and maximum [m] over the learnt range.
 
     Readings and columns are drawn uniformly from the range on which the robot was learnt; where it is not known, from
     the joints' ranges, either approach, all times, and the declared payload.
     """
-    q, w = _poses(robot, seed)
+    q, w = _poses(robot)
     without = robot.parameters.values.copy()
     without[[robot.parameters.index_of(name) for name in parameters]] = 0.0
     (p,) = robot.model.evaluate(("p",), q, w, without)
@@ -137,9 +135,9 @@ def _apart(robot: Robot, q: Array, w: Array, other: Array) -> tuple[float, float
     return float(moved.mean()), float(moved.max())
 
 
-def _poses(robot: Robot, seed: int) -> tuple[Array, Array]:
+def _poses(robot: Robot) -> tuple[Array, Array]:
     """Readings and conditions of the range on which a robot was learnt, shapes (POSES, n) and (POSES, conditions)."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     known = robot.knowledge.readings if robot.knowledge else np.zeros((0, 2))
     lower, upper = known.T if len(known) else robot.limits
     q = rng.uniform(lower, upper, (POSES, robot.n))
@@ -150,6 +148,5 @@ def _poses(robot: Robot, seed: int) -> tuple[Array, Array]:
 def _drawn(robot: Robot, column: int, rng: np.random.Generator) -> Array:
     name, declared = robot.conditions[column], robot.declared[column]
     usual = (-1.0, 1.0) if name.startswith("approach") else (0.0, 1.0) if name == "progress" else (declared, declared)
-    ends = (robot.knowledge.conditions if robot.knowledge else {}).get(name, usual)
-    low, high = ends
-    return np.asarray(rng.choice(ends, POSES) if name.startswith("approach") else rng.uniform(low, high, POSES))
+    low, high = (robot.knowledge.conditions if robot.knowledge else {}).get(name, usual)
+    return np.asarray(rng.choice((low, high), POSES) if name.startswith("approach") else rng.uniform(low, high, POSES))

@@ -1,6 +1,6 @@
 """Parts of both simulators and of the protocol by hand: levers, links, draws, circumstances, refusals."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from time import sleep
 from typing import Any
@@ -17,8 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from casadical.blind_check import mujoco_physics, worker_pool
 from casadical.blind_check.generation import unabsorbed_rms
-from casadical.blind_check.mujoco_physics.causes_load import GravityCompensator
-from casadical.blind_check.mujoco_physics.causes_structure import CrackedLink, LinkFlexure
+from casadical.blind_check.mujoco_physics.causes_load import greatest_torque
 from casadical.blind_check.mujoco_physics.hidden import Hidden, cause
 from casadical.blind_check.mujoco_physics.plant import home_with_errors
 from casadical.blind_check.mujoco_physics.robot import mechanism
@@ -126,11 +125,11 @@ def test_an_effect_sits_in_a_joint_that_there_is(joint: int | None) -> None:
 def test_a_crack_and_a_beam_are_cut_where_they_say() -> None:
     whole = mechanism(ARM)
     link = np.array(ARM.centres[2] - ARM.centres[1])
-    cracked = CrackedLink(2, 1e-4, 0.3).built(whole, ARM)
+    cracked = cause(Hidden("cracked_link", None, {"link": 2, "size": 1e-4, "towards": 0.3})).built(whole, ARM)
     place = cracked.body("beyond_crack").place
     assert place.shape == (4, 4)
     assert np.linalg.norm(place[:3, 3]) == pytest.approx(0.3 * np.linalg.norm(link))
-    beam = LinkFlexure(2, 1e-4, 0.5).built(whole, ARM)
+    beam = cause(Hidden("link_flexure", None, {"link": 2, "size": 1e-4, "torsion": 0.5})).built(whole, ARM)
     for name, share in (("link2a", 0.25), ("link2b", 0.5)):  # the second is seen from the first
         place = beam.body(name).place
         assert place.shape == (4, 4)
@@ -140,9 +139,7 @@ def test_a_crack_and_a_beam_are_cut_where_they_say() -> None:
 @pytest.mark.parametrize("post", [0.6, 1.4])
 def test_the_greatest_torque_of_a_balancer_is_the_slope_of_its_energy(post: float) -> None:
     lever, rest = 0.3, 0.1
-    any_: Any = GravityCompensator
-    kind = {f.name: 0.0 for f in fields(any_)} | {"post": post}
-    found = any_(**kind).greatest(lever, rest)
+    found = greatest_torque(lever, post, rest)
 
     def slope(angle: float) -> float:
         def energy(a: float) -> float:

@@ -11,7 +11,7 @@ from casadical.blind_check.mujoco_physics.campaigns import campaign, measure, po
 from casadical.blind_check.mujoco_physics.draw import draw_effect
 from casadical.blind_check.mujoco_physics.equilibrium import Engine, Setting, Stop, mjcf
 from casadical.blind_check.mujoco_physics.hidden import LISTED, UNLISTED, Hidden
-from casadical.blind_check.mujoco_physics.mechanism import Body, Cord, Joint, Loop, Mechanism, Shaft
+from casadical.blind_check.mujoco_physics.mechanism import Body, Cord, Joint, Mechanism, Shaft
 from casadical.blind_check.mujoco_physics.plant import FourBar, Plant, perturb
 from casadical.blind_check.mujoco_physics.robot import mechanism
 from casadical.blind_check.mujoco_physics.stops import Warmup
@@ -25,7 +25,6 @@ __all__ = [
     "FourBar",
     "Hidden",
     "Joint",
-    "Loop",
     "Mechanism",
     "Plant",
     "Setting",

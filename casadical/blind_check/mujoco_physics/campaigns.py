@@ -16,42 +16,23 @@ from casadical.blind_check.mujoco_physics.table import Machine, Options, approac
 from casadical.blind_check.mujoco_physics.table import readings as columns_of_readings
 from casadical.core.basics import InputError
 
-REPEATABILITY_URAD = 5.0
 
-
-def campaign(
-    plant: Plant,
-    hidden: Sequence[Hidden],
-    n: int,
-    seed: int,
-    *,
-    repeatability_urad: float = REPEATABILITY_URAD,
-    **options: Unpack[Options],
-) -> pd.DataFrame:
+def campaign(plant: Plant, hidden: Sequence[Hidden], n: int, seed: int, **options: Unpack[Options]) -> pd.DataFrame:
     """Measure ``n`` poses of the robot as built ``plant``; the same seed gives the same table.
 
-    repeatability_urad and options (noise_mm, payload_states, warmup, approach, q_deg, ...) are those of `simulate` in
-    `casadical.blind_check.mujoco_physics.table`. Raises InputError for an argument that is not
-    usable, and without MuJoCo.
+    Raises InputError for an argument that is not usable, and without MuJoCo.
     """
     machine = Machine(plant, partial(positions, plant, hidden), causes(hidden, plant.n))
-    return simulate(machine, n, seed, repeatability_urad=repeatability_urad, **options)
+    return simulate(machine, n, seed, **options)
 
 
 def measure(
-    plant: Plant,
-    hidden: Sequence[Hidden],
-    readings: pd.DataFrame,
-    *,
-    seed: int,
-    noise_mm: float = 0.02,
-    repeatability_urad: float = REPEATABILITY_URAD,
-    truth: bool = False,
+    plant: Plant, hidden: Sequence[Hidden], readings: pd.DataFrame, *, seed: int, **options: Unpack[Options]
 ) -> pd.DataFrame:
     """Measure given poses: the table ``readings`` with the positions of the reflector.
 
-    One sigma of a coordinate is noise_mm, of a joint repeatability_urad; truth adds true positions. What `readings`
-    does not have (time, temperature, payload, approach) is constant. Raises InputError where a reading is missing.
+    What `readings` does not have (time, temperature, payload, approach) is constant. Raises InputError where a reading
+    is missing.
     """
     n, columns = len(readings), columns_of_readings(plant)
     missing = [name for name in columns if name not in readings]
@@ -61,17 +42,9 @@ def measure(
         )
     usual: dict[str, Any] = dict.fromkeys(approaches(plant.n), 1) | {"time_s": 30.0 * np.arange(1, n + 1)}
     usual |= {"temperature_degC": Warmup().start_degC, "payload_kg": plant.payload_kg}
-    return campaign(
-        plant,
-        hidden,
-        n,
-        seed,
-        repeatability_urad=repeatability_urad,
-        noise_mm=noise_mm,
-        q_deg=readings[columns].to_numpy(float),
-        given=readings.assign(**{name: value for name, value in usual.items() if name not in readings}),
-        truth=truth,
-    )
+    options["q_deg"] = readings[columns].to_numpy(float)
+    options["given"] = readings.assign(**{name: value for name, value in usual.items() if name not in readings})
+    return campaign(plant, hidden, n, seed, **options)
 
 
 def positions(plant: Plant, hidden: Sequence[Hidden], stops: Stops, jitter: Array | float = 0.0) -> Array:
@@ -80,11 +53,10 @@ def positions(plant: Plant, hidden: Sequence[Hidden], stops: Stops, jitter: Arra
     Raises ConvergenceError where the engine finds no rest.
     """
     acting = causes(hidden, plant.n)
-    built, factor = mechanism(plant), 1.0
+    built = mechanism(plant)
     for cause in acting:
         built = cause.built(built, plant)
-        factor *= cause.payload_factor
-    engine = Engine(built, travels=any(c.travels for c in acting), factor=factor, gravity=tuple(plant.gravity))
+    engine = Engine(built, tuple(plant.gravity))
     motors = stops.q + jitter + sum(c.motors(plant, stops) for c in acting)
     changes = [s for c in acting for s in c.settings(plant, stops)]
     seen = np.empty((len(stops), 3))

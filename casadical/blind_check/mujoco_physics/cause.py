@@ -1,4 +1,4 @@
-"""The base of all hidden causes: where in the engine one may act. Each does nothing unless it is given.
+"""Hidden causes: where in the engine one acts.
 
 Weights of a robot: where its bodies are, their torques on the joints, and the rest that follows without effects.
 
@@ -7,9 +7,11 @@ by which hidden effects are sized, and the loads that a rubber coupling remember
 from their places at zero readings (products of turns about the axes as they lie then).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from functools import partial
+from inspect import signature
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -17,8 +19,10 @@ from casadical.blind_check.mujoco_physics.equilibrium import Setting
 from casadical.blind_check.mujoco_physics.fourbar import close_loop, crank_angle, unfolded
 from casadical.blind_check.mujoco_physics.mechanism import Mechanism
 from casadical.blind_check.mujoco_physics.plant import Array, Plant, move, point, slide, turn
-from casadical.blind_check.mujoco_physics.stops import Stops, draw_poses
+from casadical.blind_check.mujoco_physics.stops import Stops, draw_poses, only
 from casadical.core.basics import ConvergenceError
+
+Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -120,8 +124,7 @@ def largest_torque(plant: Plant) -> Array:
     """The largest torque or force of the weights on each joint in 300 fixed poses, (joints,) [N m or N]."""
     q = draw_poses(plant, 300, np.random.default_rng(0), plant.ranges, unfolded(plant))
     still = Stops(q, np.arange(300.0), np.zeros(300), np.full(300, plant.payload_kg), np.ones_like(q))
-    largest: Array = np.abs(moments(placed(plant, still, q))).max(0)
-    return largest
+    return np.asarray(np.abs(moments(placed(plant, still, q))).max(0))
 
 
 def rated_torque(plant: Plant) -> Array:
@@ -131,8 +134,7 @@ def rated_torque(plant: Plant) -> Array:
     """
     largest, full = largest_torque(plant), stretched_moments(plant, 0)[1]
     greatest = largest.max() if largest.max() > 1e-3 * full else full
-    floored: Array = np.maximum(largest, 0.05 * greatest)
-    return floored
+    return np.asarray(np.maximum(largest, 0.05 * greatest))
 
 
 def stretched_moments(plant: Plant, link: int) -> tuple[float, float]:
@@ -149,58 +151,61 @@ def stretched_moments(plant: Plant, link: int) -> tuple[float, float]:
     return about_end, about_root
 
 
-@dataclass(frozen=True)
-class Cause:
-    """One thing about a robot or its measurement that geometry and linear joint springs do not contain.
+Place = Literal["built", "motors", "settings", "measured"]
 
-    ``travels`` says that where the robot rests depends on where it comes from, ``last`` that others are built in first.
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of hidden cause: one thing that geometry and linear joint springs do not contain.
+
+    place : where in the engine it acts: how the mechanism is built, where the motors stop, what is not as built at the
+        poses, or what the instrument makes of the positions
+    act : what it does there, with its sizes as keyword arguments; of motors the joint's error, shape (n,) [rad]
     """
 
-    travels: ClassVar[bool] = False
-    last: ClassVar[bool] = False
+    place: Place
+    act: Callable[..., Any]
+
+    @property
+    def name(self) -> str:
+        return self.act.__name__
+
+    @property
+    def sizes(self) -> set[str]:
+        return {p.name for p in signature(self.act).parameters.values() if p.kind is p.KEYWORD_ONLY}
+
+
+def acts(place: Place) -> Callable[[Callable[..., Any]], Kind]:
+    """The kind of cause that a function is."""
+    return partial(Kind, place)
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A hidden cause: a kind with its sizes; in other places than that of its kind it does nothing."""
+
+    kind: Kind
+    sizes: Mapping[str, Any]
+
+    def _in(self, place: Place, otherwise: Any, *given: Any) -> Any:
+        return self.kind.act(*given, **self.sizes) if self.kind.place == place else otherwise
 
     def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
         """The mechanism with it."""
-        return mechanism
-
-    @property
-    def payload_factor(self) -> float:
-        """True over declared mass of the payload."""
-        return 1.0
+        return cast(Mechanism, self._in("built", mechanism, mechanism, plant))
 
     def motors(self, plant: Plant, stops: Stops) -> Array | float:
         """Where the motors stop beyond the readings, (n, joints) [rad]."""
-        return 0.0
+        error = self._in("motors", None, plant, stops)
+        return 0.0 if error is None else only(self.sizes["joint"], error, plant.n)
 
     def settings(self, plant: Plant, stops: Stops) -> Sequence[Setting]:
         """What is not as built, with values (n, 3) for the n poses."""
-        return ()
+        return cast(Sequence[Setting], self._in("settings", (), plant, stops))
 
     def measured(self, xyz: Array, stops: Stops, rng: np.random.Generator) -> Array:
         """What the instrument makes of the positions ``xyz`` (n, 3) [m]."""
-        return xyz
-
-
-@dataclass(frozen=True)
-class JointCause(Cause):
-    """A cause in a joint (1-based), by so many radians if nothing else is said."""
-
-    joint: int
-    size: float
-
-
-def turned(plant: Plant, stops: Stops, joint: int) -> Array:
-    """How far the link beyond ``joint`` is turned in the one before it, (n,) [rad], by the readings."""
-    if plant.four_bar is not None and joint == plant.four_bar.driven:
-        return close_loop(plant, crank_angle(plant, stops.q)).passive
-    return stops.q[:, joint - 1]
-
-
-def into_parent(plant: Plant, link: int) -> Array:
-    """Rotation (3, 3) from the axes of ``link`` (1-based), at zero readings, to those of the link before it."""
-    before = np.eye(3) if link == 1 else plant.home[link - 2, :3, :3]
-    rotation: Array = before.T @ plant.home[link - 1, :3, :3]
-    return rotation
+        return cast(Array, self._in("measured", xyz, xyz, stops, rng))
 
 
 def warmth_inside(stops: Stops, lag_minutes: float) -> Array:
@@ -221,8 +226,7 @@ def warmth_inside(stops: Stops, lag_minutes: float) -> Array:
 def length_of(plant: Plant, link: int) -> Array:
     """From the joint of ``link`` to the next, (3,) [m] in its own axes."""
     frame = plant.home[link - 1]
-    length: Array = frame[:3, :3].T @ (plant.stations[link + 1] - frame[:3, 3])
-    return length
+    return np.asarray(frame[:3, :3].T @ (plant.stations[link + 1] - frame[:3, 3]))
 
 
 def beam_axes(length: Array) -> tuple[Array, Array, Array]:

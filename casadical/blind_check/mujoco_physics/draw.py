@@ -48,10 +48,7 @@ def impossible(plant: Plant) -> dict[str, str]:
     reasons = {
         "it has no payload": (plant.payload_kg <= 0, ("payload_error", "loose_flange", "tool_slip", "loose_cargo")),
         "its payload's mass centre lies in the flange": (not plant.payload_com.any(), ("loose_flange",)),
-        "no revolute joint carries weight": (
-            torque.max() < 1e-3 * full,
-            _LOADED,
-        ),
+        "no revolute joint carries weight": (torque.max() < 1e-3 * full, _LOADED),
         "it has no revolute wrist of three joints": (
             n < 4 or not set(last) <= set(plant.turning) or (bar is not None and bar.driven in last),
             ("joint_coupling",),

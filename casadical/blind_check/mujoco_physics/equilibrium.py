@@ -25,7 +25,7 @@ HARD = "0.9999 0.9999 0.001 0.5 2"  # the hardest impedance that MuJoCo has, at 
 def mjcf(mechanism: Mechanism, gravity: Sequence[float] = (0.0, 0.0, -9.81)) -> str:
     """The mechanism in MuJoCo's XML: world = the measuring frame.
 
-    Loops are equality constraints between sites, motors the rests of joint springs (``qpos_spring`` and
+    The loop is an equality constraint between sites, motors the rests of joint springs (``qpos_spring`` and
     ``tendon_lengthspring``, which the model keeps at ``ref``). The body ``tracker`` stands at the world's origin, and
     a sensor gives the site ``reflector`` in its frame.
     """
@@ -47,10 +47,9 @@ def mjcf(mechanism: Mechanism, gravity: Sequence[float] = (0.0, 0.0, -9.81)) -> 
     nodes = {"world": world}
     for body in mechanism.bodies:
         nodes[body.name] = _body(nodes[body.parent], body)
-    if mechanism.loops:
-        equality = ET.SubElement(root, "equality")
-        for loop in mechanism.loops:
-            ET.SubElement(equality, "connect", name=loop.name, site1=loop.first, site2=loop.second)
+    if mechanism.loop is not None:
+        first, second = mechanism.loop
+        ET.SubElement(ET.SubElement(root, "equality"), "connect", name="four_bar", site1=first, site2=second)
     if mechanism.cords or mechanism.shafts:
         _tendons(ET.SubElement(root, "tendon"), mechanism)
     sensor = ET.SubElement(root, "sensor")
@@ -161,22 +160,13 @@ class Stop:
 class Engine:
     """A mechanism, effects included, compiled by MuJoCo, that can be brought to rest at one pose after the other.
 
-    travels : whether it moves to every pose from the side it is approached from, which only friction and play need
-    factor : true over declared mass of the payload; gravity : in the measuring frame [m/s^2]
-    Raises InputError: MuJoCo is missing.
+    gravity : in the measuring frame [m/s^2]. Raises InputError: MuJoCo is missing.
     """
 
-    def __init__(
-        self,
-        mechanism: Mechanism,
-        *,
-        travels: bool = False,
-        factor: float = 1.0,
-        gravity: Sequence[float] = (0.0, 0.0, -9.81),
-    ) -> None:
+    def __init__(self, mechanism: Mechanism, gravity: Sequence[float] = (0.0, 0.0, -9.81)) -> None:
         self.mujoco = optional("mujoco", "the engine needs MuJoCo; install it with: pip install 'casadical[withheld]'")
         self.mujoco.set_mju_user_warning(lambda _text: None)  # into a file otherwise; what matters is raised below
-        self.mechanism, self.travels, self.factor = mechanism, travels, factor
+        self.mechanism = mechanism
         self.xml = mjcf(mechanism, gravity)
         self.model = self.mujoco.MjModel.from_xml_string(self.xml)
         self.data = self.mujoco.MjData(self.model)
@@ -200,7 +190,7 @@ class Engine:
         Raises ConvergenceError where it does not come to rest within some thousand steps.
         """
         self._arrange(stop)
-        if self.travels:
+        if self.mechanism.travels:
             self._travel(stop)
         else:
             self._drive(stop.motors)
@@ -220,8 +210,9 @@ class Engine:
             getattr(m, name)[:] = value
         for setting in stop.settings:
             self._set(setting)
-        if m.body_mass[self._payload] != stop.payload_kg * self.factor:
-            m.body_mass[self._payload] = stop.payload_kg * self.factor
+        mass = stop.payload_kg * self.mechanism.payload_factor
+        if m.body_mass[self._payload] != mass:
+            m.body_mass[self._payload] = mass
             self.mujoco.mj_setConst(m, d)
             self.mujoco.mj_resetData(m, d)
         for joint, value in stop.start.items():

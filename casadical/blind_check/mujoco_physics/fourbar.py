@@ -28,8 +28,7 @@ def pivot(plant: Plant) -> Array:
     """The driven joint in the plane of the link before, shape (2,) [m], seen from that link's axis and x axis."""
     k = _bar(plant).driven - 1
     R, p = plant.home[k - 1, :3, :3], plant.home[k, :3, 3] - plant.home[k - 1, :3, 3]
-    flat: Array = (R.T @ p)[:2]
-    return flat
+    return np.asarray((R.T @ p)[:2])
 
 
 def crank_end(bar: FourBar, crank: Array) -> Array:
@@ -41,15 +40,13 @@ def crank_end(bar: FourBar, crank: Array) -> Array:
 def crank_angle(plant: Plant, angles: Array) -> Array:
     """Angle (n,) [rad] of the crank in the link before, at those of the motors, (n, joints)."""
     k = _bar(plant).driven - 1
-    crank: Array = angles[:, k] - angles[:, k - 1]
-    return crank
+    return np.asarray(angles[:, k] - angles[:, k - 1])
 
 
 def crank_distance(plant: Plant, q: Array) -> Array:
     """Distance (n,) [m] between the crank's end and the driven joint at the readings ``q`` (n, joints) [rad]."""
     bar = _bar(plant)
-    distance: Array = np.linalg.norm(crank_end(bar, crank_angle(plant, q)) - pivot(plant), axis=-1)
-    return distance
+    return np.asarray(np.linalg.norm(crank_end(bar, crank_angle(plant, q)) - pivot(plant), axis=-1))
 
 
 def unfolded(plant: Plant) -> tuple[float, float] | None:

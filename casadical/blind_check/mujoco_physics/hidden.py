@@ -1,35 +1,37 @@
 """Hidden effects by their names: those of the diagnosis' list, and those that are on no list."""
 
-import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics import causes_drive, causes_load, causes_setup, causes_structure
-from casadical.blind_check.mujoco_physics.cause import Cause
+from casadical.blind_check.mujoco_physics import causes_drive as drive
+from casadical.blind_check.mujoco_physics import causes_load as load
+from casadical.blind_check.mujoco_physics import causes_setup as setup
+from casadical.blind_check.mujoco_physics import causes_structure as structure
+from casadical.blind_check.mujoco_physics.cause import Cause, Kind
 from casadical.core.basics import InputError
 
 
-def _by_name(*kinds: type[Cause]) -> dict[str, type[Cause]]:
-    return {re.sub("(?<!^)(?=[A-Z])", "_", kind.__name__).lower(): kind for kind in kinds}
+def _by_name(*kinds: Kind) -> dict[str, Kind]:
+    return {kind.name: kind for kind in kinds}
 
 
-LISTED: Mapping[str, type[Cause]] = _by_name(
-    causes_drive.GearEccentricity, causes_drive.TransmissionRipple, causes_drive.JointScale,
-    causes_drive.JointCoupling, causes_drive.JointZeroStep, causes_structure.ThermalGrowth,
-    causes_drive.ThermalZeroDrift, causes_setup.TargetShift, causes_structure.PayloadError,
-    causes_structure.AxisWobble, causes_load.GravityCompensator, causes_load.NonlinearStiffness,
-    causes_load.Backlash, causes_load.FrictionWindup, causes_structure.LinkFlexure, causes_structure.BaseCompliance,
-    causes_setup.FrameDrift, causes_setup.Outliers,
+LISTED: Mapping[str, Kind] = _by_name(
+    drive.gear_eccentricity, drive.transmission_ripple, drive.joint_scale,
+    drive.joint_coupling, drive.joint_zero_step, structure.thermal_growth,
+    drive.thermal_zero_drift, setup.target_shift, structure.payload_error,
+    structure.axis_wobble, load.gravity_compensator, load.nonlinear_stiffness,
+    load.backlash, load.friction_windup, structure.link_flexure, structure.base_compliance,
+    setup.frame_drift, setup.outliers,
 )  # fmt: skip
 
-UNLISTED: Mapping[str, type[Cause]] = _by_name(
-    causes_structure.LooseFlange, causes_structure.ToolSlip, causes_structure.BearingPlay, causes_load.HosePull,
-    causes_structure.CrackedLink, causes_structure.LooseAnchor, causes_structure.ThermalBend,
-    causes_drive.EncoderPit, causes_drive.DamagedTooth, causes_structure.LooseCargo, causes_load.TightCable,
-    causes_drive.LostBits, causes_load.RubberCoupling, causes_setup.RangeOffset,
+UNLISTED: Mapping[str, Kind] = _by_name(
+    structure.loose_flange, structure.tool_slip, structure.bearing_play, load.hose_pull,
+    structure.cracked_link, structure.loose_anchor, structure.thermal_bend,
+    drive.encoder_pit, drive.damaged_tooth, structure.loose_cargo, load.tight_cable,
+    drive.lost_bits, load.rubber_coupling, setup.range_offset,
 )  # fmt: skip
 
 
@@ -59,7 +61,7 @@ def cause(hidden: Hidden, joints: int = 6) -> Cause:
     kind = {**LISTED, **UNLISTED}.get(hidden.effect)
     if kind is None:
         raise InputError(f"effect {hidden.effect!r} is unknown; there are {', '.join([*LISTED, *UNLISTED])}")
-    names = {f.name for f in fields(kind)}
+    names = kind.sizes
     given = {k: tuple(v) if isinstance(v, list) else v for k, v in hidden.size.items()}
     if "joint" in names:
         given["joint"] = hidden.joint
@@ -69,9 +71,9 @@ def cause(hidden: Hidden, joints: int = 6) -> Cause:
         raise InputError(f"effect {hidden.effect!r} has the sizes {sorted(given)}; it needs {sorted(names)}")
     if "joint" in names and hidden.joint not in range(1, joints + 1):
         raise InputError(f"effect {hidden.effect!r} needs a joint from 1 to {joints}, not {hidden.joint}")
-    return kind(**given)
+    return Cause(kind, given)
 
 
 def causes(hidden: Sequence[Hidden], joints: int = 6) -> list[Cause]:
     """What hidden effects do in the engine, in the order in which they are built in."""
-    return sorted((cause(h, joints) for h in hidden), key=lambda c: c.last)
+    return sorted((cause(h, joints) for h in hidden), key=lambda c: c.kind.name == "joint_coupling")

@@ -1,4 +1,4 @@
-"""A mechanism in the terms of a physics engine: bodies, joints, loops, cords."""
+"""A mechanism in the terms of a physics engine: bodies, joints, a loop, cords."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -7,7 +7,6 @@ from typing import Literal, Self
 import numpy as np
 
 from casadical.blind_check.mujoco_physics.plant import Array
-from casadical.core.basics import InputError
 
 X, Y, Z, ORIGIN = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 
@@ -61,15 +60,6 @@ class Body:
 
 
 @dataclass(frozen=True)
-class Loop:
-    """Two marks that are one ball joint: it closes a chain of bodies to a loop."""
-
-    name: str
-    first: str
-    second: str
-
-
-@dataclass(frozen=True)
 class Cord:
     """A spring between two marks: no force while its length [m] is within ``rest``, then ``stiffness`` [N/m]."""
 
@@ -100,54 +90,40 @@ class Shaft:
 class Mechanism:
     """Bodies, parents before their children, and what connects them besides their joints.
 
-    loops : ball joints that close them; cords : springs between two bodies; shafts : couplings between joints
+    loop : two marks that are one ball joint, which closes a chain of bodies
+    cords : springs between two bodies; shafts : couplings between joints
+    travels : whether where it rests depends on where it comes from, as by friction and play
+    payload_factor : true over declared mass of the payload
     """
 
     bodies: tuple[Body, ...]
-    loops: tuple[Loop, ...] = ()
+    loop: tuple[str, str] | None = None
     cords: tuple[Cord, ...] = ()
     shafts: tuple[Shaft, ...] = ()
+    travels: bool = False
+    payload_factor: float = 1.0
 
     def body(self, name: str) -> Body:
-        """The body of that name. Raises InputError with those that there are."""
-        for body in self.bodies:
-            if body.name == name:
-                return body
-        raise InputError(f"no body {name!r}; there are {', '.join(b.name for b in self.bodies)}")
+        return next(b for b in self.bodies if b.name == name)
 
     def holder(self, joint: str) -> Body:
-        """The body that has the joint of that name. Raises InputError with those that there are."""
-        for body in self.bodies:
-            if any(j.name == joint for j in body.joints):
-                return body
-        names = [j.name for b in self.bodies for j in b.joints]
-        raise InputError(f"no joint {joint!r}; there are {', '.join(names)}")
+        """The body that has the joint of that name."""
+        return next(b for b in self.bodies if any(j.name == joint for j in b.joints))
 
     def joint(self, name: str) -> Joint:
-        """The joint of that name. Raises InputError with those that there are."""
         return next(j for j in self.holder(name).joints if j.name == name)
 
     def with_body(self, changed: Body) -> Self:
-        self.body(changed.name)
         return replace(self, bodies=tuple(changed if b.name == changed.name else b for b in self.bodies))
 
-    def with_joint(self, changed: Joint) -> Self:
-        body = self.holder(changed.name)
-        return self.with_body(
-            replace(body, joints=tuple(changed if j.name == changed.name else j for j in body.joints))
-        )
-
-    def with_more(self, joint: str, *, before: tuple[Joint, ...] = (), after: tuple[Joint, ...] = ()) -> Self:
-        """The same with more joints around the joint of that name, in the same body."""
-        body = self.holder(joint)
-        k = [j.name for j in body.joints].index(joint)
-        return self.with_body(
-            replace(body, joints=(*body.joints[:k], *before, body.joints[k], *after, *body.joints[k + 1 :]))
-        )
+    def with_joints(self, name: str, *joints: Joint) -> Self:
+        """The same with these joints in the place of the one of that name, in the same body."""
+        body = self.holder(name)
+        kept = [[j] if j.name != name else joints for j in body.joints]
+        return self.with_body(replace(body, joints=tuple(j for some in kept for j in some)))
 
     def with_body_after(self, name: str, new: Body) -> Self:
         """The same with ``new`` on the body ``name`` and everything that this one carried on ``new``, where it was."""
-        self.body(name)
         bodies: list[Body] = []
         for body in self.bodies:
             if body.parent == name:

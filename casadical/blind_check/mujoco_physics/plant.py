@@ -31,8 +31,7 @@ def rotation(rotvec: Array) -> Array:
     cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*rotvec.shape[:-1], 3, 3)
     first = np.sinc(angle / np.pi)
     second = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
-    turned: Array = np.eye(3) + first * cross + second * (cross @ cross)
-    return turned
+    return np.asarray(np.eye(3) + first * cross + second * (cross @ cross))
 
 
 def motion(rotvec: Array, shift: Array, about: Array) -> Array:
@@ -58,20 +57,17 @@ def slide(shift: Array) -> Array:
 
 def move(G: Array, x: Array) -> Array:
     """Where the points ``x`` (..., 3) are after the motions ``G`` (..., 4, 4)."""
-    moved: Array = np.einsum("...ij,...j->...i", G[..., :3, :3], x) + G[..., :3, 3]
-    return moved
+    return np.asarray(np.einsum("...ij,...j->...i", G[..., :3, :3], x) + G[..., :3, 3])
 
 
 def point(G: Array, v: Array) -> Array:
     """The directions ``v`` (..., 3) after the motions ``G``."""
-    turned: Array = np.einsum("...ij,...j->...i", G[..., :3, :3], v)
-    return turned
+    return np.asarray(np.einsum("...ij,...j->...i", G[..., :3, :3], v))
 
 
 def back(G: Array, v: Array) -> Array:
     """The directions ``v`` (..., 3) brought back to before the motions ``G``."""
-    turned: Array = np.einsum("...ji,...j->...i", G[..., :3, :3], v)
-    return turned
+    return np.asarray(np.einsum("...ji,...j->...i", G[..., :3, :3], v))
 
 
 def random_vector(rng: np.random.Generator, length: float) -> tuple[float, float, float]:
@@ -152,16 +148,14 @@ class Plant(Shown):
         for key in _KEYS:
             if key not in robot:
                 raise InputError(f"robot: key {key!r} is missing; needed are {', '.join(_KEYS)}")
-        rows, bar = robot["modified_dh"], robot.get("four_bar")
-        n = len(rows)
+        bar, n = robot.get("four_bar"), len(robot["modified_dh"])
+        rows = [
+            (_radians(r["alpha_deg"]), r["a_m"], 0.0, 0.0, _radians(r.get("theta0_deg", 0.0)), r["d_m"])
+            for r in robot["modified_dh"]
+        ]
         return cls(
             name=str(robot["name"]),
-            home=home_frames(
-                [
-                    (_radians(r["alpha_deg"]), r["a_m"], 0.0, 0.0, _radians(r.get("theta0_deg", 0.0)), r["d_m"])
-                    for r in rows
-                ]
-            ),
+            home=home_frames(rows),
             reflector=_table(robot, "tool_m", (3,)),
             mass=_table(robot, "mass_kg", (n,)),
             com=_table(robot, "com_m", (n, 3)),
@@ -205,8 +199,7 @@ class Plant(Shown):
 
     def at_home(self, link: int, x: Array) -> Array:
         """Points of a link frame (1-based), shape (..., 3) [m], in the robot's base at zero readings."""
-        placed: Array = x @ self.home[link - 1, :3, :3].T + self.home[link - 1, :3, 3]
-        return placed
+        return np.asarray(x @ self.home[link - 1, :3, :3].T + self.home[link - 1, :3, 3])
 
     @property
     def stations(self) -> Array:
@@ -286,12 +279,8 @@ def perturb(
     bar = plant.four_bar
     if bar is not None:
         crank, coupler, zero = bars.normal(0, [length_mm, length_mm, angle_mrad]) * 1e-3
-        bar = replace(
-            bar,
-            crank_m=bar.crank_m + crank,
-            coupler_m=bar.coupler_m + coupler,
-            crank_zero_rad=bar.crank_zero_rad + zero,
-        )
+        lengths = {"crank_m": bar.crank_m + crank, "coupler_m": bar.coupler_m + coupler}
+        bar = replace(bar, **lengths, crank_zero_rad=bar.crank_zero_rad + zero)
     turned = building.base_turn * np.deg2rad(base[1]) * _in_ball(place)
     shifted = building.base_shift * base[0] * _in_ball(place)
     return replace(
@@ -318,5 +307,4 @@ def home_with_errors(plant: Plant, wrong: Array) -> Array:
 def _in_ball(rng: np.random.Generator) -> Array:
     """A point drawn evenly from the unit ball."""
     direction = rng.standard_normal(3)
-    drawn: Array = direction / np.linalg.norm(direction) * rng.random() ** (1 / 3)
-    return drawn
+    return np.asarray(direction / np.linalg.norm(direction) * rng.random() ** (1 / 3))

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from casadical.blind_check.mujoco_physics.fourbar import close_loop, crank_angle, pivot
-from casadical.blind_check.mujoco_physics.mechanism import Body, Joint, Loop, Mechanism, X, Y, Z
-from casadical.blind_check.mujoco_physics.plant import Array, Plant, slide, turn
+from casadical.blind_check.mujoco_physics.mechanism import Body, Joint, Mechanism, X, Y, Z
+from casadical.blind_check.mujoco_physics.plant import Array, FourBar, Plant, slide, turn
 
 SLOW = 0.1  # s: every spring joint alone would come to rest with this time constant
 NONE = np.zeros(3)
@@ -25,28 +25,15 @@ def mechanism(plant: Plant) -> Mechanism:
     bodies = [Body("pedestal", "world", plant.base)]
     parent, before = "pedestal", np.eye(4)
     for i in range(plant.n):
-        joint = spring(
-            f"joint{i + 1}",
-            plant.stiffness[i],
-            motor=i + 1,
-            ref=float(middle[i]),
-            kind="slide" if i + 1 in plant.slides else "hinge",
-        )
+        kind = "slide" if i + 1 in plant.slides else "hinge"
+        joint = spring(f"joint{i + 1}", plant.stiffness[i], motor=i + 1, ref=float(middle[i]), kind=kind)
         if plant.four_bar is not None and i + 1 == plant.four_bar.driven:
             elbow = float(close_loop(plant, crank_angle(plant, middle[None])).passive[0])
             joint = free("elbow", plant.stiffness[i], ref=elbow)
         place = np.linalg.solve(before, plant.home[i])
         size = float(np.linalg.norm(place[:3, 3])) + 0.1
         bodies.append(
-            Body(
-                f"link{i + 1}",
-                parent,
-                _moved(place, joint),
-                (joint,),
-                plant.mass[i],
-                tuple(plant.com[i]),
-                0.3 * size,
-            )
+            Body(f"link{i + 1}", parent, _moved(place, joint), (joint,), plant.mass[i], tuple(plant.com[i]), 0.3 * size)
         )
         parent, before = f"link{i + 1}", plant.home[i]
     bodies.append(Body("tool", f"link{plant.n}", np.eye(4), marks={"reflector": plant.reflector}))
@@ -54,7 +41,7 @@ def mechanism(plant: Plant) -> Mechanism:
     held[:3, 3] = plant.payload_com
     bodies.append(Body("payload", "tool", held, mass=plant.payload_kg))
     plain = Mechanism(tuple(bodies))
-    return plain if plant.four_bar is None else _with_four_bar(plain, plant, middle)
+    return plain if plant.four_bar is None else _with_four_bar(plain, plant, plant.four_bar, middle)
 
 
 def start(plant: Plant, angles: Array) -> dict[str, float]:
@@ -88,9 +75,7 @@ def free(name: str, like: float, **more: object) -> Joint:
     return replace(Joint(name, inertia=0.1 * float(like) * SLOW**2), **more)  # type: ignore[arg-type]
 
 
-def _with_four_bar(plain: Mechanism, plant: Plant, middle: Array) -> Mechanism:
-    bar = plant.four_bar
-    assert bar is not None
+def _with_four_bar(plain: Mechanism, plant: Plant, bar: FourBar, middle: Array) -> Mechanism:
     d = bar.driven
     k, before = plant.stiffness[d - 1], np.eye(4) if d == 2 else plant.home[d - 3]
     axis = np.linalg.solve(before, plant.home[d - 2])
@@ -99,23 +84,17 @@ def _with_four_bar(plain: Mechanism, plant: Plant, middle: Array) -> Mechanism:
     hinge, tilt = free("coupler_turn", k, ref=_coupler(plant, middle)), free("coupler_tilt", k, axis=(0.0, 1.0, 0.0))
     coupler = np.eye(4)
     coupler[:3, 3] = end
+    ends = {"coupler_end": np.array([bar.coupler_m, 0.0, 0.0])}
     bodies = (
         Body("crank", "pedestal" if d == 2 else f"link{d - 2}", _moved(axis, crank), (crank,), mass=1e-3),
-        Body(
-            "coupler",
-            "crank",
-            _moved(coupler, hinge),
-            (hinge, tilt),
-            mass=1e-3,
-            marks={"coupler_end": np.array([bar.coupler_m, 0.0, 0.0])},
-        ),
+        Body("coupler", "crank", _moved(coupler, hinge), (hinge, tilt), mass=1e-3, marks=ends),
     )
     link = plain.body(f"link{d}")
     direction = np.array([np.cos(bar.passive_offset_rad), -np.sin(bar.passive_offset_rad)])
     end_home = plant.at_home(d - 1, np.append(pivot(plant) + bar.rocker_m * direction, 0.0))
     mark = plant.home[d - 1, :3, :3].T @ (end_home - plant.home[d - 1, :3, 3])
     plain = plain.with_body(replace(link, marks={"rocker_end": mark}))
-    return replace(plain, bodies=plain.bodies + bodies, loops=(Loop("four_bar", "coupler_end", "rocker_end"),))
+    return replace(plain, bodies=plain.bodies + bodies, loop=("coupler_end", "rocker_end"))
 
 
 def _coupler(plant: Plant, angles: Array) -> float:
@@ -129,5 +108,4 @@ def _coupler(plant: Plant, angles: Array) -> float:
 def _moved(place: Array, joint: Joint) -> Array:
     """Where a body is when its joint is at its reference."""
     up, by = np.array([0.0, 0.0, 1.0]), np.array(joint.ref)
-    moved: Array = place @ (slide(joint.ref * up) if joint.kind == "slide" else turn(up, NONE, by))
-    return moved
+    return np.asarray(place @ (slide(joint.ref * up) if joint.kind == "slide" else turn(up, NONE, by)))

@@ -58,8 +58,7 @@ class Warmup:
 
     def course(self, time_s: Array) -> Array:
         """Warmth (n,) [K] at times (n,) [s] since the start."""
-        rise: Array = -self.rise_K * np.expm1(-np.asarray(time_s, float) / (60.0 * self.minutes))
-        return rise
+        return np.asarray(-self.rise_K * np.expm1(-np.asarray(time_s, float) / (60.0 * self.minutes)))
 
 
 def draw_poses(

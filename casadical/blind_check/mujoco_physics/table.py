@@ -5,11 +5,12 @@ A physics says where the reflector is; what is drawn, rounded and written does n
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol, TypedDict
+from typing import Literal, TypedDict, Unpack
 
 import numpy as np
 import pandas as pd
 
+from casadical.blind_check.mujoco_physics.cause import Cause
 from casadical.blind_check.mujoco_physics.fourbar import unfolded
 from casadical.blind_check.mujoco_physics.plant import Array, Plant
 from casadical.blind_check.mujoco_physics.stops import Stops, Warmup, draw_poses, draw_stops
@@ -40,13 +41,6 @@ def in_si(plant: Plant, shown: Array) -> Array:
     return _per_joint(plant, np.deg2rad(shown), 1e-3 * shown)
 
 
-class Instrument(Protocol):
-    """An effect as the instrument sees it."""
-
-    def measured(self, xyz: Array, stops: Stops, rng: np.random.Generator) -> Array:
-        """What the instrument makes of the positions ``xyz`` (n, 3) [m]."""
-
-
 @dataclass(frozen=True, eq=False)
 class Machine:
     """A robot as built (see ``perturb``) with its effects, as a physics simulates it.
@@ -57,44 +51,27 @@ class Machine:
 
     plant: Plant
     positions: Callable[[Stops, Array | float], Array]
-    instruments: Sequence[Instrument]
+    instruments: Sequence[Cause]
     true_decimals: int = 6
-
-    def measured(
-        self,
-        stops: Stops,
-        shown: Array,
-        temperature: Array,
-        seeds: Sequence[np.random.SeedSequence],
-        noise_mm: float,
-        repeatability_urad: float,
-        truth: bool,
-    ) -> pd.DataFrame:
-        """The table of a campaign, rounded like a real one.
-
-        shown, temperature : readings (n, joints) [deg or mm] and temperatures (n,) [degC] as written
-        seeds : of the joints' errors, the noise, and the instrument's errors; all else as in ``simulate``
-        """
-        joints, noise, instrument = (np.random.default_rng(s) for s in seeds)
-        n = len(stops)
-        xyz = self.positions(stops, joints.normal(0, repeatability_urad * 1e-6, stops.q.shape))
-        for effect in self.instruments:
-            xyz = effect.measured(xyz, stops, instrument)
-        table = pd.DataFrame({"pose": np.arange(1, n + 1), "time_s": np.round(stops.time_s, 1)})
-        table["temperature_degC"] = temperature
-        table["payload_kg"] = stops.payload_kg
-        table[approaches(self.plant.n)] = stops.approach.astype(int)
-        table[readings(self.plant)] = shown
-        table[MEASURED] = np.round(1e3 * xyz + noise.normal(0, noise_mm, (n, 3)), 4)
-        if truth:
-            table[TRUE] = np.round(1e3 * self.positions(stops, 0.0), self.true_decimals)
-        return table
 
 
 class Options(TypedDict, total=False):
-    """Keywords of ``simulate`` that ``campaign`` passes on."""
+    """Keywords of ``simulate`` that have a default.
+
+    noise_mm : one sigma of each measured coordinate [mm], 0.02
+    repeatability_urad : one sigma of each joint about its reading [urad, or um of a prismatic joint], 5
+    payload_states : declared payloads [kg], in alternating blocks; by default none and the plant's
+    warmup : the arm's temperature; by default 7 K in some 35 minutes
+    approach : direction of each joint's last motion, random or (``"motion"``) as it follows from the order of the poses
+    q_deg : Array, shape (n, joints) [deg, or mm of a prismatic joint]: readings to take instead of drawing them
+    given : of the columns time_s, temperature_degC, payload_kg, approach1 .., those that are not drawn but as here
+    ranges_deg : Array, shape (joints, 2) [deg or mm]: between which readings are drawn; None: the plant's
+    crank_distance_m : limits of the loop's crank distance [m]; None: a quarter of the rocker away from the folds
+    truth : add x_true_mm, y_true_mm, z_true_mm: no noise, joints exactly repeated, and the instrument right
+    """
 
     noise_mm: float
+    repeatability_urad: float
     payload_states: Sequence[float] | None
     warmup: Warmup | None
     approach: Literal["chance", "motion"]
@@ -105,23 +82,8 @@ class Options(TypedDict, total=False):
     truth: bool
 
 
-def simulate(
-    machine: Machine,
-    n: int,
-    seed: int,
-    *,
-    repeatability_urad: float,
-    noise_mm: float = 0.02,
-    payload_states: Sequence[float] | None = None,
-    warmup: Warmup | None = None,
-    approach: Literal["chance", "motion"] = "chance",
-    q_deg: Array | None = None,
-    given: pd.DataFrame | None = None,
-    ranges_deg: Array | None = None,
-    crank_distance_m: tuple[float, float] | None = None,
-    truth: bool = False,
-) -> pd.DataFrame:
-    """Measure ``n`` poses of a machine; the same seed gives the same table.
+def simulate(machine: Machine, n: int, seed: int, **options: Unpack[Options]) -> pd.DataFrame:
+    """Measure ``n`` poses of a machine, in a table rounded like a real one; the same seed gives the same table.
 
     Poses, circumstances and noise do not depend on the effects: the same campaign without them is their absence.
 
@@ -130,18 +92,10 @@ def simulate(
     machine : the robot as built, with its effects
     n : number of poses
     seed : what everything drawn follows from
-    repeatability_urad : one sigma of each joint about its reading [urad, or um of a prismatic joint]
-    noise_mm : one sigma of each measured coordinate [mm]
-    payload_states : declared payloads [kg], in alternating blocks; by default none and the plant's
-    warmup : the arm's temperature; by default 7 K in some 35 minutes
-    approach : direction of each joint's last motion, random or (``"motion"``) as it follows from the order of the poses
-    q_deg : Array, shape (n, joints) [deg, or mm of a prismatic joint]: readings to take instead of drawing them
-    given : of the columns time_s, temperature_degC, payload_kg, approach1 .., those that are not drawn but as here
-    ranges_deg : Array, shape (joints, 2) [deg or mm]: between which readings are drawn; None: the plant's
-    crank_distance_m : limits of the loop's crank distance [m]; None: a quarter of the rocker away from the folds
-    truth : add x_true_mm, y_true_mm, z_true_mm: no noise, joints exactly repeated, and the instrument right
     """
-    plant, warmup = machine.plant, warmup or Warmup()
+    plant, warmup = machine.plant, options.get("warmup") or Warmup()
+    noise_mm, repeatability_urad = options.get("noise_mm", 0.02), options.get("repeatability_urad", 5.0)
+    states, ranges_deg = options.get("payload_states"), options.get("ranges_deg")
     if n < 1:
         raise InputError(f"n is {n}; a campaign needs at least 1 pose")
     if min(noise_mm, repeatability_urad) < 0:
@@ -150,22 +104,35 @@ def simulate(
         raise InputError(
             f"ranges_deg has shape {np.shape(ranges_deg)}; it must be ({plant.n}, 2): lowest and highest readings"
         )
-    if payload_states is not None and len(payload_states) == 0:
+    if states is not None and len(states) == 0:
         raise InputError("payload_states is empty; give at least one declared payload [kg], 0 for none")
-    poses, *times, thermometer, joints, noise, instrument = np.random.SeedSequence(seed).spawn(7)
+    seeds = np.random.SeedSequence(seed).spawn(7)
+    poses, _, _, thermometer, joints, noise, instrument = map(np.random.default_rng, seeds)
+    q_deg, given = options.get("q_deg"), options.get("given")
     if q_deg is None:
         ranges = plant.ranges if ranges_deg is None else in_si(plant, np.asarray(ranges_deg, float).T).T
-        limits = crank_distance_m or unfolded(plant)
-        q_deg = in_columns(plant, draw_poses(plant, n, np.random.default_rng(poses), ranges, limits))
+        limits = options.get("crank_distance_m") or unfolded(plant)
+        q_deg = in_columns(plant, draw_poses(plant, n, poses, ranges, limits))
     if np.shape(q_deg) != (n, plant.n):
         raise InputError(f"q_deg has shape {np.shape(q_deg)}; for n = {n} it must be ({n}, {plant.n})")
     q_deg = np.round(q_deg, 6)
-    states = (0.0, plant.payload_kg) if payload_states is None else payload_states
+    states = (0.0, plant.payload_kg) if states is None else states
+    drawn = draw_stops(in_si(plant, q_deg), seeds[1:3], states, warmup, options.get("approach", "chance"))
     given = pd.DataFrame() if given is None else given
-    stops = with_given(draw_stops(in_si(plant, q_deg), times, states, warmup, approach), given, warmup)
-    shown = warmup.start_degC + stops.warmth_K + np.random.default_rng(thermometer).normal(0, warmup.sensor_K, n)
-    shown = given["temperature_degC"].to_numpy(float) if "temperature_degC" in given else np.round(shown, 2)
-    return machine.measured(stops, q_deg, shown, (joints, noise, instrument), noise_mm, repeatability_urad, truth)
+    stops = with_given(drawn, given, warmup)
+    xyz = machine.positions(stops, joints.normal(0, repeatability_urad * 1e-6, stops.q.shape))
+    for effect in machine.instruments:
+        xyz = effect.measured(xyz, stops, instrument)
+    shown = np.round(warmup.start_degC + stops.warmth_K + thermometer.normal(0, warmup.sensor_K, n), 2)
+    table = pd.DataFrame({"pose": np.arange(1, n + 1), "time_s": np.round(stops.time_s, 1)})
+    table["temperature_degC"] = given["temperature_degC"].to_numpy(float) if "temperature_degC" in given else shown
+    table["payload_kg"] = stops.payload_kg
+    table[approaches(plant.n)] = stops.approach.astype(int)
+    table[readings(plant)] = q_deg
+    table[MEASURED] = np.round(1e3 * xyz + noise.normal(0, noise_mm, (n, 3)), 4)
+    if options.get("truth"):
+        table[TRUE] = np.round(1e3 * machine.positions(stops, 0.0), machine.true_decimals)
+    return table
 
 
 def with_given(stops: Stops, given: pd.DataFrame, warmup: Warmup) -> Stops:

@@ -125,16 +125,10 @@ def self_test_source(program: TapeProgram, label: Label) -> str:
 def _step_part(program: TapeProgram, values: dict[str, str], q: Array) -> str:
     state = started(program)
     given = [step(program, state, q, k < ON_CYCLES) for k in range(CYCLES)]
-    return filled(
-        template("self_test_step.c"),
-        values
-        | {
-            "cycles": str(CYCLES),
-            "on_cycles": str(ON_CYCLES),
-            "expected_step": _rows(np.array([g[0] for g in given]), program.real, 8),
-            "statuses_step": ", ".join(f"{int(g[1])}U" for g in given),
-        },
-    )
+    mine = {"cycles": str(CYCLES), "on_cycles": str(ON_CYCLES)}
+    mine["expected_step"] = _rows(np.array([dq for dq, _ in given]), program.real, 8)
+    mine["statuses_step"] = ", ".join(f"{int(status)}U" for _, status in given)
+    return filled(template("self_test_step.c"), values | mine)
 
 
 def example_source(program: TapeProgram, label: Label) -> str:

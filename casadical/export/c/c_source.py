@@ -15,10 +15,8 @@ from casadical.export.c.products import Command, Product
 from casadical.export.c.tape_program import TapeProgram
 
 SCHEMA = 1
-_METHODS = {
-    "float": (0, 16, 32),
-    "double": (0, 1, 16, 32, 64),
-}  # FLT_EVAL_METHOD where the type keeps its own precision
+# FLT_EVAL_METHOD where the type keeps its own precision.
+_METHODS = {"float": (0, 16, 32), "double": (0, 1, 16, 32, 64)}
 
 
 def header(program: TapeProgram, label: Label) -> str:

@@ -14,6 +14,8 @@ from casadi import SX
 
 from casadical.export.c.products import Command
 
+LENGTH = 0.3  # m: by which an error of the orientation [rad] is weighted against one of the position
+
 
 def prepare(command: Command) -> casadi.Function:
     """q -> nominal position or pose, the factored steps (see `_Step`), weakness, and what a look gives at q."""
@@ -47,7 +49,7 @@ def _look(command: Command, q: SX, dq: SX) -> SX:
     if residual_size(command) == 3:
         return -change
     target = _flat(command.nominal, q)
-    return _residual(casadi.vertcat(SX.zeros(3), target[3:]), change, command.length_m)
+    return _residual(casadi.vertcat(SX.zeros(3), target[3:]), change)
 
 
 def advance(command: Command) -> casadi.Function:
@@ -55,9 +57,7 @@ def advance(command: Command) -> casadi.Function:
     size, step = _pose_size(command), _step(command)
     prepared, now = SX.sym("prepared", prepared_size(command)), SX.sym("now", look_size(command))
     target, factors, _ = casadi.vertsplit(prepared, [0, size, size + step.size, size + step.size + 1])
-    moved, error = step.solved(
-        factors, now if command.difference is not None else _residual(target, now, command.length_m)
-    )
+    moved, error = step.solved(factors, now if command.difference is not None else _residual(target, now))
     return casadi.Function("advance", [prepared, now], [casadi.vertcat(moved, error)], ["prepared", "now"], ["moved"])
 
 
@@ -147,15 +147,13 @@ def _flat(function: casadi.Function, q: SX) -> SX:
     return casadi.vertcat(*[casadi.vec(o) for o in out])
 
 
-def _residual(target: SX, now: SX, length: float) -> SX:
-    """Position error [m], and for poses the rotation from now to target times a length."""
+def _residual(target: SX, now: SX) -> SX:
+    """Position error [m], and for poses the rotation from now to target times `LENGTH`."""
     if target.numel() == 3:
         return target - now
-    turn = SX.zeros(3)
-    for k in range(3):
-        i = slice(3 + 3 * k, 6 + 3 * k)
-        turn += casadi.cross(now[i], target[i])
-    return casadi.vertcat(target[:3] - now[:3], 0.5 * length * turn)
+    columns = (slice(3 + 3 * k, 6 + 3 * k) for k in range(3))
+    turn = sum((casadi.cross(now[i], target[i]) for i in columns), SX.zeros(3))
+    return casadi.vertcat(target[:3] - now[:3], 0.5 * LENGTH * turn)
 
 
 def _jacobian(command: Command, q: SX) -> SX:
@@ -172,7 +170,7 @@ def _slope(command: Command, function: casadi.Function, at: SX) -> SX:
     """Jacobian of minus the residual with respect to the function's joints."""
     x, fixed = SX.sym("x", len(command.lower)), SX.sym("fixed", _pose_size(command))
     now = _flat(function, x)
-    slope = casadi.jacobian(-_residual(fixed, now, command.length_m), x)
+    slope = casadi.jacobian(-_residual(fixed, now), x)
     return casadi.Function("slope", [x, fixed], [slope])(at, _flat(function, at))
 
 

@@ -164,14 +164,9 @@ def _polynomial(terms: tuple[float, ...], real: Real, write: Callable[[float, Re
 def constants(real: Real, write: Callable[[float, Real], str] = literal) -> dict[str, str]:
     """Every number that the templates of elementary functions name, as a language writes it."""
     c = COEFFICIENTS[real]
-    numbers = {
-        "half_pi_high": c.half_pi[0],
-        "half_pi_low": c.half_pi[1],
-        "ln2_high": c.ln2[0],
-        "ln2_low": c.ln2[1],
-        "tan_pi_8": TAN_PI_8,
-        "exp_limit": EXP_LIMIT,
-    }
+    numbers = {"tan_pi_8": TAN_PI_8, "exp_limit": EXP_LIMIT}
+    for key, (high, low) in (("half_pi", c.half_pi), ("ln2", c.ln2)):
+        numbers |= {f"{key}_high": high, f"{key}_low": low}
     numbers |= {k: getattr(c, k) for k in ("two_over_pi", "one_over_ln2", "pi", "pi_2", "pi_4")}
     numbers |= {k: getattr(c, k) for k in ("tansig_limit", "smallest", "largest")}
     numbers |= {f"guess_{i}": g for i, g in enumerate(SQRT_GUESS)}

@@ -6,6 +6,7 @@ import shutil
 import tempfile
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partialmethod
 from pathlib import Path
 
 import numpy as np
@@ -31,10 +32,10 @@ class Compiler:
 
 def compilers() -> list[Compiler]:
     """gcc and clang where installed, else cc; an empty list on a machine without a C compiler."""
-    found = [Compiler(name, version) for name in ("gcc", "clang") if (version := _version(name))]
-    if not found and (version := _version("cc")):
-        found = [Compiler("cc", version)]
-    return found
+    installed = [Compiler(name, version) for name in ("gcc", "clang") if (version := _version(name))]
+    if not installed and (version := _version("cc")):
+        installed = [Compiler("cc", version)]
+    return installed
 
 
 def _version(command: str) -> str:
@@ -42,26 +43,6 @@ def _version(command: str) -> str:
         return ""
     run = finished([command, "--version"], TRIAL_SECONDS)
     return run.stdout.splitlines()[0] if run and run.returncode == 0 and run.stdout else ""
-
-
-def shared_library(
-    compiler: Compiler, sources: list[Path], library: Path, flags: tuple[str, ...] = ("-O2", *WARNINGS)
-) -> None:
-    """Compile C99 sources to a shared library.
-
-    Raises CasadicalError: the compiler reports an error or a warning (its output is in the message), does not end, or
-    what it made cannot be loaded; it is loaded in a process of its own first.
-    """
-    command = [compiler.command, "-std=c99", "-fPIC", "-shared", *flags, *map(str, sources), "-o", str(library)]
-    run = finished(command, COMPILE_SECONDS)
-    if run is None:
-        raise CasadicalError(f"{compiler.version} was stopped after {COMPILE_SECONDS:g} s with {sources[0].name}")
-    if run.returncode != 0:
-        raise CasadicalError(f"{compiler.version} does not compile {sources[0].name}:\n{run.stderr[:2000]}")
-    if tried("import ctypes, sys; ctypes.CDLL(sys.argv[1])", str(library)) is None:
-        raise CasadicalError(
-            f"{compiler.version} made of {sources[0].name} what cannot be loaded; use another compiler"
-        )
 
 
 @dataclass(frozen=True)
@@ -93,8 +74,10 @@ class Kernel:
         function : ``network``, ``curves``, ``forward``, ``correct`` or ``bound``, as the export has it
         q : joint readings, shape (k, n) [rad or m], converted to the kernel's real type
 
-        Returns values, shape (k, outputs), and status, shape (k,), a `casadical.export.Status`. Raises InputError: the
-        export has no such function, or q another number of joints.
+        Returns values, shape (k, outputs), and status, shape (k,), a `casadical.export.Status`: of network and bound
+        [mm], of curves what each joint turns beyond its reading and of correct its correction [rad or m], of forward
+        the calibrated position [m], with the rotation where the export has it. Raises InputError: the export has no
+        such function, or q another number of joints.
         """
         shape = self.shape
         if function not in shape.outputs:
@@ -110,25 +93,12 @@ class Kernel:
         call(_pointer(table), ctypes.c_uint64(len(table)), _pointer(out), _pointer(status))
         return out, status
 
-    def network(self, q: Array) -> tuple[Array, Array]:
-        """Corrections by the network, shape (k, m) [mm], and status; q, errors and the like as of `rows`."""
-        return self.rows("network", q)
-
-    def curves(self, q: Array) -> tuple[Array, Array]:
-        """What each joint turns beyond its reading, shape (k, n) [rad or m], and status."""
-        return self.rows("curves", q)
-
-    def forward(self, q: Array) -> tuple[Array, Array]:
-        """Calibrated positions, shape (k, 3) [m], or (k, 12) with the rotation where the export has it, and status."""
-        return self.rows("forward", q)
-
-    def correct(self, q: Array) -> tuple[Array, Array]:
-        """Corrections of joint commands, shape (k, n) [rad or m], and status."""
-        return self.rows("correct", q)
-
-    def bound(self, q: Array) -> tuple[Array, Array]:
-        """Bounds of the error that remains, of an export that has one, shape (k, 1) [mm], and status."""
-        return self.rows("bound", q)
+    # q, results and errors as of `rows`
+    network = partialmethod(rows, "network")
+    curves = partialmethod(rows, "curves")
+    forward = partialmethod(rows, "forward")
+    correct = partialmethod(rows, "correct")
+    bound = partialmethod(rows, "bound")
 
     def steps(self, q: Array, enable: Array) -> tuple[Array, Array]:
         """``step`` for consecutive cycles from the zero state: corrections, shape (k, n) [rad or m], and status.
@@ -163,13 +133,27 @@ def rows_source(shape: Shape) -> str:
 
 
 def build(shape: Shape, sources: list[Path], folder: Path, compiler: Compiler, flags: tuple[str, ...] = ()) -> Kernel:
-    """Compile an export's sources with the loops over rows into a new library in a folder, and load it."""
+    """Compile an export's C99 sources with the loops over rows into a new library in a folder, and load it.
+
+    Raises CasadicalError: the compiler reports an error or a warning (its output is in the message), does not end, or
+    what it made cannot be loaded; it is loaded in a process of its own first.
+    """
     how = hashlib.sha256(" ".join(flags).encode()).hexdigest()[:8]
     library = folder / f"{shape.name}_{Path(compiler.command).name}_{how}.so"
     wrapper = library.with_suffix(".c")  # of its own: compilers may work at the same time
     wrapper.write_text(rows_source(shape), encoding="utf-8")
-    include = f"-I{sources[0].parent}"
-    shared_library(compiler, [*sources, wrapper], library, ("-O2", include, *flags))
+    usual = ["-std=c99", "-fPIC", "-shared", "-O2", f"-I{sources[0].parent}"]
+    run = finished(
+        [compiler.command, *usual, *flags, *map(str, (*sources, wrapper)), "-o", str(library)], COMPILE_SECONDS
+    )
+    if run is None:
+        raise CasadicalError(f"{compiler.version} was stopped after {COMPILE_SECONDS:g} s with {sources[0].name}")
+    if run.returncode != 0:
+        raise CasadicalError(f"{compiler.version} does not compile {sources[0].name}:\n{run.stderr[:2000]}")
+    if tried("import ctypes, sys; ctypes.CDLL(sys.argv[1])", str(library)) is None:
+        raise CasadicalError(
+            f"{compiler.version} made of {sources[0].name} what cannot be loaded; use another compiler"
+        )
     return Kernel(shape, library)
 
 

@@ -112,7 +112,6 @@ class Command:
     limits : of the correction, and of what is reported
     steps : least-squares steps, 1 to 10. The robot is evaluated again after them: NOT_CONVERGED says that the tolerance
         is passed there. One more step follows where the last one left a third or less of its error
-    length_m : for poses, the length by which an orientation error [rad] is weighted [m]
     bound : q[n] -> b[1] [mm], below which 95 % of the errors of the calibrated robot are; None: not known
     limit_mm : the greatest bound, with what the steps may leave, at which a correction is OK [mm]; None: any
     units : "rad" or "m" of each joint's reading; default: all rad
@@ -133,7 +132,6 @@ class Command:
     network: NetworkFunction | None = None
     limits: Limits = field(default_factory=Limits)
     steps: int = 2
-    length_m: float = 0.3
     bound: casadi.Function | None = None
     limit_mm: float | None = None
     units: tuple[str, ...] = ()
@@ -147,15 +145,13 @@ class Command:
             raise InputError(f"{self.steps} least-squares steps; 1 to 10 are allowed")
         n = len(self.lower)
         size = _checked_signature(self.calibrated, n, (3, 12))
-        for other in (self.nominal, self.jacobian_of):
-            if other is not None and _checked_signature(other, n, (size,)) != size:
-                raise AssertionError
-        if self.jacobian_at is not None:
-            _checked_signature(self.jacobian_at, n, (n,))
-        if self.difference is not None:
-            _checked_signature(self.difference, 2 * n, (size,))
-        if self.bound is not None:
-            _checked_signature(self.bound, n, (1,))
+        signatures = (
+            (self.nominal, n, size), (self.jacobian_of, n, size), (self.jacobian_at, n, n),
+            (self.difference, 2 * n, size), (self.bound, n, 1),
+        )  # fmt: skip
+        for function, taken, given in signatures:
+            if function is not None:
+                _checked_signature(function, taken, (given,))
         _checked_limit(self)
         if self.network is not None and len(self.network.lower) != n:
             raise InputError(f"the network has {len(self.network.lower)} joints and the robot {n}; both must be equal")

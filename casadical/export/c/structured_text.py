@@ -67,21 +67,13 @@ def structured_text(program: TapeProgram, label: Label) -> str:
     parts = [filled(template("head.st"), values), _values_block(plan, values, real)]
     values["constants"] = _CONSTANTS
     parts.append(filled(template("boxed.st"), values))
-    if program.network is not None:
-        key = program.network.key
-        mine = {"function": key, "out": program.network.out, "last_out": str(len(program.network_bounds) - 1)}
+    blocks = [] if program.network is None else [(program.network.key, program.network.out, "network")]
+    blocks += [("bound", "bound_mm", "command")] if "bound" in program.tapes else []
+    for key, out, box in blocks:
+        mine = {"function": key, "out": out, "last_out": str(len(program.tapes[key].outputs) - 1)}
         mine |= {"network_out": str(plan.places[f"{key}_out"]), "evaluate": _evaluated(program, plan, key)}
-        parts.append(filled(template("network.st"), values | mine | _box(program, "network")))
+        parts.append(filled(template("network.st"), values | mine | _box(program, box)))
     if program.command is not None:
-        if program.command.bound is not None:
-            mine = {
-                "function": "bound",
-                "out": "bound_mm",
-                "last_out": "0",
-                "network_out": str(plan.places["bound_out"]),
-                "evaluate": _evaluated(program, plan, "bound"),
-            }
-            parts.append(filled(template("network.st"), values | mine | _box(program, "command")))
         parts.append(filled(template("command.st"), values | _command(program, program.command, plan)))
     return _wrapped(_folded("\n".join([*parts, _self_test(program, values)])))
 

@@ -6,6 +6,7 @@ Bounds are outward: each operation's result is widened by more than the rounding
 """
 
 import math
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -186,16 +187,15 @@ def operations(program: TapeProgram) -> Operations:
         key, steps = "correct", program.command.steps
         calls = {"prepare": 1, program.look: steps, "advance": steps + 1}
         calls |= {"bound": 1} if program.command.limit_mm is not None else {}
-    count: dict[str, int] = {}
+    count: Counter[str] = Counter()
     for tape, times in calls.items():
         for node in program.tapes[tape].nodes:
-            if times and node.op == "weighted_sum":
-                for kind, more in (("multiplications", 0), ("additions", -1)):
-                    count[kind] = count.get(kind, 0) + times * (len(node.args) + more)
-            elif times and node.op not in _FREE:
-                kind = _KINDS.get(node.op, "choices")
-                count[kind] = count.get(kind, 0) + times
-    return Operations(key, count)
+            if node.op == "weighted_sum":
+                count["multiplications"] += times * len(node.args)
+                count["additions"] += times * (len(node.args) - 1)
+            elif node.op not in _FREE:
+                count[_KINDS.get(node.op, "choices")] += times
+    return Operations(key, dict(count))
 
 
 def tape_program(product: Product, real: Real) -> TapeProgram:

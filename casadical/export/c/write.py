@@ -45,32 +45,27 @@ class Comparison:
 
 
 def shape_of(program: TapeProgram, name: str) -> Shape:
-    sizes: dict[str, int] = {}
-    if program.network is not None:
-        sizes[program.network.key] = len(program.network_bounds)
-    if program.command is not None:
-        sizes |= {"forward": len(program.tapes["forward"].outputs), "correct": program.n}
-        sizes |= {"bound": 1} if "bound" in program.tapes else {}
+    sizes = {key: program.n if key == "correct" else len(program.tapes[key].outputs) for key in functions(program)}
     return Shape(name, program.real, program.n, sizes, program.product.units)
 
 
 def compared(
-    program: TapeProgram, name: str, files: dict[str, bytes], found: list[Compiler], count: int
+    program: TapeProgram, name: str, files: dict[str, bytes], installed: list[Compiler], count: int
 ) -> list[Comparison]:
     """Compile with each compiler and compare every function on ``count`` vectors; the self-test is one vector."""
-    if not found:
+    if not installed:
         return []
     q = comparison_inputs(program, count)
     results: list[Comparison] = []
-    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(len(found)) as pool:
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(len(installed)) as pool:
         sources = [Path(folder) / file for file in (f"{name}.h", f"{name}.c", f"{name}_self_test.c")]
         for source in sources:
             source.write_bytes(files[source.name])
         shape = shape_of(program, name)
-        kernels = [pool.submit(build, shape, sources[1:], Path(folder), compiler, WARNINGS) for compiler in found]
+        kernels = [pool.submit(build, shape, sources[1:], Path(folder), compiler, WARNINGS) for compiler in installed]
         # The compilers work in processes of their own meanwhile.
         expected = {key: compute(program, q) for key, compute in functions(program).items()}
-        for compiler, built in zip(found, kernels, strict=True):
+        for compiler, built in zip(installed, kernels, strict=True):
             kernel = built.result()
             results.append(Comparison("self_test", compiler.version, 1, 1, int(kernel.self_test() != Status.OK)))
             for key, (out, status) in expected.items():
@@ -116,10 +111,10 @@ def accuracy(program: TapeProgram, count: int = 10_000) -> dict[str, float]:
             error = abs(values - mapped(program.command.calibrated, exact))[known, :3].max()
             figures["forward_error_um"] = 1e6 * float(error)
         if key == "bound":
-            figures |= {"bound_mm_median": float(np.median(values)), "bound_mm_worst": float(values.max())}
+            figures |= _median_and_worst("bound_mm", values)
         if key == "correct" and program.command is not None:
-            wanted, moved = mapped(program.command.nominal, exact), mapped(program.command.calibrated, exact + values)
-            before = np.linalg.norm(mapped(program.command.calibrated, exact)[:, :3] - wanted[:, :3], axis=1)
+            real, wanted = program.command.calibrated, mapped(program.command.nominal, exact)
+            moved, before = mapped(real, exact + values), np.linalg.norm((mapped(real, exact) - wanted)[:, :3], axis=1)
             fine = status == Status.OK
             rest = np.linalg.norm(moved[:, :3] - wanted[:, :3], axis=1)[fine]
             figures |= {"start_error_um_mean": 1e6 * float(before[known].mean()), "share_ok": float(fine.mean())}
@@ -127,20 +122,21 @@ def accuracy(program: TapeProgram, count: int = 10_000) -> dict[str, float]:
                 known = known & (status != Status.SINGULAR)
                 figures["share_singular"] = float((status == Status.SINGULAR).mean())
                 turned = np.linalg.norm(moved[:, 3:] - wanted[:, 3:], axis=1)[fine] / np.sqrt(2)  # small angles
-                if fine.any():
-                    figures |= {
-                        "rest_urad_median": 1e6 * float(np.median(turned)),
-                        "rest_urad_worst": 1e6 * turned.max(),
-                    }
+                figures |= _median_and_worst("rest_urad", turned, 1e6)
             reached = fine | (status == Status.ABOVE_LIMIT)
             figures["share_converged"] = float(reached[known].mean()) if known.any() else 0.0
-            if fine.any():
-                figures |= {"rest_um_median": 1e6 * float(np.median(rest)), "rest_um_worst": 1e6 * float(rest.max())}
+            figures |= _median_and_worst("rest_um", rest, 1e6)
     nodes = {node.table: node for tape in program.tapes.values() for node in tape.nodes if node.table}
     if nodes:
         figures["table_bytes"] = q.itemsize * sum(map(len, nodes))
         figures["table_error_urad_at_most"] = 1e6 * max(node.value for node in nodes.values())
     return {key: float(f"{value:.3g}") for key, value in figures.items()}
+
+
+def _median_and_worst(name: str, values: Array, unit: float = 1.0) -> dict[str, float]:
+    if not values.size:
+        return {}
+    return {f"{name}_median": unit * float(np.median(values)), f"{name}_worst": unit * float(values.max())}
 
 
 # Share of the poses in its box at which a verified correction converges, where the model has a value.
@@ -286,12 +282,7 @@ def _sha256(blob: bytes) -> str:
     return hashlib.sha256(blob).hexdigest()
 
 
-def _manifest(
-    program: TapeProgram,
-    label: Label,
-    blobs: dict[str, bytes],
-    made: Export,
-) -> bytes:
+def _manifest(program: TapeProgram, label: Label, blobs: dict[str, bytes], made: Export) -> bytes:
     content = {
         "written_by": "casadical",
         "schema": SCHEMA,

@@ -32,66 +32,6 @@ class OfCommand:
     rate_rad_s: float | None = None
     ramp_s: float | None = None
 
-    @property
-    def times(self) -> dict[str, float]:
-        """Of `Limits`, those that are given."""
-        cycle = None if self.cycle_ms is None else 1e-3 * self.cycle_ms
-        times = {"cycle_s": cycle, "rate_rad_s": self.rate_rad_s, "ramp_s": self.ramp_s}
-        return {name: value for name, value in times.items() if value is not None}
-
-
-@dataclass(frozen=True, eq=False)
-class CExport:
-    sources: commands.Sources
-    what: str
-    real: str
-    asked: OfCommand
-    product: Product
-    written: Export
-
-    def report(self) -> str:
-        robot = commands.robot_of(self.sources.robot)
-        lines = [f"{self.what} of {self.sources.robot}, {self.real}"]
-        if wants_pose(self.asked.correct):
-            lines.append(poses_of(robot))
-        if self.what == "command" and (lost := unreached(robot)):
-            lines.append(lost)
-        lines += self._about()
-        if isinstance(self.product, Command):
-            limits = self.product.limits
-            lines.append(
-                f"cycle {1e3 * limits.cycle_s:g} ms, rate {limits.rate_rad_s:g} rad/s, ramp {limits.ramp_s:g} s: "
-                f"switched on in {limits.ramp_s / limits.cycle_s:.0f} calls of the step function"
-            )
-        return "\n".join(
-            [*lines, self.written.report(), "precondition: the controller's own absolute-accuracy option is off"]
-        )
-
-    def _about(self) -> list[str]:
-        """The files that the export was made from, with hashes, and the effects that are not in it."""
-        sources, what = self.sources, self.what
-        files = {"robot": sources.robot, "nominal": sources.nominal, "compensator": sources.compensator}
-        used = list(files) if what == "command" else ["robot", "compensator"]
-        lines = [
-            f"{label}: {path}, sha256 {_sha256(path)}"
-            for label, path in files.items()
-            if isinstance(path, Path) and label in used
-        ]
-        if sources.compensator and getattr(self.product, "network", self.product) is None:
-            lines.append("the compensator was refused when it was trained: it corrects nothing and is left out")
-        if what == "curves":
-            lines.append("the joints' error curves alone: a joint read as q stands at q + dq, so command q - dq(q)")
-        if what == "command":
-            mass = "as declared" if sources.payload_kg is None else f"{sources.payload_kg:g} kg"
-            lines += [f"LEFT OUT {line}" for line in commands.followed(sources)[1]]
-            lines += no_bound(sources)
-            lines.append("readings within the joint limits of the robot file are corrected, others are CLAMPED")
-            lines += [*commands.measured_range(arm := commands.robot_of(sources.robot)), *commands.about_tool(sources)]
-            if arm.gravity_frame == "logged":
-                lines.append("LEFT OUT the tilt of the base: gravity is as the robot file declares it, the base level")
-            lines.append(f"payload: {mass}; tool: {sources.tool}; positions in the robot's own base frame")
-        return lines
-
 
 def export_c(
     sources: commands.Sources,
@@ -104,8 +44,8 @@ def export_c(
     languages: Sequence[str] | None = None,
     overwrite: bool = False,
     also: Callable[[Export], Mapping[Path, str]] = lambda _written: {},
-) -> CExport:
-    """Write what a controller needs of a robot file, compiled and compared before it is kept.
+) -> str:
+    """Write what a controller needs of a robot file, compiled and compared before it is kept; what to say of it.
 
     sources : files, not objects; what : see `product_of`; name : of C functions, None: from the robot's name
     real, languages, overwrite, also : as of `write_c`
@@ -129,7 +69,48 @@ def export_c(
         )
     except OSError as error:
         raise InputError(f"{folder}: cannot be written: {error.strerror}") from error
-    return CExport(sources, what, real, asked, product, written)
+    robot = commands.robot_of(sources.robot)
+    lines = [f"{what} of {sources.robot}, {real}"]
+    if wants_pose(asked.correct):
+        lines.append(poses_of(robot))
+    if what == "command" and (lost := unreached(robot)):
+        lines.append(lost)
+    lines += [*_sources_in_words(sources, what, product), *_command_in_words(sources, product, robot)]
+    return "\n".join([*lines, written.report(), "precondition: the controller's own absolute-accuracy option is off"])
+
+
+def _sources_in_words(sources: commands.Sources, what: str, product: Product) -> list[str]:
+    """The files that an export was made from, with hashes, and what of them is not in it."""
+    files = {"robot": sources.robot, "nominal": sources.nominal, "compensator": sources.compensator}
+    lines = [
+        f"{label}: {path}, sha256 {_sha256(path)}"
+        for label, path in files.items()
+        if isinstance(path, Path) and (what == "command" or label != "nominal")
+    ]
+    if sources.compensator and getattr(product, "network", product) is None:
+        lines.append("the compensator was refused when it was trained: it corrects nothing and is left out")
+    if what == "curves":
+        lines.append("the joints' error curves alone: a joint read as q stands at q + dq, so command q - dq(q)")
+    return lines
+
+
+def _command_in_words(sources: commands.Sources, product: Product, robot: Robot) -> list[str]:
+    """The effects that are not in a command, where it holds, and its times; none of another product."""
+    if not isinstance(product, Command):
+        return []
+    mass = "as declared" if sources.payload_kg is None else f"{sources.payload_kg:g} kg"
+    lines = [*(f"LEFT OUT {line}" for line in commands.followed(sources)[1]), *no_bound(sources)]
+    lines.append("readings within the joint limits of the robot file are corrected, others are CLAMPED")
+    lines += [*commands.measured_range(robot), *commands.about_tool(sources)]
+    if robot.gravity_frame == "logged":
+        lines.append("LEFT OUT the tilt of the base: gravity is as the robot file declares it, the base level")
+    limits = product.limits
+    return [
+        *lines,
+        f"payload: {mass}; tool: {sources.tool}; positions in the robot's own base frame",
+        f"cycle {1e3 * limits.cycle_s:g} ms, rate {limits.rate_rad_s:g} rad/s, ramp {limits.ramp_s:g} s: "
+        f"switched on in {limits.ramp_s / limits.cycle_s:.0f} calls of the step function",
+    ]
 
 
 def product_of(sources: commands.Sources, what: str, asked: OfCommand) -> Product:
@@ -141,7 +122,10 @@ def product_of(sources: commands.Sources, what: str, asked: OfCommand) -> Produc
         command = commands.command_of(
             sources, asked.steps, orientation=oriented, limit_mm=asked.limit_mm, precise=asked.precise
         )
-        return replace(command, limits=replace(command.limits, **asked.times))
+        cycle_s = None if asked.cycle_ms is None else 1e-3 * asked.cycle_ms
+        times = {"cycle_s": cycle_s, "rate_rad_s": asked.rate_rad_s, "ramp_s": asked.ramp_s}
+        given = {name: value for name, value in times.items() if value is not None}
+        return replace(command, limits=replace(command.limits, **given))
     return commands.network_of(sources) if what == "network" else commands.curves_of(sources)
 
 

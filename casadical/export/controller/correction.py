@@ -67,19 +67,17 @@ def kernel_corrector(folder: Path, *, trust: bool = False) -> Corrector:
     if "correct" not in kernel.shape.outputs:
         raise InputError(f"{folder}: holds no correction of a command; export with --what command")
 
-    def position(q: Array) -> Array:
-        return np.asarray(kernel.forward(q)[0], dtype=float)[:, :3]
-
-    def correct(q: Array) -> tuple[Array, Array]:
-        dq, status = kernel.correct(q)
-        return np.asarray(dq, dtype=float), status
-
-    def bound(q: Array) -> Array:
-        return np.asarray(kernel.bound(q)[0], dtype=float)[:, 0]
+    def rows(function: str, q: Array) -> tuple[Array, Array]:
+        values, status = kernel.rows(function, q)
+        return np.asarray(values, dtype=float), status
 
     shape = kernel.shape
     return Corrector(
-        shape.joints, correct, position, bound=bound if "bound" in shape.outputs else None, units=tuple(shape.units)
+        shape.joints,
+        lambda q: rows("correct", q),
+        lambda q: rows("forward", q)[0][:, :3],
+        (lambda q: rows("bound", q)[0][:, 0]) if "bound" in shape.outputs else None,
+        units=tuple(shape.units),
     )
 
 

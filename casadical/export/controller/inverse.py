@@ -7,7 +7,7 @@ one of least norm: the elbow stays where it was started.
 The arms that reach a pose: which posture joints are in, and the joints that have a posture and turns.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -101,7 +101,7 @@ class Newton:
     """Newton's method for a function pose:(q[n])->(p[3] m, R[3x3]); oriented : whether the orientation counts."""
 
     def __init__(self, pose: ca.Function, oriented: bool = True) -> None:
-        self.oriented = oriented
+        self.pose, self.oriented = pose, oriented
         self._function = _residual_and_jacobian(pose, pose.numel_in(0), oriented)
 
     def solved(self, p: Array, R: Array | None, start: Array, limits: tuple[Array, Array]) -> Inverse:
@@ -179,12 +179,8 @@ class Postures:
     root: Array
 
     @cached_property
-    def _pose(self) -> ca.Function:
-        return pose_function(self.nominal)
-
-    @cached_property
     def _newton(self) -> Newton:
-        return Newton(self._pose)
+        return Newton(pose_function(self.nominal))
 
     @cached_property
     def why_not(self) -> str:
@@ -242,7 +238,7 @@ class Postures:
     def _samples(self) -> tuple[Array, Array, Array]:
         """Random joints (N, n), their flange poses (N, 12), and postures (N, 3), or (N, 0) where there are none."""
         q = np.random.default_rng(1).uniform(*self._box, (_SAMPLES, self.nominal.n))
-        p, R = self._pose.map(len(q))(q.T)
+        p, R = self._newton.pose.map(len(q))(q.T)
         T = np.hstack([p.full().T, R.full().reshape(3, len(q), 3).transpose(1, 2, 0).reshape(len(q), 9)])
         fine = np.isfinite(T).all(axis=1)
         return q[fine], T[fine], self.sides(q[fine]) if not self.why_not else np.zeros((int(fine.sum()), 0))
@@ -277,21 +273,21 @@ class Postures:
         none.
         """
         direct = self._newton.solved(T[:, :3, 3], T[:, :3, :3], near, self._box)
-        found: list[Array | None] = []
+        nearest: list[Array | None] = []
         for pose, q, reached, wanted in zip(T, direct.q, direct.reached, near, strict=True):
             first = self._towards(q[None], wanted) if reached else []
             if not first or np.abs(first[0] - wanted).max() >= _CLOSE:
                 first += self._towards(self._reached(pose, self._seeds(pose, None)), wanted)
-            found.append(first[int(np.argmin(np.linalg.norm(np.array(first) - wanted, axis=1)))] if first else None)
-        return found
+            nearest.append(first[int(np.argmin(np.linalg.norm(np.array(first) - wanted, axis=1)))] if first else None)
+        return nearest
 
-    def _towards(self, found: Array, near: Array) -> list[Array]:
+    def _towards(self, arms: Array, near: Array) -> list[Array]:
         """The same arms, each joint with the whole turns that bring it nearest to `near` in its range."""
         lower, upper = self.nominal.limits
-        most, least = np.floor((upper - found + 1e-9) / _TURN), np.ceil((lower - found - 1e-9) / _TURN)
-        turned = found + _TURN * np.clip(np.round((near - found) / _TURN), least, most)
-        inside = (lower - 1e-9 <= found) & (found <= upper + 1e-9)
-        turned, fits = np.where(self._turns, turned, found), np.where(self._turns, least <= most, inside)
+        most, least = np.floor((upper - arms + 1e-9) / _TURN), np.ceil((lower - arms - 1e-9) / _TURN)
+        turned = arms + _TURN * np.clip(np.round((near - arms) / _TURN), least, most)
+        inside = (lower - 1e-9 <= arms) & (arms <= upper + 1e-9)
+        turned, fits = np.where(self._turns, turned, arms), np.where(self._turns, least <= most, inside)
         return [q for q, fine in zip(turned, np.all(fits, axis=1).tolist(), strict=True) if fine]
 
     def _turned(self, q: Array, turns: Turns, wanted: tuple[int, ...]) -> list[Array]:
@@ -300,17 +296,17 @@ class Postures:
         for angle, low, high in zip(q, *self.nominal.limits, strict=True):
             first = angle - _TURN * np.floor((angle - low + 1e-9) / _TURN)
             choices.append(np.arange(first, high + 1e-9, _TURN))
-        return [c for c in map(np.array, product(*choices)) if _has_turns(c, turns, wanted)]
+
+        def fits(q: Array) -> bool:
+            counts = zip(turns(q - _ROUNDING), turns(q), turns(q + _ROUNDING), strict=True)
+            return all(turn in count for turn, count in zip(wanted, counts, strict=True))
+
+        return [c for c in map(np.array, product(*choices)) if fits(c)]
 
 
-def _has_turns(q: Array, turns: Turns, wanted: tuple[int, ...]) -> bool:
-    counts: Iterable[tuple[int, ...]] = zip(turns(q - _ROUNDING), turns(q), turns(q + _ROUNDING), wanted, strict=True)
-    return all(w in (a, b, c) for a, b, c, w in counts)
-
-
-def _different(found: list[Array], n: int) -> Array:
+def _different(arms: list[Array], n: int) -> Array:
     kept: list[Array] = []
-    for q in found:
+    for q in arms:
         if all(np.abs(q - other).max() > _SAME for other in kept):
             kept.append(q)
     return np.array(kept).reshape(len(kept), n)

@@ -138,8 +138,8 @@ def add_loop(
     before, behind = ends[loop.carrier - 1]
     crank = add_body(before, f"crank{d}", behind @ row_matrix(replace(carrier, theta=row.theta)))
     drive_joints(crank, f"joint{d}", row, drive)
-    coupler = add_body(crank, f"coupler{d}", _along(loop.crank))
-    rocker = add_body(links[f"link{loop.carrier}"], f"rocker{d}", _along(row.a))
+    coupler = add_body(crank, f"coupler{d}", frame(np.eye(3), np.array([loop.crank, 0.0, 0.0])))
+    rocker = add_body(links[f"link{loop.carrier}"], f"rocker{d}", frame(np.eye(3), np.array([row.a, 0.0, 0.0])))
     heavy = numbers(BAR * drive.stiffness * SLOW**2)
     for body, name in ((coupler, "coupler"), (rocker, "rocker")):
         ET.SubElement(body, "joint", name=f"{name}{d}", axis="0 0 1", armature=heavy)
@@ -147,8 +147,7 @@ def add_loop(
         add_mass(body, 0.0, np.zeros(3))
     ET.SubElement(coupler, "site", name=f"coupler{d}_end", pos=numbers(loop.coupler, 0, 0))
     ET.SubElement(rocker, "site", name=f"rocker{d}_end", pos=numbers(loop.rocker, 0, 0))
-    hinge = {"name": f"joint{d}_driven", "axis": "0 0 1", "armature": heavy}
-    ET.SubElement(links[f"link{d}"], "joint", hinge)
+    ET.SubElement(links[f"link{d}"], "joint", name=f"joint{d}_driven", axis="0 0 1", armature=heavy)
 
 
 def closed(equality: ET.Element, loop: FourBar) -> None:
@@ -157,9 +156,3 @@ def closed(equality: ET.Element, loop: FourBar) -> None:
     ET.SubElement(
         equality, "joint", name=f"driven{d}", joint1=f"joint{d}_driven", joint2=f"rocker{d}", polycoef="0 1 0 0 0"
     )
-
-
-def _along(length: float) -> Array:
-    T = np.eye(4)
-    T[0, 3] = length
-    return T

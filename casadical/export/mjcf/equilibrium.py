@@ -78,17 +78,15 @@ class EngineModel:
         d.ctrl[self.servos] = command
         if self.free:
             self._assemble(command)
+        ways = np.array([approach[self.way[k]] if k in self.way else 0.0 for k in range(m.nv)])
         for _ in range(AT_MOST):
-            force = self._force()
-            step = np.zeros(m.nv)
+            push, step = self._force() - m.dof_frictionloss * ways, np.zeros(m.nv)
             for k in self.sprung:
-                push = force[k] - m.dof_frictionloss[k] * self._way(approach, k)
-                step[k] = push / self._slope(k)
+                step[k] = push[k] / self._slope(k)
                 if k in self.stopped:
                     step[k] = np.clip(d.qpos[k] + step[k], *m.jnt_range[k]) - d.qpos[k]
             for k in self.play:
-                push = force[k] - m.dof_frictionloss[k] * self._way(approach, k)
-                step[k] = m.jnt_range[k, 1] * np.sign(push) - d.qpos[k]
+                step[k] = m.jnt_range[k, 1] * np.sign(push[k]) - d.qpos[k]
             d.qpos[:] += step
             if self.free:
                 self._close()
@@ -98,9 +96,6 @@ class EngineModel:
         raise ConvergenceError(
             f"no equilibrium after {AT_MOST} steps, the last one of {np.abs(step).max():.1e} rad or m"
         )
-
-    def _way(self, approach: Array, joint: int) -> float:
-        return float(approach[self.way[joint]]) if joint in self.way else 0.0
 
     def _force(self) -> Array:
         """Generalized forces, shape (nv,), including those that the loops transmit to the cranks."""
@@ -135,7 +130,7 @@ class EngineModel:
             closed = [c for c in self._closures() if self._close_from(c)]
             if not closed:
                 raise InputError("the four-bar of this model does not close at the middle of its joints' ranges")
-            best = max(closed, key=self._parallel)
+            best = max(closed, key=lambda c: min(crank @ rocker for crank, rocker, _, _ in self._bars(c)))
             self._start, self._sides = best, self._side(best)
             self.d.qpos[self.drives] = command / self.m.actuator_gear[self.servos, 0]
         for start in self._closures():
@@ -168,9 +163,6 @@ class EngineModel:
             turns = [body.xmat.reshape(3, 3) for body in (crank, rocker)]
             bars.append((turns[0][:, 0], turns[1][:, 0], coupler.xpos - rocker.xpos, turns[0][:, 2]))
         return bars
-
-    def _parallel(self, free: Array) -> float:
-        return float(min(crank @ rocker for crank, rocker, _, _ in self._bars(free)))
 
     def _side(self, free: Array) -> Array:
         """On which side of the diagonal each rocker stands."""

@@ -5,6 +5,7 @@ weight. Links and bars have the robot's exact lengths and angles; inertias, damp
 model is right about positions at rest, not about motion.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from xml.etree import ElementTree as ET
 
@@ -35,6 +36,10 @@ STEP = 0.002
 # The hardest impedance that MuJoCo allows.
 HARD = {"solref": numbers(2 * STEP, 1), "solimp": "0.9999 0.9999 0.001 0.5 2"}
 POINT = "measured"
+_ABOUT = (
+    "Written by casadical. Statics are exact: geometry, masses, joint springs. Inertias, damping and armature are",
+    f"placeholders (every spring comes to rest in some {SLOW:g} s). ctrl takes the joint readings [rad or m].",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +66,7 @@ def mjcf(robot: Robot) -> MjcfExport:
     """
     parts = counterparts(robot)
     root = ET.Element("mujoco", model=robot.name)
-    root.append(ET.Comment(_about(parts)))
+    describe(root, _ABOUT, parts.written, map(str, parts.left_out))
     ET.SubElement(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
     R = robot.base.T[:3, :3] if robot.gravity_frame != "measuring" else np.eye(3)
     ET.SubElement(
@@ -87,9 +92,18 @@ def mjcf(robot: Robot) -> MjcfExport:
             add_tendons(balancer, tendons, actuators)
     sensor = ET.SubElement(root, "sensor")
     ET.SubElement(sensor, "framepos", name=POINT, objtype="site", objname=POINT)
+    return MjcfExport(xml_text(root), parts.written, parts.left_out)
+
+
+def xml_text(root: ET.Element) -> str:
     ET.indent(root)
-    text = '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
-    return MjcfExport(text, parts.written, parts.left_out)
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def describe(root: ET.Element, lines: Iterable[str], written: Iterable[str], left_out: Iterable[str]) -> None:
+    """Begin a model with what it is, how each effect is in it, and what is not."""
+    every = (*lines, *(f"effect {text}" for text in written), *(f"left out: {text}" for text in left_out))
+    root.insert(0, ET.Comment("\n  " + "\n  ".join(line.replace("--", "- -") for line in every) + "\n"))
 
 
 def counterparts(robot: Robot) -> Counterparts:
@@ -114,28 +128,18 @@ def _mean_torque(robot: Robot) -> Array:
     return np.array([np.nanmean(np.abs(row)) for row in tau])
 
 
-def _about(found: Counterparts) -> str:
-    lines = [
-        "Written by casadical. Statics are exact: geometry, masses, joint springs. Inertias, damping and armature are",
-        f"placeholders (every spring comes to rest in some {SLOW:g} s). ctrl takes the joint readings [rad or m].",
-        *(f"effect {text}" for text in found.written),
-        *(f"left out: {text}" for text in found.left_out),
-    ]
-    return "\n  " + "\n  ".join(line.replace("--", "- -") for line in lines) + "\n"
-
-
-def _bodies(world: ET.Element, robot: Robot, found: Counterparts) -> ET.Element:
+def _bodies(world: ET.Element, robot: Robot, parts: Counterparts) -> ET.Element:
     """The tree of links; the last one is returned."""
     base = add_body(world, "base", robot.base.T)
-    if np.isfinite(found.base).any():
+    if np.isfinite(parts.base).any():
         add_mass(base, 0.0, np.zeros(3))
-        for axis, words, k in zip("xy", ("1 0 0", "0 1 0"), found.base, strict=True):
+        for axis, words, k in zip("xy", ("1 0 0", "0 1 0"), parts.base, strict=True):
             if np.isfinite(k):
                 add_spring(base, f"base_{axis}", words, k)
     driven = {loop.driven: loop for loop in robot.loops}
     parent, behind = base, np.eye(4)
     ends = [(parent, behind)]  # of each link: the piece on which the next joint stands, and the link's frame in it
-    for i, (row, drive) in enumerate(zip(robot.joints, found.drives, strict=True), 1):
+    for i, (row, drive) in enumerate(zip(robot.joints, parts.drives, strict=True), 1):
         loop = driven.get(i)
         # A loop's theta turns the crank; the link it drives turns with the rocker, from the offset on.
         place = row_matrix(replace(row, theta=loop.offset) if loop else row)
@@ -145,14 +149,14 @@ def _bodies(world: ET.Element, robot: Robot, found: Counterparts) -> ET.Element:
             add_loop(robot, loop, ends, links, drive, _drive_joints)
         else:
             _drive_joints(body, f"joint{i}", row, drive)
-        for balancer in found.balancers:
+        for balancer in parts.balancers:
             if balancer.joint == i:
                 add_sites(balancer, *ends[-1], body, row)
-        mass = found.bodies[i - 1] or Body(0.0, np.zeros(3))
+        mass = parts.bodies[i - 1] or Body(0.0, np.zeros(3))
         parent, behind = body, np.eye(4)
-        if i in found.flexures and i < robot.n:
+        if i in parts.flexures and i < robot.n:
             end = row_matrix(robot.joints[i])[:3, 3]
-            parent, behind = add_pieces(body, f"link{i}", mass, end, found.flexures[i])
+            parent, behind = add_pieces(body, f"link{i}", mass, end, parts.flexures[i])
         else:
             add_mass(body, mass.mass, mass.com)
         ends.append((parent, behind))

@@ -15,7 +15,7 @@ import numpy as np
 from casadical.core.basics import InputError
 from casadical.core.drive import Drive
 from casadical.export.mjcf.elements import add_spring, numbers
-from casadical.export.mjcf.mjcf import HARD, POINT, STEP, MjcfExport, mjcf
+from casadical.export.mjcf.mjcf import HARD, POINT, STEP, MjcfExport, describe, mjcf, xml_text
 from casadical.robot.robot import Robot
 
 # What a joint needs to move as it does: names in `Drive`, and what another program calls them.
@@ -36,10 +36,8 @@ def moving_mjcf(robot: Robot) -> MjcfExport:
     assert robot.drive is not None
     still = mjcf(robot)
     root = ET.fromstring(still.text)
-    lines = ["Written by casadical. Joints follow commands (ctrl) as [drive] of the robot says."]
-    lines += [*(f"effect {text}" for text in still.written)]
-    lines += [f"left out: {text}" for text in (*still.left_out, *_lost(robot))]
-    root.insert(0, ET.Comment("\n  " + "\n  ".join(line.replace("--", "- -") for line in lines) + "\n"))
+    about = ["Written by casadical. Joints follow commands (ctrl) as [drive] of the robot says."]
+    describe(root, about, still.written, (*still.left_out, *_lost(robot)))
     for compiler in root.iter("compiler"):
         compiler.set("balanceinertia", "true")
     _set_joints(root, robot, robot.drive)
@@ -50,9 +48,7 @@ def moving_mjcf(robot: Robot) -> MjcfExport:
         place = next(k for k, node in enumerate(actuators) if node.get("name") == f"drive{i}")
         actuators.remove(actuators[place])
         actuators.insert(place, _actuator(robot, robot.drive, i))
-    ET.indent(root)
-    text = '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
-    return MjcfExport(text, still.written, still.omitted, (*still.notes, *_lost(robot)))
+    return MjcfExport(xml_text(root), still.written, still.omitted, (*still.notes, *_lost(robot)))
 
 
 def _set_joints(root: ET.Element, robot: Robot, drive: Drive) -> None:

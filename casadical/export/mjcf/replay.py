@@ -83,11 +83,10 @@ class Replay(Result):
 
     def blocks(self) -> list[Words | Table]:
         """What `casadical verify --mujoco` prints: the table, and what the last model leaves out."""
-        columns = [(name, self.table[name].tolist()) for name in map(str, self.table)]
-        cells = [[f"{v:.4f}" if isinstance(v, float) else str(v) for v in values] for _, values in columns]
-        rows = list(zip(*cells, strict=True))
+        table = self.table
+        rows = [[f"{v:.4f}" if isinstance(v, float) else str(v) for v in row] for row in table.itertuples(index=False)]
         left_out = (Words(f"LEFT OUT {text}") for text in self.stages[-1].export.left_out)
-        return [Table("", [name for name, _ in columns], rows, frozenset(range(1, len(columns)))), *left_out]
+        return [Table("", list(map(str, table)), rows, frozenset(range(1, table.shape[1]))), *left_out]
 
     def to_json(self) -> dict[str, Any]:
         """The replay as plain data: its table, and what became of each effect in the last model."""
@@ -127,12 +126,7 @@ def _of_the_measurement(robot: Robot, m: Measurements) -> Array:
 
 
 def replay_campaign(
-    robot: Robot,
-    m: Measurements,
-    effects: EffectChoice = "standard",
-    *,
-    seed: int = 0,
-    show: Show = silent,
+    robot: Robot, m: Measurements, effects: EffectChoice = "standard", *, seed: int = 0, show: Show = silent
 ) -> Replay:
     """Identify, diagnose and replay a campaign on poses that were held out.
 

@@ -36,7 +36,7 @@ def test_friction_of_joint_3_of_a_four_bar_holds_the_crank_back():
     machine = built("hh800")
     hidden = Hidden("friction_windup", 3, {"size": 50e-6, "load_share": 0.0})
     for q in drawn(machine, 3):
-        moving = Engine(cause(hidden).built(engine.mechanism(machine), machine), travels=True)
+        moving = Engine(cause(hidden).built(engine.mechanism(machine), machine))
         cranks = []
         for came in (-1.0, 1.0):
             moving.rest(Stop(q, np.full(6, came), start(machine, q), 0.0))

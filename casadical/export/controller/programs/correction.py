@@ -73,33 +73,28 @@ class Cell:
 
     @property
     def units(self) -> tuple[str, ...]:
-        if self.sources is None and self.folder:
+        if self.folder:
             return self.folder.units or ("rad",) * self.folder.joints
-        return robot_of(self._files.robot).units
-
-    @property
-    def _files(self) -> Sources:
         assert self.sources is not None
-        return self.sources
+        return robot_of(self.sources.robot).units
 
     @cached_property
     def postures(self) -> Postures:
-        nominal = own_robots(self._files)[1]
-        return Postures(replace(nominal, tool=Placement(self.flange)), self.root)
+        assert self.sources is not None
+        return Postures(replace(own_robots(self.sources)[1], tool=Placement(self.flange)), self.root)
 
     def with_tool(self, tool: Array | None) -> Tooled:
         """The robots with a tool, (4, 4) [m] in the flange's frame; None: the tool of the robot file."""
-        if self.sources is None:
-            assert self.folder is not None
+        if self.folder:
             return Tooled(self.folder)
+        assert self.sources is not None
         key = b"" if tool is None else tool.tobytes()
         if key not in self._made:
-            self._made[key] = self._tooled(self.sources if tool is None else self._holding(tool))
+            self._made[key] = self._tooled(self.sources if tool is None else self._holding(self.sources, tool))
         return self._made[key]
 
-    def _holding(self, tool: Array) -> Sources:
+    def _holding(self, files: Sources, tool: Array) -> Sources:
         """The robots with a program's tool; where the measured point is its centre, the real one keeps that point."""
-        files = self._files
         if files.nominal is None:
             return files
         real, nominal = robot_of(files.robot), robot_of(files.nominal)
@@ -176,9 +171,8 @@ def corrected_targets(language: ProgramLanguage, targets: Sequence[Target], cell
         q = np.array([results[k].q[0] for k in chosen])  # type: ignore[index]
         new, names = corrected_joints(made.corrector, q)
         fine = np.array([name in FINE for name in names])
-        written = iter(
-            _written(language, [results[k].target for k in np.array(chosen)[fine]], cell, made, q[fine], new[fine])
-        )
+        corrected = [results[k].target for k in np.array(chosen)[fine]]
+        written = _written(language, corrected, cell, made, q[fine], new[fine])
         for k, name in zip(chosen, names, strict=True):
             result = next(written) if name in FINE else replace(results[k], q=None)
             results[k] = replace(result, status=name if result.fine else result.status)
@@ -194,7 +188,7 @@ def _solved(language: ProgramLanguage, targets: Sequence[Target], cell: Cell) ->
         if r.fine and not r.target.joints
     }
     own = [k for k in flanges if targets[k].near is not None]
-    wanted = np.array([flanges[k] for k in own]), np.array([targets[k].near for k in own])
+    wanted = [np.array([flanges[k] for k in own]), np.array([targets[k].near for k in own])]
     near = dict(zip(own, cell.postures.nearest(*wanted), strict=True)) if own else {}
     before: Array | None = None
     for k, r in enumerate(results):

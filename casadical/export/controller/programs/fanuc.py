@@ -13,21 +13,9 @@ import numpy as np
 from lark import Token, Tree
 
 from casadical.core.basics import Array, InputError
-from casadical.export.controller.programs.language import ProgramLanguage, angles_of_matrix, matrix_of_angles
-from casadical.export.controller.programs.target import (
-    DEG,
-    MM,
-    Given,
-    Number,
-    Posture,
-    Target,
-    islands_of,
-    line_of,
-    parts,
-    tokens_of,
-    whole,
-    words,
-)
+from casadical.export.controller.programs.grammar import ParsedText, is_number, parts, whole, words
+from casadical.export.controller.programs.language import AngleLanguage
+from casadical.export.controller.programs.target import MM, Given, Number, Posture, Target, numbers
 
 GRAMMAR = r"""
 start: position | _other
@@ -41,131 +29,102 @@ STRING: /"[^"\n]*"/
 CONFIG: /'[^'\n]*'/
 UNSET: /\*+/
 """
-_POSE, _ORDER = ("X", "Y", "Z", "W", "P", "R"), (0, 1, 2)
-_TURNING = (0, 3, 5)
 _DECIMALS = 3
 _CONFIG = re.compile(r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
 _CHANGE = re.compile(r"(UTOOL|UFRAME)\[\s*(\d+)[^\]\n]*\]\s*=")
 _INCREMENT = re.compile(r"\bP\[\s*(\d+)[^\]\n]*\][^;\n]*\bINC\b", re.IGNORECASE)
 
 
-class Fanuc(ProgramLanguage):
+class Fanuc(AngleLanguage):
     """FANUC TP programs as listings."""
 
     name = "FANUC listing"
     suffixes = (".ls",)
     pose = "X, Y, Z in mm and W, P, R in degrees"
+    order = (0, 1, 2)
 
     def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:
         begin = re.search(r"^/POS\b", text, re.MULTILINE)
         if begin is None:
             return []
-        tokens = tokens_of(GRAMMAR, text[begin.start() :])
-        for token in tokens:  # of the whole text
-            token.start_pos, token.end_pos = _place(token) + begin.start(), (token.end_pos or 0) + begin.start()
-        islands = [p for island in islands_of(GRAMMAR, tokens) for p in parts(island, "position")]
-        heads = [k for k in range(len(tokens) - 2) if tokens[k].value == "P" and tokens[k + 1].value == "["]
-        read = {island.meta.start_pos: island for island in islands}
+        parsed = ParsedText(GRAMMAR, re.sub(r"\S", " ", text[: begin.start()]) + text[begin.start() :])
+        positions: dict[int | None, Tree[Token]] = {
+            position.meta.start_pos: position for position in parsed.all("position")
+        }
         targets = []
-        for k in heads:
-            line = line_of(text, _place(tokens[k]))
-            if _place(tokens[k]) in read:
-                targets.append(_target(source, line, read[_place(tokens[k])], given.joint_units(joints)))
+        for point, opens, number in zip(parsed.tokens, parsed.tokens[1:], parsed.tokens[2:], strict=False):
+            if point.value != "P" or opens.value != "[":
+                continue
+            line, position = point.line or 0, positions.get(point.start_pos)
+            if position is None:
+                targets.append((Target(line, f"P[{number}]", False, (), left="cannot be read"), ("?", "?")))
             else:
-                targets.append((Target(line, f"P[{tokens[k + 2]}]", False, (), left="cannot be read"), ("?", "?")))
-        steps = {number: line_of(text, m.start()) for m in _INCREMENT.finditer(text) for number in [m[1]]}
-        changes = {(m[1], m[2]): line_of(text, m.start()) for m in _CHANGE.finditer(text)}
-        return [self._placed(source, t, frames, given, steps, changes) for t, frames in targets]
-
-    def _placed(
-        self,
-        source: str,
-        target: Target,
-        frames: tuple[str, str],
-        given: Given,
-        steps: dict[str, int],
-        changes: dict[tuple[str, str], int],
-    ) -> Target:
-        for what, number in zip(("UTOOL", "UFRAME"), frames, strict=True):
-            if (what, number) in changes and not target.left:
-                raise InputError(
-                    f"{source}: line {changes[what, number]}: {what}[{number}] is changed here, and {target.name} "
-                    f"(line {target.line}) is given in it; split the program there, or give the frame to the controller"
-                )
-        number = target.name[2:].partition("]")[0]
-        if number in steps:
-            target = target.leave(f"line {steps[number]} moves by it (INC), not to it")
-        tool, base = (_frame(pick, known) for pick, known in zip(frames, (given.tools, given.bases), strict=True))
-        return replace(target, tool=tool, base=base, about=f"tool {frames[0]}, base {frames[1]}")
+                targets.append(_target(source, line, position, given.joint_units(joints)))
+        steps = {step[1]: _line(text, step) for step in _INCREMENT.finditer(text)}
+        changes = {(change[1], change[2]): _line(text, change) for change in _CHANGE.finditer(text)}
+        for target, frames in targets:
+            for what, pick in zip(("UTOOL", "UFRAME"), frames, strict=True):
+                if (what, pick) in changes and not target.left:
+                    raise InputError(
+                        f"{source}: line {changes[what, pick]}: {what}[{pick}] is changed here, and {target.name} "
+                        f"(line {target.line}) is given in it; split the program there, or give the frame to the "
+                        "controller"
+                    )
+        return [_placed(target, frames, given, steps) for target, frames in targets]
 
     def move_line(self, joints: Sequence[float]) -> str:
         axes = ", ".join(f"J{i}= {value:.3f} deg" for i, value in enumerate(joints, 1))
         return f"J P[1] 10% FINE ;\n/POS\nP[1]{{\n   GP1:\n    UF : 0, UT : 1,\n    {axes}\n}};"
 
-    def matrix(self, values: Array) -> Array:
-        return matrix_of_angles(values, _ORDER)
-
-    def values(self, T: Array, like: Array) -> Array:
-        return angles_of_matrix(T, like, _ORDER)
-
     def turns(self, q: Array) -> tuple[int, ...]:
-        return tuple(int(np.floor((q[i] + np.pi) / (2 * np.pi))) for i in _TURNING) if len(q) == 6 else ()
-
-    def turns_text(self, target: Target, turns: tuple[int, ...]) -> list[str]:
-        return [str(turn) for turn in turns]
+        return tuple(int(np.floor((q[i] + np.pi) / (2 * np.pi))) for i in (0, 3, 5)) if len(q) == 6 else ()
 
 
-def _place(token: Token) -> int:
-    return token.start_pos or 0
+def _line(text: str, found: re.Match[str]) -> int:
+    return text.count("\n", 0, found.start()) + 1
 
 
-def _frame(pick: str, known: dict[str, Array]) -> Array | None:
-    return known[pick] if pick in known else np.eye(4) if pick == "0" else known.get("")
-
-
-def _target(
-    source: str, line: int, position: Tree[Token], axis_units: tuple[float, ...]
-) -> tuple[Target, tuple[str, str]]:
-    joints = len(axis_units)
+def _target(source: str, line: int, position: Tree[Token], axes: Sequence[float]) -> tuple[Target, tuple[str, str]]:
+    """A target, and the names of its tool and base; axes : units of the joints."""
     name = f"P[{words(position, 'NUMBER')[0]}]"
-    group = parts(position, "group")[0]
-    items = {str(i.children[0]): i for i in parts(group, "item")}
-    frames = (_value(items, "UT"), _value(items, "UF"))
-    axes = tuple(f"J{i}" for i in range(1, joints + 1))
-    keys = axes if "J1" in items else _POSE
-    if f"J{joints + 1}" in items:
-        raise InputError(f"{source}: line {line}: {name} has J{joints + 1}; this robot has only {joints} joints")
-    tokens = [items[key].children[1] if key in items else None for key in keys]
-    if not all(isinstance(t, Token) and t.type == "NUMBER" for t in tokens):
-        return Target(line, name, "J1" in items, (), left="has a coordinate without a number"), frames
-    units = {"mm": MM, "deg": DEG}
-    own = tuple("mm" if unit == MM else "deg" for unit in axis_units)
-    wanted = own if "J1" in items else ("mm",) * 3 + ("deg",) * 3
-    for key, unit in zip(keys, wanted, strict=True):
-        said = str(items[key].children[-1]).lower()
-        if said != unit:
-            raise InputError(f"{source}: line {line}: {name}: {key} is given in {said}; it must be in {unit}")
-    numbers = tuple(Number.from_token(t, units[u], _DECIMALS) for t, u in zip(tokens, wanted, strict=True))
-    external = any(re.fullmatch(r"E\d", k) and float(str(i.children[1])) != 0 for k, i in items.items())
-    made = Target(line, name, "J1" in items, numbers, external=external)
-    return (made if made.joints else _configured(made, items)), frames
+    items = {str(item.children[0]): item.children for item in parts(parts(position, "group")[0], "item")}
+    tool, base = (str(items[key][1]) if key in items else "?" for key in ("UT", "UF"))
+    joints = "J1" in items
+    keys = [f"J{i}" for i in range(1, len(axes) + 1)] if joints else ["X", "Y", "Z", "W", "P", "R"]
+    if (beyond := f"J{len(axes) + 1}") in items:
+        raise InputError(f"{source}: line {line}: {name} has {beyond}; this robot has only {len(axes)} joints")
+    if not all(key in items and is_number(items[key][1]) for key in keys):
+        return Target(line, name, joints, (), left="has a coordinate without a number"), (tool, base)
+    units = axes if joints else Fanuc.units
+    for key, unit in zip(keys, units, strict=True):
+        said, allowed = str(items[key][-1]).lower(), "mm" if unit == MM else "deg"
+        if said != allowed:
+            raise InputError(f"{source}: line {line}: {name}: {key} is given in {said}; it must be in {allowed}")
+    external = any(re.fullmatch(r"E\d", key) and float(str(item[1])) != 0 for key, item in items.items())
+    read = numbers((items[key][1] for key in keys), units, _DECIMALS)
+    made = Target(line, name, joints, read, external=external)
+    return (_configured(made, items["CONFIG"][1]) if "CONFIG" in items and not joints else made), (tool, base)
 
 
-def _value(items: dict[str, Tree[Token]], key: str) -> str:
-    return str(items[key].children[1]) if key in items else "?"
-
-
-def _configured(target: Target, items: dict[str, Tree[Token]]) -> Target:
-    if "CONFIG" not in items:
-        return target
-    token = items["CONFIG"].children[1]
-    match = _CONFIG.fullmatch(str(token))
-    if match is None or not isinstance(token, Token):
-        return target.leave(f"CONFIG {token} is not of the form 'N U T, 0, 0, 0'")
-    begin = token.start_pos or 0
+def _configured(target: Target, config: object) -> Target:
+    match = _CONFIG.fullmatch(str(config))
+    if match is None or not isinstance(config, Token):
+        return target.leave(f"CONFIG {config} is not of the form 'N U T, 0, 0, 0'")
+    begin = config.start_pos or 0
     turn_text = tuple(Number(begin + match.start(k), begin + match.end(k), match[k], 1.0) for k in (4, 5, 6))
-    posture = Posture(match[3] == "B", match[2] == "D", match[1] == "N")
     turns = whole(match.group(4, 5, 6))
     if not turns:
-        return target.leave(f"CONFIG {token[:40]} has a number that is too large")
+        return target.leave(f"CONFIG {config[:40]} has a number that is too large")
+    posture = Posture(match[3] == "B", match[2] == "D", match[1] == "N")
     return replace(target, posture=posture, turns=turns, turn_text=turn_text)
+
+
+def _placed(target: Target, frames: tuple[str, str], given: Given, steps: dict[str, int]) -> Target:
+    number = target.name[2:].partition("]")[0]
+    if number in steps:
+        target = target.leave(f"line {steps[number]} moves by it (INC), not to it")
+    tool, base = (
+        known.get(pick, np.eye(4) if pick == "0" else known.get(""))
+        for pick, known in zip(frames, (given.tools, given.bases), strict=True)
+    )
+    return replace(target, tool=tool, base=base, about=f"tool {frames[0]}, base {frames[1]}")

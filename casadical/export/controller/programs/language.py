@@ -62,7 +62,7 @@ class ProgramLanguage(ABC):
 
     def turns_text(self, target: Target, turns: tuple[int, ...]) -> list[str]:
         """The texts of the words that say the turns, one for each of `target.turn_text`."""
-        raise NotImplementedError
+        return [str(turn) for turn in turns]
 
     def move_line(self, joints: Sequence[float]) -> str:
         """A slow motion to joints [deg or mm], as lines of a program. Raises InputError where the language has none."""
@@ -90,21 +90,22 @@ class ProgramLanguage(ABC):
         return ",".join(f"{round(v / unit, 6) + 0.0:g}" for v, unit in zip(values, self.units, strict=True))
 
 
-def matrix_of_angles(values: Array, order: Sequence[int]) -> Array:
-    """Transform of x, y, z [m] and three angles [rad], of which `order` picks roll, pitch, yaw."""
-    return frame(from_rpy(values[3:][list(order)]), values[:3])
+class AngleLanguage(ProgramLanguage):
+    """A language whose poses are x, y, z and three angles, of which `order` picks roll, pitch, yaw."""
 
+    order: ClassVar[tuple[int, int, int]]
 
-def angles_of_matrix(T: Array, like: Array, order: Sequence[int]) -> Array:
-    """x, y, z [m] and angles [rad], the inverse of `matrix_of_angles`, with the angles nearest to `like`."""
-    roll, pitch, yaw = to_rpy(T[:3, :3])
-    flipped = np.array([roll + np.pi, np.pi - pitch, yaw + np.pi])
-    wanted = like[3:][list(order)]
-    near = [a - _TURN * np.round((a - wanted) / _TURN) for a in (np.array([roll, pitch, yaw]), flipped)]
-    best = min(near, key=lambda a: float(np.abs(a - wanted).max()))
-    angles = np.empty(3)
-    angles[list(order)] = best
-    return np.concatenate([T[:3, 3], angles])
+    def matrix(self, values: Array) -> Array:
+        return frame(from_rpy(values[3:][list(self.order)]), values[:3])
+
+    def values(self, T: Array, like: Array) -> Array:
+        roll, pitch, yaw = to_rpy(T[:3, :3])
+        flipped = np.array([roll + np.pi, np.pi - pitch, yaw + np.pi])
+        wanted = like[3:][list(self.order)]
+        near = [a - _TURN * np.round((a - wanted) / _TURN) for a in (np.array([roll, pitch, yaw]), flipped)]
+        angles = np.empty(3)
+        angles[list(self.order)] = min(near, key=lambda a: float(np.abs(a - wanted).max()))
+        return np.concatenate([T[:3, 3], angles])
 
 
 def text_of(source: str, content: bytes) -> str:

@@ -65,6 +65,10 @@ class CorrectedProgram:
     def fine(self) -> list[c.Result]:
         return [r for r in self.results if r.fine]
 
+    @property
+    def refused(self) -> list[c.Result]:
+        return [r for r in self.results if not r.fine]
+
     def content(self) -> bytes:
         """The program's bytes, with the new numbers in place of the old ones."""
         return self.program.language.written(self.program.source, self.program.text, self.results)
@@ -75,9 +79,7 @@ class CorrectedProgram:
     def to_json(self) -> dict[str, Any]:
         """The summary as plain data: targets, corrected ones, refused ones by line, errors [mm, deg]."""
         refused = [
-            {"line": r.target.line, "name": r.target.name, "status": r.status, "why": r.why}
-            for r in self.results
-            if not r.fine
+            {"line": r.target.line, "name": r.target.name, "status": r.status, "why": r.why} for r in self.refused
         ]
         answer = {"language": self.program.language.name, "targets": len(self.results), "corrected": len(self.fine)}
         figures: dict[str, Any] = {}
@@ -91,18 +93,17 @@ class CorrectedProgram:
 
     def report(self) -> str:
         """The number of corrected targets, the others with their reasons, and how far joints and tool move."""
-        fine, refused = self.fine, [r for r in self.results if not r.fine]
-        place = self.program.language.place
-        lines = [f"{self.program.language.name}: {len(fine)} of {len(self.results)} targets corrected"]
-        shown = "report" if self.program.language.report_beside else "status column"
+        fine, refused, language = self.fine, self.refused, self.program.language
+        lines = [f"{language.name}: {len(fine)} of {len(self.results)} targets corrected"]
         lines[0] += position_only(tuple(r.status for r in fine))
         if refused:
             lines[0] += f", {len(refused)} LEFT as they were:"
         for r in refused[:SHOWN]:
-            named = ", ".join(filter(None, (f"{place} {r.target.line}", r.target.name)))
+            named = ", ".join(filter(None, (f"{language.place} {r.target.line}", r.target.name)))
             lines.append(f"  {named}: {r.status}, {r.why or _MEANINGS[r.status]}")
         if len(refused) > SHOWN:
-            lines.append(f"  and {len(refused) - SHOWN} more; see the {shown}")
+            where = "report" if language.report_beside else "status column"
+            lines.append(f"  and {len(refused) - SHOWN} more; see the {where}")
         return "\n".join([*lines, *(_moved(fine, self.units) if fine else ["nothing moved"])])
 
 
@@ -174,26 +175,21 @@ def _figures(fine: Sequence[c.Result]) -> dict[str, Array]:
 def _moved(fine: Sequence[c.Result], units: Sequence[str]) -> list[str]:
     joints = np.array([abs(new - old) for old, new in (r.q for r in fine if r.q)])
     known = _figures(fine)
-    lines = [f"{'moved by':<22}{'mean':>10}{'max':>10}"]
+    rows: list[tuple[str, Array | None]] = []  # a heading has no numbers
     for i, (column, unit) in enumerate(zip(joints.T, units, strict=True), 1):
         word, factor = ("mm", 1e3) if unit == "m" else ("deg", 180 / np.pi)
-        lines.append(_mean_and_max(f"joint {i} [{word}]", factor * column))
-    lines.append(_mean_and_max("tool [mm]", known["moved_mm"]))
+        rows.append((f"joint {i} [{word}]", factor * column))
+    rows.append(("tool [mm]", known["moved_mm"]))
     if "off_mm" in known:
-        lines.append("the real tool off the nominal one, by the model, with the numbers as written")
-        for label, column in (
-            ("before [mm]", known["off_mm"][:, 0]), ("after [um]", 1e3 * known["off_mm"][:, 1]),
-            ("before [mdeg]", 1e3 * known["off_deg"][:, 0]), ("after [mdeg]", 1e3 * known["off_deg"][:, 1]),
-        ):  # fmt: skip
-            lines.append(_mean_and_max(label, column))
+        (before, after), turned = known["off_mm"].T, 1e3 * known["off_deg"].T
+        rows += [("the real tool off the nominal one, by the model, with the numbers as written", None)]
+        rows += [("before [mm]", before), ("after [um]", 1e3 * after)]
+        rows += [("before [mdeg]", turned[0]), ("after [mdeg]", turned[1])]
     if "bound_mm" in known:
-        lines.append("95 % of the errors that remain are below, by what was measured (where the tool is alike)")
-        lines.append(_mean_and_max("bound [mm]", known["bound_mm"]))
-    return lines
-
-
-def _mean_and_max(label: str, values: Array) -> str:
-    return f"  {label:<20}{values.mean():>10.4f}{values.max():>10.4f}"
+        heading = "95 % of the errors that remain are below, by what was measured (where the tool is alike)"
+        rows += [(heading, None), ("bound [mm]", known["bound_mm"])]
+    told = (w if v is None else f"  {w:<20}{v.mean():>10.4f}{v.max():>10.4f}" for w, v in rows)
+    return [f"{'moved by':<22}{'mean':>10}{'max':>10}", *told]
 
 
 def assumptions(corrected: CorrectedProgram, cell: c.Cell) -> list[str]:
@@ -243,13 +239,7 @@ class CorrectedFile:
 
 
 def correct_file(
-    sources: Sources,
-    program: Path,
-    out: Path,
-    asked: OfCommand,
-    language: OfLanguage,
-    *,
-    trust: bool = False,
+    sources: Sources, program: Path, out: Path, asked: OfCommand, language: OfLanguage, *, trust: bool = False
 ) -> CorrectedFile:
     """Correct the targets of a program so that the real tool reaches what the nominal one would.
 

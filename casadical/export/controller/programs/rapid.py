@@ -12,18 +12,9 @@ from lark import Token, Tree
 
 from casadical.core.basics import Array, InputError
 from casadical.core.transforms import frame, from_quaternion, quaternion
+from casadical.export.controller.programs.grammar import ParsedText, is_number, parts, whole
 from casadical.export.controller.programs.language import ProgramLanguage
-from casadical.export.controller.programs.target import (
-    MM,
-    Given,
-    Number,
-    Posture,
-    Target,
-    islands_of,
-    parts,
-    tokens_of,
-    whole,
-)
+from casadical.export.controller.programs.target import MM, Given, Posture, Target, numbers
 
 GRAMMAR = r"""
 start: declaration | motion | assignment | _other
@@ -43,7 +34,7 @@ STRING: /"[^"\n]*"/
 COMMENT.4: /![^\n]*/
 %ignore COMMENT
 """
-_QUATERNION = 4
+_TARGETS = ("robtarget", "jointtarget")
 _NO_AXIS = 9e9
 _DISPLACING = ("pdispon", "pdispset", "eoffson", "eoffsset")
 _UNIT_MISFIT = 1e-2  # of a quaternion's length: more is no rounding
@@ -60,14 +51,14 @@ class Rapid(ProgramLanguage):
     def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:
         if joints != 6:
             raise InputError(f"{source}: a RAPID target has six axes; this robot has {joints}")
-        tokens = tokens_of(GRAMMAR, text)
-        for token in tokens:
+        parsed = ParsedText(GRAMMAR, text)
+        for token in parsed.tokens:
             if token.type == "NAME" and str(token).lower() in _DISPLACING:
                 raise InputError(
                     f"{source}: line {token.line}: {token} displaces the targets that follow, by an amount that is "
                     "not in the program; give the displacement to the work object"
                 )
-        module = _Module(self, source, tokens, given)
+        module = _Module(self, source, parsed, given)
         return [module.placed(target, name) for target, name in module.targets()]
 
     def move_line(self, joints: Sequence[float]) -> str:
@@ -88,94 +79,78 @@ class Rapid(ProgramLanguage):
     def turns(self, q: Array) -> tuple[int, ...]:
         return tuple(int(np.floor(q[i] / (np.pi / 2))) for i in (0, 3, 5)) if len(q) == 6 else ()
 
-    def turns_text(self, target: Target, turns: tuple[int, ...]) -> list[str]:
-        return [str(turn) for turn in turns]
-
 
 class _Module:
-    """Declarations and motions of a program, and what tool and work object each target is used with."""
+    """Declarations and motions of a program, and what tool and work object each target is used with.
 
-    def __init__(self, language: Rapid, source: str, tokens: list[Token], given: Given) -> None:
-        self.language, self.source, self.given, self.tokens = language, source, given, tokens
-        self.islands = list(islands_of(GRAMMAR, tokens))
-        self.declared = _declared(self.islands)
-        self.known_targets = {n for kind, n, _ in self.declared if kind in ("robtarget", "jointtarget")}
-        # Variables that get a value after their declaration, whole or in part, and the line.
+    changed : variables that get a value after their declaration, whole or in part, and the line
+    uses : of each target's name the line of its first motion, tool and work object there
+    """
+
+    def __init__(self, language: Rapid, source: str, parsed: ParsedText, given: Given) -> None:
+        self.language, self.source, self.given, self.tokens = language, source, given, parsed.tokens
+        self.motions, self.declared = parsed.all("motion"), _declared(parsed)
+        self.known_targets = {name for kind, name, _ in self.declared if kind in _TARGETS}
         self.changed: dict[str, int] = {}
-        for change in (a for island in self.islands for a in parts(island, "assignment")):
-            name = str(parts(change, "ref")[0].children[0]).lower().partition(".")[0]
-            self.changed.setdefault(name, change.meta.line)
-        self.frames: dict[tuple[str, str], tuple[int, Array | str]] = {}
-        texts = [tokens_of(GRAMMAR, text) for text in given.texts.values()]
-        for islands in (self.islands, *(list(islands_of(GRAMMAR, other)) for other in texts)):
-            for kind, name, value in _declared(islands):
+        for change in parsed.all("assignment"):
+            self.changed.setdefault(_variable(change).partition(".")[0], change.meta.line)
+        self.frames: dict[tuple[str, str], Array | str] = {}
+        for each in (parsed, *(ParsedText(GRAMMAR, text) for text in given.texts.values())):
+            for kind, name, value in _declared(each):
                 if kind in ("tooldata", "wobjdata"):
-                    self.frames[kind, name] = (value.meta.line, self._frame(kind, value))
-        # Of each target name: the line of its first motion, tool and work object there.
+                    self.frames[kind, name] = self._frame(kind, value)
         self.uses: dict[str, tuple[int, str, str]] = {}
-        for motion in (m for island in self.islands for m in parts(island, "motion")):
+        for motion in self.motions:
             self._use(motion)
 
     def _use(self, motion: Tree[Token]) -> None:
-        arguments = parts(motion, "argument")
-        tool, work = _tool_of(arguments)
-        for argument in arguments[:-1]:
-            for name in _names(argument):
-                line, *before = self.uses.get(name, (motion.meta.line, tool, work))
-                if before != [tool, work] and name in self.known_targets:
-                    raise InputError(
-                        f"{self.source}: line {motion.meta.line}: {name} is used with tool {tool} and work object "
-                        f"{work}, in line {line} with {before[0]} and {before[1]}; give it a target of its own"
-                    )
-                self.uses[name] = (line, before[0], before[1])
+        *arguments, last = parts(motion, "argument")
+        tool, work = _tool_of(last)
+        for name in (name for argument in arguments for name in _names(argument)):
+            line, *before = self.uses.setdefault(name, (motion.meta.line, tool, work))
+            if before != [tool, work] and name in self.known_targets:
+                raise InputError(
+                    f"{self.source}: line {motion.meta.line}: {name} is used with tool {tool} and work object "
+                    f"{work}, in line {line} with {before[0]} and {before[1]}; give it a target of its own"
+                )
 
     def targets(self) -> list[tuple[Target, str]]:
         """Each target in its order, and the name by which motions use it, empty for one inside of a motion."""
         made: list[tuple[int, Target, str]] = []
         for kind, name, value in self.declared:
-            if kind in ("robtarget", "jointtarget"):
+            if kind in _TARGETS:
                 made += [(v.meta.start_pos, self._target(kind, n, v), name) for n, v in _elements(name, value)]
-        for motion in (m for island in self.islands for m in parts(island, "motion")):
-            tool, work = _tool_of(parts(motion, "argument"))
-            for argument in parts(motion, "argument"):
-                for value in parts(argument, "list"):
-                    kind = "jointtarget" if len(value.children) == 2 else "robtarget"
-                    key = f"in line {value.meta.line}, {value.meta.column}"
-                    self.uses[key] = (value.meta.line, tool, work)
-                    made.append((value.meta.start_pos, self._target(kind, "in the motion", value), key))
-        made += self._unread()
-        return [(t, n) for _, t, n in sorted(made, key=lambda entry: entry[0])]
-
-    def _unread(self) -> list[tuple[int, Target, str]]:
-        """Declarations of targets whose value is not a list of numbers."""
-        unread = []
-        for kind, name, sign in zip(self.tokens, self.tokens[1:], self.tokens[2:], strict=False):
-            typed = str(kind).lower() in ("robtarget", "jointtarget") and sign.value == ":="
-            if typed and str(name).lower() not in self.known_targets:
-                left = Target(name.line or 0, str(name), False, (), left="its value is an expression")
-                unread.append((name.start_pos or 0, left, ""))
-        return unread
+        for motion in self.motions:
+            arguments = parts(motion, "argument")
+            for value in (value for argument in arguments for value in parts(argument, "list")):
+                kind = "jointtarget" if len(value.children) == 2 else "robtarget"
+                key = f"in line {value.meta.line}, {value.meta.column}"
+                self.uses[key] = (value.meta.line, *_tool_of(arguments[-1]))
+                made.append((value.meta.start_pos, self._target(kind, "in the motion", value), key))
+        # Declarations of targets whose value is not a list of numbers.
+        for typed, variable, sign in zip(self.tokens, self.tokens[1:], self.tokens[2:], strict=False):
+            unread = typed.lower() in _TARGETS and sign.value == ":=" and variable.lower() not in self.known_targets
+            if unread:
+                left = Target(variable.line or 0, str(variable), False, (), left="its value is an expression")
+                made.append((variable.start_pos or 0, left, ""))
+        return [(target, name) for _, target, name in sorted(made, key=lambda entry: entry[0])]
 
     def _target(self, kind: str, name: str, value: Tree[Token]) -> Target:
-        line = value.meta.line
+        line, joints = value.meta.line, kind == "jointtarget"
         flat = [part.children for part in value.children if isinstance(part, Tree)]
-        sizes = (6, 6) if kind == "jointtarget" else (3, _QUATERNION, 4, 6)
-        numeric = all(isinstance(t, Token) and t.type == "NUMBER" for part in flat for t in part)
-        if tuple(map(len, flat)) != sizes or not numeric:
-            return Target(line, name, kind == "jointtarget", (), left="is not made of numbers alone")
+        sizes = [6, 6] if joints else [3, 4, 4, 6]
+        if [len(part) for part in flat] != sizes or not all(is_number(token) for part in flat for token in part):
+            return Target(line, name, joints, (), left="is not made of numbers alone")
         external = any(float(str(t)) not in (0.0, _NO_AXIS) for t in flat[-1])
-        if kind == "jointtarget":
-            return Target(
-                line, name, True, tuple(map(Number.from_token, flat[0], self.given.joint_units(6))), external=external
-            )
-        numbers = tuple(Number.from_token(t, MM) for t in flat[0]) + tuple(Number.from_token(t, 1.0) for t in flat[1])
+        if joints:
+            return Target(line, name, True, numbers(flat[0], self.given.joint_units(6)), external=external)
+        pose = numbers([*flat[0], *flat[1]], self.language.units)
         configuration = whole(flat[2])
-        text = tuple(Number.from_token(t, 1.0) for t in flat[2][:3])
         if not configuration:
-            return Target(line, name, False, numbers, left="its configuration has a number that is too large")
+            return Target(line, name, False, pose, left="its configuration has a number that is too large")
         *turns, cfx = configuration
-        posture = Posture(bool(cfx & 4), bool(cfx & 2), bool(cfx & 1))
-        made = Target(line, name, False, numbers, posture, tuple(turns), text, external=external)
+        posture, turn_text = Posture(bool(cfx & 4), bool(cfx & 2), bool(cfx & 1)), numbers(flat[2][:3], [1.0] * 3)
+        made = Target(line, name, False, pose, posture, tuple(turns), turn_text, external=external)
         length = float(np.linalg.norm(made.si[3:]))
         if not abs(length - 1) <= _UNIT_MISFIT:
             made = made.leave(f"its quaternion has the length {length:.4g}; it must be 1")
@@ -184,22 +159,16 @@ class _Module:
     def placed(self, target: Target, name: str) -> Target:
         if name in self.changed:
             target = target.leave(f"line {self.changed[name]} gives it another value")
-        if name not in self.uses:
-            named = ("", "")
-        else:
-            _, *words_used = self.uses[name]
-            named = (words_used[0], words_used[1])
-        about = f"tool {named[0] or '?'}, base {named[1] or '?'}"
+        _, *named = self.uses.get(name, (0, "", ""))
         frames: list[Array | None] = []
-        for kind, word, given in (
-            ("tooldata", named[0], self.given.tools),
-            ("wobjdata", named[1], self.given.bases),
-        ):
+        givens = (self.given.tools, self.given.bases)
+        for kind, word, given in zip(("tooldata", "wobjdata"), named, givens, strict=True):
             known = self._known(kind, word, given)
             if isinstance(known, str):
                 target, known = target.leave(known), None
             frames.append(known)
-        return replace(target, tool=frames[0], base=frames[1], about=about)
+        tool, work = (word or "?" for word in named)
+        return replace(target, tool=frames[0], base=frames[1], about=f"tool {tool}, base {work}")
 
     def _known(self, kind: str, name: str, given: dict[str, Array]) -> Array | str | None:
         by_name = {key.lower(): T for key, T in given.items()}
@@ -207,14 +176,14 @@ class _Module:
             return by_name[name]
         if name in ("tool0", "wobj0"):
             return np.eye(4)
-        if (kind, name) in self.frames:
-            if name in self.changed:
-                raise InputError(
-                    f"{self.source}: line {self.changed[name]}: {name} is changed here; which targets it holds for "
-                    "depends on the order of execution: split the program there"
-                )
-            return self.frames[kind, name][1]
-        return by_name.get("")
+        if (kind, name) not in self.frames:
+            return by_name.get("")
+        if name in self.changed:
+            raise InputError(
+                f"{self.source}: line {self.changed[name]}: {name} is changed here; which targets it holds for "
+                "depends on the order of execution: split the program there"
+            )
+        return self.frames[kind, name]
 
     def _frame(self, kind: str, value: Tree[Token]) -> Array | str:
         """The transform of tool or work object data, or why it cannot be used."""
@@ -236,12 +205,14 @@ class _Module:
         return self.language.frame(f"{self.source}: line {line}", np.array(numbers) * self.language.units)
 
 
-def _declared(islands: list[Tree[Token]]) -> list[tuple[str, str, Tree[Token]]]:
+def _variable(node: Tree[Token]) -> str:
+    """The variable that a declaration or assignment is of, in lower case."""
+    return str(parts(node, "ref")[0].children[0]).lower()
+
+
+def _declared(parsed: ParsedText) -> list[tuple[str, str, Tree[Token]]]:
     """Type, name and value of each declaration, words in lower case."""
-    made = [d for island in islands for d in parts(island, "declaration")]
-    return [
-        (str(d.children[0]).lower(), str(parts(d, "ref")[0].children[0]).lower(), parts(d, "list")[0]) for d in made
-    ]
+    return [(str(d.children[0]).lower(), _variable(d), parts(d, "list")[0]) for d in parsed.all("declaration")]
 
 
 def _elements(name: str, value: Tree[Token]) -> list[tuple[str, Tree[Token]]]:
@@ -253,15 +224,12 @@ def _elements(name: str, value: Tree[Token]) -> list[tuple[str, Tree[Token]]]:
     return [e for i, c in enumerate(inner, 1) for e in _elements(f"{name}{{{i}}}", c)]
 
 
-def _tool_of(arguments: list[Tree[Token]]) -> tuple[str, str]:
+def _tool_of(last: Tree[Token]) -> tuple[str, str]:
     """Names of tool and work object of a motion: its last argument, and that argument's option WObj."""
-    last = arguments[-1]
-    names = [str(r.children[0]).lower() for r in parts(last, "ref")]
-    work = "wobj0"
-    for option in parts(last, "option"):
-        if str(option.children[0]).lower() == "wobj" and parts(option, "ref"):
-            work = str(parts(option, "ref")[0].children[0]).lower()
-    return (names[0] if names else ""), work
+    tool = next((str(ref.children[0]).lower() for ref in parts(last, "ref")), "")
+    options = (option for option in parts(last, "option") if str(option.children[0]).lower() == "wobj")
+    works = [_variable(option) for option in options if parts(option, "ref")]
+    return tool, works[-1] if works else "wobj0"
 
 
 def _names(argument: Tree[Token]) -> list[str]:

@@ -7,24 +7,16 @@ pose_add) is relative to something that only the controller knows, and stays.
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from lark import Token, Tree
 
 from casadical.core.basics import Array, InputError
 from casadical.core.transforms import frame, quaternion
+from casadical.export.controller.programs.grammar import ParsedText, is_number, only_one, parts, words
 from casadical.export.controller.programs.language import ProgramLanguage
-from casadical.export.controller.programs.target import (
-    DEG,
-    Given,
-    Number,
-    Target,
-    islands_of,
-    only_one,
-    parts,
-    tokens_of,
-    words,
-)
+from casadical.export.controller.programs.target import DEG, Given, Number, Target, numbers
 
 GRAMMAR = r"""
 start: assign | call | _other
@@ -64,8 +56,8 @@ class UrScript(ProgramLanguage):
             for line, pose in program.tools.items()
         }
         tool = given.tools.get("", only_one(source, "the tool centre point", tools))
-        placed = [replace(t, tool=tool, about="set_tcp" if tools else "") for t in program.targets()]
-        return [replace(t, base=given.bases.get("", np.eye(4))) for t in placed]
+        base, about = given.bases.get("", np.eye(4)), "set_tcp" if tools else ""
+        return [replace(t, tool=tool, base=base, about=about) for t in program.targets()]
 
     def move_line(self, joints: Sequence[float]) -> str:
         return f"movej([{', '.join(f'{value:.6f}' for value in np.deg2rad(joints))}], a=0.5, v=0.3)"
@@ -101,21 +93,20 @@ class _Program:
     """Poses and joint lists of a program, and what each is used for."""
 
     def __init__(self, source: str, text: str, joints: int) -> None:
-        self.source, self.joints, self.tokens = source, joints, tokens_of(GRAMMAR, text)
-        islands = list(islands_of(GRAMMAR, self.tokens))
+        parsed = ParsedText(GRAMMAR, text)
+        self.source, self.joints, self.tokens = source, joints, parsed.tokens
         self.variables: dict[str, _Variable] = {}
-        for assign in (a for island in islands for a in parts(island, "assign")):
-            value = assign.children[1]
-            if len(assign.children) == 2 and isinstance(value, Tree) and value.data in ("pose", "list"):
-                name = str(assign.children[0])
-                self.variables.setdefault(name, _Variable(assign.meta.line, value)).sets.append(assign.meta.line)
-        for name, sign in zip(self.tokens, self.tokens[1:], strict=False):
+        for assign in parsed.all("assign"):
+            if len(assign.children) == 2 and (value := _listed(assign.children[1])):
+                variable = self.variables.setdefault(str(assign.children[0]), _Variable(assign.meta.line, value))
+                variable.sets.append(assign.meta.line)
+        for name, sign in pairwise(self.tokens):
             own = self.variables.get(str(name)) if name.type == "NAME" else None
             if own is not None and sign.value == "=" and name.line not in own.sets and name.line is not None:
                 own.sets.append(name.line)
         self.tools: dict[int, Array | None] = {}
         self.made: list[tuple[int, Target]] = []
-        for island in islands:
+        for island in parsed.islands:
             for call in island.iter_subtrees_topdown():  # type: ignore[no-untyped-call]
                 if call.data == "call":
                     self._call(call)
@@ -123,11 +114,12 @@ class _Program:
     def _call(self, call: Tree[Token]) -> None:
         name, arguments = str(call.children[0]), parts(call, "argument")
         if name == "set_tcp" and arguments:
-            self.tools[call.meta.line] = self._numbers(self._resolved(arguments[0]))
+            self.tools[call.meta.line] = _si(self._resolved(arguments[0]))
         elif name == "get_inverse_kin" and arguments:
             near = next((self._resolved(a) for a in arguments[1:] if _keyword(a) in ("", "qnear")), None)
-            for argument in arguments[1:]:
-                self._read(argument)
+            for word in (word for argument in arguments[1:] for word in words(argument, "NAME")):
+                if str(word) in self.variables:
+                    self.variables[str(word)].read += 1
             self._take(arguments[0], near, call)
         elif name in _MOTIONS:
             for argument in arguments[: _MOTIONS[name]]:
@@ -137,8 +129,8 @@ class _Program:
         """An argument that is to be reached."""
         value = argument.children[-1]
         single = len([c for c in argument.children if c is not None]) == (2 if _keyword(argument) else 1)
-        if single and isinstance(value, Tree) and value.data in ("pose", "list"):
-            self.made.append((value.meta.start_pos, self._target("in the motion", value, near)))
+        if single and (listed := _listed(value)):
+            self.made.append((listed.meta.start_pos, self._target("in the motion", listed, near)))
         elif single and isinstance(value, Token) and str(value) in self.variables:
             variable = self.variables[str(value)]
             variable.target, variable.read = True, variable.read + 1
@@ -147,18 +139,13 @@ class _Program:
             why = "is an expression that only the controller can evaluate"
             self.made.append((call.meta.start_pos, Target(call.meta.line, str(call.children[0]), False, (), left=why)))
 
-    def _read(self, argument: Tree[Token]) -> None:
-        for token in words(argument, "NAME"):
-            if str(token) in self.variables:
-                self.variables[str(token)].read += 1
-
     def _resolved(self, argument: Tree[Token]) -> Tree[Token] | None:
         """A pose or list that is written there, or that its variable always has."""
         value = argument.children[-1]
         if isinstance(value, Token):
             own = self.variables.get(str(value))
             return own.value if own is not None and len(own.sets) == 1 else None
-        return value if isinstance(value, Tree) and value.data in ("pose", "list") else None
+        return _listed(value)
 
     def targets(self) -> list[Target]:
         made = list(self.made)
@@ -176,20 +163,12 @@ class _Program:
 
     def _target(self, name: str, value: Tree[Token], near: Tree[Token] | None) -> Target:
         line, joints = value.meta.line, value.data == "list"
-        numbers = [_number(v) for v in value.children if not (isinstance(v, Token) and v.type == "POSE")]
-        wanted = self.joints if joints else 6
-        if len(numbers) != wanted or any(n is None for n in numbers):
+        read, wanted = _numbers(value), self.joints if joints else 6
+        if read is None or len(read) != wanted:
             return Target(line, name, joints, (), left=f"is not made of {wanted} numbers")
-        made = Target(line, name, joints, tuple(n for n in numbers if n is not None))
+        made = Target(line, name, joints, read)
         self._refuse_units(made)
-        return made if near is None or joints else replace(made, near=self._numbers(near))
-
-    def _numbers(self, value: Tree[Token] | None) -> Array | None:
-        if value is None:
-            return None
-        numbers = [_number(v) for v in value.children if not (isinstance(v, Token) and v.type == "POSE")]
-        known = [n.si for n in numbers if n is not None]
-        return np.array(known) if len(known) == len(numbers) == 6 else None
+        return made if near is None or joints else replace(made, near=_si(near))
 
     def _refuse_units(self, target: Target) -> None:
         size = np.abs(target.si)
@@ -210,11 +189,26 @@ def _keyword(argument: Tree[Token]) -> str:
     return str(first) if len(argument.children) > 1 and isinstance(first, Token) and first.type == "NAME" else ""
 
 
-def _number(value: Tree[Token] | Token | None) -> Number | None:
-    """A number, or d2r(number)."""
-    if isinstance(value, Token):
-        return Number.from_token(value, 1.0) if value.type == "NUMBER" else None
-    if isinstance(value, Tree) and value.data == "call" and str(value.children[0]) == "d2r":
-        inner = parts(value, "argument")[0].children[-1]
-        return Number.from_token(inner, DEG) if isinstance(inner, Token) and inner.type == "NUMBER" else None
-    return None
+def _listed(value: Tree[Token] | Token | None) -> Tree[Token] | None:
+    """A value that is a pose or a list."""
+    return value if isinstance(value, Tree) and value.data in ("pose", "list") else None
+
+
+def _si(value: Tree[Token] | None) -> Array | None:
+    """Six numbers [SI] of a pose or list; None where it is no such."""
+    read = None if value is None else _numbers(value)
+    return np.array([number.si for number in read]) if read and len(read) == 6 else None
+
+
+def _numbers(value: Tree[Token]) -> tuple[Number, ...] | None:
+    """A pose's or list's numbers, some as d2r(number); None where it has others."""
+    read: list[Number] = []
+    for part in value.children:
+        token, unit = part, 1.0
+        if isinstance(part, Tree) and part.data == "call" and str(part.children[0]) == "d2r":
+            token, unit = parts(part, "argument")[0].children[-1], DEG
+        if is_number(token):
+            read += numbers([token], [unit])
+        elif not (isinstance(part, Token) and part.type == "POSE"):
+            return None
+    return tuple(read)

@@ -1,0 +1,131 @@
+"""What a language of programs reads its text with: tokens, and the runs of them that a grammar of its targets derives.
+
+Everything between the runs stays opaque. A whole grammar of such a language is that of one release of one maker. A
+grammar of its targets alone is small, and a line that it does not know costs nothing.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from functools import cache
+from typing import Any
+
+import numpy as np
+from lark import Lark, Token, Tree, UnexpectedInput
+from lark.parsers.lalr_interactive_parser import InteractiveParser
+
+from casadical.core.basics import InputError
+
+# Of every language: a number, and whatever no other terminal takes (of lowest priority, so that text is never refused).
+COMMON = r"""
+_other: OTHER
+NUMBER: /[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?/
+OTHER.-9: /./s
+%ignore /\s+/
+"""
+_OPENING, _CLOSING = tuple("([{"), tuple(")]}")
+# Brackets in brackets: what is deeper and no island is left as a whole, else each of its beginnings is read to the end.
+DEEPEST = 20
+
+
+class ParsedText:
+    """A text's tokens without those that the grammar ignores, and its islands.
+
+    islands : each longest run of tokens that the grammar's `start` derives, in their order, without overlaps
+    """
+
+    def __init__(self, grammar: str, text: str) -> None:
+        parser = _parser(grammar)
+        self.tokens = list(parser.lex(text))
+        self.islands = list(_islands(parser, self.tokens))
+
+    def all(self, rule: str) -> list[Tree[Token]]:
+        """The nodes of a rule at the top of the islands."""
+        return [node for island in self.islands for node in parts(island, rule)]
+
+
+@cache
+def _parser(grammar: str) -> Lark:
+    return Lark(grammar + COMMON, parser="lalr", lexer="basic", propagate_positions=True)
+
+
+def _islands(parser: Lark, tokens: Sequence[Token]) -> Iterator[Tree[Token]]:
+    k, closed = 0, _closed(tokens)
+    first = set(_expected(parser.parse_interactive(""))) - {"OTHER", "$END"}
+    while k < len(tokens):
+        island, length = _longest(parser, tokens, k, closed) if tokens[k].type in first else (None, 1)
+        if island is not None:
+            yield island
+        k += length
+
+
+def _closed(tokens: Sequence[Token]) -> set[int]:
+    """Indices of the opening brackets that are closed."""
+    opened, closed = [], set()
+    for k, token in enumerate(tokens):
+        if token.endswith(_OPENING):
+            opened.append(k)
+        elif token.endswith(_CLOSING) and opened:
+            closed.add(opened.pop())
+    return closed
+
+
+def _longest(parser: Lark, tokens: Sequence[Token], start: int, closed: set[int]) -> tuple[Tree[Token] | None, int]:
+    """The longest run from a token that is a whole island and how many tokens it has, or None and how many to pass."""
+    run, ends, fed, depth, deepest = parser.parse_interactive(""), [], start, 0, 0
+    with suppress(UnexpectedInput):
+        for fed in range(start, len(tokens)):
+            opens = tokens[fed].endswith(_OPENING)
+            if opens and fed not in closed:
+                return None, 1
+            depth += opens - tokens[fed].endswith(_CLOSING)
+            deepest = max(deepest, depth)
+            run.feed_token(tokens[fed])
+            # Where lookaheads are merged (LALR), the end may be refused all the same.
+            if depth == 0 and "$END" in _expected(run):
+                ends.append(fed + 1)
+        fed = len(tokens)
+    runs = ((end, again) for end in reversed(ends) for again in (False, True) if again or end == fed)
+    for end, again in runs:
+        with suppress(UnexpectedInput):
+            if again:  # the first run has taken more, or reduced for a token that it then refused
+                run = parser.parse_interactive("")
+                for token in tokens[start:end]:
+                    run.feed_token(token)
+            return run.feed_eof(tokens[end - 1]), end - start  # type: ignore[no-untyped-call]
+    return None, max(fed - start, 1) if deepest > DEEPEST else 1
+
+
+def _expected(run: InteractiveParser) -> dict[str, object]:
+    return run.choices()  # type: ignore[no-untyped-call, no-any-return]
+
+
+def parts(tree: Tree[Token], name: str) -> list[Tree[Token]]:
+    """A node's children of one rule."""
+    return [c for c in tree.children if isinstance(c, Tree) and c.data == name]
+
+
+def words(tree: Tree[Token], kind: str) -> list[Token]:
+    """A node's own tokens of one kind."""
+    return [c for c in tree.children if isinstance(c, Token) and c.type == kind]
+
+
+def is_number(node: Any) -> bool:
+    return isinstance(node, Token) and node.type == "NUMBER"
+
+
+def whole(texts: Iterable[Any]) -> tuple[int, ...]:
+    """Numbers of a program as whole ones; none where one of them is too large for any controller."""
+    values = [float(str(text)) for text in texts]
+    return tuple(map(int, values)) if all(abs(v) < 2**31 for v in values) else ()
+
+
+def only_one(source: str, what: str, by_line: dict[int, Any]) -> Any:
+    """What a program sets once or to one value; None where it never does. Raises InputError where it is changed."""
+    first = next(iter(by_line), 0)
+    for line, value in by_line.items():
+        if type(value) is not type(by_line[first]) or not np.array_equal(value, by_line[first]):
+            raise InputError(
+                f"{source}: line {line}: {what} is changed here, after line {first}; which targets it holds for "
+                "depends on the order of execution: split the program there"
+            )
+    return by_line.get(first)
