@@ -67,6 +67,5 @@ EQUIVALENT: dict[str, str] = {
     "export/controller/commands.py ReplaceTrueWithFalse 0: @dataclass(frozen=True, eq=False) => @dataclass(frozen=False, eq=False)": "frozen keeps from assigning; nothing assigns",
     "fleet/comparison.py ReplaceTrueWithFalse 3: @dataclass(frozen=True, eq=False) => @dataclass(frozen=False, eq=False)": "frozen keeps from assigning; nothing assigns",
     "diagnosis/evidence.py ReplaceFalseWithTrue 0: @dataclass(eq=False) => @dataclass(eq=True)": "nothing compares or hashes it",
-    "blind_check/recording.py RemoveDecorator 3:  => def effect(self) -> str: ...": "a protocol is read by the type checker alone",
     "project/new/dh_table.py ReplaceTrueWithFalse 1: for k, (line, cells) in enumerate(zip(table.line, table.cells, strict=True)): => for k, (line, cells) in enumerate(zip(table.line, table.cells, strict=False)):": "a table has as many lines as rows of cells wherever it is made",
 }
