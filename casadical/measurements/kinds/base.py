@@ -166,8 +166,11 @@ class MeasurementKind(ABC):
         """
 
     def at_rest(self, arrays: Arrays) -> bool:
-        """Whether something at rest was measured (see `read`); without it the base's pose is not identifiable."""
-        return True
+        """Whether something at rest was measured; without it the base's pose is not identifiable.
+
+        By default all but poses that are relative to others.
+        """
+        return "other" not in arrays
 
     def point_names(self, arrays: Arrays) -> Sequence[str]:
         """Name of the unknown point that each pose refers to (see `read`); none where the kind has no such points."""

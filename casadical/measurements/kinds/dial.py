@@ -1,6 +1,6 @@
 """Readings along one axis: a dial gauge, a height probe, a displacement sensor."""
 
-from collections.abc import Sequence, Set
+from collections.abc import Set
 
 import casadi as ca
 import numpy as np
@@ -8,18 +8,17 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.transforms import Symbolic
 from casadical.measurements.columns import Columns
-from casadical.measurements.kinds.base import Arrays, MeasurementKind, PoseExpression, PositionsAt
+from casadical.measurements.kinds.base import Arrays, PoseExpression, PositionsAt
 from casadical.measurements.kinds.contact import each_label, labels_of
+from casadical.measurements.kinds.surfaces import Plane
 
 # Direction and zero of a gauge take three numbers; from so many readings on they tell of the robot.
 FEWEST = 4
-# The unknown point of a gauge lies at this, and its zero's distance from the frame's origin, along its direction [m].
-LEVER = 10.0
 # Known directions whose length is off one by more than this are refused.
 UNIT = 1e-2
 
 
-class Dial(MeasurementKind):
+class Dial(Plane):
     """How far the measured point is along a gauge's axis, which is known or, with its zero, identified too.
 
     Along a known axis a reading is the coordinate in the measuring frame; a zero elsewhere moves the base, where that
@@ -36,9 +35,10 @@ class Dial(MeasurementKind):
     pattern = "reading_mm?|along_[xyz]|dial"
     arrays = ("reading",)
     fill = ("reading_mm",)
-    lengths = 1
-    places = False
-    touches = True
+    has_scale = True
+    lever = 10.0
+    known = "axis"
+    alone = "dial"
 
     def matches(self, names: Set[str]) -> bool:
         return bool(names & {"reading_mm", "reading_m"})
@@ -58,7 +58,7 @@ class Dial(MeasurementKind):
             return arrays | {"axis": axis / length[:, None]}
         if "dial" in columns.table:
             arrays["label"] = labels_of(columns, "dial", "it names the gauge of each reading")
-        for own in each_label(_labels(arrays)):
+        for own in each_label(self._labels(arrays)):
             if len(own) < FEWEST:
                 raise InputError(
                     f"{columns.at(int(own[0]))}, column 'reading': {len(own)} readings of one gauge; its axis and zero "
@@ -67,40 +67,16 @@ class Dial(MeasurementKind):
         return arrays
 
     def residual(self, pose: PoseExpression) -> Symbolic:
-        if pose.point is None:
-            along = ca.dot(pose.p, pose.take("axis", 3))
-        else:
-            point = pose.unknown_point()
-            length = ca.norm_2(point)
-            along = ca.dot(pose.p, point) / length - (length - LEVER)
+        along = ca.dot(pose.p, pose.take("axis", 3)) if pose.point is None else super().residual(pose)
         return along - pose.take("reading", 1)
 
     def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
-        if "axis" in arrays:
-            along = (p * arrays["axis"]).sum(axis=1)
-        else:
-            point = self.point_starts(arrays, p)
-            length = np.linalg.norm(point, axis=1)
-            along = (p * point).sum(axis=1) / length - (length - LEVER)
+        along = (p * arrays["axis"]).sum(axis=1) if "axis" in arrays else self.heights(arrays, p)
         return np.asarray(np.abs(along - arrays["reading"]))
 
-    def at_rest(self, arrays: Arrays) -> bool:
-        return "axis" in arrays
-
-    def point_names(self, arrays: Arrays) -> Sequence[str]:
-        return () if "axis" in arrays else list(_labels(arrays))
-
-    def point_starts(self, arrays: Arrays, p: Array) -> Array:
-        out = np.empty_like(p)
-        for own in each_label(_labels(arrays)):
-            n, d = _axis(p[own], arrays["reading"][own])
-            out[own] = (LEVER + d) * n
-        return out
-
-
-def _labels(arrays: Arrays) -> Array:
-    """The name of each reading's gauge."""
-    return arrays["label"] if "label" in arrays else np.full(len(arrays["reading"]), "dial")
+    def start(self, arrays: Arrays, p: Array) -> Array:
+        n, d = _axis(p, arrays["reading"])
+        return np.asarray((self.lever + d) * n)
 
 
 def _axis(p: Array, reading: Array) -> tuple[Array, float]:

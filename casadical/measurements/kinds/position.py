@@ -228,6 +228,3 @@ class RelativePose(MeasurementKind):
     def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
         way = np.linalg.norm(p - positions_at(arrays["other"]), axis=1)
         return np.asarray(np.abs(way - np.linalg.norm(arrays["shift"], axis=1)))
-
-    def at_rest(self, arrays: Arrays) -> bool:
-        return False

@@ -1,6 +1,6 @@
 """Poses that touch a surface whose place is unknown: a plane, or a ball of known radius."""
 
-from collections.abc import Sequence, Set
+from collections.abc import Set
 from typing import ClassVar
 
 import casadi as ca
@@ -9,31 +9,34 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.transforms import Symbolic
 from casadical.measurements.columns import Columns
-from casadical.measurements.kinds.base import Arrays, MeasurementKind, PoseExpression, PositionsAt
-from casadical.measurements.kinds.contact import each_label, touched_often
-from casadical.measurements.kinds.distance import Distance
+from casadical.measurements.kinds.base import Arrays, PoseExpression, PositionsAt
+from casadical.measurements.kinds.contact import OfPoints, touched_often
+from casadical.measurements.kinds.distance import Distance, positive_lengths
 
 # Three touches define a plane; from so many on they tell of the robot.
 PLANE_TOUCHES = 4
 
 
-class Plane(MeasurementKind):
+class Plane(OfPoints):
     """Contact of the measured point with planes that are identified too, by their labels.
 
     A plane of unit normal n at the distance d >= 0 from the frame's origin is the unknown point (1 m + d) n, which has
     a direction wherever the plane lies. The reported error is the distance from the plane that fits all its poses best.
+
+    lever : of the unknown point, in place of 1 m
     """
 
     name = "plane"
     columns = "`plane`: poses of the same name touch the same plane with the measured point"
     unknown = "the planes"
-    fill = ("plane",)
+    fill: ClassVar[tuple[str, ...]] = ("plane",)
     pattern = "plane"
-    arrays = ("label",)
+    arrays: ClassVar[tuple[str, ...]] = ("label",)
     lengths = 1
     places = False
     has_scale = False
     touches = True
+    lever = 1.0
 
     def matches(self, names: Set[str]) -> bool:
         return "plane" in names
@@ -47,27 +50,22 @@ class Plane(MeasurementKind):
     def residual(self, pose: PoseExpression) -> Symbolic:
         point = pose.unknown_point()
         length = ca.norm_2(point)
-        return ca.dot(pose.p, point) / length - (length - 1)
+        return ca.dot(pose.p, point) / length - (length - self.lever)
 
     def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
+        return np.asarray(np.abs(self.heights(arrays, p)))
+
+    def heights(self, arrays: Arrays, p: Array) -> Array:
+        """Distances from the best plane of each label, signed, shape (n,) [m]; p : shape (n, 3) [m]"""
         point = self.point_starts(arrays, p)
         length = np.linalg.norm(point, axis=1)
-        return np.asarray(np.abs((p * point).sum(axis=1) / length - (length - 1)))
+        return np.asarray((p * point).sum(axis=1) / length - (length - self.lever))
 
-    def at_rest(self, arrays: Arrays) -> bool:
-        return False
-
-    def point_names(self, arrays: Arrays) -> Sequence[str]:
-        return list(arrays["label"])
-
-    def point_starts(self, arrays: Arrays, p: Array) -> Array:
-        out = np.empty_like(p)
-        for own in each_label(arrays["label"]):
-            middle = p[own].mean(axis=0)
-            normal = np.linalg.svd(p[own] - middle)[2][2]
-            d = float(normal @ middle)
-            out[own] = (1 + abs(d)) * (normal if d >= 0 else -normal)
-        return out
+    def start(self, arrays: Arrays, p: Array) -> Array:
+        middle = p.mean(axis=0)
+        normal = np.linalg.svd(p - middle)[2][2]
+        d = float(normal @ middle)
+        return np.asarray((1 + abs(d)) * (normal if d >= 0 else -normal))
 
     def grown(self, points: Array, origin: Array) -> Array:
         length = np.linalg.norm(points, axis=1, keepdims=True)
@@ -109,13 +107,7 @@ class Sphere(Distance):
                 f"{columns.source}: column 'radius_mm' is missing; a ball tells nothing of the robot unless its radius "
                 "is known: the ball's and the tip's together, from the data sheet or by a calliper"
             )
-        radius = columns.si("radius", ("_mm", "_m"))
-        if (radius <= 0).any():
-            row = int(np.argmax(radius <= 0))
-            raise InputError(
-                f"{columns.at(row)}, column 'radius': {1e3 * radius[row]:.4g} mm; a radius must be positive (poses at "
-                "one point are kind 'contact')"
-            )
+        radius = positive_lengths(columns, "radius")
         remedy = f"touch it at {BALL_TOUCHES} poses at least, all around"
         label = touched_often(columns, "sphere", BALL_TOUCHES, "it says which ball each pose touches", remedy)
         return {"distance": radius, "label": label}
