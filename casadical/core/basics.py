@@ -4,7 +4,8 @@ Each message of an error says what is wrong, the value, what is allowed, and wha
 """
 
 import importlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -117,6 +118,15 @@ def all_faults(steps: Iterable[Callable[[], object]]) -> None:
             errors.append(error)
     if errors:
         raise FaultsError.of(errors)
+
+
+@contextmanager
+def errors_of(place: str) -> Iterator[None]:
+    """Raises InputError with a place, "file: " or "key.", in front of what the block raises as such."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{place}{error}") from None
 
 
 class ConvergenceError(CasadicalError, RuntimeError):

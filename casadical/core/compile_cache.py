@@ -116,9 +116,7 @@ class MachineCode:
         self._outputs = [function.size_out(k) for k in range(function.n_out())]
 
     def __call__(self, points: Array, *shared: Array) -> list[Array]:
-        """Outputs side by side, shape (rows, columns n) each; points : shape (a, n). Raises ValueError for other
-        shapes.
-        """
+        """Outputs side by side, (rows, columns n) each; points : shape (a, n). Raises ValueError for other shapes."""
         n = points.shape[1]
         given = [np.asfortranarray(points, dtype=float), *(np.ascontiguousarray(s, dtype=float) for s in shared)]
         if [g.size for g in given] != [n * self._inputs[0], *self._inputs[1:]]:

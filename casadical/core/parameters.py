@@ -113,10 +113,7 @@ class Parameters(Sequence[Parameter]):
         return tuple(n for n in self.names if n in chosen)
 
     def with_values(self, values: dict[str, float]) -> Parameters:
-        """The same parameters with other nominal values [SI], by name.
-
-        Raises InputError: no such name, or a value that is not finite.
-        """
+        """The same parameters with other nominal values [SI], by name. Raises InputError: no such name."""
         for name in values:
             self.index_of(name)
         return Parameters(replace(p, value=float(values.get(p.name, p.value))) for p in self._items)

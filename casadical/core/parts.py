@@ -26,7 +26,7 @@ NEAR_PARALLEL = np.deg2rad(5.0)
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """Mass [kg], mass centre, shape (3,) [m], and inertia, in its link's frame.
+    """A mass in its link's frame.
 
     mass : of the link or load [kg]
     com : shape (3,) [m]: mass centre in the link's frame
@@ -174,9 +174,6 @@ class FourBar:
 class Placement:
     """A frame given by its nominal transform T, shape (4, 4) [m], and which part of it is identified.
 
-    T : shape (4, 4) [m]: nominal transform
-    unknown : which part is identified
-
     Examples
     --------
     >>> tool = casadical.Placement(np.eye(4), unknown="position")
@@ -263,18 +260,10 @@ GRAVITY = ("gravity_x", "gravity_y", "gravity_z")
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """A serial robot's structure, with closed four-bar loops where it has them.
+    """A serial robot's structure, with closed four-bar loops where it has them: `Robot` says what each field is.
 
-    joints : the rows, from base to flange
-    base : T_M0, robot base in the measuring frame; tool : T_nE, measured point in the last link's frame
-    gravity : shape (3,) [m/s^2], given in `gravity_frame`; where that is "logged", in the base frame while nothing
-        was logged, and its size counts
-    payload : declared mass and mass centre in the last link's frame; poses may carry another mass (column payload_kg)
-    tool_name : of the measured point, where there are several; targets : the others, named in the column `tool`
-    widths : how far the parameters of each group may be off; body_width : masses and mass centres of the links
-    sessions : what is found again in each session that a column `session` names
-    drive : what is known of its drives
-    masses : of the links; estimated ones tell where gravity deflects joints and by how much, but no stiffness
+    gravity : where its frame is "logged", in the base frame while nothing was logged, and its size counts
+    payload : poses may carry another mass (column payload_kg); targets : named in the column `tool`
     Raises InputError for a structure that cannot be built.
     """
 

@@ -227,10 +227,7 @@ class Effect:
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """The effect with its settings on a grid, by default all combinations, wherever it may act (`acts_at`).
-
-        arm : rows, loops, loads and limits of a robot; a `Robot` is one
-        """
+        """The effect with its settings on a grid, by default all combinations, wherever it may act (`acts_at`)."""
         place = cls.acts_at or ("arm" if cls.angle is Effect.angle else "joints")
         rigid = [j for j in arm.numbers if not arm.joints[j - 1].compliance]
         every: Mapping[str, Sequence[int | None]] = {
@@ -257,10 +254,7 @@ class Effect:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Effect:
-        """The effect that `to_dict` wrote; settings that are not given have their defaults.
-
-        Raises InputError: a setting that does not exist, or is no number.
-        """
+        """The effect that `to_dict` wrote, defaults for what is not given. Raises InputError for a faulty setting."""
         return cls(data.get("joint"), **checked_settings(cls, data.get("settings", {})))
 
     def to_dict(self) -> dict[str, Any]:
@@ -269,11 +263,7 @@ class Effect:
         return {key: value for key, value in whole.items() if value not in (None, {})}
 
     def refuse_joints(self, arm: Arm) -> None:
-        """Refuse the number of a joint that the arm does not have.
-
-        arm : rows, loops, loads and limits of a robot; a `Robot` is one
-        Raises InputError: the arm has no joint of this number.
-        """
+        """Raises InputError where the arm does not have its joint, or one that is a setting."""
         for f in fields(self):
             number = getattr(self, f.name)
             if (f.name == "joint" or f.metadata.get("joint")) and number is not None and number not in arm.numbers:
@@ -306,10 +296,7 @@ class Effect:
         )
 
     def own_values(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Values of its parameters [SI] by their short names, out of those of a model; zero where there is none.
-
-        values : parameter name -> value [SI], of the whole model
-        """
+        """Values of its parameters [SI] by their short names, out of those of a model; zero where there is none."""
         return {name: values.get(f"{self.label}.{name}", 0.0) for name in self.sizes()}
 
     def for_poses(self, count: int) -> Self:
@@ -341,56 +328,33 @@ class Effect:
         return 0.0
 
     def joint_angle(self, context: Context) -> Symbolic:
-        """What it adds to the joint variables, shape (n,) [rad or m]; by default `angle`, at its own joint.
-
-        context : what the model gives
-        Returns Symbolic, shape (n,) [rad or m]: added to the joint variables
-        """
+        """What it adds to the joint variables, shape (n,) [rad or m]; by default `angle`, at its own joint."""
         moved = ca.SX.zeros(context.arm.n)
         if self.joint is not None:
             moved[self.joint - 1] = self.angle(context, context.q[self.joint - 1])
         return moved
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        """What it adds to its own joint, whose reading is q [rad or m].
-
-        q : the joint's own reading [rad or m]
-        """
+        """What it adds to its own joint, whose reading is q [rad or m]."""
         return 0.0
 
     def link(self, number: int, context: Context) -> Symbolic:
-        """Transform (4, 4) behind link `number` (1-based), in that link's frame.
-
-        Returns Symbolic, shape (4, 4) [m]: the identity by default
-        """
+        """Transform (4, 4) [m] behind link `number` (1-based), in that link's frame; the identity by default."""
         return ca.SX.eye(4)
 
     def base(self, context: Context) -> Symbolic:
-        """Transform (4, 4) of the robot's foot, in the base frame.
-
-        Returns Symbolic, shape (4, 4) [m]: the identity by default
-        """
+        """Transform (4, 4) [m] of the robot's foot, in the base frame; the identity by default."""
         return ca.SX.eye(4)
 
     def tool(self, context: Context) -> Symbolic:
-        """Transform (4, 4) in front of the tool, in the flange frame.
-
-        Returns Symbolic, shape (4, 4) [m]: the identity by default
-        """
+        """Transform (4, 4) [m] in front of the tool, in the flange frame; the identity by default."""
         return ca.SX.eye(4)
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
-        """The measured point, shape (3,) [m], as the instrument reports it.
-
-        point : Symbolic, shape (3,) [m]: measured point
-        Returns Symbolic, shape (3,) [m]: the point as reported
-        """
+        """The measured point, shape (3,) [m], as the instrument reports it."""
         return point
 
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-        """What a simulator has in its place, besides what it has for others.
-
-        v : its values by short name [SI], see `own_values`
-        """
+        """What a simulator has in its place, besides what it has for others; v : its `own_values` [SI]"""
         why = "an effect of the measurement, not of the robot" if self.of_measurement else "no counterpart in MuJoCo"
         return simulator.without(self.label, why)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from pydantic import Field, Strict, model_validator
 
-from casadical.core.basics import InputError
+from casadical.core.basics import InputError, errors_of
 from casadical.core.parts import Arm, Body
 from casadical.core.reading import MOST_COUNT, load_toml
 from casadical.core.schema import FaultError, TomlTable, Triple, check
@@ -295,21 +295,7 @@ def _made(definition: str, module: str, name: str) -> type[DefinedEffect]:
     about = [f"{key} : {s.about}" for key, s in d.settings.items() if s.about]
     places = tuple(dict.fromkeys(place for text in _templates(d) for place in _PLACE.findall(text)))
     attributes = {
-        **{
-            key: getattr(d, key)
-            for key in (
-                "name",
-                "answers_as",
-                "of_measurement",
-                "from_kind",
-                "simulated_first",
-                "together",
-                "signature",
-                "physics",
-                "confused_with",
-            )
-        },
-        "on_list": d.on_list,
+        **{key: getattr(d, key) for key in Definition.model_fields if key in Effect.__annotations__ and key != "needs"},
         "acts_at": d.acts_at or ("joints" if numbered else "arm"),
         "definition": d,
         "places": places,
@@ -331,23 +317,18 @@ def _again(definition: str, module: str, name: str, settings: Mapping[str, Any])
 
 
 def effect_class(d: Definition, module: str = "effect file") -> type[DefinedEffect]:
-    """The class of a definition, the same one for equal definitions. Raises InputError by key.
-
-    module : in whose names it is found
-    """
+    """The class of a definition, the same for equal ones; module : that has it. Raises InputError by key."""
     _refuse_names(d)
     kind = _made(d.model_dump_json(), module, "".join(word.title() for word in d.name.split("_")))
     settings = {key: s.value for key, s in d.settings.items()}
     numbers = {key: value for key, value in settings.items() if isinstance(value, int | float)}
-    try:
+    with errors_of("formulas: "):
         whole = kind.texts_with(tuple(_word({"joint": 1, **settings}[place]) for place in kind.places))
         for seam, formula in whole.formulas.items():
             check_formula(formula.text, seam, (*whole.sizes, *numbers, *whole.needs))
             check_values(formula, whole.sizes, numbers)
-    except InputError as error:
-        raise InputError(f"formulas: {error}") from None
-    sizes, used = whole.sizes, {name for formula in whole.formulas.values() for name in formula.names}
-    if unused := [name for name in sizes if name not in used]:
+    used = {name for formula in whole.formulas.values() for name in formula.names}
+    if unused := [name for name in whole.sizes if name not in used]:
         raise InputError(f"sizes.{unused[0]}: is in no formula")
     return kind
 
@@ -383,17 +364,13 @@ def effect_classes(definitions: Iterable[Definition], module: str = "effect file
     """Their classes. Raises InputError that names the table and the key."""
     kinds = []
     for k, d in enumerate(definitions, 1):
-        try:
+        with errors_of(f"definition[{k}]."):
             kinds.append(effect_class(d, module))
-        except InputError as error:
-            raise InputError(f"definition[{k}].{error}") from None
     return tuple(kinds)
 
 
 def read_definitions(path: Path, module: str = "effect file") -> dict[str, type[DefinedEffect]]:
     """Effects that a file defines, by name. Raises InputError."""
     file = check(DefinitionFile, load_toml(path), path.name)
-    try:
+    with errors_of(f"{path.name}: "):
         return {kind.name: kind for kind in effect_classes(file.definition, module)}
-    except InputError as error:
-        raise InputError(f"{path.name}: {error}") from None

@@ -156,21 +156,11 @@ class BearingPlay(Effect):
         if number != self.joint:
             return ca.SX.eye(4)
         turn = context.frames[number - 1][:3, :3].T
-        moment = turn @ context.moment(number) / self._great(context)
-        return translate(*ca.vertsplit(self._drop(turn @ context.gravity / 9.81, context))) @ small_frame(
-            0, 0, 0, *self._rock(moment, context), 0
-        )
-
-    def _great(self, context: Context) -> Symbolic:
-        """The greatest torque that joints here or one joint before carry, since moments across are like theirs."""
-        assert self.joint is not None
-        return context.greatest(max(self.joint - 1, 1), self.joint)
-
-    def _rock(self, moment: Symbolic, context: Context) -> tuple[Symbolic, Symbolic]:
+        # Moments across the axis are like the greatest torque that joints here or one joint before carry.
+        moment = turn @ context.moment(number) / context.greatest(max(number - 1, 1), number)
         size = ca.sqrt(moment[0] ** 2 + moment[1] ** 2 + 1e-8)
         share = self.value(context, "rock") * ca.tanh(size / self.soft) / ca.tanh(1 / self.soft) / size
-        return share * moment[0], share * moment[1]
-
-    def _drop(self, down: Symbolic, context: Context) -> Symbolic:
+        down = turn @ context.gravity / 9.81
         across = ca.vertcat(down[0], down[1], 0)
-        return self.value(context, "drop") * across / ca.sqrt(ca.sumsqr(across) + 0.01)
+        drop = self.value(context, "drop") * across / ca.sqrt(ca.sumsqr(across) + 0.01)
+        return translate(*ca.vertsplit(drop)) @ small_frame(0, 0, 0, share * moment[0], share * moment[1], 0)

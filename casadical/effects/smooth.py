@@ -221,9 +221,8 @@ class SmoothInSpace(_Smooth):
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
         x = dict(zip("xyz", ca.vertsplit(point / self.reach), strict=True))
-        names = {p: ca.SX(1) for p in self.sizes()}
         moved = ca.SX.zeros(3)
-        for name in names:
+        for name in self.sizes():
             axis, product = name.split("_")
             term = self.value(context, name)
             for c in product:

@@ -186,11 +186,8 @@ def _headings(
 
 
 def _names_in(cells: Sequence[str]) -> int:
-    return (
-        0
-        if table_form.is_units(cells)
-        else sum(bool(cell.strip()) and not table_form.is_number(cell) for cell in cells)
-    )
+    words = sum(bool(cell.strip()) and not table_form.is_number(cell) for cell in cells)
+    return 0 if table_form.is_units(cells) else words
 
 
 def _uncommented(cells: list[str]) -> list[str]:

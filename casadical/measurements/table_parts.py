@@ -93,10 +93,7 @@ def table_parts(path: str | Path) -> Iterator[RawTable]:
 
 
 def read_columns(path: str | Path) -> RawTable:
-    """As `read_table`, a large table some rows at a time.
-
-    Raises InputError as `read_table` does, and for more numbers than memory should hold.
-    """
+    """As `read_table`, a large table some rows at a time. Raises InputError also for too many numbers for memory."""
     parts: list[RawTable] = []
     for part in table_parts(path):
         parts.append(part)
@@ -171,9 +168,7 @@ def _parquet(path: Path) -> Iterator[RawTable]:
             header = tuple(str(name).strip() for name in file.schema_arrow.names)
             about = file.metadata
             groups = map(about.row_group, range(about.num_row_groups))
-            if any(
-                about.schema.column(k).max_repetition_level for k in range(about.num_columns)
-            ):  # cells that are lists
+            if any(about.schema.column(k).max_repetition_level for k in range(about.num_columns)):  # of lists
                 refuse_many(path, sum(g.column(k).num_values for g in groups for k in range(about.num_columns)))
             for frame in (batch.to_pandas(ignore_metadata=True) for batch in file.iter_batches(ROWS)):
                 rows = range(line, line + len(frame))

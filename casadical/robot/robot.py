@@ -239,12 +239,11 @@ class Robot(Shown, Arm):
 
     def _repr_html_(self) -> str:
         """For a notebook: the DH table with the limits of each joint."""
-        units = [(key.split("_")[1], factor) for key, factor in self.reading_units.items()]
-        rows = [
-            (str(row["joint"]), *("" if v is None else f"{v:.3f}" for k, v in row.items() if k != "joint"),
-             f"{j.lower / factor:.4g} to {j.upper / factor:.4g} {unit}")
-            for row, j, (unit, factor) in zip(modified_dh(self), self.joints, units, strict=True)
-        ]  # fmt: skip
+        rows = []
+        for i, (joint, (key, factor)) in enumerate(zip(self.joints, self.reading_units.items(), strict=True), 1):
+            numbers = ("" if v is None else f"{v:.3f}" for v in dh_row(joint).values())
+            ends = f"{joint.lower / factor:.4g} to {joint.upper / factor:.4g} {key.split('_')[1]}"
+            rows.append((str(i), *numbers, ends))
         head = ("joint", "alpha [deg]", "a [mm]", "beta [deg]", "b [mm]", "theta [deg]", "d [mm]", "readings")
         table = Table("Modified DH rows", head, rows, frozenset(range(1, 7)))
         return html([table, *(Words(note, "note") for note in self.notes)], title=repr(self)[1:-1])
@@ -343,10 +342,7 @@ class Robot(Shown, Arm):
         return ", ".join(texts)
 
     def with_only(self, effects: Iterable[Effect]) -> Robot:
-        """A robot whose model holds only these of its effects.
-
-        effects : those of this robot's effects that stay
-        """
+        """A robot whose model holds only these of its effects."""
         kept = tuple(effects)
         gone = {p.name for e in self.effects if e not in kept for p in e.parameters()}
         values = {name: value for name, value in self.effect_values.items() if name not in gone}
@@ -357,7 +353,6 @@ class Robot(Shown, Arm):
     def with_values(self, values: Mapping[str, float]) -> Robot:
         """A robot whose nominal values are these, by parameter name [SI]; nothing is known of the new ones.
 
-        values : parameter name -> nominal value [SI]
         Raises InputError: no such parameter, or a value that is not finite.
         """
         for name in values:
@@ -378,12 +373,9 @@ class Robot(Shown, Arm):
         )
 
     def values_of(self, other: Robot) -> Array:
-        """Parameters of this robot, shape (P,) [SI], that make it the other one.
+        """Parameters of this robot, shape (P,) [SI], that make it another one of its structure.
 
         The other's base may stand elsewhere, and its tool may be turned.
-
-        other : a robot of the same structure
-        Returns shape (P,) [SI]: values in the order of `parameters`.
         """
         values = dict(zip(other.parameters.names, other.parameters.values, strict=True))
         moved, turned = (np.linalg.solve(a.T, b.T) for a, b in ((self.base, other.base), (self.tool, other.tool)))
@@ -395,21 +387,12 @@ class Robot(Shown, Arm):
 
 
 def _joint_with(joint: Joint, i: int, v: Mapping[str, float]) -> Joint:
-    return replace(
-        joint,
-        alpha=v[f"alpha{i - 1}"],
-        a=v[f"a{i - 1}"],
-        beta=v.get(f"beta{i - 1}"),
-        b=v.get(f"b{i - 1}"),
-        theta=v[f"theta{i}"],
-        d=v[f"d{i}"],
-        compliance=v.get(f"c{i}"),
-    )
+    row = {name: v.get(f"{name}{i - 1}") for name in ("alpha", "a", "beta", "b")}
+    return replace(joint, **row, theta=v[f"theta{i}"], d=v[f"d{i}"], compliance=v.get(f"c{i}"))  # type: ignore[arg-type]
 
 
 def _loop_with(loop: FourBar, k: int, v: Mapping[str, float]) -> FourBar:
-    names = bar_names(k)
-    return replace(loop, crank=v[names["crank"]], coupler=v[names["coupler"]], rocker=v[names["rocker"]])
+    return replace(loop, **{bar: v[name] for bar, name in bar_names(k).items()})  # type: ignore[arg-type]
 
 
 def _tool_with(T: Array, v: Mapping[str, float]) -> Array:
@@ -417,24 +400,18 @@ def _tool_with(T: Array, v: Mapping[str, float]) -> Array:
     return frame(T[:3, :3] @ from_xyz(six[3:]), six[:3])
 
 
-def modified_dh(robot: Robot) -> list[dict[str, float | str | None]]:
+def in_file_units(part: object, **units: str) -> dict[str, float | None]:
+    """Fields of a part of a robot under keys with their units, mm or deg; None where a field is None."""
+    factors = {"mm": 1e3, "deg": 180 / np.pi}
+    given = ((f"{name}_{unit}", getattr(part, name), factors[unit]) for name, unit in units.items())
+    return {key: None if value is None else float(factor * value) for key, value, factor in given}
+
+
+def dh_row(joint: Joint) -> dict[str, float | None]:
+    """A modified DH row in millimetres and degrees."""
+    return in_file_units(joint, alpha="deg", a="mm", beta="deg", b="mm", theta="deg", d="mm")
+
+
+def modified_dh(robot: Robot) -> list[dict[str, float | None]]:
     """The modified DH table in millimetres and degrees, a dict per row."""
-
-    def deg(x: float | None) -> float | None:
-        return None if x is None else float(np.rad2deg(x))
-
-    def mm(x: float | None) -> float | None:
-        return None if x is None else 1e3 * x
-
-    return [
-        {
-            "joint": i,
-            "alpha_deg": deg(j.alpha),
-            "a_mm": mm(j.a),
-            "beta_deg": deg(j.beta),
-            "b_mm": mm(j.b),
-            "theta_deg": deg(j.theta),
-            "d_mm": mm(j.d),
-        }
-        for i, j in enumerate(robot.joints, 1)
-    ]
+    return [{"joint": i, **dh_row(joint)} for i, joint in enumerate(robot.joints, 1)]

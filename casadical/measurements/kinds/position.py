@@ -94,10 +94,7 @@ class PositionCovariance(Position):
 
 
 def whitening(covariance: Array) -> Array:
-    """What makes noise of these covariances white with their typical sigma, shape (n, 3, 3).
-
-    covariance : shape (n, 3, 3) [m^2]
-    """
+    """What makes noise of covariances, shape (n, 3, 3) [m^2], white with their typical sigma; of the same shape."""
     return np.asarray(typical_sigma(covariance) * whitening_of(covariance).W)
 
 

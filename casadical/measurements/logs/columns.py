@@ -9,7 +9,7 @@ import pandas as pd
 
 from casadical.core.basics import Array, InputError
 from casadical.core.reading import json_of
-from casadical.measurements.columns import in_seconds
+from casadical.measurements.columns import in_seconds, numbers_of
 from casadical.measurements.headings import words_of
 from casadical.measurements.raw_table import RawTable
 from casadical.measurements.vocabulary import UNITS, WORDS
@@ -65,7 +65,7 @@ def logged(raw: RawTable, names: Sequence[str] = (), listed: Sequence[str] = ())
         if heading.startswith("time_") or heading not in frame:  # a column without a heading
             continue
         if scalar := _scalar(heading):
-            scalars.setdefault(scalar, _numbers(frame[heading]))
+            scalars.setdefault(scalar, numbers_of(frame[heading]))
             continue
         lists = _lists(frame[heading], raw)
         found = [(*meaning(heading, names), frame[heading])] if lists is None else []
@@ -77,7 +77,7 @@ def logged(raw: RawTable, names: Sequence[str] = (), listed: Sequence[str] = ())
                 )
             found = [(channel, joint, "", column) for joint, column in zip(those, lists.T, strict=True)]
         for channel, joint, unit, cells in found:
-            values = _numbers(pd.Series(cells))
+            values = numbers_of(pd.Series(cells))
             if channel and joint not in channels.get(channel, ()) and np.isfinite(values).any():
                 channels.setdefault(channel, {})[joint] = values
                 units[channel, joint] = unit or _si_name(below.get(heading, ""))
@@ -111,10 +111,6 @@ def _lists(cells: pd.Series, raw: RawTable) -> Array | None:
                 f"{raw.path.name}: row {line}, column {cells.name!r}: {wrong}, {wanted[0]} in the first row; correct it"
             )
     return np.array(rows, dtype=float)
-
-
-def _numbers(cells: pd.Series) -> Array:
-    return pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float)
 
 
 def _scalar(heading: str) -> str:
@@ -163,7 +159,7 @@ def _time(raw: RawTable) -> Array:
     """The time of each row [s]. Raises InputError: no column of it."""
     frame = raw.frame
     if "time_s" in frame:
-        return _numbers(frame["time_s"])
+        return numbers_of(frame["time_s"])
     named = [(name, *words_of(name)) for name in raw.header]
     found = [(name, words, unit) for name, words, unit in named if {*words} & WORDS["time"] or unit == "nanosec"]
     if not found:
@@ -174,7 +170,7 @@ def _time(raw: RawTable) -> Array:
     values = in_seconds(frame[whole[0]])
     fine = [name for name, _, unit in found if name != whole[0] and UNITS.get(unit, ("", 1.0))[1] == 1e-9]
     if fine:
-        return np.asarray(values + 1e-9 * _numbers(frame[fine[0]]))
+        return np.asarray(values + 1e-9 * numbers_of(frame[fine[0]]))
     factor = UNITS[whole[2]][1] if UNITS.get(whole[2], ("",))[0] == "s" else stamp_factor(values)
     return np.asarray(values * factor)
 

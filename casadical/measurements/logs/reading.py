@@ -156,19 +156,10 @@ def assembled(log: Logged, robot: Arm | None, unit: str | None = None) -> JointL
             if np.isnan(arrays[channel]).all():
                 del arrays[channel]
     notes += _into_si(log, keys, arrays, kinds, unit, robot)
-    unsigned = "abs" in {log.units.get(("current", key)) for key in keys}
     arrays |= {name: log.scalars[name][kept] for name in ("voltage", "payload") if name in log.scalars}
-    return JointLog(
-        time,
-        names,
-        **arrays,
-        current_unsigned=unsigned,
-        run=run,
-        kinds=kinds,
-        row=log.row[kept],
-        source=log.source,
-        findings=(*log.notes, *notes, *odd),
-    )
+    arrays["current_unsigned"] = "abs" in {log.units.get(("current", key)) for key in keys}
+    said = (*log.notes, *notes, *odd)
+    return JointLog(time, names, **arrays, run=run, kinds=kinds, row=log.row[kept], source=log.source, findings=said)
 
 
 def _joints(log: Logged, robot: Arm | None) -> tuple[list[str], tuple[str, ...], tuple[str, ...]]:

@@ -36,10 +36,7 @@ def sage(folder: Path) -> Logged:
 
 
 def lerobot(path: Path, table: RawTable, unit: str | None) -> Logged:
-    """A Parquet file of a LeRobot dataset; unit : deg, rad or percent, of angles.
-
-    Raises InputError: where the unit is not given and not sure.
-    """
+    """A Parquet file of a LeRobot dataset; unit : of angles. Raises InputError where it is not given and not sure."""
     about = next((up / "meta" / "info.json" for up in path.parents[:4] if (up / "meta" / "info.json").exists()), None)
     names: Sequence[str] = ()
     if about:
