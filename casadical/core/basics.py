@@ -104,8 +104,8 @@ class FaultsError(InputError):
         files = list(dict.fromkeys(f.source for f in faults))
         kept = sorted((f for f in faults if not any(map(f.within, faults))), key=lambda f: files.index(f.source))
         others = [t for e in told for t in (e.others if isinstance(e, FaultsError) else [str(e)])]
-        found = FaultsError(kept, list(dict.fromkeys(others)))
-        return told[0] if len(told) == 1 or str(found) == str(told[0]) else found
+        whole = FaultsError(kept, list(dict.fromkeys(others)))
+        return told[0] if len(told) == 1 or str(whole) == str(told[0]) else whole
 
 
 def all_faults(steps: Iterable[Callable[[], object]]) -> None:

@@ -97,8 +97,7 @@ class Joint:
     beta : turn about y where the axes are nearly parallel [rad]; None: d is the parameter there
     b : offset along y where the axes are nearly parallel [m]; None as of beta
     kind : revolute, or prismatic (then the reading is added to d)
-    lower : least reading [rad or m]
-    upper : greatest reading [rad or m]
+    lower, upper : least and greatest reading [rad or m]
     compliance : of the drive train [rad/(N m) or m/N]; None: taken as rigid
     body : of the link that the joint moves
     coupling : what its reading follows from, where it is no axis of its own: a mimic joint, a passive one, a locked one
@@ -151,8 +150,6 @@ class FourBar:
     The ground bar is the link between the two joints (its length is the driven row's a). The driven link's angle
     against the carrier is: direction of the rocker - angle of the carrier + offset. Lengths in metres.
 
-    driven : joint whose reading is the crank's angle, 1-based
-    carrier : joint in whose plane the loop lies, 1-based
     crank, coupler, rocker : length [m]
     offset : angle between rocker and driven link [rad]
 

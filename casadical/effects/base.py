@@ -1,4 +1,4 @@
-"""The base of all effects and the seams at which one may enter the model.
+"""The base of all effects, the seams at which one may enter the model, and what it may look at there.
 
 In the order in which a pose is computed: `energy` (a spring or a mass: it loads the joints), `joint_angle` (added to
 the reading), `link` (behind the joint's own motion), `base`, `tool`, `measurement`. An effect overrides the seams it
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import reduce
 from typing import Any, ClassVar, Self
 
 import casadi as ca
@@ -19,10 +20,81 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.parameters import Parameter
 from casadical.core.parts import Arm, Body
-from casadical.core.transforms import Symbolic
-from casadical.effects.context import Context as Context
+from casadical.core.transforms import Symbolic, apply
 from casadical.effects.settings import checked_settings, grid_points, settings_of
 from casadical.effects.settings import setting as setting
+
+
+@dataclass(frozen=True)
+class Context:
+    """What an effect may look at; every entry but the first is symbolic.
+
+    arm : rows, masses, limits, loops, payload
+    torque_scale : shape (n,) [N m or N]: great gravity torques on each joint (see `Robot.torque_scale`)
+    q : shape (n,) [rad or m]: joint readings
+    conditions : logged columns by name (payload_kg, temperature_degC, progress, approach1, ...)
+    values : the value of every parameter of the model, by name [SI]
+    frames : T_01..T_0n, the rigid links' frames in the robot's base frame, each (4, 4)
+    gravity : shape (3,) [m/s^2]: in the robot's base frame
+    torque : shape (n,) [N m or N]: of gravity on the actuated joints; None at the seam `energy`, which makes it
+
+    Examples
+    --------
+    >>> seen = []
+    >>> class Look(casadical.Effect):
+    ...     name = "look"
+    ...
+    ...     def joint_angle(self, context):
+    ...         seen.append(context)
+    ...         return super().joint_angle(context)
+    >>> size = robot.with_effect(Look()).position.n_in()
+    >>> context = seen[0]
+    >>> context.load(1).shape, context.moment(1).shape, context.greatest(1, 2).shape
+    ((1, 1), (3, 1), (1, 1))
+    """
+
+    arm: Arm
+    torque_scale: Symbolic
+    q: Symbolic
+    conditions: Mapping[str, Symbolic]
+    values: Mapping[str, Symbolic]
+    frames: tuple[Symbolic, ...]
+    gravity: Symbolic
+    torque: Symbolic = None
+
+    def load(self, joint: int | None) -> Symbolic:
+        """Gravity torque on a joint (1-based) as a share of its great torques."""
+        assert joint is not None
+        return self.torque[joint - 1] / self.torque_scale[joint - 1]
+
+    def moment(self, link: int) -> Symbolic:
+        """Moment [N m] of all weight from a link (1-based) on, about its origin; in the base frame, shape (3,)."""
+        origin = self.frames[link - 1][:3, 3]
+        joints = self.arm.joints
+        loads = [(j.body.mass, apply(T, ca.DM(j.body.com))) for j, T in zip(joints, self.frames, strict=True) if j.body]
+        loads = loads[sum(1 for j in joints[: link - 1] if j.body) :]
+        if self.arm.payload:
+            mass = self.conditions.get("payload_kg", self.arm.payload.mass)
+            loads.append((mass, apply(self.frames[-1], ca.DM(self.arm.payload.com))))
+        total = ca.SX.zeros(3)
+        for mass, centre in loads:
+            total = total + ca.cross(centre - origin, mass * self.gravity)
+        return total
+
+    @property
+    def great_moment(self) -> Symbolic:
+        """The greatest of the turning joints' great torques [N m]; of an arm that only slides, of its forces [N]."""
+        return self.greatest(1, self.arm.n)
+
+    def greatest(self, first: int, last: int) -> Symbolic:
+        """The greatest great torque of the turning joints (1-based) from the first to the last [N m].
+
+        Where none of them turns, of all of them [N]: moments and forces are not compared.
+        """
+        there = range(first, last + 1)
+        turning = [j for j in there if j in self.arm.revolute] or there
+        return reduce(ca.fmax, [self.torque_scale[j - 1] for j in turning])
+
 
 # Of a rigid joint [N m/rad or N/m]: 10 kN m turn it by 1e-8 rad.
 RIGID = 1e12

@@ -70,14 +70,11 @@ class BacklashByLoad(Backlash):
 
     name = "backlash_by_load"
     answers_as = "backlash"
+    conditions = ()
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
         return (cls(j, 0.0, width) for j in arm.numbers for width in (0.003, 0.01, 0.03, 0.1, 0.3))
-
-    @property
-    def conditions(self) -> tuple[str, ...]:
-        return ()
 
     @property
     def only_without(self) -> tuple[str, ...]:

@@ -111,6 +111,8 @@ POSSIBLE = {
     "pose": (-1e12, 1e12),
     "weight": (-LARGEST, LARGEST),
 }
+# More turns than this are refused; joints that all move less [deg] may have been logged in radians.
+MOST_TURNS, RADIANS = 4, 6.3
 _NUMBERS = re.compile(r"warmth_\w+|approach\d+")
 # Columns of an orientation.
 ORIENTATION = "(r[xyz]|rotvec_[xyz]|roll|pitch|yaw)_(deg|rad)|R[012]{2}|q[wxyz]"
@@ -125,12 +127,9 @@ _NO_CONDITIONS = r"q\d+_(deg|rad|mm|m)|weight|set|tool|session"
 class Columns:
     """Columns of one table, converted to SI; every error (InputError) says where.
 
-    table : headers without blanks around them, empty columns left out
-    source : file name or description
-    row : shape (n,): line of the file at which each row stands
-    empty : headers of columns without a cell, which are left out
-    taken : of those that others were made of
-    left_out : rows of the file that were left out
+    table : headers without blanks around them; source : file name or description
+    row : shape (n,): line of the file at which each row stands; left_out : rows that were left out
+    empty : headers of columns without a cell, which are left out; taken : of those that others were made of
 
     Examples
     --------

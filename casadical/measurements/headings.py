@@ -14,8 +14,7 @@ from itertools import product
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.measurements.angle_unit import RADIANS
-from casadical.measurements.columns import Source, in_seconds, numbers_of
+from casadical.measurements.columns import RADIANS, Source, in_seconds, numbers_of
 from casadical.measurements.kinds.position import FIRST
 from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.raw_table import RawTable

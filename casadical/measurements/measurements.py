@@ -66,17 +66,14 @@ class Measurements(Shown):
     other : shape (n, joints) [rad or m]: readings at the other end of a pair distance
     label : shape (n,): which unknown point is touched, of kind contact
     extra : further observed arrays by name, each of shape (n, ...), of kinds that need others than these
-    separations : for kind contact, (label, label, distance [m]) between touched points that are known
-    separation_sigma : how well they are known [m]
+    separations : for kind contact, (label, label, distance [m]) between touched points that are known, with one sigma
+        of `separation_sigma` [m]
     conditions : logged columns by name, each of shape (n,)
-    sigma : one sigma of a coordinate [m]; None: estimated from the fit
-    sigma_angle : one sigma of an angle [rad]; None: estimated from the fit
+    sigma, sigma_angle : one sigma of a coordinate [m] and of an angle [rad]; None: estimated from the fit
     weight : shape (n,): factor on each pose's residual
-    row : shape (n,): line of the source at which each pose stands, for messages
-    source : file name or description
+    row : shape (n,): line of the source at which each pose stands; source : file name or description
     unused : columns that were left out: of words, or without a cell
-    copies : lines that repeat another to the last digit and were left out
-    lost : lines that were left out because a reading or a position is not there
+    copies, lost : lines that were left out, as they repeat another to the last digit, or lack a reading or position
     Raises InputError: arrays that do not fit the kind or each other.
 
     Examples

@@ -1,6 +1,6 @@
 """Measurements from CSV files and pandas tables."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -10,8 +10,7 @@ import pandas as pd
 
 from casadical.core.basics import Array, InputError
 from casadical.core.parts import GRAVITY
-from casadical.measurements.angle_unit import refuse_other_unit
-from casadical.measurements.columns import Columns, Source
+from casadical.measurements.columns import MOST_TURNS, RADIANS, Columns, Source
 from casadical.measurements.headings import Understanding, understand
 from casadical.measurements.kinds.registry import find_kind, kind_of, kinds
 from casadical.measurements.measurements import FIELDS, Measurements
@@ -42,8 +41,7 @@ def read_measurements(
     kind : what was observed; by default what the columns say
     columns : our name -> name in the file, where the file's headers differ from ours and do not tell it themselves
     point_from : columns that together name the touched point, of kind contact
-    sigma_mm : one sigma of a measured coordinate [mm]; None: estimated from the fit
-    sigma_deg : one sigma of a measured angle [deg]; None: estimated from the fit
+    sigma_mm, sigma_deg : one sigma of a measured coordinate [mm] and angle [deg]; None: estimated from the fit
     Raises InputError: a table that cannot be used; it names the file, row and column where something is wrong.
 
     Examples
@@ -116,9 +114,7 @@ def from_table(
 ) -> Measurements:
     """Measurements from a pandas table; arguments and errors as of `read_measurements`.
 
-    table : with the columns of docs/measurements.md
-    joints, kind, columns, sigma_mm, sigma_deg : as of `read_measurements`
-    source : what messages call the table
+    table : with the columns of docs/measurements.md; source : what messages call it
     Raises InputError: the table names no usable poses; row and column are named.
 
     Examples
@@ -185,6 +181,35 @@ def _measured(
         extra={name: values for name, values in arrays.items() if name not in FIELDS},
         **{name: values for name, values in arrays.items() if name in FIELDS},  # type: ignore[arg-type]
     )
+
+
+def refuse_other_unit(q: Array, kinds: Sequence[str], names: Collection[str], source: str, row: Array) -> None:
+    """Raises InputError where angles are in another unit than their columns say.
+
+    q : readings, shape (n, joints) [rad or m]; kinds : revolute or prismatic, of each; names : of the columns
+    row : line of the source of each reading, shape (n,)
+    """
+    turning = [i for i, kind in enumerate(kinds) if kind == "revolute"]
+    if not turning:
+        return
+    ends = np.array([[column.min(), column.max()] for column in (q[:, i] for i in turning)])
+    if np.abs(ends).max() > MOST_TURNS * 2 * np.pi:
+        k, i = divmod(int(np.argmax(np.abs(q[:, turning]))), len(turning))
+        name, largest = f"q{turning[i] + 1}", q[k, turning[i]]
+        unit, said = ("rad", largest) if f"{name}_rad" in names else ("deg", np.rad2deg(largest))
+        remedy = f"at most {MOST_TURNS} are allowed: correct the reading"
+        if unit == "rad":
+            remedy = f"are the columns in degrees? name them {name}_deg"
+        turns = abs(largest) / (2 * np.pi)
+        raise InputError(
+            f"{source}: row {row[k]}, column '{name}_{unit}': {said:.6g} {unit} is {turns:.1f} turns; {remedy}"
+        )
+    widest = float(np.rad2deg(np.ptp(ends, axis=1).max()))
+    if all(f"q{i + 1}_deg" in names for i in turning) and len(q) >= 10 and widest < RADIANS:
+        raise InputError(
+            f"{source}: no joint moves by more than {widest:.2f} deg over {len(q)} poses; "
+            "are the columns in radians? name them q1_rad, ..."
+        )
 
 
 def with_gravity(conditions: dict[str, Array], columns: Columns) -> dict[str, Array]:

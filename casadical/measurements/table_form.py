@@ -111,12 +111,12 @@ def records_of(text: str, separator: str) -> list[Record]:
         return [(k, line.split()) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
     loose = separator != "\t"  # csv counts tabs as blanks
     reader = csv.reader(io.StringIO(text, newline=""), strict=True, delimiter=separator, skipinitialspace=loose)
-    found, line = [], 1
+    records, line = [], 1
     for cells in reader:
         if len(cells) > 1 or any(cell.strip() for cell in cells):
-            found.append((line, cells))
+            records.append((line, cells))
         line = reader.line_num + 1
-    return found
+    return records
 
 
 def clean(cell: str) -> str:

@@ -181,23 +181,15 @@ SMALLEST_GEAR = 0.05
 class Robot(Shown, Arm):
     """An arm with its model and its parameters.
 
-    name : as reports call it
-    joints : from the base to the flange
-    base : base frame in the measuring frame
-    tool : measured point in the flange frame
-    loops : closed loops that drive a joint
-    gravity : shape (3,) [m/s^2]
-    gravity_frame : frame in which gravity is given
+    name : as reports call it; joints : from the base to the flange; loops : closed ones that drive a joint
+    base : base frame in the measuring frame; tool : measured point in the flange frame
+    gravity : shape (3,) [m/s^2], given in the frame `gravity_frame`
     payload : declared load in the flange frame; None: none
-    widths : bounds and priors of groups of parameters
-    body_width : one sigma of declared masses and mass centres
-    tool_name : name of the measured point, where there are several
-    targets : further measured points on the flange
+    widths : bounds and priors of groups of parameters; body_width : one sigma of declared masses and mass centres
+    tool_name : name of the measured point, where there are several; targets : further measured points on the flange
     masses : whether the links' masses are known, or estimates that tell no stiffness
-    drive : what is known of the drives
-    sessions : what is found again in each session of a campaign
-    effects : what was added to the base model, see `with_effect`
-    effect_values : parameter name -> value [SI] of those effects
+    drive : what is known of the drives; sessions : what is found again in each session of a campaign
+    effects : what was added to the base model, see `with_effect`; effect_values : parameter name -> value [SI] of those
     notes : what a reader of results must know (assumed masses, sources)
     knowledge : how well the values are known, and on what range they were learnt
     bound : of the error that remains with these values

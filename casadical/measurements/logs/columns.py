@@ -68,15 +68,15 @@ def logged(raw: RawTable, names: Sequence[str] = (), listed: Sequence[str] = ())
             scalars.setdefault(scalar, numbers_of(frame[heading]))
             continue
         lists = _lists(frame[heading], raw)
-        found = [(*meaning(heading, names), frame[heading])] if lists is None else []
+        parts = [(*meaning(heading, names), frame[heading])] if lists is None else []
         if lists is not None and (channel := _channel(words_of(heading)[0])):
             those = listed or [str(k) for k in range(1, lists.shape[1] + 1)]
             if len(those) != lists.shape[1]:
                 raise InputError(
                     f"{source}: column {heading!r}: lists of {lists.shape[1]} numbers, {len(those)} joints"
                 )
-            found = [(channel, joint, "", column) for joint, column in zip(those, lists.T, strict=True)]
-        for channel, joint, unit, cells in found:
+            parts = [(channel, joint, "", column) for joint, column in zip(those, lists.T, strict=True)]
+        for channel, joint, unit, cells in parts:
             values = numbers_of(pd.Series(cells))
             if channel and joint not in channels.get(channel, ()) and np.isfinite(values).any():
                 channels.setdefault(channel, {})[joint] = values
@@ -161,14 +161,14 @@ def _time(raw: RawTable) -> Array:
     if "time_s" in frame:
         return numbers_of(frame["time_s"])
     named = [(name, *words_of(name)) for name in raw.header]
-    found = [(name, words, unit) for name, words, unit in named if {*words} & WORDS["time"] or unit == "nanosec"]
-    if not found:
+    clocks = [(name, words, unit) for name, words, unit in named if {*words} & WORDS["time"] or unit == "nanosec"]
+    if not clocks:
         raise InputError(
             f"{raw.path.name}: no column holds the time; name it time_s; there are {', '.join(raw.header)}"
         )
-    whole = next((each for each in found if UNITS.get(each[2], ("", 1.0))[1] != 1e-9), found[0])
+    whole = next((each for each in clocks if UNITS.get(each[2], ("", 1.0))[1] != 1e-9), clocks[0])
     values = in_seconds(frame[whole[0]])
-    fine = [name for name, _, unit in found if name != whole[0] and UNITS.get(unit, ("", 1.0))[1] == 1e-9]
+    fine = [name for name, _, unit in clocks if name != whole[0] and UNITS.get(unit, ("", 1.0))[1] == 1e-9]
     if fine:
         return np.asarray(values + 1e-9 * numbers_of(frame[fine[0]]))
     factor = UNITS[whole[2]][1] if UNITS.get(whole[2], ("",))[0] == "s" else stamp_factor(values)

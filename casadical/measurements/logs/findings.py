@@ -8,7 +8,7 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.parts import Arm
-from casadical.measurements.angle_unit import MOST_TURNS
+from casadical.measurements.columns import MOST_TURNS
 from casadical.measurements.logs.log import JointLog
 
 DEGREES = float(np.rad2deg(1.0))

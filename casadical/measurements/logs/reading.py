@@ -15,7 +15,7 @@ import pandas as pd
 from casadical.core.basics import Array, InputError
 from casadical.core.parts import Arm
 from casadical.core.reading import read_bytes, unpacked
-from casadical.measurements.angle_unit import RADIANS
+from casadical.measurements.columns import RADIANS
 from casadical.measurements.headings import words_of
 from casadical.measurements.logs.columns import FACTORS, LENGTHS, NAMES, Logged, logged, meaning
 from casadical.measurements.logs.findings import found_in, refuse_other_units, with_signs
@@ -50,16 +50,6 @@ def read_log(
     effort : what stands in the field effort, torque by default; both as [drive] of the robot says where None
     Returns the log in SI; its findings say what was understood, and what is odd.
     Raises InputError: a file that cannot be used; it names file, row and column, and what to do.
-
-    Examples
-    --------
-    >>> from casadical.measurements.logs.reading import read_log
-    >>> t = np.arange(200) / 100
-    >>> rows = pd.DataFrame({"time_s": t, "command1_rad": np.sin(t), "q1_deg": np.degrees(np.sin(t - 0.02))})
-    >>> rows.to_csv("motion.csv", index=False)
-    >>> log = read_log("motion.csv")
-    >>> log.joints, round(float(log.position.max()), 3)
-    (('joint 1',), 1.0)
     """
     path = Path(path)
     if robot and robot.drive:
