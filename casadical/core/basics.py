@@ -6,7 +6,7 @@ Each message of an error says what is wrong, the value, what is allowed, and wha
 import importlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 if TYPE_CHECKING:  # numpy is not loaded for a name in annotations
@@ -69,9 +69,8 @@ class Fault:
 
     def within(self, other: "Fault") -> bool:
         """Whether another one says the same of more rows."""
-        return {*self.rows} < {*other.rows} and (self.source, self.column, self.wrong, self.allowed) == (
-            other.source, other.column, other.wrong, other.allowed,
-        )  # fmt: skip
+        same = replace(self, rows=other.rows, value=other.value, remedy=other.remedy) == other
+        return same and {*self.rows} < {*other.rows}
 
     def __str__(self) -> str:
         if not self.rows:

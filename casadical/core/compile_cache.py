@@ -132,9 +132,8 @@ def _pointers(arrays: Sequence[Array]) -> Any:
 
 def compiler() -> str | None:
     """Path of the C compiler that is used: $CC, gcc, clang or cc; None where there is none."""
-    return next(
-        (path for name in (os.environ.get("CC"), "gcc", "clang", "cc") if name and (path := shutil.which(name))), None
-    )
+    names = filter(None, (os.environ.get("CC"), "gcc", "clang", "cc"))
+    return next(filter(None, map(shutil.which, names)), None)
 
 
 def compiled(function: ca.Function, *, make: bool = True) -> MachineCode | None:

@@ -56,9 +56,8 @@ class MappedFunction:
         whole = [np.empty((rows, columns * n), order="F") for rows, columns in sizes]
         for start in range(0, n, self._chunk):
             some = points[:, start : start + self._chunk]
-            for out, part, (_, columns) in zip(
-                whole, self._over(some.shape[1])(some, shared, once), sizes, strict=True
-            ):
+            parts = self._over(some.shape[1])(some, shared, once)
+            for out, part, (_, columns) in zip(whole, parts, sizes, strict=True):
                 out[:, columns * start : columns * start + part.shape[1]] = part
         return whole
 
@@ -73,8 +72,7 @@ class MappedFunction:
     def _compile(self, n: int) -> None:
         """Go over to machine code where the points evaluated before and these n pay for it."""
         self._evaluated += n
-        while (
-            self._machine_code is None and self._tried < 2 and self._evaluated >= (LOOK_FROM, COMPILE_FROM)[self._tried]
-        ):
-            self._machine_code = compiled(self._each, make=self._tried == 1)
-            self._tried += 1
+        for make, least in ((False, LOOK_FROM), (True, COMPILE_FROM))[self._tried :]:
+            if self._machine_code is None and self._evaluated >= least:
+                self._machine_code = compiled(self._each, make=make)
+                self._tried += 1

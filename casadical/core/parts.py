@@ -242,14 +242,6 @@ def parallel(joints: tuple[Joint, ...], i: int) -> bool:
     return i + 1 < len(joints) and abs(np.sin(joints[i + 1].alpha)) < np.sin(NEAR_PARALLEL)
 
 
-def with_hayati(joints: tuple[Joint, ...]) -> tuple[Joint, ...]:
-    """Insert beta in every row whose axis is nearly parallel to the one before."""
-    return tuple(
-        replace(j, beta=0.0) if i > 0 and j.beta is None and parallel(joints, i - 1) else j
-        for i, j in enumerate(joints)
-    )
-
-
 STANDARD_GRAVITY = 9.80665
 # Columns of the direction of gravity in the robot's base frame, where it was logged at every pose.
 GRAVITY = ("gravity_x", "gravity_y", "gravity_z")
@@ -285,7 +277,10 @@ class Arm:
             raise InputError(f"robot {self.name!r} has no joints; at least one row is needed")
         for i, joint in enumerate(self.joints, 1):
             refuse_joint(self.name, i, joint)
-        object.__setattr__(self, "joints", with_hayati(self.joints))
+        # Hayati's beta stands in every row whose axis is nearly parallel to the one before.
+        lacking = [i > 0 and j.beta is None and parallel(self.joints, i - 1) for i, j in enumerate(self.joints)]
+        rows = (replace(j, beta=0.0) if lacks else j for j, lacks in zip(self.joints, lacking, strict=True))
+        object.__setattr__(self, "joints", tuple(rows))
         _refuse_couplings(self)
         for k, loop in enumerate(self.loops, 1):
             _refuse_unbuildable(self, k, loop)

@@ -191,11 +191,11 @@ class Counterparts:
         """The great torque on a joint (1-based) [N m or N]; of None the greatest moment."""
         return float(self.torque_scale[joint - 1] if joint else self.great_moment)
 
-    def with_drive(self, joint: int | None, **change: object) -> Counterparts:
-        """With one joint's drive changed."""
+    def with_drive(self, effect: Effect, text: str, **change: object) -> Counterparts:
+        """With the drive of an effect's joint changed, and a line on it."""
         drives = list(self.drives)
-        drives[(joint or 0) - 1] = replace(self.drive(joint), **change)  # type: ignore[arg-type]
-        return replace(self, drives=tuple(drives))
+        drives[(effect.joint or 0) - 1] = replace(self.drive(effect.joint), **change)  # type: ignore[arg-type]
+        return self.noted(f"{effect.label}: {text}", drives=tuple(drives))
 
     def with_springs(self, label: str, sizes: Mapping[str, float], link: int) -> Counterparts:
         """With hinges of the foot (link 0) or of a link; an axis that came out negative stays rigid.
@@ -211,14 +211,13 @@ class Counterparts:
             return made
         stiff = ", ".join(f"{s:.4g}" for s in k)
         if not link:
-            made = replace(made, base=k)  # type: ignore[arg-type]
-            return made.noted(f"{label}: hinges of the foot, {stiff} N m/rad")
-        made = replace(made, flexures={**made.flexures, link: k})  # type: ignore[dict-item]
-        return made.noted(f"{label}: link {link} in three pieces between hinges, {stiff} N m/rad in all")
+            return made.noted(f"{label}: hinges of the foot, {stiff} N m/rad", base=k)
+        pieces = f"{label}: link {link} in three pieces between hinges, {stiff} N m/rad in all"
+        return made.noted(pieces, flexures={**made.flexures, link: k})
 
-    def noted(self, text: str) -> Counterparts:
-        """With a line on what became of an effect."""
-        return replace(self, written=(*self.written, text))
+    def noted(self, text: str, **change: object) -> Counterparts:
+        """With what an effect became, and a line on it."""
+        return replace(self, written=(*self.written, text), **change)  # type: ignore[arg-type]
 
     def without(self, label: str, why: str, parts: tuple[str, ...] = ()) -> Counterparts:
         """With an effect that has no counterpart (see `Omission`)."""

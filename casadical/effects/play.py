@@ -54,9 +54,9 @@ class Backlash(Effect):
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
         if v["half"] <= 0:
             return simulator.without_sign(self.label)
+        limits = f"joint{self.joint}_play with limits of +-{1e6 * v['half']:.1f} urad"
         held = self.friction * simulator.great(self.joint)
-        simulator = simulator.with_drive(self.joint, play=v["half"], play_friction=held)
-        return simulator.noted(f"{self.label}: joint{self.joint}_play with limits of +-{1e6 * v['half']:.1f} urad")
+        return simulator.with_drive(self, limits, play=v["half"], play_friction=held)
 
 
 @dataclass(frozen=True)

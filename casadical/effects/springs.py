@@ -6,7 +6,7 @@ A link bends and twists under the weight beyond it.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -59,8 +59,8 @@ class GravityCompensator(Effect):
         great = simulator.great(self.joint)
         swing, ahead = great * float(np.hypot(v["sin"], v["cos"])), float(np.arctan2(v["cos"], v["sin"]))
         made = Balancer(self.joint, self.anchor, self.phase, swing, ahead, great * v["preload"])
-        simulator = replace(simulator, balancers=(*simulator.balancers, made))
-        return simulator.noted(f"{self.label}: tendon from link to link before, {swing:.4g} N m at its greatest")
+        text = f"{self.label}: tendon from link to link before, {swing:.4g} N m at its greatest"
+        return simulator.noted(text, balancers=(*simulator.balancers, made))
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ class LinkMasses(Effect):
             shift = np.array([v.get(f"{c}{k + 1}", 0.0) for c in "xyz"])
             bodies[k] = Body(body.mass * factor, body.com + shift / factor)
         masses = ", ".join("-" if b is None else f"{b.mass:.4g}" for b in bodies)
-        return replace(simulator, bodies=tuple(bodies)).noted(f"link_masses: {masses} kg, mass centres moved")
+        return simulator.noted(f"link_masses: {masses} kg, mass centres moved", bodies=tuple(bodies))
 
 
 def _undeclared(arm: Arm, row: int) -> float:

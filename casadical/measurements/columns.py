@@ -165,12 +165,19 @@ class Columns:
     @staticmethod
     def of_file(raw: RawTable) -> Columns:
         """Columns of a file. Raises InputError: a header occurs twice."""
-        return _columns(raw.frame, raw.path.name, np.array(raw.line))
+        return Columns.of_frame(raw.frame, raw.path.name, np.array(raw.line))
 
     @staticmethod
-    def of_frame(table: pd.DataFrame, source: str) -> Columns:
-        """Columns of a pandas table, rows counted as in a file, from 2. Raises InputError: a header occurs twice."""
-        return _columns(table, source, np.arange(len(table)) + 2)
+    def of_frame(table: pd.DataFrame, source: str, row: Array | None = None) -> Columns:
+        """Columns of a pandas table. Raises InputError: a header occurs twice.
+
+        row : shape (n,), lines of a file [counted from 1]; by default as if the table stood in one, from 2
+        """
+        table = table.rename(columns=lambda name: str(name).strip())
+        refuse_repeated_names(table.columns, source)
+        filled = table.dropna(axis="columns", how="all")
+        empty = tuple(str(name) for name in table if name not in filled and not str(name).startswith("Unnamed: "))
+        return Columns(filled, source, np.arange(len(table)) + 2 if row is None else row, empty)
 
     def mapped(self, columns: Mapping[str, str | Source], point_from: Sequence[str] = ()) -> Columns:
         """With our names where the table's headers differ.
@@ -342,7 +349,8 @@ class Columns:
     def _named(self, column: str, remedy: str) -> dict[str, Array]:
         if column not in self.table:
             return {}
-        names = self.table[column].map(lambda cell: "" if cell is None or cell != cell else _name_of(cell))
+        # 1.0 is 1, as a column of whole numbers with a gap is read.
+        names = self.table[column].map(lambda cell: "" if pd.isna(cell) else str(cell).strip().removesuffix(".0"))
         if (names == "").any():
             raise InputError(f"{self.at(int(np.argmax(names == '')))}, column {column!r}: is empty; {remedy}")
         return {f"{column}_{name}": (names == name).to_numpy(dtype=float) for name in dict.fromkeys(names)}
@@ -380,19 +388,6 @@ def in_seconds(cells: pd.Series) -> Array:
     return np.asarray((dates - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1), dtype=float)
 
 
-def _name_of(cell: object) -> str:
-    """A name in a cell; 1.0 is 1, as a column of whole numbers with a gap is read."""
-    return str(cell).strip().removesuffix(".0")
-
-
 def _cell(text: object) -> str:
     """A cell as a message shows it."""
     return "an empty cell" if isinstance(text, float) and np.isnan(text) else repr(text)
-
-
-def _columns(table: pd.DataFrame, source: str, row: Array) -> Columns:
-    table = table.rename(columns=lambda name: str(name).strip())
-    refuse_repeated_names(table.columns, source)
-    filled = table.dropna(axis="columns", how="all")
-    empty = tuple(str(name) for name in table if name not in filled and not str(name).startswith("Unnamed: "))
-    return Columns(filled, source, row, empty)

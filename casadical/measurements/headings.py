@@ -252,7 +252,8 @@ def _meaning(
 
     named : words of the joints' names, with their numbers
     """
-    own = [(len(name), number, name) for name, number in named if _contains(words, name)]
+    starts = range(len(words))
+    own = [(len(name), n, name) for name, n in named if any(words[k : k + len(name)] == name for k in starts)]
     if own:
         _, number, name = max(own)
         return "joint", number, {"by name"} | said - {*name} - WORDS["filler"] - WORDS["joint"]
@@ -279,10 +280,6 @@ def _meaning(
         if rest & WORDS[kind] and not numbers:
             return kind, "", rest - WORDS[kind]
     return "", "", ()
-
-
-def _contains(words: Sequence[str], part: Sequence[str]) -> bool:
-    return any(words[k : k + len(part)] == part for k in range(len(words) - len(part) + 1))
 
 
 def _groups(headings: Iterable[_Heading], quantity: str, slots: Sequence[str]) -> list[list[_Heading]]:

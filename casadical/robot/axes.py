@@ -58,7 +58,10 @@ def rows_from_axes(axes: Sequence[Axis], tip: Array) -> Chain:
         if k + 1 < len(axes):
             row, following = _towards(row, np.linalg.inv(entry), axes[k + 1])
         else:
-            row = _at_the_end(row, np.linalg.inv(entry) @ tip)
+            # The last row: its origin beside the tip's, x turned like the tip's.
+            end = np.linalg.inv(entry) @ tip
+            x = _sideways(end[:3, :3], np.array([0.0, 0.0, 1.0]))
+            row = replace(row, theta=_tidy(np.arctan2(x[1], x[0])), d=_tidy(end[2, 3]))
         T = T @ row_matrix(row)
         rows.append(row)
         frames.append(T)
@@ -129,12 +132,6 @@ def _hayati(row: Joint, p: Array, z: Array) -> tuple[Joint, Joint]:
     beta = np.arcsin(c * z[0] + s * z[1])
     alpha = np.arctan2(s * z[0] - c * z[1], z[2])
     return replace(row, theta=_tidy(theta)), Joint(alpha=_tidy(alpha), a=_tidy(a), beta=_tidy(beta))
-
-
-def _at_the_end(row: Joint, tip: Array) -> Joint:
-    """The last row: its origin beside the tip's, x turned like the tip's."""
-    x = _sideways(tip[:3, :3], np.array([0.0, 0.0, 1.0]))
-    return replace(row, theta=_tidy(np.arctan2(x[1], x[0])), d=_tidy(tip[2, 3]))
 
 
 def _tidy(value: float) -> float:

@@ -117,14 +117,12 @@ class LearntTable(TomlTable):
     def ranges(self, arm: Arm) -> Array:
         """Of the joints' readings, shape (n, 2) [rad or m], or (0, 2). Raises InputError for other joints or units."""
         factors = arm.reading_units
-        for key in self.readings:
-            if key not in factors:
-                raise InputError(f"learnt.readings.{key}: not a known key; allowed: {', '.join(factors)}")
-        missing = [key for key in factors if key not in self.readings]
-        if self.readings and missing:
-            raise InputError(f"learnt.readings.{missing[0]}: is missing")
         if not self.readings:
             return np.zeros((0, 2))
+        if odd := [key for key in self.readings if key not in factors]:
+            raise InputError(f"learnt.readings.{odd[0]}: not a known key; allowed: {', '.join(factors)}")
+        if missing := [key for key in factors if key not in self.readings]:
+            raise InputError(f"learnt.readings.{missing[0]}: is missing")
         return np.array([np.multiply(self.readings[key], factor) for key, factor in factors.items()])
 
 

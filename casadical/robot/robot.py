@@ -13,13 +13,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import groupby
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.parameters import Parameters
-from casadical.core.parts import GRAVITY, Arm, FourBar, Joint
+from casadical.core.parts import GRAVITY, Arm, Joint
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import Shown, html
 from casadical.core.transforms import frame, from_xyz, to_xyz
@@ -351,13 +352,21 @@ class Robot(Shown, Arm):
             self.parameters.index_of(name)
         v = {p.name: float(values.get(p.name, p.value)) for p in self.parameters}
         effect_names = {p.name for e in self.effects for p in e.parameters()}
+        joints, loops, T = [], [], self.tool.T
+        for i, joint in enumerate(self.joints, 1):
+            row: Any = {name: v.get(f"{name}{i - 1}") for name in ("alpha", "a", "beta", "b")}
+            joints.append(replace(joint, **row, theta=v[f"theta{i}"], d=v[f"d{i}"], compliance=v.get(f"c{i}")))
+        for k, loop in enumerate(self.loops, 1):
+            bars: Any = {bar: v[name] for bar, name in bar_names(k).items()}
+            loops.append(replace(loop, **bars))
         moved = np.array([v.get(n, 0.0) for n in SIX["base"]])
+        tool = np.array([v.get(n, old) for n, old in zip(SIX["tool"], (*T[:3, 3], 0, 0, 0), strict=True)])
         return replace(
             self,
-            joints=tuple(_joint_with(j, i, v) for i, j in enumerate(self.joints, 1)),
-            loops=tuple(_loop_with(loop, k, v) for k, loop in enumerate(self.loops, 1)),
+            joints=tuple(joints),
+            loops=tuple(loops),
             base=replace(self.base, T=self.base.T @ frame(from_xyz(moved[3:]), moved[:3])),
-            tool=replace(self.tool, T=_tool_with(self.tool.T, v)),
+            tool=replace(self.tool, T=frame(T[:3, :3] @ from_xyz(tool[3:]), tool[:3])),
             targets=tuple(replace(t, point=np.array([v[name] for name in t.parameters])) for t in self.targets),
             effect_values={n: v[n] for n in effect_names},
             knowledge=None,
@@ -371,25 +380,9 @@ class Robot(Shown, Arm):
         """
         values = dict(zip(other.parameters.names, other.parameters.values, strict=True))
         moved, turned = (np.linalg.solve(a.T, b.T) for a, b in ((self.base, other.base), (self.tool, other.tool)))
-        values |= {
-            n: v for n, v in zip(SIX["base"], (*moved[:3, 3], *to_xyz(moved[:3, :3])), strict=True) if n in values
-        }
-        values |= {n: v for n, v in zip(SIX["tool"][3:], to_xyz(turned[:3, :3]), strict=True) if n in values}
+        nine = (*moved[:3, 3], *to_xyz(moved[:3, :3]), *to_xyz(turned[:3, :3]))
+        values |= {n: v for n, v in zip((*SIX["base"], *SIX["tool"][3:]), nine, strict=True) if n in values}
         return np.array([values[n] for n in self.parameters.names])
-
-
-def _joint_with(joint: Joint, i: int, v: Mapping[str, float]) -> Joint:
-    row = {name: v.get(f"{name}{i - 1}") for name in ("alpha", "a", "beta", "b")}
-    return replace(joint, **row, theta=v[f"theta{i}"], d=v[f"d{i}"], compliance=v.get(f"c{i}"))  # type: ignore[arg-type]
-
-
-def _loop_with(loop: FourBar, k: int, v: Mapping[str, float]) -> FourBar:
-    return replace(loop, **{bar: v[name] for bar, name in bar_names(k).items()})  # type: ignore[arg-type]
-
-
-def _tool_with(T: Array, v: Mapping[str, float]) -> Array:
-    six = np.array([v.get(n, default) for n, default in zip(SIX["tool"], (*T[:3, 3], 0, 0, 0), strict=True)])
-    return frame(T[:3, :3] @ from_xyz(six[3:]), six[:3])
 
 
 def in_file_units(part: object, **units: str) -> dict[str, float | None]:

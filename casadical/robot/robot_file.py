@@ -12,7 +12,7 @@ import tomlkit
 from casadical import __version__
 from casadical.core.basics import InputError, errors_of, shown
 from casadical.core.files import write_whole
-from casadical.core.parts import WIDTHS, Body, BodyWidth, FourBar, Joint, Placement, Target
+from casadical.core.parts import WIDTHS, Body, BodyWidth, Joint, Placement, Target
 from casadical.core.reading import load_toml
 from casadical.core.schema import check
 from casadical.core.statistics import known_digits
@@ -128,7 +128,8 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
         "drive": robot.drive.table() if robot.drive else None,
         "width": _width_tables(robot),
         "joint": [_joint_table(joint) for joint in robot.joints],
-        "four_bar": [_loop_table(loop) for loop in robot.loops] or None,
+        "four_bar": [{"driven": f.driven, "carrier": f.carrier, **in_file_units(f, **_BARS)} for f in robot.loops]
+        or None,
     }
     document.update({key: _known(key, v) if known_alone else v for key, v in tables.items() if v is not None})
     text = tomlkit.dumps(document)
@@ -207,9 +208,7 @@ def _joint_table(joint: Joint) -> dict[str, Any]:
     return table
 
 
-def _loop_table(loop: FourBar) -> dict[str, Any]:
-    bars = in_file_units(loop, crank="mm", coupler="mm", rocker="mm", offset="deg")
-    return {"driven": loop.driven, "carrier": loop.carrier, **bars}
+_BARS = {"crank": "mm", "coupler": "mm", "rocker": "mm", "offset": "deg"}
 
 
 def _width_tables(robot: Robot) -> dict[str, Any]:

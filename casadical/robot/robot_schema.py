@@ -268,7 +268,7 @@ class RobotFile(TomlTable):
 
 def _refuse_undefined(robot: Robot) -> None:
     """Raises InputError for effects whose settings and values give no position at some readings."""
-    lower, upper = np.array([(j.lower, j.upper) for j in robot.joints]).T
+    lower, upper = robot.limits
     for share in (0.37, 0.71):
         q = lower + share * (upper - lower)
         try:

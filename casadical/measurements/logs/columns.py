@@ -64,7 +64,8 @@ def logged(raw: RawTable, names: Sequence[str] = (), listed: Sequence[str] = ())
     for heading in raw.header:
         if heading.startswith("time_") or heading not in frame:  # a column without a heading
             continue
-        if scalar := _scalar(heading):
+        said = {*words_of(heading)[0]}
+        if scalar := next((name for name in SCALARS if said & WORDS[f"log_{name}"]), ""):
             scalars.setdefault(scalar, numbers_of(frame[heading]))
             continue
         lists = _lists(frame[heading], raw)
@@ -111,11 +112,6 @@ def _lists(cells: pd.Series, raw: RawTable) -> Array | None:
                 f"{raw.path.name}: row {line}, column {cells.name!r}: {wrong}, {wanted[0]} in the first row; correct it"
             )
     return np.array(rows, dtype=float)
-
-
-def _scalar(heading: str) -> str:
-    words = {*words_of(heading)[0]}
-    return next((name for name in SCALARS if words & WORDS[f"log_{name}"]), "")
 
 
 def meaning(heading: str, names: Sequence[str]) -> tuple[str, str, str]:
