@@ -1,7 +1,8 @@
 """Measurements from CSV files and pandas tables."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 
@@ -58,15 +59,13 @@ def read_measurements(
     if further is None:
         return from_columns(named, joints, kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
 
-    def measured(columns: Columns) -> Measurements:
-        return _measured(columns, joints, kind, sigma_mm, sigma_deg)
-
+    measured = partial(_measured, joints=joints, kind=kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
     start = measured(named)
     if _row_by_row(start, sources):
         others = (measured(Columns.of_file(part).mapped(sources)) for part in chain([further], parts))
         whole = joined(chain([start], others))
         if whole is not None:
-            refuse_other_unit(whole.q, _kinds(joints, named.source), [*map(str, named.table)], whole.source, whole.row)
+            _refuse_other_unit(whole.q, _kinds(joints, named.source), named, whole.row)
             return _without_copies(whole)
     named = Columns.of_file(read_columns(path)).mapped(sources, point_from)
     return from_columns(named, joints, kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
@@ -135,8 +134,7 @@ def from_columns(
     sigma_deg: float | None = None,
 ) -> Measurements:
     """Measurements from columns under our names; arguments and errors (Raises InputError) as of `read_measurements`."""
-    m = _measured(columns, joints, kind, sigma_mm, sigma_deg, whole=True)
-    return _without_copies(m)
+    return _without_copies(_measured(columns, joints, kind, sigma_mm, sigma_deg, whole=True))
 
 
 def _kinds(joints: int | Sequence[str], source: str) -> list[str]:
@@ -164,7 +162,7 @@ def _measured(
     if not len(q):
         raise InputError(f"{source}: no row is left; at least one pose is needed")
     if whole:
-        refuse_other_unit(q, each, [*map(str, columns.table)], source, columns.row)
+        _refuse_other_unit(q, each, columns, columns.row)
     arrays = observed.read(columns, q)
     counted = arrays.pop("counted", np.ones(len(q)))
     conditions = with_gravity(columns.conditions(patterns), columns) | columns.tools() | columns.sessions()
@@ -183,12 +181,9 @@ def _measured(
     )
 
 
-def refuse_other_unit(q: Array, kinds: Sequence[str], names: Collection[str], source: str, row: Array) -> None:
-    """Raises InputError where angles are in another unit than their columns say.
-
-    q : readings, shape (n, joints) [rad or m]; kinds : revolute or prismatic, of each; names : of the columns
-    row : line of the source of each reading, shape (n,)
-    """
+def _refuse_other_unit(q: Array, kinds: Sequence[str], columns: Columns, row: Array) -> None:
+    """Raises InputError where readings, shape (n, joints), are in another unit than their columns say; row : of each"""
+    source, names = columns.source, columns.table
     turning = [i for i, kind in enumerate(kinds) if kind == "revolute"]
     if not turning:
         return
