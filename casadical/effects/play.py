@@ -1,7 +1,4 @@
-"""Play in a gear.
-
-Bearings that run out or have play.
-"""
+"""Play in a gear; bearings that run out or have play."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

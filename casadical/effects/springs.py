@@ -1,9 +1,4 @@
-"""Springs beside those of the joints: a balancer, a hose.
-
-The declared masses and mass centres of the links are wrong.
-
-A link bends and twists under the weight beyond it.
-"""
+"""Springs beside those of the joints (a balancer, a hose), wrong masses of the links, and links that bend."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -23,7 +18,6 @@ class GravityCompensator(Effect):
     """An unmodelled balancing spring on joint 2.
 
     anchor : distance of the spring's fixed end from the joint, as a multiple of its lever on the arm
-
     phase : reading at which spring, joint and lever lie in line [rad]
     """
 
@@ -68,7 +62,6 @@ class HoseDrag(Effect):
     """A hose or cable from the forearm to the tool pulls at the wrist.
 
     clip : where the hose is held, as a share of the way from the elbow to the wrist
-
     side : how far beside the forearm, as a share of its length
     """
 

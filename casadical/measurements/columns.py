@@ -1,7 +1,4 @@
-"""Columns of a table by name, converted to SI; what is missing, no number or in the wrong unit is refused.
-
-Columns under our names are made of those of a file.
-"""
+"""Columns of a table by our names, converted to SI; what is missing, no number or in the wrong unit is refused."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Measured positions of the tool, with one noise for all or a covariance at each pose.
-
-Measured positions and orientations of the tool, in the measuring frame or from those of another pose.
-"""
+"""Measured positions of the tool, and orientations, in the measuring frame or from those of another pose."""
 
 import re
 from collections.abc import Set
