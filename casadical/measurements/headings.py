@@ -383,15 +383,15 @@ def _orientation(headings: Sequence[_Heading], raw: RawTable, taken: Collection[
             return [(_listed(g), [(g, names, quantity)]) for g in groups], which, ""
     ways: Mapping[str, Sequence[str]] = {}
     quantity = ""
-    if found := _groups(headings, "turn", _XYZ):
+    if groups := _groups(headings, "turn", _XYZ):
         ways, quantity = _TRIPLES, "angle"
-    elif found := [g for g in _numbered(raw, 4, taken) if _is_unit(g)]:
+    elif groups := [g for g in _numbered(raw, 4, taken) if _is_unit(g)]:
         ways = {"a quaternion, w first": _QUATERNION, "a quaternion, w last": (*_QUATERNION[1:], "qw")}
-    elif found := [g for g in _numbered(raw, 9, taken) if _is_rotation(g)]:
+    elif groups := [g for g in _numbered(raw, 9, taken) if _is_rotation(g)]:
         turned = tuple(f"R{name[2]}{name[1]}" for name in _MATRIX)
         ways = {"a matrix, row by row": _MATRIX, "a matrix, column by column": turned}
-    options = [(way, [(found[0], names, quantity)]) for way, names in ways.items()]
-    return options, f"How is the orientation {_listed(found[0])} meant?" if found else "", "orientation"
+    options = [(way, [(groups[0], names, quantity)]) for way, names in ways.items()]
+    return options, f"How is the orientation {_listed(groups[0])} meant?" if groups else "", "orientation"
 
 
 def _finite(group: Sequence[_Heading]) -> Array:
@@ -422,7 +422,7 @@ def _choices(options: _Options, stated: Mapping[str, str], asked: str) -> dict[s
         for ways in product(*units):
             unit = " and ".join(u for u, _ in ways if u)
             words = unit if unit and len(options) == 1 and not asked else f"{label} in {unit}" if unit else label
-            choices[words] = [c for _, found in ways for c in found]
+            choices[words] = [c for _, columns in ways for c in columns]
     return choices
 
 

@@ -78,11 +78,11 @@ def is_log(path: str | Path) -> bool:
         return False
     if {"x_mm", "x_m", "distance_mm"} & {*headings}:  # measured poses
         return False
-    found = {meaning(heading, ())[0] for heading in headings} | {STATES.get(heading, "") for heading in headings}
+    channels = {meaning(heading, ())[0] for heading in headings} | {STATES.get(heading, "") for heading in headings}
     timed = [heading for heading in headings if {*words_of(heading)[0]} & WORDS["time"]]
     motion_alone = all(meaning(heading, ())[0] for heading in headings if heading not in ("run", *timed))
-    driven = bool(found & {"command", "torque", "current"})
-    return bool(timed) and "position" in found and (driven or motion_alone)
+    driven = bool(channels & {"command", "torque", "current"})
+    return bool(timed) and "position" in channels and (driven or motion_alone)
 
 
 def _plain_headings(path: Path) -> tuple[str, ...]:
@@ -173,13 +173,13 @@ def _joints(log: Logged, robot: Arm | None) -> tuple[list[str], tuple[str, ...],
 
 
 def _by_name(there: Sequence[str], own: Sequence[str]) -> list[str]:
-    """The log's name of each of the robot's joints; fewer where one is not found."""
+    """The log's name of each of the robot's joints; fewer where one is not there."""
 
     def plain(name: str) -> str:
         return re.sub(r"[\W_]+|joint", "", name.casefold())
 
-    found = {plain(key): key for key in there}
-    keys = [found[plain(name)] for name in own if plain(name) in found]
+    keys_of = {plain(key): key for key in there}
+    keys = [keys_of[plain(name)] for name in own if plain(name) in keys_of]
     return keys if len(keys) == len(own) or keys else list(there[: len(own)])
 
 
