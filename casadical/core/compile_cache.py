@@ -20,7 +20,6 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.casadi_buffers import Buffered
 from casadical.core.file_locks import private_folder
 from casadical.core.files import PREFIX
 from casadical.core.subprocesses import COMPILE_SECONDS, finished, tried
@@ -184,7 +183,8 @@ def _right(function: ca.Function, library: Path) -> bool:
     sizes = [function.numel_in(i) for i in range(function.n_in())]
     points = np.array([[0.1 + 0.07 * k + 0.01 * j for j in range(TRIAL_POINTS)] for k in range(sizes[0])])
     shared = [0.1 + 0.07 * np.arange(size) for size in sizes[1:]]
-    wanted = Buffered(function.map("points", "serial", TRIAL_POINTS, list(range(1, len(sizes))), []))(points, *shared)
+    mapped = function.map("points", "serial", TRIAL_POINTS, list(range(1, len(sizes))), [])
+    wanted = [out.full() for out in mapped.call([points, *shared])]
     task = [
         TRIAL_POINTS,
         [points.ravel(order="F").tolist(), *(s.tolist() for s in shared)],
