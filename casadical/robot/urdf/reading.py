@@ -3,7 +3,7 @@
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -66,7 +66,7 @@ def read_urdf(
         raise InputError(f"{path}: compliant joint {min(unknown)} is not there; the chain has 1..{len(chain.moving)}")
     joints = []
     for i, (row, j, body) in enumerate(zip(chain.dh.rows, chain.moving, chain.bodies, strict=True), 1):
-        kind: Any = "prismatic" if j.type == "prismatic" else "revolute"
+        kind: Literal["revolute", "prismatic"] = "prismatic" if j.type == "prismatic" else "revolute"
         lower, upper = _range(j, str(path))
         soft, coupling = 0.0 if i in compliant else None, _coupling(j, [other.name for other in chain.moving])
         more = {"compliance": soft, "body": body, "coupling": coupling, "name": j.name}
