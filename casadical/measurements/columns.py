@@ -66,23 +66,6 @@ def named(sources: Mapping[str, Source]) -> Iterator[tuple[str, str]]:
     return ((name, f"named for {ours!r}") for ours, s in sources.items() for name in (s.name, *s.add))
 
 
-def made(table: pd.DataFrame, sources: Mapping[str, Source], point_from: Sequence[str]) -> tuple[pd.DataFrame, slice]:
-    """A table with our columns, and which rows of the file it has: those to which a shift of rows gives a value.
-
-    point_from : columns whose words name the touched point
-    """
-    # A header that keeps its own name elsewhere in the map is copied, not moved.
-    ours = {name: _made(table, source) for name, source in sources.items()}
-    if point_from:
-        ours["point"] = table[list(point_from)].astype(str).agg("/".join, axis=1)
-    moved = {name for name, s in sources.items() if name in table and s.name != name}
-    # q3_rad = "q3_deg" says that the unit in the header is wrong.
-    moved |= {s.name for name, s in sources.items() if s.name not in sources and _stem(name) == _stem(s.name)}
-    shifts = [s.rows for s in sources.values()]
-    rows = slice(max(0, -min(shifts, default=0)), len(table) - max(0, *shifts, 0))
-    return table.drop(columns=sorted(moved)).assign(**ours).iloc[rows].reset_index(drop=True), rows
-
-
 def _made(table: pd.DataFrame, source: Source) -> pd.Series:
     """A column as its source says; cells that are no numbers stay as they are where nothing is computed."""
     if source.plain:
@@ -190,7 +173,16 @@ class Columns:
         for theirs, where in used:
             if theirs not in self.table:
                 raise InputError(f"{self.source}: column {theirs!r}, {where}, is missing; there are {self.names}")
-        table, rows = made(self.table, sources, point_from)
+        # A header that keeps its own name elsewhere in the map is copied, not moved.
+        ours = {name: _made(self.table, source) for name, source in sources.items()}
+        if point_from:
+            ours["point"] = self.table[list(point_from)].astype(str).agg("/".join, axis=1)
+        moved = {name for name, s in sources.items() if name in self.table and s.name != name}
+        # q3_rad = "q3_deg" says that the unit in the header is wrong.
+        moved |= {s.name for name, s in sources.items() if s.name not in sources and _stem(name) == _stem(s.name)}
+        shifts = [s.rows for s in sources.values()]
+        rows = slice(max(0, -min(shifts, default=0)), len(self.table) - max(0, *shifts, 0))
+        table = self.table.drop(columns=sorted(moved)).assign(**ours).iloc[rows].reset_index(drop=True)
         return replace(self, table=table, row=self.row[rows], taken=(*self.taken, *(name for name, _ in used)))
 
     def without(self, rows: Collection[int], why: str) -> Columns:

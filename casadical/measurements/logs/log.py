@@ -114,12 +114,6 @@ class JointLog(Shown):
         given: dict[str, Any] = {name: values[which] for name, values in self.arrays.items()}
         return replace(self, time=self.time[which], run=self.run[which], row=self.row[which], **given)
 
-    def of_joints(self, which: Sequence[int]) -> JointLog:
-        """The log of some joints, by their indices, 0-based, in this order."""
-        given: dict[str, Any] = {k: values[:, list(which)] for k, values in self.arrays.items() if values.ndim == 2}
-        names, kinds = (tuple(each[k] for k in which) for each in (self.joints, self.kinds))
-        return replace(self, joints=names, kinds=kinds, **given)
-
     def runs(self) -> Iterator[JointLog]:
         """The log run by run, without a copy of its numbers."""
         ends = [0, *(np.flatnonzero(np.diff(self.run)) + 1), len(self)]
