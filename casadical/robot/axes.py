@@ -50,7 +50,10 @@ def rows_from_axes(axes: Sequence[Axis], tip: Array) -> Chain:
 
     Axes may be parallel, antiparallel, intersecting or coincident.
     """
-    T = base = _first_frame(axes[0])
+    # Frame 0: z along the first axis, origin where it passes the given frame's, x turned like that one's.
+    z = axes[0].direction
+    x = _sideways(np.eye(3), z)
+    T = base = frame(np.column_stack([x, np.cross(z, x), z]), axes[0].point - (axes[0].point @ z) * z)
     rows, frames = [], []
     row = Joint()
     for k in range(len(axes)):
@@ -80,13 +83,6 @@ def row_matrix(row: Joint) -> Array:
         rot_x(row.alpha) @ translate(row.a, 0, 0) @ rot_y(row.beta or 0.0) @ translate(0, row.b or 0.0, 0)
         @ rot_z(row.theta) @ translate(0, 0, row.d)
     )  # fmt: skip
-
-
-def _first_frame(axis: Axis) -> Array:
-    """Frame 0: z along the first axis, origin where it passes the given frame's, x turned like that one's."""
-    z = axis.direction
-    x = _sideways(np.eye(3), z)
-    return frame(np.column_stack([x, np.cross(z, x), z]), axis.point - (axis.point @ z) * z)
 
 
 def _sideways(R: Array, z: Array) -> Array:
