@@ -67,7 +67,9 @@ class Tree:
             self._attach(j)
         for name in self.names:
             link = name
-            while link in self.above:
+            for _ in self.names:  # a ring above it is told of its own links
+                if link not in self.above:
+                    break
                 link = self.above[link].parent
                 if link == name:
                     raise InputError(f"{source}: link {name!r} is below itself; a URDF is a tree")
