@@ -4,8 +4,9 @@ Each message of an error says what is wrong, the value, what is allowed, and wha
 """
 
 import importlib
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 if TYPE_CHECKING:  # numpy is not loaded for a name in annotations
@@ -68,9 +69,8 @@ class Fault:
 
     def within(self, other: "Fault") -> bool:
         """Whether another one says the same of more rows."""
-        return {*self.rows} < {*other.rows} and (self.source, self.column, self.wrong, self.allowed) == (
-            other.source, other.column, other.wrong, other.allowed,
-        )  # fmt: skip
+        same = replace(self, rows=other.rows, value=other.value, remedy=other.remedy) == other
+        return same and {*self.rows} < {*other.rows}
 
     def __str__(self) -> str:
         if not self.rows:
@@ -103,8 +103,8 @@ class FaultsError(InputError):
         files = list(dict.fromkeys(f.source for f in faults))
         kept = sorted((f for f in faults if not any(map(f.within, faults))), key=lambda f: files.index(f.source))
         others = [t for e in told for t in (e.others if isinstance(e, FaultsError) else [str(e)])]
-        found = FaultsError(kept, list(dict.fromkeys(others)))
-        return told[0] if len(told) == 1 or str(found) == str(told[0]) else found
+        whole = FaultsError(kept, list(dict.fromkeys(others)))
+        return told[0] if len(told) == 1 or str(whole) == str(told[0]) else whole
 
 
 def all_faults(steps: Iterable[Callable[[], object]]) -> None:
@@ -117,6 +117,15 @@ def all_faults(steps: Iterable[Callable[[], object]]) -> None:
             errors.append(error)
     if errors:
         raise FaultsError.of(errors)
+
+
+@contextmanager
+def errors_of(place: str) -> Iterator[None]:
+    """Raises InputError with a place, "file: " or "key.", in front of what the block raises as such."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{place}{error}") from None
 
 
 class ConvergenceError(CasadicalError, RuntimeError):

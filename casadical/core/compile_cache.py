@@ -20,7 +20,6 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.casadi_buffers import Buffered
 from casadical.core.file_locks import private_folder
 from casadical.core.files import PREFIX
 from casadical.core.subprocesses import COMPILE_SECONDS, finished, tried
@@ -116,9 +115,7 @@ class MachineCode:
         self._outputs = [function.size_out(k) for k in range(function.n_out())]
 
     def __call__(self, points: Array, *shared: Array) -> list[Array]:
-        """Outputs side by side, shape (rows, columns n) each; points : shape (a, n). Raises ValueError for other
-        shapes.
-        """
+        """Outputs side by side, (rows, columns n) each; points : shape (a, n). Raises ValueError for other shapes."""
         n = points.shape[1]
         given = [np.asfortranarray(points, dtype=float), *(np.ascontiguousarray(s, dtype=float) for s in shared)]
         if [g.size for g in given] != [n * self._inputs[0], *self._inputs[1:]]:
@@ -134,9 +131,8 @@ def _pointers(arrays: Sequence[Array]) -> Any:
 
 def compiler() -> str | None:
     """Path of the C compiler that is used: $CC, gcc, clang or cc; None where there is none."""
-    return next(
-        (path for name in (os.environ.get("CC"), "gcc", "clang", "cc") if name and (path := shutil.which(name))), None
-    )
+    names = filter(None, (os.environ.get("CC"), "gcc", "clang", "cc"))
+    return next(filter(None, map(shutil.which, names)), None)
 
 
 def compiled(function: ca.Function, *, make: bool = True) -> MachineCode | None:
@@ -187,7 +183,8 @@ def _right(function: ca.Function, library: Path) -> bool:
     sizes = [function.numel_in(i) for i in range(function.n_in())]
     points = np.array([[0.1 + 0.07 * k + 0.01 * j for j in range(TRIAL_POINTS)] for k in range(sizes[0])])
     shared = [0.1 + 0.07 * np.arange(size) for size in sizes[1:]]
-    wanted = Buffered(function.map("points", "serial", TRIAL_POINTS, list(range(1, len(sizes))), []))(points, *shared)
+    mapped = function.map("points", "serial", TRIAL_POINTS, list(range(1, len(sizes))), [])
+    wanted = [out.full() for out in mapped.call([points, *shared])]
     task = [
         TRIAL_POINTS,
         [points.ravel(order="F").tolist(), *(s.tolist() for s in shared)],

@@ -40,12 +40,6 @@ class Drive(TomlTable):
     servo, command_logged, temperature : in words (before or after limits and interpolation, and so on)
     floor : height of the tool's point on a surface below that it rests on, over the measuring frame's origin
     log_angles, log_effort : unit of angles, and what stands in the field effort, where a log does not say it
-
-    Examples
-    --------
-    >>> drive = Drive(gear_ratio=101.0, torque_constant_Nm_per_A=[0.12, 0.1])
-    >>> drive.torque_per_ampere(2)
-    array([12.12, 10.1 ])
     """
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True, frozen=True)

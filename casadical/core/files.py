@@ -370,11 +370,8 @@ def _sync(folder: Path) -> None:
 
 def _mode(path: Path) -> int:
     """Of the file that is there, else of a new one."""
-    return stat.S_IMODE(path.stat().st_mode) if path.exists() else 0o666 & ~_umask()
-
-
-def _umask() -> int:
-    """The process's umask, which can only be read by setting it."""
-    mask = os.umask(0)
+    if path.exists():
+        return stat.S_IMODE(path.stat().st_mode)
+    mask = os.umask(0)  # can only be read by setting it
     os.umask(mask)
-    return mask
+    return 0o666 & ~mask

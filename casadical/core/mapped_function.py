@@ -1,12 +1,15 @@
-"""A CasADi expression at many points: what all points share is computed once, the rest point by point."""
+"""CasADi functions called with numpy arrays, without a copy through Python lists, at one point or at many.
+
+At many, what all points share is computed once, the rest point by point.
+"""
 
 from collections.abc import Sequence
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.casadi_buffers import Buffered
 from casadical.core.compile_cache import MachineCode, compiled
 
 # So many points, evaluated since the start of the process, take as long as to look for a compiled library, and to make
@@ -17,6 +20,55 @@ LOOK_FROM, COMPILE_FROM = 10_000, 500_000
 CHUNK, NUMBERS, LEAST = 1024, 400_000, 64
 # Numbers of points for which the mapped functions are kept.
 SIZES = 64
+
+
+class Buffered:
+    """A function with dense inputs and outputs, to be called many times; its memory is kept from call to call."""
+
+    def __init__(self, f: ca.Function) -> None:
+        self.name = f.name()
+        self._inputs = [f.size_in(k) for k in range(f.n_in())]
+        self._outputs = [f.size_out(k) for k in range(f.n_out())]
+        self._function, self._idle = f, list[Any]()
+
+    def __call__(self, *arguments: Array) -> list[Array]:
+        """Its outputs, each of its own shape.
+
+        An argument of fewer columns than the input is repeated side by side, as CasADi does. Raises ValueError for
+        shapes that do not fit.
+        """
+        try:  # a buffer serves one call at a time: another thread takes another one
+            buffer, trigger = self._idle.pop()
+        except IndexError:
+            buffer, trigger = self._function.buffer()
+        held: list[Any] = []
+        for k, (argument, (rows, columns)) in enumerate(zip(arguments, self._inputs, strict=True)):
+            values = np.asarray(argument, dtype=float)
+            values = values.reshape(rows, -1, order="F") if rows * columns else np.zeros((0, 0))
+            if values.size and values.shape[1] != columns:
+                values = np.tile(values, columns // values.shape[1])
+            if values.size != rows * columns:
+                raise ValueError(f"{self.name}: input {k} has shape {np.shape(argument)}, expected {(rows, columns)}")
+            held.append(np.asfortranarray(values))
+            if values.size:
+                buffer.set_arg(k, _view(held[-1]))
+        results = [np.empty(size, order="F") for size in self._outputs]
+        for k, r in enumerate(results):
+            if r.size:
+                buffer.set_res(k, _view(r))
+        trigger()
+        self._idle.append((buffer, trigger))
+        return results
+
+
+def call(f: ca.Function, *arguments: Array) -> list[Array]:
+    """Outputs of a function that is called once; see `Buffered`."""
+    return Buffered(f)(*arguments)
+
+
+def _view(values: Array) -> Any:
+    """The memory of a column-major array."""
+    return memoryview(values.reshape(-1, order="F"))  # type: ignore[arg-type]
 
 
 class MappedFunction:
@@ -56,9 +108,8 @@ class MappedFunction:
         whole = [np.empty((rows, columns * n), order="F") for rows, columns in sizes]
         for start in range(0, n, self._chunk):
             some = points[:, start : start + self._chunk]
-            for out, part, (_, columns) in zip(
-                whole, self._over(some.shape[1])(some, shared, once), sizes, strict=True
-            ):
+            parts = self._over(some.shape[1])(some, shared, once)
+            for out, part, (_, columns) in zip(whole, parts, sizes, strict=True):
                 out[:, columns * start : columns * start + part.shape[1]] = part
         return whole
 
@@ -73,8 +124,7 @@ class MappedFunction:
     def _compile(self, n: int) -> None:
         """Go over to machine code where the points evaluated before and these n pay for it."""
         self._evaluated += n
-        while (
-            self._machine_code is None and self._tried < 2 and self._evaluated >= (LOOK_FROM, COMPILE_FROM)[self._tried]
-        ):
-            self._machine_code = compiled(self._each, make=self._tried == 1)
-            self._tried += 1
+        for make, least in ((False, LOOK_FROM), (True, COMPILE_FROM))[self._tried :]:
+            if self._machine_code is None and self._evaluated >= least:
+                self._machine_code = compiled(self._each, make=make)
+                self._tried += 1

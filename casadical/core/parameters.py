@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 import numpy as np
@@ -111,12 +111,3 @@ class Parameters(Sequence[Parameter]):
                 )
             chosen |= hit
         return tuple(n for n in self.names if n in chosen)
-
-    def with_values(self, values: dict[str, float]) -> Parameters:
-        """The same parameters with other nominal values [SI], by name.
-
-        Raises InputError: no such name, or a value that is not finite.
-        """
-        for name in values:
-            self.index_of(name)
-        return Parameters(replace(p, value=float(values.get(p.name, p.value))) for p in self._items)

@@ -26,7 +26,7 @@ NEAR_PARALLEL = np.deg2rad(5.0)
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """Mass [kg], mass centre, shape (3,) [m], and inertia, in its link's frame.
+    """A mass in its link's frame.
 
     mass : of the link or load [kg]
     com : shape (3,) [m]: mass centre in the link's frame
@@ -97,8 +97,7 @@ class Joint:
     beta : turn about y where the axes are nearly parallel [rad]; None: d is the parameter there
     b : offset along y where the axes are nearly parallel [m]; None as of beta
     kind : revolute, or prismatic (then the reading is added to d)
-    lower : least reading [rad or m]
-    upper : greatest reading [rad or m]
+    lower, upper : least and greatest reading [rad or m]
     compliance : of the drive train [rad/(N m) or m/N]; None: taken as rigid
     body : of the link that the joint moves
     coupling : what its reading follows from, where it is no axis of its own: a mimic joint, a passive one, a locked one
@@ -151,8 +150,6 @@ class FourBar:
     The ground bar is the link between the two joints (its length is the driven row's a). The driven link's angle
     against the carrier is: direction of the rocker - angle of the carrier + offset. Lengths in metres.
 
-    driven : joint whose reading is the crank's angle, 1-based
-    carrier : joint in whose plane the loop lies, 1-based
     crank, coupler, rocker : length [m]
     offset : angle between rocker and driven link [rad]
 
@@ -173,9 +170,6 @@ class FourBar:
 @dataclass(frozen=True, eq=False)
 class Placement:
     """A frame given by its nominal transform T, shape (4, 4) [m], and which part of it is identified.
-
-    T : shape (4, 4) [m]: nominal transform
-    unknown : which part is identified
 
     Examples
     --------
@@ -248,14 +242,6 @@ def parallel(joints: tuple[Joint, ...], i: int) -> bool:
     return i + 1 < len(joints) and abs(np.sin(joints[i + 1].alpha)) < np.sin(NEAR_PARALLEL)
 
 
-def with_hayati(joints: tuple[Joint, ...]) -> tuple[Joint, ...]:
-    """Insert beta in every row whose axis is nearly parallel to the one before."""
-    return tuple(
-        replace(j, beta=0.0) if i > 0 and j.beta is None and parallel(joints, i - 1) else j
-        for i, j in enumerate(joints)
-    )
-
-
 STANDARD_GRAVITY = 9.80665
 # Columns of the direction of gravity in the robot's base frame, where it was logged at every pose.
 GRAVITY = ("gravity_x", "gravity_y", "gravity_z")
@@ -263,18 +249,10 @@ GRAVITY = ("gravity_x", "gravity_y", "gravity_z")
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """A serial robot's structure, with closed four-bar loops where it has them.
+    """A serial robot's structure, with closed four-bar loops where it has them: `Robot` says what each field is.
 
-    joints : the rows, from base to flange
-    base : T_M0, robot base in the measuring frame; tool : T_nE, measured point in the last link's frame
-    gravity : shape (3,) [m/s^2], given in `gravity_frame`; where that is "logged", in the base frame while nothing
-        was logged, and its size counts
-    payload : declared mass and mass centre in the last link's frame; poses may carry another mass (column payload_kg)
-    tool_name : of the measured point, where there are several; targets : the others, named in the column `tool`
-    widths : how far the parameters of each group may be off; body_width : masses and mass centres of the links
-    sessions : what is found again in each session that a column `session` names
-    drive : what is known of its drives
-    masses : of the links; estimated ones tell where gravity deflects joints and by how much, but no stiffness
+    gravity : where its frame is "logged", in the base frame while nothing was logged, and its size counts
+    payload : poses may carry another mass (column payload_kg); targets : named in the column `tool`
     Raises InputError for a structure that cannot be built.
     """
 
@@ -299,7 +277,10 @@ class Arm:
             raise InputError(f"robot {self.name!r} has no joints; at least one row is needed")
         for i, joint in enumerate(self.joints, 1):
             refuse_joint(self.name, i, joint)
-        object.__setattr__(self, "joints", with_hayati(self.joints))
+        # Hayati's beta stands in every row whose axis is nearly parallel to the one before.
+        lacking = [i > 0 and j.beta is None and parallel(self.joints, i - 1) for i, j in enumerate(self.joints)]
+        rows = (replace(j, beta=0.0) if lacks else j for j, lacks in zip(self.joints, lacking, strict=True))
+        object.__setattr__(self, "joints", tuple(rows))
         _refuse_couplings(self)
         for k, loop in enumerate(self.loops, 1):
             _refuse_unbuildable(self, k, loop)

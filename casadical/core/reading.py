@@ -46,12 +46,9 @@ def missing(path: str | Path, what: str = "file") -> InputError:
         there = sorted(p.name for p in path.parent.iterdir() if not p.name.startswith("."))[:MOST_COUNT]
     except (OSError, ValueError):
         return InputError(f"{shown(path)}: no such {what}; there is no folder {shown(path.parent)}")
-    like = difflib.get_close_matches(path.name, there, 3) or [
-        name for name in there if path.stem in (name, Path(name).stem)
-    ]
-    meant = (
-        f"; did you mean {' or '.join(shown(path.parent / name) for name in like[:3])}?" if like and path.stem else ""
-    )
+    of_stem = [name for name in there if path.stem in (name, Path(name).stem)]
+    like = [shown(path.parent / name) for name in (difflib.get_close_matches(path.name, there, 3) or of_stem)[:3]]
+    meant = f"; did you mean {' or '.join(like)}?" if like and path.stem else ""
     return InputError(f"{shown(path)}: no such {what}{meant}")
 
 
@@ -61,7 +58,7 @@ def read_bytes(path: str | Path, most: int = MOST_BYTES) -> bytes:
     Raises InputError: no such file, a folder, a device, a FIFO, more than `most` bytes, or not to be read.
     """
     path = Path(path)
-    try:
+    with _opening(path):
         if not (streamed := own_stream(path) is not None):
             settle(path.parent)
         _refuse_special(path, path.stat(), streamed)
@@ -71,12 +68,6 @@ def read_bytes(path: str | Path, most: int = MOST_BYTES) -> bytes:
             _refuse_special(path, about, streamed)
             os.set_blocking(handle, True)
             data = b"" if about.st_size > most else file.read(most + 1)
-    except FileNotFoundError:
-        raise missing(path) from None
-    except InputError:
-        raise
-    except (OSError, ValueError, RuntimeError) as error:  # a NUL in its name, a loop of links
-        raise InputError(f"{shown(path)}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
     if about.st_size > most or len(data) > most:
         raise InputError(f"{shown(path)}: has {max(about.st_size, len(data))} bytes; at most {most} are read: split it")
     return data
@@ -85,23 +76,32 @@ def read_bytes(path: str | Path, most: int = MOST_BYTES) -> bytes:
 def regular(path: str | Path) -> Path:
     """A file that a library opens by its name. Raises InputError: no such file, a folder, a device, a FIFO."""
     path = Path(path)
-    try:
+    with _opening(path):
         _refuse_special(path, path.stat(), False)
-    except FileNotFoundError:
-        raise missing(path) from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{shown(path)}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
     return path
 
 
-def unpacked(data: bytes, source: str, most: int = MOST_BYTES) -> bytes:
-    """What gzip packed; other data as they are. Raises InputError: damaged, or more than `most` bytes unpacked."""
+@contextmanager
+def _opening(path: Path) -> Iterator[None]:
+    """Raises InputError for what the system says of a file."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise missing(path) from None
+    except InputError:
+        raise
+    except (OSError, ValueError, RuntimeError) as error:  # a NUL in its name, a loop of links
+        raise InputError(f"{shown(path)}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+
+
+def unpacked(data: bytes, source: str) -> bytes:
+    """What gzip packed; other data as they are. Raises InputError: damaged, or too many bytes unpacked."""
     if not data.startswith(b"\x1f\x8b"):
         return data
     with foreign(f"{source}: not a readable gzip file"):
-        content = gzip.GzipFile(fileobj=io.BytesIO(data)).read(most + 1)
-    if len(content) > most:
-        raise InputError(f"{source}: has more than {most} bytes when unpacked; split it")
+        content = gzip.GzipFile(fileobj=io.BytesIO(data)).read(MOST_BYTES + 1)
+    if len(content) > MOST_BYTES:
+        raise InputError(f"{source}: has more than {MOST_BYTES} bytes when unpacked; split it")
     return content
 
 
@@ -124,19 +124,17 @@ def read_text(path: str | Path, most: int = MOST_TEXT) -> str:
 
 def load_toml(path: str | Path) -> dict[str, Any]:
     """Tables of a TOML file. Raises InputError."""
+    data = read_bytes(path, MOST_TEXT)
     try:
-        return tomllib.loads(read_bytes(path, MOST_TEXT).decode())
-    except InputError:  # no such file, a folder, a device
-        raise
-    except ValueError as error:  # of TOML, of its encoding, or an integer of thousands of digits
-        raise InputError(f"{shown(path)}: not valid TOML: {error}") from None
-    except RecursionError:
-        raise InputError(f"{shown(path)}: not valid TOML: nested too deeply") from None
+        return tomllib.loads(data.decode())
+    except (ValueError, RecursionError) as error:  # of TOML, its encoding, or an integer of thousands of digits
+        why = "nested too deeply" if isinstance(error, RecursionError) else error
+        raise InputError(f"{shown(path)}: not valid TOML: {why}") from None
 
 
-def load_json(path: str | Path, kind: Any = dict) -> Any:
-    """What a JSON file holds, an object or, as `kind` says, a list. Raises InputError."""
-    return json_of(read_bytes(path, MOST_JSON), shown(path), kind)
+def load_json(path: str | Path) -> Any:
+    """The object that a JSON file holds. Raises InputError."""
+    return json_of(read_bytes(path, MOST_JSON), shown(path))
 
 
 def json_of(text: bytes | str, source: str, kind: Any = dict) -> Any:
@@ -147,9 +145,8 @@ def json_of(text: bytes | str, source: str, kind: Any = dict) -> Any:
         why = "nested too deeply" if isinstance(error, RecursionError) else error
         raise InputError(f"{source}: not valid JSON: {why}") from None
     if not isinstance(data, kind):
-        raise InputError(
-            f"{source}: holds {type(data).__name__}; a JSON {'list' if kind is list else 'object'} is expected"
-        )
+        wanted = "list" if kind is list else "object"
+        raise InputError(f"{source}: holds {type(data).__name__}; a JSON {wanted} is expected")
     level, row = 0, [data] if isinstance(data, dict | list) else []
     while row := [v for c in row for v in (c.values() if isinstance(c, dict) else c) if isinstance(v, dict | list)]:
         level += 1

@@ -158,15 +158,11 @@ def _as_written(schema: type[BaseModel], data: Any, location: tuple[int | str, .
         table = _table(schema, location[:depth])
         key = part
         if isinstance(data, Mapping) and part not in data and issubclass(table, TomlTable):
-            key = next((k for k in data if table.field_of(k)[0] == part), _written_key(table, part))
+            keys = dict(zip(table.model_fields, table.keys(), strict=True))
+            key = next((k for k in data if table.field_of(k)[0] == part), keys.get(part, part))
         words.append(f".{key}")
         data = data.get(key) if isinstance(data, Mapping) else None
     return "".join(words).lstrip(".") or "file", data
-
-
-def _written_key(table: type[TomlTable], field: str) -> str:
-    names = list(table.model_fields)
-    return table.keys()[names.index(field)] if field in names else field
 
 
 def _table(schema: type[BaseModel], location: tuple[int | str, ...]) -> type[BaseModel]:

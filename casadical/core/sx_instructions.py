@@ -118,6 +118,9 @@ def _two(numpy: Callable[[Any, Any], Any], c: str) -> Operation:
     return Operation(numpy, f"TWO({c}, {{0}}, {{1}})")
 
 
+# Functions of one number, and of two, that CasADi, numpy and C call alike.
+_ONE = ("exp", "log", "log1p", "expm1", "sqrt", "sin", "cos", "tan", "sinh", "cosh", "tanh")
+_TWO = ("fmin", "fmax", "hypot", "fmod", "copysign")
 OPERATIONS = {
     "assign": Operation(lambda a: a, "{0}"),
     "add": Operation(np.add, "{0} + {1}"),
@@ -128,33 +131,15 @@ OPERATIONS = {
     "sq": Operation(np.square, "{0} * {0}"),
     "twice": Operation(lambda a: 2.0 * a, "2.0 * {0}"),
     "inv": Operation(lambda a: 1.0 / a, "1.0 / {0}"),
-    "exp": _one(np.exp, "exp"),
-    "log": _one(np.log, "log"),
-    "sqrt": _one(np.sqrt, "sqrt"),
-    "sin": _one(np.sin, "sin"),
-    "cos": _one(np.cos, "cos"),
-    "tan": _one(np.tan, "tan"),
+    **{name: _one(getattr(np, name), name) for name in (*_ONE, "fabs", "sign", "floor", "ceil")},
+    **{name: _two(getattr(np, name), name) for name in _TWO},
     "asin": _one(np.arcsin, "asin"),
     "acos": _one(np.arccos, "acos"),
     "atan": _one(np.arctan, "atan"),
-    "sinh": _one(np.sinh, "sinh"),
-    "cosh": _one(np.cosh, "cosh"),
-    "tanh": _one(np.tanh, "tanh"),
-    "fabs": _one(np.abs, "fabs"),
-    "sign": _one(np.sign, "sign"),
-    "floor": _one(np.floor, "floor"),
-    "ceil": _one(np.ceil, "ceil"),
     "not": _one(lambda a: np.equal(a, 0.0) * 1.0, "not_"),
-    "log1p": _one(np.log1p, "log1p"),
-    "expm1": _one(np.expm1, "expm1"),
     "pow": _two(np.power, "pow"),
     "constpow": _two(np.power, "pow"),
-    "fmin": _two(np.fmin, "fmin"),
-    "fmax": _two(np.fmax, "fmax"),
     "atan2": _two(np.arctan2, "atan2"),
-    "hypot": _two(np.hypot, "hypot"),
-    "fmod": _two(np.fmod, "fmod"),
-    "copysign": _two(np.copysign, "copysign"),
     "lt": _two(lambda a, b: np.less(a, b) * 1.0, "lt"),
     "le": _two(lambda a, b: np.less_equal(a, b) * 1.0, "le"),
     "eq": _two(lambda a, b: np.equal(a, b) * 1.0, "eq"),

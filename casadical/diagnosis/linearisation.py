@@ -15,8 +15,8 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.casadi_buffers import call
 from casadical.core.linear_gaussian.columns import EVERY, Combined, Directions, Factors, directions_of
+from casadical.core.mapped_function import call
 from casadical.diagnosis.formula_cache import Part, plan
 from casadical.diagnosis.seams import Seams, seams_of
 from casadical.effects import Effect

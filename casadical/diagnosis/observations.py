@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.casadi_buffers import call
+from casadical.core.mapped_function import call
 from casadical.diagnosis.linearisation import BLOCK, POINT, TURN, Linearisation, of_turn
 from casadical.diagnosis.seams import observed_at_seams, seams_of
 from casadical.diagnosis.stops import Stops, stops_of

@@ -1,7 +1,6 @@
 """Effects that a base model leaves out: one symbolic term each, entering the model at one method."""
 
-from casadical.effects.base import Effect
-from casadical.effects.context import Context
+from casadical.effects.base import Context, Effect
 from casadical.effects.registry import *  # noqa: F403 - every effect, by its line there
 from casadical.effects.settings import setting
 

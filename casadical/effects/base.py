@@ -1,4 +1,4 @@
-"""The base of all effects and the seams at which one may enter the model.
+"""The base of all effects, the seams at which one may enter the model, and what it may look at there.
 
 In the order in which a pose is computed: `energy` (a spring or a mass: it loads the joints), `joint_angle` (added to
 the reading), `link` (behind the joint's own motion), `base`, `tool`, `measurement`. An effect overrides the seams it
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import reduce
 from typing import Any, ClassVar, Self
 
 import casadi as ca
@@ -19,10 +20,81 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.parameters import Parameter
 from casadical.core.parts import Arm, Body
-from casadical.core.transforms import Symbolic
-from casadical.effects.context import Context as Context
+from casadical.core.transforms import Symbolic, apply
 from casadical.effects.settings import checked_settings, grid_points, settings_of
 from casadical.effects.settings import setting as setting
+
+
+@dataclass(frozen=True)
+class Context:
+    """What an effect may look at; every entry but the first is symbolic.
+
+    arm : rows, masses, limits, loops, payload
+    torque_scale : shape (n,) [N m or N]: great gravity torques on each joint (see `Robot.torque_scale`)
+    q : shape (n,) [rad or m]: joint readings
+    conditions : logged columns by name (payload_kg, temperature_degC, progress, approach1, ...)
+    values : the value of every parameter of the model, by name [SI]
+    frames : T_01..T_0n, the rigid links' frames in the robot's base frame, each (4, 4)
+    gravity : shape (3,) [m/s^2]: in the robot's base frame
+    torque : shape (n,) [N m or N]: of gravity on the actuated joints; None at the seam `energy`, which makes it
+
+    Examples
+    --------
+    >>> seen = []
+    >>> class Look(casadical.Effect):
+    ...     name = "look"
+    ...
+    ...     def joint_angle(self, context):
+    ...         seen.append(context)
+    ...         return super().joint_angle(context)
+    >>> size = robot.with_effect(Look()).position.n_in()
+    >>> context = seen[0]
+    >>> context.load(1).shape, context.moment(1).shape, context.greatest(1, 2).shape
+    ((1, 1), (3, 1), (1, 1))
+    """
+
+    arm: Arm
+    torque_scale: Symbolic
+    q: Symbolic
+    conditions: Mapping[str, Symbolic]
+    values: Mapping[str, Symbolic]
+    frames: tuple[Symbolic, ...]
+    gravity: Symbolic
+    torque: Symbolic = None
+
+    def load(self, joint: int | None) -> Symbolic:
+        """Gravity torque on a joint (1-based) as a share of its great torques."""
+        assert joint is not None
+        return self.torque[joint - 1] / self.torque_scale[joint - 1]
+
+    def moment(self, link: int) -> Symbolic:
+        """Moment [N m] of all weight from a link (1-based) on, about its origin; in the base frame, shape (3,)."""
+        origin = self.frames[link - 1][:3, 3]
+        joints = self.arm.joints
+        loads = [(j.body.mass, apply(T, ca.DM(j.body.com))) for j, T in zip(joints, self.frames, strict=True) if j.body]
+        loads = loads[sum(1 for j in joints[: link - 1] if j.body) :]
+        if self.arm.payload:
+            mass = self.conditions.get("payload_kg", self.arm.payload.mass)
+            loads.append((mass, apply(self.frames[-1], ca.DM(self.arm.payload.com))))
+        total = ca.SX.zeros(3)
+        for mass, centre in loads:
+            total = total + ca.cross(centre - origin, mass * self.gravity)
+        return total
+
+    @property
+    def great_moment(self) -> Symbolic:
+        """The greatest of the turning joints' great torques [N m]; of an arm that only slides, of its forces [N]."""
+        return self.greatest(1, self.arm.n)
+
+    def greatest(self, first: int, last: int) -> Symbolic:
+        """The greatest great torque of the turning joints (1-based) from the first to the last [N m].
+
+        Where none of them turns, of all of them [N]: moments and forces are not compared.
+        """
+        there = range(first, last + 1)
+        turning = [j for j in there if j in self.arm.revolute] or there
+        return reduce(ca.fmax, [self.torque_scale[j - 1] for j in turning])
+
 
 # Of a rigid joint [N m/rad or N/m]: 10 kN m turn it by 1e-8 rad.
 RIGID = 1e12
@@ -119,11 +191,11 @@ class Counterparts:
         """The great torque on a joint (1-based) [N m or N]; of None the greatest moment."""
         return float(self.torque_scale[joint - 1] if joint else self.great_moment)
 
-    def with_drive(self, joint: int | None, **change: object) -> Counterparts:
-        """With one joint's drive changed."""
+    def with_drive(self, effect: Effect, text: str, **change: object) -> Counterparts:
+        """With the drive of an effect's joint changed, and a line on it."""
         drives = list(self.drives)
-        drives[(joint or 0) - 1] = replace(self.drive(joint), **change)  # type: ignore[arg-type]
-        return replace(self, drives=tuple(drives))
+        drives[(effect.joint or 0) - 1] = replace(self.drive(effect.joint), **change)  # type: ignore[arg-type]
+        return self.noted(f"{effect.label}: {text}", drives=tuple(drives))
 
     def with_springs(self, label: str, sizes: Mapping[str, float], link: int) -> Counterparts:
         """With hinges of the foot (link 0) or of a link; an axis that came out negative stays rigid.
@@ -139,14 +211,13 @@ class Counterparts:
             return made
         stiff = ", ".join(f"{s:.4g}" for s in k)
         if not link:
-            made = replace(made, base=k)  # type: ignore[arg-type]
-            return made.noted(f"{label}: hinges of the foot, {stiff} N m/rad")
-        made = replace(made, flexures={**made.flexures, link: k})  # type: ignore[dict-item]
-        return made.noted(f"{label}: link {link} in three pieces between hinges, {stiff} N m/rad in all")
+            return made.noted(f"{label}: hinges of the foot, {stiff} N m/rad", base=k)
+        pieces = f"{label}: link {link} in three pieces between hinges, {stiff} N m/rad in all"
+        return made.noted(pieces, flexures={**made.flexures, link: k})
 
-    def noted(self, text: str) -> Counterparts:
-        """With a line on what became of an effect."""
-        return replace(self, written=(*self.written, text))
+    def noted(self, text: str, **change: object) -> Counterparts:
+        """With what an effect became, and a line on it."""
+        return replace(self, written=(*self.written, text), **change)  # type: ignore[arg-type]
 
     def without(self, label: str, why: str, parts: tuple[str, ...] = ()) -> Counterparts:
         """With an effect that has no counterpart (see `Omission`)."""
@@ -227,10 +298,7 @@ class Effect:
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """The effect with its settings on a grid, by default all combinations, wherever it may act (`acts_at`).
-
-        arm : rows, loops, loads and limits of a robot; a `Robot` is one
-        """
+        """The effect with its settings on a grid, by default all combinations, wherever it may act (`acts_at`)."""
         place = cls.acts_at or ("arm" if cls.angle is Effect.angle else "joints")
         rigid = [j for j in arm.numbers if not arm.joints[j - 1].compliance]
         every: Mapping[str, Sequence[int | None]] = {
@@ -257,10 +325,7 @@ class Effect:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Effect:
-        """The effect that `to_dict` wrote; settings that are not given have their defaults.
-
-        Raises InputError: a setting that does not exist, or is no number.
-        """
+        """The effect that `to_dict` wrote, defaults for what is not given. Raises InputError for a faulty setting."""
         return cls(data.get("joint"), **checked_settings(cls, data.get("settings", {})))
 
     def to_dict(self) -> dict[str, Any]:
@@ -269,11 +334,7 @@ class Effect:
         return {key: value for key, value in whole.items() if value not in (None, {})}
 
     def refuse_joints(self, arm: Arm) -> None:
-        """Refuse the number of a joint that the arm does not have.
-
-        arm : rows, loops, loads and limits of a robot; a `Robot` is one
-        Raises InputError: the arm has no joint of this number.
-        """
+        """Raises InputError where the arm does not have its joint, or one that is a setting."""
         for f in fields(self):
             number = getattr(self, f.name)
             if (f.name == "joint" or f.metadata.get("joint")) and number is not None and number not in arm.numbers:
@@ -306,10 +367,7 @@ class Effect:
         )
 
     def own_values(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Values of its parameters [SI] by their short names, out of those of a model; zero where there is none.
-
-        values : parameter name -> value [SI], of the whole model
-        """
+        """Values of its parameters [SI] by their short names, out of those of a model; zero where there is none."""
         return {name: values.get(f"{self.label}.{name}", 0.0) for name in self.sizes()}
 
     def for_poses(self, count: int) -> Self:
@@ -341,56 +399,33 @@ class Effect:
         return 0.0
 
     def joint_angle(self, context: Context) -> Symbolic:
-        """What it adds to the joint variables, shape (n,) [rad or m]; by default `angle`, at its own joint.
-
-        context : what the model gives
-        Returns Symbolic, shape (n,) [rad or m]: added to the joint variables
-        """
+        """What it adds to the joint variables, shape (n,) [rad or m]; by default `angle`, at its own joint."""
         moved = ca.SX.zeros(context.arm.n)
         if self.joint is not None:
             moved[self.joint - 1] = self.angle(context, context.q[self.joint - 1])
         return moved
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        """What it adds to its own joint, whose reading is q [rad or m].
-
-        q : the joint's own reading [rad or m]
-        """
+        """What it adds to its own joint, whose reading is q [rad or m]."""
         return 0.0
 
     def link(self, number: int, context: Context) -> Symbolic:
-        """Transform (4, 4) behind link `number` (1-based), in that link's frame.
-
-        Returns Symbolic, shape (4, 4) [m]: the identity by default
-        """
+        """Transform (4, 4) [m] behind link `number` (1-based), in that link's frame; the identity by default."""
         return ca.SX.eye(4)
 
     def base(self, context: Context) -> Symbolic:
-        """Transform (4, 4) of the robot's foot, in the base frame.
-
-        Returns Symbolic, shape (4, 4) [m]: the identity by default
-        """
+        """Transform (4, 4) [m] of the robot's foot, in the base frame; the identity by default."""
         return ca.SX.eye(4)
 
     def tool(self, context: Context) -> Symbolic:
-        """Transform (4, 4) in front of the tool, in the flange frame.
-
-        Returns Symbolic, shape (4, 4) [m]: the identity by default
-        """
+        """Transform (4, 4) [m] in front of the tool, in the flange frame; the identity by default."""
         return ca.SX.eye(4)
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
-        """The measured point, shape (3,) [m], as the instrument reports it.
-
-        point : Symbolic, shape (3,) [m]: measured point
-        Returns Symbolic, shape (3,) [m]: the point as reported
-        """
+        """The measured point, shape (3,) [m], as the instrument reports it."""
         return point
 
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-        """What a simulator has in its place, besides what it has for others.
-
-        v : its values by short name [SI], see `own_values`
-        """
+        """What a simulator has in its place, besides what it has for others; v : its `own_values` [SI]"""
         why = "an effect of the measurement, not of the robot" if self.of_measurement else "no counterpart in MuJoCo"
         return simulator.without(self.label, why)

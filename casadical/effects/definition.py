@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, fields, make_dataclass, replace
+from dataclasses import dataclass, fields, make_dataclass
 from functools import cache, lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from pydantic import Field, Strict, model_validator
 
-from casadical.core.basics import InputError
+from casadical.core.basics import InputError, errors_of
 from casadical.core.parts import Arm, Body
 from casadical.core.reading import MOST_COUNT, load_toml
 from casadical.core.schema import FaultError, TomlTable, Triple, check
@@ -34,7 +34,7 @@ SLOPE, STOP, OFF = 0.76, 0.92, 0.083
 
 def gear_ratio(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
     """Of an effect with `k`, the share by which the joint turns too much."""
-    return simulator.with_drive(effect.joint, ratio=1 + v["k"]).noted(f"{effect.label}: gear of the drive")
+    return simulator.with_drive(effect, "gear of the drive", ratio=1 + v["k"])
 
 
 def foot_hinges(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
@@ -47,7 +47,7 @@ def joint_spring(effect: Effect, simulator: Counterparts, v: Mapping[str, float]
     if v["deflection"] <= 0:
         return simulator.without_sign(effect.label)
     soft = simulator.drive(effect.joint).compliance + v["deflection"] / simulator.great(effect.joint)
-    return simulator.with_drive(effect.joint, compliance=soft).noted(f"{effect.label}: spring of joint {effect.joint}")
+    return simulator.with_drive(effect, f"spring of joint {effect.joint}", compliance=soft)
 
 
 def dry_friction(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
@@ -59,8 +59,8 @@ def dry_friction(effect: Effect, simulator: Counterparts, v: Mapping[str, float]
     wound = v["constant"] + v["load"] * float(simulator.mean_load[effect.joint - 1])
     if wound <= 0:
         return simulator.without(effect.label, "its friction came out negative")
-    simulator = simulator.with_drive(effect.joint, friction=wound / soft)
-    return simulator.noted(f"{effect.label}: dry friction of {wound / soft:.4g} N m, at its mean load")
+    text = f"dry friction of {wound / soft:.4g} N m, at its mean load"
+    return simulator.with_drive(effect, text, friction=wound / soft)
 
 
 def soft_spring(effect: Any, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
@@ -68,9 +68,8 @@ def soft_spring(effect: Any, simulator: Counterparts, v: Mapping[str, float]) ->
     if v["bend"] <= 0:
         return simulator.without_sign(effect.label)
     stiffness = effect.knee * simulator.great(effect.joint) / (SLOPE * v["bend"])
-    simulator = simulator.with_drive(effect.joint, give=STOP * v["bend"], give_stiffness=stiffness)
-    spring = f"joint{effect.joint}_bed, a soft spring between stops"
-    return simulator.noted(f"{effect.label}: {spring}, within {1e6 * OFF * v['bend']:.1f} urad")
+    spring = f"joint{effect.joint}_bed, a soft spring between stops, within {1e6 * OFF * v['bend']:.1f} urad"
+    return simulator.with_drive(effect, spring, give=STOP * v["bend"], give_stiffness=stiffness)
 
 
 def hardening_spring(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
@@ -82,10 +81,8 @@ def hardening_spring(effect: Effect, simulator: Counterparts, v: Mapping[str, fl
     scale = np.array([np.abs(d).max(), np.abs(d).max() ** 3])
     k1, k3 = np.linalg.lstsq(np.column_stack([d, d**3]) / scale, great * load, rcond=None)[0] / scale
     off = 1e6 * float(np.abs(great * load - k1 * d - k3 * d**3).max() / k1)
-    spring = f"joint{effect.joint}_give with the spring k1 d + k3 d^3"
-    return simulator.with_drive(effect.joint, k1=float(k1), k3=float(k3)).noted(
-        f"{effect.label}: {spring}, within {off:.1f} urad"
-    )
+    spring = f"joint{effect.joint}_give with the spring k1 d + k3 d^3, within {off:.1f} urad"
+    return simulator.with_drive(effect, spring, k1=float(k1), k3=float(k3))
 
 
 def payload(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
@@ -95,9 +92,8 @@ def payload(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> 
         return simulator.without(effect.label, "no counterpart in MuJoCo")
     factor = 1 + v["mass"]
     centre = declared.com + np.array([v[c] for c in "xyz"]) / factor
-    simulator = replace(simulator, payload=Body(declared.mass * factor, centre), payload_factor=factor)
-    masses = f"{declared.mass * factor:.4g} kg in place of {declared.mass:.4g} kg"
-    return simulator.noted(f"{effect.label}: {masses}, centre moved")
+    text = f"{effect.label}: {declared.mass * factor:.4g} kg in place of {declared.mass:.4g} kg, centre moved"
+    return simulator.noted(text, payload=Body(declared.mass * factor, centre), payload_factor=factor)
 
 
 COUNTERPARTS: Mapping[str, Callable[[Effect, Counterparts, Mapping[str, float]], Counterparts]] = {
@@ -295,21 +291,7 @@ def _made(definition: str, module: str, name: str) -> type[DefinedEffect]:
     about = [f"{key} : {s.about}" for key, s in d.settings.items() if s.about]
     places = tuple(dict.fromkeys(place for text in _templates(d) for place in _PLACE.findall(text)))
     attributes = {
-        **{
-            key: getattr(d, key)
-            for key in (
-                "name",
-                "answers_as",
-                "of_measurement",
-                "from_kind",
-                "simulated_first",
-                "together",
-                "signature",
-                "physics",
-                "confused_with",
-            )
-        },
-        "on_list": d.on_list,
+        **{key: getattr(d, key) for key in Definition.model_fields if key in Effect.__annotations__ and key != "needs"},
         "acts_at": d.acts_at or ("joints" if numbered else "arm"),
         "definition": d,
         "places": places,
@@ -331,23 +313,18 @@ def _again(definition: str, module: str, name: str, settings: Mapping[str, Any])
 
 
 def effect_class(d: Definition, module: str = "effect file") -> type[DefinedEffect]:
-    """The class of a definition, the same one for equal definitions. Raises InputError by key.
-
-    module : in whose names it is found
-    """
+    """The class of a definition, the same for equal ones; module : that has it. Raises InputError by key."""
     _refuse_names(d)
     kind = _made(d.model_dump_json(), module, "".join(word.title() for word in d.name.split("_")))
     settings = {key: s.value for key, s in d.settings.items()}
     numbers = {key: value for key, value in settings.items() if isinstance(value, int | float)}
-    try:
+    with errors_of("formulas: "):
         whole = kind.texts_with(tuple(_word({"joint": 1, **settings}[place]) for place in kind.places))
         for seam, formula in whole.formulas.items():
             check_formula(formula.text, seam, (*whole.sizes, *numbers, *whole.needs))
             check_values(formula, whole.sizes, numbers)
-    except InputError as error:
-        raise InputError(f"formulas: {error}") from None
-    sizes, used = whole.sizes, {name for formula in whole.formulas.values() for name in formula.names}
-    if unused := [name for name in sizes if name not in used]:
+    used = {name for formula in whole.formulas.values() for name in formula.names}
+    if unused := [name for name in whole.sizes if name not in used]:
         raise InputError(f"sizes.{unused[0]}: is in no formula")
     return kind
 
@@ -383,17 +360,13 @@ def effect_classes(definitions: Iterable[Definition], module: str = "effect file
     """Their classes. Raises InputError that names the table and the key."""
     kinds = []
     for k, d in enumerate(definitions, 1):
-        try:
+        with errors_of(f"definition[{k}]."):
             kinds.append(effect_class(d, module))
-        except InputError as error:
-            raise InputError(f"definition[{k}].{error}") from None
     return tuple(kinds)
 
 
 def read_definitions(path: Path, module: str = "effect file") -> dict[str, type[DefinedEffect]]:
     """Effects that a file defines, by name. Raises InputError."""
     file = check(DefinitionFile, load_toml(path), path.name)
-    try:
+    with errors_of(f"{path.name}: "):
         return {kind.name: kind for kind in effect_classes(file.definition, module)}
-    except InputError as error:
-        raise InputError(f"{path.name}: {error}") from None

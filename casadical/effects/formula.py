@@ -7,6 +7,7 @@ or three in brackets, `[a, b, 0] * max(0, t - 0.5)`.
 
 import ast
 import math
+import operator
 import warnings
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
@@ -39,6 +40,7 @@ FUNCTIONS = {name: count for name, (count, _, _) in _KNOWN.items()}
 SYMBOLIC = {name: symbolic for name, (_, symbolic, _) in _KNOWN.items()}
 NUMERIC = {name: numeric for name, (_, _, numeric) in _KNOWN.items()}
 _SIGNS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
+_OPERATIONS = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv}
 
 
 @dataclass(frozen=True)
@@ -266,14 +268,6 @@ def _value(node: ast.expr, names: Mapping[str, Any], functions: Mapping[str, Cal
         assert isinstance(node.right.value, int)
         return math.prod([left] * node.right.value)
     return _each(_OPERATIONS[type(node.op)], left, _value(node.right, names, functions))
-
-
-_OPERATIONS: Mapping[type[ast.operator], Callable[[Any, Any], Any]] = {
-    ast.Add: lambda a, b: a + b,
-    ast.Sub: lambda a, b: a - b,
-    ast.Mult: lambda a, b: a * b,
-    ast.Div: lambda a, b: a / b,
-}
 
 
 def _each(operation: Callable[[Any, Any], Any], left: Any, right: Any) -> Any:

@@ -1,10 +1,8 @@
 """Effects whose formulas are text: where a formula may act, what it may name, and what it then does to the model.
 
-Those of the list, those that a user defines in a file (see `definition`) and laws found in data (see `law`) alike.
-
-A law given as text: what is added at one place of the robot, as a formula of what is known at a pose.
-
-It is data: a formula is parsed and never executed (see `formula`). `casadical diagnose --laws` writes such laws.
+Those of the list, those that a user defines in a file (see `definition`) and laws found in data alike. A `Law` is what
+is added at one place of the robot, as a formula of what is known at a pose; `casadical diagnose --laws` writes it.
+A formula is data: it is parsed and never executed (see `formula`).
 """
 
 import re

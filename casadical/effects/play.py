@@ -1,7 +1,4 @@
-"""Play in a gear.
-
-Bearings that run out or have play.
-"""
+"""Play in a gear; bearings that run out or have play."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -54,9 +51,9 @@ class Backlash(Effect):
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
         if v["half"] <= 0:
             return simulator.without_sign(self.label)
+        limits = f"joint{self.joint}_play with limits of +-{1e6 * v['half']:.1f} urad"
         held = self.friction * simulator.great(self.joint)
-        simulator = simulator.with_drive(self.joint, play=v["half"], play_friction=held)
-        return simulator.noted(f"{self.label}: joint{self.joint}_play with limits of +-{1e6 * v['half']:.1f} urad")
+        return simulator.with_drive(self, limits, play=v["half"], play_friction=held)
 
 
 @dataclass(frozen=True)
@@ -70,14 +67,11 @@ class BacklashByLoad(Backlash):
 
     name = "backlash_by_load"
     answers_as = "backlash"
+    conditions = ()
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
         return (cls(j, 0.0, width) for j in arm.numbers for width in (0.003, 0.01, 0.03, 0.1, 0.3))
-
-    @property
-    def conditions(self) -> tuple[str, ...]:
-        return ()
 
     @property
     def only_without(self) -> tuple[str, ...]:
@@ -156,21 +150,11 @@ class BearingPlay(Effect):
         if number != self.joint:
             return ca.SX.eye(4)
         turn = context.frames[number - 1][:3, :3].T
-        moment = turn @ context.moment(number) / self._great(context)
-        return translate(*ca.vertsplit(self._drop(turn @ context.gravity / 9.81, context))) @ small_frame(
-            0, 0, 0, *self._rock(moment, context), 0
-        )
-
-    def _great(self, context: Context) -> Symbolic:
-        """The greatest torque that joints here or one joint before carry, since moments across are like theirs."""
-        assert self.joint is not None
-        return context.greatest(max(self.joint - 1, 1), self.joint)
-
-    def _rock(self, moment: Symbolic, context: Context) -> tuple[Symbolic, Symbolic]:
+        # Moments across the axis are like the greatest torque that joints here or one joint before carry.
+        moment = turn @ context.moment(number) / context.greatest(max(number - 1, 1), number)
         size = ca.sqrt(moment[0] ** 2 + moment[1] ** 2 + 1e-8)
         share = self.value(context, "rock") * ca.tanh(size / self.soft) / ca.tanh(1 / self.soft) / size
-        return share * moment[0], share * moment[1]
-
-    def _drop(self, down: Symbolic, context: Context) -> Symbolic:
+        down = turn @ context.gravity / 9.81
         across = ca.vertcat(down[0], down[1], 0)
-        return self.value(context, "drop") * across / ca.sqrt(ca.sumsqr(across) + 0.01)
+        drop = self.value(context, "drop") * across / ca.sqrt(ca.sumsqr(across) + 0.01)
+        return translate(*ca.vertsplit(drop)) @ small_frame(0, 0, 0, share * moment[0], share * moment[1], 0)

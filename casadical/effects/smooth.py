@@ -180,14 +180,11 @@ class WarmUp(_Smooth):
     name = "unknown_warm_up"
     words = "a warm-up that was not measured"
     needs = ("progress",)
+    only_without = ("temperature_degC",)
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
         return (cls(None, arm.n, s) for s in (0.1, 0.3, 1.0))
-
-    @property
-    def only_without(self) -> tuple[str, ...]:
-        return ("temperature_degC",)
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return {f"q{i}": (SIZE, "rad") for i in range(1, self.moved + 1)} | {"growth": (8e-5, "m/m")}
@@ -221,9 +218,8 @@ class SmoothInSpace(_Smooth):
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
         x = dict(zip("xyz", ca.vertsplit(point / self.reach), strict=True))
-        names = {p: ca.SX(1) for p in self.sizes()}
         moved = ca.SX.zeros(3)
-        for name in names:
+        for name in self.sizes():
             axis, product = name.split("_")
             term = self.value(context, name)
             for c in product:

@@ -1,12 +1,7 @@
-"""Springs beside those of the joints: a balancer, a hose.
-
-The declared masses and mass centres of the links are wrong.
-
-A link bends and twists under the weight beyond it.
-"""
+"""Springs beside those of the joints (a balancer, a hose), wrong masses of the links, and links that bend."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -23,7 +18,6 @@ class GravityCompensator(Effect):
     """An unmodelled balancing spring on joint 2.
 
     anchor : distance of the spring's fixed end from the joint, as a multiple of its lever on the arm
-
     phase : reading at which spring, joint and lever lie in line [rad]
     """
 
@@ -59,8 +53,8 @@ class GravityCompensator(Effect):
         great = simulator.great(self.joint)
         swing, ahead = great * float(np.hypot(v["sin"], v["cos"])), float(np.arctan2(v["cos"], v["sin"]))
         made = Balancer(self.joint, self.anchor, self.phase, swing, ahead, great * v["preload"])
-        simulator = replace(simulator, balancers=(*simulator.balancers, made))
-        return simulator.noted(f"{self.label}: tendon from link to link before, {swing:.4g} N m at its greatest")
+        text = f"{self.label}: tendon from link to link before, {swing:.4g} N m at its greatest"
+        return simulator.noted(text, balancers=(*simulator.balancers, made))
 
 
 @dataclass(frozen=True)
@@ -68,7 +62,6 @@ class HoseDrag(Effect):
     """A hose or cable from the forearm to the tool pulls at the wrist.
 
     clip : where the hose is held, as a share of the way from the elbow to the wrist
-
     side : how far beside the forearm, as a share of its length
     """
 
@@ -168,7 +161,7 @@ class LinkMasses(Effect):
             shift = np.array([v.get(f"{c}{k + 1}", 0.0) for c in "xyz"])
             bodies[k] = Body(body.mass * factor, body.com + shift / factor)
         masses = ", ".join("-" if b is None else f"{b.mass:.4g}" for b in bodies)
-        return replace(simulator, bodies=tuple(bodies)).noted(f"link_masses: {masses} kg, mass centres moved")
+        return simulator.noted(f"link_masses: {masses} kg, mass centres moved", bodies=tuple(bodies))
 
 
 def _undeclared(arm: Arm, row: int) -> float:

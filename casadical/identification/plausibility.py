@@ -9,7 +9,7 @@ from casadical.core.basics import Array, Fault, FaultsError, InputError
 from casadical.core.transforms import nearest_rotation
 from casadical.identification.accuracy import positions_at, predicted
 from casadical.identification.placement import place_frames
-from casadical.measurements.angle_unit import MOST_TURNS
+from casadical.measurements.columns import MOST_TURNS
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.robot.kinematics import LEAST_MARGIN

@@ -1,7 +1,4 @@
-"""Columns of a table by name, converted to SI; what is missing, no number or in the wrong unit is refused.
-
-Columns under our names are made of those of a file.
-"""
+"""Columns of a table by our names, converted to SI; what is missing, no number or in the wrong unit is refused."""
 
 from __future__ import annotations
 
@@ -35,9 +32,8 @@ class Source:
     @classmethod
     def read(cls, given: str | Mapping[str, Any]) -> Source:
         """From how a file says it: a name, or a table with `from`."""
-        return (
-            cls(given) if isinstance(given, str) else cls(given["from"], **{k: given[k] for k in given if k != "from"})
-        )
+        table: Mapping[str, Any] = {"from": given} if isinstance(given, str) else given
+        return cls(table["from"], **{key: value for key, value in table.items() if key != "from"})
 
     @property
     def table(self) -> str | dict[str, Any]:
@@ -70,23 +66,6 @@ def named(sources: Mapping[str, Source]) -> Iterator[tuple[str, str]]:
     return ((name, f"named for {ours!r}") for ours, s in sources.items() for name in (s.name, *s.add))
 
 
-def made(table: pd.DataFrame, sources: Mapping[str, Source], point_from: Sequence[str]) -> tuple[pd.DataFrame, slice]:
-    """A table with our columns, and which rows of the file it has: those to which a shift of rows gives a value.
-
-    point_from : columns whose words name the touched point
-    """
-    # A header that keeps its own name elsewhere in the map is copied, not moved.
-    ours = {name: _made(table, source) for name, source in sources.items()}
-    if point_from:
-        ours["point"] = table[list(point_from)].astype(str).agg("/".join, axis=1)
-    moved = {name for name, s in sources.items() if name in table and s.name != name}
-    # q3_rad = "q3_deg" says that the unit in the header is wrong.
-    moved |= {s.name for name, s in sources.items() if s.name not in sources and _stem(name) == _stem(s.name)}
-    shifts = [s.rows for s in sources.values()]
-    rows = slice(max(0, -min(shifts, default=0)), len(table) - max(0, *shifts, 0))
-    return table.drop(columns=sorted(moved)).assign(**ours).iloc[rows].reset_index(drop=True), rows
-
-
 def _made(table: pd.DataFrame, source: Source) -> pd.Series:
     """A column as its source says; cells that are no numbers stay as they are where nothing is computed."""
     if source.plain:
@@ -112,6 +91,8 @@ POSSIBLE = {
     "pose": (-1e12, 1e12),
     "weight": (-LARGEST, LARGEST),
 }
+# More turns than this are refused; joints that all move less [deg] may have been logged in radians.
+MOST_TURNS, RADIANS = 4, 6.3
 _NUMBERS = re.compile(r"warmth_\w+|approach\d+")
 # Columns of an orientation.
 ORIENTATION = "(r[xyz]|rotvec_[xyz]|roll|pitch|yaw)_(deg|rad)|R[012]{2}|q[wxyz]"
@@ -126,12 +107,9 @@ _NO_CONDITIONS = r"q\d+_(deg|rad|mm|m)|weight|set|tool|session"
 class Columns:
     """Columns of one table, converted to SI; every error (InputError) says where.
 
-    table : headers without blanks around them, empty columns left out
-    source : file name or description
-    row : shape (n,): line of the file at which each row stands
-    empty : headers of columns without a cell, which are left out
-    taken : of those that others were made of
-    left_out : rows of the file that were left out
+    table : headers without blanks around them; source : file name or description
+    row : shape (n,): line of the file at which each row stands; left_out : rows that were left out
+    empty : headers of columns without a cell, which are left out; taken : of those that others were made of
 
     Examples
     --------
@@ -166,19 +144,20 @@ class Columns:
 
     @staticmethod
     def of_file(raw: RawTable) -> Columns:
-        """Columns of a file.
-
-        Raises InputError: a header occurs twice, or a row has another number of cells.
-        """
-        return _columns(raw.frame, raw.path.name, np.array(raw.line))
+        """Columns of a file. Raises InputError: a header occurs twice."""
+        return Columns.of_frame(raw.frame, raw.path.name, np.array(raw.line))
 
     @staticmethod
-    def of_frame(table: pd.DataFrame, source: str) -> Columns:
-        """Columns of a pandas table; its rows count as in a file, from 2 on.
+    def of_frame(table: pd.DataFrame, source: str, row: Array | None = None) -> Columns:
+        """Columns of a pandas table. Raises InputError: a header occurs twice.
 
-        Raises InputError: a header occurs twice.
+        row : shape (n,), lines of a file [counted from 1]; by default as if the table stood in one, from 2
         """
-        return _columns(table, source, np.arange(len(table)) + 2)
+        table = table.rename(columns=lambda name: str(name).strip())
+        refuse_repeated_names(table.columns, source)
+        filled = table.dropna(axis="columns", how="all")
+        empty = tuple(str(name) for name in table if name not in filled and not str(name).startswith("Unnamed: "))
+        return Columns(filled, source, np.arange(len(table)) + 2 if row is None else row, empty)
 
     def mapped(self, columns: Mapping[str, str | Source], point_from: Sequence[str] = ()) -> Columns:
         """With our names where the table's headers differ.
@@ -194,16 +173,20 @@ class Columns:
         for theirs, where in used:
             if theirs not in self.table:
                 raise InputError(f"{self.source}: column {theirs!r}, {where}, is missing; there are {self.names}")
-        table, rows = made(self.table, sources, point_from)
+        # A header that keeps its own name elsewhere in the map is copied, not moved.
+        ours = {name: _made(self.table, source) for name, source in sources.items()}
+        if point_from:
+            ours["point"] = self.table[list(point_from)].astype(str).agg("/".join, axis=1)
+        moved = {name for name, s in sources.items() if name in self.table and s.name != name}
+        # q3_rad = "q3_deg" says that the unit in the header is wrong.
+        moved |= {s.name for name, s in sources.items() if s.name not in sources and _stem(name) == _stem(s.name)}
+        shifts = [s.rows for s in sources.values()]
+        rows = slice(max(0, -min(shifts, default=0)), len(self.table) - max(0, *shifts, 0))
+        table = self.table.drop(columns=sorted(moved)).assign(**ours).iloc[rows].reset_index(drop=True)
         return replace(self, table=table, row=self.row[rows], taken=(*self.taken, *(name for name, _ in used)))
 
     def without(self, rows: Collection[int], why: str) -> Columns:
-        """Without some rows of the file.
-
-        rows : of the file
-        why : where they are named, for messages
-        Raises InputError: one that is not there.
-        """
+        """Without some rows of the file. Raises InputError: one that is not there; why : where they are named"""
         missing = sorted(set(rows) - set(self.row.tolist()))
         if missing:
             raise InputError(f"{self.source}: row {missing[0]}, named in {why}, is no row of the table")
@@ -212,19 +195,14 @@ class Columns:
         return replace(self, table=self.table[kept].reset_index(drop=True), row=self.row[kept], left_out=left_out)
 
     def with_tools(self, rows: Mapping[str, Sequence[int]]) -> Columns:
-        """With the column `tool` from the rows of the file at which each target was measured.
-
-        rows : name of a target -> rows of the file
-        Raises InputError: a row that is listed twice.
-        """
+        """With the column `tool` by the rows of the file of each target. Raises InputError: a row is listed twice."""
         names: dict[int, str] = {}
         for name, listed in rows.items():
             for row in listed:
                 if names.setdefault(row, name) != name:
                     raise InputError(f"{self.source}: row {row} is in tools twice, of {names[row]} and of {name}")
-        return replace(
-            self, table=self.table.assign(tool=pd.Series([names.get(int(row)) for row in self.row], dtype=object))
-        )
+        tool = pd.Series([names.get(int(row)) for row in self.row], dtype=object)
+        return replace(self, table=self.table.assign(tool=tool))
 
     @property
     def lost_rows(self) -> tuple[int, ...]:
@@ -255,12 +233,7 @@ class Columns:
         return f"{self.source}: row {self.row[k]}"
 
     def column(self, name: str) -> Array:
-        """A column of numbers as it stands, shape (n,) [its own unit].
-
-        name : of the column
-        Returns an array, shape (n,): in the unit of the column
-        Raises InputError: it is missing, or a cell is no finite number.
-        """
+        """A column of numbers, shape (n,) [its own unit]. Raises InputError: it is missing, or no finite numbers."""
         if name not in self.table:
             raise InputError(f"{self.source}: column {name!r} is missing; there are {self.names}")
         if faults := self._faults(name):
@@ -268,8 +241,7 @@ class Columns:
         return self._values(name)
 
     def _values(self, name: str) -> Array:
-        cells = self.table[name]
-        return in_seconds(cells) if name == "time_s" else pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float)
+        return (in_seconds if name == "time_s" else numbers_of)(self.table[name])
 
     def _faults(self, name: str) -> list[Fault]:
         """Cells of a column that are no numbers, and those that are no possible ones."""
@@ -289,8 +261,7 @@ class Columns:
     def refuse_faults(self, kinds: Sequence[str], observations: str) -> None:
         """Refuses missing readings, and cells that are no possible numbers, in all columns at once.
 
-        kinds : revolute or prismatic, of each joint
-        observations : pattern of the columns that the kinds of measurement read
+        kinds : revolute or prismatic, of each joint; observations : pattern of what the kinds of measurement read
         Raises FaultsError: with every fault.
         """
         named = [[f"q{i}{unit}" for unit in _UNITS[kind]] for i, kind in enumerate(kinds, 1)]
@@ -310,9 +281,6 @@ class Columns:
     def si(self, stem: str, units: Sequence[str]) -> Array:
         """Column `stem` with one of the suffixes _mm, _m, _deg, _rad, shape (n,) [m or rad].
 
-        stem : of the name, without its unit
-        units : suffixes that are allowed
-        Returns an array, shape (n,) [m or rad]
         Raises InputError: it is missing, given in two units, or a cell is no finite number.
         """
         present = [u for u in units if f"{stem}{u}" in self.table]
@@ -325,11 +293,9 @@ class Columns:
         return self.column(stem + present[0]) * _TO_SI[present[0]]
 
     def joints(self, kinds: Sequence[str]) -> Array:
-        """Readings q1_deg (q1_rad, q1_mm, q1_m) and so on.
+        """Readings q1_deg (q1_rad, q1_mm, q1_m) and so on, shape (n, joints) [rad or m].
 
-        kinds : revolute or prismatic, of each joint
-        Returns an array, shape (n, joints) [rad or m]
-        Raises InputError: one is missing or too many.
+        Raises InputError: one is missing or too many; kinds : revolute or prismatic, of each joint
         """
         columns = [self.si(f"q{i}", _UNITS[kind]) for i, kind in enumerate(kinds, 1)]
         for name in map(str, self.table):
@@ -339,11 +305,7 @@ class Columns:
         return np.stack(columns, axis=1)
 
     def vector(self, prefix: str, units: Sequence[str] = ("_mm", "_m")) -> Array:
-        """Columns PREFIXx_mm, PREFIXy_mm and PREFIXz_mm, shape (n, 3) [m or rad].
-
-        Returns an array, shape (n, 3) [m or rad]
-        Raises InputError: one is missing, or a cell is no finite number.
-        """
+        """Columns PREFIXx_mm, PREFIXy_mm and PREFIXz_mm, shape (n, 3) [m or rad]. Raises InputError as `si` does."""
         return np.stack([self.si(f"{prefix}{c}", units) for c in "xyz"], axis=1)
 
     def conditions(self, observations: Iterable[str]) -> dict[str, Array]:
@@ -352,7 +314,6 @@ class Columns:
         Columns of words (remarks, operators) are left out.
 
         observations : patterns of the columns that the kinds of measurement read
-        Returns dict[str, Array]: name -> array, shape (n,), in the unit of the column
         Raises InputError: words among numbers.
         """
         others = re.compile("|".join([_NO_CONDITIONS, *observations]))
@@ -367,23 +328,18 @@ class Columns:
         return conditions
 
     def tools(self) -> dict[str, Array]:
-        """Of the column `tool`, for each name in it whether that point was measured, [1 or 0], shape (n,).
-
-        Raises InputError: an empty cell.
-        """
+        """For each name in the column `tool` where it is, [1 or 0], shape (n,). Raises InputError: an empty cell."""
         return self._named("tool", "name the measured point, there or in `tools` of problem.toml")
 
     def sessions(self) -> dict[str, Array]:
-        """Of the column `session`, for each name in it whether a pose was measured in it, [1 or 0], shape (n,).
-
-        Raises InputError: an empty cell.
-        """
+        """The same of the column `session`, shape (n,) [1 or 0]. Raises InputError: an empty cell."""
         return self._named("session", "name the session in every row")
 
     def _named(self, column: str, remedy: str) -> dict[str, Array]:
         if column not in self.table:
             return {}
-        names = self.table[column].map(lambda cell: "" if cell is None or cell != cell else _name_of(cell))
+        # 1.0 is 1, as a column of whole numbers with a gap is read.
+        names = self.table[column].map(lambda cell: "" if pd.isna(cell) else str(cell).strip().removesuffix(".0"))
         if (names == "").any():
             raise InputError(f"{self.at(int(np.argmax(names == '')))}, column {column!r}: is empty; {remedy}")
         return {f"{column}_{name}": (names == name).to_numpy(dtype=float) for name in dict.fromkeys(names)}
@@ -400,9 +356,14 @@ def is_ours(name: str, pattern: str) -> bool:
     return name in POSSIBLE or bool(re.fullmatch(f"{_NO_CONDITIONS}|{_NUMBERS.pattern}|{_TILT}|{pattern}", name))
 
 
+def numbers_of(cells: pd.Series) -> Array:
+    """Cells as numbers, shape (n,), NaN where one is none."""
+    return pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float)
+
+
 def in_seconds(cells: pd.Series) -> Array:
     """Times as numbers, shape (n,) [their own unit]; dates as seconds since 1970, also of digits: 20261121143005."""
-    numbers = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float)
+    numbers = numbers_of(cells)
     form, first = "mixed", False
     if np.isfinite(numbers).any():
         if not (np.isfinite(numbers) & (numbers > 1.9e13) & (numbers < 2.1e13)).all():
@@ -416,19 +377,6 @@ def in_seconds(cells: pd.Series) -> Array:
     return np.asarray((dates - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1), dtype=float)
 
 
-def _name_of(cell: object) -> str:
-    """A name in a cell; 1.0 is 1, as a column of whole numbers with a gap is read."""
-    return str(cell).strip().removesuffix(".0")
-
-
 def _cell(text: object) -> str:
     """A cell as a message shows it."""
     return "an empty cell" if isinstance(text, float) and np.isnan(text) else repr(text)
-
-
-def _columns(table: pd.DataFrame, source: str, row: Array) -> Columns:
-    table = table.rename(columns=lambda name: str(name).strip())
-    refuse_repeated_names(table.columns, source)
-    filled = table.dropna(axis="columns", how="all")
-    empty = tuple(str(name) for name in table if name not in filled and not str(name).startswith("Unnamed: "))
-    return Columns(filled, source, row, empty)

@@ -1,7 +1,7 @@
 """Columns that effects need and that follow from logged ones: progress, lagged warmth, approach directions."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -9,13 +9,9 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.measurements.measurements import Measurements
 
-_WARMTH = re.compile(r"warmth_(\d+)s")
+COLUMN = "time_s"
 # Less is no motion but rounding of the same reading [rad or m].
 AT_REST = 1e-9
-_APPROACH = re.compile(r"approach(\d+)")
-_MOVE = re.compile(r"move(\d+)")
-_MEMORY = re.compile(r"memory(\d+)_(\d+)mrad")
-_PLAY = re.compile(r"play(\d+)_(\d+)mrad")
 
 
 def derive(m: Measurements, names: Iterable[str]) -> tuple[Measurements, tuple[str, ...]]:
@@ -37,12 +33,9 @@ def derive(m: Measurements, names: Iterable[str]) -> tuple[Measurements, tuple[s
     >>> float(more.conditions["progress"][-1]), without
     (1.0, ('warmth_600s',))
     """
-    columns = dict(m.conditions)
-    missing = []
+    columns, missing = dict(m.conditions), []
     for name in dict.fromkeys(names):
-        if name in columns:
-            continue
-        made = _derived(m, name)
+        made = columns[name] if name in columns else _derived(m, name)
         if made is None:
             missing.append(name)
         else:
@@ -51,39 +44,33 @@ def derive(m: Measurements, names: Iterable[str]) -> tuple[Measurements, tuple[s
 
 
 def _derived(m: Measurements, name: str) -> Array | None:
+    order = np.argsort(next((m.conditions[c] for c in (COLUMN, "pose") if c in m.conditions), m.row), kind="stable")
     if name == "progress":
-        rank = np.argsort(np.argsort(_order(m), kind="stable"))
-        return np.asarray(rank / max(1, len(m) - 1))
-    if found := _WARMTH.fullmatch(name):
-        return _warmth(m, float(found[1]))
-    if found := _APPROACH.fullmatch(name):
-        joint = int(found[1])
-        return _approach(m, joint - 1) if joint <= m.q.shape[1] else None
-    if found := _MOVE.fullmatch(name):
-        joint = int(found[1])
-        return _moves(m, joint - 1) if 1 <= joint <= m.q.shape[1] else None
-    if (found := _MEMORY.fullmatch(name)) and int(found[1]) <= m.q.shape[1]:
-        return _memory(m, int(found[1]) - 1, 1e-3 * float(found[2]))
-    if (found := _PLAY.fullmatch(name)) and int(found[1]) <= m.q.shape[1]:
-        return _play(m, int(found[1]) - 1, 1e-3 * float(found[2]))
+        return _back(np.arange(len(m)) / max(1, len(m) - 1), order)
+    if lag := re.fullmatch(r"warmth_(\d+)s", name):
+        return _warmth(m, float(lag[1]), order)
+    for pattern, of_joint in _OF_JOINT.items():
+        if found := re.fullmatch(pattern, name):
+            joint, *way = map(int, found.groups())
+            known = 1 <= joint <= m.q.shape[1]
+            return _back(of_joint(m.q[order, joint - 1], *(1e-3 * w for w in way)), order) if known else None
     return None
 
 
-def _order(m: Measurements) -> Array:
-    for name in ("time_s", "pose"):
-        if name in m.conditions:
-            return m.conditions[name]
-    return np.asarray(m.row, dtype=float)
+def _back(values: Array, order: Array) -> Array:
+    """Values in the order of measuring, in that of the rows."""
+    rows = np.empty(len(order))
+    rows[order] = values
+    return rows
 
 
-def _warmth(m: Measurements, lag: float) -> Array | None:
-    if "temperature_degC" not in m.conditions or (lag and "time_s" not in m.conditions):
+def _warmth(m: Measurements, lag: float, order: Array) -> Array | None:
+    if "temperature_degC" not in m.conditions or (lag and COLUMN not in m.conditions):
         return None
     sensor = m.conditions["temperature_degC"]
     if not lag:
         return np.asarray(sensor - sensor.mean())
-    order = np.argsort(m.conditions["time_s"], kind="stable")
-    time, felt = m.conditions["time_s"][order], sensor[order]
+    time, felt = m.conditions[COLUMN][order], sensor[order]
     behind = np.empty(len(m))
     behind[0] = felt[0]
     for k in range(1, len(m)):
@@ -92,50 +79,46 @@ def _warmth(m: Measurements, lag: float) -> Array | None:
         decay = np.exp(-step)
         slope = (felt[k] - felt[k - 1]) / step if step > 0 else 0.0
         behind[k] = felt[k] - slope * (1 - decay) + (behind[k - 1] - felt[k - 1]) * decay
-    warmth = np.empty(len(m))
-    warmth[order] = behind
+    warmth = _back(behind, order)
     return np.asarray(warmth - warmth.mean())
 
 
-def _moves(m: Measurements, joint: int) -> Array:
-    order = np.argsort(_order(m), kind="stable")
-    way = np.empty(len(m))
-    way[order] = np.diff(m.q[order, joint], prepend=m.q[order[0], joint])
-    return way
+def _moves(q: Array) -> Array:
+    return np.diff(q, prepend=q[0])
 
 
-def _approach(m: Measurements, joint: int) -> Array:
-    order = np.argsort(_order(m), kind="stable")
-    moved = np.diff(m.q[order, joint], prepend=m.q[order[0], joint])
-    motion = np.sign(np.where(np.abs(moved) > AT_REST, moved, 0.0))
+def _approach(q: Array) -> Array:
+    motion = np.sign(np.where(np.abs(_moves(q)) > AT_REST, _moves(q), 0.0))
     for k in range(1, len(motion)):
         motion[k] = motion[k] or motion[k - 1]
-    direction = np.empty(len(m))
-    direction[order] = motion
-    return direction
+    return motion
 
 
-def _memory(m: Measurements, joint: int, way: float) -> Array:
+def _memory(q: Array, way: float) -> Array:
     """What is left of each motion fades along those after it; the way before the first pose is not known."""
-    order = np.argsort(_order(m), kind="stable")
-    state, states = 0.0, np.empty(len(m))
-    for k, move in zip(order, _moves(m, joint)[order], strict=True):
+    state, states = 0.0, []
+    for move in _moves(q):
         state = float(np.sign(move) + (state - np.sign(move)) * np.exp(-abs(move) / way)) if move else state
-        states[k] = state
-    return states
+        states.append(state)
+    return np.array(states)
 
 
-def _play(m: Measurements, joint: int, half: float) -> Array:
+def _play(q: Array, half: float) -> Array:
     """What follows the joint with play stays where it is until it is taken along; it begins in the middle."""
-    order = np.argsort(_order(m), kind="stable")
-    state, states = float(m.q[order[0], joint]), np.empty(len(m))
-    for k in order:
-        state = float(np.clip(state, m.q[k, joint] - half, m.q[k, joint] + half))
-        states[k] = state
-    return states
+    state, states = float(q[0]), []
+    for reading in q:
+        state = float(np.clip(state, reading - half, reading + half))
+        states.append(state)
+    return np.array(states)
 
 
-COLUMN = "time_s"
+# Columns of a joint, in the order of measuring, from its readings and a way [rad].
+_OF_JOINT: Mapping[str, Callable[..., Array]] = {
+    r"approach(\d+)": _approach,
+    r"move(\d+)": _moves,
+    r"memory(\d+)_(\d+)mrad": _memory,
+    r"play(\d+)_(\d+)mrad": _play,
+}
 # A clock was set where it jumps by more than a week [s] and by so many times the usual step.
 LONG, TIMES = 7 * 86400.0, 100.0
 # Where more of the steps go back, the rows are not in the order of measuring.

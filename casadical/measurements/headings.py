@@ -12,11 +12,9 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
-import pandas as pd
 
 from casadical.core.basics import Array
-from casadical.measurements.angle_unit import RADIANS
-from casadical.measurements.columns import Source, in_seconds
+from casadical.measurements.columns import RADIANS, Source, in_seconds, numbers_of
 from casadical.measurements.kinds.position import FIRST
 from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.raw_table import RawTable
@@ -132,8 +130,7 @@ def understand(
     """
     ours = {*raw.header, *given}
     own = {int(m[1]) for h in ours if (m := _OURS.fullmatch(h))}
-    frame = raw.frame
-    headings = _headings(raw, frame, names) if raw.form.header_line else _by_order(raw, frame, len(joints))
+    headings = _headings(raw, names) if raw.form.header_line else _by_order(raw, len(joints))
     stated = _stated_units([*raw.comments, *(text for _, text in raw.form.skipped)])
     # A column "point" names points that are touched, or, beside positions, the points of a tracker.
     seen = {each.name for each in kinds().values() if each.has_scale and each.matches(ours)}
@@ -151,10 +148,10 @@ def understand(
 
     without_readings = bool(set(range(1, len(joints) + 1)) - own)
     if without_readings:
-        groups = _joints(headings, len(joints), _names_in_cells(raw, frame, names))
+        groups = _joints(headings, len(joints), _names_in_cells(raw, names))
         unknown = not (groups or own)  # where some readings are named, the others are missing
         if unknown:
-            numbered = _numbered(raw, frame, len(joints))
+            numbered = _numbered(raw, len(joints))
             groups = numbered if len(numbered) == 1 else []
         text = "Are these the joint readings?" if unknown else "Which columns are the joint readings?"
         decide([(_listed(group), _parts_of(group, joints)) for group in groups], text, ask=unknown)
@@ -168,10 +165,10 @@ def understand(
         ways = (columns, *(way for q in questions for way in q.choices.values()))
         taken = {*given, *(name for way in ways for c in way for name in (c.source.name, *c.source.add))}
         free = [h for h in headings if h.name not in taken]
-        decide(*_orientation(free, raw, frame, taken))
+        decide(*_orientation(free, raw, taken))
     if seen and not without_readings:  # beside our own names only what is said with its unit
         headings = [h for h in headings if h.unit]
-    columns += [*_conditions(headings, ours), *_times(headings, ours), *_tools(raw, frame, ours)]
+    columns += [*_conditions(headings, ours), *_times(headings, ours), *_tools(raw, ours)]
     if not raw.form.header_line:
         columns = [replace(c, why=f"order of the columns, {c.why}") for c in columns]
     return Understanding(tuple(columns), tuple(questions))
@@ -201,13 +198,13 @@ def _times(headings: Iterable[_Heading], ours: Collection[str]) -> Iterator[Unde
         yield Understood("time_s", Source(whole[0].name, factor, add=add), whole[0].unit or "s", "heading")
 
 
-def _tools(raw: RawTable, frame: pd.DataFrame, ours: Collection[str]) -> Iterator[Understood]:
+def _tools(raw: RawTable, ours: Collection[str]) -> Iterator[Understood]:
     """A column of names that say which target was measured: few names, each at several poses."""
     for name in raw.header:
         words = set(words_of(name)[0])
         if "tool" not in ours and words & WORDS["target"] and words <= WORDS["target"] | WORDS["dh_joint"]:
-            cells = frame[name].dropna().astype(str)
-            if len(cells) == len(frame) and 1 < cells.nunique() <= len(cells) / FEWEST_OF_EACH:
+            cells = raw.frame[name].dropna().astype(str)
+            if len(cells) == len(raw.frame) and 1 < cells.nunique() <= len(cells) / FEWEST_OF_EACH:
                 yield Understood("tool", Source(name), "", "heading")
                 return
 
@@ -228,7 +225,7 @@ def words_of(heading: str) -> tuple[list[str], str]:
     return words, unit
 
 
-def _headings(raw: RawTable, frame: pd.DataFrame, names: Sequence[str]) -> list[_Heading]:
+def _headings(raw: RawTable, names: Sequence[str]) -> list[_Heading]:
     """What each heading says that says something; names : of the joints."""
     below = [*raw.form.units, *([""] * len(raw.header))]
     named = [(words_of(name)[0], str(i)) for i, name in enumerate(names, 1) if name]
@@ -239,17 +236,13 @@ def _headings(raw: RawTable, frame: pd.DataFrame, names: Sequence[str]) -> list[
             continue
         said = {w for w in words if w not in WORDS["measured"] | WORDS["nominal"]}
         quantity, slot, rest = _meaning(words, said, named)
-        cells = frame.iloc[:, k]
-        values = in_seconds(cells) if quantity == "time" else _numbers(cells)
+        cells = raw.frame.iloc[:, k]
+        values = in_seconds(cells) if quantity == "time" else numbers_of(cells)
         if quantity and (np.isfinite(values).mean() > 0.5 or quantity in _OTHERS):
             qualifier = next((q for q in ("measured", "nominal") if set(words) & WORDS[q]), "")
             unit = unit or (below[k] if below[k] in UNITS else "")
             headings.append(_Heading(name, quantity, slot, qualifier, unit, frozenset(rest), values))
     return headings
-
-
-def _numbers(cells: pd.Series) -> Array:
-    return pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float)
 
 
 def _meaning(
@@ -259,7 +252,8 @@ def _meaning(
 
     named : words of the joints' names, with their numbers
     """
-    own = [(len(name), number, name) for name, number in named if _contains(words, name)]
+    starts = range(len(words))
+    own = [(len(name), n, name) for name, n in named if any(words[k : k + len(name)] == name for k in starts)]
     if own:
         _, number, name = max(own)
         return "joint", number, {"by name"} | said - {*name} - WORDS["filler"] - WORDS["joint"]
@@ -286,10 +280,6 @@ def _meaning(
         if rest & WORDS[kind] and not numbers:
             return kind, "", rest - WORDS[kind]
     return "", "", ()
-
-
-def _contains(words: Sequence[str], part: Sequence[str]) -> bool:
-    return any(words[k : k + len(part)] == part for k in range(len(words) - len(part) + 1))
 
 
 def _groups(headings: Iterable[_Heading], quantity: str, slots: Sequence[str]) -> list[list[_Heading]]:
@@ -327,24 +317,24 @@ def _joints(headings: Iterable[_Heading], n: int, order: Mapping[str, int]) -> l
     return _best(ranked)
 
 
-def _names_in_cells(raw: RawTable, frame: pd.DataFrame, names: Sequence[str]) -> dict[str, int]:
+def _names_in_cells(raw: RawTable, names: Sequence[str]) -> dict[str, int]:
     """The joint of each number, where columns as `name[0]` hold the joints' names (ROS JointState)."""
     joint_of = {}
     for heading in raw.header:
         numbers = re.findall(r"\d+", heading)
         if len(numbers) == 1 and "name" in words_of(heading)[0]:
-            cells = {str(cell) for cell in frame[heading]}
+            cells = {str(cell) for cell in raw.frame[heading]}
             if len(cells) == 1 and cells <= {*names}:
                 joint_of[str(int(numbers[0]))] = 1 + [*names].index(cells.pop())
     return joint_of
 
 
-def _numbered(raw: RawTable, frame: pd.DataFrame, n: int, taken: Collection[str] = ()) -> list[list[_Heading]]:
+def _numbered(raw: RawTable, n: int, taken: Collection[str] = ()) -> list[list[_Heading]]:
     """Columns of numbers whose headings differ in a number only, 1 to n or 0 to n - 1."""
     groups: dict[str, dict[int, _Heading]] = {}
     for name in raw.header:
         numbers = re.findall(r"\d+", name)
-        if len(numbers) == 1 and name not in taken and np.isfinite(values := _numbers(frame[name])).mean() > 0.5:
+        if len(numbers) == 1 and name not in taken and np.isfinite(values := numbers_of(raw.frame[name])).mean() > 0.5:
             words, unit = words_of(name)
             heading = _Heading(name, "numbered", numbers[0], "", unit, frozenset(words) - {*numbers}, values)
             groups.setdefault(re.sub(r"\d+", "#", name), {})[int(numbers[0])] = heading
@@ -378,12 +368,10 @@ def _observations(
     return options, "observation" if positions and lengths else ""
 
 
-def _orientation(
-    headings: Sequence[_Heading], raw: RawTable, frame: pd.DataFrame, taken: Collection[str]
-) -> tuple[_Options, str, str]:
+def _orientation(headings: Sequence[_Heading], raw: RawTable, taken: Collection[str]) -> tuple[_Options, str, str]:
     """How the tool's orientation may be said, with a question, and what that is about."""
     which = "Which columns are the orientation?"
-    triples = [*_groups(headings, "turn", _XYZ), *_numbered(raw, frame, 3, taken)]
+    triples = [*_groups(headings, "turn", _XYZ), *_numbered(raw, 3, taken)]
     sure = [
         ([g for g in _groups(headings, "turn", ("w", *_XYZ)) if _is_unit(g)], _QUATERNION, ""),
         *(([g for g in _groups(headings, "matrix", e) if _is_rotation(g)], _MATRIX, "") for e in _ENTRIES),
@@ -395,15 +383,15 @@ def _orientation(
             return [(_listed(g), [(g, names, quantity)]) for g in groups], which, ""
     ways: Mapping[str, Sequence[str]] = {}
     quantity = ""
-    if found := _groups(headings, "turn", _XYZ):
+    if groups := _groups(headings, "turn", _XYZ):
         ways, quantity = _TRIPLES, "angle"
-    elif found := [g for g in _numbered(raw, frame, 4, taken) if _is_unit(g)]:
+    elif groups := [g for g in _numbered(raw, 4, taken) if _is_unit(g)]:
         ways = {"a quaternion, w first": _QUATERNION, "a quaternion, w last": (*_QUATERNION[1:], "qw")}
-    elif found := [g for g in _numbered(raw, frame, 9, taken) if _is_rotation(g)]:
+    elif groups := [g for g in _numbered(raw, 9, taken) if _is_rotation(g)]:
         turned = tuple(f"R{name[2]}{name[1]}" for name in _MATRIX)
         ways = {"a matrix, row by row": _MATRIX, "a matrix, column by column": turned}
-    options = [(way, [(found[0], names, quantity)]) for way, names in ways.items()]
-    return options, f"How is the orientation {_listed(found[0])} meant?" if found else "", "orientation"
+    options = [(way, [(groups[0], names, quantity)]) for way, names in ways.items()]
+    return options, f"How is the orientation {_listed(groups[0])} meant?" if groups else "", "orientation"
 
 
 def _finite(group: Sequence[_Heading]) -> Array:
@@ -434,7 +422,7 @@ def _choices(options: _Options, stated: Mapping[str, str], asked: str) -> dict[s
         for ways in product(*units):
             unit = " and ".join(u for u, _ in ways if u)
             words = unit if unit and len(options) == 1 and not asked else f"{label} in {unit}" if unit else label
-            choices[words] = [c for _, found in ways for c in found]
+            choices[words] = [c for _, columns in ways for c in columns]
     return choices
 
 
@@ -493,9 +481,9 @@ def _stated_units(lines: Sequence[str]) -> dict[str, str]:
     return units
 
 
-def _by_order(raw: RawTable, frame: pd.DataFrame, n: int) -> list[_Heading]:
+def _by_order(raw: RawTable, n: int) -> list[_Heading]:
     """A table without headings: readings, positions, and perhaps a matrix; a first column that counts is left aside."""
-    values = [_numbers(frame[name]) for name in raw.header]
+    values = [numbers_of(raw.frame[name]) for name in raw.header]
     slots = [("joint", str(i)) for i in range(1, n + 1)] + [("position", c) for c in _XYZ]
     matrix = [("matrix", f"{i}{j}") for i in range(3) for j in range(3)]
     for what in (slots, [*slots, *matrix]):

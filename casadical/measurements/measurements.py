@@ -66,17 +66,14 @@ class Measurements(Shown):
     other : shape (n, joints) [rad or m]: readings at the other end of a pair distance
     label : shape (n,): which unknown point is touched, of kind contact
     extra : further observed arrays by name, each of shape (n, ...), of kinds that need others than these
-    separations : for kind contact, (label, label, distance [m]) between touched points that are known
-    separation_sigma : how well they are known [m]
+    separations : for kind contact, (label, label, distance [m]) between touched points that are known, with one sigma
+        of `separation_sigma` [m]
     conditions : logged columns by name, each of shape (n,)
-    sigma : one sigma of a coordinate [m]; None: estimated from the fit
-    sigma_angle : one sigma of an angle [rad]; None: estimated from the fit
+    sigma, sigma_angle : one sigma of a coordinate [m] and of an angle [rad]; None: estimated from the fit
     weight : shape (n,): factor on each pose's residual
-    row : shape (n,): line of the source at which each pose stands, for messages
-    source : file name or description
+    row : shape (n,): line of the source at which each pose stands; source : file name or description
     unused : columns that were left out: of words, or without a cell
-    copies : lines that repeat another to the last digit and were left out
-    lost : lines that were left out because a reading or a position is not there
+    copies, lost : lines that were left out, as they repeat another to the last digit, or lack a reading or position
     Raises InputError: arrays that do not fit the kind or each other.
 
     Examples
@@ -160,10 +157,7 @@ class Measurements(Shown):
         return int(np.count_nonzero(self.weight)) * find_kind(self.kind).numbers + len(self.separations)
 
     def positions_alone(self) -> Measurements:
-        """The same poses as kind position, whatever else was observed left out.
-
-        Raises InputError: no positions.
-        """
+        """The same poses as kind position, whatever else was observed left out. Raises InputError: no positions."""
         none = dict.fromkeys(("orientation", "distance", "target", "other", "label"))
         return replace(self, kind="position", extra={}, separations=(), **none)  # type: ignore[arg-type]
 
@@ -197,11 +191,7 @@ class Measurements(Shown):
         )
 
     def condition_matrix(self, names: Sequence[str], declared: Array) -> Array:
-        """Logged columns, shape (n, len(names)), SI; a column that was not logged takes its declared value.
-
-        declared : Array, shape (k,) [SI]: value of each where it was not logged
-        Returns an array, shape (n, k) [SI]: a row per pose
-        """
+        """Logged columns, shape (n, k), SI; one that was not logged takes its declared value, of shape (k,) [SI]."""
         columns = [self.conditions.get(n, np.full(len(self), declared[k])) for k, n in enumerate(names)]
         return np.stack(columns, axis=1) if columns else np.zeros((len(self), 0))
 
@@ -212,8 +202,6 @@ class Measurements(Shown):
         ever in two sets; a set may hold some more or less than its size for that. A pair distance whose ends fall in
         two sets is left out; poses of one contact point may fall in two.
 
-        sizes : set name -> number of poses, or share of them
-        seed : of the drawing
         Raises InputError: impossible sizes.
         """
         ends = np.concatenate([self.q] if self.other is None else [self.q, self.other])
@@ -236,11 +224,7 @@ class Measurements(Shown):
         return {name: self[(home[near] == k) & (home[far] == k)] for k, name in enumerate(sizes)}
 
     def with_separations(self, known: Iterable[tuple[str, str, float]], sigma: float = 2e-5) -> Measurements:
-        """Contact poses with known distances (label, label, distance [m]) between touched points, sigma [m] each.
-
-        known : (label, label, distance [m]) of pairs of touched points
-        sigma : one sigma of each distance [m]
-        """
+        """Contact poses with known distances (label, label, distance [m]) between touched points, sigma [m] each."""
         return replace(self, separations=tuple(known), separation_sigma=sigma)
 
 

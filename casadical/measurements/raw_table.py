@@ -186,11 +186,8 @@ def _headings(
 
 
 def _names_in(cells: Sequence[str]) -> int:
-    return (
-        0
-        if table_form.is_units(cells)
-        else sum(bool(cell.strip()) and not table_form.is_number(cell) for cell in cells)
-    )
+    words = sum(bool(cell.strip()) and not table_form.is_number(cell) for cell in cells)
+    return 0 if table_form.is_units(cells) else words
 
 
 def _uncommented(cells: list[str]) -> list[str]:
@@ -200,11 +197,11 @@ def _uncommented(cells: list[str]) -> list[str]:
 
 def _grouped(groups: Sequence[str], names: Sequence[str]) -> list[str]:
     """Headings under the headings of groups, which stand in the first column of each group."""
-    found, group = [], ""
+    headings, group = [], ""
     for k, name in enumerate(names):
         group = (groups[k].strip() if k < len(groups) else "") or group
-        found.append(f"{group} {name.strip()}" if name.strip() and list(names).count(name) > 1 else name)
-    return found
+        headings.append(f"{group} {name.strip()}" if name.strip() and list(names).count(name) > 1 else name)
+    return headings
 
 
 def refuse_repeated_names(names: Iterable[str], source: str) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 
@@ -10,8 +11,7 @@ import pandas as pd
 
 from casadical.core.basics import Array, InputError
 from casadical.core.parts import GRAVITY
-from casadical.measurements.angle_unit import refuse_other_unit
-from casadical.measurements.columns import Columns, Source
+from casadical.measurements.columns import MOST_TURNS, RADIANS, Columns, Source
 from casadical.measurements.headings import Understanding, understand
 from casadical.measurements.kinds.registry import find_kind, kind_of, kinds
 from casadical.measurements.measurements import FIELDS, Measurements
@@ -42,8 +42,7 @@ def read_measurements(
     kind : what was observed; by default what the columns say
     columns : our name -> name in the file, where the file's headers differ from ours and do not tell it themselves
     point_from : columns that together name the touched point, of kind contact
-    sigma_mm : one sigma of a measured coordinate [mm]; None: estimated from the fit
-    sigma_deg : one sigma of a measured angle [deg]; None: estimated from the fit
+    sigma_mm, sigma_deg : one sigma of a measured coordinate [mm] and angle [deg]; None: estimated from the fit
     Raises InputError: a table that cannot be used; it names the file, row and column where something is wrong.
 
     Examples
@@ -60,15 +59,13 @@ def read_measurements(
     if further is None:
         return from_columns(named, joints, kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
 
-    def measured(columns: Columns) -> Measurements:
-        return _measured(columns, joints, kind, sigma_mm, sigma_deg)
-
+    measured = partial(_measured, joints=joints, kind=kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
     start = measured(named)
     if _row_by_row(start, sources):
         others = (measured(Columns.of_file(part).mapped(sources)) for part in chain([further], parts))
         whole = joined(chain([start], others))
         if whole is not None:
-            refuse_other_unit(whole.q, _kinds(joints, named.source), [*map(str, named.table)], whole.source, whole.row)
+            _refuse_other_unit(whole.q, _kinds(joints, named.source), named, whole.row)
             return _without_copies(whole)
     named = Columns.of_file(read_columns(path)).mapped(sources, point_from)
     return from_columns(named, joints, kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
@@ -116,9 +113,7 @@ def from_table(
 ) -> Measurements:
     """Measurements from a pandas table; arguments and errors as of `read_measurements`.
 
-    table : with the columns of docs/measurements.md
-    joints, kind, columns, sigma_mm, sigma_deg : as of `read_measurements`
-    source : what messages call the table
+    table : with the columns of docs/measurements.md; source : what messages call it
     Raises InputError: the table names no usable poses; row and column are named.
 
     Examples
@@ -139,8 +134,7 @@ def from_columns(
     sigma_deg: float | None = None,
 ) -> Measurements:
     """Measurements from columns under our names; arguments and errors (Raises InputError) as of `read_measurements`."""
-    m = _measured(columns, joints, kind, sigma_mm, sigma_deg, whole=True)
-    return _without_copies(m)
+    return _without_copies(_measured(columns, joints, kind, sigma_mm, sigma_deg, whole=True))
 
 
 def _kinds(joints: int | Sequence[str], source: str) -> list[str]:
@@ -168,7 +162,7 @@ def _measured(
     if not len(q):
         raise InputError(f"{source}: no row is left; at least one pose is needed")
     if whole:
-        refuse_other_unit(q, each, [*map(str, columns.table)], source, columns.row)
+        _refuse_other_unit(q, each, columns, columns.row)
     arrays = observed.read(columns, q)
     counted = arrays.pop("counted", np.ones(len(q)))
     conditions = with_gravity(columns.conditions(patterns), columns) | columns.tools() | columns.sessions()
@@ -185,6 +179,32 @@ def _measured(
         extra={name: values for name, values in arrays.items() if name not in FIELDS},
         **{name: values for name, values in arrays.items() if name in FIELDS},  # type: ignore[arg-type]
     )
+
+
+def _refuse_other_unit(q: Array, kinds: Sequence[str], columns: Columns, row: Array) -> None:
+    """Raises InputError where readings, shape (n, joints), are in another unit than their columns say; row : of each"""
+    source, names = columns.source, columns.table
+    turning = [i for i, kind in enumerate(kinds) if kind == "revolute"]
+    if not turning:
+        return
+    ends = np.array([[column.min(), column.max()] for column in (q[:, i] for i in turning)])
+    if np.abs(ends).max() > MOST_TURNS * 2 * np.pi:
+        k, i = divmod(int(np.argmax(np.abs(q[:, turning]))), len(turning))
+        name, largest = f"q{turning[i] + 1}", q[k, turning[i]]
+        unit, said = ("rad", largest) if f"{name}_rad" in names else ("deg", np.rad2deg(largest))
+        remedy = f"at most {MOST_TURNS} are allowed: correct the reading"
+        if unit == "rad":
+            remedy = f"are the columns in degrees? name them {name}_deg"
+        turns = abs(largest) / (2 * np.pi)
+        raise InputError(
+            f"{source}: row {row[k]}, column '{name}_{unit}': {said:.6g} {unit} is {turns:.1f} turns; {remedy}"
+        )
+    widest = float(np.rad2deg(np.ptp(ends, axis=1).max()))
+    if all(f"q{i + 1}_deg" in names for i in turning) and len(q) >= 10 and widest < RADIANS:
+        raise InputError(
+            f"{source}: no joint moves by more than {widest:.2f} deg over {len(q)} poses; "
+            "are the columns in radians? name them q1_rad, ..."
+        )
 
 
 def with_gravity(conditions: dict[str, Array], columns: Columns) -> dict[str, Array]:

@@ -111,12 +111,12 @@ def records_of(text: str, separator: str) -> list[Record]:
         return [(k, line.split()) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
     loose = separator != "\t"  # csv counts tabs as blanks
     reader = csv.reader(io.StringIO(text, newline=""), strict=True, delimiter=separator, skipinitialspace=loose)
-    found, line = [], 1
+    records, line = [], 1
     for cells in reader:
         if len(cells) > 1 or any(cell.strip() for cell in cells):
-            found.append((line, cells))
+            records.append((line, cells))
         line = reader.line_num + 1
-    return found
+    return records
 
 
 def clean(cell: str) -> str:
@@ -176,15 +176,13 @@ def as_plain_number(cell: str, decimal: str) -> str:
 def is_data(cells: Sequence[str]) -> bool:
     """Whether at least half of the cells that are filled are numbers."""
     filled = [cell for cell in cells if cell.strip()]
-    return 2 * sum(map(is_number, filled)) >= max(2, len(filled)) if len(filled) > 1 else False
+    return len(filled) > 1 and 2 * sum(map(is_number, filled)) >= len(filled)
 
 
 def is_units(cells: Sequence[str]) -> bool:
     """Whether the cells are units and nothing else."""
     filled = [unit_word(cell) for cell in cells if cell.strip()]
-    return (
-        bool(filled) and all(word in UNITS or word in ("", "-") for word in filled) and any(w in UNITS for w in filled)
-    )
+    return any(word in UNITS for word in filled) and all(word in UNITS or word in ("", "-") for word in filled)
 
 
 def unit_word(cell: str) -> str:

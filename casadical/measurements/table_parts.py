@@ -11,7 +11,6 @@ from contextlib import ExitStack
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 import pandas as pd
@@ -31,16 +30,19 @@ def joined(parts: Iterator[Measurements]) -> Measurements | None:
 
     Parts are of one kind, without separations, and copies are those of the first.
     """
-    first = next(parts)
-    with ExitStack() as files:
-        stores = {name: _Stored(files.enter_context(tempfile.TemporaryFile())) for name in _arrays(first)}
+    first, rows, whole = next(parts), 0, dict[str, Array]()
+    with ExitStack() as stack:
+        files = {name: stack.enter_context(tempfile.TemporaryFile()) for name in _arrays(first)}
         for part in chain([first], parts):
             arrays = _arrays(part)
-            if arrays.keys() != stores.keys() or set(part.unused) != set(first.unused) or part.label is not None:
+            if arrays.keys() != files.keys() or set(part.unused) != set(first.unused) or part.label is not None:
                 return None
             for name, values in arrays.items():
-                stores[name].append(values)
-        whole = {name: store.mapped() for name, store in stores.items()}
+                files[name].write(np.ascontiguousarray(values).tobytes())
+            rows += len(part)
+        for name, values in arrays.items():
+            files[name].flush()
+            whole[name] = np.asarray(np.memmap(files[name], values.dtype, "r", shape=(rows, *values.shape[1:])))
     conditions = {name.removeprefix(_CONDITION): v for name, v in whole.items() if name.startswith(_CONDITION)}
     extra = {name: v for name, v in whole.items() if name not in _FIELDS and not name.startswith(_CONDITION)}
     own = {name: values for name, values in whole.items() if name in _FIELDS}
@@ -51,24 +53,6 @@ def _arrays(m: Measurements) -> dict[str, Array]:
     """Every array by a name of its own."""
     conditions = {_CONDITION + name: values for name, values in m.conditions.items()}
     return {"q": m.q, "weight": m.weight, "row": m.row, **m.arrays, **conditions}
-
-
-class _Stored:
-    """An array of numbers that grows in a file."""
-
-    def __init__(self, file: IO[bytes]) -> None:
-        self._file = file
-        self._rows, self._entry, self._dtype = 0, tuple[int, ...](), np.dtype(float)
-
-    def append(self, values: Array) -> None:
-        """More rows at its end."""
-        self._rows, self._entry, self._dtype = self._rows + len(values), values.shape[1:], values.dtype
-        self._file.write(np.ascontiguousarray(values).tobytes())
-
-    def mapped(self) -> Array:
-        """The whole of it, not in memory; the file may be closed."""
-        self._file.flush()
-        return np.asarray(np.memmap(self._file, self._dtype, "r", shape=(self._rows, *self._entry)))
 
 
 # Characters that are read at a time, and rows of Parquet; a text of fewer is read at once.
@@ -93,10 +77,7 @@ def table_parts(path: str | Path) -> Iterator[RawTable]:
 
 
 def read_columns(path: str | Path) -> RawTable:
-    """As `read_table`, a large table some rows at a time.
-
-    Raises InputError as `read_table` does, and for more numbers than memory should hold.
-    """
+    """As `read_table`, a large table some rows at a time. Raises InputError also for too many numbers for memory."""
     parts: list[RawTable] = []
     for part in table_parts(path):
         parts.append(part)
@@ -171,9 +152,7 @@ def _parquet(path: Path) -> Iterator[RawTable]:
             header = tuple(str(name).strip() for name in file.schema_arrow.names)
             about = file.metadata
             groups = map(about.row_group, range(about.num_row_groups))
-            if any(
-                about.schema.column(k).max_repetition_level for k in range(about.num_columns)
-            ):  # cells that are lists
+            if any(about.schema.column(k).max_repetition_level for k in range(about.num_columns)):  # of lists
                 refuse_many(path, sum(g.column(k).num_values for g in groups for k in range(about.num_columns)))
             for frame in (batch.to_pandas(ignore_metadata=True) for batch in file.iter_batches(ROWS)):
                 rows = range(line, line + len(frame))

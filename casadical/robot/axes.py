@@ -50,7 +50,10 @@ def rows_from_axes(axes: Sequence[Axis], tip: Array) -> Chain:
 
     Axes may be parallel, antiparallel, intersecting or coincident.
     """
-    T = base = _first_frame(axes[0])
+    # Frame 0: z along the first axis, origin where it passes the given frame's, x turned like that one's.
+    z = axes[0].direction
+    x = _sideways(np.eye(3), z)
+    T = base = frame(np.column_stack([x, np.cross(z, x), z]), axes[0].point - (axes[0].point @ z) * z)
     rows, frames = [], []
     row = Joint()
     for k in range(len(axes)):
@@ -58,7 +61,10 @@ def rows_from_axes(axes: Sequence[Axis], tip: Array) -> Chain:
         if k + 1 < len(axes):
             row, following = _towards(row, np.linalg.inv(entry), axes[k + 1])
         else:
-            row = _at_the_end(row, np.linalg.inv(entry) @ tip)
+            # The last row: its origin beside the tip's, x turned like the tip's.
+            end = np.linalg.inv(entry) @ tip
+            x = _sideways(end[:3, :3], np.array([0.0, 0.0, 1.0]))
+            row = replace(row, theta=_tidy(np.arctan2(x[1], x[0])), d=_tidy(end[2, 3]))
         T = T @ row_matrix(row)
         rows.append(row)
         frames.append(T)
@@ -77,13 +83,6 @@ def row_matrix(row: Joint) -> Array:
         rot_x(row.alpha) @ translate(row.a, 0, 0) @ rot_y(row.beta or 0.0) @ translate(0, row.b or 0.0, 0)
         @ rot_z(row.theta) @ translate(0, 0, row.d)
     )  # fmt: skip
-
-
-def _first_frame(axis: Axis) -> Array:
-    """Frame 0: z along the first axis, origin where it passes the given frame's, x turned like that one's."""
-    z = axis.direction
-    x = _sideways(np.eye(3), z)
-    return frame(np.column_stack([x, np.cross(z, x), z]), axis.point - (axis.point @ z) * z)
 
 
 def _sideways(R: Array, z: Array) -> Array:
@@ -129,12 +128,6 @@ def _hayati(row: Joint, p: Array, z: Array) -> tuple[Joint, Joint]:
     beta = np.arcsin(c * z[0] + s * z[1])
     alpha = np.arctan2(s * z[0] - c * z[1], z[2])
     return replace(row, theta=_tidy(theta)), Joint(alpha=_tidy(alpha), a=_tidy(a), beta=_tidy(beta))
-
-
-def _at_the_end(row: Joint, tip: Array) -> Joint:
-    """The last row: its origin beside the tip's, x turned like the tip's."""
-    x = _sideways(tip[:3, :3], np.array([0.0, 0.0, 1.0]))
-    return replace(row, theta=_tidy(np.arctan2(x[1], x[0])), d=_tidy(tip[2, 3]))
 
 
 def _tidy(value: float) -> float:

@@ -68,21 +68,21 @@ class Dynamics:
         known = self.robot.gravity if frame == "logged" else ca.DM(gravity_in_base(self.robot, foot, {})).full()
         return np.asarray(known).ravel()
 
-    def regressor(self, q: Array, v: Array, a: Array, gravity: Array | None = None) -> Array:
+    def regressor(self, q: Array, v: Array, a: Array) -> Array:
         """Y, shape (N, n, 11 n), at many states: tau = Y pi. Of many thousand states it is large: take some at a time.
 
         q, v, a : readings, speeds, accelerations, each (N, n) [rad or m, per s, per s^2]
-        gravity : in the base frame, shape (3,) [m/s^2]; None: as of the robot
         """
-        (Y,) = self._evaluated("regressor", q, v, a, np.zeros(0), gravity)
+        (Y,) = self._evaluated("regressor", q, v, a, np.zeros(0), self.gravity)
         return Y.T.reshape(len(q), len(self.names), self.robot.n).transpose(0, 2, 1)
 
     def torque(self, q: Array, v: Array, a: Array, pi: Array | None = None, gravity: Array | None = None) -> Array:
-        """tau, shape (N, n) [N m or N], of pi, shape (11 n,); None: `values`; the rest as of `regressor`."""
-        return self._evaluated("torque", q, v, a, self.values if pi is None else pi, gravity)[0].T
+        """tau, shape (N, n) [N m or N], of pi, shape (11 n,), or `values`; gravity : (3,) [m/s^2], or the robot's"""
+        g = self.gravity if gravity is None else gravity
+        return self._evaluated("torque", q, v, a, self.values if pi is None else pi, g)[0].T
 
-    def _evaluated(self, what: str, q: Array, v: Array, a: Array, pi: Array, gravity: Array | None) -> list[Array]:
-        shared = (pi, self.robot.parameters.values, self.gravity if gravity is None else gravity)
+    def _evaluated(self, what: str, q: Array, v: Array, a: Array, pi: Array, gravity: Array) -> list[Array]:
+        shared = (pi, self.robot.parameters.values, gravity)
         return _mapped(self.robot.structure, self._couplings, what)(np.hstack([q, v, a]).T, np.concatenate(shared))
 
     @property

@@ -15,7 +15,7 @@ import tomlkit
 from pydantic import Field
 
 from casadical import __version__
-from casadical.core.basics import Array, InputError
+from casadical.core.basics import Array, InputError, errors_of
 from casadical.core.parts import Arm
 from casadical.core.reading import load_toml
 from casadical.core.schema import Pair, TomlTable, check
@@ -73,17 +73,12 @@ class EffectTable(TomlTable):
 def effects_of(
     tables: Sequence[EffectTable], definitions: Sequence[Definition], own: Sequence[type[Effect]]
 ) -> tuple[tuple[Effect, ...], dict[str, float], dict[str, float]]:
-    """Effects, values and standard errors of their parameters; own : classes besides those defined and installed.
-
-    Raises InputError by key.
-    """
+    """Effects, values and standard errors of their parameters; own : further classes. Raises InputError by key."""
     kinds = (*own, *new_effects(definitions))
     effects, values, errors = [], {}, {}
     for k, table in enumerate(tables, 1):
-        try:
+        with errors_of(f"effect[{k}]."):
             effect = table.effect(kinds)
-        except InputError as error:
-            raise InputError(f"effect[{k}].{error}") from None
         effects.append(effect)
         for name, given in table.values.items():
             values[f"{effect.label}.{name}"] = given.value
@@ -122,14 +117,12 @@ class LearntTable(TomlTable):
     def ranges(self, arm: Arm) -> Array:
         """Of the joints' readings, shape (n, 2) [rad or m], or (0, 2). Raises InputError for other joints or units."""
         factors = arm.reading_units
-        for key in self.readings:
-            if key not in factors:
-                raise InputError(f"learnt.readings.{key}: not a known key; allowed: {', '.join(factors)}")
-        missing = [key for key in factors if key not in self.readings]
-        if self.readings and missing:
-            raise InputError(f"learnt.readings.{missing[0]}: is missing")
         if not self.readings:
             return np.zeros((0, 2))
+        if odd := [key for key in self.readings if key not in factors]:
+            raise InputError(f"learnt.readings.{odd[0]}: not a known key; allowed: {', '.join(factors)}")
+        if missing := [key for key in factors if key not in self.readings]:
+            raise InputError(f"learnt.readings.{missing[0]}: is missing")
         return np.array([np.multiply(self.readings[key], factor) for key, factor in factors.items()])
 
 
@@ -164,10 +157,8 @@ def knowledge_of(
     """
     parts = []
     for k, table in enumerate(covariance, 1):
-        try:
+        with errors_of(f"covariance[{k}]."):
             parts.append(table.covariance())
-        except InputError as error:
-            raise InputError(f"covariance[{k}].{error}") from None
     for block in parts:
         for name in block.names:
             if name not in names:
@@ -188,33 +179,30 @@ def knowledge_of(
 
 
 def text_of(
-    arm: Arm,
+    robot: Robot,
     effects: Sequence[Effect],
-    values: Mapping[str, float],
     knowledge: Knowledge | None,
     bound: ErrorBound | None = None,
     known_alone: bool = False,
 ) -> Iterator[str]:
-    """The tables as lines of TOML. values : of all effects' parameters [SI]; known_alone : as of `to_toml`"""
+    """The tables of some effects of a robot as lines of TOML. known_alone : as of `to_toml`"""
     known = knowledge or Knowledge()
     for definition in defined_in_files(effects):
-        keys = definition.model_dump(exclude_defaults=True)
-        yield from ("", "[[definition]]", *(f"{key} = {_text(value)}" for key, value in keys.items()))
+        yield from ("", "[[definition]]", *_entries(definition.model_dump(exclude_defaults=True)))
     for effect in effects:
-        yield from _effect_lines(effect, values, known.std_errors, known_alone)
+        yield from _effect_lines(effect, robot.effect_values, known.std_errors, known_alone)
     if knowledge:
-        yield from _learnt_lines(arm, knowledge)
+        yield from _learnt_lines(robot, knowledge)
     own = {p.name for e in effects for p in e.parameters()}
     for block in known.covariance:
         # A standard error beside its value says the same.
         if len(block.names) > 1 or block.names[0] not in own:
-            yield from ("", "[[covariance]]", f"names = {_text(list(block.names))}", "lower = [")
-            yield from (f"    {_text(row)}," for row in _triangle(block, known_alone))
-            yield "]"
+            yield from ("", "[[covariance]]", f"names = {_text(block.names)}", "lower = [")
+            yield from (*(f"    {_text(row)}," for row in _triangle(block, known_alone)), "]")
     if bound:
         rest, times = (known_digits(v, v, KNOWN_DIGITS) if known_alone else v for v in (bound.rest, bound.times))
-        yield from ("", "[bound]", f"rest = {rest!r}", f"times = {times!r}", f"poses = {bound.poses}")
-        yield from (f"names = {_text(list(bound.names))}", "factor = [")
+        numbers = {"rest": rest, "times": times, "poses": bound.poses, "names": bound.names}
+        yield from ("", "[bound]", *_entries(numbers), "factor = [")
         yield from (f"    {_text([float(f'{v:.{DIGITS}g}') for v in row])}," for row in bound.factor)
         yield "]"
 
@@ -235,12 +223,7 @@ def _triangle(block: Covariance, known_alone: bool) -> Iterator[list[float]]:
 def _effect_lines(
     effect: Effect, values: Mapping[str, float], errors: Mapping[str, float], known_alone: bool
 ) -> Iterator[str]:
-    whole = effect.to_dict()
-    settings = whole.pop("settings", {})
-    yield from ("", "[[effect]]", *(f"{key} = {_text(value)}" for key, value in whole.items()))
-    if settings:
-        yield f"settings = {_text(settings)}"
-    yield "[effect.values]"
+    yield from ("", "[[effect]]", *_entries(effect.to_dict()), "[effect.values]")
     for name, (_, unit) in effect.sizes().items():
         parameter = f"{effect.label}.{name}"
         entry: dict[str, Any] = {"value": float(values.get(parameter, 0.0)), "unit": unit}
@@ -259,12 +242,15 @@ def _learnt_lines(arm: Arm, knowledge: Knowledge) -> Iterator[str]:
     if knowledge.robots:
         yield f"robots = {knowledge.robots}"
     if len(knowledge.readings):
-        yield "[learnt.readings]"
-        for (key, factor), pair in zip(arm.reading_units.items(), knowledge.readings, strict=True):
-            yield f"{key} = {_text([float(v / factor) for v in pair])}"
+        units = zip(arm.reading_units.items(), knowledge.readings, strict=True)
+        yield from ("[learnt.readings]", *_entries({key: (pair / factor).tolist() for (key, factor), pair in units}))
     if knowledge.conditions:
-        yield "[learnt.conditions]"
-        yield from (f"{_key(name)} = {_text([float(v) for v in pair])}" for name, pair in knowledge.conditions.items())
+        pairs = {name: [float(v) for v in pair] for name, pair in knowledge.conditions.items()}
+        yield from ("[learnt.conditions]", *_entries(pairs))
+
+
+def _entries(table: Mapping[str, Any]) -> Iterator[str]:
+    return (f"{_key(key)} = {_text(value)}" for key, value in table.items())
 
 
 def _key(name: str) -> str:
@@ -317,10 +303,8 @@ def read_effects(path: str | Path, effects: Sequence[type[Effect]] = ()) -> Effe
     file = check(_EffectFile, load_toml(path), path.name)
     if not (file.effect or file.definition):
         raise InputError(f"{path.name}: neither [[effect]] nor [[definition]]; one at least is needed")
-    try:
+    with errors_of(f"{path.name}: "):
         known, values, _ = effects_of(file.effect, file.definition, effects)
-    except InputError as error:
-        raise InputError(f"{path.name}: {error}") from None
     return Effects(known, values, file.robot, new_effects(file.definition))
 
 
@@ -331,4 +315,4 @@ def effects_toml(robot: Robot, effects: Sequence[Effect], comment: str = "", *, 
     lines = [f"# {line}" for line in comment.splitlines()]
     lines += [f"casadical = {VERSION}", f'written_by = "casadical {__version__}"']
     lines.append(f"robot = {tomlkit.item(robot.name).as_string()}")
-    return "\n".join([*lines, *text_of(robot, effects, robot.effect_values, known, known_alone=known_alone), ""])
+    return "\n".join([*lines, *text_of(robot, effects, known, known_alone=known_alone), ""])

@@ -107,10 +107,7 @@ def _slopes(robot: Robot, names: Sequence[str], q: ca.SX, tau: ca.SX) -> ca.SX:
 
 
 def bound_at(robot: Robot, q: Array) -> Array:
-    """The bound of a robot that has one, at readings q, shape (k, n) [rad or m]; shape (k,) [m].
-
-    Raises InputError for a robot without a bound.
-    """
+    """The robot's bound, shape (k,) [m], at readings q, (k, n) [rad or m]. Raises InputError where it has none."""
     if robot.bound is None:
         raise InputError(
             f"{robot.name}: the error that remains has no bound; `casadical calibrate` writes one into the robot file"

@@ -11,10 +11,11 @@ import casadi as ca
 
 from casadical.core.transforms import Symbolic
 
+# Crank L5, coupler L4, rocker L3 and ground bar g [m].
+Bars = tuple[Symbolic, Symbolic, Symbolic, Symbolic]
 
-def _triangle(
-    crank: Symbolic, ground: Symbolic, lengths: tuple[Symbolic, Symbolic, Symbolic, Symbolic]
-) -> tuple[Symbolic, Symbolic, Symbolic]:
+
+def _triangle(crank: Symbolic, ground: Symbolic, lengths: Bars) -> tuple[Symbolic, Symbolic, Symbolic]:
     """Diagonal from driven joint to crank end (x, y) and its length, seen in the plane of the loop."""
     L5, _L4, _L3, g = lengths
     x = L5 * ca.cos(crank) - g * ca.cos(ground)
@@ -22,13 +23,10 @@ def _triangle(
     return x, y, ca.sqrt(x**2 + y**2)
 
 
-def rocker_angle(
-    crank: Symbolic, ground: Symbolic, lengths: tuple[Symbolic, Symbolic, Symbolic, Symbolic], side: int
-) -> Symbolic:
+def rocker_angle(crank: Symbolic, ground: Symbolic, lengths: Bars, side: int) -> Symbolic:
     """Direction of the rocker [rad] in the plane of the loop, continuous with the crank's angle.
 
     crank, ground : angles of crank and ground bar [rad]
-    lengths : crank L5, coupler L4, rocker L3, ground g [m]
     side : +1 or -1, on which side of the diagonal the rocker stands (see `assembly_side`)
 
     The cosine theorem in the triangle driven joint - crank end - rocker end; atan2 keeps the digits near the folded
@@ -44,7 +42,7 @@ def rocker_angle(
     return crank + ca.atan2(across, along) + side * inner
 
 
-def margin(crank: Symbolic, ground: Symbolic, lengths: tuple[Symbolic, Symbolic, Symbolic, Symbolic]) -> Symbolic:
+def margin(crank: Symbolic, ground: Symbolic, lengths: Bars) -> Symbolic:
     """How far the loop is from opening, as the sine of the angle between rocker and diagonal, squared.
 
     1 where rocker and diagonal are square, 0 at a folded position, negative where the bars cannot close.
@@ -54,7 +52,7 @@ def margin(crank: Symbolic, ground: Symbolic, lengths: tuple[Symbolic, Symbolic,
     return 1 - ((diagonal**2 + L3**2 - L4**2) / (2 * diagonal * L3)) ** 2
 
 
-def assembly_side(crank: float, ground: float, lengths: tuple[float, float, float, float]) -> int:
+def assembly_side(crank: float, ground: float, lengths: Bars) -> int:
     """The side on which the uncrossed loop is assembled: the rocker points as the crank does."""
     candidates = {side: float(rocker_angle(crank, ground, lengths, side)) for side in (1, -1)}
     return min(candidates, key=lambda side: abs(float(ca.remainder(candidates[side] - crank, 2 * ca.pi))))

@@ -10,7 +10,7 @@ from casadical.core.parts import Arm, FourBar
 from casadical.core.transforms import Symbolic, apply, product, rot_x, rot_y, rot_z, translate
 from casadical.effects import Context
 from casadical.robot import fourbar
-from casadical.robot.parameter_list import parameters_of
+from casadical.robot.parameter_list import bar_names, parameters_of
 
 Values = Mapping[str, Symbolic]
 
@@ -33,11 +33,10 @@ def row_factors(arm: Arm, i: int, variable: Symbolic, values: Values) -> list[Sy
     return [*factors, rot_z(theta), translate(0, 0, d)]
 
 
-def loop_bars(arm: Arm, number: int, values: Values) -> tuple[Symbolic, Symbolic, Symbolic, Symbolic]:
-    """Crank L5, coupler L4, rocker L3 and ground bar of loop `number` (1-based) [m]."""
-    loop = arm.loops[number - 1]
-    suffix = "" if number == 1 else f"_{number}"
-    return (*(values[f"{bar}{suffix}"] for bar in ("L5", "L4", "L3")), values[f"a{loop.driven - 1}"])
+def loop_bars(arm: Arm, number: int, values: Values) -> fourbar.Bars:
+    """Lengths of loop `number` (1-based) [m]."""
+    crank, coupler, rocker = (values[name] for name in bar_names(number).values())
+    return crank, coupler, rocker, values[f"a{arm.loops[number - 1].driven - 1}"]
 
 
 def loop_angles(

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from casadical.core.parameters import Parameter
-from casadical.core.parts import Arm, FourBar, Joint, Placement, parallel
+from casadical.core.parts import Arm, FourBar, Joint, parallel
 from casadical.effects import Effect, LinkMasses, PayloadError, Session
 
 NEAR_PARALLELOGRAM = 0.02
@@ -25,7 +25,10 @@ def parameters_of(
 ) -> Iterable[Parameter]:
     """All parameters, those first that identifiability prefers: placement, rows, loops, compliance, effects."""
     for which, placement in (("base", arm.base), ("tool", arm.tool)):
-        yield from _placement(arm, which, placement)
+        count = {"none": 0, "position": 3, "pose": 6}[placement.unknown]
+        start = placement.T[:3, 3] if which == "tool" else np.zeros(3)
+        for name, value in list(zip(SIX[which], (*start, 0.0, 0.0, 0.0), strict=True))[:count]:
+            yield _number(arm, name, which, "rad" if "_r" in name else "m", float(value))
     for target in arm.targets:
         held = "" if arm.tool.unknown != "none" else "given as known in the robot file"
         for name, value in zip(target.parameters, target.point, strict=True):
@@ -56,13 +59,6 @@ def _number(arm: Arm, name: str, group: str, unit: str, value: float, held: str 
     bound = width.length_bound if unit == "m" else width.angle_bound
     prior = width.length_prior if unit == "m" else width.angle_prior
     return Parameter(name, group, unit, value, 1e-3, value - bound, value + bound, prior, held)
-
-
-def _placement(arm: Arm, which: str, placement: Placement) -> Iterable[Parameter]:
-    count = {"none": 0, "position": 3, "pose": 6}[placement.unknown]
-    start = placement.T[:3, 3] if which == "tool" else np.zeros(3)
-    for name, value in list(zip(SIX[which], (*start, 0.0, 0.0, 0.0), strict=True))[:count]:
-        yield _number(arm, name, which, "rad" if "_r" in name else "m", float(value))
 
 
 def _row(arm: Arm, i: int, joint: Joint) -> Iterable[Parameter]:

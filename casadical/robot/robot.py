@@ -13,13 +13,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import groupby
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.parameters import Parameters
-from casadical.core.parts import GRAVITY, Arm, FourBar, Joint
+from casadical.core.parts import GRAVITY, Arm, Joint
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import Shown, html
 from casadical.core.transforms import frame, from_xyz, to_xyz
@@ -181,23 +182,15 @@ SMALLEST_GEAR = 0.05
 class Robot(Shown, Arm):
     """An arm with its model and its parameters.
 
-    name : as reports call it
-    joints : from the base to the flange
-    base : base frame in the measuring frame
-    tool : measured point in the flange frame
-    loops : closed loops that drive a joint
-    gravity : shape (3,) [m/s^2]
-    gravity_frame : frame in which gravity is given
+    name : as reports call it; joints : from the base to the flange; loops : closed ones that drive a joint
+    base : base frame in the measuring frame; tool : measured point in the flange frame
+    gravity : shape (3,) [m/s^2], given in the frame `gravity_frame`
     payload : declared load in the flange frame; None: none
-    widths : bounds and priors of groups of parameters
-    body_width : one sigma of declared masses and mass centres
-    tool_name : name of the measured point, where there are several
-    targets : further measured points on the flange
+    widths : bounds and priors of groups of parameters; body_width : one sigma of declared masses and mass centres
+    tool_name : name of the measured point, where there are several; targets : further measured points on the flange
     masses : whether the links' masses are known, or estimates that tell no stiffness
-    drive : what is known of the drives
-    sessions : what is found again in each session of a campaign
-    effects : what was added to the base model, see `with_effect`
-    effect_values : parameter name -> value [SI] of those effects
+    drive : what is known of the drives; sessions : what is found again in each session of a campaign
+    effects : what was added to the base model, see `with_effect`; effect_values : parameter name -> value [SI] of those
     notes : what a reader of results must know (assumed masses, sources)
     knowledge : how well the values are known, and on what range they were learnt
     bound : of the error that remains with these values
@@ -239,12 +232,11 @@ class Robot(Shown, Arm):
 
     def _repr_html_(self) -> str:
         """For a notebook: the DH table with the limits of each joint."""
-        units = [(key.split("_")[1], factor) for key, factor in self.reading_units.items()]
-        rows = [
-            (str(row["joint"]), *("" if v is None else f"{v:.3f}" for k, v in row.items() if k != "joint"),
-             f"{j.lower / factor:.4g} to {j.upper / factor:.4g} {unit}")
-            for row, j, (unit, factor) in zip(modified_dh(self), self.joints, units, strict=True)
-        ]  # fmt: skip
+        rows = []
+        for i, (joint, (key, factor)) in enumerate(zip(self.joints, self.reading_units.items(), strict=True), 1):
+            numbers = ("" if v is None else f"{v:.3f}" for v in dh_row(joint).values())
+            ends = f"{joint.lower / factor:.4g} to {joint.upper / factor:.4g} {key.split('_')[1]}"
+            rows.append((str(i), *numbers, ends))
         head = ("joint", "alpha [deg]", "a [mm]", "beta [deg]", "b [mm]", "theta [deg]", "d [mm]", "readings")
         table = Table("Modified DH rows", head, rows, frozenset(range(1, 7)))
         return html([table, *(Words(note, "note") for note in self.notes)], title=repr(self)[1:-1])
@@ -343,10 +335,7 @@ class Robot(Shown, Arm):
         return ", ".join(texts)
 
     def with_only(self, effects: Iterable[Effect]) -> Robot:
-        """A robot whose model holds only these of its effects.
-
-        effects : those of this robot's effects that stay
-        """
+        """A robot whose model holds only these of its effects."""
         kept = tuple(effects)
         gone = {p.name for e in self.effects if e not in kept for p in e.parameters()}
         values = {name: value for name, value in self.effect_values.items() if name not in gone}
@@ -357,20 +346,27 @@ class Robot(Shown, Arm):
     def with_values(self, values: Mapping[str, float]) -> Robot:
         """A robot whose nominal values are these, by parameter name [SI]; nothing is known of the new ones.
 
-        values : parameter name -> nominal value [SI]
         Raises InputError: no such parameter, or a value that is not finite.
         """
         for name in values:
             self.parameters.index_of(name)
         v = {p.name: float(values.get(p.name, p.value)) for p in self.parameters}
         effect_names = {p.name for e in self.effects for p in e.parameters()}
+        joints, loops, T = [], [], self.tool.T
+        for i, joint in enumerate(self.joints, 1):
+            row: Any = {name: v.get(f"{name}{i - 1}") for name in ("alpha", "a", "beta", "b")}
+            joints.append(replace(joint, **row, theta=v[f"theta{i}"], d=v[f"d{i}"], compliance=v.get(f"c{i}")))
+        for k, loop in enumerate(self.loops, 1):
+            bars: Any = {bar: v[name] for bar, name in bar_names(k).items()}
+            loops.append(replace(loop, **bars))
         moved = np.array([v.get(n, 0.0) for n in SIX["base"]])
+        tool = np.array([v.get(n, old) for n, old in zip(SIX["tool"], (*T[:3, 3], 0, 0, 0), strict=True)])
         return replace(
             self,
-            joints=tuple(_joint_with(j, i, v) for i, j in enumerate(self.joints, 1)),
-            loops=tuple(_loop_with(loop, k, v) for k, loop in enumerate(self.loops, 1)),
+            joints=tuple(joints),
+            loops=tuple(loops),
             base=replace(self.base, T=self.base.T @ frame(from_xyz(moved[3:]), moved[:3])),
-            tool=replace(self.tool, T=_tool_with(self.tool.T, v)),
+            tool=replace(self.tool, T=frame(T[:3, :3] @ from_xyz(tool[3:]), tool[:3])),
             targets=tuple(replace(t, point=np.array([v[name] for name in t.parameters])) for t in self.targets),
             effect_values={n: v[n] for n in effect_names},
             knowledge=None,
@@ -378,63 +374,29 @@ class Robot(Shown, Arm):
         )
 
     def values_of(self, other: Robot) -> Array:
-        """Parameters of this robot, shape (P,) [SI], that make it the other one.
+        """Parameters of this robot, shape (P,) [SI], that make it another one of its structure.
 
         The other's base may stand elsewhere, and its tool may be turned.
-
-        other : a robot of the same structure
-        Returns shape (P,) [SI]: values in the order of `parameters`.
         """
         values = dict(zip(other.parameters.names, other.parameters.values, strict=True))
         moved, turned = (np.linalg.solve(a.T, b.T) for a, b in ((self.base, other.base), (self.tool, other.tool)))
-        values |= {
-            n: v for n, v in zip(SIX["base"], (*moved[:3, 3], *to_xyz(moved[:3, :3])), strict=True) if n in values
-        }
-        values |= {n: v for n, v in zip(SIX["tool"][3:], to_xyz(turned[:3, :3]), strict=True) if n in values}
+        nine = (*moved[:3, 3], *to_xyz(moved[:3, :3]), *to_xyz(turned[:3, :3]))
+        values |= {n: v for n, v in zip((*SIX["base"], *SIX["tool"][3:]), nine, strict=True) if n in values}
         return np.array([values[n] for n in self.parameters.names])
 
 
-def _joint_with(joint: Joint, i: int, v: Mapping[str, float]) -> Joint:
-    return replace(
-        joint,
-        alpha=v[f"alpha{i - 1}"],
-        a=v[f"a{i - 1}"],
-        beta=v.get(f"beta{i - 1}"),
-        b=v.get(f"b{i - 1}"),
-        theta=v[f"theta{i}"],
-        d=v[f"d{i}"],
-        compliance=v.get(f"c{i}"),
-    )
+def in_file_units(part: object, **units: str) -> dict[str, float | None]:
+    """Fields of a part of a robot under keys with their units, mm or deg; None where a field is None."""
+    factors = {"mm": 1e3, "deg": 180 / np.pi}
+    given = ((f"{name}_{unit}", getattr(part, name), factors[unit]) for name, unit in units.items())
+    return {key: None if value is None else float(factor * value) for key, value, factor in given}
 
 
-def _loop_with(loop: FourBar, k: int, v: Mapping[str, float]) -> FourBar:
-    names = bar_names(k)
-    return replace(loop, crank=v[names["crank"]], coupler=v[names["coupler"]], rocker=v[names["rocker"]])
+def dh_row(joint: Joint) -> dict[str, float | None]:
+    """A modified DH row in millimetres and degrees."""
+    return in_file_units(joint, alpha="deg", a="mm", beta="deg", b="mm", theta="deg", d="mm")
 
 
-def _tool_with(T: Array, v: Mapping[str, float]) -> Array:
-    six = np.array([v.get(n, default) for n, default in zip(SIX["tool"], (*T[:3, 3], 0, 0, 0), strict=True)])
-    return frame(T[:3, :3] @ from_xyz(six[3:]), six[:3])
-
-
-def modified_dh(robot: Robot) -> list[dict[str, float | str | None]]:
+def modified_dh(robot: Robot) -> list[dict[str, float | None]]:
     """The modified DH table in millimetres and degrees, a dict per row."""
-
-    def deg(x: float | None) -> float | None:
-        return None if x is None else float(np.rad2deg(x))
-
-    def mm(x: float | None) -> float | None:
-        return None if x is None else 1e3 * x
-
-    return [
-        {
-            "joint": i,
-            "alpha_deg": deg(j.alpha),
-            "a_mm": mm(j.a),
-            "beta_deg": deg(j.beta),
-            "b_mm": mm(j.b),
-            "theta_deg": deg(j.theta),
-            "d_mm": mm(j.d),
-        }
-        for i, j in enumerate(robot.joints, 1)
-    ]
+    return [{"joint": i, **dh_row(joint)} for i, joint in enumerate(robot.joints, 1)]

@@ -10,9 +10,9 @@ import numpy as np
 import tomlkit
 
 from casadical import __version__
-from casadical.core.basics import InputError, shown
+from casadical.core.basics import InputError, errors_of, shown
 from casadical.core.files import write_whole
-from casadical.core.parts import WIDTHS, Body, BodyWidth, FourBar, Joint, Placement, Target
+from casadical.core.parts import WIDTHS, Body, BodyWidth, Joint, Placement, Target
 from casadical.core.reading import load_toml
 from casadical.core.schema import check
 from casadical.core.statistics import known_digits
@@ -20,7 +20,7 @@ from casadical.core.transforms import to_rpy
 from casadical.effects import Effect, Session
 from casadical.effects.plugins import defined_in_files, find_effect
 from casadical.robot.effect_tables import text_of
-from casadical.robot.robot import Robot
+from casadical.robot.robot import Robot, dh_row, in_file_units
 from casadical.robot.robot_schema import RobotFile, ToolTable
 
 # Of the newest files that are read; from 2 on with effects and what is known of their values.
@@ -54,10 +54,8 @@ def robot_from(data: Mapping[str, Any], source: str, effects: Sequence[type[Effe
             f"version {VERSION}: install the newer one"
         )
     file = check(RobotFile, _with_tools_apart(data), source)
-    try:
+    with errors_of(f"{source}: "):
         return file.robot(effects)
-    except InputError as error:
-        raise InputError(f"{source}: {error}") from None
 
 
 def _with_tools_apart(data: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -130,29 +128,16 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
         "drive": robot.drive.table() if robot.drive else None,
         "width": _width_tables(robot),
         "joint": [_joint_table(joint) for joint in robot.joints],
-        "four_bar": [_loop_table(loop) for loop in robot.loops] or None,
+        "four_bar": [{"driven": f.driven, "carrier": f.carrier, **in_file_units(f, **_BARS)} for f in robot.loops]
+        or None,
     }
     document.update({key: _known(key, v) if known_alone else v for key, v in tables.items() if v is not None})
     text = tomlkit.dumps(document)
-    if not more:
-        return _readable(text, robot)
-    known = robot.knowledge
-    if known:  # of parameters that it had before a change, nothing is kept
-        known = known.without(set(known.std_errors) - set(robot.parameters.names))
-    return _readable(
-        "\n".join(
-            [
-                text.rstrip("\n"),
-                *text_of(robot, robot.effects, robot.effect_values, known, robot.bound, known_alone),
-                "",
-            ]
-        ),
-        robot,
-    )
-
-
-def _readable(text: str, robot: Robot) -> str:
-    """The text, if its values are ones that a file may hold. Raises InputError."""
+    if more:
+        known = robot.knowledge
+        if known:  # of parameters that it had before a change, nothing is kept
+            known = known.without(set(known.std_errors) - set(robot.parameters.names))
+        text = "\n".join([text.rstrip("\n"), *text_of(robot, robot.effects, known, robot.bound, known_alone), ""])
     check(RobotFile, _with_tools_apart(tomllib.loads(text)), f"robot {shown(robot.name)!r} cannot be written")
     return text
 
@@ -175,35 +160,30 @@ def _known(key: str, value: Any) -> Any:
     return round(value, next((n for end, n in _DECIMALS.items() if key.endswith(end)), 15)) + 0.0
 
 
-def _mm(value: float) -> float:
-    """Millimetres of metres."""
-    return float(value * 1e3)
+def _mm(values: Any) -> Any:
+    """Millimetres of metres, a number or a list."""
+    return (1e3 * np.asarray(values)).tolist()
 
 
-def _deg(value: float) -> float:
-    """Degrees of radians."""
-    return float(np.rad2deg(value))
+def _deg(values: Any) -> Any:
+    """Degrees of radians, a number or a list."""
+    return np.rad2deg(values).tolist()
 
 
 def _frame_table(placement: Placement) -> dict[str, Any]:
-    return {
-        "xyz_mm": [_mm(v) for v in placement.T[:3, 3]],
-        "rpy_deg": [_deg(v) for v in to_rpy(placement.T[:3, :3])],
-        "unknown": placement.unknown,
-    }
+    T = placement.T
+    return {"xyz_mm": _mm(T[:3, 3]), "rpy_deg": _deg(to_rpy(T[:3, :3])), "unknown": placement.unknown}
 
 
 def _tool_tables(robot: Robot) -> list[dict[str, Any]]:
     """Of several tools a table for each, the first one first."""
-    further = [
-        {"name": t.name, "xyz_mm": [_mm(v) for v in t.point], "unknown": robot.tool.unknown} for t in robot.targets
-    ]
+    further = [{"name": t.name, "xyz_mm": _mm(t.point), "unknown": robot.tool.unknown} for t in robot.targets]
     return [{"name": robot.tool_name, **_frame_table(robot.tool)}, *further]
 
 
 def _body_table(body: Body) -> dict[str, Any]:
     """A mass, its centre and, where it is known, its inertia."""
-    table: dict[str, Any] = {"mass_kg": float(body.mass), "com_mm": [_mm(v) for v in body.com]}
+    table: dict[str, Any] = {"mass_kg": float(body.mass), "com_mm": _mm(body.com)}
     if body.inertia is not None:
         table["inertia_kgm2"] = [float(v) for v in body.inertia[np.triu_indices(3)]]
     return table
@@ -211,20 +191,13 @@ def _body_table(body: Body) -> dict[str, Any]:
 
 def _joint_table(joint: Joint) -> dict[str, Any]:
     table: dict[str, Any] = {"name": joint.name} if joint.name else {}
-    table |= {"alpha_deg": _deg(joint.alpha), "a_mm": _mm(joint.a)}
-    if joint.beta is not None:
-        table["beta_deg"] = _deg(joint.beta)
-    if joint.b is not None:
-        table["b_mm"] = _mm(joint.b)
-    table |= {"theta_deg": _deg(joint.theta), "d_mm": _mm(joint.d)}
-    if joint.kind == "prismatic":
-        table |= {"type": "prismatic", "limits_mm": [_mm(joint.lower), _mm(joint.upper)]}
-    else:
-        table["limits_deg"] = [_deg(joint.lower), _deg(joint.upper)]
+    table |= {key: value for key, value in dh_row(joint).items() if value is not None}
+    table |= {"type": "prismatic"} if joint.kind == "prismatic" else {}
+    unit, to_unit = ("mm", _mm) if joint.kind == "prismatic" else ("deg", _deg)
+    table[f"limits_{unit}"] = to_unit([joint.lower, joint.upper])
     if joint.coupling is not None:
-        turning = joint.kind == "revolute"
         table["follows"] = [[j, float(k)] for j, k in joint.coupling.follows]
-        table["at_deg" if turning else "at_mm"] = (_deg if turning else _mm)(joint.coupling.at)
+        table[f"at_{unit}"] = to_unit(joint.coupling.at)
     if joint.compliance is not None:
         table["compliant"] = True
         if joint.compliance > 0:
@@ -235,28 +208,12 @@ def _joint_table(joint: Joint) -> dict[str, Any]:
     return table
 
 
-def _loop_table(loop: FourBar) -> dict[str, Any]:
-    return {
-        "driven": loop.driven,
-        "carrier": loop.carrier,
-        "crank_mm": _mm(loop.crank),
-        "coupler_mm": _mm(loop.coupler),
-        "rocker_mm": _mm(loop.rocker),
-        "offset_deg": _deg(loop.offset),
-    }
+_BARS = {"crank": "mm", "coupler": "mm", "rocker": "mm", "offset": "deg"}
 
 
 def _width_tables(robot: Robot) -> dict[str, Any]:
     """Widths that are not the usual ones, by group."""
     of_bodies = {"mass_share": robot.body_width.share, "com_mm": _mm(robot.body_width.centre)}
-    groups = {
-        group: {
-            "length_bound_mm": _mm(w.length_bound),
-            "angle_bound_deg": _deg(w.angle_bound),
-            "length_prior_mm": _mm(w.length_prior),
-            "angle_prior_deg": _deg(w.angle_prior),
-        }
-        for group, w in robot.widths.items()
-        if w != WIDTHS[group]
-    }
+    units = {"length_bound": "mm", "angle_bound": "deg", "length_prior": "mm", "angle_prior": "deg"}
+    groups = {group: in_file_units(w, **units) for group, w in robot.widths.items() if w != WIDTHS[group]}
     return groups | ({} if robot.body_width == BodyWidth() else {"body": of_bodies})

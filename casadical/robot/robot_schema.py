@@ -102,14 +102,11 @@ class _Joint(TomlTable):
         """A revolute joint's range and stiffness are angular, a prismatic one's are not."""
         if not isinstance(data, dict):
             return data
-        kind, foreign = data.get("type", "revolute"), [f"limits{u}" for u in LENGTH.factors]
-        foreign, own = [*foreign, "stiffness_N_per_m"], "limits_deg, stiffness_Nm_per_rad"
+        kind = data.get("type", "revolute")
+        units, stiffness, own = LENGTH, "stiffness_N_per_m", "limits_deg, stiffness_Nm_per_rad"
         if kind == "prismatic":
-            foreign, own = (
-                [*(f"limits{u}" for u in ANGLE.factors), "stiffness_Nm_per_rad"],
-                "limits_mm, stiffness_N_per_m",
-            )
-        wrong = [key for key in foreign if key in data]
+            units, stiffness, own = ANGLE, "stiffness_Nm_per_rad", "limits_mm, stiffness_N_per_m"
+        wrong = [key for key in (*(f"limits{u}" for u in units.factors), stiffness) if key in data]
         if wrong:
             raise FaultError(wrong[0], f"not for a {kind} joint; allowed: {own}")
         return data
@@ -271,7 +268,7 @@ class RobotFile(TomlTable):
 
 def _refuse_undefined(robot: Robot) -> None:
     """Raises InputError for effects whose settings and values give no position at some readings."""
-    lower, upper = np.array([(j.lower, j.upper) for j in robot.joints]).T
+    lower, upper = robot.limits
     for share in (0.37, 0.71):
         q = lower + share * (upper - lower)
         try:

@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 
 import casadical as ca_package
 from casadical.core import file_locks, lazy, subprocesses
-from casadical.core.casadi_buffers import call
 from casadical.core.file_locks import exchange
+from casadical.core.mapped_function import call
 from casadical.core.parameters import Parameter
 from casadical.core.parts import Arm, Joint
 from casadical.core.schema import TomlTable

@@ -170,7 +170,7 @@ def test_the_report_of_logs_shows_errors_friction_and_hysteresis(arm, tmp_path):
     assert len(figures["replay/friction"].panels) == 2
     cells = figures["replay/map/after"].series[0]
     assert np.shape(cells.z) == (2, len(cells.x))
-    law = figures["replay/friction"].one("found")
+    law = next(s for s in figures["replay/friction"].series if s.name == "found")
     assert law.y[-1] == pytest.approx(DRY[0] + DAMPED[0] * law.x[-1], rel=0.25)
     drawn = draw(figures["replay/map/after"])
     assert drawn.data[0].type == "heatmap"

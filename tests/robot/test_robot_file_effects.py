@@ -313,7 +313,7 @@ def test_an_error_beside_its_value_is_enough(tmp_path: Path) -> None:
     (tmp_path / "arm.toml").write_text(head)
     found = read_robot(tmp_path / "arm.toml")
     assert found.knowledge.std_errors == {"backlash@2.half": 2e-6}
-    text = "\n".join(text_of(found, found.effects, found.effect_values, found.knowledge))
+    text = "\n".join(text_of(found, found.effects, found.knowledge))
     assert "std_error = 2e-06" in text
     assert "[[covariance]]" not in text
 

@@ -11,7 +11,7 @@ from urdf_arms import UR10, Oracle, joint, link, pose_of, random_arm, readings, 
 from casadical.core.basics import InputError
 from casadical.identification.identification import identify
 from casadical.measurements.reading import from_table
-from casadical.robot.urdf import calibrated_urdf, read_urdf
+from casadical.robot.urdf import calibrated_urdf_text, read_urdf
 
 
 def perturbed(arm, seed, groups=("base", "geometry", "tool")):
@@ -27,6 +27,10 @@ def written(tmp_path, text):
     path = tmp_path / "in.urdf"
     path.write_text(text)
     return path, tmp_path / "out.urdf"
+
+
+def calibrated_urdf(before, after, path, out, *links, **options):
+    out.write_text(calibrated_urdf_text(before, after, path, *links, **options), encoding="utf-8")
 
 
 def canonical(tree):

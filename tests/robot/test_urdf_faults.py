@@ -45,6 +45,11 @@ FAULTS = {
         "'c' is below two joints, 'j2' and 'j3'",
     ),
     "ring": (robot(ABC, AB, joint("j2", "revolute", "b", "a")), {"base_link": "a"}, "'a' is below itself"),
+    "link below a ring": (
+        robot(link("z") + ABC, AB, joint("j2", "revolute", "b", "a"), joint("j3", "revolute", "b", "z")),
+        {},
+        "'a' is below itself",
+    ),
     "zero axis": (
         robot(ABC, AB, joint("j2", "revolute", "b", "c", axis=(0, 0, 0))),
         {},

@@ -11,7 +11,7 @@ from math import log10
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from casadical.core.basics import optional
-from casadical.core.telling.figure import Axis, Figure, Note, Panel, Rule, Series, Span, ticks_of_decades
+from casadical.core.telling.figure import Axis, Figure, Note, Rule, Series, Span, ticks_of_decades
 
 # plotly is imported when a figure is drawn.
 if TYPE_CHECKING:
@@ -195,13 +195,9 @@ def _panels(picture: Picture, figure: Figure) -> None:
     if titled:
         picture.update_layout(margin={"l": 56, "r": figure.right, "t": ABOVE, "b": BELOW})
     for panel in panels:
-        _panel(picture, panel)
-
-
-def _panel(picture: Picture, panel: Panel) -> None:
-    place = {"row": panel.row, "col": panel.column}
-    picture.update_xaxes(**_axis(panel.x), showline=True, **place)
-    picture.update_yaxes(**_axis(panel.y), **place)
+        place = {"row": panel.row, "col": panel.column}
+        picture.update_xaxes(**_axis(panel.x), showline=True, **place)
+        picture.update_yaxes(**_axis(panel.y), **place)
 
 
 def _mark(picture: Picture, figure: Figure, mark: Rule | Span | Note) -> None:

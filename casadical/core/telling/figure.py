@@ -138,9 +138,6 @@ class Figure:
     right: int = 12
     over: str = ""
 
-    def one(self, name: str) -> Series:
-        return next(s for s in self.series if s.name == name)
-
 
 def ticks_of_decades(low: float = 1e-9, high: float = 5e5, steps: Sequence[int] = (1, 2, 5)) -> list[float]:
     """Ticks of a logarithmic axis: 0.1, 0.2, 0.5, 1."""

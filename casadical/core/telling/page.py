@@ -16,7 +16,6 @@ from typing import Any
 from casadical.core.basics import InputError, optional
 from casadical.core.telling.blocks import Page, Table, Words
 from casadical.core.telling.drawing import COLOURS, DARK, NEEDED, draw
-from casadical.core.telling.figure import Figure
 
 TEMPLATES = Path(__file__).parent / "templates"
 
@@ -42,7 +41,7 @@ def html_of(pages: Sequence[Page], command: Sequence[str] = (), now: datetime | 
     )
     kinds = {"words": Words, "table": Table}
     environment.tests |= {name: lambda block, kind=kind: isinstance(block, kind) for name, kind in kinds.items()}
-    environment.filters["figure"] = figure_json
+    environment.filters["figure"] = lambda figure: safe_json(json.loads(draw(figure).to_json()))
     text: str = environment.get_template("page.html").render(
         title=pages[0].kind,
         parts=pages,
@@ -56,13 +55,8 @@ def html_of(pages: Sequence[Page], command: Sequence[str] = (), now: datetime | 
     return text.encode(errors="backslashreplace").decode()  # names of files may not be UTF-8
 
 
-def figure_json(figure: Figure) -> str:
-    """A figure's picture as JSON that may stand inside of a script element."""
-    return safe_json(json.loads(draw(figure).to_json()))
-
-
 def safe_json(value: Any) -> str:
-    """JSON in which no tag can open or close; numbers that are not finite become null."""
+    """JSON for a script element, in which no tag can open or close; numbers that are not finite become null."""
     text = json.dumps(_finite(value), separators=(",", ":"), allow_nan=False, ensure_ascii=False)
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 

@@ -16,7 +16,7 @@ from casadical.core.basics import Array, InputError
 from casadical.core.sx_instructions import SxInstructions
 from casadical.core.transforms import Symbolic
 from casadical.effects import Effect, JointErrorCurve
-from casadical.effects.context import Context
+from casadical.effects.base import Context
 from casadical.export.c.products import NetworkFunction, mapped
 from casadical.robot.robot import Robot
 

@@ -52,32 +52,20 @@ class PoseExpression:
         return self.observed[name]
 
     def position_at(self, q: Symbolic) -> Symbolic:
-        """The measured point at other readings, under the same conditions.
-
-        Returns Symbolic, shape (3,) [m]
-        """
+        """The measured point at other readings, under the same conditions, shape (3,) [m]."""
         return self.pose_at(q)[0]
 
     def pose_at(self, q: Symbolic) -> tuple[Symbolic, Symbolic]:
-        """The measured point and its orientation at other readings, under the same conditions.
-
-        Returns tuple[Symbolic, Symbolic], shapes (3,) [m] and (3, 3): position and orientation
-        """
+        """The measured point and its orientation at other readings, shapes (3,) [m] and (3, 3); else as it is here."""
         p, R = self._model(q)
         return p, R
 
     def from_point(self) -> Symbolic:
-        """The measured point less the unknown point that is identified too, for kinds with one.
-
-        Returns Symbolic, shape (3,) [m]
-        """
+        """The measured point less the unknown point that is identified too, shape (3,) [m]."""
         return self.p - self.unknown_point()
 
     def unknown_point(self) -> Symbolic:
-        """The unknown point that is identified too, for kinds with one; of a plane see `planes`.
-
-        Returns Symbolic, shape (3,) [m]
-        """
+        """The unknown point that is identified too, for kinds with one, shape (3,) [m]; of a plane see `Plane`."""
         assert self.point is not None
         return self.take("point", 3) + self.point
 
@@ -148,7 +136,7 @@ class MeasurementKind(ABC):
 
         Under `counted` is 0 for rows at which nothing was measured, else 1.
 
-        q : Array, shape (n, joints) [rad or m]: joint readings
+        q : shape (n, joints) [rad or m]: joint readings
         Raises InputError: a column is missing, or holds what cannot be measured.
         """
 
@@ -158,42 +146,36 @@ class MeasurementKind(ABC):
 
     @abstractmethod
     def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
-        """Error of each pose that reports tell.
+        """Error of each pose that reports tell, shape (n,) [m].
 
-        p : Array, shape (n, 3) [m]: positions of the model
-        positions_at : positions of the model at other readings, shape (n, joints) -> shape (n, 3) [m]
-        Returns an array, shape (n,) [m]
+        p : shape (n, 3) [m]: positions of the model; positions_at : the same at other readings, shape (n, joints)
         """
 
     def at_rest(self, arrays: Arrays) -> bool:
-        """Whether something at rest was measured (see `read`); without it the base's pose is not identifiable."""
-        return True
+        """Whether something at rest was measured; without it the base's pose is not identifiable.
+
+        By default all but poses that are relative to others.
+        """
+        return "other" not in arrays
 
     def point_names(self, arrays: Arrays) -> Sequence[str]:
         """Name of the unknown point that each pose refers to (see `read`); none where the kind has no such points."""
         return ()
 
     def point_starts(self, arrays: Arrays, p: Array) -> Array:
-        """A first estimate of each pose's unknown point.
-
-        p : Array, shape (n, 3) [m]: positions of the model
-        Returns an array, shape (n, 3) [m]
-        """
+        """A first estimate of each pose's unknown point, shape (n, 3) [m]; p : positions of the model, alike"""
         raise NotImplementedError(f"kind {self.name!r} names unknown points but does not estimate them")
 
     def grown(self, points: Array, origin: Array) -> Array:
-        """How unknown points move where everything grows about a place, for kinds without scale.
+        """How unknown points, shape (K, 3) [m], move where everything grows about a place, for kinds without scale.
 
-        points : Array, shape (K, 3) [m]: unknown points
-        origin : Array, shape (3,) [m]: the place that stays
-        Returns an array, shape (K, 3) [m]: by their own distance from it, by default
+        By their own distance from it, by default; origin : shape (3,) [m]: the place that stays
         """
         return points - origin
 
     def unit_fault(self, arrays: Arrays, p: Array, positions_at: PositionsAt, reach: float) -> str:
         """What is wrong with the lengths, in words, where they must be in another unit; else nothing.
 
-        p : Array, shape (n, 3) [m]: positions of the nominal model
-        reach : of the robot [m]
+        p : shape (n, 3) [m]: positions of the nominal model; reach : of the robot [m]
         """
         return ""

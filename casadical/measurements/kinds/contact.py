@@ -1,6 +1,7 @@
-"""Poses that hold the tool at one point, whose place is unknown."""
+"""Poses that hold the tool at one point, whose place is unknown; the base of all kinds with named unknown points."""
 
 from collections.abc import Iterator, Sequence, Set
+from typing import ClassVar
 
 import numpy as np
 
@@ -10,7 +11,36 @@ from casadical.measurements.columns import Columns
 from casadical.measurements.kinds.base import Arrays, MeasurementKind, PoseExpression, PositionsAt
 
 
-class Contact(MeasurementKind):
+class OfPoints(MeasurementKind):
+    """A kind whose poses refer to unknown points by their labels.
+
+    known : array that says where the points are, so that none is unknown; alone : name of the one without a label
+    """
+
+    known: ClassVar[str] = ""
+    alone: ClassVar[str] = ""
+
+    def at_rest(self, arrays: Arrays) -> bool:
+        return self.known in arrays
+
+    def point_names(self, arrays: Arrays) -> Sequence[str]:
+        return () if self.known in arrays else list(self._labels(arrays))
+
+    def point_starts(self, arrays: Arrays, p: Array) -> Array:
+        starts = np.empty_like(p)
+        for own in each_label(self._labels(arrays)):
+            starts[own] = self.start({name: values[own] for name, values in arrays.items()}, p[own])
+        return starts
+
+    def start(self, arrays: Arrays, p: Array) -> Array:
+        """Of one point, shape (3,) [m], by its own poses; p : shape (n, 3) [m]: positions of the model"""
+        return np.asarray(sum(p) / len(p))
+
+    def _labels(self, arrays: Arrays) -> Array:
+        return arrays["label"] if "label" in arrays else np.full(len(arrays[self.arrays[0]]), self.alone)
+
+
+class Contact(OfPoints):
     """Contact of the measured point with points that are identified too, by their labels.
 
     The reported error is the distance from the mean of all poses at the same point, which is all that can be known.
@@ -45,18 +75,6 @@ class Contact(MeasurementKind):
 
     def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
         return np.asarray(np.linalg.norm(p - self.point_starts(arrays, p), axis=1))
-
-    def at_rest(self, arrays: Arrays) -> bool:
-        return False
-
-    def point_names(self, arrays: Arrays) -> Sequence[str]:
-        return list(arrays["label"])
-
-    def point_starts(self, arrays: Arrays, p: Array) -> Array:
-        _, group = np.unique(arrays["label"].astype(str), return_inverse=True)
-        sums = np.zeros((group.max() + 1, 3))
-        np.add.at(sums, group, p)
-        return np.asarray((sums / np.bincount(group)[:, None])[group])
 
 
 def labels_of(columns: Columns, name: str, meaning: str) -> Array:

@@ -1,6 +1,6 @@
 """Measured distances from the tool to a point at rest, or between its positions at two poses."""
 
-from collections.abc import Sequence, Set
+from collections.abc import Set
 from typing import ClassVar
 
 import casadi as ca
@@ -10,7 +10,7 @@ from casadical.core.basics import Array, InputError
 from casadical.core.transforms import Symbolic
 from casadical.measurements.columns import Columns
 from casadical.measurements.kinds.base import Arrays, MeasurementKind, PoseExpression, PositionsAt
-from casadical.measurements.kinds.contact import each_label, labels_of
+from casadical.measurements.kinds.contact import OfPoints, labels_of
 
 # A pose as near to a far end as this has the same place [m].
 NEAREST = 1e-6
@@ -20,7 +20,7 @@ STEPS, GAIN = 20, 1e-6
 FLAT = 1e-6
 
 
-class Distance(MeasurementKind):
+class Distance(OfPoints):
     """Distance to a point, which is known or identified too."""
 
     name = "distance"
@@ -34,13 +34,15 @@ class Distance(MeasurementKind):
     arrays: ClassVar[tuple[str, ...]] = ("distance",)
     lengths = 1
     by_row: ClassVar[bool] = True
+    known = "target"
+    alone = "far end"
 
     def matches(self, names: Set[str]) -> bool:
         return bool(names & {"distance_mm", "distance_m"})
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
         """Distances [m], their far ends where these are known, and the far ends' names where there are any."""
-        arrays = {"distance": positive_distances(columns)}
+        arrays = {"distance": positive_lengths(columns, "distance")}
         if any(str(name).startswith("to_x") for name in columns.table):
             arrays["target"] = columns.vector("to_")
         if "anchor" in columns.table:
@@ -54,17 +56,8 @@ class Distance(MeasurementKind):
     def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
         return distance_errors(arrays, p, arrays["target"] if "target" in arrays else self.point_starts(arrays, p))
 
-    def at_rest(self, arrays: Arrays) -> bool:
-        return "target" in arrays
-
-    def point_names(self, arrays: Arrays) -> Sequence[str]:
-        return () if "target" in arrays else list(_labels(arrays))
-
-    def point_starts(self, arrays: Arrays, p: Array) -> Array:
-        out = np.empty_like(p)
-        for own in each_label(_labels(arrays)):
-            out[own] = _far_end(arrays["distance"][own], p[own])
-        return out
+    def start(self, arrays: Arrays, p: Array) -> Array:
+        return _far_end(arrays["distance"], p)
 
     def unit_fault(self, arrays: Arrays, p: Array, positions_at: PositionsAt, reach: float) -> str:
         if "target" in arrays:
@@ -73,11 +66,6 @@ class Distance(MeasurementKind):
         moved = float(np.linalg.norm(np.ptp(p, axis=0)))
         distance = arrays["distance"]
         return _fault(distance, reach, np.ptp(distance) > 20 * reach, distance.max() < 0.02 * moved)
-
-
-def _labels(arrays: Arrays) -> Array:
-    """The name of each distance's far end."""
-    return arrays["label"] if "label" in arrays else np.full(len(arrays["distance"]), "far end")
 
 
 def _far_end(distance: Array, p: Array) -> Array:
@@ -108,16 +96,16 @@ def _far_end(distance: Array, p: Array) -> Array:
     return np.asarray(P + centre)
 
 
-def positive_distances(columns: Columns) -> Array:
-    """Column distance_mm or distance_m, shape (n,) [m]. Raises InputError."""
-    distance = columns.si("distance", ("_mm", "_m"))
-    if (distance <= 0).any():
-        row = int(np.argmax(distance <= 0))
+def positive_lengths(columns: Columns, name: str) -> Array:
+    """Column distance_mm or distance_m, or of another name, shape (n,) [m]. Raises InputError."""
+    lengths = columns.si(name, ("_mm", "_m"))
+    if (lengths <= 0).any():
+        row = int(np.argmax(lengths <= 0))
         raise InputError(
-            f"{columns.at(row)}, column 'distance': {1e3 * distance[row]:.4g} mm; a distance must be "
+            f"{columns.at(row)}, column {name!r}: {1e3 * lengths[row]:.4g} mm; a {name} must be "
             "positive (poses at one point are kind 'contact')"
         )
-    return distance
+    return lengths
 
 
 def distance_errors(arrays: Arrays, p: Array, far: Array) -> Array:
@@ -157,16 +145,13 @@ class PairDistance(MeasurementKind):
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
         """Distances [m], and readings at their other ends. Raises InputError: a pose that is not in the table."""
-        return {"distance": positive_distances(columns), "other": q[other_poses(columns)]}
+        return {"distance": positive_lengths(columns, "distance"), "other": q[other_poses(columns)]}
 
     def residual(self, pose: PoseExpression) -> Symbolic:
         return ca.norm_2(pose.p - pose.position_at(pose.take("other", pose.joints))) - pose.take("distance", 1)
 
     def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
         return distance_errors(arrays, p, positions_at(arrays["other"]))
-
-    def at_rest(self, arrays: Arrays) -> bool:
-        return False
 
     def unit_fault(self, arrays: Arrays, p: Array, positions_at: PositionsAt, reach: float) -> str:
         return distance_fault(arrays, p, positions_at(arrays["other"]), reach)

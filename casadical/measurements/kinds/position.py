@@ -1,7 +1,4 @@
-"""Measured positions of the tool, with one noise for all or a covariance at each pose.
-
-Measured positions and orientations of the tool, in the measuring frame or from those of another pose.
-"""
+"""Measured positions of the tool, and orientations, in the measuring frame or from those of another pose."""
 
 import re
 from collections.abc import Set
@@ -94,10 +91,7 @@ class PositionCovariance(Position):
 
 
 def whitening(covariance: Array) -> Array:
-    """What makes noise of these covariances white with their typical sigma, shape (n, 3, 3).
-
-    covariance : shape (n, 3, 3) [m^2]
-    """
+    """What makes noise of covariances, shape (n, 3, 3) [m^2], white with their typical sigma; of the same shape."""
     return np.asarray(typical_sigma(covariance) * whitening_of(covariance).W)
 
 
@@ -228,6 +222,3 @@ class RelativePose(MeasurementKind):
     def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
         way = np.linalg.norm(p - positions_at(arrays["other"]), axis=1)
         return np.asarray(np.abs(way - np.linalg.norm(arrays["shift"], axis=1)))
-
-    def at_rest(self, arrays: Arrays) -> bool:
-        return False

@@ -17,7 +17,7 @@ _OURS = (
     "casadical.measurements.kinds.position:Position",
     "casadical.measurements.kinds.distance:PairDistance",
     "casadical.measurements.kinds.distance:Distance",
-    "casadical.measurements.kinds.dial:Dial",
+    "casadical.measurements.kinds.surfaces:Dial",
     "casadical.measurements.kinds.surfaces:Sphere",
     "casadical.measurements.kinds.surfaces:Plane",
     "casadical.measurements.kinds.contact:Contact",

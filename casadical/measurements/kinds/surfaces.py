@@ -1,6 +1,6 @@
-"""Poses that touch a surface whose place is unknown: a plane, or a ball of known radius."""
+"""Poses that touch a surface whose place is unknown, a plane or a ball of known radius; readings along one axis."""
 
-from collections.abc import Sequence, Set
+from collections.abc import Set
 from typing import ClassVar
 
 import casadi as ca
@@ -9,31 +9,34 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.transforms import Symbolic
 from casadical.measurements.columns import Columns
-from casadical.measurements.kinds.base import Arrays, MeasurementKind, PoseExpression, PositionsAt
-from casadical.measurements.kinds.contact import each_label, touched_often
-from casadical.measurements.kinds.distance import Distance
+from casadical.measurements.kinds.base import Arrays, PoseExpression, PositionsAt
+from casadical.measurements.kinds.contact import OfPoints, each_label, labels_of, touched_often
+from casadical.measurements.kinds.distance import Distance, positive_lengths
 
 # Three touches define a plane; from so many on they tell of the robot.
 PLANE_TOUCHES = 4
 
 
-class Plane(MeasurementKind):
+class Plane(OfPoints):
     """Contact of the measured point with planes that are identified too, by their labels.
 
     A plane of unit normal n at the distance d >= 0 from the frame's origin is the unknown point (1 m + d) n, which has
     a direction wherever the plane lies. The reported error is the distance from the plane that fits all its poses best.
+
+    lever : of the unknown point, in place of 1 m
     """
 
     name = "plane"
     columns = "`plane`: poses of the same name touch the same plane with the measured point"
     unknown = "the planes"
-    fill = ("plane",)
+    fill: ClassVar[tuple[str, ...]] = ("plane",)
     pattern = "plane"
-    arrays = ("label",)
+    arrays: ClassVar[tuple[str, ...]] = ("label",)
     lengths = 1
     places = False
     has_scale = False
     touches = True
+    lever = 1.0
 
     def matches(self, names: Set[str]) -> bool:
         return "plane" in names
@@ -47,27 +50,22 @@ class Plane(MeasurementKind):
     def residual(self, pose: PoseExpression) -> Symbolic:
         point = pose.unknown_point()
         length = ca.norm_2(point)
-        return ca.dot(pose.p, point) / length - (length - 1)
+        return ca.dot(pose.p, point) / length - (length - self.lever)
 
     def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
+        return np.asarray(np.abs(self.heights(arrays, p)))
+
+    def heights(self, arrays: Arrays, p: Array) -> Array:
+        """Distances from the best plane of each label, signed, shape (n,) [m]; p : shape (n, 3) [m]"""
         point = self.point_starts(arrays, p)
         length = np.linalg.norm(point, axis=1)
-        return np.asarray(np.abs((p * point).sum(axis=1) / length - (length - 1)))
+        return np.asarray((p * point).sum(axis=1) / length - (length - self.lever))
 
-    def at_rest(self, arrays: Arrays) -> bool:
-        return False
-
-    def point_names(self, arrays: Arrays) -> Sequence[str]:
-        return list(arrays["label"])
-
-    def point_starts(self, arrays: Arrays, p: Array) -> Array:
-        out = np.empty_like(p)
-        for own in each_label(arrays["label"]):
-            middle = p[own].mean(axis=0)
-            normal = np.linalg.svd(p[own] - middle)[2][2]
-            d = float(normal @ middle)
-            out[own] = (1 + abs(d)) * (normal if d >= 0 else -normal)
-        return out
+    def start(self, arrays: Arrays, p: Array) -> Array:
+        middle = p.mean(axis=0)
+        normal = np.linalg.svd(p - middle)[2][2]
+        d = float(normal @ middle)
+        return np.asarray((1 + abs(d)) * (normal if d >= 0 else -normal))
 
     def grown(self, points: Array, origin: Array) -> Array:
         length = np.linalg.norm(points, axis=1, keepdims=True)
@@ -109,13 +107,7 @@ class Sphere(Distance):
                 f"{columns.source}: column 'radius_mm' is missing; a ball tells nothing of the robot unless its radius "
                 "is known: the ball's and the tip's together, from the data sheet or by a calliper"
             )
-        radius = columns.si("radius", ("_mm", "_m"))
-        if (radius <= 0).any():
-            row = int(np.argmax(radius <= 0))
-            raise InputError(
-                f"{columns.at(row)}, column 'radius': {1e3 * radius[row]:.4g} mm; a radius must be positive (poses at "
-                "one point are kind 'contact')"
-            )
+        radius = positive_lengths(columns, "radius")
         remedy = f"touch it at {BALL_TOUCHES} poses at least, all around"
         label = touched_often(columns, "sphere", BALL_TOUCHES, "it says which ball each pose touches", remedy)
         return {"distance": radius, "label": label}
@@ -125,3 +117,89 @@ class Sphere(Distance):
         if longest < LARGEST * reach:
             return ""
         return f"a radius of {longest:.4g} m does not fit the robot, which reaches {reach:.3g} m; is it radius_mm?"
+
+
+# Direction and zero of a gauge take three numbers; from so many readings on they tell of the robot.
+DIAL_READINGS = 4
+# Known directions whose length is off one by more than this are refused.
+UNIT = 1e-2
+
+
+class Dial(Plane):
+    """How far the measured point is along a gauge's axis, which is known or, with its zero, identified too.
+
+    The gauge of a dial, a height probe or a displacement sensor.
+
+    Along a known axis a reading is the coordinate in the measuring frame; a zero elsewhere moves the base, where that
+    is unknown. Of an unknown axis n, with its zero at the distance d from the frame's origin, (10 m + d) n is the
+    unknown point. The reported error is that of the reading.
+    """
+
+    name = "dial"
+    columns = (
+        "`reading_mm` (or `_m`) that grows along an axis: known `along_x, along_y, along_z`, or none of these; of "
+        "several gauges of unknown axes `dial` names each row's"
+    )
+    unknown = "the axes and their zeros, or none"
+    pattern = "reading_mm?|along_[xyz]|dial"
+    arrays = ("reading",)
+    fill = ("reading_mm",)
+    has_scale = True
+    lever = 10.0
+    known = "axis"
+    alone = "dial"
+
+    def matches(self, names: Set[str]) -> bool:
+        return bool(names & {"reading_mm", "reading_m"})
+
+    def read(self, columns: Columns, q: Array) -> dict[str, Array]:
+        """Readings [m], and their axes or the gauges' names. Raises InputError."""
+        arrays = {"reading": columns.si("reading", ("_mm", "_m"))}
+        if any(str(name).startswith("along_") for name in columns.table):
+            axis = np.stack([columns.column(f"along_{c}") for c in "xyz"], axis=1)
+            length = np.linalg.norm(axis, axis=1)
+            if (np.abs(length - 1) > UNIT).any():
+                row = int(np.argmax(np.abs(length - 1)))
+                raise InputError(
+                    f"{columns.at(row)}, columns 'along_x' to 'along_z': length {length[row]:.4g}; allowed: unit "
+                    "vectors of the measuring frame, such as 0, 0, 1 for a height"
+                )
+            return arrays | {"axis": axis / length[:, None]}
+        if "dial" in columns.table:
+            arrays["label"] = labels_of(columns, "dial", "it names the gauge of each reading")
+        for own in each_label(self._labels(arrays)):
+            if len(own) < DIAL_READINGS:
+                raise InputError(
+                    f"{columns.at(int(own[0]))}, column 'reading': {len(own)} readings of one gauge; its axis and zero "
+                    f"take three: give {DIAL_READINGS} at least, or its axis in along_x, along_y, along_z"
+                )
+        return arrays
+
+    def residual(self, pose: PoseExpression) -> Symbolic:
+        along = ca.dot(pose.p, pose.take("axis", 3)) if pose.point is None else super().residual(pose)
+        return along - pose.take("reading", 1)
+
+    def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
+        along = (p * arrays["axis"]).sum(axis=1) if "axis" in arrays else self.heights(arrays, p)
+        return np.asarray(np.abs(along - arrays["reading"]))
+
+    def start(self, arrays: Arrays, p: Array) -> Array:
+        n, d = _axis(p, arrays["reading"])
+        return np.asarray((self.lever + d) * n)
+
+
+def _axis(p: Array, reading: Array) -> tuple[Array, float]:
+    """Unit vector n and distance d of n.p - d = reading, by least squares with n of length one, shape (n, 3) and (n,).
+
+    Source: the secular equation of least squares on a sphere (Golub and Van Loan 2013, 6.2.1), solved by bisection.
+    """
+    local, left = p - p.mean(axis=0), reading - reading.mean()
+    value, V = np.linalg.eigh(local.T @ local)
+    b = V.T @ (local.T @ left)
+    low, high = -value[0] + 1e-12 * value[-1], -value[0] + np.linalg.norm(b) + value[-1]
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if np.linalg.norm(b / (value + middle)) > 1 else (low, middle)
+    n = V @ (b / (value + high))
+    n = n / max(np.linalg.norm(n), 1e-300)
+    return n, float(n @ p.mean(axis=0) - reading.mean())

@@ -9,7 +9,7 @@ import pandas as pd
 
 from casadical.core.basics import Array, InputError
 from casadical.core.reading import json_of
-from casadical.measurements.columns import in_seconds
+from casadical.measurements.columns import in_seconds, numbers_of
 from casadical.measurements.headings import words_of
 from casadical.measurements.raw_table import RawTable
 from casadical.measurements.vocabulary import UNITS, WORDS
@@ -64,20 +64,21 @@ def logged(raw: RawTable, names: Sequence[str] = (), listed: Sequence[str] = ())
     for heading in raw.header:
         if heading.startswith("time_") or heading not in frame:  # a column without a heading
             continue
-        if scalar := _scalar(heading):
-            scalars.setdefault(scalar, _numbers(frame[heading]))
+        said = {*words_of(heading)[0]}
+        if scalar := next((name for name in SCALARS if said & WORDS[f"log_{name}"]), ""):
+            scalars.setdefault(scalar, numbers_of(frame[heading]))
             continue
         lists = _lists(frame[heading], raw)
-        found = [(*meaning(heading, names), frame[heading])] if lists is None else []
+        parts = [(*meaning(heading, names), frame[heading])] if lists is None else []
         if lists is not None and (channel := _channel(words_of(heading)[0])):
             those = listed or [str(k) for k in range(1, lists.shape[1] + 1)]
             if len(those) != lists.shape[1]:
                 raise InputError(
                     f"{source}: column {heading!r}: lists of {lists.shape[1]} numbers, {len(those)} joints"
                 )
-            found = [(channel, joint, "", column) for joint, column in zip(those, lists.T, strict=True)]
-        for channel, joint, unit, cells in found:
-            values = _numbers(pd.Series(cells))
+            parts = [(channel, joint, "", column) for joint, column in zip(those, lists.T, strict=True)]
+        for channel, joint, unit, cells in parts:
+            values = numbers_of(pd.Series(cells))
             if channel and joint not in channels.get(channel, ()) and np.isfinite(values).any():
                 channels.setdefault(channel, {})[joint] = values
                 units[channel, joint] = unit or _si_name(below.get(heading, ""))
@@ -111,15 +112,6 @@ def _lists(cells: pd.Series, raw: RawTable) -> Array | None:
                 f"{raw.path.name}: row {line}, column {cells.name!r}: {wrong}, {wanted[0]} in the first row; correct it"
             )
     return np.array(rows, dtype=float)
-
-
-def _numbers(cells: pd.Series) -> Array:
-    return pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float)
-
-
-def _scalar(heading: str) -> str:
-    words = {*words_of(heading)[0]}
-    return next((name for name in SCALARS if words & WORDS[f"log_{name}"]), "")
 
 
 def meaning(heading: str, names: Sequence[str]) -> tuple[str, str, str]:
@@ -163,18 +155,18 @@ def _time(raw: RawTable) -> Array:
     """The time of each row [s]. Raises InputError: no column of it."""
     frame = raw.frame
     if "time_s" in frame:
-        return _numbers(frame["time_s"])
+        return numbers_of(frame["time_s"])
     named = [(name, *words_of(name)) for name in raw.header]
-    found = [(name, words, unit) for name, words, unit in named if {*words} & WORDS["time"] or unit == "nanosec"]
-    if not found:
+    clocks = [(name, words, unit) for name, words, unit in named if {*words} & WORDS["time"] or unit == "nanosec"]
+    if not clocks:
         raise InputError(
             f"{raw.path.name}: no column holds the time; name it time_s; there are {', '.join(raw.header)}"
         )
-    whole = next((each for each in found if UNITS.get(each[2], ("", 1.0))[1] != 1e-9), found[0])
+    whole = next((each for each in clocks if UNITS.get(each[2], ("", 1.0))[1] != 1e-9), clocks[0])
     values = in_seconds(frame[whole[0]])
-    fine = [name for name, _, unit in found if name != whole[0] and UNITS.get(unit, ("", 1.0))[1] == 1e-9]
+    fine = [name for name, _, unit in clocks if name != whole[0] and UNITS.get(unit, ("", 1.0))[1] == 1e-9]
     if fine:
-        return np.asarray(values + 1e-9 * _numbers(frame[fine[0]]))
+        return np.asarray(values + 1e-9 * numbers_of(frame[fine[0]]))
     factor = UNITS[whole[2]][1] if UNITS.get(whole[2], ("",))[0] == "s" else stamp_factor(values)
     return np.asarray(values * factor)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.parts import Arm
-from casadical.measurements.angle_unit import MOST_TURNS
+from casadical.measurements.columns import MOST_TURNS
 from casadical.measurements.logs.log import JointLog
 
 DEGREES = float(np.rad2deg(1.0))
@@ -153,8 +153,8 @@ def _fastest(log: JointLog, k: int) -> float:
 
 def _between(log: JointLog) -> Iterator[str]:
     """What the channels of a joint say of each other: delays, signs, order."""
-    if log.speed is not None and (found := _speed_delay(log)) is not None:
-        delay, scale = found
+    if log.speed is not None and (fitted := _speed_delay(log)) is not None:
+        delay, scale = fitted
         if abs(delay) > 0.25 * log.step:
             way = "behind" if delay > 0 else "ahead of"
             yield f"speeds are {1e3 * abs(delay):.1f} ms {way} positions: the delay of the log's own filter"

@@ -44,17 +44,6 @@ class JointLog(Shown):
     row : shape (n,): line of the source, for messages; source : file name or description
     findings : sentences: what was understood, and what is odd
     Raises InputError: arrays that do not fit each other, a time that does not grow, or nothing to diagnose.
-
-    Examples
-    --------
-    >>> from casadical.measurements.logs.log import JointLog
-    >>> t = np.arange(500) / 100
-    >>> q = 0.5 * np.sin(np.column_stack([t, 2 * t]))
-    >>> log = JointLog(t, ("shoulder", "elbow"), q, command=q)
-    >>> len(log), round(log.step, 6), [len(run) for run in log.runs()]
-    (500, 0.01, [500])
-    >>> log[:100].time[-1]
-    0.99
     """
 
     time: Array
@@ -124,14 +113,6 @@ class JointLog(Shown):
         """The rows chosen by mask, slice or indices."""
         given: dict[str, Any] = {name: values[which] for name, values in self.arrays.items()}
         return replace(self, time=self.time[which], run=self.run[which], row=self.row[which], **given)
-
-    def of_joints(self, which: Sequence[int]) -> JointLog:
-        """The log of some joints, by their indices, 0-based, in this order."""
-        given: dict[str, Any] = {
-            name: values[:, list(which)] for name, values in self.arrays.items() if values.ndim == 2
-        }
-        names, kinds = (tuple(each[k] for k in which) for each in (self.joints, self.kinds))
-        return replace(self, joints=names, kinds=kinds, **given)
 
     def runs(self) -> Iterator[JointLog]:
         """The log run by run, without a copy of its numbers."""

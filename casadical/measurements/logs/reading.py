@@ -15,7 +15,7 @@ import pandas as pd
 from casadical.core.basics import Array, InputError
 from casadical.core.parts import Arm
 from casadical.core.reading import read_bytes, unpacked
-from casadical.measurements.angle_unit import RADIANS
+from casadical.measurements.columns import RADIANS
 from casadical.measurements.headings import words_of
 from casadical.measurements.logs.columns import FACTORS, LENGTHS, NAMES, Logged, logged, meaning
 from casadical.measurements.logs.findings import found_in, refuse_other_units, with_signs
@@ -50,16 +50,6 @@ def read_log(
     effort : what stands in the field effort, torque by default; both as [drive] of the robot says where None
     Returns the log in SI; its findings say what was understood, and what is odd.
     Raises InputError: a file that cannot be used; it names file, row and column, and what to do.
-
-    Examples
-    --------
-    >>> from casadical.measurements.logs.reading import read_log
-    >>> t = np.arange(200) / 100
-    >>> rows = pd.DataFrame({"time_s": t, "command1_rad": np.sin(t), "q1_deg": np.degrees(np.sin(t - 0.02))})
-    >>> rows.to_csv("motion.csv", index=False)
-    >>> log = read_log("motion.csv")
-    >>> log.joints, round(float(log.position.max()), 3)
-    (('joint 1',), 1.0)
     """
     path = Path(path)
     if robot and robot.drive:
@@ -88,11 +78,11 @@ def is_log(path: str | Path) -> bool:
         return False
     if {"x_mm", "x_m", "distance_mm"} & {*headings}:  # measured poses
         return False
-    found = {meaning(heading, ())[0] for heading in headings} | {STATES.get(heading, "") for heading in headings}
+    channels = {meaning(heading, ())[0] for heading in headings} | {STATES.get(heading, "") for heading in headings}
     timed = [heading for heading in headings if {*words_of(heading)[0]} & WORDS["time"]]
     motion_alone = all(meaning(heading, ())[0] for heading in headings if heading not in ("run", *timed))
-    driven = bool(found & {"command", "torque", "current"})
-    return bool(timed) and "position" in found and (driven or motion_alone)
+    driven = bool(channels & {"command", "torque", "current"})
+    return bool(timed) and "position" in channels and (driven or motion_alone)
 
 
 def _plain_headings(path: Path) -> tuple[str, ...]:
@@ -156,19 +146,10 @@ def assembled(log: Logged, robot: Arm | None, unit: str | None = None) -> JointL
             if np.isnan(arrays[channel]).all():
                 del arrays[channel]
     notes += _into_si(log, keys, arrays, kinds, unit, robot)
-    unsigned = "abs" in {log.units.get(("current", key)) for key in keys}
     arrays |= {name: log.scalars[name][kept] for name in ("voltage", "payload") if name in log.scalars}
-    return JointLog(
-        time,
-        names,
-        **arrays,
-        current_unsigned=unsigned,
-        run=run,
-        kinds=kinds,
-        row=log.row[kept],
-        source=log.source,
-        findings=(*log.notes, *notes, *odd),
-    )
+    arrays["current_unsigned"] = "abs" in {log.units.get(("current", key)) for key in keys}
+    said = (*log.notes, *notes, *odd)
+    return JointLog(time, names, **arrays, run=run, kinds=kinds, row=log.row[kept], source=log.source, findings=said)
 
 
 def _joints(log: Logged, robot: Arm | None) -> tuple[list[str], tuple[str, ...], tuple[str, ...]]:
@@ -192,13 +173,13 @@ def _joints(log: Logged, robot: Arm | None) -> tuple[list[str], tuple[str, ...],
 
 
 def _by_name(there: Sequence[str], own: Sequence[str]) -> list[str]:
-    """The log's name of each of the robot's joints; fewer where one is not found."""
+    """The log's name of each of the robot's joints; fewer where one is not there."""
 
     def plain(name: str) -> str:
         return re.sub(r"[\W_]+|joint", "", name.casefold())
 
-    found = {plain(key): key for key in there}
-    keys = [found[plain(name)] for name in own if plain(name) in found]
+    keys_of = {plain(key): key for key in there}
+    keys = [keys_of[plain(name)] for name in own if plain(name) in keys_of]
     return keys if len(keys) == len(own) or keys else list(there[: len(own)])
 
 

@@ -36,10 +36,7 @@ def sage(folder: Path) -> Logged:
 
 
 def lerobot(path: Path, table: RawTable, unit: str | None) -> Logged:
-    """A Parquet file of a LeRobot dataset; unit : deg, rad or percent, of angles.
-
-    Raises InputError: where the unit is not given and not sure.
-    """
+    """A Parquet file of a LeRobot dataset; unit : of angles. Raises InputError where it is not given and not sure."""
     about = next((up / "meta" / "info.json" for up in path.parents[:4] if (up / "meta" / "info.json").exists()), None)
     names: Sequence[str] = ()
     if about:
@@ -90,13 +87,13 @@ def bag(path: Path) -> Logged:
                 refuse_many(path, (size := size + len(data)) // 8)
                 message = reader.deserialize(data, connection.msgtype)
                 _keep(streams, connection.topic, connection.msgtype.rsplit("/", 1)[-1], message, received)
-    found = [_of_stream(stream, path) for stream in streams.values()]
-    if not any("position" in log.channels for log in found):
+    logs = [_of_stream(stream, path) for stream in streams.values()]
+    if not any("position" in log.channels for log in logs):
         raise InputError(
             f"{path}: no joint states; there are {', '.join(topics) or 'no topics'}; record /joint_states "
             "(sensor_msgs/msg/JointState) and the controller's state, which has the commands"
         )
-    return joined(sorted(found, key=lambda log: ("position" in log.channels, len(log.time)), reverse=True))
+    return joined(sorted(logs, key=lambda log: ("position" in log.channels, len(log.time)), reverse=True))
 
 
 def _states(topic: str, message: Any) -> Iterator[tuple[tuple[str, ...], str, Any]]:

@@ -18,7 +18,7 @@ from casadical.core.statistics import first_of_best
 from casadical.identification.accuracy import errors, predicted
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import least_margins
-from casadical.measurements.angle_unit import RADIANS
+from casadical.measurements.columns import RADIANS
 from casadical.measurements.measurements import Measurements, same_readings
 from casadical.project.check.findings import Finding
 from casadical.project.check.slip_fit import Fit, Hypothesis

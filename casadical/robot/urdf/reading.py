@@ -3,12 +3,12 @@
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from casadical.core.basics import Array, InputError
-from casadical.core.parts import STANDARD_GRAVITY, Body, Coupling, Joint, Placement, possible_inertia
+from casadical.core.parts import STANDARD_GRAVITY, Body, Coupling, Placement, possible_inertia
 from casadical.robot.axes import Axis, Chain, rows_from_axes
 from casadical.robot.robot import Robot
 from casadical.robot.urdf.tree import Tree, parse_urdf
@@ -64,18 +64,16 @@ def read_urdf(
     chain = read_chain(Path(path), base_link, tip_link)
     if unknown := set(compliant) - set(range(1, len(chain.moving) + 1)):
         raise InputError(f"{path}: compliant joint {min(unknown)} is not there; the chain has 1..{len(chain.moving)}")
-    joints = tuple(
-        replace(
-            _joint(row, j, body, str(path)),
-            compliance=0.0 if i in compliant else None,
-            name=j.name,
-            coupling=_coupling(j, [other.name for other in chain.moving]),
-        )
-        for i, (row, j, body) in enumerate(zip(chain.dh.rows, chain.moving, chain.bodies, strict=True), 1)
-    )
+    joints = []
+    for i, (row, j, body) in enumerate(zip(chain.dh.rows, chain.moving, chain.bodies, strict=True), 1):
+        kind: Literal["revolute", "prismatic"] = "prismatic" if j.type == "prismatic" else "revolute"
+        lower, upper = _range(j, str(path))
+        soft, coupling = 0.0 if i in compliant else None, _coupling(j, [other.name for other in chain.moving])
+        more = {"compliance": soft, "body": body, "coupling": coupling, "name": j.name}
+        joints.append(replace(row, kind=kind, lower=lower, upper=upper, **more))
     return Robot(
         name=chain.name,
-        joints=joints,
+        joints=tuple(joints),
         base=Placement(chain.dh.base, "pose"),
         tool=Placement(chain.dh.tool, "position"),
         gravity=-STANDARD_GRAVITY * chain.dh.base[:3, :3].T @ chain.up,
@@ -143,16 +141,17 @@ def _coupling(joint: Any, names: list[str]) -> Coupling | None:
     return Coupling(((names.index(joint.mimic.joint) + 1, factor),), float(plus or 0.0))
 
 
-def _joint(row: Joint, joint: Any, body: Body | None, source: str) -> Joint:
+def _range(joint: Any, source: str) -> tuple[float, float]:
+    """Ends of a joint's range [rad or m]. Raises InputError where it has none."""
     if joint.type == "continuous":
-        return replace(row, lower=-_FULL_TURN, upper=_FULL_TURN, body=body)
+        return -_FULL_TURN, _FULL_TURN
     lower, upper = (float(getattr(joint.limit, side, None) or 0.0) for side in ("lower", "upper"))
     if not -np.inf < lower < upper < np.inf:
         raise InputError(
             f"{source}: joint {joint.name!r} has the range [{lower:g}, {upper:g}]; give it a <limit> with lower < "
             "upper (rad or m), or make it continuous"
         )
-    return replace(row, kind=joint.type, lower=lower, upper=upper, body=body)
+    return lower, upper
 
 
 def _bodies(

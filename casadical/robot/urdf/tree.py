@@ -57,13 +57,22 @@ class Tree:
         self.names: list[str] = [link.name for link in urdf.links]
         self.above: dict[str, Any] = {}
         self.below: dict[str, list[Any]] = {name: [] for name in self.names}
-        _refuse_repeated(urdf, source)
+        for kind, items in (("link", urdf.links), ("joint", urdf.joints)):
+            names = [item.name for item in items]
+            if twice := sorted({n for n in names if names.count(n) > 1}):
+                raise InputError(f"{source}: {kind} names occur twice: {', '.join(twice)}; each must be unique")
         if not self.names:
             raise InputError(f"{source}: holds no link; a xacro must be expanded first")
         for j in urdf.joints:
             self._attach(j)
         for name in self.names:
-            self._refuse_cycle(name)
+            link = name
+            for _ in self.names:  # a ring above it is told of its own links
+                if link not in self.above:
+                    break
+                link = self.above[link].parent
+                if link == name:
+                    raise InputError(f"{source}: link {name!r} is below itself; a URDF is a tree")
 
     def _attach(self, j: Any) -> None:
         for end in (j.parent, j.child):
@@ -76,13 +85,6 @@ class Tree:
             )
         self.above[j.child] = j
         self.below[j.parent].append(j)
-
-    def _refuse_cycle(self, name: str) -> None:
-        link = name
-        while link in self.above:
-            link = self.above[link].parent
-            if link == name:
-                raise InputError(f"{self.source}: link {name!r} is below itself; a URDF is a tree")
 
     @property
     def root(self) -> str:
@@ -162,10 +164,3 @@ class Tree:
         if not np.isfinite(item.origin).all():
             raise InputError(f"{self.source}: an origin holds a number that is not finite: {item.origin.tolist()}")
         return np.asarray(item.origin)
-
-
-def _refuse_repeated(urdf: Any, source: str) -> None:
-    for kind, items in (("link", urdf.links), ("joint", urdf.joints)):
-        names = [item.name for item in items]
-        if twice := sorted({n for n in names if names.count(n) > 1}):
-            raise InputError(f"{source}: {kind} names occur twice: {', '.join(twice)}; each must be unique")

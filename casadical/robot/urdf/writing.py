@@ -9,7 +9,6 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from casadical.core.basics import Array, InputError
-from casadical.core.files import write_whole
 from casadical.core.parts import Body
 from casadical.core.transforms import frame, from_rpy, to_rpy
 from casadical.robot.axes import row_matrix
@@ -25,30 +24,6 @@ TIP = "measured"
 EFFORT, VELOCITY = "1e4", "10"
 
 
-def calibrated_urdf(
-    robot_before: Robot,
-    robot_calibrated: Robot,
-    path_in: str | Path,
-    path_out: str | Path,
-    base_link: str | None = None,
-    tip_link: str | None = None,
-    base: Literal["robot", "measuring"] = "robot",
-    measured_link: str | None = None,
-) -> None:
-    """Write the URDF `path_in` with the calibrated geometry to `path_out`, whole or not at all.
-
-    From base link to measured point the new file's kinematics are those of the calibrated robot without compliance and
-    effects, for which a URDF has no place: a comment in the file says so. Who uses the file without adding the
-    deflections does better with a robot identified as rigid (method KM), whose geometry takes up part of them. Meshes,
-    inertias and limits stay as they are; every link keeps its place against its own joint's axis.
-
-    Raises InputError: another robot than that of the file, a closed loop, a tool that has moved where no fixed joint
-        can take it, a taken name; and what `read_urdf` raises.
-    """
-    text = calibrated_urdf_text(robot_before, robot_calibrated, path_in, base_link, tip_link, base, measured_link)
-    write_whole(Path(path_out), text)
-
-
 def calibrated_urdf_text(
     robot_before: Robot,
     robot_calibrated: Robot,
@@ -58,16 +33,26 @@ def calibrated_urdf_text(
     base: Literal["robot", "measuring"] = "robot",
     measured_link: str | None = None,
 ) -> str:
-    """What `calibrated_urdf` writes."""
+    """The text of the URDF `path_in` with the calibrated geometry.
+
+    From base link to measured point the new file's kinematics are those of the calibrated robot without compliance and
+    effects, for which a URDF has no place: a comment in the file says so. Who uses the file without adding the
+    deflections does better with a robot identified as rigid (method KM), whose geometry takes up part of them. Meshes,
+    inertias and limits stay as they are; every link keeps its place against its own joint's axis.
+
+    Raises InputError: another robot than that of the file, a closed loop, a tool that has moved where no fixed joint
+        can take it, a taken name; and what `read_urdf` raises.
+    """
     path_in = Path(path_in)
     chain = read_chain(path_in, base_link, tip_link)
     _refuse_other_robot(chain, robot_before, robot_calibrated, str(path_in))
     document = parse_xml(path_in)
     foot = chain.dh.base if base == "robot" else robot_calibrated.base.T
     for name, T in _joint_origins(chain, robot_calibrated, foot).items():
-        _set_origin(document, name, T)
+        _write_frame(_part(document, name, "origin"), T)
     for i, moving in enumerate(chain.moving, 1):
-        _set_dynamics(document, moving.name, _dynamics(robot_calibrated, i))
+        for name, value in _dynamics(robot_calibrated, i).items():
+            _part(document, moving.name, "dynamics").setAttribute(name, value)
     if measured_link:
         tip = np.linalg.inv(chain.dh.tool)
         _add_link(document, chain.tip_link, measured_link, tip @ robot_calibrated.tool.T)
@@ -119,7 +104,7 @@ def _move_tip(document: minidom.Document, chain: UrdfChain, tool: Array, source:
             f"{chain.moving[-1].name!r} itself; name a new link for the measured point as measured_link"
         )
     before = np.linalg.inv(chain.dh.frames[-1]) @ chain.frames[chain.fixed_tip.parent]
-    _set_origin(document, chain.fixed_tip.name, np.linalg.inv(before) @ tool)
+    _write_frame(_part(document, chain.fixed_tip.name, "origin"), np.linalg.inv(before) @ tool)
 
 
 def _children(element: minidom.Element, tag: str) -> list[minidom.Element]:
@@ -131,27 +116,14 @@ def _root(document: minidom.Document) -> minidom.Element:
     return document.documentElement
 
 
-def _set_dynamics(document: minidom.Document, joint: str, known: dict[str, str]) -> None:
-    if known:
-        element = _named_joint(document, joint)
-        dynamics = next(iter(_children(element, "dynamics")), None)
-        if dynamics is None:
-            dynamics = element.appendChild(document.createElement("dynamics"))
-        for name, value in known.items():
-            dynamics.setAttribute(name, value)
-
-
-def _named_joint(document: minidom.Document, name: str) -> minidom.Element:
-    return next(j for j in _children(_root(document), "joint") if j.getAttribute("name") == name)
-
-
-def _set_origin(document: minidom.Document, joint: str, T: Array) -> None:
-    element = _named_joint(document, joint)
-    origin = next(iter(_children(element, "origin")), None)
-    if origin is None:
-        origin = document.createElement("origin")
-        element.insertBefore(origin, element.firstChild)
-    _write_frame(origin, T)
+def _part(document: minidom.Document, joint: str, tag: str) -> minidom.Element:
+    """An element of a joint, made where there is none: an origin as the first, others as the last."""
+    element = next(j for j in _children(_root(document), "joint") if j.getAttribute("name") == joint)
+    if parts := _children(element, tag):
+        return parts[0]
+    made = document.createElement(tag)
+    element.insertBefore(made, element.firstChild if tag == "origin" else None)
+    return made
 
 
 def _write_frame(origin: minidom.Element, T: Array) -> None:

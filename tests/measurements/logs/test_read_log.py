@@ -76,7 +76,6 @@ def test_missing_cells_are_nan_and_arrays_cannot_be_written(tmp_path) -> None:
     with pytest.raises(ValueError, match="read-only"):
         log.current[0, 0] = 1.0
     assert log[5:10].row.tolist() == [7, 8, 9, 10, 11]
-    assert log.of_joints([1]).joints == ("joint 2",)
 
 
 def test_rtde_table_with_zero_based_numbers(tmp_path) -> None:
