@@ -8,7 +8,7 @@ loss), of known separations between points, and of priors where they are asked f
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, reduce
 from itertools import chain
 
@@ -423,6 +423,10 @@ class LeastSquares:
 
     def redundancies(self, v: Array) -> Array:
         """Degrees of freedom of each observed number, one less its leverage; they sum to those of the fit."""
+        shares: Array = self.kept.redundancies(v, self._redundancies)
+        return shares
+
+    def _redundancies(self, v: Array) -> Array:
         inverse = scaled_inverse(self.gradient(v)[1])
         return np.concatenate([1 - w * np.einsum("ij,ij->i", J @ inverse, J) for w, J in self._weighted(v)])
 
@@ -449,6 +453,55 @@ class LeastSquares:
             other.kept.sums(np.zeros(other.size), lambda _: sums.for_variables(columns))
             other.gradient(np.zeros(other.size))
         return other
+
+
+# Steps of the settling of a robust loss at most, and what the last one gains [chi-squared].
+SETTLING, LAST_GAIN = 10, 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised(LeastSquares):
+    """A problem whose residuals are those of another one at a point, and linear in v about it.
+
+    of : the other problem, which differs in loss and sigmas; at : the point, shape (size,)
+    """
+
+    of: LeastSquares = field(kw_only=True)
+    at: Array = field(kw_only=True)
+
+    @classmethod
+    def about(cls, problem: LeastSquares, v: Array, loss: Loss) -> Linearised:
+        """A problem about the point v, with another loss."""
+        own = {f.name: getattr(problem, f.name) for f in fields(LeastSquares) if f.init}
+        made = cls(**own | {"loss": loss}, of=problem, at=v)
+        made.kept.made.update(labels=problem.labels, points=problem.points)
+        return made
+
+    def with_sigmas(self, sigmas: tuple[tuple[float, float], ...]) -> Linearised:
+        """The same with other sigmas, one of a coordinate [m] and of an angle [rad] for each set."""
+        other = replace(self, sigmas=sigmas)
+        other.kept.made.update(labels=self.labels, points=self.points)
+        return other
+
+    def settled(self, v: Array) -> Array:
+        """The optimum without bounds, by reweighted least squares from v, shape (size,) (Huber and Ronchetti 2009)."""
+        for _ in range(SETTLING):
+            g, H = self.gradient(v)
+            step = scaled_inverse(H) @ g
+            v = v - step
+            if 0.5 * g @ step < LAST_GAIN:
+                break
+        return v
+
+    def _evaluated(self, v: Array) -> Iterator[_Part]:
+        kinds = [find_kind(m.kind) for m in self.sets]
+        ratios = np.array(self.of.sigmas) / np.array(self.sigmas)
+        for k, r, J in self.of._parts(self.at):
+            r = r + (J @ (v - self.at)).reshape(r.shape)
+            if k < len(kinds) and (ratios[k] != 1.0).any():
+                unit = np.repeat(ratios[k], [kinds[k].lengths, kinds[k].angles])
+                r, J = r * unit, (J.reshape(len(r), len(unit), -1) * unit[:, None]).reshape(J.shape)
+            yield k, r, J
 
 
 def _with_rows(R: Array, J: Array) -> Array:

@@ -275,6 +275,7 @@ class Kept:
     def __init__(self) -> None:
         self.made: dict[str, Any] = {}
         self.sums, self.parts, self.gradient, self.cost = Last(), Last(), Last(), Last()
+        self.redundancies = Last()
 
     def once(self, name: str, compute: Callable[[], T]) -> T:
         """What was computed under this name, or now."""
