@@ -217,15 +217,17 @@ class LeastSquares:
             known = zip(self.names, value.tolist(), strict=True)
             start[: len(value)] = (np.array([self.near.get(n, v) for n, v in known]) - value) / self.scale
             start = np.clip(start, *self.bounds)
+        creeps = bool(self.guesses.any() or self.known)
+        settled = self._settled if creeps else None
         solution = minimise(
-            self.cost, self.gradient, *self.bounds, scale=scale, start=start, progress=progress, settled=self._settled
+            self.cost, self.gradient, *self.bounds, scale=scale, start=start, progress=progress, settled=settled
         )
         sharp = solution.status == ACCEPTABLE and self.decrement(solution.v) < ROUND_OFF
         return replace(solution, message=OPTIMUM) if sharp else solution
 
     def _settled(self, v: Array) -> bool:
         """Whether little is left to gain, where what priors hold makes the search creep."""
-        return bool(self.guesses.any() or self.known) and self.decrement(v) < SETTLED
+        return self.decrement(v) < SETTLED
 
     def cost(self, v: Array) -> float:
         """Half the sum of squares at v, through the robust loss, with the priors.
