@@ -443,6 +443,16 @@ class LeastSquares:
         other.kept.made.update(points=points)
         return other
 
+    def with_loss(self, loss: Loss) -> LeastSquares:
+        """With another loss: data, points, which parameters are independent, and residuals at the start stay."""
+        other = replace(self, loss=loss)
+        other.kept.made.update(self.kept.made)
+        if parts := self.kept.parts.at_zero:
+            zero = np.zeros(self.size)
+            other.kept.parts.keep(zero, parts)
+            other._sums(zero)
+        return other
+
     def with_names(self, names: Sequence[str]) -> LeastSquares:
         """With others of the robot's parameters: data and, of some of the same, the sums at the start stay."""
         other = replace(self, names=tuple(names))

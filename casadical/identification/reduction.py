@@ -137,7 +137,7 @@ def solve_by_auto(
     if plain is not None and _surely_without_outliers(*plain[:2]):
         return plain, ()
     try:
-        robust = solve_without_outliers(replace(problem, loss="huber"), rounds, progress)
+        robust = solve_without_outliers(problem.with_loss("huber"), rounds, progress)
     except ConvergenceError:  # it creeps on few rows, where all that it is for are outliers
         robust = None
     if robust is not None and robust[1]:
@@ -147,6 +147,8 @@ def solve_by_auto(
 
 # Share of the bound of outliers up to which poses are surely none; of fewer numbers a variable a fit hides some.
 SURELY, TELLING_NUMBERS = 0.9, 3
+# Square of a residual, in units of their spread, with which a pose is an outlier at a glance.
+EVIDENT = 100.0
 
 
 def _surely_without_outliers(problem: LeastSquares, solution: Solution) -> bool:
@@ -157,7 +159,8 @@ def _surely_without_outliers(problem: LeastSquares, solution: Solution) -> bool:
     """
     v, (lower, upper) = solution.v, problem.bounds
     few = problem.residual_count < TELLING_NUMBERS * problem.size
-    if few or problem.at_bounds(v).any() or not _misfit(problem, v) < POOR_FIT * problem.robot.reach:
+    far = any(((r**2).sum(axis=1) > EVIDENT * robust_std(r) ** 2).any() for r in problem.residuals(v))
+    if far or few or problem.at_bounds(v).any() or not _misfit(problem, v) < POOR_FIT * problem.robot.reach:
         return False
     robust = Linearised.about(problem, v, "huber")
     for k in range(SIGMA_ROUNDS):
@@ -219,7 +222,7 @@ def reduce_and_solve(
     solve ends, is added: the compliance of an upright first axis, once the base is found to be tilted. Raises
     InputError where the data determine no parameter at all, or are no more numbers than there are unknowns.
     """
-    analysis = independent_parameters(problem)
+    analysis = problem.kept.once("independent", lambda: independent_parameters(problem))
     reduced = problem.with_names(analysis.independent)
     if not problem.priors and reduced.degrees_of_freedom <= 0:
         raise InputError(
