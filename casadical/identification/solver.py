@@ -164,10 +164,11 @@ class _Solver:
         # Numbers go in and out through memory of its own, without CasADi's conversions.
         self._given = {name: np.zeros(size) for name in ("x0", "lbx", "ubx")}
         self._optimum = np.zeros(size)
+        self._buffer: Any
         self._buffer, self._run = self._solve.buffer()
         for name, values in self._given.items():
-            self._buffer.set_arg(self._solve.index_in(name), memoryview(values))
-        self._buffer.set_res(self._solve.index_out("x"), memoryview(self._optimum))
+            self._buffer.set_arg(self._solve.index_in(name), values.data)
+        self._buffer.set_res(self._solve.index_out("x"), self._optimum.data)
 
     def solve(self, start: Array, lower: Array, upper: Array) -> tuple[Array, str]:
         """The optimum, shape (size,), and Ipopt's status."""
