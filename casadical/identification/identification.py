@@ -23,8 +23,8 @@ from casadical.identification.least_squares import LeastSquares, first_sigmas
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against
 from casadical.identification.prior import Prior, carry_over
-from casadical.identification.reduction import SCREENINGS, solve_without_outliers
-from casadical.identification.residuals import ALL_LOSSES, AnyLoss
+from casadical.identification.reduction import SCREENINGS, solve_by_auto, solve_without_outliers
+from casadical.identification.residuals import ALL_LOSSES, AnyLoss, Loss
 from casadical.identification.result import Identification, Tried, learnt_from, without_poses
 from casadical.identification.sessions import place_sessions, with_sessions
 from casadical.identification.solver import Progress
@@ -326,13 +326,6 @@ def calibrated(
     """
     robot, sets, prior = prepared.robot, prepared.sets, prepared.prior
     free = (free,) if isinstance(free, str) else tuple(free)
-    if loss == "auto":
-        by = partial(calibrated, prepared, free, priors=priors, progress=progress)
-        try:
-            robust = by(loss="huber", screen=screen)
-        except ConvergenceError:  # it creeps on few rows, where all that it is for are outliers
-            return by(loss="linear")
-        return robust if robust.outliers else by(loss="linear")
     if loss not in ALL_LOSSES:
         raise InputError(f"loss {loss!r} is not known; allowed: {', '.join(ALL_LOSSES)}")
     if prior.free:
@@ -344,8 +337,10 @@ def calibrated(
         raise InputError(
             f"free={list(wanted)} chooses no parameter of {robot.name}; groups: {', '.join(start.parameters.groups)}"
         )
-    problem = LeastSquares(start, sets, names, loss, priors, first_sigmas(sets), known=prior.known, near=near or {})
-    (reduced, solution, found), outliers = solve_without_outliers(problem, SCREENINGS if screen else 0, progress)
+    plain: Loss = "linear" if loss == "auto" else loss
+    problem = LeastSquares(start, sets, names, plain, priors, first_sigmas(sets), known=prior.known, near=near or {})
+    solve = solve_by_auto if loss == "auto" else solve_without_outliers
+    (reduced, solution, found), outliers = solve(problem, SCREENINGS if screen else 0, progress)
     placed = start.effect_values != robot.effect_values  # base and tool of further sessions
     result = Identification(
         given=replace(robot, effect_values=start.effect_values) if placed else robot,
@@ -353,7 +348,7 @@ def calibrated(
         robot=start.with_values(reduced.values(solution.v)),
         measurements=sets,
         method=prepared.method or "identify",
-        loss=loss,
+        loss=reduced.loss,
         identifiability=found,
         problem=reduced,
         solution=solution,

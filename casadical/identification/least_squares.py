@@ -8,7 +8,7 @@ loss), of known separations between points, and of priors where they are asked f
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, reduce
 from itertools import chain
 
@@ -217,15 +217,17 @@ class LeastSquares:
             known = zip(self.names, value.tolist(), strict=True)
             start[: len(value)] = (np.array([self.near.get(n, v) for n, v in known]) - value) / self.scale
             start = np.clip(start, *self.bounds)
+        creeps = bool(self.guesses.any() or self.known)
+        settled = self._settled if creeps else None
         solution = minimise(
-            self.cost, self.gradient, *self.bounds, scale=scale, start=start, progress=progress, settled=self._settled
+            self.cost, self.gradient, *self.bounds, scale=scale, start=start, progress=progress, settled=settled
         )
         sharp = solution.status == ACCEPTABLE and self.decrement(solution.v) < ROUND_OFF
         return replace(solution, message=OPTIMUM) if sharp else solution
 
     def _settled(self, v: Array) -> bool:
         """Whether little is left to gain, where what priors hold makes the search creep."""
-        return bool(self.guesses.any() or self.known) and self.decrement(v) < SETTLED
+        return self.decrement(v) < SETTLED
 
     def cost(self, v: Array) -> float:
         """Half the sum of squares at v, through the robust loss, with the priors.
@@ -423,6 +425,10 @@ class LeastSquares:
 
     def redundancies(self, v: Array) -> Array:
         """Degrees of freedom of each observed number, one less its leverage; they sum to those of the fit."""
+        shares: Array = self.kept.redundancies(v, self._redundancies)
+        return shares
+
+    def _redundancies(self, v: Array) -> Array:
         inverse = scaled_inverse(self.gradient(v)[1])
         return np.concatenate([1 - w * np.einsum("ij,ij->i", J @ inverse, J) for w, J in self._weighted(v)])
 
@@ -437,6 +443,16 @@ class LeastSquares:
         other.kept.made.update(points=points)
         return other
 
+    def with_loss(self, loss: Loss) -> LeastSquares:
+        """With another loss: data, points, which parameters are independent, and residuals at the start stay."""
+        other = replace(self, loss=loss)
+        other.kept.made.update(self.kept.made)
+        if parts := self.kept.parts.at_zero:
+            zero = np.zeros(self.size)
+            other.kept.parts.keep(zero, parts)
+            other._sums(zero)
+        return other
+
     def with_names(self, names: Sequence[str]) -> LeastSquares:
         """With others of the robot's parameters: data and, of some of the same, the sums at the start stay."""
         other = replace(self, names=tuple(names))
@@ -449,6 +465,55 @@ class LeastSquares:
             other.kept.sums(np.zeros(other.size), lambda _: sums.for_variables(columns))
             other.gradient(np.zeros(other.size))
         return other
+
+
+# Steps of the settling of a robust loss at most, and what the last one gains [chi-squared].
+SETTLING, LAST_GAIN = 10, 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised(LeastSquares):
+    """A problem whose residuals are those of another one at a point, and linear in v about it.
+
+    of : the other problem, which differs in loss and sigmas; at : the point, shape (size,)
+    """
+
+    of: LeastSquares = field(kw_only=True)
+    at: Array = field(kw_only=True)
+
+    @classmethod
+    def about(cls, problem: LeastSquares, v: Array, loss: Loss) -> Linearised:
+        """A problem about the point v, with another loss."""
+        own = {f.name: getattr(problem, f.name) for f in fields(LeastSquares) if f.init}
+        made = cls(**own | {"loss": loss}, of=problem, at=v)
+        made.kept.made.update(labels=problem.labels, points=problem.points)
+        return made
+
+    def with_sigmas(self, sigmas: tuple[tuple[float, float], ...]) -> Linearised:
+        """The same with other sigmas, one of a coordinate [m] and of an angle [rad] for each set."""
+        other = replace(self, sigmas=sigmas)
+        other.kept.made.update(labels=self.labels, points=self.points)
+        return other
+
+    def settled(self, v: Array) -> Array:
+        """The optimum without bounds, by reweighted least squares from v, shape (size,) (Huber and Ronchetti 2009)."""
+        for _ in range(SETTLING):
+            g, H = self.gradient(v)
+            step = scaled_inverse(H) @ g
+            v = v - step
+            if 0.5 * g @ step < LAST_GAIN:
+                break
+        return v
+
+    def _evaluated(self, v: Array) -> Iterator[_Part]:
+        kinds = [find_kind(m.kind) for m in self.sets]
+        ratios = np.array(self.of.sigmas) / np.array(self.sigmas)
+        for k, r, J in self.of._parts(self.at):
+            r = r + (J @ (v - self.at)).reshape(r.shape)
+            if k < len(kinds) and (ratios[k] != 1.0).any():
+                unit = np.repeat(ratios[k], [kinds[k].lengths, kinds[k].angles])
+                r, J = r * unit, (J.reshape(len(r), len(unit), -1) * unit[:, None]).reshape(J.shape)
+            yield k, r, J
 
 
 def _with_rows(R: Array, J: Array) -> Array:

@@ -19,7 +19,7 @@ from casadical.identification.identifiability import (
     analyse,
     drop_poor,
 )
-from casadical.identification.least_squares import LeastSquares
+from casadical.identification.least_squares import LeastSquares, Linearised
 from casadical.identification.residuals import POINT_SCALE
 from casadical.identification.solver import Progress, Solution
 from casadical.measurements.kinds.registry import find_kind
@@ -33,6 +33,8 @@ LEAST_REDUNDANCY = 0.1
 TELLING = 10.0
 SCREENINGS = 8
 SIGMA_ROUNDS = 6
+# Sigmas that change by less, as a logarithm, are the last ones.
+SAME_SIGMA = 0.03
 # Where the data are free of noise, so that nothing is divided by zero.
 LEAST_SIGMA = 1e-9
 
@@ -47,11 +49,16 @@ def _solve_with_sigmas(problem: LeastSquares, progress: Progress | None, optima:
         if not matters:
             break
         sigmas = _estimated_sigmas(*solved[:2])
-        change = np.abs(np.log(np.array(sigmas) / np.array(problem.sigmas))).max()
+        change = _change(problem.sigmas, sigmas)
         problem = replace(problem, sigmas=sigmas)
-        if change < 0.03:
+        if change < SAME_SIGMA:
             break
     return solved
+
+
+def _change(before: Sequence[tuple[float, float]], now: Sequence[tuple[float, float]]) -> float:
+    """The greatest of all sigmas' changes, as a logarithm."""
+    return float(np.abs(np.log(np.array(now) / np.array(before))).max())
 
 
 def _with_freedom(problem: LeastSquares, solution: Solution) -> list[tuple[Array, Array]]:
@@ -119,13 +126,60 @@ def solve_without_outliers(
     return solved, tuple((k, int(i)) for k, left in enumerate(out) for i in left)
 
 
-def outlier_masks(problem: LeastSquares, solution: Solution) -> list[Array]:
-    """Masks of the poses whose residuals noise of their spread would exceed once in 100 000."""
+def solve_by_auto(
+    problem: LeastSquares, rounds: int, progress: Progress | None
+) -> tuple[Solved, tuple[tuple[int, int], ...]]:
+    """Solve with the loss huber where that finds outliers, else with the linear one of the problem."""
+    try:
+        plain = _solve_with_sigmas(problem, progress, {})
+    except (ConvergenceError, InputError):  # outliers may be the cause
+        plain = None
+    if plain is not None and _surely_without_outliers(*plain[:2]):
+        return plain, ()
+    try:
+        robust = solve_without_outliers(problem.with_loss("huber"), rounds, progress)
+    except ConvergenceError:  # it creeps on few rows, where all that it is for are outliers
+        robust = None
+    if robust is not None and robust[1]:
+        return robust
+    return plain or _solve_with_sigmas(problem, progress, {}), ()
+
+
+# Share of the bound of outliers up to which poses are surely none; of fewer numbers a variable a fit hides some.
+SURELY, TELLING_NUMBERS = 0.9, 3
+# Square of a residual, in units of their spread, with which a pose is an outlier at a glance.
+EVIDENT = 100.0
+
+
+def _surely_without_outliers(problem: LeastSquares, solution: Solution) -> bool:
+    """Whether the huber loss would find no outliers, by residuals that are linear in v about the fit without it.
+
+    Not where that fit has few numbers, stands at a bound or leaves more than a model may: the other loss may have
+    another optimum.
+    """
+    v, (lower, upper) = solution.v, problem.bounds
+    few = problem.residual_count < TELLING_NUMBERS * problem.size
+    far = any(((r**2).sum(axis=1) > EVIDENT * robust_std(r) ** 2).any() for r in problem.residuals(v))
+    if far or few or problem.at_bounds(v).any() or not _misfit(problem, v) < POOR_FIT * problem.robot.reach:
+        return False
+    robust = Linearised.about(problem, v, "huber")
+    for k in range(SIGMA_ROUNDS):
+        sigmas = _estimated_sigmas(robust, replace(solution, v=v))
+        if k and _change(robust.sigmas, sigmas) < SAME_SIGMA:
+            break
+        robust = robust.with_sigmas(sigmas)
+        v = robust.settled(v)
+    inside = bool((lower < v).all() and (v < upper).all())
+    return inside and not any(far.any() for far in outlier_masks(robust, replace(solution, v=v), SURELY))
+
+
+def outlier_masks(problem: LeastSquares, solution: Solution, share: float = 1.0) -> list[Array]:
+    """Masks of the poses whose residuals noise of their spread would exceed once in 100 000; share : of that bound."""
     masks = []
     for r, freedom in _with_freedom(problem, solution):
         # A pose that draws the fit towards itself shows little of its error.
         z = r / np.sqrt(np.maximum(freedom, LEAST_REDUNDANCY))
-        masks.append((z**2).sum(axis=1) > OUTLIER_CHI2[r.shape[1]] * robust_std(z) ** 2)
+        masks.append((z**2).sum(axis=1) > share * OUTLIER_CHI2[r.shape[1]] * robust_std(z) ** 2)
     return masks
 
 
@@ -168,7 +222,7 @@ def reduce_and_solve(
     solve ends, is added: the compliance of an upright first axis, once the base is found to be tilted. Raises
     InputError where the data determine no parameter at all, or are no more numbers than there are unknowns.
     """
-    analysis = independent_parameters(problem)
+    analysis = problem.kept.once("independent", lambda: independent_parameters(problem))
     reduced = problem.with_names(analysis.independent)
     if not problem.priors and reduced.degrees_of_freedom <= 0:
         raise InputError(

@@ -117,7 +117,7 @@ class _Solver:
     progress: Progress | None
     settled: Callable[[Array], bool] | None
 
-    def __init__(self, size: int, most: int) -> None:
+    def __init__(self, size: int, most: int, watched: bool) -> None:
         vector, upper, none = ca.Sparsity.dense(size, 1), ca.Sparsity.upper(size), ca.Sparsity(0, 0)
         number = ca.Sparsity.dense(1, 1)
         self._lower = np.tril_indices(size)
@@ -129,8 +129,8 @@ class _Solver:
         h = _Evaluation("nlp_hess_l", weighed, {"hess_gamma_x_x": upper}, self._hessian)
         v = ca.MX.sym("v", size)
         sizes = {"x": vector, "f": number, "lam_x": vector}
-        watched = {name: sizes.get(name, ca.Sparsity(0, 1)) for name in ca.nlpsol_out()}
-        watch = _Evaluation("watch", watched, {"stop": number}, self._stop)
+        point = {name: sizes.get(name, ca.Sparsity(0, 1)) for name in ca.nlpsol_out()}
+        watch = _Evaluation("watch", point, {"stop": number}, self._stop)
         options: dict[str, Any] = {
             "iteration_callback": watch,
             "grad_f": g,
@@ -157,8 +157,25 @@ class _Solver:
                 "acceptable_obj_change_tol": 1e-9,
             },
         }
+        if not watched:
+            del options["iteration_callback"]
         self._keep = f, g, h, watch
-        self.solve = ca.nlpsol("identify", "ipopt", {"x": v, "f": f(v)}, options)
+        self._solve = ca.nlpsol("identify", "ipopt", {"x": v, "f": f(v)}, options)
+        # Numbers go in and out through memory of its own, without CasADi's conversions.
+        self._given = {name: np.zeros(size) for name in ("x0", "lbx", "ubx")}
+        self._optimum = np.zeros(size)
+        self._buffer: Any
+        self._buffer, self._run = self._solve.buffer()
+        for name, values in self._given.items():
+            self._buffer.set_arg(self._solve.index_in(name), values.data)
+        self._buffer.set_res(self._solve.index_out("x"), self._optimum.data)
+
+    def solve(self, start: Array, lower: Array, upper: Array) -> tuple[Array, str]:
+        """The optimum, shape (size,), and Ipopt's status."""
+        for values, of in zip(self._given.values(), (start, lower, upper), strict=True):
+            values[:] = of
+        self._run()
+        return self._optimum.copy(), str(self._solve.stats(1)["return_status"])
 
     def _stop(self, v: Array, *_: Array) -> Sequence[Array | float]:
         """Whether to stop after an iteration: where the last ones gained nothing that counts, and little is left."""
@@ -181,7 +198,7 @@ class _Solver:
 
 
 class _Solvers(threading.local):
-    """Those of one thread, by size and most iterations."""
+    """Those of one thread, by size, most iterations, and whether they are watched."""
 
     def __init__(self) -> None:
         self.of = lru_cache(maxsize=16)(_Solver)
@@ -209,15 +226,14 @@ def minimise(
 
     Raises ConvergenceError with a sentence and a remedy if Ipopt does not stop at an optimum.
     """
-    ipopt = _solvers.of(len(lower), MAX_ITERATIONS)
+    ipopt = _solvers.of(len(lower), MAX_ITERATIONS, settled is not None)
     ipopt.cost, ipopt.gradient, ipopt.scale, ipopt.progress, ipopt.history = cost, gradient, scale, progress, []
     ipopt.settled = settled
-    answer = ipopt.solve(x0=np.zeros(len(lower)) if start is None else start, lbx=lower, ubx=upper)
-    status = str(ipopt.solve.stats()["return_status"])
+    v, status = ipopt.solve(np.zeros(len(lower)) if start is None else start, lower, upper)
     message = _SENTENCES.get(status, f"Ipopt stopped with {status}; see its documentation for this status.")
     if status not in ("Solve_Succeeded", ACCEPTABLE, STOPPED, "Search_Direction_Becomes_Too_Small"):
         raise ConvergenceError(f"{message} ({status} after {len(ipopt.history)} iterations)")
-    return Solution(answer["x"].full().ravel(), status, message, tuple(ipopt.history))
+    return Solution(v, status, message, tuple(ipopt.history))
 
 
 T = TypeVar("T")
@@ -275,6 +291,7 @@ class Kept:
     def __init__(self) -> None:
         self.made: dict[str, Any] = {}
         self.sums, self.parts, self.gradient, self.cost = Last(), Last(), Last(), Last()
+        self.redundancies = Last()
 
     def once(self, name: str, compute: Callable[[], T]) -> T:
         """What was computed under this name, or now."""

@@ -2,7 +2,7 @@
 
 The task of benchmarks.py at 500 poses, 27 parameters, positions, compiled kernels, beside its hand-made Gauss-Newton of
 numpy, in turns and in one process. That has no loss robust to outliers, so here it is linear; the default, which looks
-for outliers first, stands in a line of its own. Every function below is timed by a wrapper; its own time is without
+for outliers too, stands in a line of its own. Every function below is timed by a wrapper; its own time is without
 that of the others below it. CPU time of one thread, medians; "x numpy" is in units of the median of the hand-made
 solve. Wrappers take some time themselves: the whole without them stands in the last lines. Ipopt's own share is what a
 solve takes whose functions answer from memory: Ipopt, its linear algebra (MUMPS), and CasADi's calls of Python.

@@ -190,6 +190,8 @@ def compare_products(task: Task, colony: int = 125) -> None:
         "bare products, whole colony at once": whole_colony,
         "  the tansig alone": lambda: np.tanh(tanh_of, out=tanhs),
         "  products and tansig": lambda: (whole_colony(), np.tanh(tanh_of, out=tanhs)),
+        "  exp of that size alone": lambda: np.exp(tanh_of, out=tanhs),
+        "  products and exp": lambda: (whole_colony(), np.exp(tanh_of, out=tanhs)),
         "the same products, single": whole_colony_single,
         "  products and tansig, single": lambda: (
             whole_colony_single(),
@@ -211,6 +213,8 @@ def compare_products(task: Task, colony: int = 125) -> None:
         f"products and tansig alone, which no loss can do without: {floor / batched:.2f} of the products; "
         f"the whole loss is {costs['forward pass and loss'] / floor:.2f} of them"
     )
+    of_exp = costs["  products and exp"] / batched
+    print(f"products and one exp a neuron: {of_exp:.2f} of the products; what is left of a goal of 2: {2 - of_exp:.2f}")
     draws = best_of(generation) / len(search.ask()) * 1e6
     normal = best_of(lambda: np.random.default_rng(0).standard_normal(weights.shape)) / colony * 1e6
     for label, cost in (("making a child (random numbers, clip)", draws), ("  its normal numbers alone", normal)):

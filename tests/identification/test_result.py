@@ -8,7 +8,9 @@ import pytest
 
 from casadical import InputError, identify
 from casadical.effects.joint_error_curve import JointErrorCurve
+from casadical.identification import least_squares
 from casadical.identification.figures import correlated, parameter_tables, stiffness
+from casadical.identification.least_squares import Linearised
 
 ARM = arms.six_axis()
 
@@ -156,6 +158,50 @@ def test_loss_auto_is_huber_where_it_finds_outliers_and_else_linear(built):
     )
     assert (auto.loss, auto.outliers) == ("huber", ((0, 7),))
     assert auto.solution.v.tolist() == robust.solution.v.tolist()
+
+
+@pytest.mark.parametrize(("poses", "known"), [(20, False), (40, False), (60, True)])
+def test_loss_auto_finds_the_outliers_that_huber_finds(built, poses, known):
+    """Of sizes up to and beyond the bound, of which some are left to the huber loss and some are surely none."""
+    m = replace(arms.positions(built, arms.readings(built, poses, 14), 15), sigma=arms.NOISE if known else None)
+    counts = set()
+    for size in (0, 3, 4, 5, 6, 8, 50):
+        wrong = m.position.copy()
+        wrong[[7, 11]] += size * arms.NOISE * np.array([[0.6, -0.64, 0.48], [-0.48, 0.6, 0.64]])
+        spoilt = replace(m, position=wrong)
+        robust, auto = (identify(ARM, spoilt, ["kinematic"], loss=loss) for loss in ("huber", "auto"))
+        assert auto.outliers == robust.outliers
+        assert auto.loss == ("huber" if robust.outliers else "linear")
+        counts.add(len(robust.outliers))
+    assert {0, 2} <= counts
+
+
+def test_loss_auto_solves_once_where_no_pose_is_near_an_outlier(built, monkeypatch):
+    solves = []
+    minimise = least_squares.minimise
+    monkeypatch.setattr(least_squares, "minimise", lambda *a, **k: solves.append(1) or minimise(*a, **k))
+    m = arms.positions(built, arms.readings(built, 60, 14), 15)
+    identify(ARM, m, ["kinematic"])
+    assert len(solves) == 1
+    # Few numbers a variable hide an outlier: the huber loss is asked.
+    few = m[:18]
+    assert identify(ARM, few, ["kinematic"]).outliers == ()
+    assert len(solves) > 3
+
+
+def test_a_robust_loss_settles_about_a_linear_fit_where_ipopt_finds_it(built):
+    """Residuals are linear in v that near: a robust fit is off by a hundredth of a standard error."""
+    m = replace(arms.poses(built, arms.readings(built, 80, 31), 33), sigma=arms.NOISE, sigma_angle=1e-4)
+    wrong = m.position + np.where(np.arange(80) % 9 == 0, 4 * arms.NOISE, 0)[:, None]
+    wide = replace(m, position=wrong, sigma=2 * arms.NOISE, sigma_angle=3e-4)
+    plain = identify(ARM, wide, ["kinematic"], loss="linear")
+    about = Linearised.about(plain.problem, plain.solution.v, "huber").with_sigmas(((arms.NOISE, 1e-4),))
+    settled = about.settled(plain.solution.v)
+    true = replace(plain.problem, loss="huber", sigmas=((arms.NOISE, 1e-4),))
+    error = np.sqrt(np.diag(np.linalg.inv(true.information(settled))))
+    assert abs((settled - true.solve().v) / error).max() < 0.01
+    assert abs((settled - plain.solution.v) / error).max() > 0.1
+    assert about.residuals(settled)[0] == pytest.approx(true.residuals(settled)[0], abs=1e-3)
 
 
 def test_a_weight_of_zero_is_a_pose_left_out(built):
