@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.core.basics import Array
 from casadical.diagnosis.motion.arm import Arm
 from casadical.measurements.logs.log import JointLog
 
@@ -24,34 +23,25 @@ class Fault:
     remedy: str
 
 
-def faults_of(log: JointLog, arm: Arm, reference: JointLog | None = None) -> tuple[Fault, ...]:
+def faults_of(log: JointLog, arm: Arm, reference: JointLog | None) -> Iterator[Fault]:
     """What is wrong with the log itself."""
-    return (*_clock(log, arm, reference), *_samples(log), *_signs(log))
-
-
-def _clock(log: JointLog, arm: Arm, reference: JointLog | None) -> Iterator[Fault]:
     rate = arm.log_rate or (1 / reference.step if reference else None)
-    if rate and abs(log.step * rate - 1) > CLOCK:
-        factor = log.step * rate
+    if rate and abs((factor := log.step * rate) - 1) > CLOCK:
         yield Fault(
             "clock_scale",
             f"the clock of the log runs wrong by a factor of {factor:.3f} ({1 / log.step:.4g} rows a second, "
             f"{rate:.4g} are known)",
             f"Divide time_s by {factor:.3f}, or state the true rate as log_rate_Hz in [drive].",
         )
-
-
-def _samples(log: JointLog) -> Iterator[Fault]:
-    lost, repeated = lost_share(log), repeated_share(log)
+    steps = np.diff(log.time)[np.diff(log.run) == 0] / max(log.step, 1e-12)
+    lost = float(np.round(steps[steps > GAP] - 1).sum() / max(steps.sum(), 1.0))
+    repeated = _repeated_share(log)
     if lost > USUAL_LOST or repeated > USUAL_REPEATED:
         yield Fault(
             "lost_samples",
             f"samples are missing ({100 * lost:.1f} %) or repeated ({100 * repeated:.1f} %)",
             "Log over a wired link, at a rate that the link carries; rows that are missing are interpolated here.",
         )
-
-
-def _signs(log: JointLog) -> Iterator[Fault]:
     if log.signs_lost:
         yield Fault(
             "unsigned_current",
@@ -60,25 +50,12 @@ def _signs(log: JointLog) -> Iterator[Fault]:
         )
 
 
-def lost_share(log: JointLog) -> float:
-    """Share of the rows that are not there where the clock goes on."""
-    steps = np.diff(log.time)[np.diff(log.run) == 0] / max(log.step, 1e-12)
-    return float(np.round(steps[steps > GAP] - 1).sum() / max(steps.sum(), 1.0))
-
-
-def repeated_share(log: JointLog) -> float:
-    """Share of the rows in which all joints read as before although some of them move."""
+def _repeated_share(log: JointLog) -> float:
+    """Share of the rows in which all joints read as before although some move by many quanta a step around them."""
     step = np.abs(np.diff(log.position, axis=0))
     step[np.diff(log.run) != 0] = np.nan
-    moving = _moving(step)
-    if moving.sum() < 10:
-        return 0.0
-    same = (step == 0).all(axis=1)
-    return float((same & moving).sum() / moving.sum())
-
-
-def _moving(step: Array) -> Array:
-    """Rows around which some joint changes by many quanta a step, whatever this row itself says."""
     smallest = np.where(step > 0, step, np.inf).min(axis=0)
     usual = np.array([np.convolve(np.nan_to_num(column), np.ones(9) / 9, "same") for column in step.T]).T
-    return np.asarray((usual > MOVES * np.where(np.isfinite(smallest), smallest, np.inf)).any(axis=1))
+    moving = (usual > MOVES * np.where(np.isfinite(smallest), smallest, np.inf)).any(axis=1)
+    same = (step == 0).all(axis=1)
+    return float((same & moving).sum() / moving.sum()) if moving.sum() >= 10 else 0.0

@@ -149,7 +149,16 @@ class MotionCase:
     @cached_property
     def white(self) -> Evidence:
         """Rows, base and columns, white."""
-        return white_problem(self.r, self.base, self.E, self.first, self.noise)
+        n, rows, P = self.base.shape
+        made = tuple(
+            (row, columns, self.noise.row(row).white(values.T[:, None], self.first)[:, 0].T)
+            for row, columns, values in self.E.made.blocks
+        )
+        return Evidence(
+            self.noise.white(self.r, self.first), self.noise.white(self.base, self.first), np.zeros((n, rows, 1)),
+            np.zeros(P), np.ones(P), replace(self.E, made=Factors(made, self.E.made.width)),
+            reference=1.0, near=(0,), sigmas=SIGMAS,
+        )  # fmt: skip
 
     @cached_property
     def judged(self) -> Evidence:
@@ -202,22 +211,13 @@ class MotionCase:
         return np.asarray(out - self.E.take(columns) @ theta if len(columns) else out)
 
     def renewed(self, columns: Array = NONE) -> MotionCase:
-        """The case with its noise as it is found beside some causes."""
-        few, noise = self.only(columns), self.noise
+        """The case with its noise as it is in what some causes and a base much freer than its priors leave."""
+        few, every, P = self.only(columns), np.arange(len(columns)), self.base.shape[2]
         for _ in range(ROUNDS):
-            left = few.with_noise(noise)._left_by_freer_base()
-            noise = following(left, self.first, self.floor, self.trust, self.of_log)
-        return self.with_noise(noise)
-
-    def _left_by_freer_base(self) -> Array:
-        """What a base that is much freer than its priors and all columns leave, shape (blocks, rows)."""
-        P, every = self.base.shape[2], np.arange(self.E.shape[2])
-        x = new_fit(replace(self.white, reference=1 / FREE), every, WHITE, combined=False).x
-        return self.left(every, x[:P], x[P:])
-
-    def with_noise(self, noise: Following) -> MotionCase:
-        """The case with its rows white by another noise."""
-        return replace(self, noise=noise)
+            x = new_fit(replace(few.white, reference=1 / FREE), every, WHITE, combined=False).x
+            noise = following(few.left(every, x[:P], x[P:]), self.first, self.floor, self.trust, self.of_log)
+            few = replace(few, noise=noise)
+        return replace(self, noise=few.noise)
 
 
 def following(left: Array, first: Array, floor: Array, trust: Array, of_log: Array) -> Following:
@@ -239,19 +239,6 @@ def _following(left: Array, first: Array, floor: Array, trust: Array) -> tuple[A
     cut = trust * np.minimum(np.abs(left), CUT * usual)  # what is far out is no noise
     sigma = np.maximum(np.sqrt((cut**2).sum(axis=0) / (trust**2).sum(axis=0)), floor)
     return np.broadcast_to(sigma, left.shape), np.broadcast_to(np.clip(stays, 0.0, MOST_STAYS), left.shape), weight
-
-
-def white_problem(r: Array, base: Array, E: RowColumns, first: Array, noise: Following) -> Evidence:
-    """Rows, base and columns, white."""
-    n, rows, P = base.shape
-    made = []
-    for row, columns, values in E.made.blocks:
-        made.append((row, columns, noise.row(row).white(values.T[:, None], first)[:, 0].T))
-    columns_ = replace(E, made=Factors(tuple(made), E.made.width))
-    return Evidence(
-        noise.white(r, first), noise.white(base, first), np.zeros((n, rows, 1)), np.zeros(P), np.ones(P), columns_,
-        reference=1.0, near=(0,), sigmas=SIGMAS,
-    )  # fmt: skip
 
 
 def motion_case(
@@ -378,9 +365,9 @@ def with_candidates(case: MotionCase, log: Look, chosen: Sequence[Cause] | None 
             for row, values in column.items():
                 made[row].append((width, np.pad(values, (0, total - len(values)))))
             width += 1
-    E = _columns(made, width, rows, total)
-    case = replace(case, E=E, candidates=tuple(found.values()), variants=tuple(variants), groups=tuple(groups))
-    return case.with_noise(case.noise)
+    blocks = [(row, np.array([c for c, _ in own]), np.stack([v for _, v in own])) for row, own in made.items() if own]
+    E = RowColumns(Factors(tuple(blocks), width), rows, total)
+    return replace(case, E=E, candidates=tuple(found.values()), variants=tuple(variants), groups=tuple(groups))
 
 
 def _listed(log: Look, chosen: Sequence[Cause] | None) -> Iterator[_Judged]:
@@ -396,11 +383,6 @@ def _listed(log: Look, chosen: Sequence[Cause] | None) -> Iterator[_Judged]:
                 columns = columns_of(log, effect)
                 if columns:
                     yield Candidate(name if joint is None else f"{name}@{joint}", name, joint, ((effect,),)), columns
-
-
-def _columns(made: Mapping[int, list[tuple[int, Array]]], width: int, rows: int, total: int) -> RowColumns:
-    blocks = [(row, np.array([c for c, _ in own]), np.stack([v for _, v in own])) for row, own in made.items() if own]
-    return RowColumns(Factors(tuple(blocks), width), rows, total)
 
 
 def columns_of(look: Look, effect: MotionEffect) -> list[Mapping[int, Array]]:
@@ -424,8 +406,7 @@ def columns_of(look: Look, effect: MotionEffect) -> list[Mapping[int, Array]]:
                     values = look.as_torque(values, j)
                 row = n + j if at_response and look.response is not None else j
                 out[k][row] = look.motion.averaged(values)
-    whole = [column for column in out if any(np.abs(v).max() > 0 for v in column.values())]
-    return [*whole]
+    return [column for column in out if any(np.abs(v).max() > 0 for v in column.values())]
 
 
 def arm_names(look: Look, effect: MotionEffect) -> dict[str, Array]:
@@ -443,9 +424,7 @@ def arm_names(look: Look, effect: MotionEffect) -> dict[str, Array]:
         found["delayed"] = m.by_run(lambda c: c - behind(c, effect.late, m.step), m.command)
     if "filtered" in effect.drivers and m.command is not None:
         found["filtered"] = m.by_run(lambda c: c - lagged(c, effect.within, m.step), m.command)
-    if {"friction", "drag"} & set(effect.drivers):
-        found |= {k: v for k, v in look.frictions.items() if k in effect.drivers}
-    return found
+    return found | {k: v for k, v in look.frictions.items() if k in effect.drivers}
 
 
 def _unlisted(log: Look, sigma: Array) -> Iterator[_Judged]:

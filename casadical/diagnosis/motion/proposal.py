@@ -145,7 +145,7 @@ def proposed(found: LogDiagnosis, looks: Sequence[Look], names: Sequence[str] = 
         show(f"range {course.range:.0%}, speed {course.speed:.0%}, pause {course.pause} s, load {course.load:.2g} kg")
         command = course.commands(found.log)
         own = motion_case([_planned(found.log, looks[0], course, command), *looks[1:]], known, kinds)
-        expected = _expected(own.with_noise(_noise_as(case, own)), sizes)
+        expected = _expected(replace(own, noise=_noise_as(case, own)), sizes)
         # What is certain is not worth more than what is enough.
         score = sum(min(against, NAMED) + 0.01 * min(alone, NAMED) for alone, against in expected.values())
         return score, course, command, expected
