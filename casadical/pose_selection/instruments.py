@@ -66,16 +66,12 @@ class Instrument:
             apart = float(np.linalg.norm(self.places[i] - self.places[j]))
             both = {f"S{i + 1}", f"S{j + 1}"} <= set(label)
             return (touched.with_separations([(f"S{i + 1}", f"S{j + 1}", apart)]) if both else touched,)
-        return tuple(
-            Measurements(
-                m.q,
-                "distance",
-                distance=np.linalg.norm(m.position - place, axis=1),
-                target=np.tile(place, (len(m), 1)) if self.known else None,
-                conditions=m.conditions,
-            )
-            for place in self.places
-        )
+        wires = []
+        for place in self.places:
+            length, end = np.linalg.norm(m.position - place, axis=1), np.tile(place, (len(m), 1))
+            target = end if self.known else None
+            wires.append(Measurements(m.q, "distance", distance=length, target=target, conditions=m.conditions))
+        return tuple(wires)
 
     def rows(self, robot: Robot, names: Sequence[str], m: Measurements, noise: Noise) -> Array:
         """Scaled Jacobian in units of sigma at the robot's values and poses m, shape (n, numbers, len(names) + extra).
@@ -89,7 +85,9 @@ class Instrument:
             at[np.arange(n), :, m.conditions[SOCKET].astype(int)] = -np.eye(3)
             seen, places = J, at.reshape(n, 3, 3 * k)
         else:
-            beam = self.beams(m)
+            assert m.position is not None
+            line = m.position[:, None] - self.places
+            beam = line / np.maximum(np.linalg.norm(line, axis=2, keepdims=True), 1e-9)
             seen = np.einsum("nki,nip->nkp", beam, J)
             places = np.zeros((n, k, k, 3))
             places[:, np.arange(k), np.arange(k)] = -beam
@@ -106,12 +104,6 @@ class Instrument:
         assert m.position is not None
         length = 1e3 * np.linalg.norm(m.position[:, None] - self.places, axis=2)
         return pd.DataFrame(length.round(1), columns=[f"nominal_wire{k}_mm" for k in range(1, len(self.places) + 1)])
-
-    def beams(self, m: Measurements) -> Array:
-        """Directions from the anchors to the tool, shape (n, k, 3) [m/m]."""
-        assert m.position is not None
-        line = m.position[:, None] - self.places
-        return np.asarray(line / np.maximum(np.linalg.norm(line, axis=2, keepdims=True), 1e-9))
 
     def before(self, size: int, noise: Noise) -> Array:
         """Information from what is known without poses, shape (size, size) [1]: one distance between two sockets.

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -128,7 +128,7 @@ class Workspace:
     floor: float | None = None
     boxes: tuple[Box, ...] = ()
     clearance: float = 0.0
-    tracker: Tracker | None = field(default=None)
+    tracker: Tracker | None = None
 
     def ranges(self, robot: Robot) -> tuple[Array, Array]:
         """Least and greatest readings, shape (joints,) each [rad or m].
@@ -242,12 +242,6 @@ def read_workspace(path: str | Path, robot: Robot) -> Workspace:
         if lower[k] >= upper[k]:
             raise InputError(f"{path}: joint {joint.number}: nothing of its range is left between these limits")
     boxes = tuple(Box(np.array(b.low), np.array(b.high)) for b in given.box)
-    return Workspace(lower, upper, given.four_bar_margin, given.floor, boxes, given.clearance, _tracker(given.tracker))
-
-
-def _tracker(t: _Tracker | None) -> Tracker | None:
-    if t is None:
-        return None
-    towards = None if t.towards is None else np.array(t.towards)
-    opening = None if t.opening is None else np.array(t.opening)
-    return Tracker(np.array(t.station), towards, t.half_angle, t.nearest, t.farthest, opening, t.acceptance)
+    seen: dict[str, Any] = {key: np.array(v) if isinstance(v, tuple) else v for key, v in given.tracker or ()}
+    tracker = Tracker(**seen) if seen else None
+    return Workspace(lower, upper, given.four_bar_margin, given.floor, boxes, given.clearance, tracker)

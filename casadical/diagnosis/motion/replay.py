@@ -143,8 +143,10 @@ class Replay(Result):
     def _tables(self) -> Iterator[Table]:
         joints, r = self.runs[0].joints, self.response
         angles = "Open-loop replay, rms of each joint [mrad]: position = command, and with its response"
-        torques = "Torque in the same replay, rms of each joint [N m]: bodies along the commands, and replayed with "
-        compared = ((angles, 1e3, (self.before, self.after)), (torques + "friction", 1.0, self.torque))
+        torques = (
+            "Torque in the same replay, rms of each joint [N m]: bodies along the commands, and replayed with friction"
+        )
+        compared = ((angles, 1e3, (self.before, self.after)), (torques, 1.0, self.torque))
         for title, factor, errors in compared:
             if errors:
                 rows = [
@@ -153,13 +155,13 @@ class Replay(Result):
                 ]
                 yield Table(title, ("joint", "before", "after", "less"), rows, frozenset({1, 2, 3}))
         parts = (r.gain, r.friction, r.friction / r.gain * 1e3, r.damping, r.armature, r.delay * 1e3, r.bias)
-        figures = zip(joints, np.column_stack(parts), strict=True)
-        yield Table(
+        drives = [(name, *(f"{v:.3g}" for v in own)) for name, own in zip(joints, np.column_stack(parts), strict=True)]
+        title = (
             "Response of each joint, torques by the masses of the robot file: gain kp [N m/rad], dry friction F [N m], "
-            "F / kp [mrad], damping b [N m s/rad], rotor inertia [kg m^2], delay [ms], constant torque [N m]",
-            ("joint", "kp", "F", "F / kp", "b", "rotor", "delay", "const"),
-            [(name, *(f"{v:.3g}" for v in each)) for name, each in figures], frozenset(range(1, 8)),
-        )  # fmt: skip
+            "F / kp [mrad], damping b [N m s/rad], rotor inertia [kg m^2], delay [ms], constant torque [N m]"
+        )
+        columns = ("joint", "kp", "F", "F / kp", "b", "rotor", "delay", "const")
+        yield Table(title, columns, drives, frozenset(range(1, 8)))
 
     def to_json(self) -> dict[str, Any]:
         return {
