@@ -236,16 +236,11 @@ DEPTH = 4
 LEAST_GAIN = 1e-6
 
 
-def fill(design: Design, n: int) -> None:
-    """Add the best candidates one by one up to n. Raises InputError where too few are open."""
-    while len(design.chosen) < n:
-        k = design.best_to_add()
-        if k is None:
-            raise InputError(
-                f"only {len(design.chosen)} of {n} poses can be chosen: the {design.N} candidates lie too near to "
-                "each other or to measured ones; give more candidates, a smaller min_distance, or fewer poses"
-            )
+def grown(design: Design, n: int) -> bool:
+    """Add the best candidates one by one up to n; False where too few are open."""
+    while len(design.chosen) < n and (k := design.best_to_add()) is not None:
         design.add(k)
+    return len(design.chosen) >= n
 
 
 def improve(design: Design, depth: int = DEPTH) -> None:
@@ -266,13 +261,10 @@ def improve(design: Design, depth: int = DEPTH) -> None:
 
 
 def excursion(design: Design, n: int, reach: int, up: bool) -> None:
-    for growing in (True, False) if up else (False, True):
-        target = n + reach * ((growing and up) - ((not growing) and not up))
-        while len(design.chosen) < target:
-            k = design.best_to_add()
-            if k is None:
-                return
-            design.add(k)
+    """Poses are added and the worst removed, or removed first."""
+    for target in (n + reach if up else n - reach, n):
+        if not grown(design, target):
+            return
         while len(design.chosen) > target:
             design.remove(design.worst())
 
@@ -291,7 +283,11 @@ def search(design: Design, n: int, restarts: int, seed: int) -> Array:
                 break
             if design.closed[candidate] == 0:
                 design.add(int(candidate))
-        fill(design, n)
+        if not grown(design, n):
+            raise InputError(
+                f"only {len(design.chosen)} of {n} poses can be chosen: the {design.N} candidates lie too near to "
+                "each other or to measured ones; give more candidates, a smaller min_distance, or fewer poses"
+            )
         improve(design)
         if best is None or design.value > best[0] + LEAST_GAIN:
             best = (design.value, list(design.chosen))

@@ -17,9 +17,10 @@ import pandas as pd
 from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.core.statistics import first_of_best
+from casadical.identification.accuracy import predicted
 from casadical.identification.residuals import POINT_SCALE
-from casadical.measurements.measurements import Measurements, Noise
-from casadical.pose_selection.candidates import SOCKET, draw, expected
+from casadical.measurements.measurements import Measurements, Noise, unmeasured
+from casadical.pose_selection.candidates import SOCKET, draw
 from casadical.pose_selection.experimental_design import inverse
 from casadical.pose_selection.information import noise_covariance, scaled_jacobian
 from casadical.pose_selection.workspace import Workspace
@@ -53,9 +54,7 @@ class Instrument:
         return 0 if self.known else self.places.size
 
     def sets(self, m: Measurements) -> tuple[Measurements, ...]:
-        """Poses m as a measurement of this kind would give them, without noise: a set for each wire, or one of all
-        sockets.
-        """
+        """Poses m as such an instrument would give them, without noise: a set for each wire, or one of all sockets."""
         assert m.position is not None
         if self.kind == "sockets":
             label = np.array([f"S{int(k) + 1}" for k in m.conditions[SOCKET]], dtype=object)
@@ -207,9 +206,7 @@ def usual_places(robot: Robot, kind: Literal["wires", "sockets"]) -> Array:
     turn = np.arange(turns) * 2 * np.pi / turns
     local = [(r * np.cos(a), r * np.sin(a), h) for r in radii for h in heights for a in turn]
     q = draw(robot, REACHING, Workspace(), np.random.default_rng(0))
-    tool = expected(robot, q, {}, "reach").position
-    assert tool is not None
-    T = robot.base.T
+    tool, T = predicted(robot, unmeasured(q))[0], robot.base.T
     reach = np.linalg.norm(((tool - T[:3, 3]) @ T[:3, :3])[:, :2], axis=1).max()
     return np.asarray(reach * np.array(local) @ T[:3, :3].T + T[:3, 3])
 

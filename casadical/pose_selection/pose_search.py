@@ -134,9 +134,7 @@ def _sources(
 
 @dataclass(frozen=True, eq=False)
 class Forecast(Shown):
-    """Expected rms position error over the task [m], shape (k,), by numbers of poses, shape (k,), if the best come
-    next.
-    """
+    """Expected rms position error over the task, shape (k,) [m], by the number of poses, shape (k,), the best next."""
 
     poses: Array
     error: Array
@@ -183,11 +181,9 @@ def forecast(
     Starts with the measured poses or, without any, with a fifth more equations than parameters that no prior knows.
 
     most : largest number of poses, measured ones included
-    workspace, circumstances, measured, free : as of `select_poses`
+    workspace, circumstances, measured, free, noise, pool, instrument, prior : as of `select_poses`
     task : shape (T, joints) [rad or m]: as of `select_poses`
-    noise, pool : as of `select_poses`
     seed : of everything random
-    instrument, prior : as of `select_poses`
     Raises InputError: nothing can be chosen.
 
     Examples

@@ -36,16 +36,12 @@ class Box:
             )
 
     def holds(self, points: Array, clearance: float = 0.0) -> Array:
-        """Which points, shape (..., 3) [m], are in the box or closer than the clearance [m] to it: boolean, shape
-        (...).
-        """
+        """Which points, shape (..., 3) [m], are in the box or within the clearance [m] of it: boolean, shape (...)."""
         inside = (points > np.asarray(self.low) - clearance) & (points < np.asarray(self.high) + clearance)
         return np.asarray(inside.all(axis=-1))
 
     def hides(self, points: Array, station: Array) -> Array:
-        """Whether the lines from the station, shape (3,) [m], to points, shape (n, 3) [m], pass through it: boolean,
-        (n,).
-        """
+        """Whether lines from the station, shape (3,) [m], to points, shape (n, 3) [m], pass through it: shape (n,)."""
         along = points - station
         with np.errstate(divide="ignore", invalid="ignore"):
             t = np.stack([(np.asarray(corner) - station) / along for corner in (self.low, self.high)])
@@ -80,9 +76,7 @@ class Tracker:
     acceptance: float = np.pi / 6
 
     def sees(self, points: Array, R: Array) -> Array:
-        """Whether it sees reflectors at points, shape (n, 3) [m], of tool frames R, shape (n, 3, 3): boolean, shape
-        (n,).
-        """
+        """Whether it sees reflectors at points, shape (n, 3) [m], of tool frames R, shape (n, 3, 3): shape (n,)."""
         beam = points - self.station
         distance = np.linalg.norm(beam, axis=1)
         seen = (distance >= self.nearest) & (distance <= self.farthest)
@@ -181,13 +175,9 @@ def _places_function(robot: Robot) -> ca.Function:
     T_M0 = base_frame(rigid, values, ca.DM(rigid.base.T))
     frames = link_frames(rigid, ca.vertsplit(model.q), values)
     points = [(T_M0 @ T)[:3, 3] for T in frames[1:]]
-    return ca.Function(
-        "places",
-        [model.q, model.w, model.phi],
-        [ca.densify(ca.horzcat(*points, model.p)), model.R, model.margin],
-        ["q", "w", "phi"],
-        ["points", "R", "margin"],
-    )
+    told = [ca.densify(ca.horzcat(*points, model.p)), model.R, model.margin]
+    names = ["q", "w", "phi"], ["points", "R", "margin"]
+    return ca.Function("places", [model.q, model.w, model.phi], told, *names)
 
 
 def places_about(robot: Robot, q: Array) -> tuple[Array, Array, Array]:
