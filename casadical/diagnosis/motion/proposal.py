@@ -137,7 +137,7 @@ def proposed(found: LogDiagnosis, looks: Sequence[Look], names: Sequence[str] = 
     """
     case, seconds = found.outcome.case, sum(float(np.ptp(run.time)) for run in found.log.runs())
     sizes = {label: _size(found, label) for label in _in_question(found, names)}
-    known = coefficients(motion_case(looks[1:], chosen=())) if len(looks) > 1 else None
+    known = coefficients(motion_case(looks[1:])) if len(looks) > 1 else None
     made = [effect for label in sizes for (effect,) in case.by_label[label].variants]
     kinds = list(dict.fromkeys(type(effect) for effect in made if isinstance(effect, DefinedEffect)))
 

@@ -19,6 +19,7 @@ from casadical.core.telling.result import Result
 from casadical.diagnosis.motion.arm import arm_of
 from casadical.diagnosis.motion.response import Response, fitted
 from casadical.diagnosis.motion.signals import torque_of
+from casadical.identification.figures import banded
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml
@@ -272,10 +273,10 @@ def _friction(replay: Replay, j: int, panel: int) -> list[Series]:
     r = replay.response
     ends = np.array([-most, -1e-9, 1e-9, most])
     law = r.friction[j] * np.sign(ends) + r.damping[j] * ends
-    band = np.concatenate([middle, middle[::-1]]).round(4), np.concatenate([high, low[::-1]]).round(4)
+    place: dict[str, Any] = {"panel": panel, "listed": not panel}
     return [
-        Series("area", *band, name="samples, 10 to 90 %", colour="grid", listed=not panel, panel=panel),
-        Series("line", ends.round(4), law.round(4), name="found", colour="blue", listed=not panel, panel=panel),
+        banded(middle.round(4), low.round(4), high.round(4), name="samples, 10 to 90 %", colour="grid", **place),
+        Series("line", ends.round(4), law.round(4), name="found", colour="blue", **place),
     ]
 
 

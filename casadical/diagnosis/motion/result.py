@@ -14,11 +14,10 @@ from casadical.core.telling.result import Result
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.motion.arm import Arm, arm_of
 from casadical.diagnosis.motion.base import COMMANDED, LOAD, MEASURED, Look, look
-from casadical.diagnosis.motion.instrument import Fault, faults_of
 from casadical.diagnosis.motion.laws import LogLaws, laws_of
 from casadical.diagnosis.motion.problem import WHITE, MotionCase, coefficients, motion_case
 from casadical.diagnosis.motion.search import Found, Outcome, columns_of, search, unfitted
-from casadical.diagnosis.motion.signals import motion_of
+from casadical.diagnosis.motion.signals import Fault, faults_of, motion_of
 from casadical.effects.motion import Cause, motion_effects
 from casadical.identification.inertial import contradictions, determined
 from casadical.measurements.logs.log import JointLog
@@ -143,14 +142,14 @@ class LogDiagnosis(Result):
         case = self.outcome.case
         none = columns_of(case, ())
         left = case.left(none, *case.fitted(none))[case.of_log, j] ** 2
-        found = []
+        parts = []
         for name, values in zip(OVER, case.over, strict=True):
             edges = np.quantile(values[:, j], np.linspace(0, 1, PARTS + 1))
             part = np.clip(np.searchsorted(edges, values[:, j], side="right") - 1, 0, PARTS - 1)
             mean = np.array([left[part == k].mean() if (part == k).any() else 0.0 for k in range(PARTS)])
             k = first_of_best(mean)
-            found.append((float(np.sqrt(mean[k] / left.mean())), f"{name} {edges[k]:.3g} to {edges[k + 1]:.3g}"))
-        worst = found[first_of_best([share for share, _ in found])]
+            parts.append((float(np.sqrt(mean[k] / left.mean())), f"{name} {edges[k]:.3g} to {edges[k + 1]:.3g}"))
+        worst = parts[first_of_best([share for share, _ in parts])]
         return worst[1] if worst[0] > OUT else ""
 
     def _causes(self) -> Iterator[Words | Table]:
@@ -284,7 +283,7 @@ def diagnose_log(
     """
     show("signals and rigid bodies")
     looks = looks_of(robot, log, reference, healthy)
-    known = coefficients(motion_case(looks[1:], chosen=())) if len(looks) > 1 else None
+    known = coefficients(motion_case(looks[1:])) if len(looks) > 1 else None
     outcome = search(motion_case(looks, known, [*motion_effects().values(), *own]))
     bodies = determined(robot, log)
     numbers = tuple(k for k in bodies.independent if not k.startswith("Ia")) if bodies else ()
