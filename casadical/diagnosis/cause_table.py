@@ -37,9 +37,10 @@ class CauseRow:
 
 def cause_rows(d: Diagnosis) -> list[CauseRow]:
     """A row for each cause, the largest shrink first."""
-    rows = []
+    rows, alone = [], sum(bool(c.effects) for c in d.causes) == 1
     for c in d.causes:
         shown, mechanical = _signature(c)
+        after = d.gap.after if alone else d.gap.kept * (1 - c.shrink)
         low, high = (100 * v for v in c.shrink_interval)
         settings = [setting for e in c.effects for setting in settings_of(e).items()]
         parameters = [(name, f"{value:.3g}", "", "") for name, value in dict.fromkeys(settings)]
@@ -53,7 +54,7 @@ def cause_rows(d: Diagnosis) -> list[CauseRow]:
                 c,
                 "; ".join([shown, *(f"{which}: {sizes}" for which, sizes in wires_at_fault(d, c).items())]),
                 f"{c.label}; may be {mechanical}" if mechanical else c.label,
-                " -> ".join(map(mm, _gap_if_added(d, c))) if c.effects else f"{mm(d.gap.before)} with them",
+                f"{mm(d.gap.kept)} -> {mm(after)}" if c.effects else f"{mm(d.gap.before)} with them",
                 f"{low:.0f} to {high:.0f} %" if c.effects else "left out",
                 tuple(parameters),
             )
@@ -65,7 +66,7 @@ def wires_at_fault(d: Diagnosis, c: Cause) -> dict[str, str]:
     """Table (and anchor) of each instrument for distances that a cause is clearly in -> its parameters in words."""
     if not c.of_instrument:
         return {}
-    found: dict[str, list[str]] = {}
+    words: dict[str, list[str]] = {}
     clear: dict[str, float] = {}
     for name, (value, error, unit) in (c.estimates or {}).items():
         if part := re.fullmatch(r"(\D+)(\d)", name):
@@ -74,16 +75,9 @@ def wires_at_fault(d: Diagnosis, c: Cause) -> dict[str, str]:
                 if here.any():
                     anchors = [*np.unique(m.label[here])] if m.label is not None else []
                     which = " ".join([m.source or f"wire {part[2]}", *map(str, anchors)])
-                    shown = _estimate(part[1], value, error, unit)
-                    found.setdefault(which, []).append(f"{shown[0]} {shown[1]} +- {shown[2]} {shown[3]}")
+                    words.setdefault(which, []).append("{} {} +- {} {}".format(*_estimate(part[1], value, error, unit)))
                     clear[which] = max(clear.get(which, 0.0), abs(value) / error)
-    return {which: ", ".join(words) for which, words in found.items() if clear[which] > CLEAR}
-
-
-def _gap_if_added(d: Diagnosis, c: Cause) -> tuple[float, float]:
-    """The gap without and with one cause [m]."""
-    alone = sum(bool(k.effects) for k in d.causes) == 1
-    return d.gap.kept, d.gap.after if alone else d.gap.kept * (1 - c.shrink)
+    return {which: ", ".join(own) for which, own in words.items() if clear[which] > CLEAR}
 
 
 def _signature(c: Cause) -> tuple[str, str]:
@@ -134,14 +128,14 @@ def layers(d: Diagnosis, floor: float | None = None) -> list[dict[str, Any]]:
     if not d.effects():
         return []
     whole, r = any(c.effect == "outliers" for c in d.causes), d.replicates
-    found: list[dict[str, Any]] = [{"name": "as calibrated, outliers in", "mean_mm": 1e3 * d.gap.before}] * whole
+    taken: list[dict[str, Any]] = [{"name": "as calibrated, outliers in", "mean_mm": 1e3 * d.gap.before}] * whole
     for k, row in enumerate(d.course.to_dict("records")):
         name = str(row["model"]) if k else "outliers left out" if whole else "as calibrated"
         figures = {key: float(row[key]) for key in ("low_mm", "high_mm", "blocks_mm", "model_mm")}
-        found.append({"name": name, "mean_mm": float(row["gap_mm"]), **figures})
+        taken.append({"name": name, "mean_mm": float(row["gap_mm"]), **figures})
     noise = f"noise of {r.poses} repeated poses" if r.enough else "noise as the fit has it"
-    found.append({"name": noise, "mean_mm": 1e3 * (d.gap.floor if floor is None else floor)})
-    return [{k: round(v, 5) if isinstance(v, float) else v for k, v in layer.items()} for layer in found]
+    taken.append({"name": noise, "mean_mm": 1e3 * (d.gap.floor if floor is None else floor)})
+    return [{k: round(v, 5) if isinstance(v, float) else v for k, v in layer.items()} for layer in taken]
 
 
 def layer_rows(d: Diagnosis, floor: float | None = None) -> list[tuple[str, ...]]:

@@ -48,7 +48,7 @@ def changes(case: Case, prior: Prior) -> tuple[tuple[Change, ...], Prior]:
 
 def _parts(case: Case, prior: Prior) -> dict[tuple[str, int | None], dict[str, float]]:
     """Names of each part's parameters with the size of a new one: the usual, or what it was where that is more."""
-    found: dict[tuple[str, int | None], dict[str, float]] = {}
+    sizes: dict[tuple[str, int | None], dict[str, float]] = {}
     for effect in case.given.effects:
         if effect.label not in prior.labels:
             continue
@@ -58,8 +58,8 @@ def _parts(case: Case, prior: Prior) -> dict[tuple[str, int | None], dict[str, f
             names = [own[k] for k in places if own[k].name in prior.means]
             wide = {p.name: max(p.scale, abs(prior.means[p.name][0])) for p in names}
             if wide:
-                found[effect.label, joint] = wide
-    return found
+                sizes[effect.label, joint] = wide
+    return sizes
 
 
 def _log_evidence(case: Case, fit: Fit, sigma: float, prior: Prior) -> float:

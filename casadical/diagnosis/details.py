@@ -7,10 +7,9 @@ import pandas as pd
 
 from casadical.core.basics import Show, silent
 from casadical.diagnosis.held_out_gap import Check, NetworkGap, check_refit, network_gaps
-from casadical.diagnosis.isolability import Isolability, isolability
+from casadical.diagnosis.isolability import Isolability, isolability, ruled_out
 from casadical.diagnosis.laws.answer import Discovery
 from casadical.diagnosis.laws.discovery import laws_beside
-from casadical.diagnosis.limits import ruled_out
 from casadical.diagnosis.localisation import Localisation, localise
 from casadical.diagnosis.next_poses import next_poses
 from casadical.diagnosis.noise_floor import noise_floor
@@ -27,17 +26,11 @@ NEXT = 15
 class Details:
     """What a report of a diagnosis shows besides the diagnosis; None for what was not computed.
 
-    where : see `localise`
-    isolability : see `isolability`
-    unlisted : see `describe_unlisted`
-    check : see `check_refit`
-    networks : see `network_gaps`
-    curves : see `spectrum`
-    laws : see `casadical.discover`; where the verdict is unknown, or it was asked for
-    poses : see `next_poses`
-    file : name of the file that they are written to, if they are
+    where : see `localise`; unlisted : see `describe_unlisted`; check, networks : see `held_out_gap`
+    curves : see `spectrum`; laws : see `laws_beside`; where the verdict is unknown, or it was asked for
+    poses : see `next_poses`; file : name of the file that they are written to, if they are
     floor : what noise alone would leave beside the model of the page that predicts best [m]
-    ruled_out : causes that are not there: multiple of their usual size -> labels (see `casadical.diagnosis.limits`)
+    ruled_out : causes that are not there: multiple of their usual size -> labels (see `isolability.ruled_out`)
     """
 
     where: Localisation | None = None
@@ -96,15 +89,11 @@ def analyse(
     show("what these poses can show")
     unlisted = describe_unlisted(found)
     out = ruled_out(found, unlisted)
-    floor = _floor(found, unlisted, discovery)
-    return Details(where, isolability(found), unlisted, check, gaps, curves, discovery, chosen, file, floor, out)
-
-
-def _floor(found: Diagnosis, unlisted: Unlisted | None, laws: Discovery | None) -> float:
-    """What noise alone leaves [m], by the noise beside the best of: causes, forms on no list, laws."""
+    # Noise alone is that beside the best of: causes, forms on no list, laws.
     best, noise = found.gap.after, found.noise
     if unlisted and unlisted.beside and unlisted.after < best:
         best, noise = unlisted.after, unlisted.beside.noise[""]
-    if laws and laws.gap.get("law", best) < best:
-        noise = laws.noise
-    return noise_floor(found.case.evidence, noise, found.account.anchor, found.seed)
+    if discovery and discovery.gap.get("law", best) < best:
+        noise = discovery.noise
+    floor = noise_floor(found.case.evidence, noise, found.account.anchor, found.seed)
+    return Details(where, isolability(found), unlisted, check, gaps, curves, discovery, chosen, file, floor, out)

@@ -1,6 +1,7 @@
 """Figures of a diagnosis: the gap and its causes, where the gap lies, joint error curves."""
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,7 +16,7 @@ from casadical.diagnosis.spectrum import MOST_SHOWN as LINES_NAMED
 from casadical.diagnosis.spectrum import JointCurve, Spectrum, covered_parts, seen
 from casadical.diagnosis.thresholds import PARTITIONS
 from casadical.effects.plugins import signature_of
-from casadical.identification.figures import fit_figures, intervals, parameter_figures
+from casadical.identification.figures import banded, fit_figures, intervals, parameter_figures
 from casadical.identification.pose_errors import errors_by_pose, workspace
 
 # Candidates of which the probability is drawn.
@@ -114,17 +115,14 @@ def _by_data(name: str, title: str, table: pd.DataFrame, caption: str) -> Figure
     first = table[table["by"] == table["by"].iloc[0]]
     every = float(((first["rms_mm"] ** 2 * first["poses"]).sum() / first["poses"].sum()) ** 0.5)
     x = Axis("rms error [mm]", (0.0, 1.05 * float(table["rms_high_mm"].max())))
+    labels = [str(p).replace("..", "to").replace("degC", "°C") for p in table["part"]]
+    by = [str(b).replace("approach of joint", "joint") for b in table["by"]]
+    if len(set(by)) > 1:  # what they are divided by is told only where that differs
+        labels = [f"{b}: {label}" for b, label in zip(by, labels, strict=True)]
     return intervals(
-        name, title, x, _part_labels(table), table["rms_mm"], table["rms_low_mm"], table["rms_high_mm"], notes,
+        name, title, x, labels, table["rms_mm"], table["rms_low_mm"], table["rms_high_mm"], notes,
         "%{x:.3f} mm", caption=caption, marks=[Rule("x", every, text="all poses", dash="dot")],
     )  # fmt: skip
-
-
-def _part_labels(table: pd.DataFrame) -> list[str]:
-    """How a reader calls the parts of the data; what they are divided by only where that differs."""
-    parts = [str(p).replace("..", "to").replace("degC", "°C") for p in table["part"]]
-    by = [str(b).replace("approach of joint", "joint") for b in table["by"]]
-    return parts if len(set(by)) == 1 else [f"{b}: {p}" for b, p in zip(by, parts, strict=True)]
 
 
 def posteriors(d: Diagnosis, step: int = 0) -> Figure:
@@ -200,7 +198,8 @@ def shrinks(d: Diagnosis) -> Figure:
 
 def curve_figures(s: Spectrum) -> Iterator[Figure]:
     """The curve of each joint with its 95 % band over a turn, and what single sines explain of it."""
-    most = 1e6 * max((_reach(c) for c in s.joints if seen(c)), default=1e-4)
+    reached = (((np.abs(c.value) + 1.96 * c.error)[c.covered].max(initial=0.0)) for c in s.joints if seen(c))
+    most = 1e6 * float(max(reached, default=1e-4))
     turn = Axis(ends=(-180, 180), ticks=[-180, -90, 0, 90, 180], labels=["", "-90", "0", "90", ""])
     series = [series for k, c in enumerate(s.joints) for series in _curve(c, k, most)]
     axes = [(turn, Axis(ends=(-most, most), count=5)) for _ in s.joints]
@@ -233,11 +232,6 @@ def _grid(s: Spectrum, series: Sequence[Series], axes: Sequence[tuple[Axis, Axis
     return Figure(series=series, height=height, panels=panels, **figure)  # type: ignore[arg-type]
 
 
-def _reach(c: JointCurve) -> float:
-    """How far a curve and its band go where there are readings [rad]."""
-    return float((np.abs(c.value) + 1.96 * c.error)[c.covered].max(initial=0.0))
-
-
 def _curve(c: JointCurve, panel: int, most: float) -> Iterator[Series]:
     """Angles with readings, band and curve of one joint [deg, urad]; most : of the axis."""
     angle, value, band = np.rad2deg(c.angle), 1e6 * c.value, 1.96e6 * c.error
@@ -246,19 +240,13 @@ def _curve(c: JointCurve, panel: int, most: float) -> Iterator[Series]:
     for low, high in covered_parts(c):
         x += [*np.rad2deg([low, low, high, high]).round(1), None]
         y += [-most, most, most, -most, None]
-    first = panel == 0
+    place: dict[str, Any] = {"panel": panel, "listed": panel == 0}
+    yield Series("area", x, y, name="angles with readings", colour="line", opacity=0.3, group="readings", **place)
+    low, high = np.clip([value - band, value + band], -most, most).round(1)
+    yield banded(angle.round(1), low, high, name="95 % band", opacity=0.3, group="band", **place)
     yield Series(
-        "area", x, y, name="angles with readings", colour="line", opacity=0.3, group="readings", listed=first,
-        panel=panel,
-    )  # fmt: skip
-    yield Series(
-        "area", np.concatenate([angle, angle[::-1]]).round(1),
-        np.clip(np.concatenate([value + band, (value - band)[::-1]]), -most, most).round(1), name="95 % band",
-        opacity=0.3, group="band", listed=first, panel=panel,
-    )  # fmt: skip
-    yield Series(
-        "line", angle.round(1), value.round(1), name="curve", width=1.6, facts=band.round(0), group="curve",
-        listed=first, panel=panel, tip=f"<b>joint {c.joint}</b>, %{{x:.0f}} deg: %{{y:.0f}} ± %{{customdata:.0f}} urad",
+        "line", angle.round(1), value.round(1), name="curve", width=1.6, facts=band.round(0), group="curve", **place,
+        tip=f"<b>joint {c.joint}</b>, %{{x:.0f}} deg: %{{y:.0f}} ± %{{customdata:.0f}} urad",
     )  # fmt: skip
 
 
@@ -275,20 +263,17 @@ def _spectrum(c: JointCurve, panel: int, most: float, first_lines: bool) -> Iter
     """
     frequency, amplitude, some = c.scan.frequency, 1e6 * c.scan.amplitude, c.scan.amplitude > 0
     needed = np.where(np.isfinite(c.scan.needed), 1e6 * c.scan.needed, np.nan)
-    x, value, band = frequency[some], amplitude[some], 1.96e6 * c.scan.error[some]
-    first = panel == 0
-    yield Series(
-        "area", np.concatenate([x, x[::-1]]).round(2),
-        np.clip(np.concatenate([value + band, (value - band)[::-1]]), 0, most).round(1), name="95 % band",
-        opacity=0.25, group="band", listed=first, panel=panel,
-    )  # fmt: skip
+    value, band = amplitude[some], 1.96e6 * c.scan.error[some]
+    low, high = np.clip([value - band, value + band], 0, most).round(1)
+    place: dict[str, Any] = {"panel": panel, "listed": panel == 0}
+    yield banded(frequency[some].round(2), low, high, name="95 % band", opacity=0.25, group="band", **place)
     yield Series(
         "line", frequency.round(2), np.where(some, amplitude, np.nan).round(1), name="one sine alone", width=1.3,
-        group="scan", listed=first, panel=panel, tip="%{x:.1f} cycles a turn: %{y:.0f} urad",
+        group="scan", tip="%{x:.1f} cycles a turn: %{y:.0f} urad", **place,
     )  # fmt: skip
     yield Series(
         "line", frequency.round(2), np.where(needed < 3 * most, needed, np.nan).round(1), name="needed to be named",
-        colour="grey", width=1.2, dash="dot", group="needed", listed=first, panel=panel,
+        colour="grey", width=1.2, dash="dot", group="needed", **place,
     )  # fmt: skip
     yield Series(
         "points", np.round([line.frequency for line in c.lines], 3), [1e6 * line.amplitude for line in c.lines],

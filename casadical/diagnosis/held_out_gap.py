@@ -59,9 +59,8 @@ def course(case: Case, stages: Sequence[Stage], folds: Sequence[Array], noise: N
         runs = np.stack([held_out_errors(e, stage.columns, stage.noise, f) for f in folds])
         error, square = runs.mean(axis=0), (runs**2).mean(axis=0) - floor
         loo, block = (held_out_errors(e, stage.columns, stage.noise, f).mean() for f in (alone, blocks))
-        of_error, of_square = np.quantile(
-            resampled_means(np.stack([error, square]), seed, DRAWS), [0.025, 0.975], axis=1
-        ).T
+        resampled = resampled_means(np.stack([error, square]), seed, DRAWS)
+        of_error, of_square = np.quantile(resampled, [0.025, 0.975], axis=1).T
         rooted = 1e3 * np.sqrt(np.maximum([square.mean(), *of_square], 0.0))
         rows.append((stage.added, *(1e3 * np.array([error.mean(), *of_error, loo, block])).tolist(), *rooted.tolist()))
     return pd.DataFrame(rows, columns=list(COLUMNS))
@@ -89,9 +88,7 @@ def of_time(effects: Sequence[Effect]) -> bool:
 
 @dataclass(frozen=True)
 class Check:
-    """Held-out gap of the refit, each fifth of the poses predicted by a refit to the others, and that of the linearised
-    model on the same fifths, mean [m].
-    """
+    """Mean held-out gap [m] of the refit, fifths of the poses predicted by a refit to the others, and as linearised."""
 
     refit: float
     linearised: float
@@ -143,32 +140,24 @@ class NetworkGap:
     refused: int
 
 
-def network_gaps(found: Diagnosis, trainer: Trainer | str = "lm", show: Show = silent) -> tuple[NetworkGap, NetworkGap]:
+def network_gaps(found: Diagnosis, show: Show = silent) -> tuple[NetworkGap, NetworkGap]:
     """The gap when the paper's network is used instead of the causes, and on what the causes leave.
 
     found : a diagnosis
-    trainer : one of `known_trainers` by its name, or one with its settings
     show : called with a line of progress
     """
-    none = np.zeros(0, dtype=np.int64), found.rankings[0].noise[""]
-    first, second = (
-        network_gap(found.case, columns, noise, found.seed, trainer, show)
-        for columns, noise in (none, (found.columns, found.noise))
-    )
-    return first, second
+    case, none = found.case, np.zeros(0, dtype=np.int64)
+    instead = network_gap(case, none, found.rankings[0].noise[""], found.seed, show=show)
+    return instead, network_gap(case, found.columns, found.noise, found.seed, show=show)
 
 
 def network_gap(
-    case: Case,
-    columns: Array,
-    noise: Noise,
-    seed: int,
-    trainer: Trainer | str = "lm",
-    show: Show = silent,
+    case: Case, columns: Array, noise: Noise, seed: int, trainer: Trainer | str = "lm", show: Show = silent
 ) -> NetworkGap:
     """Train the paper's 6-5-3 network on four fifths of the poses and try it on the last, five times.
 
     columns : of the causes in the model, refitted to each four fifths; the network sees joint readings alone
+    trainer : one of `known_trainers` by its name, or one with its settings
     """
     # Loaded where a network is asked for: it takes a tenth of the time of all imports.
     from casadical.compensator import Compensator

@@ -1,5 +1,5 @@
 """What a set of poses can show before any position is measured: how much of each effect the base model absorbs, what
-stays visible at a realistic size, and which effects look alike.
+stays visible at a realistic size, and which effects look alike; what a campaign cannot show, and what it rules out.
 
 The visible signal is what is left of an effect's columns beside the base model's, whose parameters are re-estimated
 with every cause, in the noise's metric; an effect of n poses and visible signal r per coordinate, in units of the
@@ -7,7 +7,7 @@ noise, has noncentrality 3 n r^2.
 """
 
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any, Literal
@@ -19,12 +19,20 @@ from casadical.core.basics import Array, InputError
 from casadical.core.statistics import ranked
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import Result, table_lines
-from casadical.diagnosis.candidates import Candidate, candidates_of, choose, columns_to_log, gathered_by_columns
+from casadical.diagnosis.candidates import (
+    Candidate,
+    candidates_of,
+    choose,
+    columns_to_log,
+    gathered,
+    gathered_by_columns,
+)
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.linear_problem import Case, base_prior, column_numbers, widths
 from casadical.diagnosis.linearisation import signatures
-from casadical.diagnosis.result import Diagnosis
+from casadical.diagnosis.result import Diagnosis, Unlisted
 from casadical.effects import Effect
+from casadical.identification.undetermined import undetermined
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
@@ -40,6 +48,13 @@ BYTES = 16_000_000
 # Signals of less energy [m^2], a nanometre, are round-off.
 NOTHING = 1e-18
 USUAL_NOISE = Noise(20e-6, 8e-6)
+
+# An effect is invisible if the base absorbs so much of it, or if it must be so many times its usual size to be found.
+ABSORBED, OUT_OF_REACH = 0.98, 5.0
+# Effects below this rms [mm] move nothing.
+NO_MARK = 1e-6
+# Multiples of its usual size from which a cause is ruled out.
+TIMES = (1.0, 2.0, OUT_OF_REACH)
 
 SHOWN_RIVALS = 3
 WIDTH = 112
@@ -91,12 +106,17 @@ class Isolability(Result):
         """A row per effect: size, what the base absorbs, what stays visible, its rivals; to be printed unwrapped."""
         rows = []
         for label, row in self.effects.iterrows():
-            rivals = [f"{k} {v:.2f}" for k, v in list(self.rivals(str(label)).items())[:SHOWN_RIVALS]]
+            rivals = [f"  {k} {v:.2f}" for k, v in list(self.rivals(str(label)).items())[:SHOWN_RIVALS]]
             figures = (f"{row['size_mm']:.3f}", f"{100 * row['absorbed']:.0f} %", f"{row['visible_mm']:.4f}")
-            more = (f"{row['visible_to_noise']:.2f}", _factor(row["findable_from"]))
-            rows.append((str(label), *figures, *more, "\n".join(f"  {rival}" for rival in rivals)))
+            times = row["findable_from"]  # of the realistic size
+            found = f"{times:.2g} x" if np.isfinite(times) and times < 100 else "never"
+            rows.append((str(label), *figures, f"{row['visible_to_noise']:.2f}", found, "\n".join(rivals)))
         lines = chain.from_iterable(table_lines(Table("", HEAD, rows, frozenset(range(1, 6))), WIDTHS, gap=1))
-        return "\n".join([*lines, *_footnotes(self)])
+        notes = [NOTES]
+        for columns, effects in gathered_by_columns(columns_to_log(self.missing, ())).items():
+            notes.append(f"not logged: {columns}; it would show {effects}")
+        wrapped = (line for note in notes for line in textwrap.wrap(note, WIDTH, break_on_hyphens=False))
+        return "\n".join([*lines, *wrapped])
 
 
 def isolability(
@@ -149,14 +169,14 @@ def of_case(case: Case, noise: Noise, also: Sequence[Effect] = ()) -> Isolabilit
 
 def _whole(candidates: Sequence[Candidate]) -> dict[str, tuple[tuple[Effect, ...], ...]]:
     """Each name as one cause: the middle setting of every parameter in every joint."""
-    found: dict[str, dict[tuple[str, ...], tuple[Effect, ...]]] = {}
+    causes: dict[str, dict[tuple[str, ...], tuple[Effect, ...]]] = {}
     for c in candidates:
         by_parameters: dict[tuple[str, ...], list[tuple[Effect, ...]]] = {}
         for v in c.variants:
             by_parameters.setdefault(tuple(p.name for e in v for p in e.parameters()), []).append(v)
         middle = {names: like[len(like) // 2] for names, like in by_parameters.items()}
-        found.setdefault(c.name, {}).update(middle)
-    return {name: (tuple(dict.fromkeys(e for v in parts.values() for e in v)),) for name, parts in found.items()}
+        causes.setdefault(c.name, {}).update(middle)
+    return {name: (tuple(dict.fromkeys(e for v in parts.values() for e in v)),) for name, parts in causes.items()}
 
 
 def _judged(
@@ -191,12 +211,12 @@ def _squares(evidence: Evidence, rho: float) -> Array:
     """
     step = max(1, BYTES // (24 * len(evidence.r)))
     projections = [evidence.projection(ratio) for ratio in (0.0, rho)]
-    found = []
+    squares = []
     for first in range(0, evidence.width, step):
         E = evidence.take(np.arange(first, min(first + step, evidence.width)))
-        plain, seen = (projection.columns(E) for projection in projections)
-        found.append(np.stack([(E**2).sum(axis=(0, 1)), *((part**2).sum(axis=0) for part in (plain, seen))]))
-    return np.concatenate(found, axis=1)
+        visible = (projection.columns(E) for projection in projections)
+        squares.append(np.stack([(E**2).sum(axis=(0, 1)), *((part**2).sum(axis=0) for part in visible)]))
+    return np.concatenate(squares, axis=1)
 
 
 def _alike(E: Array, columns: list[Array], owner: list[str]) -> pd.DataFrame:
@@ -221,26 +241,72 @@ def _alike(E: Array, columns: list[Array], owner: list[str]) -> pd.DataFrame:
 
 def _spans(E: Array, groups: list[Array]) -> list[Array]:
     """Orthonormal basis of each group of columns, shape (rows, rank)."""
-    found: dict[int, Array] = {}
+    bases: dict[int, Array] = {}
     widths = np.array([len(g) for g in groups])
     for width in np.unique(widths):
         which = np.flatnonzero(widths == width)
         U, s, _ = np.linalg.svd(np.stack([E[:, groups[k]] for k in which]), full_matrices=False)
         there = s > NEGLIGIBLE * np.maximum(s.max(axis=1, keepdims=True), 1e-30)
-        found |= {int(k): U[i][:, there[i]] for i, k in enumerate(which)}
-    return [found[k] for k in range(len(groups))]
+        bases |= {int(k): U[i][:, there[i]] for i, k in enumerate(which)}
+    return [bases[k] for k in range(len(groups))]
 
 
 def _plain(value: float) -> float | None:
     return float(f"{value:.5g}") if np.isfinite(value) else None
 
 
-def _factor(value: float) -> str:
-    """A multiple of the realistic size."""
-    return f"{value:.2g} x" if np.isfinite(value) and value < 100 else "never"
+def cannot_tell(d: Diagnosis) -> tuple[str, ...]:
+    """What these kinds of readings cannot tell at all, each with what would; the ends of "these data cannot ..."."""
+    return tuple(undetermined(d.identification.measurements, d.identification.unknown_points))
 
 
-def _footnotes(found: Isolability) -> Iterator[str]:
-    yield from textwrap.wrap(NOTES, WIDTH)
-    for columns, effects in gathered_by_columns(columns_to_log(found.missing, ())).items():
-        yield from textwrap.wrap(f"not logged: {columns}; it would show {effects}", WIDTH, break_on_hyphens=False)
+def indistinguishable(d: Diagnosis, poses: Isolability | None) -> dict[str, str]:
+    """Label of a cause -> those that these data cannot tell from it, with the share that looks alike."""
+    table = poses.alike if poses else pd.DataFrame()
+    return {
+        c.label: ", ".join(
+            f"{k} ({100 * float(table.loc[c.label, k]):.0f} % similar here)"  # type: ignore[arg-type]
+            if c.label in table.index and k in table.columns
+            else k
+            for k in c.indistinguishable
+        )
+        for c in d.causes
+        if c.indistinguishable
+    }
+
+
+def invisible(d: Diagnosis, poses: Isolability | None) -> dict[str, str]:
+    """Why -> effects that these poses cannot show, those of several joints gathered; claimed causes left out."""
+    if poses is None:
+        return {}
+    seen = poses.effects.drop(index=[c.label for c in d.causes], errors="ignore")
+    idle = seen["size_mm"] < NO_MARK
+    absorbed = ~idle & (seen["absorbed"] > ABSORBED)
+    weak = ~idle & ~absorbed & (seen["findable_from"] > OUT_OF_REACH)
+    reasons = {
+        "as nothing here causes them (no masses in the robot file, an idle joint)": seen.index[idle],
+        f"as the base model takes up {100 * ABSORBED:.0f} % or more of each in these poses": seen.index[absorbed],
+        f"against this noise, unless {OUT_OF_REACH:.0f} times their usual size": seen.index[weak],
+    }
+    return {why: gathered(labels) for why, labels in reasons.items() if len(labels)}
+
+
+def ruled_out(d: Diagnosis, unlisted: Unlisted | None) -> dict[str, list[str]]:
+    """Listed causes that are not there: multiple of the usual size -> labels that would be found from there on.
+
+    Nine times in ten, in these poses, beside the named causes and the description of the unknown; and the evidence is
+    against each of them. What the description takes up, as a curve of one joint does its gear, is not ruled out.
+    """
+    if unlisted is None or unlisted.beside is None:
+        return {}
+    noise = unlisted.beside.noise[""]
+    poses = of_case(d.case, noise, d.effects(unlisted=unlisted))
+    seen = poses.effects[(poses.effects["size_mm"] >= NO_MARK) & (poses.effects["absorbed"] <= ABSORBED)]
+    named = {label for c in d.causes for label in (c.label, *c.indistinguishable)} | set(d.in_question)
+    last = unlisted.beside.log_factor
+    labels: dict[str, list[str]] = {}
+    for label in (c.label for c in d.case.candidates if c.listed and c.label in seen.index and c.label not in named):
+        times = [t for t in TIMES if float(seen.loc[label, "findable_from"]) <= t]  # type: ignore[arg-type]
+        if times and last.get(label, 0.0) < 0:
+            labels.setdefault(f"{times[0]:g}", []).append(label)
+    return {f"{t:g}": labels[f"{t:g}"] for t in TIMES if f"{t:g}" in labels}

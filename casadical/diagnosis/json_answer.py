@@ -1,5 +1,6 @@
 """A diagnosis as plain data and as files to keep."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,14 +10,13 @@ from casadical.core.files import json_text
 from casadical.diagnosis.cause_table import layers
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import NetworkGap
-from casadical.diagnosis.limits import cannot_tell
+from casadical.diagnosis.isolability import cannot_tell
 from casadical.diagnosis.next_poses import discrimination_probability
 from casadical.diagnosis.result import CauseSet, Diagnosis, Unlisted
 from casadical.diagnosis.spectrum import as_json as curves_as_json
 from casadical.diagnosis.statements import assumptions, floor_of, headline, missing_columns
 from casadical.diagnosis.text import page_of
 from casadical.identification.gravity import as_json as gravity_as_json
-from casadical.identification.prior import Prior
 from casadical.robot.robot_file import to_toml
 
 
@@ -29,16 +29,16 @@ def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[st
     """
     more = more or Details()
     poses = pd.DataFrame() if more.poses is None else more.poses
-    check, networks, unlisted = more.check, more.networks, more.unlisted
+    check, changed = more.check, rounded([vars(c) for c in d.changes])
     return {
         "campaign": campaign,
         **d.to_json(),
         "gap_mm": {"before": _mm(d.gap.before), "after": _mm(d.gap.after), "floor": _mm(floor_of(d, more))},
         **({} if d.p_nothing is None else {"p_nothing": d.p_nothing}),
-        **({"prior": _prior(d, d.prior)} if d.prior else {}),
+        **({"prior": {**d.prior.to_json([d.case.m]), "changed": changed}} if d.prior else {}),
         **({} if d.cause_set is None else {"set": _set(d.cause_set)}),
         "unknown_rest": round(d.unknown_rest, 4),
-        **({} if unlisted is None else {"unlisted": _unlisted(unlisted)}),
+        **({"unlisted": _unlisted(more.unlisted)} if more.unlisted else {}),
         **({"laws": more.laws.laws_json()} if more.laws else {}),
         "course": _records(d.course),
         **({"layers": rows} if (rows := layers(d, more.floor)) else {}),
@@ -58,11 +58,13 @@ def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[st
         **({"ruled_out": {k: list(v) for k, v in more.ruled_out.items()}} if more.ruled_out else {}),
         **({"gravity": gravity_as_json(d.identification)} if d.identification.given.masses == "estimated" else {}),
         "missing_columns": {label: list(columns) for label, columns in missing_columns(d).items()},
-        "next_measurements": _next(poses),
-        **({"told_rightly": [round(p, 4) for p in discrimination_probability(d, poses)]} if len(poses) else {}),
+        "next_measurements": [
+            {str(k): v for k, v in row.items() if v == v and v is not None} for row in poses.to_dict("records")
+        ],
+        **({"told_rightly": rounded(discrimination_probability(d, poses))} if len(poses) else {}),
         **({"refit_mm": {"held_out": _mm(check.refit), "linearised": _mm(check.linearised)}} if check else {}),
         **({"curves": curves_as_json(more.curves)} if more.curves else {}),
-        **({"network_mm": [_network(n) for n in networks]} if networks else {}),
+        **({"network_mm": [_network(n) for n in more.networks]} if more.networks else {}),
     }
 
 
@@ -89,24 +91,9 @@ def diagnosis_files(
     }
 
 
-def _prior(d: Diagnosis, prior: Prior) -> dict[str, Any]:
-    """What was known before, and how probably each part of it changed."""
-    changed = [{"effect": c.effect, "joint": c.joint, "probability": round(c.probability, 4)} for c in d.changes]
-    return {**prior.to_json([d.case.m]), "changed": changed}
-
-
-def _next(poses: pd.DataFrame) -> list[dict[str, Any]]:
-    """Poses that distinguish what these data cannot."""
-    rows = poses.to_dict("records")
-    return [{str(k): v for k, v in row.items() if v == v and v is not None} for row in rows]
-
-
 def _unlisted(u: Unlisted) -> dict[str, Any]:
-    return {
-        "forms": list(u.labels),
-        "gap_mm": {"before": _mm(u.before), "after": _mm(u.after)},
-        "shrink_interval": [round(x, 4) for x in u.shrink_interval],
-    }
+    gap = {"before": _mm(u.before), "after": _mm(u.after)}
+    return {"forms": list(u.labels), "gap_mm": gap, "shrink_interval": rounded(u.shrink_interval)}
 
 
 def _network(n: NetworkGap) -> dict[str, Any]:
@@ -114,21 +101,24 @@ def _network(n: NetworkGap) -> dict[str, Any]:
 
 
 def _set(s: CauseSet) -> dict[str, Any]:
-    members = {label: round(p, 4) for label, p in s.members.items()}
-    others = [{"causes": list(labels), "probability": round(p, 4)} for labels, p in s.others]
-    return {
-        "probability": round(s.probability, 4),
-        "one_more": round(s.one_more, 4),
-        "members": members,
+    others = [{"causes": labels, "probability": p} for labels, p in s.others]
+    known: dict[str, Any] = {
+        "probability": s.probability,
+        "one_more": s.one_more,
+        "members": s.members,
         "others": others,
-        **(
-            {"names": {k: {n: round(p, 4) for n, p in names.items()} for k, names in s.names.items()}}
-            if s.names
-            else {}
-        ),
-        **({"further": {k: round(p, 4) for k, p in s.further.items()}} if s.further else {}),
-        **({"further_gap_mm": _mm(s.further_gap)} if s.further else {}),
     }
+    known |= {name: value for name, value in (("names", s.names), ("further", s.further)) if value}
+    return {**rounded(known), **({"further_gap_mm": _mm(s.further_gap)} if s.further else {})}
+
+
+def rounded(value: Any) -> Any:
+    """Plain data, probabilities and shares in it to four digits."""
+    if isinstance(value, Mapping):
+        return {key: rounded(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [rounded(part) for part in value]
+    return round(value, 4) if isinstance(value, float) else value
 
 
 def _records(table: pd.DataFrame) -> list[dict[str, Any]]:

@@ -12,7 +12,9 @@ Fedorov 1975). The truth with the smallest factor so far has the largest weight.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from math import erf, log, sqrt
+from math import log, sqrt
+from statistics import NormalDist
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -124,9 +126,7 @@ def pick(asked: Pairs, also: Pairs, n: int) -> tuple[list[int], list[float]]:
     pairs = [*asked, *also]
     comparisons = [d for a, b in pairs for d in (Comparison(a, b), Comparison(b, a))]
     models = list(dict.fromkeys(m for pair in pairs for m in pair))
-    picked: list[int] = []
-    gained = np.zeros(len(comparisons))
-    course = []
+    picked, course, gained = list[int](), list[float](), np.zeros(len(comparisons))
     for _ in range(n):
         gains = np.stack([d.gains() for d in comparisons])
         # The truth with the smallest sum so far matters most.
@@ -212,8 +212,7 @@ def next_poses(
     return table_of(case, effects, drawn, picked, gained)
 
 
-@dataclass(frozen=True)
-class _Cause:
+class _Cause(NamedTuple):
     """A label with settings that the data allow, and the noise that these leave."""
 
     label: str
@@ -226,10 +225,10 @@ def causes_in_question(case: Case, labels: Sequence[str], beside: Sequence[str] 
     if len(set(labels)) < 2:
         raise InputError(f"causes {list(labels)}; give two or more to distinguish")
     known = {c.label: c for c in case.candidates}
-    found: list[_Cause] = []
+    causes: list[_Cause] = []
     for label in dict.fromkeys((*labels, *beside)):
         if label == NONE:
-            found.append(_Cause(NONE, (), likely_noise(case.evidence.log_base(), case.evidence.sigmas)))
+            causes.append(_Cause(NONE, (), likely_noise(case.evidence.log_base(), case.evidence.sigmas)))
             continue
         if label not in known:
             raise InputError(f"cause {label!r} is no candidate of this case; there are none, {', '.join(known)}")
@@ -240,9 +239,9 @@ def causes_in_question(case: Case, labels: Sequence[str], beside: Sequence[str] 
         spread = allowed[np.linspace(0, len(allowed) - 1, MOST_VARIANTS).astype(int)]
         others = spread.tolist() if label in labels else []
         for k in dict.fromkeys([first_of_best(likely, logs=True), *others]):
-            found.append(_Cause(label, variants[k], likely_noise(grids[k], case.evidence.sigmas)))
+            causes.append(_Cause(label, variants[k], likely_noise(grids[k], case.evidence.sigmas)))
     # The cause that leaves the least noise comes first: its noise is taken for all.
-    return sorted(found, key=lambda cause: cause.noise.sigma)
+    return sorted(causes, key=lambda cause: cause.noise.sigma)
 
 
 def table_of(
@@ -275,7 +274,7 @@ def _new(case: Case, pool: LaterPoses, picked: Sequence[int]) -> list[str]:
     own = case.m.conditions
     lower, upper = case.m.q.min(axis=0) - BEYOND, case.m.q.max(axis=0) + BEYOND
     payloads = campaign_payloads(case.robot, case.m)
-    found = []
+    words = []
     for k in picked:
         said = [f"q{j + 1}" for j in np.flatnonzero((pool.m.q[k] < lower) | (pool.m.q[k] > upper))]
         parts = [f"range of {' '.join(said)}"] if said else []
@@ -287,8 +286,8 @@ def _new(case: Case, pool: LaterPoses, picked: Sequence[int]) -> list[str]:
                 parts.append(f"{name} {value:+.0f}")
             if name.startswith("warmth_") and value > own[name].max() + 0.5:
                 parts.append(f"arm warmed up by {value - own[name].min():.0f} K")
-        found.append("; ".join(dict.fromkeys(parts)))
-    return found
+        words.append("; ".join(dict.fromkeys(parts)))
+    return words
 
 
 def discrimination_probability(found: Diagnosis, poses: pd.DataFrame) -> tuple[float, float]:
@@ -309,29 +308,26 @@ def probability_after(share: float, gain: float) -> float:
     if gain <= 0:
         return max(share, 1 - share)
     odds, width = log(share / (1 - share)), sqrt(2 * gain)
-    return share * _normal((gain + odds) / width) + (1 - share) * _normal((gain - odds) / width)
-
-
-def _normal(x: float) -> float:
-    return 0.5 * (1 + erf(x / sqrt(2)))
+    right = NormalDist().cdf
+    return share * right((gain + odds) / width) + (1 - share) * right((gain - odds) / width)
 
 
 def kinds_of_poses(case: Case, poses: pd.DataFrame) -> str:
     """What kind of poses they are, in words."""
-    found = []
+    kinds = []
     if repeats := int((poses["repeats"] != "").sum()):
-        found.append(f"{repeats} repeat earlier ones in other circumstances")
+        kinds.append(f"{repeats} repeat earlier ones in other circumstances")
     masses, counts = np.unique(poses.get("payload_kg", []), return_counts=True)
     if len(masses) > 1:
-        found.append(", ".join(f"{n} with {mass:g} kg" for mass, n in zip(masses, counts, strict=True)))
+        kinds.append(", ".join(f"{n} with {mass:g} kg" for mass, n in zip(masses, counts, strict=True)))
     for name in (c for c in map(str, poses) if c.startswith("approach")):
         rising = int((poses[name] > 0).sum())
-        found.append(f"joint {name[8:]} approached rising in {rising}, falling in {len(poses) - rising}")
+        kinds.append(f"joint {name[8:]} approached rising in {rising}, falling in {len(poses) - rising}")
     if "state" in poses:
-        found.append(f"{int((poses['state'] == 'warm').sum())} warm, {int((poses['state'] == 'cold').sum())} cold")
+        kinds.append(f"{int((poses['state'] == 'warm').sum())} warm, {int((poses['state'] == 'cold').sum())} cold")
     if wider := int(poses["new"].str.contains("range of").sum()):
-        found.append(f"{wider} beyond the ranges so far")
-    return "; ".join([*found, *_idle(case, poses)])
+        kinds.append(f"{wider} beyond the ranges so far")
+    return "; ".join([*kinds, *_idle(case, poses)])
 
 
 def _idle(case: Case, poses: pd.DataFrame) -> list[str]:

@@ -26,13 +26,16 @@ def diagnosis_page(d: Diagnosis, name: str, more: Details | None = None, replaye
     more = more or Details()
     figures = {figure.name: figure for figure in diagnosis_figures(d, more)}
     said = statements(d, more)
-    rows = cause_rows(d)
+    rows, layered = cause_rows(d), []
+    if layers := layer_rows(d, floor_of(d, more)):
+        columns = ("layer, beside those above", "mean", "95 %", "fifths of the time left out", "rms without the noise")
+        layered = [Table("Layer by layer: errors on held-out poses, mm", columns, layers, frozenset(range(1, 5)))]
     sections = [
         Section(
             "Verdict",
             [*_said(said, "VERDICT", "PRIOR", "GAP", "NOISE", "ASSUMED", "GRAVITY", "UNKNOWN", "LAW", "OUT")],
         ),
-        Section("Errors before and after", [figures["gap"], *_layers(d, more), _errors(d), *_said(said, "AFTER")]),
+        Section("Errors before and after", [figures["gap"], *layered, _errors(d), *_said(said, "AFTER")]),
         Section("Error of each pose", [figures["errors"]]),
         Section("In the workspace", [figures["workspace"]]),
         Section(
@@ -46,7 +49,7 @@ def diagnosis_page(d: Diagnosis, name: str, more: Details | None = None, replaye
                 *shown(figures, "causes"),
             ],
         ),
-        *([_curves(more.curves, shown(figures, "curves"))] if more.curves else []),
+        Section("Joint error curves", [*shown(figures, "curves"), *(_curves(more.curves) if more.curves else ())]),
         *([more.laws.section()] if more.laws else []),
         Section("What these poses cannot tell", [*_said(said, "CANNOT", "MISSING")]),
         Section("Replayed in a simulator", replayed),
@@ -80,18 +83,9 @@ def _tiles(d: Diagnosis, more: Details) -> Iterator[Tile]:
         )
 
 
-def _layers(d: Diagnosis, more: Details) -> Iterator[Table]:
-    """The errors layer by layer, from the calibrated robot to the noise, where there is a layer to take off."""
-    if rows := layer_rows(d, floor_of(d, more)):
-        columns = ("layer, beside those above", "mean", "95 %", "fifths of the time left out", "rms without the noise")
-        yield Table("Layer by layer: errors on held-out poses, mm", columns, rows, frozenset(range(1, 5)))
-
-
 def _errors(d: Diagnosis) -> Table:
-    rows = []
-    for left in d.held_out.models:
-        a = summarise(left.length)
-        rows.append((left.model, str(a.n), *(mm(v) for v in (a.mean, a.max, a.std, a.rms, a.p95))))
+    summed = [(left.model, summarise(left.length)) for left in d.held_out.models]
+    rows = [(name, str(a.n), *map(mm, (a.mean, a.max, a.std, a.rms, a.p95))) for name, a in summed]
     columns = ("held-out poses, outliers left out", "n", "mean", "max", "std", "rms", "95 %")
     return Table("Errors in mm", columns, rows, frozenset(range(1, 7)), frozenset({len(rows) - 1}))
 
@@ -117,23 +111,17 @@ def _causes(rows: Sequence[CauseRow]) -> Iterator[Table]:
     cells = [(r.named, r.shown, f"{r.cause.confidence:.3f}", r.gap.replace("->", "→"), r.shrinks) for r in rows]
     columns = ("cause", "signature", "posterior", "gap if added, mm", "shrinks by, 95 %")
     yield Table("Causes", columns, cells, frozenset({2, 3, 4}))
-    sizes = [
-        (r.cause.label, name, value, error or "chosen", unit)
-        for r in rows
-        if r.cause.effects
-        for name, value, error, unit in r.parameters
-    ]
+    every = [(r.cause.label, figures) for r in rows if r.cause.effects for figures in r.parameters]
+    sizes = [(label, name, value, error or "chosen", unit) for label, (name, value, error, unit) in every]
     if sizes:
         head = ("cause", "parameter", "value", "std error", "unit")
         yield Table("Size of the causes", head, sizes, frozenset({2, 3}))
 
 
-def _curves(s: Spectrum, figures: Iterable[Figure]) -> Section:
-    """Joint error curves."""
+def _curves(s: Spectrum) -> Iterator[Block]:
     rows = [tuple(cell.replace("+-", "±") for cell in row) for row in curve_rows(s)]
-    table = Table("Curves and their lines", CURVE_COLUMNS, rows, frozenset({1, 2}))
-    suggestions = (Words(f"{text[0].upper()}{text[1:]}.", "note") for text in s.suggestions)
-    return Section("Joint error curves", [*figures, table, *suggestions])
+    yield Table("Curves and their lines", CURVE_COLUMNS, rows, frozenset({1, 2}))
+    yield from (Words(f"{text[0].upper()}{text[1:]}.", "note") for text in s.suggestions)
 
 
 def _parameters(d: Diagnosis, figures: Iterable[Figure]) -> Iterator[Block]:
@@ -161,10 +149,8 @@ def _next(said: Sequence[Statement], poses: pd.DataFrame | None) -> Iterator[Blo
         "before it. The option --next FILE.csv writes the poses.",
         "note",
     )
-    listed = poses.dropna(axis="columns", how="all")
-    columns = [str(c) for c in listed]
-    rows = [
-        tuple(f"{v:.1f}" if isinstance(v, float) else str(v) for v in row) for row in listed.itertuples(index=False)
-    ]
+    told = poses.dropna(axis="columns", how="all")
+    columns = [str(c) for c in told]
+    rows = [tuple(f"{v:.1f}" if isinstance(v, float) else str(v) for v in row) for row in told.itertuples(index=False)]
     numbers = frozenset(k for k, c in enumerate(columns) if c not in ("state", "repeats"))
     yield Table("Next poses", columns, rows, numbers)

@@ -10,8 +10,8 @@ from casadical.diagnosis.candidates import columns_to_log, gathered, gathered_by
 from casadical.diagnosis.cause_table import joints_of, listed, mm, wires_at_fault
 from casadical.diagnosis.changes import NEW
 from casadical.diagnosis.details import Details
-from casadical.diagnosis.held_out_gap import Check, NetworkGap, of_time
-from casadical.diagnosis.limits import cannot_tell, indistinguishable, invisible
+from casadical.diagnosis.held_out_gap import of_time
+from casadical.diagnosis.isolability import cannot_tell, indistinguishable, invisible
 from casadical.diagnosis.next_poses import discrimination_probability, kinds_of_poses
 from casadical.diagnosis.noise_account import Rule
 from casadical.diagnosis.result import Diagnosis
@@ -57,28 +57,19 @@ class Statement:
 def statements(d: Diagnosis, more: Details | None = None) -> list[Statement]:
     """All statements in the order in which a reader wants them."""
     more = more or Details()
-    parts = [
-        _verdict(d, more),
-        _prior(d),
-        _gap(d, more),
-        _noise_taken(d),
-        _assumed(d),
-        _gravity(d),
-        _instrument(d),
-        _where(d, more),
-        _which(d),
-        _after(d, more),
-        _layered(d),
-        _cannot(d, more),
-        _ruled_out(more),
-        _unknown(d, more),
-        _law(more),
+    return [
+        Statement("VERDICT", headline(d, more)),
+        *_prior(d),
+        *_gap(d, more),
+        *_taken(d),
+        *_where(d, more),
+        *_which(d),
+        *_after(d, more),
+        *_cannot(d, more),
+        *_unknown(d, more),
+        *_left_out(d),
+        *_next(d, more),
     ]
-    return [s for part in (*parts, _outliers(d), _missing(d), _next(d, more)) for s in part]
-
-
-def _verdict(d: Diagnosis, more: Details) -> Iterator[Statement]:
-    yield Statement("VERDICT", headline(d, more))
 
 
 def _prior(d: Diagnosis) -> Iterator[Statement]:
@@ -178,35 +169,30 @@ def _gap(d: Diagnosis, more: Details) -> Iterator[Statement]:
         f"{mm(floor_of(d, more))} ({source}); {int(d.case.kept.sum())} poses; {there}, "
         f"P(nothing) = {d.rankings[0].none:.2g}{chance}",
     )
-    base = d.course.iloc[0]
-    yield Statement(
-        "GAP",
-        f"without the noise the model is wrong by {base['model_mm']:.3f} mm rms "
-        f"({base['model_low_mm']:.3f} to {base['model_high_mm']:.3f})",
-    )
+    rms, low, high = (d.course.iloc[0][name] for name in ("model_mm", "model_low_mm", "model_high_mm"))
+    yield Statement("GAP", f"without the noise the model is wrong by {rms:.3f} mm rms ({low:.3f} to {high:.3f})")
 
 
-def _noise_taken(d: Diagnosis) -> Iterator[Statement]:
-    """What was taken as noise, beside what else is known of it, and what of it is structure."""
+def _taken(d: Diagnosis) -> Iterator[Statement]:
+    """What was taken as noise and what of it is structure, what for granted, and what to do about the instrument."""
     yield Statement("NOISE", d.account.in_words())
     if form := d.rankings[-1].noise_form:
-        yield Statement(
-            "NOISE", f"what is left is more like {form} than like noise that is independent and alike everywhere"
-        )
+        text = f"what is left is more like {form} than like noise that is independent and alike everywhere"
+        yield Statement("NOISE", text)
     if structure := d.account.structure_in_words():
         yield Statement("NOISE", structure, doubtful=True)
-
-
-def _assumed(d: Diagnosis) -> Iterator[Statement]:
-    """What was taken for granted: of declared values, and of columns that were not logged."""
-    for text in assumptions(d):
-        yield Statement("ASSUMED", text)
-
-
-def _gravity(d: Diagnosis) -> Iterator[Statement]:
-    """Of a robot without masses: which joints gravity deflects, as a part of the base model."""
+    yield from (Statement("ASSUMED", text) for text in assumptions(d))
     if text := gravity_in_words(d.identification):
         yield Statement("GRAVITY", text)
+    if faults := [c for c in d.causes if c.of_instrument]:
+        which = listed(dict.fromkeys(w for c in faults for w in wires_at_fault(d, c)))
+        what = f"{which}, calibrate without" if which else "it"
+        yield Statement(
+            "CHECK",
+            f"the instrument, not the robot, shows {listed(c.label for c in faults)}: check {what}, or go on with "
+            "diagnosed.robot.toml (--out DIR), which has it identified beside the robot",
+            doubtful=True,
+        )
 
 
 def assumptions(d: Diagnosis) -> tuple[str, ...]:
@@ -236,19 +222,6 @@ def assumptions(d: Diagnosis) -> tuple[str, ...]:
     return tuple(said)
 
 
-def _instrument(d: Diagnosis) -> Iterator[Statement]:
-    """What to do about causes that are in the instrument."""
-    if faults := [c for c in d.causes if c.of_instrument]:
-        which = listed(dict.fromkeys(w for c in faults for w in wires_at_fault(d, c)))
-        what = f"{which}, calibrate without" if which else "it"
-        yield Statement(
-            "CHECK",
-            f"the instrument, not the robot, shows {listed(c.label for c in faults)}: check {what}, or go on with "
-            "diagnosed.robot.toml (--out DIR), which has it identified beside the robot",
-            doubtful=True,
-        )
-
-
 def _where(d: Diagnosis, more: Details) -> Iterator[Statement]:
     if d.verdict == "none":
         yield Statement("WHERE", f"nowhere in particular: what is left is {_noise(d)}")
@@ -258,10 +231,11 @@ def _where(d: Diagnosis, more: Details) -> Iterator[Statement]:
     parts = pd.concat([more.where.joints, more.where.links])
     great = parts[(parts["share"] >= 0.05) & (parts["part"] != "elsewhere")].sort_values("share", ascending=False)
     shares = [
-        _tied(f"{row['part']}: {100 * row['share']:.0f} % ({100 * row['low']:.0f}-{100 * row['high']:.0f})")
+        f"{row['part']}: {100 * row['share']:.0f} % ({100 * row['low']:.0f}-{100 * row['high']:.0f})"
         for _, row in great.head(5).iterrows()
     ]
-    yield Statement("WHERE", "   ".join(shares) or "spread over all parts")
+    tied = (share.replace(" ", TIED) for share in shares)
+    yield Statement("WHERE", "   ".join(tied) or "spread over all parts")
     worst = more.where.worst.head(3)
     if len(worst):
         regions = [f"{row['by']} {row['part']} ({row['rms_mm']:.3f} mm rms)" for _, row in worst.iterrows()]
@@ -281,20 +255,14 @@ def _which(d: Diagnosis) -> Iterator[Statement]:
         if d.cause_set.probability < SET_CLAIM and d.cause_set.others:
             sets = [f"{' + '.join(labels) or 'none of them'} {p:.2f}" for labels, p in d.cause_set.others]
             yield Statement("SET", f"instead: {', '.join(sets)}", d.verdict != "explained")
-    if one_more := _one_more(d):
-        yield Statement("MORE", one_more, doubtful=True)
+    if d.cause_set and d.cause_set.further:
+        names = " or ".join(f"{k} ({p:.2f})" for k, p in d.cause_set.further.items())
+        text = (
+            f"one more cause is there with probability {d.cause_set.one_more:.2f}, and is not claimed: {names}; with "
+            f"the first {d.gap.after * 1e3:.3f} -> {d.cause_set.further_gap * 1e3:.3f} mm on poses held out"
+        )
+        yield Statement("MORE", text, doubtful=True)
     yield from _near_threshold(d)
-
-
-def _one_more(d: Diagnosis) -> str:
-    """One more cause that is there without being claimed: its names, and the gap that the best of them leaves."""
-    if not d.cause_set or not d.cause_set.further:
-        return ""
-    names = " or ".join(f"{k} ({p:.2f})" for k, p in d.cause_set.further.items())
-    return (
-        f"one more cause is there with probability {d.cause_set.one_more:.2f}, and is not claimed: {names}; with the "
-        f"first {d.gap.after * 1e3:.3f} -> {d.cause_set.further_gap * 1e3:.3f} mm on poses held out"
-    )
 
 
 def _near_threshold(d: Diagnosis) -> Iterator[Statement]:
@@ -335,38 +303,22 @@ def _after(d: Diagnosis, more: Details) -> Iterator[Statement]:
             f"{last['model_high_mm']:.3f}), {100 * share:.0f} % of the {before:.3f} before",
         )
         if any(of_time(c.effects) for c in steps):
-            first = d.course.iloc[0]
-            yield Statement(
-                "AFTER", f"with fifths of the time left out: {first['blocks_mm']:.3f} -> {last['blocks_mm']:.3f} mm"
-            )
-    if more.check:
-        yield _refitted(more.check)
-    if more.networks:
-        yield from _networks(more.networks, bool(steps))
-
-
-def _layered(d: Diagnosis) -> Iterator[Statement]:
-    if d.effects():
+            blocks = f"{d.course.iloc[0]['blocks_mm']:.3f} -> {last['blocks_mm']:.3f} mm"
+            yield Statement("AFTER", f"with fifths of the time left out: {blocks}")
+    if check := more.check:  # tried on one partition into fifths, so that its own gap is not shown
+        ratio = check.refit / check.linearised
+        beside = "as the linearised model" if abs(ratio - 1) < 0.005 else f"{change(ratio)} than the linearised model"
+        said = "they agree" if check.agree else "they DISAGREE"
+        words = f"refitted by Ipopt, nonlinear, each fifth left out once more: {beside}; {said}"
+        yield Statement("AFTER", words, doubtful=not check.agree)
+    for net, what in zip((more.networks or ())[: 1 + bool(steps)], ("instead", "on the rest"), strict=False):
+        words = f"6-5-3 network {what if steps else 'on the gap'}: {change(net.used / net.before)}"
+        if net.refused:
+            all_the_same = f"(used all the same: {change(net.forced / net.before)})"
+            words += f", refused in {net.refused} of 5 trainings {all_the_same}"
+        yield Statement("AFTER", words)
+    if steps:
         yield Statement("LAYERS", "mm on poses held out, each cause beside those above it")
-
-
-def _refitted(check: Check) -> Statement:
-    """What the nonlinear refit says. It is tried on one partition into fifths, so that its own gap is not shown."""
-    ratio = check.refit / check.linearised
-    beside = "as the linearised model" if abs(ratio - 1) < 0.005 else f"{change(ratio)} than the linearised model"
-    said = "they agree" if check.agree else "they DISAGREE"
-    words = f"refitted by Ipopt, nonlinear, each fifth left out once more: {beside}; {said}"
-    return Statement("AFTER", words, doubtful=not check.agree)
-
-
-def _networks(networks: tuple[NetworkGap, NetworkGap], steps: bool) -> Iterator[Statement]:
-    for net, what in zip(networks[: 1 + steps], ("instead", "on the rest"), strict=False):
-        refused = f", refused in {net.refused} of 5 trainings" if net.refused else ""
-        yield Statement(
-            "AFTER",
-            f"6-5-3 network {what if steps else 'on the gap'}: {change(net.used / net.before)}{refused}"
-            + (f" (used all the same: {change(net.forced / net.before)})" if net.refused else ""),
-        )
 
 
 def change(ratio: float) -> str:
@@ -375,15 +327,11 @@ def change(ratio: float) -> str:
 
 
 def _cannot(d: Diagnosis, more: Details) -> Iterator[Statement]:
-    for text in cannot_tell(d):
-        yield Statement("CANNOT", text, doubtful=True)
+    yield from (Statement("CANNOT", text, doubtful=True) for text in cannot_tell(d))
     for label, others in indistinguishable(d, more.isolability).items():
         yield Statement("CANNOT", f"tell {label} from {others}", doubtful=True)
     for why, labels in invisible(d, more.isolability).items():
         yield Statement("CANNOT", f"see, {why}: {labels}")
-
-
-def _ruled_out(more: Details) -> Iterator[Statement]:
     parts = [
         f"from {'' if times == '1' else f'{times} times '}its usual size {gathered(labels)}"
         for times, labels in more.ruled_out.items()
@@ -408,27 +356,22 @@ def _unknown(d: Diagnosis, more: Details) -> Iterator[Statement]:
         words = [_resembles(d, more)] if d.verdict == "unknown" else []
     if any(words):
         yield Statement("UNKNOWN", "; ".join(w for w in words if w), doubtful=True)
-
-
-def _law(more: Details) -> Iterator[Statement]:
-    """The missing law, where something unknown is there."""
     if more.laws:
         yield Statement("LAW", more.laws.in_words)
 
 
 def _resembles(d: Diagnosis, more: Details) -> str:
     """The form on no list that the rest looks most like; empty where a listed cause comes first."""
-    ranking, listed = d.rankings[-1], {c.label for c in d.case.candidates if c.listed}
+    ranking, on_list = d.rankings[-1], {c.label for c in d.case.candidates if c.listed}
     best = ranking.order[0] if ranking.order else ""
-    if not best or best in listed or ranking.probability[best] < 0.5:
+    if not best or best in on_list or ranking.probability[best] < 0.5:
         return ""
     rare = any(c.label == best and c.name != "unknown" for c in d.case.candidates)
     words = f"most like {best} ({ranking.probability[best]:.2f})" + (", see --effects extended" if rare else "")
     u = more.unlisted
     if u is None:
         return words
-    forms = f"{', '.join(u.labels[:-1])}{' and ' if u.labels[1:] else ''}{u.labels[-1]}"
-    low, high = u.shrink_interval
+    forms, (low, high) = listed(u.labels), u.shrink_interval
     if low <= 0:
         return f"{words}; with {forms} in the model the error on poses held out is not surely smaller"
     return (
@@ -437,20 +380,16 @@ def _resembles(d: Diagnosis, more: Details) -> str:
     )
 
 
-def _outliers(d: Diagnosis) -> Iterator[Statement]:
-    if d.outliers:
+def _left_out(d: Diagnosis) -> Iterator[Statement]:
+    """Poses and columns that are not there."""
+    if n := len(d.outliers):
         shown = [f"row {o.row} ({1e3 * o.distance:.2f} mm)" for o in d.outliers[:6]]
-        more = f" and {len(d.outliers) - 6} more" if len(d.outliers) > 6 else ""
-        count = (
-            "1 pose left out as an outlier" if len(d.outliers) == 1 else f"{len(d.outliers)} poses left out as outliers"
-        )
+        more = f" and {n - 6} more" if n > 6 else ""
+        count = "1 pose left out as an outlier" if n == 1 else f"{n} poses left out as outliers"
         yield Statement("OUT", f"{count}: {', '.join(shown)}{more}")
     if joint := d.joint_of_outliers:
         text = f"they err along the motion of joint {joint}, as a joint that is wrong in few places makes them:"
         yield Statement("OUT", f"{text} no listed cause, and no single points", doubtful=True)
-
-
-def _missing(d: Diagnosis) -> Iterator[Statement]:
     for columns, what in not_logged(d).items():
         yield Statement("MISSING", f"{columns}: not logged; it would show {what}")
 
@@ -480,20 +419,8 @@ def _next(d: Diagnosis, more: Details) -> Iterator[Statement]:
     if poses is None or not len(poses):
         return
     before, after = discrimination_probability(d, poses)
-    asked = " from ".join(d.in_question)
-    if after - before < LITTLE:
-        yield Statement(
-            "NEXT",
-            f"{len(poses)} more poses of this robot would hardly tell {asked}: P(correct) {before:.2f} -> {after:.2f}",
-        )
-        return
-    where = f" -> {more.file}" if more.file else ""
-    yield Statement(
-        "NEXT",
-        f"measure {len(poses)} poses{where} ({kinds_of_poses(d.case, poses)}) to tell {asked}: "
-        f"P(correct) {before:.2f} -> {after:.2f}",
-    )
-
-
-def _tied(item: str) -> str:
-    return item.replace(" ", TIED)
+    words = f"{len(poses)} more poses of this robot would hardly tell"
+    if after - before >= LITTLE:
+        where = f" -> {more.file}" if more.file else ""
+        words = f"measure {len(poses)} poses{where} ({kinds_of_poses(d.case, poses)}) to tell"
+    yield Statement("NEXT", f"{words} {' from '.join(d.in_question)}: P(correct) {before:.2f} -> {after:.2f}")

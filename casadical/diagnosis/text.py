@@ -12,7 +12,7 @@ from casadical.core.telling.result import table_lines
 from casadical.diagnosis.cause_table import LAYER_COLUMNS, cause_rows, layer_rows
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.result import Diagnosis
-from casadical.diagnosis.spectrum import COLUMNS, MOST_SUGGESTED, Spectrum, curve_of, curve_rows
+from casadical.diagnosis.spectrum import COLUMNS, MOST_SUGGESTED, curve_of, curve_rows
 from casadical.diagnosis.statements import SUBJECTS, TIED, Statement, floor_of, readings_of, statements
 
 WIDTH = 112
@@ -79,21 +79,16 @@ def _cause_lines(d: Diagnosis, more: Details | None) -> Iterator[str]:
         yield from own
         yield from _wrapped(row.named, "     ", "     ")
         values = (
-            (f"{name} {value} +- {error} {unit}" if error else f"{name} {value} {unit}").rstrip()
+            (f"{name} {value} +- {error} {unit}" if error else f"{name} {value} {unit}").rstrip().replace(" ", TIED)
             for name, value, error, unit in row.parameters
         )
         if row.parameters:
-            yield from _wrapped(", ".join(v.replace(" ", TIED) for v in values), "     ", "     ")
+            yield from _wrapped(", ".join(values), "     ", "     ")
         if more and more.curves and curve_of([row.cause]):
-            yield from _curve_lines(more.curves)
-
-
-def _curve_lines(s: Spectrum) -> Iterator[str]:
-    """The table of joint error curves, a row a joint, and what their lines suggest."""
-    table = Table("", COLUMNS, curve_rows(s), frozenset({0, 1, 2}))
-    yield from chain.from_iterable(table_lines(table, indent=5, most=WIDTH))
-    for text in s.suggestions[:MOST_SUGGESTED]:
-        yield from _wrapped(text, "     ", "     ")
+            curves = Table("", COLUMNS, curve_rows(more.curves), frozenset({0, 1, 2}))
+            yield from chain.from_iterable(table_lines(curves, indent=5, most=WIDTH))
+            for text in more.curves.suggestions[:MOST_SUGGESTED]:
+                yield from _wrapped(text, "     ", "     ")
 
 
 def brief(title: str, d: Diagnosis, more: Details | None = None) -> Sequence[Words | Table]:
@@ -104,16 +99,14 @@ def brief(title: str, d: Diagnosis, more: Details | None = None) -> Sequence[Wor
         Words(told[0].sentence, "verdict"),
         _errors(d, more),
         *_causes(d),
-        *(Words(_short(s), "warning" if s.doubtful else "note") for s in things_to_know(d, told)),
+        *(Words(_short(s.sentence), "warning" if s.doubtful else "note") for s in things_to_know(d, told)),
     ]
 
 
 def _errors(d: Diagnosis, more: Details | None) -> Table:
-    steps = any(c.effects for c in d.causes)
-    rows = [("before: calibrated, without causes", mm(d.gap.kept))]
-    if d.gap.before > d.gap.kept:
-        rows = [("before, outliers in", mm(d.gap.before)), ("before: calibrated, without causes", mm(d.gap.kept))]
-    rows += [("after: with the causes in the model", mm(d.gap.after))] if steps else []
+    rows = [("before, outliers in", mm(d.gap.before))] if d.gap.before > d.gap.kept else []
+    rows += [("before: calibrated, without causes", mm(d.gap.kept))]
+    rows += [("after: with the causes in the model", mm(d.gap.after))] if d.effects() else []
     rows += [("noise alone would leave", mm(floor_of(d, more)))]
     title = f"Mean error on poses held out, of {int(d.case.kept.sum())}{readings_of(d)} [mm]"
     return Table(title, ("model", "mean"), rows, frozenset({1}))
@@ -140,8 +133,7 @@ def things_to_know(d: Diagnosis, told: Sequence[Statement]) -> list[Statement]:
     return sorted(of_each.values(), key=lambda s: (not s.doubtful, [*SUBJECTS].index(s.about)))[:THINGS]
 
 
-def _short(s: Statement) -> str:
-    text = s.sentence
+def _short(text: str) -> str:
     if len(text) <= LONGEST:
         return text
     whole, part, _ = text[:LONGEST].rpartition("; ")

@@ -71,10 +71,13 @@ def learn_bound(found: Identification) -> ErrorBound:
     if gone:
         raise InputError(f"a bound of the remaining error cannot hold the curve that {gone[0]} is part of")
     doubts = doubts_of(robot, found.names)
-    folds = _folds(sets)
-    r, J = evaluated(robot, [m for fold in folds for m in fold], doubts.names)
+    # Five seeded parts, poses at the same readings together.
+    cut = [m.split({str(k): 1 / FOLDS for k in range(FOLDS)}) for m in sets]
+    parts = [(k, part) for k in range(FOLDS) for folds in cut if len(part := folds[str(k)])]
+    label = np.concatenate([np.full(len(m), k) for k, m in parts])
+    r, J = evaluated(robot, [m for _, m in parts], doubts.names)
     whole = normal_sums(r, J)
-    left_out = _at_random(folds), _by_region(np.concatenate([m.q for fold in folds for m in fold]))
+    left_out = [label == k for k in np.unique(label)], _by_region(np.concatenate([m.q for _, m in parts]))
     scores = [np.concatenate([_scores(r, J, out, whole, doubts) for out in outs]) for outs in left_out]
     times = max(float(np.quantile(s, min(1.0, LEVEL * (1 + 1 / len(s))))) for s in scores)
     s2, M = _moment(whole, doubts)
@@ -91,18 +94,10 @@ def _scores(r: Array, J: Array, out: Array, whole: NormalSums, doubts: Doubts) -
     return np.asarray(np.linalg.norm(r[out] + J[out] @ d, axis=1) / np.sqrt(3 * s2 + _spread(J[out], M)))
 
 
-def _at_random(folds: list[list[Measurements]]) -> list[Array]:
-    """Masks of each fold's poses among those of all folds."""
-    label = np.concatenate([np.full(sum(map(len, fold)), k) for k, fold in enumerate(folds)])
-    return [label == k for k in range(len(folds))]
-
-
 def _by_region(q: Array) -> list[Array]:
     """Masks of the 30 % of poses at both ends of six seeded directions of the joints."""
-    centred = q - q.mean(axis=0)
-    along = (
-        centred / np.maximum(q.std(axis=0), 1e-9) @ np.random.default_rng(0).normal(size=(_DIRECTIONS, q.shape[1])).T
-    )
+    directions = np.random.default_rng(0).normal(size=(_DIRECTIONS, q.shape[1]))
+    along = (q - q.mean(axis=0)) / np.maximum(q.std(axis=0), 1e-9) @ directions.T
     low, high = np.quantile(along, [_END, 1 - _END], axis=0)
     masks = [*(along <= low).T, *(along >= high).T]
     return [mask for mask in masks if not mask.all()]
@@ -120,20 +115,12 @@ def doubts_of(robot: Robot, solved: Sequence[str]) -> Doubts:
     )
 
 
-def _folds(sets: Sequence[Measurements]) -> list[list[Measurements]]:
-    """Poses in five seeded parts, those at the same readings together."""
-    cut = [m.split({str(k): 1 / FOLDS for k in range(FOLDS)}) for m in sets]
-    parts = [[c[str(k)] for c in cut if len(c[str(k)].q)] for k in range(FOLDS)]
-    return [part for part in parts if part]
-
-
 def evaluated(robot: Robot, sets: Iterable[Measurements], names: tuple[str, ...]) -> tuple[Array, Array]:
     """Residuals, shape (n, 3) [mm], and Jacobians, shape (n, 3, k) [mm a unit of solver scale]."""
-    found = []
-    for m in sets:
-        block = make_block(robot, m, names, _MM, 1.0, np.zeros((0, 3)), np.zeros(len(m), dtype=int))
-        found.append(block.evaluate(np.zeros(len(names)), np.zeros((0, 3))))
-    r, J = (np.concatenate(both) for both in zip(*found, strict=True))
+    none = np.zeros((0, 3))
+    blocks = (make_block(robot, m, names, _MM, 1.0, none, np.zeros(len(m), dtype=int)) for m in sets)
+    both = zip(*(block.evaluate(np.zeros(len(names)), none) for block in blocks), strict=True)
+    r, J = map(np.concatenate, both)
     return r, J
 
 

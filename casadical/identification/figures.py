@@ -20,8 +20,8 @@ from casadical.robot.robot import Robot
 KINDS = {"mm": ("lengths", "Lengths"), "deg": ("angles", "Angles"), "urad/(N m)": ("compliance", "Joint compliance")}
 # More residuals than this are drawn by so many of their quantiles; of readings, so many are drawn.
 MOST_DRAWN = 600
-# Parameters of the pair plot, and the least correlation that is worth one.
-MOST_PAIRED, WORTH = 4, 0.5
+# Parameters of the pair plot, and the least correlation that is worth one; pairs that are told in words.
+MOST_PAIRED, WORTH, MOST_TOLD = 4, 0.5, 8
 _RESIDUALS = (
     "Every coordinate of every pose that was used. Noise alone lies on the diagonal, within the band: ends that bend "
     "away are errors that the model does not describe, or bad rows."
@@ -51,6 +51,11 @@ def intervals(
         "%{customdata[3]}",
     )  # fmt: skip
     return Figure(name, title, [dots], x, rows=rows, height=118 + 26 * len(rows), **more)
+
+
+def banded(x: Array, low: Array, high: Array, **style: Any) -> Series:
+    """An area between two curves over x, shapes (n,)."""
+    return Series("area", np.concatenate([x, x[::-1]]), np.concatenate([high, low[::-1]]), **style)
 
 
 def parameter_figures(result: Identification) -> Iterator[Figure]:
@@ -106,11 +111,8 @@ def residual_quantiles(residuals: Array) -> Figure:
     expected = np.array([normal.inv_cdf(p) for p in share])
     # Standard error of an order statistic, from the density there.
     width = 1.96 * np.sqrt(share * (1 - share) / n) / np.array([normal.pdf(x) for x in expected])
-    band = Series(
-        "area", np.concatenate([expected, expected[::-1]]).round(4),
-        np.concatenate([expected + width, (expected - width)[::-1]]).round(4), name="noise, 95 %", colour="grey",
-        opacity=0.25,
-    )  # fmt: skip
+    low, high = (expected - width).round(4), (expected + width).round(4)
+    band = banded(expected.round(4), low, high, name="noise, 95 %", colour="grey", opacity=0.25)
     tip = "%{y:.2f} sigma, of noise %{x:.2f}"
     dots = Series("points", expected.round(4), residuals[k].round(4), name="residuals", size=4.5, tip=tip)
     x, y = Axis("expected of noise [sigma]", count=8), Axis("residual [sigma]")
@@ -142,10 +144,7 @@ def joint_coverage(robot: Robot, sets: Mapping[str, Sequence[Measurements]]) -> 
 
 def most_correlated(result: Identification) -> tuple[str, ...]:
     """Parameters of the strongest correlations, the strongest first; () where none is worth a figure."""
-    pairs = result.correlations(WORTH)
-    pairs = pairs[pairs[["parameter", "with"]].isin(result.start.shown).all(axis=1)]
-    names = dict.fromkeys(name for row in pairs[["parameter", "with"]].itertuples(index=False) for name in row)
-    return tuple(names)[:MOST_PAIRED]
+    return tuple(dict.fromkeys(name for a, b, _ in _pairs(result, WORTH) for name in (a, b)))[:MOST_PAIRED]
 
 
 def correlated_pairs(result: Identification, names: Sequence[str]) -> Figure:
@@ -226,12 +225,9 @@ def parameter_tables(result: Identification, whole: bool = False) -> list[Table 
     columns = ("parameter", "nominal", "value", "std error", "95 % low", "high", "unit")
     title = f"{'All parameters of' if whole else 'Parameters identified by'} {result.method}"
     table = Table(title, columns, rows, frozenset(range(1, 6)), frozenset(strong), frozenset(faint), folded=whole)
-    return [table, *([PLACED] if was_placed(result) else []), *_stiffness(result), *_summaries(result)]
-
-
-def was_placed(result: Identification) -> bool:
-    """Whether the nominal values of base and tool come from a first placement (see `placement.place_frames`)."""
-    return result.given.base.unknown == "pose" and any(m.position is not None for m in result.measurements)
+    # Nominal values of base and tool then come from a first placement (see `placement.place_frames`).
+    placed = result.given.base.unknown == "pose" and any(m.position is not None for m in result.measurements)
+    return [table, *([PLACED] if placed else []), *_stiffness(result), *_summaries(result)]
 
 
 def _parameters(result: Identification) -> list[dict[Any, Any]]:
@@ -250,12 +246,11 @@ def _stiffness(result: Identification) -> list[Words]:
 
 def _summaries(result: Identification) -> list[Words]:
     """Effects whose parameters are too many to be shown."""
-    effects = [effect for effect in result.start.effects if effect.summary]
-    texts = [", ".join(f"{name} {value} {unit}".rstrip() for name, value, unit in e.summary) for e in effects]
-    return [
-        Words(f"{e.label}: {text}; coefficients in the robot file", "note")
-        for e, text in zip(effects, texts, strict=True)
-    ]
+    words = []
+    for effect in (e for e in result.start.effects if e.summary):
+        text = ", ".join(f"{name} {value} {unit}".rstrip() for name, value, unit in effect.summary)
+        words.append(Words(f"{effect.label}: {text}; coefficients in the robot file", "note"))
+    return words
 
 
 def stiffness(compliance: float, error: float) -> str:
@@ -273,9 +268,14 @@ def held_table(result: Identification) -> Table | Words:
     return Table("Not identifiable: held at nominal", ("parameter", "why"), rows)
 
 
-def correlated(result: Identification, most: int = 8) -> list[Words]:
+def correlated(result: Identification) -> list[Words]:
     """The strongest of the pairs of estimates that are correlated above 0.95, if there are any."""
-    pairs = result.correlations()
-    pairs = pairs[pairs[["parameter", "with"]].isin(result.start.shown).all(axis=1)]
-    text = ", ".join(f"{a}/{b} {c:+.3f}" for a, b, c in pairs.head(most).itertuples(index=False))
-    return [Words(f"Correlated above 0.95: {text}" + (" ..." if len(pairs) > most else ""))] if text else []
+    pairs = _pairs(result, 0.95)
+    text = ", ".join(f"{a}/{b} {c:+.3f}" for a, b, c in pairs[:MOST_TOLD])
+    return [Words(f"Correlated above 0.95: {text}" + (" ..." if len(pairs) > MOST_TOLD else ""))] if text else []
+
+
+def _pairs(result: Identification, above: float) -> list[tuple[str, str, float]]:
+    """Correlations of parameters that are shown, the strongest first."""
+    pairs = result.correlations(above)
+    return [*pairs[pairs[["parameter", "with"]].isin(result.start.shown).all(axis=1)].itertuples(index=False)]

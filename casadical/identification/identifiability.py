@@ -22,6 +22,8 @@ INVISIBLE = 1e-9
 CANCELLED = 0.7
 # Condition number from which on some parameters are nearly confounded.
 CONFOUNDED = 1000
+# Parameters whose estimates are more correlated than this are named together.
+CORRELATED = 0.9
 # Cholesky's factors give the inverse faster, and well if no scaled variance is greater than this.
 CERTAIN = 1e8
 NO_EFFECT = "it has no effect on what was measured"
@@ -88,7 +90,9 @@ def analyse(
             kept.append(k)
     columns = [*range(always), *kept]
     shares, _, _, singular = np.linalg.lstsq(unit[:, columns], unit[:, list(reasons)], rcond=None)
-    alike = [_strongest(share, [names[j - always] for j in kept]) for share in np.abs(shares[always:]).T]
+    shares, independent = np.abs(shares[always:]), [names[j - always] for j in kept]
+    least = np.maximum(0.05 * shares.max(axis=0, initial=0.0), 1e-6)
+    alike = [_strongest(share, independent, low) for share, low in zip(shares.T, least, strict=True)]
     dropped = tuple(
         _carried(Unidentifiable(names[k - always], why), those)
         if names[k - always] in held
@@ -96,7 +100,7 @@ def analyse(
         for (k, why), those in zip(reasons.items(), alike, strict=True)
     )
     condition = float(singular[0] / max(singular[-1], 1e-300)) if kept else 1.0
-    return Identifiability(tuple(names[k - always] for k in kept), dropped, condition)
+    return Identifiability(tuple(independent), dropped, condition)
 
 
 def _without(basis: Array, column: Array) -> tuple[float, Array]:
@@ -116,9 +120,8 @@ def _carried(u: Unidentifiable, alike: tuple[str, ...]) -> Unidentifiable:
     return replace(u, reason=u.reason + (more if alike else ""), confounded_with=alike)
 
 
-def _strongest(share: Array, names: Sequence[str]) -> tuple[str, ...]:
-    """The names that together reproduce a column, the strongest first; share : of each."""
-    least = max(0.05 * share.max(initial=0.0), 1e-6)
+def _strongest(share: Array, names: Sequence[str], least: float) -> tuple[str, ...]:
+    """Up to six names with a greater share than the least, the strongest first; share : of each."""
     return tuple(names[j] for j in np.argsort(-share)[:6] if share[j] > least)
 
 
@@ -152,8 +155,18 @@ def drop_poor(
         if not kept or ratio.max() <= 1:
             return kept, poor, covariance
         worst = int(np.argmax(ratio))
-        partners = correlated_pairs(covariance, worst, [parameters[k].name for k in kept])
-        poor.append(_poorly_determined(parameters[kept[worst]], errors[worst], partners))
+        share = np.abs(covariance[worst] / (errors[worst] * errors))
+        share[worst] = 0.0
+        partners = _strongest(share, [parameters[k].name for k in kept], CORRELATED)
+        p = parameters[kept[worst]]
+        reason = (
+            f"these poses determine it only to +/- {p.readable(errors[worst] * p.scale):.3g} {p.readable_unit}, worse "
+            f"than its prior, {p.readable(p.prior):.3g} {p.readable_unit}"
+        )
+        if partners:
+            verb = "does" if len(partners) == 1 else "do"
+            reason += f"; it moves the measured points nearly as {', '.join(partners)} {verb}"
+        poor.append(Unidentifiable(p.name, reason, partners))
         left.remove(kept[worst])
 
 
@@ -168,25 +181,3 @@ def scaled_inverse(H: Array) -> Array:
             return np.asarray(inverse / np.outer(root, root))
     eigenvalues, V = np.linalg.eigh(scaled)
     return np.asarray((V / np.maximum(eigenvalues, 1e-15)) @ V.T / np.outer(root, root))
-
-
-def _poorly_determined(p: Parameter, error: float, partners: tuple[str, ...]) -> Unidentifiable:
-    """With the reason; error : standard error in units of the parameter's scale."""
-    unit = p.readable_unit
-    reason = (
-        f"these poses determine it only to +/- {p.readable(error * p.scale):.3g} {unit}, worse than its prior, "
-        f"{p.readable(p.prior):.3g} {unit}"
-    )
-    if partners:
-        reason += (
-            f"; it moves the measured points nearly as {', '.join(partners)} {'does' if len(partners) == 1 else 'do'}"
-        )
-    return Unidentifiable(p.name, reason, partners)
-
-
-def correlated_pairs(covariance: Array, k: int, names: Sequence[str], above: float = 0.9) -> tuple[str, ...]:
-    """Up to six parameters whose estimates are correlated with parameter k, the strongest first."""
-    errors = np.sqrt(np.diag(covariance))
-    share = np.abs(covariance[k] / (errors[k] * errors))
-    strongest = [j for j in np.argsort(-share) if j != k and share[j] > above]
-    return tuple(names[j] for j in strongest[:6])

@@ -104,9 +104,15 @@ def prepare(
     elif masses != "declared":
         robot, free = with_unknown_masses(robot, sets)
         if not free and (masses == "free" or robot.masses == "estimated"):
-            robot, free = _with_free_masses(robot)
+            if not any(isinstance(e, LinkMasses) for e in robot.effects):
+                robot = robot.with_effect(*LinkMasses.candidates(robot))
+            free = tuple(e.label for e in robot.effects if isinstance(e, LinkMasses))
     robot, sessions = with_sessions(robot, sets)
-    robot = _with_turning_tool(robot, sets) if tool_turns else robot
+    oriented = next((m for m in sets if m.orientation is not None), None)
+    if tool_turns and oriented is not None and robot.tool.unknown != "none":  # turned as first seen, and free to turn
+        robot = replace(robot, tool=replace(robot.tool, unknown="pose"))
+        turned = frame(place_frames(robot, oriented).tool.T[:3, :3], robot.tool.T[:3, 3])
+        robot = replace(robot, tool=replace(robot.tool, T=turned))
     return Prepared(robot, sets, (*free, *sessions), known, knowledge, method)
 
 
@@ -162,23 +168,6 @@ def with_unknown_masses(robot: Robot, sets: Sequence[Measurements]) -> tuple[Rob
         robot = with_payload(robot, mass)
         effects += PayloadError.candidates(robot)
     return robot.with_effect(*effects), tuple(e.label for e in effects)
-
-
-def _with_free_masses(robot: Robot) -> tuple[Robot, tuple[str, ...]]:
-    """The robot with masses and mass centres of links in its model, and their label; none where none are declared."""
-    if not any(isinstance(e, LinkMasses) for e in robot.effects):
-        robot = robot.with_effect(*LinkMasses.candidates(robot))
-    return robot, tuple(e.label for e in robot.effects if isinstance(e, LinkMasses))
-
-
-def _with_turning_tool(robot: Robot, sets: Sequence[Measurements]) -> Robot:
-    """The robot with its unknown tool turned as the first orientations say, and free to turn."""
-    first = next((m for m in sets if m.orientation is not None), None)
-    if first is None or robot.tool.unknown == "none":
-        return robot
-    robot = replace(robot, tool=replace(robot.tool, unknown="pose"))
-    turned = frame(place_frames(robot, first).tool.T[:3, :3], robot.tool.T[:3, 3])
-    return replace(robot, tool=replace(robot.tool, T=turned))
 
 
 def prepared_again(found: Identification, sets: Sequence[Measurements] = ()) -> Prepared:

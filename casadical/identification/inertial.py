@@ -4,7 +4,7 @@ Dependent columns of the regressor along the logged motion are found as those of
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -36,14 +36,11 @@ class States:
     a: Array
     tau: Array
 
-    def turned(self, joint: int) -> "States":
-        """With joint and torque counted the other way."""
+    def turned(self, joint: int, *, torque_alone: bool = False) -> "States":
+        """With joint and torque, or the torque alone, counted the other way."""
         sign = np.where(np.arange(self.q.shape[1]) == joint, -1.0, 1.0)
-        return States(*(sign * each for each in (self.q, self.v, self.a, self.tau)))
-
-    def reversed_torque(self, joint: int) -> "States":
-        """With the torque alone counted the other way."""
-        return replace(self, tau=np.where(np.arange(self.q.shape[1]) == joint, -1.0, 1.0) * self.tau)
+        q, v, a = (each if torque_alone else sign * each for each in (self.q, self.v, self.a))
+        return States(q, v, a, sign * self.tau)
 
     def swapped(self, first: int, second: int) -> "States":
         """With the columns of two joints exchanged."""
@@ -154,7 +151,7 @@ def _order(robot: Robot, log: JointLog, states: States) -> Iterator[str]:
     against = "the torque or current of {} counts against its angle"
     plain = _left(dynamics, states)
     tries = {f"{names[k]} counts the other way than the model, torque included": states.turned(k) for k in range(n)}
-    tries |= {against.format(names[k]): states.reversed_torque(k) for k in range(n)}
+    tries |= {against.format(names[k]): states.turned(k, torque_alone=True) for k in range(n)}
     tries |= {
         f"{names[i]} and {names[k]} stand in each other's columns": states.swapped(i, k)
         for i, k in combinations(range(n), 2)

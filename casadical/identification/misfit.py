@@ -137,7 +137,8 @@ def wide_fit(found: Identification) -> WideFit:
     doubts = replace(doubts, joints=(*low, *(joint[2 * ORDERS :] for joint in doubts.joints)))
     poses = _Poses(found, robot, doubts.names)
     rhos, best, mean = _most_probable(poses, doubts)
-    parts = [_sums(rhos, poses, part)[0] for part in (_by_order(len(poses)), _by_region(poses.q))]
+    n = len(poses)
+    parts = [_sums(rhos, poses, part)[0] for part in (np.arange(n) * min(PARTS, n) // n, _by_region(poses.q))]
     times = _misfit(parts, mean, best.s2, best.variance)
     # A parameter with a prior counts as far as the data determine it (Hastie 1990); with few poses the last round of
     # `posterior_of` still moved s2.
@@ -283,10 +284,6 @@ def _misfit(of_parts: Sequence[Sequence[NormalSums]], mean: Array, s2: float, va
         if usual > 0:
             factor = max(factor, pushed / usual - chance)
     return factor
-
-
-def _by_order(n: int) -> Array:
-    return np.arange(n) * min(PARTS, n) // n
 
 
 def _by_region(q: Array) -> Array:

@@ -1,7 +1,5 @@
 """A start for the base and tool frames: in closed form, or held by the robot file where readings tell too little.
 
-A start for base and tool where readings do not determine them alone: held by what the robot file says of them.
-
 The tool may be elsewhere than the file says by OWN_TOOL, the base turned by TURN, shifted by SHIFT, one sigma each. A
 model that is not calibrated yet is wrong by MODEL at a pose, and not by chance: more than ENOUGH poses tell no more
 than so many. What the readings determine is freed of these priors in the end.

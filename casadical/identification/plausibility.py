@@ -74,8 +74,7 @@ def _refuse_implausible(robot: Robot, m: Measurements) -> None:
     if len(m) > 3:
         some = m[:: max(1, len(m) // UNIT_POSES)]
         p, _ = predicted(robot, some)
-        fault = find_kind(m.kind).unit_fault(some.arrays, p, positions_at(robot, some), robot.reach)
-        if fault:
+        if fault := _unit_fault(robot, some, p):
             raise InputError(f"{m.source}: {fault}")
         _refuse_another_unit_midway(robot, m, some, p)
 
@@ -154,14 +153,14 @@ def turned_off(robot: Robot, m: Measurements) -> float:
 def _refuse_another_unit_midway(robot: Robot, m: Measurements, some: Measurements, p: Array) -> None:
     """Raise InputError where rows are in another unit; p : positions of `some` by the model, shape (n, 3) [m]."""
     by_row = _by_row(some)
-    found, said = [], ""
+    parts, said = [], ""
     for part in np.array_split(by_row, max(1, min(PARTS, len(by_row) // LEAST_POSES))):
         if np.linalg.norm(np.ptp(p[part], axis=0)) > MOVED * robot.reach:
-            fault = _unit_fault(robot, some, p, part)
-            found += [(some.row[part[0]], some.row[part[-1]])] if fault else []
+            fault = _unit_fault(robot, some[part], p[part])
+            parts += [(some.row[part[0]], some.row[part[-1]])] if fault else []
             said = said or fault
     if said:
-        runs = " and ".join(f"{a} to {b}" for a, b in _runs(robot, m, found))
+        runs = " and ".join(f"{a} to {b}" for a, b in _runs(robot, m, parts))
         raise InputError(
             f"{m.source}: rows {runs} are in another unit than the others: {said}. One unit a column: correct these "
             "rows, or make two tables of it"
@@ -174,25 +173,24 @@ def _by_row(m: Measurements) -> Array:
     return np.asarray(order[m.weight[order] > 0])
 
 
-def _unit_fault(robot: Robot, m: Measurements, p: Array, which: Array) -> str:
-    """What is wrong with the unit of some poses; p : positions of the model, shape (n, 3) [m]."""
-    some = m[which]
-    return find_kind(m.kind).unit_fault(some.arrays, p[which], positions_at(robot, some), robot.reach)
+def _unit_fault(robot: Robot, m: Measurements, p: Array) -> str:
+    """What is wrong with the unit of poses; p : positions of the model, shape (n, 3) [m]."""
+    return find_kind(m.kind).unit_fault(m.arrays, p, positions_at(robot, m), robot.reach)
 
 
-def _runs(robot: Robot, m: Measurements, found: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+def _runs(robot: Robot, m: Measurements, parts: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
     """First and last row of each run in another unit, grown row by row from the parts that were found."""
     by_row, (p, _) = _by_row(m), predicted(robot, m)
     rows = m.row[by_row]
     runs: list[tuple[int, int]] = []
-    for begin, end in found:
+    for begin, end in parts:
         first, last = (int(k) for k in np.searchsorted(rows, (begin, end)))
         few = np.linspace(first, last, LEAST_POSES).astype(int)
 
         def beside(k: int, few: Array = few) -> bool:
             # As often as all others together, for faults that a median tells.
             which = by_row[[*few, *[k] * (len(few) + 1)]]
-            return bool(_unit_fault(robot, m, p, which))
+            return bool(_unit_fault(robot, m[which], p[which]))
 
         while first > 0 and beside(first - 1):
             first -= 1

@@ -147,10 +147,10 @@ def errors_by_pose(poses: PoseErrors, name: str = "errors", caption: str = "", f
         text = f"triangles: beyond the axis, row{'s' if beyond[1:] else ''} {_few(beyond)}"
         marks.append(Note(text, 0, 1, "xy", "above", colour="muted", size=11))
     title = f"row, {len(some)} of {len(poses)} drawn" if len(some) < len(poses) else f"row of {_short(poses.source)}"
-    return Figure(
-        name, f"{poses.words}: error of each", series, Axis(title, ends, count=8, whole=True, grid=False),
-        _error_axis(low, top, log), 380, caption, marks=marks,
-    )  # fmt: skip
+    x, y = Axis(title, ends, count=8, whole=True, grid=False), Axis("error [mm]", (0, 1.06e3 * top))
+    if log:
+        y = Axis("error [mm], logarithmic", (0.9e3 * low, 1.12e3 * top), log=True)
+    return Figure(name, f"{poses.words}: error of each", series, x, y, 380, caption, marks=marks)
 
 
 def _points(some: PoseErrors, left: ModelErrors, low: float, top: float, size: float) -> Series:
@@ -182,12 +182,6 @@ def _limits(lengths: Sequence[Array]) -> tuple[float, float, bool]:
     top = max(min(float(x.max()), BEYOND * float(np.quantile(x, 0.95))) for x in lengths)
     low = min(float(np.quantile(x, LEAST)) for x in lengths) if log else 0.0
     return max(low, 1e-3 * top) if log else 0.0, max(top, 1e-9), log
-
-
-def _error_axis(low: float, top: float, log: bool) -> Axis:
-    if not log:
-        return Axis("error [mm]", (0, 1.06e3 * top))
-    return Axis("error [mm], logarithmic", (0.9e3 * low, 1.12e3 * top), log=True)
 
 
 def error_distribution(poses: PoseErrors, name: str = "distribution", caption: str = "") -> Figure:
@@ -227,7 +221,9 @@ def workspace(poses: PoseErrors, robot: Robot | None = None, caption: str = "") 
             factor = round_factor(LENGTH * extent / max(float(np.quantile(left.length, 0.95)), 1e-12))
             series += _vectors(some, left, factor, left is first)
     if robot is not None:
-        points = skeleton(robot, some.q[_from_the_side(robot, some)])
+        out = some.position - robot.base.T[:3, 3]
+        from_the_side = int(np.argmax(out[:, 0] * EYE[1] - out[:, 1] * EYE[0]))  # as the first view shows it
+        points = skeleton(robot, some.q[from_the_side])
         series.append(Series("linked", **_xyz(points), name="robot, at one pose", colour="grey", width=9, size=4.5))
     return Figure("workspace", f"{poses.words}: error vectors", series, height=560, caption=caption)
 
@@ -268,13 +264,6 @@ def skeleton(robot: Robot, q: Array) -> Array:
     origins = [(T @ f)[:3, 3] for f in frames]
     tool, _ = robot.model.evaluate(("p", "R"), q[None], robot.declared[None], robot.parameters.values)
     return np.array([*origins, tool[:, 0]])
-
-
-def _from_the_side(robot: Robot, poses: PoseErrors) -> int:
-    """The pose that the first view shows most from the side."""
-    assert poses.position is not None
-    out = poses.position - robot.base.T[:3, 3]
-    return int(np.argmax(out[:, 0] * EYE[1] - out[:, 1] * EYE[0]))
 
 
 def _xyz(points: Array) -> dict[str, Any]:

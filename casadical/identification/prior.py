@@ -70,16 +70,11 @@ class Prior(Shown):
 
     def uncovered(self, sets: Sequence[Measurements]) -> dict[str, float]:
         """Share of poses outside of the range on which the values were learnt, by joint (q1) or logged column."""
-        shares = {}
-        for j, (low, high) in enumerate(self.knowledge.readings):
-            q = np.concatenate([m.q[:, j] for m in sets])
-            shares[f"q{j + 1}"] = float(np.mean((q < low) | (q > high)))
-        for name, (low, high) in self.knowledge.conditions.items():
-            logged = [m.conditions[name] for m in sets if name in m.conditions]
-            if logged:
-                column = np.concatenate(logged)
-                shares[name] = float(np.mean((column < low) | (column > high)))
-        return shares
+        of = {f"q{j}": (ends, [m.q[:, j - 1] for m in sets]) for j, ends in enumerate(self.knowledge.readings, 1)}
+        for name, ends in self.knowledge.conditions.items():
+            of[name] = ends, [m.conditions[name] for m in sets if name in m.conditions]
+        columns = {name: (ends, np.concatenate(logged)) for name, (ends, logged) in of.items() if logged}
+        return {name: float(np.mean((x < low) | (x > high))) for name, ((low, high), x) in columns.items()}
 
     def refuse_uncovered(self, sets: Sequence[Measurements]) -> None:
         """Raises InputError where frozen values would be used outside of what they were learnt on."""
@@ -177,9 +172,7 @@ def carry_over(
         )
     sizes = {p.name: p.scale for p in taken}
     blocks = (block.only(sizes) for block in knowledge.covariance)
-    wider = WIDENED, CHANGED
-    if knowledge.robots:
-        wider = 1.0, 0.0
+    wider = (1.0, 0.0) if knowledge.robots else (WIDENED, CHANGED)
     known = tuple((block.names, _widened(block, sizes, *wider)) for block in blocks if block.names)
     errors = {name: float(s) for names, C in known for name, s in zip(names, np.sqrt(np.diag(C)), strict=True)}
     means = {p.name: (theirs[p.name].value, errors.get(p.name, p.prior)) for p in taken}

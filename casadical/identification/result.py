@@ -234,13 +234,13 @@ class Identification(Result):
     @cached_property
     def left_out(self) -> tuple[LeftOut, ...]:
         """The poses that were left out, the farthest first."""
-        found = []
+        out = []
         for k, m in enumerate(self.measurements):
             poses = [i for place, i in self.outliers if place == k]
             if poses:
                 e = errors(self.robot, m)
-                found += [LeftOut(m.source, int(m.row[i]), float(e[i])) for i in poses]
-        return tuple(sorted(found, key=lambda out: -out.error))
+                out += [LeftOut(m.source, int(m.row[i]), float(e[i])) for i in poses]
+        return tuple(sorted(out, key=lambda out: -out.error))
 
     @property
     def sources(self) -> tuple[str, ...]:

@@ -94,7 +94,8 @@ def not_shared(sets: Sequence[Measurements]) -> str:
     names = sessions_in(sets)
     if len(names) < 2:
         return ""
-    poses = [np.concatenate([_readings_in(m, name) for m in sets]) for name in names]
+    flags = [[m.conditions.get(PREFIX + name, np.zeros(len(m))) > 0 for m in sets] for name in names]
+    poses = [np.concatenate([m.q[own] for m, own in zip(sets, each, strict=True)]) for each in flags]
     apart = [name for name, q in zip(names[1:], poses[1:], strict=True) if not _common(poses[0], q)]
     if not apart:
         return ""
@@ -102,11 +103,6 @@ def not_shared(sets: Sequence[Measurements]) -> str:
         f"tell a change of the robot from how it was set up: session {', '.join(map(repr, apart))} shares no pose with "
         f"{names[0]!r}; some poses of {names[0]!r} measured again would"
     )
-
-
-def _readings_in(m: Measurements, name: str) -> Array:
-    flags = m.conditions.get(PREFIX + name)
-    return m.q[:0] if flags is None else m.q[flags > 0]
 
 
 def _common(a: Array, b: Array, within: float = 5e-4) -> bool:

@@ -130,14 +130,6 @@ def draw(robot: Robot, count: int, workspace: Workspace, rng: np.random.Generato
     )
 
 
-def _allowed(
-    robot: Robot, count: int, workspace: Workspace, lower: Array, upper: Array, rng: np.random.Generator
-) -> Array:
-    """Of so many readings drawn evenly between two, those that the workspace allows, shape (any, joints)."""
-    q = robot.coupled(rng.uniform(lower, upper, (count, robot.n)))
-    return np.asarray(q[workspace.allows(robot, q)])
-
-
 def candidates_at(robot: Robot, q: Array, circumstances: Circumstances, n: int, rng: np.random.Generator) -> Candidates:
     """Candidates at readings q with every column that the robot's model needs, some drawn at random.
 
@@ -146,11 +138,8 @@ def candidates_at(robot: Robot, q: Array, circumstances: Circumstances, n: int, 
     """
     g, N = circumstances.size(robot), len(q)
     states = circumstances.states(robot)
-    counts = (
-        circumstances.repeats,
-        len(states) if circumstances.every_payload else 1,
-        1 + circumstances.both_approaches,
-    )
+    mounted = len(states) if circumstances.every_payload else 1
+    counts = (circumstances.repeats, mounted, 1 + circumstances.both_approaches)
     turn, payload, side = np.unravel_index(np.arange(g), counts)
     moment = rng.uniform(size=(N, 1)) * np.ones(g)
     columns: dict[str, Array] = {}
@@ -166,8 +155,7 @@ def candidates_at(robot: Robot, q: Array, circumstances: Circumstances, n: int, 
             columns[name] = np.full((N, g), robot.declared[robot.conditions.index(name)])
         elif not _TIMED.fullmatch(name):
             raise InputError(f"column {name!r} is needed by an effect and cannot be planned; leave that effect out")
-    timed = [name for name in robot.conditions if _TIMED.fullmatch(name)]
-    if timed:
+    if timed := [name for name in robot.conditions if _TIMED.fullmatch(name)]:
         columns |= timeline(timed, moment, n * g, circumstances)
         columns["progress"] = moment
     return Candidates(q, columns, np.asarray(turn))
@@ -221,23 +209,25 @@ def later_poses(
     room = (workspace or Workspace()).as_open_as(robot, campaign.q)
     own = campaign.q[kept]
     lower, upper = room.ranges(robot)
+
+    def drawn(wanted: int, low: Array, high: Array) -> Array:
+        q = robot.coupled(rng.uniform(low, high, (4 * wanted, robot.n)))
+        return np.asarray(q[room.allows(robot, q)][:wanted])
+
     near = np.empty((0, robot.n))
     narrow = np.maximum(own.min(axis=0), lower), np.minimum(own.max(axis=0), upper)
     if (narrow[0] < narrow[1]).all():
-        near = _allowed(robot, 4 * (count // 2), room, *narrow, rng)[: count // 2]
-    wide = _allowed(robot, 4 * (count - len(near)), room, lower, upper, rng)[: count - len(near)]
+        near = drawn(count // 2, *narrow)
+    wide = drawn(count - len(near), lower, upper)
     q = np.concatenate([near, wide, own])
     repeated = np.concatenate([np.full(len(near) + len(wide), -1), np.flatnonzero(kept)])
     declared = robot.payload.mass if robot.payload else 0.0
-    states = np.unique([*campaign_payloads(robot, campaign), 0.0, declared])
+    usual = np.unique([*campaign_payloads(robot, campaign), 0.0, declared])
+    states = np.array(sorted(payloads)) if payloads else usual
     warm = rng.random(len(q)) < 0.5
-    conditions = {
-        name: _later(name, campaign.conditions.get(name), warm, np.array(sorted(payloads)) if payloads else states, rng)
-        for name in columns
-    }
-    return LaterPoses(
-        unmeasured(q, conditions), repeated, warm if any(n.startswith("warmth_") for n in conditions) else None
-    )
+    conditions = {name: _later(name, campaign.conditions.get(name), warm, states, rng) for name in columns}
+    thermal = any(name.startswith("warmth_") for name in conditions)
+    return LaterPoses(unmeasured(q, conditions), repeated, warm if thermal else None)
 
 
 def campaign_payloads(robot: Robot, campaign: Measurements) -> Array:
@@ -284,23 +274,21 @@ def held_in(
     """
     each = -(-count // len(places))
     lower, upper = workspace.ranges(robot)
-    found, which = [], []
+    held, which = [], []
     for k, place in enumerate(places):
         q = draw(robot, TRIED * each, workspace, rng)
         for _ in range(STEPS):
-            m = expected(robot, q, {}, "sockets")
-            assert m.position is not None
-            left = place - m.position
+            m = unmeasured(q)
+            left = place - predicted(robot, m)[0]
             U, s, Vt = np.linalg.svd(by_joints(robot, m), full_matrices=False)
             inverse = np.where(s > LEAST * s[:, :1], 1 / np.maximum(s, 1e-12), 0.0)
             step = np.einsum("nki,nk,njk,nj->ni", Vt, inverse, U, left)
             q = robot.coupled(np.clip(q + np.clip(step, -LONGEST, LONGEST), lower, upper))
-        at = expected(robot, q, {}, "sockets").position
-        assert at is not None
-        good = np.flatnonzero((np.linalg.norm(at - place, axis=1) < CLOSE) & workspace.allows(robot, q))[:each]
-        found.append(q[good])
+        left = np.linalg.norm(predicted(robot, unmeasured(q))[0] - place, axis=1)
+        good = np.flatnonzero((left < CLOSE) & workspace.allows(robot, q))[:each]
+        held.append(q[good])
         which.append(np.full(len(good), float(k)))
-    return np.concatenate([np.zeros((0, robot.n)), *found]), np.concatenate([np.zeros(0), *which])
+    return np.concatenate([np.zeros((0, robot.n)), *held]), np.concatenate([np.zeros(0), *which])
 
 
 def reached(robot: Robot, places: Array, count: int, workspace: Workspace, rng: np.random.Generator) -> Array:

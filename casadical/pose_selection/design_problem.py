@@ -33,7 +33,10 @@ TASK_POSES = 300
 class DesignProblem:
     """The input of a search.
 
-    names, held, measured, task : as of `Selection`; pool : candidates; open : whether new ones may be drawn near them
+    robot : with the values and effects that are planned for; workspace, circumstances, noise : as asked for
+    names : parameters that will be identified; held : the others, each with its reason
+    measured : poses measured before, which count as well; task : where the robot is to be accurate
+    pool : candidates; open : whether new ones may be drawn near them
     fixed : information of what was measured, shape (p, p); weight : W of linear criteria, shape (p, p)
     instrument : what is read in place of positions; its unknown places are further columns, behind the names
     prior : what is known of the robot before anything is measured; part of `fixed`
@@ -97,29 +100,27 @@ def _rows(
 def prepare(
     robot: Robot,
     n: int,
-    criterion: Criterion,
+    criterion: Criterion = "V",
     *,
-    candidates: Array | None,
-    workspace: Workspace,
-    circumstances: Circumstances,
-    measured: Measurements | None,
-    free: Iterable[str] | None,
-    interest: Iterable[str],
-    task: Array | None,
-    noise: Noise,
     pool: int,
     rng: np.random.Generator,
+    candidates: Array | None = None,
+    workspace: Workspace | None = None,
+    circumstances: Circumstances | None = None,
+    measured: Measurements | None = None,
+    free: Iterable[str] | None = None,
+    interest: Iterable[str] = (),
+    task: Array | None = None,
+    noise: Noise | None = None,
     instrument: Instrument | None = None,
     prior: Prior | None = None,
 ) -> DesignProblem:
     """Candidates, independent parameters and weights; arguments as of `select_poses`. Raises InputError."""
+    workspace, circumstances, noise = workspace or Workspace(), circumstances or Circumstances(), noise or Noise()
     criterion = checked(criterion)
     words = ("kinematic", "compliance", *(e.label for e in robot.effects)) if free is None else tuple(free)
     wanted = robot.parameters.select(words)
-    if prior is not None and criterion not in ("V", "A", "D"):
-        raise InputError(f"criterion {criterion} does not count what is known before; allowed with a prior: V, A, D")
-    if instrument is not None:
-        _refuse(instrument, criterion, measured, candidates)
+    _refuse(criterion, prior, instrument, measured, candidates)
     ready = _candidates(robot, candidates, workspace, circumstances, n, pool, rng, instrument)
     m = ready.measurements(robot)
     if measured is not None:
@@ -149,7 +150,7 @@ def prepare(
         A = _rows(robot, names, measured, noise).reshape(-1, p)
         fixed = fixed + A.T @ A
     weight = np.zeros((p + extra, p + extra))
-    J = _without_open_base(robot, names, goal, instrument)
+    J = jacobian_of(robot, names, goal, instrument)
     weight[:p, :p] = _weight(criterion, J, _chosen(robot, interest, names), inverse(information(names))[:p, :p])
     return DesignProblem(
         robot, workspace, circumstances, noise, names, held, measured, goal, ready,
@@ -168,16 +169,25 @@ def _refuse_few(poses: int, numbers: int, parameters: int, places: int) -> None:
         )
 
 
-def _without_open_base(robot: Robot, names: Sequence[str], goal: Measurements, instrument: Instrument | None) -> Array:
-    """Scaled Jacobian of the task, shape (n, 3, p), the base placed again where an instrument leaves it open."""
-    J = scaled_jacobian(robot, names, goal)
-    return J if instrument is None or instrument.known else without_base(robot, J, goal)
+def jacobian_of(robot: Robot, names: Sequence[str], m: Measurements, instrument: Instrument | None) -> Array:
+    """Scaled Jacobian of a task, shape (n, 3, p), the base placed again where an instrument leaves it open."""
+    J = scaled_jacobian(robot, names, m)
+    return J if instrument is None or instrument.known else without_base(robot, J, m)
 
 
 def _refuse(
-    instrument: Instrument, criterion: Criterion, measured: Measurements | None, candidates: Array | None
+    criterion: Criterion,
+    prior: Prior | None,
+    instrument: Instrument | None,
+    measured: Measurements | None,
+    candidates: Array | None,
 ) -> None:
-    if criterion not in ("V", "A", "D"):
+    of_positions = criterion not in ("V", "A", "D")
+    if of_positions and prior is not None:
+        raise InputError(f"criterion {criterion} does not count what is known before; allowed with a prior: V, A, D")
+    if instrument is None:
+        return
+    if of_positions:
         raise InputError(f"criterion {criterion} is one of positions; allowed with {instrument.kind}: V, A, D")
     if measured is not None:
         raise InputError(

@@ -8,7 +8,7 @@ derivative makes a shortlist, and the eigenvalues of the shortlist decide.
 """
 
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -40,9 +40,6 @@ class Design(ABC):
         itself included; apart below zero: a candidate may be chosen more than once
     occupied : coordinates of poses already measured, shape (k, d)
     """
-
-    # What a snapshot keeps.
-    _kept: ClassVar[tuple[str, ...]] = ("M", "closed")
 
     def __init__(self, rows: Array, fixed: Array, places: Array, apart: float, occupied: Array) -> None:
         self.rows = rows
@@ -88,11 +85,11 @@ class Design(ABC):
         return first_of_best(gain[self.chosen])
 
     def snapshot(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in self._kept} | {"chosen": list(self.chosen)}
+        """All that it has; arrays are replaced, never changed."""
+        return vars(self) | {"chosen": list(self.chosen)}
 
     def restore(self, kept: dict[str, Any]) -> None:
-        for name, value in kept.items():
-            setattr(self, name, list(value) if name == "chosen" else value)
+        vars(self).update(kept, chosen=list(kept["chosen"]))
 
     @property
     @abstractmethod
@@ -114,8 +111,6 @@ class Design(ABC):
 
 class _Inverse(Design):
     """Designs that go by C, the inverse of M, and the blocks D_k = A_k C A_k'."""
-
-    _kept: ClassVar[tuple[str, ...]] = ("M", "closed", "C", "D", "_age")
 
     def _refresh(self) -> None:
         self.C: Array = inverse(self.M)
@@ -143,7 +138,7 @@ class _Inverse(Design):
     def _update_blocks(self, U: Array, S: Array, P: Array) -> None:
         """Called before C and D change."""
 
-    def _volumes(self, which: Array, sign: int) -> Array:
+    def gains(self, which: Array, sign: int) -> Array:
         """Change of the logarithm of the determinant of M by each of these candidates, shape (N,); -inf for others."""
         gains = np.full(self.N, -np.inf)
         signs, logs = np.linalg.slogdet(np.eye(self.m) + sign * self.D[which])
@@ -158,17 +153,12 @@ class Determinant(_Inverse):
     def value(self) -> float:
         return float(np.linalg.slogdet(self.M)[1] / (2 * self.p))
 
-    def gains(self, which: Array, sign: int) -> Array:
-        return self._volumes(which, sign)
-
 
 class Linear(_Inverse):
     """One over trace(W C): A-optimality (W = I), V-optimality (W = mean of J'J over the task), chosen parameters.
 
     A set that does not determine all parameters grows by the determinant, until it does.
     """
-
-    _kept: ClassVar[tuple[str, ...]] = ("M", "closed", "C", "D", "L", "_age")
 
     def __init__(self, weight: Array, *of_design: Any) -> None:
         self.W = weight
@@ -190,8 +180,11 @@ class Linear(_Inverse):
         self.L = self.L - Q - Q.transpose(0, 2, 1) + P @ S @ (U.T @ WU) @ S @ P.transpose(0, 2, 1)
 
     def gains(self, which: Array, sign: int) -> Array:
-        if not self._regular():
-            return self._volumes(which, sign)
+        determined = np.diag(self.M) > 0
+        root = np.sqrt(np.diag(self.M)[determined])
+        least = np.linalg.eigvalsh(self.M[np.ix_(determined, determined)] / np.outer(root, root))[0]
+        if not least > REGULAR:  # the chosen poses, and what was measured, do not determine all parameters
+            return super().gains(which, sign)
         gains = np.full(self.N, -np.inf)
         small = np.eye(self.m) + sign * self.D[which]
         regular = np.linalg.det(small) > INDISPENSABLE
@@ -200,17 +193,9 @@ class Linear(_Inverse):
         gains[which] = np.where(regular, change, -np.inf)
         return gains
 
-    def _regular(self) -> bool:
-        """Whether the chosen poses, and what was measured, determine all parameters."""
-        determined = np.diag(self.M) > 0
-        root = np.sqrt(np.diag(self.M)[determined])
-        return bool(np.linalg.eigvalsh(self.M[np.ix_(determined, determined)] / np.outer(root, root))[0] > REGULAR)
-
 
 class Spectral(Design):
     """O2 to O5: a shortlist by the derivative, then eigenvalues."""
-
-    _kept: ClassVar[tuple[str, ...]] = ("M", "closed", "w", "V")
 
     def __init__(self, index: str, *of_design: Any) -> None:
         self._log, self._slope = SPECTRAL[index]
@@ -251,16 +236,11 @@ DEPTH = 4
 LEAST_GAIN = 1e-6
 
 
-def fill(design: Design, n: int) -> None:
-    """Add the best candidates one by one up to n. Raises InputError where too few are open."""
-    while len(design.chosen) < n:
-        k = design.best_to_add()
-        if k is None:
-            raise InputError(
-                f"only {len(design.chosen)} of {n} poses can be chosen: the {design.N} candidates lie too near to "
-                "each other or to measured ones; give more candidates, a smaller min_distance, or fewer poses"
-            )
+def grown(design: Design, n: int) -> bool:
+    """Add the best candidates one by one up to n; False where too few are open."""
+    while len(design.chosen) < n and (k := design.best_to_add()) is not None:
         design.add(k)
+    return len(design.chosen) >= n
 
 
 def improve(design: Design, depth: int = DEPTH) -> None:
@@ -281,13 +261,10 @@ def improve(design: Design, depth: int = DEPTH) -> None:
 
 
 def excursion(design: Design, n: int, reach: int, up: bool) -> None:
-    for growing in (True, False) if up else (False, True):
-        target = n + reach * ((growing and up) - ((not growing) and not up))
-        while len(design.chosen) < target:
-            k = design.best_to_add()
-            if k is None:
-                return
-            design.add(k)
+    """Poses are added and the worst removed, or removed first."""
+    for target in (n + reach if up else n - reach, n):
+        if not grown(design, target):
+            return
         while len(design.chosen) > target:
             design.remove(design.worst())
 
@@ -306,7 +283,11 @@ def search(design: Design, n: int, restarts: int, seed: int) -> Array:
                 break
             if design.closed[candidate] == 0:
                 design.add(int(candidate))
-        fill(design, n)
+        if not grown(design, n):
+            raise InputError(
+                f"only {len(design.chosen)} of {n} poses can be chosen: the {design.N} candidates lie too near to "
+                "each other or to measured ones; give more candidates, a smaller min_distance, or fewer poses"
+            )
         improve(design)
         if best is None or design.value > best[0] + LEAST_GAIN:
             best = (design.value, list(design.chosen))

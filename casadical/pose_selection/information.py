@@ -85,12 +85,9 @@ PART = 1000
 def scaled_jacobian(robot: Robot, names: Sequence[str], m: Measurements) -> Array:
     """Jacobian of the positions by these parameters, at the robot's values, shape (n, 3, p) [mm per unit of scale]."""
     parts = [m[np.arange(start, min(start + PART, len(m)))] for start in range(0, len(m), PART)]
-    jacobians = [_problem(robot, names, part).evaluate(np.zeros(len(names)))[1] for part in parts]
+    problems = (LeastSquares(robot, (part,), tuple(names), "linear", False, ((MM, MM),)) for part in parts)
+    jacobians = [problem.evaluate(np.zeros(len(names)))[1] for problem in problems]
     return np.asarray(np.concatenate(jacobians).reshape(len(m), 3, -1))
-
-
-def _problem(robot: Robot, names: Sequence[str], m: Measurements) -> LeastSquares:
-    return LeastSquares(robot, (m,), tuple(names), "linear", False, ((MM, MM),))
 
 
 @lru_cache(maxsize=16)
@@ -142,8 +139,6 @@ def independent(
 
 def known_before(robot: Robot, names: Sequence[str], prior: Prior | None, size: int = 0) -> Array:
     """Information of priors on these parameters, as `identify` takes it, in units of scale, shape (size, size)."""
-    p = len(names)
-    matrix = np.zeros((max(size, p), max(size, p)))
     means, known = (prior.means, prior.known) if prior is not None else (False, ())
-    matrix[:p, :p] = LeastSquares(robot, (), tuple(names), "linear", means, (), known=known).prior_matrix
-    return matrix
+    matrix = LeastSquares(robot, (), tuple(names), "linear", means, (), known=known).prior_matrix
+    return np.pad(matrix, (0, max(0, size - len(names))))

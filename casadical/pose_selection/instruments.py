@@ -17,9 +17,10 @@ import pandas as pd
 from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.core.statistics import first_of_best
+from casadical.identification.accuracy import predicted
 from casadical.identification.residuals import POINT_SCALE
-from casadical.measurements.measurements import Measurements, Noise
-from casadical.pose_selection.candidates import SOCKET, draw, expected
+from casadical.measurements.measurements import Measurements, Noise, unmeasured
+from casadical.pose_selection.candidates import SOCKET, draw
 from casadical.pose_selection.experimental_design import inverse
 from casadical.pose_selection.information import noise_covariance, scaled_jacobian
 from casadical.pose_selection.workspace import Workspace
@@ -53,9 +54,7 @@ class Instrument:
         return 0 if self.known else self.places.size
 
     def sets(self, m: Measurements) -> tuple[Measurements, ...]:
-        """Poses m as a measurement of this kind would give them, without noise: a set for each wire, or one of all
-        sockets.
-        """
+        """Poses m as such an instrument would give them, without noise: a set for each wire, or one of all sockets."""
         assert m.position is not None
         if self.kind == "sockets":
             label = np.array([f"S{int(k) + 1}" for k in m.conditions[SOCKET]], dtype=object)
@@ -66,16 +65,12 @@ class Instrument:
             apart = float(np.linalg.norm(self.places[i] - self.places[j]))
             both = {f"S{i + 1}", f"S{j + 1}"} <= set(label)
             return (touched.with_separations([(f"S{i + 1}", f"S{j + 1}", apart)]) if both else touched,)
-        return tuple(
-            Measurements(
-                m.q,
-                "distance",
-                distance=np.linalg.norm(m.position - place, axis=1),
-                target=np.tile(place, (len(m), 1)) if self.known else None,
-                conditions=m.conditions,
-            )
-            for place in self.places
-        )
+        wires = []
+        for place in self.places:
+            length, end = np.linalg.norm(m.position - place, axis=1), np.tile(place, (len(m), 1))
+            target = end if self.known else None
+            wires.append(Measurements(m.q, "distance", distance=length, target=target, conditions=m.conditions))
+        return tuple(wires)
 
     def rows(self, robot: Robot, names: Sequence[str], m: Measurements, noise: Noise) -> Array:
         """Scaled Jacobian in units of sigma at the robot's values and poses m, shape (n, numbers, len(names) + extra).
@@ -89,7 +84,9 @@ class Instrument:
             at[np.arange(n), :, m.conditions[SOCKET].astype(int)] = -np.eye(3)
             seen, places = J, at.reshape(n, 3, 3 * k)
         else:
-            beam = self.beams(m)
+            assert m.position is not None
+            line = m.position[:, None] - self.places
+            beam = line / np.maximum(np.linalg.norm(line, axis=2, keepdims=True), 1e-9)
             seen = np.einsum("nki,nip->nkp", beam, J)
             places = np.zeros((n, k, k, 3))
             places[:, np.arange(k), np.arange(k)] = -beam
@@ -106,12 +103,6 @@ class Instrument:
         assert m.position is not None
         length = 1e3 * np.linalg.norm(m.position[:, None] - self.places, axis=2)
         return pd.DataFrame(length.round(1), columns=[f"nominal_wire{k}_mm" for k in range(1, len(self.places) + 1)])
-
-    def beams(self, m: Measurements) -> Array:
-        """Directions from the anchors to the tool, shape (n, k, 3) [m/m]."""
-        assert m.position is not None
-        line = m.position[:, None] - self.places
-        return np.asarray(line / np.maximum(np.linalg.norm(line, axis=2, keepdims=True), 1e-9))
 
     def before(self, size: int, noise: Noise) -> Array:
         """Information from what is known without poses, shape (size, size) [1]: one distance between two sockets.
@@ -215,9 +206,7 @@ def usual_places(robot: Robot, kind: Literal["wires", "sockets"]) -> Array:
     turn = np.arange(turns) * 2 * np.pi / turns
     local = [(r * np.cos(a), r * np.sin(a), h) for r in radii for h in heights for a in turn]
     q = draw(robot, REACHING, Workspace(), np.random.default_rng(0))
-    tool = expected(robot, q, {}, "reach").position
-    assert tool is not None
-    T = robot.base.T
+    tool, T = predicted(robot, unmeasured(q))[0], robot.base.T
     reach = np.linalg.norm(((tool - T[:3, 3]) @ T[:3, :3])[:, :2], axis=1).max()
     return np.asarray(reach * np.array(local) @ T[:3, :3].T + T[:3, 3])
 

@@ -1,5 +1,6 @@
 """A plan: poses to measure with the accuracy to expect, as text, as data and as files."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -117,28 +118,23 @@ def _verdict(plan: Selection) -> str:
     )
 
 
-def _readings(plan: Selection) -> list[Words]:
+def _readings(plan: Selection) -> Iterator[Words]:
     """What `casadical verify` will say of it."""
-    if plan.reading_error is None:
-        return []
-    read = f"{1e3 * plan.reading_error:.4f} mm rms"
-    return [
-        Words(
+    if plan.reading_error is not None:
+        read = f"{1e3 * plan.reading_error:.4f} mm rms"
+        yield Words(
             f"That is the error of the robot itself; an instrument of that noise will read {read}, which casadical "
             "verify states. Errors that the model does not have come on top of both."
         )
-    ]
 
 
-def _below_the_base(plan: Selection) -> list[Words]:
+def _below_the_base(plan: Selection) -> Iterator[Words]:
     """A warning of poses below the base frame's plane, where a floor may be."""
     assert plan.m.position is not None
     height = ((plan.m.position - plan.robot.base.T[:3, 3]) @ plan.robot.base.T[:3, :3])[:, 2]
-    low = int((height < 0).sum())
-    if not low:
-        return []
-    words = f"{low} of {len(plan)} poses lie below the base frame's plane, the lowest by {-1e3 * height.min():.0f} mm"
-    return [Words(f"{words}; no workspace was given, so floor and obstacles were not checked: --room FILE.toml")]
+    if low := int((height < 0).sum()):
+        lowest = f"the lowest by {-1e3 * height.min():.0f} mm; no workspace was given, so floor and obstacles were not"
+        yield Words(f"{low} of {len(plan)} poses lie below the base frame's plane, {lowest} checked: --room FILE.toml")
 
 
 def _how_many(plan: MeasurementPlan) -> str:
@@ -147,19 +143,14 @@ def _how_many(plan: MeasurementPlan) -> str:
     course = ", ".join(f"{forecast.poses[k]}: {1e3 * forecast.error[k]:.4f}" for k in at)
     noise = f", from noise of {1e3 * plan.noise.sigma:.3g} mm" if plan.noise and plan.selection is None else ""
     text = f"Expected error [mm] of the robot itself against poses{noise}: {course}. "
-    stop = forecast.stop()
-    if stop is not None:
-        text += f"From {stop} poses on, ten more gain less than 10 %. "
-    else:
-        text += "Ten more poses still gain more than 10 % everywhere. "
-    if target is not None:
-        enough = forecast.enough(target)
-        text += (
-            f"{enough} poses are enough for {1e3 * target:.4g} mm."
-            if enough
-            else f"Not even {forecast.poses[-1]} poses give {1e3 * target:.4g} mm: measure with less noise, or more."
-        )
-    return text
+    stop, gains = forecast.stop(), "Ten more poses still gain more than 10 % everywhere"
+    text += f"{gains if stop is None else f'From {stop} poses on, ten more gain less than 10 %'}. "
+    if target is None:
+        return text
+    if enough := forecast.enough(target):
+        return f"{text}{enough} poses are enough for {1e3 * target:.4g} mm."
+    most = forecast.poses[-1]
+    return f"{text}Not even {most} poses give {1e3 * target:.4g} mm: measure with less noise, or more."
 
 
 def _map(plan: Selection) -> Table:
@@ -177,10 +168,8 @@ def _map(plan: Selection) -> Table:
 
 
 def _errors(plan: Selection) -> Table:
-    errors = (
-        (plan.robot.parameters[name], error) for name, error in zip(plan.names, plan.standard_errors, strict=True)
-    )
-    rows = [(p.name, f"{p.readable(error):.3g}", p.readable_unit) for p, error in errors]
+    known = zip((plan.robot.parameters[name] for name in plan.names), plan.standard_errors, strict=True)
+    rows = [(p.name, f"{p.readable(error):.3g}", p.readable_unit) for p, error in known]
     rows += [(u.name, "-", f"not identifiable: {u.reason}") for u in plan.held]
     rows = [row for row in rows if row[0] in plan.robot.shown]
     return Table("Expected standard errors", ("parameter", "std error", "unit"), rows, frozenset({1}))

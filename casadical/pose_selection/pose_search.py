@@ -18,8 +18,8 @@ from casadical.core.telling.blocks import mm
 from casadical.core.telling.result import Shown
 from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements, Noise
-from casadical.pose_selection.candidates import Candidates, Circumstances, candidates_at, reached
-from casadical.pose_selection.design_problem import DesignProblem, prepare
+from casadical.pose_selection.candidates import Circumstances, candidates_at, reached
+from casadical.pose_selection.design_problem import prepare
 from casadical.pose_selection.experimental_design import improve, inverse, search
 from casadical.pose_selection.information import MM, Criterion
 from casadical.pose_selection.instruments import Instrument, best_places
@@ -93,17 +93,24 @@ def select_poses(
     candidates, workspace = _sources(among, workspace)
     rng = np.random.default_rng(seed)
     problem = prepare(
-        robot, n, criterion, candidates=candidates, workspace=workspace,
-        circumstances=circumstances or Circumstances(), measured=measured, free=free, interest=interest, task=task,
-        noise=noise or Noise(), pool=max(pool, 3 * n), rng=rng, instrument=instrument,
-        prior=prior,
+        robot, n, criterion, pool=max(pool, 3 * n), rng=rng, candidates=candidates, workspace=workspace,
+        circumstances=circumstances, measured=measured, free=free, interest=interest, task=task, noise=noise,
+        instrument=instrument, prior=prior,
     )  # fmt: skip
     design = problem.design(problem.pool, criterion, min_distance)
     chosen = problem.pool[search(design, n, restarts, seed)]
-    if problem.open:
-        for size in REFINEMENTS:
-            chosen = _refined(problem, chosen, criterion, min_distance, size, rng)
-    return selection(problem, chosen, criterion)
+    lower, upper = workspace.ranges(robot)
+    for size in REFINEMENTS if problem.open else ():
+        steps = size * (upper - lower) * rng.normal(size=(NEIGHBOURS, n, robot.n))
+        q = np.clip(chosen.q + steps, lower, upper).reshape(-1, robot.n)
+        q = q[workspace.allows(robot, q)]
+        nearby = chosen.joined(candidates_at(robot, q, problem.circumstances, n, rng)) if len(q) else chosen
+        design = problem.design(nearby, criterion, min_distance)
+        design.start(list(range(n)))
+        improve(design)
+        chosen = nearby[np.array(design.chosen)]
+    m = arranged(robot, chosen, problem.circumstances, travel=False)
+    return Selection(**vars(problem), chosen=chosen, m=m, criterion=criterion)
 
 
 def _sources(
@@ -125,48 +132,9 @@ def _sources(
     return among, given
 
 
-def selection(problem: DesignProblem, chosen: Candidates, criterion: Criterion) -> Selection:
-    return Selection(
-        robot=problem.robot,
-        chosen=chosen,
-        m=arranged(problem.robot, chosen, problem.circumstances, travel=False),
-        measured=problem.measured,
-        names=problem.names,
-        held=problem.held,
-        criterion=criterion,
-        noise=problem.noise,
-        task=problem.task,
-        circumstances=problem.circumstances,
-        instrument=problem.instrument,
-        prior=problem.prior,
-    )
-
-
-def _refined(
-    problem: DesignProblem,
-    chosen: Candidates,
-    criterion: Criterion,
-    min_distance: float | None,
-    size: float,
-    rng: np.random.Generator,
-) -> Candidates:
-    robot, workspace = problem.robot, problem.workspace
-    lower, upper = workspace.ranges(robot)
-    steps = size * (upper - lower) * rng.normal(size=(NEIGHBOURS, len(chosen), robot.n))
-    q = np.clip(chosen.q + steps, lower, upper).reshape(-1, robot.n)
-    q = q[workspace.allows(robot, q)]
-    pool = chosen.joined(candidates_at(robot, q, problem.circumstances, len(chosen), rng)) if len(q) else chosen
-    design = problem.design(pool, criterion, min_distance)
-    design.start(list(range(len(chosen))))
-    improve(design)
-    return pool[np.array(design.chosen)]
-
-
 @dataclass(frozen=True, eq=False)
 class Forecast(Shown):
-    """Expected rms position error over the task [m], shape (k,), by numbers of poses, shape (k,), if the best come
-    next.
-    """
+    """Expected rms position error over the task, shape (k,) [m], by the number of poses, shape (k,), the best next."""
 
     poses: Array
     error: Array
@@ -213,11 +181,9 @@ def forecast(
     Starts with the measured poses or, without any, with a fifth more equations than parameters that no prior knows.
 
     most : largest number of poses, measured ones included
-    workspace, circumstances, measured, free : as of `select_poses`
+    workspace, circumstances, measured, free, noise, pool, instrument, prior : as of `select_poses`
     task : shape (T, joints) [rad or m]: as of `select_poses`
-    noise, pool : as of `select_poses`
     seed : of everything random
-    instrument, prior : as of `select_poses`
     Raises InputError: nothing can be chosen.
 
     Examples
@@ -229,11 +195,9 @@ def forecast(
     before = 0 if measured is None else len(measured)
     if most <= before:
         raise InputError(f"{before} poses were measured already; most is {most} and must be greater")
-    noise = noise or Noise()
     problem = prepare(
-        robot, most - before, "V", candidates=None, workspace=workspace or Workspace(),
-        circumstances=circumstances or Circumstances(), measured=measured, free=free, interest=(), task=task,
-        noise=noise, pool=pool, rng=np.random.default_rng(seed), instrument=instrument,
+        robot, most - before, pool=pool, rng=np.random.default_rng(seed), workspace=workspace,
+        circumstances=circumstances, measured=measured, free=free, task=task, noise=noise, instrument=instrument,
         prior=prior,
     )  # fmt: skip
     design = problem.design(problem.pool, "V", 0.0)
@@ -299,9 +263,8 @@ def place_instrument(
     noise, every = noise or Noise(), Instrument(kind, places, known)
     size = max(POOL, 4 * len(places))
     problem = prepare(
-        robot, size, "V", candidates=q, workspace=room, circumstances=Circumstances(),
-        measured=None, free=free, interest=(), task=task, noise=noise, pool=size,
-        rng=rng, instrument=every,
+        robot, size, pool=size, rng=rng, candidates=q, workspace=room, free=free, task=task, noise=noise,
+        instrument=every,
     )  # fmt: skip
     p = len(problem.names)
     best = best_places(

@@ -16,10 +16,9 @@ from casadical.core.basics import Array, optional
 from casadical.core.parts import GRAVITY
 from casadical.core.statistics import TIE
 from casadical.core.telling.result import Shown
-from casadical.identification.identifiability import Unidentifiable
-from casadical.identification.prior import Prior
-from casadical.measurements.measurements import Measurements, Noise
+from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.candidates import SESSION, SOCKET, Candidates, Circumstances, expected, timeline
+from casadical.pose_selection.design_problem import DesignProblem, jacobian_of
 from casadical.pose_selection.experimental_design import inverse
 from casadical.pose_selection.information import (
     MM,
@@ -29,7 +28,6 @@ from casadical.pose_selection.information import (
     observability,
     scaled_jacobian,
 )
-from casadical.pose_selection.instruments import Instrument, without_base
 from casadical.robot.robot import Robot
 
 # Parts of a campaign within which poses planned for a certain time may be reordered.
@@ -107,32 +105,19 @@ def arranged(robot: Robot, chosen: Candidates, circumstances: Circumstances, *, 
             block = block[short_path(D[:size, :size], D[size, :size] if order else None)]
         order += block.tolist()
     kept = {n: v[order] for n, v in rows.items() if n in KEPT or n.startswith(("approach", SESSION))}
-    kept |= _timed(robot, q[order], circumstances)
+    timed = [n for n in robot.conditions if n not in KEPT and not n.startswith(("approach", SESSION))]
+    if timed:
+        kept |= timeline(timed, np.arange(len(q)) / max(1, len(q) - 1), len(q), circumstances)
     return expected(robot, q[order], kept, "plan")
 
 
-def _timed(robot: Robot, q: Array, circumstances: Circumstances) -> dict[str, Array]:
-    """Columns that depend on time, in the order of measuring."""
-    names = [n for n in robot.conditions if n not in KEPT and not n.startswith(("approach", SESSION))]
-    if not names:
-        return {}
-    progress = np.arange(len(q)) / max(1, len(q) - 1)
-    return timeline(names, progress, len(q), circumstances)
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Selection(DesignProblem, Shown):
+    """Poses to measure, in order, and the accuracy to expect of them; beside these all that they were chosen for.
 
-
-@dataclass(frozen=True, eq=False)
-class Selection(Shown):
-    """Poses to measure, in order, and the accuracy to expect of them.
-
-    robot : with the values and effects that were planned for
     chosen : readings and circumstances
     m : one row per measurement, in order, at the positions that the model gives
-    measured : poses measured before, which count as well
-    names : parameters that will be identified
-    held : the others, each with its reason
-    criterion, noise, task, circumstances : as asked for
-    instrument : what is read in place of positions
-    prior : what is known of the robot before
+    criterion : by which they were chosen
 
     Examples
     --------
@@ -143,18 +128,9 @@ class Selection(Shown):
     0.017 mm to expect over the task
     """
 
-    robot: Robot
     chosen: Candidates
     m: Measurements
-    measured: Measurements | None
-    names: tuple[str, ...]
-    held: tuple[Unidentifiable, ...]
     criterion: Criterion
-    noise: Noise
-    task: Measurements
-    circumstances: Circumstances
-    instrument: Instrument | None = None
-    prior: Prior | None = None
 
     @property
     def _line(self) -> str:
@@ -229,10 +205,7 @@ class Selection(Shown):
 
         Where the places of an instrument are not measured, with the base placed again at these poses.
         """
-        m = self.task if m is None else m
-        J = scaled_jacobian(self.robot, self.names, m)
-        if self.instrument is not None and not self.instrument.known:
-            J = without_base(self.robot, J, m)
+        J = jacobian_of(self.robot, self.names, self.task if m is None else m, self.instrument)
         return np.asarray(MM * np.sqrt(np.einsum("kip,pq,kiq->k", J, self._covariance, J, optimize=True)))
 
     @cached_property

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -36,16 +36,12 @@ class Box:
             )
 
     def holds(self, points: Array, clearance: float = 0.0) -> Array:
-        """Which points, shape (..., 3) [m], are in the box or closer than the clearance [m] to it: boolean, shape
-        (...).
-        """
+        """Which points, shape (..., 3) [m], are in the box or within the clearance [m] of it: boolean, shape (...)."""
         inside = (points > np.asarray(self.low) - clearance) & (points < np.asarray(self.high) + clearance)
         return np.asarray(inside.all(axis=-1))
 
     def hides(self, points: Array, station: Array) -> Array:
-        """Whether the lines from the station, shape (3,) [m], to points, shape (n, 3) [m], pass through it: boolean,
-        (n,).
-        """
+        """Whether lines from the station, shape (3,) [m], to points, shape (n, 3) [m], pass through it: shape (n,)."""
         along = points - station
         with np.errstate(divide="ignore", invalid="ignore"):
             t = np.stack([(np.asarray(corner) - station) / along for corner in (self.low, self.high)])
@@ -80,9 +76,7 @@ class Tracker:
     acceptance: float = np.pi / 6
 
     def sees(self, points: Array, R: Array) -> Array:
-        """Whether it sees reflectors at points, shape (n, 3) [m], of tool frames R, shape (n, 3, 3): boolean, shape
-        (n,).
-        """
+        """Whether it sees reflectors at points, shape (n, 3) [m], of tool frames R, shape (n, 3, 3): shape (n,)."""
         beam = points - self.station
         distance = np.linalg.norm(beam, axis=1)
         seen = (distance >= self.nearest) & (distance <= self.farthest)
@@ -128,7 +122,7 @@ class Workspace:
     floor: float | None = None
     boxes: tuple[Box, ...] = ()
     clearance: float = 0.0
-    tracker: Tracker | None = field(default=None)
+    tracker: Tracker | None = None
 
     def ranges(self, robot: Robot) -> tuple[Array, Array]:
         """Least and greatest readings, shape (joints,) each [rad or m].
@@ -181,13 +175,9 @@ def _places_function(robot: Robot) -> ca.Function:
     T_M0 = base_frame(rigid, values, ca.DM(rigid.base.T))
     frames = link_frames(rigid, ca.vertsplit(model.q), values)
     points = [(T_M0 @ T)[:3, 3] for T in frames[1:]]
-    return ca.Function(
-        "places",
-        [model.q, model.w, model.phi],
-        [ca.densify(ca.horzcat(*points, model.p)), model.R, model.margin],
-        ["q", "w", "phi"],
-        ["points", "R", "margin"],
-    )
+    told = [ca.densify(ca.horzcat(*points, model.p)), model.R, model.margin]
+    names = ["q", "w", "phi"], ["points", "R", "margin"]
+    return ca.Function("places", [model.q, model.w, model.phi], told, *names)
 
 
 def places_about(robot: Robot, q: Array) -> tuple[Array, Array, Array]:
@@ -242,12 +232,6 @@ def read_workspace(path: str | Path, robot: Robot) -> Workspace:
         if lower[k] >= upper[k]:
             raise InputError(f"{path}: joint {joint.number}: nothing of its range is left between these limits")
     boxes = tuple(Box(np.array(b.low), np.array(b.high)) for b in given.box)
-    return Workspace(lower, upper, given.four_bar_margin, given.floor, boxes, given.clearance, _tracker(given.tracker))
-
-
-def _tracker(t: _Tracker | None) -> Tracker | None:
-    if t is None:
-        return None
-    towards = None if t.towards is None else np.array(t.towards)
-    opening = None if t.opening is None else np.array(t.opening)
-    return Tracker(np.array(t.station), towards, t.half_angle, t.nearest, t.farthest, opening, t.acceptance)
+    seen: dict[str, Any] = {key: np.array(v) if isinstance(v, tuple) else v for key, v in given.tracker or ()}
+    tracker = Tracker(**seen) if seen else None
+    return Workspace(lower, upper, given.four_bar_margin, given.floor, boxes, given.clearance, tracker)

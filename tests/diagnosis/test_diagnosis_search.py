@@ -17,8 +17,8 @@ from casadical.diagnosis.claims import cause_set, with_further
 from casadical.diagnosis.conclusion import conclude
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.diagnose import Diagnosis
+from casadical.diagnosis.isolability import ruled_out
 from casadical.diagnosis.json_answer import as_json, diagnosis_files
-from casadical.diagnosis.limits import ruled_out
 from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.posterior import Ranking
 from casadical.diagnosis.search import State, Step, indistinguishable, next_cause

@@ -92,7 +92,7 @@ def test_runs_are_withheld_in_turn_where_none_are_kept_apart(arm):
 
 def test_prediction_knows_nothing_of_the_readings_but_the_first(arm):
     log = moved(arm, 6, 6.0)
-    response = fitted(arm, [log])
+    (response,) = fitted(arm, [log])
     other = np.concatenate([log.position[:1], np.zeros((len(log) - 1, 2))])
     blind = JointLog(log.time, log.joints, other, log.command)
     np.testing.assert_array_equal(response.predicted(blind), response.predicted(log))
@@ -190,11 +190,11 @@ def test_effects_of_poses_and_drives_of_logs_live_in_one_file(arm, tmp_path):
 
 
 def test_what_an_earlier_log_told_stays_where_a_later_one_moves_nothing(arm):
-    before = fitted(arm, [moved(arm, 1, 12.0)])
+    (before,) = fitted(arm, [moved(arm, 1, 12.0)])
     log = moved(arm, 9, 8.0)
     still = np.full(len(log), 0.2)
     held = JointLog(log.time, log.joints, np.column_stack([log.position[:, 0], still]),
                     np.column_stack([log.command[:, 0], still]))  # fmt: skip
-    after = fitted(before.robot(), [held])
+    (after,) = fitted(before.robot(), [held])
     for name in ("gain", "friction", "damping", "delay"):
         assert getattr(after, name)[1] == pytest.approx(getattr(before, name)[1], rel=0.2)

@@ -9,10 +9,11 @@ from scipy import stats
 
 from casadical import FourBar, Joint, Placement, Robot, identify
 from casadical.core.basics import InputError
+from casadical.core.parameters import Parameter
 from casadical.core.transforms import frame, from_rpy
 from casadical.identification.accuracy import summarise
 from casadical.identification.figures import parameter_tables
-from casadical.identification.identifiability import analyse, correlated_pairs
+from casadical.identification.identifiability import analyse, drop_poor
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against, least_margins
 from casadical.identification.prior import Prior
@@ -84,11 +85,13 @@ def test_what_is_independent_does_not_depend_on_the_unit(unit: float) -> None:
     assert found.condition == pytest.approx(np.linalg.cond(columns))
 
 
-def test_estimates_are_correlated_whatever_the_sign() -> None:
+@pytest.mark.parametrize(("poor", "partners"), [(0, ("b",)), (1, ("a",)), (2, ())])
+def test_estimates_are_correlated_whatever_the_sign(poor: int, partners: tuple[str, ...]) -> None:
     C = np.array([[4.0, -3.9, 1.0], [-3.9, 4.0, 0.0], [1.0, 0.0, 9.0]])
-    assert correlated_pairs(C, 0, ["a", "b", "c"]) == ("b",)
-    assert correlated_pairs(C, 1, ["a", "b", "c"]) == ("a",)
-    assert correlated_pairs(C, 2, ["a", "b", "c"]) == ()
+    priors = [1e-3 if k == poor else 1e3 for k in range(3)]
+    own = [Parameter(name, "geometry", "m", 0.0, 1.0, -1.0, 1.0, p) for name, p in zip("abc", priors, strict=True)]
+    _, dropped, _ = drop_poor(own, np.linalg.inv(C))
+    assert [(u.name, u.confounded_with) for u in dropped] == [("abc"[poor], partners)]
 
 
 def test_a_base_that_leans_is_placed_where_one_joint_is_compliant() -> None:

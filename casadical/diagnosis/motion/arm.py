@@ -12,8 +12,6 @@ from casadical.robot.robot import Robot
 
 # States of which the regressor is made at a time.
 AT_ONCE = 4000
-# Limits on the motor's side are those of the joint times ratio and torque constant.
-_FIELDS = ("kp", "kd", "ki", "joint_stiffness", "gear_ratio", "torque_limit", "speed_limit")
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +36,6 @@ class Arm:
     ki: Array | None = None
     joint_stiffness: Array | None = None
     gear_ratio: Array | None = None
-    torque_limit: Array | None = None
-    speed_limit: Array | None = None
     log_rate: float | None = None
 
     @property
@@ -71,5 +67,5 @@ def arm_of(robot: Robot) -> Arm:
         drive.torque_per_ampere(n),
         sum(times[1:], times[0]) if times else None,
         log_rate=drive.log_rate_Hz,
-        **{name: drive.of_joints(name, n) for name in _FIELDS},
+        **{name: drive.of_joints(name, n) for name in ("kp", "kd", "ki", "joint_stiffness", "gear_ratio")},
     )

@@ -200,13 +200,8 @@ def _friction(look: Look, j: int) -> list[Part]:
     slip, speed, load = (names[k][:, j] for k in ("slip", "speed", "load"))
     u, load_size = np.abs(speed), np.abs(load)
     columns: dict[str, Array] = {f"slip {w}": memory[:, j] for w, memory in m.memory.items()}
-    columns |= {
-        "viscous": speed,
-        "root": slip * np.sqrt(u),
-        "absolute": u,
-        "curved": speed * u,
-        "loaded": slip * load_size,
-    }
+    columns |= {"viscous": speed, "root": slip * np.sqrt(u), "absolute": u, "curved": speed * u}
+    columns |= {"loaded": slip * load_size}
     columns |= {f"dip {w}": slip * np.exp(-np.abs(m.v[:, j]) / w) for w in DIPS}
     columns |= {"by side": (slip > 0) * load_size}
     rest = m.rest[:, j]
@@ -216,25 +211,24 @@ def _friction(look: Look, j: int) -> list[Part]:
     if m.torque is None:
         loaded = {f"loaded {w}": memory[:, j] * load_size for w, memory in m.memory.items()}
         columns |= {**loaded, "accelerated": m.a[:, j] / (np.abs(m.a[:, j]).max() + 1e-9)}
-    found = [Part(kind, j, FRICTION, values) for kind, values in columns.items()]
+    parts = [Part(kind, j, FRICTION, values) for kind, values in columns.items()]
     if m.torque is None:
-        late = look.as_torque(names["command_speed"][:, j], j)
-        found.append(Part("delay", j, ANY_DELAY, late))
+        served = {"delay": (ANY_DELAY, names["command_speed"][:, j])}
         if look.arm.kp is not None:
-            found.append(Part("gain", j, GAIN, look.as_torque(names["servo"][:, j], j)))
+            served["gain"] = GAIN, names["servo"][:, j]
         rounded = names["command_acceleration"][:, j]
-        jerk = m.by_run(lambda u: np.gradient(u, m.step), rounded)
-        found.append(Part("filter", j, ANY_FILTER, look.as_torque(rounded, j)))
-        found.append(Part("jerk", j, ANY_DELAY**3, look.as_torque(jerk, j)))
-    for r in np.unique(m.run):
-        start = m.unmoved[:, j] * (m.run == r)
-        if start.any():
-            found.append(Part(f"before run {r:.0f} moves", j, FRICTION, start))
-    found.append(Part("offset", j, OFFSET, np.ones(len(speed))))
+        served["filter"] = ANY_FILTER, rounded
+        served["jerk"] = ANY_DELAY**3, m.by_run(lambda u: np.gradient(u, m.step), rounded)
+        parts += [Part(kind, j, size, look.as_torque(error, j)) for kind, (size, error) in served.items()]
+    starts = ((r, m.unmoved[:, j] * (m.run == r)) for r in np.unique(m.run))
+    parts += [Part(f"before run {r:.0f} moves", j, FRICTION, start) for r, start in starts if start.any()]
     scale = SCALE if m.torque is not None else ROUGH if look.arm.kp is not None else 1.0
-    found.append(Part("scale", j, scale, names["load"][:, j]))
-    found.append(Part("rotor", j, ROTOR if look.arm.rotor_known else ANY_ROTOR, names["inertia"][:, j]))
-    return found
+    return [
+        *parts,
+        Part("offset", j, OFFSET, np.ones(len(speed))),
+        Part("scale", j, scale, names["load"][:, j]),
+        Part("rotor", j, ROTOR if look.arm.rotor_known else ANY_ROTOR, names["inertia"][:, j]),
+    ]
 
 
 def _servo(look: Look, j: int) -> list[Part]:

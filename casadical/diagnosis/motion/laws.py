@@ -89,14 +89,11 @@ class LogLaws:
             yield Words(f"It gains {sum(self.found.held_out):.0f} nats on runs that were not fitted.")
         else:
             yield Words(f"No law is claimed; the best is {self.line}.", "verdict")
-        rows = [(line_of(s.law), f"{s.score:.0f}") for s in self.laws]
-        rows += [
-            (f"best of the list: {self.listed[0]}", f"{self.listed[1]:.0f}"),
-            (self.smooth[0], f"{self.smooth[1]:.0f}"),
-        ]
-        yield Table(
-            "Laws that compete, in nats above none, less the price of the search", ("law", "nats"), rows, frozenset({1})
-        )
+        compete = [*((line_of(s.law), s.score) for s in self.laws)]
+        compete += [(f"best of the list: {self.listed[0]}", self.listed[1]), self.smooth]
+        rows = [(law, f"{nats:.0f}") for law, nats in compete]
+        title = "Laws that compete, in nats above none, less the price of the search"
+        yield Table(title, ("law", "nats"), rows, frozenset({1}))
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -154,37 +151,26 @@ def laws_of(looks: Sequence[Look], outcome: Outcome, own: Sequence[Cause] = ()) 
 def _smooth_of(s: Scored) -> str:
     """Label of the smooth function of a law's driver at its place, as of `problem.with_candidates`."""
     law, text = s.law, s.tried.driver.text
-    driver = {"t": "time", f"load{law.joint}": "load", f"slip{law.joint}*q{law.joint}": "q and direction"}.get(
-        text, text
-    )
-    return f"smooth {law.seam} of joint {law.joint} by {driver}"
+    names = {"t": "time", f"load{law.joint}": "load", f"slip{law.joint}*q{law.joint}": "q and direction"}
+    return f"smooth {law.seam} of joint {law.joint} by {names.get(text, text)}"
 
 
-def _one_way(look: Look, j: int) -> Form:
-    """A bump of a joint's own angle, for each direction of its motion."""
-    name, bump = f"slip{j + 1}", BUMP.parts[0]
-    parts = f"max(0, {name})*{bump}", f"max(0, -{name})*{bump}"
-    return Form("bump by direction", parts, BUMP.settings, BUMP.grid, {name: look.names["slip"][:, j]})
-
-
-def _drivers(look: Look, j: int) -> Iterator[Driver]:
+def _drivers(look: Look, joint: int) -> Iterator[Driver]:
     """What the torque or response of one joint may follow."""
-    n, there = look.arm.joints, look.names.keys()
-    for i in range(1, n + 1):
+    for i in range(1, look.arm.joints + 1):
         yield Driver(f"q{i}", "angle", "angle")
         yield Driver(f"v{i}", "signed", "speed")
         yield Driver(f"slip{i}", "play", "direction")
         yield Driver(f"load{i}", "signed", "load")
-    i = j + 1
     yield Driver("t", "time", "time")
-    yield Driver(f"rest{i}", "positive", "history")
-    yield from (Driver(f"slip{i}*{other}", "linear", "product") for other in (f"abs(load{i})", f"q{i}", "t"))
-    yield Driver(f"v{i}*t", "linear", "product")
-    if "tau" in there:
-        yield Driver(f"tau{i}", "signed", "torque")
-    if "heat" in there:
-        yield Driver(f"heat{i}", "positive", "temperature")
-        yield from (Driver(f"{own}{i}*heat{i}", "linear", "product") for own in ("slip", "v"))
+    yield Driver(f"rest{joint}", "positive", "history")
+    for product in ("slip{0}*abs(load{0})", "slip{0}*q{0}", "slip{0}*t", "v{0}*t"):
+        yield Driver(product.format(joint), "linear", "product")
+    if "tau" in look.names:
+        yield Driver(f"tau{joint}", "signed", "torque")
+    if "heat" in look.names:
+        yield Driver(f"heat{joint}", "positive", "temperature")
+        yield from (Driver(f"{own}{joint}*heat{joint}", "linear", "product") for own in ("slip", "v"))
 
 
 def _values(look: Look, driver: Driver) -> Array:
@@ -193,8 +179,8 @@ def _values(look: Look, driver: Driver) -> Array:
     for k in range(look.arm.joints):
         known |= {f"{stem}{k + 1}": values[:, k] for stem, values in look.names.items()}
     formula = parse(driver.text)
-    found = np.asarray(formula.values({name: known[name] for name in formula.names}, NUMERIC)[0])
-    return np.where(np.abs(found) < LEAST, 0.0, found)
+    values = np.asarray(formula.values({name: known[name] for name in formula.names}, NUMERIC)[0])
+    return np.where(np.abs(values) < LEAST, 0.0, values)
 
 
 def _searched(look: Look, case: MotionCase, chosen: Array) -> list[Scored]:
@@ -205,21 +191,25 @@ def _searched(look: Look, case: MotionCase, chosen: Array) -> list[Scored]:
     n, rough = look.arm.joints, dict[tuple[int, str], tuple[float, float, _InLog, Array]]()
     instances = 0
     for row in range(case.r.shape[1]):
-        place = Seam(Law(row % n + 1, "torque" if row < n else "response", "a"), np.zeros(0))
-        for driver in _drivers(look, row % n):
+        joint = row % n + 1
+        place = Seam(Law(joint, "torque" if row < n else "response", "a"), np.zeros(0))
+        # A bump of a joint's own angle, for each direction of its motion.
+        parts = tuple(f"max(0, {way}slip{joint})*{BUMP.parts[0]}" for way in ("", "-"))
+        slip = {f"slip{joint}": look.names["slip"][:, joint - 1]}
+        one_way = Form("bump by direction", parts, BUMP.settings, BUMP.grid, slip)
+        for driver in _drivers(look, joint):
             x = _values(look, driver)
             if np.ptp(x) < LEAST_SPREAD:
                 continue
             instances += 1
-            own = (_one_way(look, row % n),) if driver.text == f"q{row % n + 1}" else ()
-            for form in (*FORMS[driver.kind], *own):
+            for form in (*FORMS[driver.kind], *([one_way] if driver.text == f"q{joint}" else [])):
                 tried = _InLog((place,), driver, form, (x,), look, case)
                 gains = _screened(tried, row, screen)
                 k, mean = first_of_best(gains, logs=True), float(log_mean(gains) - np.log(len(gains)))
                 price = float(np.log(1 + len(FORMS[driver.kind])))
                 one = mean - price, float(gains[k]) - mean + price, tried, tried.settings[0][k]
                 rough[row, driver.text] = max(one, rough.get((row, driver.text), one), key=lambda each: each[0])
-    found, of_each = [], list(rough.values())
+    laws, of_each = [], list(rough.values())
     for _, price, tried, settings in (of_each[k] for k in ranked([each[0] for each in of_each], logs=True)[:EXACT]):
         law, columns = tried.column(0, settings)
         if not columns.any():
@@ -230,8 +220,8 @@ def _searched(look: Look, case: MotionCase, chosen: Array) -> list[Scored]:
             law, tried, 0, settings, evidence - price - float(np.log(instances)), evidence, columns,
             likely_noise(grids[0], problem.evidence.sigmas), np.full(len(settings), np.nan),
         )  # fmt: skip
-        found.append(refined(problem, s))
-    return [found[k] for k in ranked([s.score for s in found], logs=True)[:JUDGED]]
+        laws.append(refined(problem, s))
+    return [laws[k] for k in ranked([s.score for s in laws], logs=True)[:JUDGED]]
 
 
 def _screened(tried: _InLog, row: int, screen: Screen) -> Array:

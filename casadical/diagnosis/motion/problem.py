@@ -22,7 +22,7 @@ from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.motion.base import Look, Part, base_of, bodies_of
 from casadical.diagnosis.motion.signals import behind, lagged
 from casadical.effects.formula_effect import MOTION_OF, Law
-from casadical.effects.motion import MOTION_SEAMS, Cause, MotionEffect, motion_columns, motion_effects
+from casadical.effects.motion import MOTION_SEAMS, Cause, MotionEffect, motion_columns
 from casadical.effects.settings import grid_points
 from casadical.measurements.measurements import Noise
 
@@ -149,7 +149,16 @@ class MotionCase:
     @cached_property
     def white(self) -> Evidence:
         """Rows, base and columns, white."""
-        return white_problem(self.r, self.base, self.E, self.first, self.noise)
+        n, rows, P = self.base.shape
+        made = tuple(
+            (row, columns, self.noise.row(row).white(values.T[:, None], self.first)[:, 0].T)
+            for row, columns, values in self.E.made.blocks
+        )
+        return Evidence(
+            self.noise.white(self.r, self.first), self.noise.white(self.base, self.first), np.zeros((n, rows, 1)),
+            np.zeros(P), np.ones(P), replace(self.E, made=Factors(made, self.E.made.width)),
+            reference=1.0, near=(0,), sigmas=SIGMAS,
+        )  # fmt: skip
 
     @cached_property
     def judged(self) -> Evidence:
@@ -202,22 +211,13 @@ class MotionCase:
         return np.asarray(out - self.E.take(columns) @ theta if len(columns) else out)
 
     def renewed(self, columns: Array = NONE) -> MotionCase:
-        """The case with its noise as it is found beside some causes."""
-        few, noise = self.only(columns), self.noise
+        """The case with its noise as it is in what some causes and a base much freer than its priors leave."""
+        few, every, P = self.only(columns), np.arange(len(columns)), self.base.shape[2]
         for _ in range(ROUNDS):
-            left = few.with_noise(noise)._left_by_freer_base()
-            noise = following(left, self.first, self.floor, self.trust, self.of_log)
-        return self.with_noise(noise)
-
-    def _left_by_freer_base(self) -> Array:
-        """What a base that is much freer than its priors and all columns leave, shape (blocks, rows)."""
-        P, every = self.base.shape[2], np.arange(self.E.shape[2])
-        x = new_fit(replace(self.white, reference=1 / FREE), every, WHITE, combined=False).x
-        return self.left(every, x[:P], x[P:])
-
-    def with_noise(self, noise: Following) -> MotionCase:
-        """The case with its rows white by another noise."""
-        return replace(self, noise=noise)
+            x = new_fit(replace(few.white, reference=1 / FREE), every, WHITE, combined=False).x
+            noise = following(few.left(every, x[:P], x[P:]), self.first, self.floor, self.trust, self.of_log)
+            few = replace(few, noise=noise)
+        return replace(self, noise=few.noise)
 
 
 def following(left: Array, first: Array, floor: Array, trust: Array, of_log: Array) -> Following:
@@ -241,19 +241,6 @@ def _following(left: Array, first: Array, floor: Array, trust: Array) -> tuple[A
     return np.broadcast_to(sigma, left.shape), np.broadcast_to(np.clip(stays, 0.0, MOST_STAYS), left.shape), weight
 
 
-def white_problem(r: Array, base: Array, E: RowColumns, first: Array, noise: Following) -> Evidence:
-    """Rows, base and columns, white."""
-    n, rows, P = base.shape
-    made = []
-    for row, columns, values in E.made.blocks:
-        made.append((row, columns, noise.row(row).white(values.T[:, None], first)[:, 0].T))
-    columns_ = replace(E, made=Factors(tuple(made), E.made.width))
-    return Evidence(
-        noise.white(r, first), noise.white(base, first), np.zeros((n, rows, 1)), np.zeros(P), np.ones(P), columns_,
-        reference=1.0, near=(0,), sigmas=SIGMAS,
-    )  # fmt: skip
-
-
 def motion_case(
     looks: Sequence[Look], known: Mapping[tuple[str, int, bool], float] | None = None,
     chosen: Sequence[Cause] | None = None,
@@ -261,7 +248,7 @@ def motion_case(
     """The problem of a log, and of a reference behind it where there are two looks.
 
     known : coefficients of the base of the reference alone (see `coefficients`)
-    chosen : causes, all by default
+    chosen : causes that are candidates; None for no candidates at all
     """
     log = looks[0]
     rows = log.arm.joints * (1 if log.response is None else 2)
@@ -290,7 +277,7 @@ def motion_case(
         (), (), (), residual, J, nothing, first, noise,
         of_log, parts, floor, trust, *_told(log),
     ).renewed()  # fmt: skip
-    return case if chosen == () else with_candidates(case, log, chosen)
+    return case if chosen is None else with_candidates(case, log, chosen)
 
 
 def _floor(log: Look) -> Array:
@@ -337,16 +324,16 @@ def coefficients(case: MotionCase) -> dict[tuple[str, int, bool], float]:
 
 def today_of(base: Sequence[Part], known: Mapping[tuple[str, int, bool], float]) -> list[Part]:
     """What of a base differs from that of a healthy day: each joint's frictions as wholes, and a little of the rest."""
-    found: list[Part] = []
+    parts: list[Part] = []
     whole: dict[tuple[str, int], Array] = {}
     for p in base:
         if not p.kind.startswith(ALIKE):
             size = DAILY_SERVO * p.size if p.response else min(TODAY.get(p.kind, DAILY_LEAST), p.size)
-            found.append(replace(p, kind=f"{p.kind}, today", size=size))
+            parts.append(replace(p, kind=f"{p.kind}, today", size=size))
         for name, kinds in WHOLES.items():
             if p.kind.startswith(kinds) and not p.response:
                 whole[name, p.joint] = whole.get((name, p.joint), 0.0) + known.get(p.key, 0.0) * p.samples
-    return found + [Part(f"{name}, today", j, DAILY, samples) for (name, j), samples in whole.items()]
+    return parts + [Part(f"{name}, today", j, DAILY, samples) for (name, j), samples in whole.items()]
 
 
 def frictions(case: MotionCase, log: Look) -> dict[str, Array]:
@@ -360,32 +347,32 @@ def frictions(case: MotionCase, log: Look) -> dict[str, Array]:
     return out
 
 
-def with_candidates(case: MotionCase, log: Look, chosen: Sequence[Cause] | None = None) -> MotionCase:
-    """The case with candidates: the causes of the list, or chosen ones, and what is on no list."""
+def with_candidates(case: MotionCase, log: Look, chosen: Sequence[Cause]) -> MotionCase:
+    """The case with candidates: chosen causes, and what is on no list."""
     log = replace(log, frictions=frictions(case, log))
     total, rows = case.r.shape
     made: dict[int, list[tuple[int, Array]]] = {r: [] for r in range(rows)}
-    found: dict[str, Candidate] = {}
+    candidates: dict[str, Candidate] = {}
     variants: list[tuple[int, int]] = []
     groups: list[Array] = []
     width = 0
     for candidate, columns in (*_listed(log, chosen), *_unlisted(log, case.noise.sigma[0])):
-        known = found.setdefault(candidate.label, replace(candidate, variants=()))
-        variants.append((list(found).index(candidate.label), len(known.variants)))
-        found[candidate.label] = replace(known, variants=(*known.variants, *candidate.variants))
+        known = candidates.setdefault(candidate.label, replace(candidate, variants=()))
+        variants.append((list(candidates).index(candidate.label), len(known.variants)))
+        candidates[candidate.label] = replace(known, variants=(*known.variants, *candidate.variants))
         groups.append(np.arange(width, width + len(columns)))
         for column in columns:
             for row, values in column.items():
                 made[row].append((width, np.pad(values, (0, total - len(values)))))
             width += 1
-    E = _columns(made, width, rows, total)
-    case = replace(case, E=E, candidates=tuple(found.values()), variants=tuple(variants), groups=tuple(groups))
-    return case.with_noise(case.noise)
+    blocks = [(row, np.array([c for c, _ in own]), np.stack([v for _, v in own])) for row, own in made.items() if own]
+    E = RowColumns(Factors(tuple(blocks), width), rows, total)
+    return replace(case, E=E, candidates=tuple(candidates.values()), variants=tuple(variants), groups=tuple(groups))
 
 
-def _listed(log: Look, chosen: Sequence[Cause] | None) -> Iterator[_Judged]:
+def _listed(log: Look, chosen: Sequence[Cause]) -> Iterator[_Judged]:
     """Each variant of each cause, as a candidate of its own, with what its parameters do to the rows."""
-    for kind in motion_effects().values() if chosen is None else chosen:
+    for kind in chosen:
         if isinstance(kind, Law):
             yield Candidate(kind.label, kind.name, kind.joint, ((kind,),)), columns_of(log, kind)
             continue
@@ -396,11 +383,6 @@ def _listed(log: Look, chosen: Sequence[Cause] | None) -> Iterator[_Judged]:
                 columns = columns_of(log, effect)
                 if columns:
                     yield Candidate(name if joint is None else f"{name}@{joint}", name, joint, ((effect,),)), columns
-
-
-def _columns(made: Mapping[int, list[tuple[int, Array]]], width: int, rows: int, total: int) -> RowColumns:
-    blocks = [(row, np.array([c for c, _ in own]), np.stack([v for _, v in own])) for row, own in made.items() if own]
-    return RowColumns(Factors(tuple(blocks), width), rows, total)
 
 
 def columns_of(look: Look, effect: MotionEffect) -> list[Mapping[int, Array]]:
@@ -424,28 +406,25 @@ def columns_of(look: Look, effect: MotionEffect) -> list[Mapping[int, Array]]:
                     values = look.as_torque(values, j)
                 row = n + j if at_response and look.response is not None else j
                 out[k][row] = look.motion.averaged(values)
-    whole = [column for column in out if any(np.abs(v).max() > 0 for v in column.values())]
-    return [*whole]
+    return [column for column in out if any(np.abs(v).max() > 0 for v in column.values())]
 
 
 def arm_names(look: Look, effect: MotionEffect) -> dict[str, Array]:
     """Variables of a cause's own link or joint, at every joint's torque."""
-    found: dict[str, Array] = {}
+    names: dict[str, Array] = {}
     if "link" in effect.drivers and effect.joint:
         own = slice(10 * effect.joint - 10, 10 * effect.joint)
-        found["link"] = look.Y[:, :, own] @ look.arm.inertial[own] / look.great
+        names["link"] = look.Y[:, :, own] @ look.arm.inertial[own] / look.great
     if "zero" in effect.drivers and effect.joint:
-        found["zero"] = look.by_angle(effect.joint - 1)
+        names["zero"] = look.by_angle(effect.joint - 1)
     m = look.motion
     if isinstance(effect, Law):
-        return found
+        return names
     if "delayed" in effect.drivers and m.command is not None:
-        found["delayed"] = m.by_run(lambda c: c - behind(c, effect.late, m.step), m.command)
+        names["delayed"] = m.by_run(lambda c: c - behind(c, effect.late, m.step), m.command)
     if "filtered" in effect.drivers and m.command is not None:
-        found["filtered"] = m.by_run(lambda c: c - lagged(c, effect.within, m.step), m.command)
-    if {"friction", "drag"} & set(effect.drivers):
-        found |= {k: v for k, v in look.frictions.items() if k in effect.drivers}
-    return found
+        names["filtered"] = m.by_run(lambda c: c - lagged(c, effect.within, m.step), m.command)
+    return names | {k: v for k, v in look.frictions.items() if k in effect.drivers}
 
 
 def _unlisted(log: Look, sigma: Array) -> Iterator[_Judged]:

@@ -137,7 +137,7 @@ def proposed(found: LogDiagnosis, looks: Sequence[Look], names: Sequence[str] = 
     """
     case, seconds = found.outcome.case, sum(float(np.ptp(run.time)) for run in found.log.runs())
     sizes = {label: _size(found, label) for label in _in_question(found, names)}
-    known = coefficients(motion_case(looks[1:], chosen=())) if len(looks) > 1 else None
+    known = coefficients(motion_case(looks[1:])) if len(looks) > 1 else None
     made = [effect for label in sizes for (effect,) in case.by_label[label].variants]
     kinds = list(dict.fromkeys(type(effect) for effect in made if isinstance(effect, DefinedEffect)))
 
@@ -145,7 +145,7 @@ def proposed(found: LogDiagnosis, looks: Sequence[Look], names: Sequence[str] = 
         show(f"range {course.range:.0%}, speed {course.speed:.0%}, pause {course.pause} s, load {course.load:.2g} kg")
         command = course.commands(found.log)
         own = motion_case([_planned(found.log, looks[0], course, command), *looks[1:]], known, kinds)
-        expected = _expected(own.with_noise(_noise_as(case, own)), sizes)
+        expected = _expected(replace(own, noise=_noise_as(case, own)), sizes)
         # What is certain is not worth more than what is enough.
         score = sum(min(against, NAMED) + 0.01 * min(alone, NAMED) for alone, against in expected.values())
         return score, course, command, expected

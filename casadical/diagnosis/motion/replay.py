@@ -17,8 +17,9 @@ from casadical.core.telling.blocks import Block, Table, Words
 from casadical.core.telling.figure import Axis, Figure, Panel, Series
 from casadical.core.telling.result import Result
 from casadical.diagnosis.motion.arm import arm_of
-from casadical.diagnosis.motion.response import Response, fitted, fitted_each
+from casadical.diagnosis.motion.response import Response, fitted
 from casadical.diagnosis.motion.signals import torque_of
+from casadical.identification.figures import banded
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml
@@ -82,18 +83,18 @@ class Replay(Result):
         assert log.command is not None
         return np.asarray(log.position - (log.command if before else self.predicted[run]))
 
-    def by_time(self, cells: int) -> tuple[Array, tuple[Array, Array]]:
-        """Middles of so many parts of the time of all runs [s], and rms in each, before and after, (cells, joints)."""
+    def by_time(self) -> tuple[Array, Mapping[str, Array]]:
+        """Middles of CELLS parts of the time of all runs [s], and rms in each, before and after, (CELLS, joints)."""
         ends = np.cumsum([0.0, *(float(run.time[-1] - run.time[0]) for run in self.runs)])
         t = np.concatenate([run.time - run.time[0] + a for run, a in zip(self.runs, ends, strict=False)])
-        edges = np.linspace(0, ends[-1], cells + 1)
-        part = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, cells - 1)
-        found = []
-        for before in (True, False):
-            squares = np.concatenate([self.left(k, before=before) for k in range(len(self.runs))]) ** 2
-            mean = [squares[part == k].mean(axis=0) if (part == k).any() else squares[0] * np.nan for k in range(cells)]
-            found.append(np.sqrt(np.array(mean)))
-        return (edges[1:] + edges[:-1]) / 2, (found[0], found[1])
+        edges = np.linspace(0, ends[-1], CELLS + 1)
+        part = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, CELLS - 1)
+        rms = {}
+        for what in ("before", "after"):
+            squares = np.concatenate([self.left(k, before=what == "before") for k in range(len(self.runs))]) ** 2
+            mean = [squares[part == k].mean(axis=0) if (part == k).any() else squares[0] * np.nan for k in range(CELLS)]
+            rms[what] = np.sqrt(np.array(mean))
+        return (edges[1:] + edges[:-1]) / 2, rms
 
     @cached_property
     def friction_samples(self) -> tuple[Array, Array]:
@@ -109,9 +110,7 @@ class Replay(Result):
         """As `casadical diagnose ARM LOG` prints it."""
         return [
             Words(self._sentence(), "verdict"),
-            self._table(),
-            *self._torques(),
-            self._drives(),
+            *self._tables(),
             *self._notes(),
             *replay_figures(self),
         ]
@@ -142,39 +141,28 @@ class Replay(Result):
             f"before, {after:.3g} mrad with the response of each joint."
         )
 
-    def _table(self) -> Table:
-        rows = [
-            (name, f"{1e3 * b:.3g}", f"{1e3 * a:.3g}", f"{100 * (1 - a / b):.0f} %" if b > 0 else "")
-            for name, b, a in zip(self.runs[0].joints, self.before, self.after, strict=True)
-        ]
-        title = "Open-loop replay, rms of each joint [mrad]: position = command, and with its response"
-        return Table(title, ("joint", "before", "after", "less"), rows, frozenset({1, 2, 3}))
-
-    def _torques(self) -> Iterator[Table]:
-        if self.torque is None:
-            return
-        rows = [
-            (name, f"{b:.3g}", f"{a:.3g}", f"{100 * (1 - a / b):.0f} %" if b > 0 else "")
-            for name, b, a in zip(self.runs[0].joints, *self.torque, strict=True)
-        ]
-        title = (
+    def _tables(self) -> Iterator[Table]:
+        joints, r = self.runs[0].joints, self.response
+        angles = "Open-loop replay, rms of each joint [mrad]: position = command, and with its response"
+        torques = (
             "Torque in the same replay, rms of each joint [N m]: bodies along the commands, and replayed with friction"
         )
-        yield Table(title, ("joint", "before", "after", "less"), rows, frozenset({1, 2, 3}))
-
-    def _drives(self) -> Table:
-        r = self.response
+        compared = ((angles, 1e3, (self.before, self.after)), (torques, 1.0, self.torque))
+        for title, factor, errors in compared:
+            if errors:
+                rows = [
+                    (name, f"{factor * b:.3g}", f"{factor * a:.3g}", f"{100 * (1 - a / b):.0f} %" if b > 0 else "")
+                    for name, b, a in zip(joints, *errors, strict=True)
+                ]
+                yield Table(title, ("joint", "before", "after", "less"), rows, frozenset({1, 2, 3}))
         parts = (r.gain, r.friction, r.friction / r.gain * 1e3, r.damping, r.armature, r.delay * 1e3, r.bias)
-        rows = [
-            (name, *(f"{v:.3g}" for v in each))
-            for name, each in zip(self.runs[0].joints, np.column_stack(parts), strict=True)
-        ]
-        columns = ("joint", "kp", "F", "F / kp", "b", "rotor", "delay", "const")
+        drives = [(name, *(f"{v:.3g}" for v in own)) for name, own in zip(joints, np.column_stack(parts), strict=True)]
         title = (
             "Response of each joint, torques by the masses of the robot file: gain kp [N m/rad], dry friction F [N m], "
             "F / kp [mrad], damping b [N m s/rad], rotor inertia [kg m^2], delay [ms], constant torque [N m]"
         )
-        return Table(title, columns, rows, frozenset(range(1, 8)))
+        columns = ("joint", "kp", "F", "F / kp", "b", "rotor", "delay", "const")
+        yield Table(title, columns, drives, frozenset(range(1, 8)))
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -191,9 +179,8 @@ class Replay(Result):
 
     def files(self, folder: str | Path) -> Mapping[Path, str]:
         """Plain data, words, and the robot with its drives."""
-        made = to_toml(
-            self.response.robot(), "[drive]: response of the joints to their commands, by casadical diagnose"
-        )
+        comment = "[drive]: response of the joints to their commands, by casadical diagnose"
+        made = to_toml(self.response.robot(), comment)
         return {**super().files(folder), Path(folder) / "diagnosed.robot.toml": made}
 
 
@@ -206,11 +193,11 @@ def replayed(robot: Robot, logs: Sequence[JointLog], withheld: Sequence[JointLog
     show("response of each joint")
     own, kept = ([run for log in each for run in log.runs()] for each in (logs, withheld))
     if kept or len(own) == 1:
-        response, runs = fitted(robot, own), kept or own
+        (response,), runs = fitted(robot, own), kept or own
         return Replay(response, tuple(runs), tuple(response.predicted(run) for run in runs), bool(kept))
     folds = min(FOLDS, len(own))
     parts = [own, *([run for i, run in enumerate(own) if i % folds != k] for k in range(folds))]
-    response, *others = fitted_each(robot, parts)
+    response, *others = fitted(robot, *parts)
     show("replay")
     return Replay(response, tuple(own), tuple(others[i % folds].predicted(run) for i, run in enumerate(own)), True)
 
@@ -249,31 +236,28 @@ def _panels(
     return Figure(name, title, series, height=180 + PANEL * ((len(joints) + 1) // 2), panels=panels)
 
 
-def _few(*columns: Array) -> list[Array]:
-    every = max(1, len(columns[0]) // POINTS)
-    return [column[::every].round(4) for column in columns]
+def _lines(x: Array, lines: Mapping[str, Array], panel: int) -> list[Series]:
+    """Two lines of a panel, thinned: what is read in grey, what is predicted in blue; lines : by name, shape (n,)."""
+    some = slice(None, None, max(1, len(x) // POINTS))
+    styles: tuple[dict[str, Any], ...] = ({"colour": "grey", "width": 1}, {"colour": "blue", "width": 1.4})
+    return [
+        Series("line", x[some].round(4), y[some].round(4), name=name, listed=not panel, panel=panel, **style)
+        for (name, y), style in zip(lines.items(), styles, strict=True)
+    ]
 
 
 def _errors(replay: Replay, run: int, j: int, panel: int) -> list[Series]:
-    t = replay.runs[run].time - replay.runs[run].time[0]
-    t, before, after = _few(t, *(1e3 * replay.left(run, before=b)[:, j] for b in (True, False)))
-    return [
-        Series("line", t, before, name="before: less command", colour="grey", width=1, listed=not panel, panel=panel),
-        Series(
-            "line", t, after, name="after: less prediction", colour="blue", width=1.4, listed=not panel, panel=panel
-        ),
-    ]
+    before, after = (1e3 * replay.left(run, before=b)[:, j] for b in (True, False))
+    lines = {"before: less command": before, "after: less prediction": after}
+    return _lines(replay.runs[run].time - replay.runs[run].time[0], lines, panel)
 
 
 def _loop(replay: Replay, run: int, j: int, panel: int) -> list[Series]:
     log = replay.runs[run]
     assert log.command is not None
     own = log.command[:, j]
-    c, read, said = _few(own, 1e3 * (log.position[:, j] - own), 1e3 * (replay.predicted[run][:, j] - own))
-    return [
-        Series("line", c, read, name="reading", colour="grey", width=1, listed=not panel, panel=panel),
-        Series("line", c, said, name="prediction", colour="blue", width=1.4, listed=not panel, panel=panel),
-    ]
+    lines = {"reading": 1e3 * (log.position[:, j] - own), "prediction": 1e3 * (replay.predicted[run][:, j] - own)}
+    return _lines(own, lines, panel)
 
 
 def _friction(replay: Replay, j: int, panel: int) -> list[Series]:
@@ -289,19 +273,19 @@ def _friction(replay: Replay, j: int, panel: int) -> list[Series]:
     r = replay.response
     ends = np.array([-most, -1e-9, 1e-9, most])
     law = r.friction[j] * np.sign(ends) + r.damping[j] * ends
-    band = np.concatenate([middle, middle[::-1]]).round(4), np.concatenate([high, low[::-1]]).round(4)
+    place: dict[str, Any] = {"panel": panel, "listed": not panel}
     return [
-        Series("area", *band, name="samples, 10 to 90 %", colour="grid", listed=not panel, panel=panel),
-        Series("line", ends.round(4), law.round(4), name="found", colour="blue", listed=not panel, panel=panel),
+        banded(middle.round(4), low.round(4), high.round(4), name="samples, 10 to 90 %", colour="grid", **place),
+        Series("line", ends.round(4), law.round(4), name="found", colour="blue", **place),
     ]
 
 
 def _maps(replay: Replay) -> Iterator[Figure]:
     """Rms of each joint over the time of all runs, before and after, on one scale."""
-    time, cells = replay.by_time(CELLS)
-    most = float(np.nanmax(cells[0])) * 1e3
+    time, cells = replay.by_time()
+    most = float(np.nanmax(cells["before"])) * 1e3
     joints = replay.runs[0].joints
-    for what, values in zip(("before", "after"), cells, strict=True):
+    for what, values in cells.items():
         yield Figure(
             f"replay/map/{what}", f"Where and when the readings are off, {what} [mrad rms, one scale]",
             [Series("map", time.round(1), list(range(len(joints))), (1e3 * values.T).round(2), size=most)],

@@ -18,7 +18,7 @@ from casadical.core.basics import Array, InputError
 from casadical.core.drive import Drive
 from casadical.diagnosis.motion.arm import Arm, arm_of
 from casadical.diagnosis.motion.floor import AT, Floor, floor_of
-from casadical.diagnosis.motion.signals import RATE, kernel_of, torque_of
+from casadical.diagnosis.motion.signals import RATE, even, kernel_of, smoothed, torque_of
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.dynamics import Dynamics
 from casadical.robot.robot import Robot
@@ -115,9 +115,7 @@ class Response:
     def friction_of(self, run: JointLog) -> tuple[Array, Array]:
         """Speed [rad/s] and friction [N m] of a run, shapes (samples, joints), by the servo's law."""
         (piece,) = pieces_of(run, np.inf)
-        q, kernel = piece.position, np.hanning(9)[1:-1] / 4
-        padded = np.pad(q, ((3, 3), (0, 0)), "edge")
-        q = np.column_stack([np.convolve(column, kernel, "valid") for column in padded.T])
+        q = smoothed(piece.position, np.hanning(9)[1:-1] / 4)
         v = np.gradient(q, piece.step, axis=0)
         load = self.dynamics.torque(q, *[np.zeros_like(q)] * 2)
         wanted = late(piece.command, self.delay / piece.step)
@@ -160,15 +158,10 @@ def pieces_of(run: JointLog, length: float = PIECE) -> list[Piece]:
         return []
     step = run.step * max(1, int(1 / (run.step * RATE)))
     t = np.arange(run.time[0], run.time[-1] + step / 2, step)
-    command, position = (np.column_stack([_even(t, run.time, c) for c in v.T]) for v in (run.command, run.position))
+    command, position = (even(values, run.time, t) for values in (run.command, run.position))
     count = max(1, round(seconds / length)) if length < np.inf else 1
     ends = np.linspace(0, len(t), count + 1).astype(int)
     return [Piece(command[a:b], position[a:b], step) for a, b in pairwise(ends.tolist())]
-
-
-def _even(t: Array, time: Array, column: Array) -> Array:
-    known = np.isfinite(column)
-    return np.interp(t, time[known], column[known]) if known.any() else np.zeros(len(t))
 
 
 def late(values: Array, samples: Array) -> Array:
@@ -178,7 +171,6 @@ def late(values: Array, samples: Array) -> Array:
 
 
 def _middles(values: Array) -> Array:
-    """Between each sample and the next one."""
     return np.asarray((values[1:] + values[:-1]) / 2)
 
 
@@ -265,18 +257,11 @@ class _Problem:
         return self.position - angles[..., 0], (angles[..., 1:] - angles[..., :1]) / DIFFERENCE
 
 
-def fitted(robot: Robot, logs: Sequence[JointLog]) -> Response:
-    """The response of each joint as it is in all runs of some logs.
+def fitted(robot: Robot, *parts: Sequence[JointLog]) -> list[Response]:
+    """The response of each joint as it is in all runs of some logs, and of others: simulated side by side, which costs
+    little more than one.
 
     Raises InputError: logs without commands, or without a run of two seconds.
-    """
-    return fitted_each(robot, [logs])[0]
-
-
-def fitted_each(robot: Robot, parts: Sequence[Sequence[JointLog]]) -> list[Response]:
-    """The responses as they are in some logs, and in others: simulated side by side, which costs little more than one.
-
-    Raises InputError as of `fitted`.
     """
     arm = arm_of(robot)
     runs = [[run for log in logs for run in log.runs()] for logs in parts]
@@ -285,16 +270,16 @@ def fitted_each(robot: Robot, parts: Sequence[Sequence[JointLog]]) -> list[Respo
         if not each:
             raise InputError(f"{logs[0].source}: no run of two seconds or more; log 20 s or more of motion")
     problems = [_problem(arm.dynamics, p, _gains_by_torque(r, arm)) for p, r in zip(pieces, runs, strict=True)]
-    found = []
+    responses = []
     for (x, floor), logs, p, r in zip(_above_floors(arm.dynamics, problems), parts, pieces, runs, strict=True):
         gain = np.exp(-x[:, 0])
         friction, lag, inertia, delay = np.exp(x[:, 2:]).T
         sources = tuple(log.source for log in logs)
-        found.append(Response(
+        responses.append(Response(
             arm.dynamics, gain, gain * x[:, 1], gain * friction, gain * lag, gain * inertia, delay, sources, _moves(p),
-            _beside(arm.dynamics, arm, r, floor), floor,
+            _beside(arm, r, floor), floor,
         ))  # fmt: skip
-    return found
+    return responses
 
 
 def _above_floors(dynamics: Dynamics, problems: Sequence[_Problem]) -> list[tuple[Array, Floor | None]]:
@@ -345,22 +330,20 @@ def bodies_and_terms(dynamics: Dynamics, run: JointLog, position: Array) -> tupl
 
     position : shape (rows, joints); returns shapes (rows, joints) [N m] and (rows, joints, 4)
     """
-    kernel = kernel_of(run.step)
-    padded = np.pad(position, ((len(kernel) // 2,) * 2, (0, 0)), "edge")
-    q = np.column_stack([np.convolve(column, kernel, "valid") for column in padded.T])
+    q = smoothed(position, kernel_of(run.step))
     v = np.gradient(q, run.time, axis=0)
     a = np.gradient(v, run.time, axis=0)
     return dynamics.torque(q, v, a), np.stack([np.tanh(v / SLIDES), v, a, np.ones_like(v)], axis=2)
 
 
-def _beside(dynamics: Dynamics, arm: Arm, runs: Sequence[JointLog], floor: Floor | None) -> Array | None:
+def _beside(arm: Arm, runs: Sequence[JointLog], floor: Floor | None) -> Array | None:
     """Least squares of what the bodies leave of torques off the floor; None where a run has none [N m]."""
-    H, b = np.zeros((dynamics.robot.n, 4, 4)), np.zeros((dynamics.robot.n, 4))
+    H, b = np.zeros((arm.joints, 4, 4)), np.zeros((arm.joints, 4))
     for run in runs:
         logged = torque_of(run, arm)
         if logged is None or (run.torque is None and arm.per_ampere is None) or len(run) < FEWEST:
             return None
-        bodies, terms = bodies_and_terms(dynamics, run, run.position)
+        bodies, terms = bodies_and_terms(arm.dynamics, run, run.position)
         known = np.isfinite(logged - bodies)
         if floor is not None:
             known &= (floor.above(np.nan_to_num(run.position)) > AT)[:, None]

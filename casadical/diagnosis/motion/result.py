@@ -14,11 +14,10 @@ from casadical.core.telling.result import Result
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.motion.arm import Arm, arm_of
 from casadical.diagnosis.motion.base import COMMANDED, LOAD, MEASURED, Look, look
-from casadical.diagnosis.motion.instrument import Fault, faults_of
 from casadical.diagnosis.motion.laws import LogLaws, laws_of
 from casadical.diagnosis.motion.problem import WHITE, MotionCase, coefficients, motion_case
 from casadical.diagnosis.motion.search import Found, Outcome, columns_of, search, unfitted
-from casadical.diagnosis.motion.signals import motion_of
+from casadical.diagnosis.motion.signals import Fault, faults_of, motion_of
 from casadical.effects.motion import Cause, motion_effects
 from casadical.identification.inertial import contradictions, determined
 from casadical.measurements.logs.log import JointLog
@@ -73,11 +72,8 @@ class LogDiagnosis(Result):
 
     @property
     def _line(self) -> str:
-        return f" {self.log.source}: {self.verdict}" + (f", {', '.join(self._labels)}" if self._labels else "")
-
-    @property
-    def _labels(self) -> list[str]:
-        return [*(f.name for f in self.faults), *(f.label for f in self.claims)]
+        labels = [*(f.name for f in self.faults), *(f.label for f in self.claims)]
+        return ", ".join([f" {self.log.source}: {self.verdict}", *labels])
 
     @property
     def level(self) -> str:
@@ -118,9 +114,10 @@ class LogDiagnosis(Result):
 
     def blocks(self) -> Sequence[Words | Table]:
         """What `casadical diagnose ARM LOG` prints."""
+        remedies = (Words(f.remedy, "warning") for f in self.faults)
         laws = self.laws.blocks() if self.laws else ()
         told = (self._gap_table(), *self._causes(), *laws, *self._notes())
-        return [Words(self._sentence(), "verdict"), *self._faults(), *told]
+        return [Words(self._sentence(), "verdict"), *remedies, *told]
 
     def _sentence(self) -> str:
         said = [f.sentence for f in self.faults] + [told(self.outcome.case, f.label) for f in self.claims]
@@ -128,9 +125,6 @@ class LogDiagnosis(Result):
             best = self.fitting[0].label if self.fitting else self.outcome.rankings[0].order[0]
             said.append(f"more is there than in a usual arm; what fits best: {told(self.outcome.case, best)}")
         return f"{self.log.source}: {'; '.join(said) or 'no more than a usual arm may have'}."
-
-    def _faults(self) -> Iterator[Words]:
-        yield from (Words(f.remedy, "warning") for f in self.faults)
 
     def _gap_table(self) -> Table:
         nominal, before, after = self.gap()
@@ -149,14 +143,14 @@ class LogDiagnosis(Result):
         case = self.outcome.case
         none = columns_of(case, ())
         left = case.left(none, *case.fitted(none))[case.of_log, j] ** 2
-        found = []
+        parts = []
         for name, values in zip(OVER, case.over, strict=True):
             edges = np.quantile(values[:, j], np.linspace(0, 1, PARTS + 1))
             part = np.clip(np.searchsorted(edges, values[:, j], side="right") - 1, 0, PARTS - 1)
             mean = np.array([left[part == k].mean() if (part == k).any() else 0.0 for k in range(PARTS)])
             k = first_of_best(mean)
-            found.append((float(np.sqrt(mean[k] / left.mean())), f"{name} {edges[k]:.3g} to {edges[k + 1]:.3g}"))
-        worst = found[first_of_best([share for share, _ in found])]
+            parts.append((float(np.sqrt(mean[k] / left.mean())), f"{name} {edges[k]:.3g} to {edges[k + 1]:.3g}"))
+        worst = parts[first_of_best([share for share, _ in parts])]
         return worst[1] if worst[0] > OUT else ""
 
     def _causes(self) -> Iterator[Words | Table]:
@@ -176,28 +170,24 @@ class LogDiagnosis(Result):
                 "What fits best is on no list: --laws searches for its law. If the arm touches something all along, "
                 "log one run in free air; the other joints are told all the same.", "note",
             )  # fmt: skip
-        yield Table(
-            "What fits", ("cause", "probability", "log evidence", "what the log shows"), rows, frozenset({1, 2})
-        )
+        heads = ("cause", "probability", "log evidence", "what the log shows")
+        yield Table("What fits", heads, rows, frozenset({1, 2}))
 
     def _notes(self) -> Iterator[Words]:
-        if self.outcome.rankings[0].order[0] == "payload" and (found := self.payload()):
-            yield Words(
-                f"As a payload: {found[0]:.3g} kg beyond what is declared, one sigma {found[1]:.2g} kg.", "note"
-            )
-        small = [f.label for f in self.outcome.found if f.share < 1 and not f.named]
-        if small:
-            yield Words(f"Seen, but small: {', '.join(small)}.", "note")
+        notes = []
+        if self.outcome.rankings[0].order[0] == "payload" and (extra := self.payload()):
+            notes += [f"As a payload: {extra[0]:.3g} kg beyond what is declared, one sigma {extra[1]:.2g} kg."]
+        if small := [f.label for f in self.outcome.found if f.share < 1 and not f.named]:
+            notes += [f"Seen, but small: {', '.join(small)}."]
+        yield from (Words(text, "note") for text in notes)
         yield from (Words(text, "warning") for text in self.contradictions)
-        yield from (Words(text, "note") for text in self.log.findings)
+        notes = [*self.log.findings]
         if self.determined:
             count = f"{len(self.determined)} of {10 * self.arm.joints}"
-            yield Words(
-                f"This motion tells {count} masses, moments and inertias of the links (JSON: determined).", "note"
-            )
+            notes += [f"This motion tells {count} masses, moments and inertias of the links (JSON: determined)."]
         still = "never moved" if self.log.findings else "?"  # a finding of the log says it, with what would help
-        limits = cannot_tell(self.log, self.arm, bool(self.reference))
-        yield from (Words(text, "note") for text in limits if still not in text)
+        notes += [t for t in cannot_tell(self.log, self.arm, bool(self.reference)) if still not in t]
+        yield from (Words(text, "note") for text in notes)
 
     def to_json(self) -> dict[str, Any]:
         """The verdict and all figures."""
@@ -294,16 +284,16 @@ def diagnose_log(
     """
     show("signals and rigid bodies")
     looks = looks_of(robot, log, reference, healthy)
-    outcome = search(_case_of(looks, own))
-    told_of_bodies = determined(robot, log)
-    own_numbers = tuple(k for k in told_of_bodies.independent if not k.startswith("Ia")) if told_of_bodies else ()
+    known = coefficients(motion_case(looks[1:])) if len(looks) > 1 else None
+    outcome = search(motion_case(looks, known, [*motion_effects().values(), *own]))
+    bodies = determined(robot, log)
+    numbers = tuple(k for k in bodies.independent if not k.startswith("Ia")) if bodies else ()
     compared, arm = reference.source if reference else "", looks[0].arm
-    faults = faults_of(log, arm, reference)
     if laws:
         show("laws beside what was found")
     missing = laws_of(looks, outcome, own) if laws else None
-    against = contradictions(robot, log)
-    return LogDiagnosis(log, arm, outcome, faults, compared, against, own_numbers, missing)
+    faults = tuple(faults_of(log, arm, reference))
+    return LogDiagnosis(log, arm, outcome, faults, compared, contradictions(robot, log), numbers, missing)
 
 
 def looks_of(
@@ -336,8 +326,3 @@ def looks_of(
         return (seen(log, arm),)
     known = seen(reference, arm_of(healthy) if healthy else arm)
     return seen(log, arm, known.great), known
-
-
-def _case_of(looks: tuple[Look, ...], own: Sequence[Cause]) -> MotionCase:
-    known = coefficients(motion_case(looks[1:], chosen=())) if len(looks) > 1 else None
-    return motion_case(looks, known, [*motion_effects().values(), *own])

@@ -92,11 +92,6 @@ class Outcome:
     alike: tuple[tuple[str, float], ...] = ()
     refused: Found | None = None
 
-    @property
-    def columns(self) -> Array:
-        """Of the causes in the model."""
-        return columns_of(self.case, self.found)
-
 
 def columns_of(case: MotionCase, found: tuple[Found, ...]) -> Array:
     """Of some causes, in rising order."""
@@ -176,7 +171,9 @@ def search(case: MotionCase) -> Outcome:
         ranking, case = _sharper(case, found, ranking)
         rankings = (*rankings[:-1], ranking)
         one = judged(case, found, ranking)
-        if one.gain < max(least_gain(case, one.label), MISMATCH * one.before):
+        least = CERTAIN if one.listed else UNLISTED
+        least = LOCAL if case.by_label[one.label].name == "contact" else least
+        if one.gain < max(least * (1.0 if case.unit else WITHOUT_TORQUE), MISMATCH * one.before):
             return Outcome(case, last, found, rankings)
         if one.share >= 1 and not one.named:
             there = 1 - ranking.none
@@ -188,14 +185,6 @@ def search(case: MotionCase) -> Outcome:
             verdict: Verdict = "ambiguous" if whole > SET_SHARE and one.listed else "unknown"
             return Outcome(case, last if named else verdict, found, rankings, tuple(alike), one)
         found = (*found, one)
-
-
-def _before(case: MotionCase, found: tuple[Found, ...], label: str) -> float:
-    """The greatest gain of other causes that act where a candidate does."""
-    joints = {f.label: case.by_label[f.label].joint for f in found if f.label != label}
-    own = case.by_label[label].joint
-    near = {k for k, joint in joints.items() if joint is None or own is None or joint == own}
-    return max((f.gain for f in found if f.label in near), default=0.0)
 
 
 def judged(case: MotionCase, found: tuple[Found, ...], ranking: Ranking, top: str = "") -> Found:
@@ -212,7 +201,9 @@ def judged(case: MotionCase, found: tuple[Found, ...], ranking: Ranking, top: st
         speed = case.over[1][:, acts.pop()]
         ways = float(by_block[speed > 0].sum()), float(by_block[speed < 0].sum())
     rival = max((g for k, g in ranking.log_factor.items() if not case.by_label[k].listed), default=0.0)
-    before, gain = _before(case, found, top), ranking.log_factor[top]
+    joints = {f: case.by_label[f.label].joint for f in found if f.label != top}
+    near = (f for f, joint in joints.items() if joint is None or candidate.joint in (None, joint))
+    before, gain = max((f.gain for f in near), default=0.0), ranking.log_factor[top]
     return Found(top, ranking.variant[top], p, share, gain, gains, candidate.listed, rival, ways, before)
 
 
@@ -232,13 +223,6 @@ def _sharper(case: MotionCase, found: tuple[Found, ...], ranking: Ranking) -> tu
     return replace(
         ranking, none=float(share[0]), probability=probability, log_factor=factor, log_mass=mass, variant=variant
     ), case
-
-
-def least_gain(case: MotionCase, label: str) -> float:
-    """Log evidence from which a candidate is a cause."""
-    candidate = case.by_label[label]
-    least = LOCAL if candidate.name == "contact" else CERTAIN if candidate.listed else UNLISTED
-    return least * (1.0 if case.unit else WITHOUT_TORQUE)
 
 
 def twins(case: MotionCase, one: str, other: str) -> bool:

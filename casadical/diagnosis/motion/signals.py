@@ -1,12 +1,12 @@
-"""A joint log as smooth signals on a uniform time, with their derivatives, and averages over short windows.
+"""A joint log as smooth signals on a uniform time, with their derivatives, and averages over short windows; and faults
+of the instrument that wrote it: its clock, lost or repeated samples, a current without sign.
 
 Everything is smoothed alike, by one symmetric kernel, so that no signal is late against another.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -26,6 +26,10 @@ UNMOVED = 5e-3
 AT_ONCE = 64
 # No reading is finer than this [rad].
 LEAST_QUANTUM = 1e-6
+# A rate that is off by this share; shares of samples that are lost or repeated which every log has.
+CLOCK, USUAL_LOST, USUAL_REPEATED = 0.01, 0.01, 0.02
+# A gap is longer than so many steps; a joint moves by more than so many quanta a step.
+GAP, MOVES = 1.6, 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,17 +52,17 @@ class Motion:
     q: Array
     v: Array
     a: Array
-    command: Array | None
-    command_v: Array | None
-    command_a: Array | None
-    torque: Array | None
-    heat: Array | None
     memory: Mapping[float, Array]
     rest: Array
     unmoved: Array
     quantum: Array
     windows: Array
     first: Array
+    command: Array | None = None
+    command_v: Array | None = None
+    command_a: Array | None = None
+    torque: Array | None = None
+    heat: Array | None = None
 
     def averaged(self, values: Array) -> Array:
         """Over each window, shape (windows, ...); values : of each sample, shape (n, ...)."""
@@ -103,14 +107,14 @@ def motion_of(log: JointLog, arm: Arm, widths: tuple[float, ...], *, of_command:
         at += len(part["time"])
     whole = {k: np.concatenate([p[k] for p in parts]) for k in parts[0]}
     memory = {w: whole.pop(f"memory {w}") for w in widths}
-    optional: dict[str, Any] = {k: whole.pop(k, None) for k in ("command", "command_v", "command_a", "torque", "heat")}
-    heat = optional.pop("heat")
+    if "heat" in whole:
+        whole["heat"] = whole["heat"] - whole["heat"].min(axis=0)
+    steps_of = np.abs(np.diff(log.position, axis=0))
+    smallest = np.where(steps_of > LEAST_QUANTUM, steps_of, np.inf).min(axis=0)
     return Motion(
         **whole,
-        **optional,
-        heat=None if heat is None else heat - heat.min(axis=0),
         memory=memory,
-        quantum=_quantum(log.position),
+        quantum=np.where(np.isfinite(smallest), smallest, LEAST_QUANTUM),
         windows=np.concatenate(windows),
         first=np.concatenate(first),
     )
@@ -126,13 +130,6 @@ def _in_time(run: JointLog, arm: Arm) -> JointLog:
         if known.any():
             c[:] = np.interp(run.time - d, run.time[known], c[known])
     return replace(run, command=late)
-
-
-def _quantum(position: Array) -> Array:
-    """The smallest step of each joint's readings, LEAST_QUANTUM at least."""
-    steps = np.abs(np.diff(position, axis=0))
-    smallest = np.where(steps > LEAST_QUANTUM, steps, np.inf).min(axis=0)
-    return np.asarray(np.where(np.isfinite(smallest), smallest, LEAST_QUANTUM))
 
 
 def torque_of(log: JointLog, arm: Arm) -> Array | None:
@@ -152,37 +149,40 @@ def _run(
         return None
     edge, every = int(EDGE / step), max(1, round(1 / (step * RATE)))
     kept = slice(edge, len(t) - edge, every)
-    kernel = kernel_of(step)
 
     def smooth(values: Array) -> Array:
-        columns = []
-        for column in values.T:
-            known = np.isfinite(column)
-            even = np.interp(t, run.time[known], column[known]) if known.any() else np.zeros(len(t))
-            padded = np.pad(even, len(kernel) // 2, mode="edge")
-            columns.append(np.convolve(padded, kernel, "valid"))
-        return np.column_stack(columns)
+        return smoothed(even(values, run.time, t), kernel_of(step))
 
     def rate(values: Array) -> Array:
         return np.asarray(np.gradient(values, step, axis=0))
 
-    found: dict[str, Array] = {}
+    signals: dict[str, Array] = {}
     position = smooth(run.position)
     if run.command is not None:
         c = smooth(run.command)
-        found |= {"command": c, "command_v": rate(c), "command_a": rate(rate(c))}
-    q = found["command"] if of_command else position
+        signals |= {"command": c, "command_v": rate(c), "command_a": rate(rate(c))}
+    q = signals["command"] if of_command else position
     v = rate(q)
-    found |= {"position": position, "q": q, "v": v, "a": rate(v)}
+    signals |= {"position": position, "q": q, "v": v, "a": rate(v)}
     if torque is not None:
-        found["torque"] = smooth(torque)
+        signals["torque"] = smooth(torque)
     if run.temperature is not None and np.isfinite(run.temperature).any(axis=0).all():
-        found["heat"] = smooth(run.temperature)
-    found |= {f"memory {w}": play(q, w) for w in widths}
-    usual = np.sqrt((v**2).mean(axis=0))
-    found["rest"] = step * _count_while(np.abs(v) < np.maximum(STANDS * usual, SLOW))
-    found["unmoved"] = np.minimum.accumulate(np.abs(q - q[0]) < UNMOVED, axis=0) * 1.0
-    return {"time": t[kept] - t[0], **{k: values[kept] for k, values in found.items()}}
+        signals["heat"] = smooth(run.temperature)
+    signals |= {f"memory {w}": play(q, w) for w in widths}
+    stands = np.abs(v) < np.maximum(STANDS * np.sqrt((v**2).mean(axis=0)), SLOW)
+    at = np.arange(len(t))[:, None]
+    signals["rest"] = step * (at - np.maximum.accumulate(np.where(stands, -1, at), axis=0))
+    signals["unmoved"] = np.minimum.accumulate(np.abs(q - q[0]) < UNMOVED, axis=0) * 1.0
+    return {"time": t[kept] - t[0], **{k: values[kept] for k, values in signals.items()}}
+
+
+def even(values: Array, time: Array, t: Array) -> Array:
+    """Columns at other times, where they are known; values : shape (len(time), columns)."""
+    there = np.isfinite(values).T
+    columns = (
+        np.interp(t, time[k], c[k]) if k.any() else np.zeros(len(t)) for c, k in zip(values.T, there, strict=True)
+    )
+    return np.column_stack([*columns])
 
 
 def kernel_of(step: float) -> Array:
@@ -192,10 +192,10 @@ def kernel_of(step: float) -> Array:
     return np.asarray(kernel / kernel.sum())
 
 
-def _count_while(there: Array) -> Array:
-    """Samples since a condition began to hold, shape as given."""
-    at = np.arange(len(there))[:, None]
-    return np.asarray(at - np.maximum.accumulate(np.where(there, -1, at), axis=0)).astype(float)
+def smoothed(values: Array, kernel: Array) -> Array:
+    """Columns of even samples through a kernel."""
+    padded = np.pad(values, ((len(kernel) // 2,) * 2, (0, 0)), "edge")
+    return np.column_stack([np.convolve(column, kernel, "valid") for column in padded.T])
 
 
 def play(q: Array, width: float) -> Array:
@@ -243,3 +243,50 @@ def servo_error(torque: Array, arm: Arm, step: float, start: Array) -> Array:
         held = held + ki * step * e
         out[k] = e
     return out
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault of the instrument. name : by which answers name it; sentence : what was found; remedy : what to do"""
+
+    name: str
+    sentence: str
+    remedy: str
+
+
+def faults_of(log: JointLog, arm: Arm, reference: JointLog | None) -> Iterator[Fault]:
+    """What is wrong with the log itself."""
+    rate = arm.log_rate or (1 / reference.step if reference else None)
+    if rate and abs((factor := log.step * rate) - 1) > CLOCK:
+        yield Fault(
+            "clock_scale",
+            f"the clock of the log runs wrong by a factor of {factor:.3f} ({1 / log.step:.4g} rows a second, "
+            f"{rate:.4g} are known)",
+            f"Divide time_s by {factor:.3f}, or state the true rate as log_rate_Hz in [drive].",
+        )
+    steps = np.diff(log.time)[np.diff(log.run) == 0] / max(log.step, 1e-12)
+    lost = float(np.round(steps[steps > GAP] - 1).sum() / max(steps.sum(), 1.0))
+    repeated = _repeated_share(log)
+    if lost > USUAL_LOST or repeated > USUAL_REPEATED:
+        yield Fault(
+            "lost_samples",
+            f"samples are missing ({100 * lost:.1f} %) or repeated ({100 * repeated:.1f} %)",
+            "Log over a wired link, at a rate that the link carries; rows that are missing are interpolated here.",
+        )
+    if log.signs_lost:
+        yield Fault(
+            "unsigned_current",
+            f"the {log.signs_lost} is logged without its sign",
+            "Until it has one, friction and load are told by the response to commands.",
+        )
+
+
+def _repeated_share(log: JointLog) -> float:
+    """Share of the rows in which all joints read as before although some move by many quanta a step around them."""
+    step = np.abs(np.diff(log.position, axis=0))
+    step[np.diff(log.run) != 0] = np.nan
+    smallest = np.where(step > 0, step, np.inf).min(axis=0)
+    usual = np.array([np.convolve(np.nan_to_num(column), np.ones(9) / 9, "same") for column in step.T]).T
+    moving = (usual > MOVES * np.where(np.isfinite(smallest), smallest, np.inf)).any(axis=1)
+    same = (step == 0).all(axis=1)
+    return float((same & moving).sum() / moving.sum()) if moving.sum() >= 10 else 0.0

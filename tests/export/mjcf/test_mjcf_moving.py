@@ -35,7 +35,7 @@ def logged(robot, name):
 
 @pytest.fixture(scope="module")
 def response(so101):
-    return fitted(so101, [logged(so101, name) for name in FITTED])
+    return fitted(so101, [logged(so101, name) for name in FITTED])[0]
 
 
 def of_file(robot, path, form):
@@ -107,7 +107,7 @@ def test_position_torque_and_floor_of_an_arm_in_mujoco_come_back(tmp_path):
         assert (after[1] < 0.1 * found.torque[0]).all()
     assert "rests on a surface" in " ".join(plain_text(found.blocks(), 120).split())
     known = replace(arm, drive=found.response.drive())
-    assert fitted(known, [recorded(mujoco, truth, 8)]).floor.height == found.response.drive().floor
+    assert fitted(known, [recorded(mujoco, truth, 8)])[0].floor.height == found.response.drive().floor
 
 
 def test_the_model_has_what_the_drive_says(so101, tmp_path):
