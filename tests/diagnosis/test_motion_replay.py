@@ -118,7 +118,7 @@ def test_rounding_of_readings_moves_no_parameter():
     robot = read_robot(ROOT / "problems" / "so101" / "robot.toml")
     log = read_log(ROOT / "data" / "so101_logs" / "circular_motion.csv.gz", robot)
     rounding = 1 + 2e-16 * np.random.default_rng(0).standard_normal(log.position.shape)
-    one, other = (fitted(robot, [each]) for each in (log, replace(log, position=rounding * log.position)))
+    one, other = (fitted(robot, [each])[0] for each in (log, replace(log, position=rounding * log.position)))
     for name in ("gain", "friction", "damping", "inertia", "delay"):
         np.testing.assert_allclose(getattr(other, name), getattr(one, name), rtol=1e-9)
 
