@@ -20,25 +20,23 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):  # letters that the terminal's encoding has not are shown by their codes
             stream.reconfigure(errors="backslashreplace")
+    why: object
     try:
         app()
+        return
     except InputError as error:
-        refusal(error)
-        sys.exit(BAD_INPUT)
+        code, why = BAD_INPUT, error
     except ConvergenceError as error:
-        refusal(f"no optimum found, nothing was written: {error}")
-        sys.exit(NO_CONVERGENCE)
+        code, why = NO_CONVERGENCE, f"no optimum found, nothing was written: {error}"
     except KeyboardInterrupt:
-        refusal("interrupted, nothing was written")
-        sys.exit(130)
+        code, why = 130, "interrupted, nothing was written"
     except OSError as error:
         place = "" if error.filename is None else f"{shown(error.filename)}: "
-        refusal(f"{place}{error.strerror or error}")
-        sys.exit(BAD_INPUT)
+        code, why = BAD_INPUT, f"{place}{error.strerror or error}"
     except MemoryError:
-        refusal("there is not enough memory for this; give fewer poses or a smaller number")
-        sys.exit(BAD_INPUT)
+        code, why = BAD_INPUT, "there is not enough memory for this; give fewer poses or a smaller number"
     except Exception:
         traceback.print_exc()
-        refusal("this is a bug in casadical; please report it with the lines above")
-        sys.exit(OUR_BUG)
+        code, why = OUR_BUG, "this is a bug in casadical; please report it with the lines above"
+    refusal(why)
+    sys.exit(code)

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Exit, Option, echo
 
 from casadical.cli import options as o
 from casadical.cli.terminal import WORSE, html, keep, suggest, with_json, working, wrapped
@@ -11,7 +11,7 @@ from casadical.core.telling.result import terminal
 
 Out = Annotated[
     Path | None,
-    typer.Option(
+    Option(
         metavar="DIR",
         help="Write the calibrated robots (METHOD.robot.toml), parameters (METHOD.parameters.csv), networks "
         "(METHOD.compensator.json) and result.json here; with several problems, into one folder for each.",
@@ -19,7 +19,7 @@ Out = Annotated[
 ]
 Method = Annotated[
     str | None,
-    typer.Option(
+    Option(
         metavar="METHOD",
         autocompletion=o.methods,
         help="KM (kinematics only), SKCM (with joint compliance), or a network on what SKCM leaves, such as "
@@ -28,7 +28,7 @@ Method = Annotated[
 ]
 Loss = Annotated[
     str | None,
-    typer.Option(
+    Option(
         metavar="LOSS",
         autocompletion=o.losses,
         help="linear; huber or soft_l1, which leave outliers out and name them; auto: huber where it finds any. "
@@ -37,7 +37,7 @@ Loss = Annotated[
 ]
 Split = Annotated[
     int | None,
-    typer.Option(
+    Option(
         min=0,
         help="Seed of the random split into sets; default: the problem's. No effect where a column names the sets.",
     ),
@@ -88,8 +88,8 @@ def calibrate(
             texts |= done[-1].files(out if len(given) == 1 else out / name)
     worse = [f"{name}: {c.worse}" for name, c in zip(given, done, strict=True) if c.worse]
     if worse:
-        typer.echo("casadical: nothing was written: " + "\n".join(worse), err=True)
-        raise typer.Exit(WORSE)
+        echo("casadical: nothing was written: " + "\n".join(worse), err=True)
+        raise Exit(WORSE)
     if json_file:
         figures = {name: c.to_json() for name, c in zip(given, done, strict=True)}
         texts = with_json(texts, json_file, figures if len(figures) > 1 else [*figures.values()])

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from casadical.cli.options import Json, Quiet
 from casadical.cli.terminal import keep, suggest, with_json, working, wrapped
@@ -14,22 +14,20 @@ from casadical.core.telling.result import terminal
 
 
 def certificate(
-    results: Annotated[Path, typer.Argument(metavar="RESULTS", help="Folder that `casadical calibrate --out` wrote.")],
+    results: Annotated[Path, Argument(metavar="RESULTS", help="Folder that `casadical calibrate --out` wrote.")],
     details: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             metavar="FILE.toml",
             help="Issuer, instrument, conditions, tolerance; default: nothing is stated, which the pages say.",
         ),
     ] = None,
-    out: Annotated[Path | None, typer.Option(metavar="FILE.pdf", help="Two pages (needs fpdf2).")] = None,
+    out: Annotated[Path | None, Option(metavar="FILE.pdf", help="Two pages (needs fpdf2).")] = None,
     problem: Annotated[
-        Path | None,
-        typer.Option(metavar="PROBLEM_DIR", help="What was calibrated; default: as result.json names it."),
+        Path | None, Option(metavar="PROBLEM_DIR", help="What was calibrated; default: as result.json names it.")
     ] = None,
     iso9283: Annotated[
-        Path | None,
-        typer.Option("--iso9283", metavar="TABLE.csv", help="A test that `casadical plan --iso9283` planned."),
+        Path | None, Option("--iso9283", metavar="TABLE.csv", help="A test that `casadical plan --iso9283` planned.")
     ] = None,
     json_file: Json = None,
     quiet: Quiet = False,
@@ -47,10 +45,10 @@ def certificate(
 
     console = wrapped(quiet)
     with working(quiet, "uncertainty"):
-        found = certified(results, details, problem=problem, iso9283=iso9283)
-    console.print(terminal(found.blocks()))
-    texts: dict[Path, str | bytes] = {out: found.pdf()} if out else {}
-    keep(with_json(texts, json_file, found.to_json()), console)
+        made = certified(results, details, problem=problem, iso9283=iso9283)
+    console.print(terminal(made.blocks()))
+    texts: dict[Path, str | bytes] = {out: made.pdf()} if out else {}
+    keep(with_json(texts, json_file, made.to_json()), console)
     if out is None:
         suggest(console, "to have it as two pages", *sys.argv[1:], "--out", "certificate.pdf")
     else:

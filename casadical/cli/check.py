@@ -2,10 +2,10 @@
 
 from typing import Annotated
 
-import typer
+from typer import Exit, Option, echo
 
 from casadical.cli.options import Details, Json, Problems, Quiet, problems_of
-from casadical.cli.terminal import BAD_INPUT, CHECK, keep_json, working, wrapped
+from casadical.cli.terminal import BAD_INPUT, CHECK, keep, with_json, working, wrapped
 from casadical.core.basics import InputError, shown
 
 # Slips hide targets, and targets slips: one is repaired after the other.
@@ -14,16 +14,15 @@ REPAIRS = 3
 
 NoiseMm = Annotated[
     float | None,
-    typer.Option(
+    Option(
         min=0,
         metavar="MM",
         help="Noise of a measured coordinate, one sigma, for the forecast; default: estimated from the data.",
     ),
 ]
-Strict = Annotated[bool, typer.Option("--strict", help="Exit with code 2 on warnings too.")]
+Strict = Annotated[bool, Option("--strict", help="Exit with code 2 on warnings too.")]
 Repair = Annotated[
-    bool,
-    typer.Option("--repair", help="Write the best repair of slips into problem.toml (columns) and the robot file."),
+    bool, Option("--repair", help="Write the best repair of slips into problem.toml (columns) and the robot file.")
 ]
 
 
@@ -69,10 +68,10 @@ def check(
                 checks[-1] = precheck(folder, noise, show=show)
         console.print(terminal(checks[-1].blocks() if details else checks[-1].brief()))
         console.print()
-    keep_json(json_file, [f.to_json() for f in checks], console)
+    keep(with_json({}, json_file, [f.to_json() for f in checks]), console)
     if quiet:
         for f in checks:
             for finding in f.of_level("error"):
-                typer.echo(f"casadical: {shown(f.folder)}: {finding.topic}: {finding.text}", err=True)
+                echo(f"casadical: {shown(f.folder)}: {finding.topic}: {finding.text}", err=True)
     if not all(f.ok and not (strict and f.of_level("warning")) for f in checks):
-        raise typer.Exit(BAD_INPUT)
+        raise Exit(BAD_INPUT)

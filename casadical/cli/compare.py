@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Exit, Option
 
 from casadical.cli.options import Json, Quiet, Report
 from casadical.cli.terminal import NOT_VALID, html, keep, suggest, with_json, working, wrapped
@@ -14,7 +14,7 @@ from casadical.core.telling.result import terminal
 def compare(
     campaigns: Annotated[
         list[Path],
-        typer.Argument(
+        Argument(
             metavar="OLD NEW...",
             help="Two campaigns of one robot or more: robot files as `casadical calibrate --out` writes them, folders "
             "of results, problem folders, or tables of measurements (with --robot). Or one problem folder whose later "
@@ -23,19 +23,17 @@ def compare(
     ],
     robot: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             metavar="PROBLEM_DIR",
             help="Problem folder or robot file by which tables are understood; default: the first "
             "campaign that is no table.",
         ),
     ] = None,
     same_tool: Annotated[
-        bool,
-        typer.Option("--same-tool", help="The same point of the same tool was measured: one that moved is a change."),
+        bool, Option("--same-tool", help="The same point of the same tool was measured: one that moved is a change.")
     ] = False,
     same_frame: Annotated[
-        bool,
-        typer.Option("--same-frame", help="All positions are in one frame: a base that moved is a change of the foot."),
+        bool, Option("--same-frame", help="All positions are in one frame: a base that moved is a change of the foot.")
     ] = False,
     json_file: Json = None,
     report_file: Report = None,
@@ -64,4 +62,4 @@ def compare(
     if not comparison.next:
         suggest(console, "when it was measured again", *sys.argv[1:], "LATER.csv")
     if comparison.changed or comparison.unexplained:
-        raise typer.Exit(NOT_VALID)
+        raise Exit(NOT_VALID)

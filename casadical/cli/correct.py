@@ -3,14 +3,14 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Context, Option
 
 from casadical.cli import options as o
 from casadical.cli.terminal import keep, plain, refuse_taken, suggest, suggest_later, with_json
 
 Model = Annotated[
     Path,
-    typer.Argument(
+    Argument(
         metavar="DIR_OR_MODEL",
         callback=o.robot_of,
         help="A folder that `casadical export c` wrote, a robot file, or a folder of results.",
@@ -18,20 +18,20 @@ Model = Annotated[
 ]
 Program = Annotated[
     Path,
-    typer.Argument(
+    Argument(
         metavar="PROGRAM",
         help="A CSV with joint targets q1_deg .. (or q1_rad ..; q1_mm or q1_m of a linear joint), or a program of "
         "KUKA (.src, .dat), ABB (.mod), Universal Robots (.script) or FANUC (.ls).",
     ),
 ]
-Out = Annotated[Path, typer.Option(metavar="FILE", help="Where the corrected program goes.")]
-Tool = Annotated[str | None, typer.Option(metavar="shared|own", help="As in `casadical export c`; default: shared.")]
+Out = Annotated[Path, Option(metavar="FILE", help="Where the corrected program goes.")]
+Tool = Annotated[str | None, Option(metavar="shared|own", help="As in `casadical export c`; default: shared.")]
 Trust = Annotated[
-    bool, typer.Option("--trust", help="Compile and run the C of a folder that you did not export on this machine.")
+    bool, Option("--trust", help="Compile and run the C of a folder that you did not export on this machine.")
 ]
 Frames = Annotated[
     list[str] | None,
-    typer.Option(
+    Option(
         metavar="[NAME=]NUMBERS",
         help="The numbers of a tool or base as the controller shows them, with commas, where the program does not hold "
         "them; NAME is its number or name in the program, without it the only one. Repeat it for others.",
@@ -39,7 +39,7 @@ Frames = Annotated[
 ]
 Pose = Annotated[
     str | None,
-    typer.Option(
+    Option(
         metavar="NUMBERS",
         help="The controller's root frame in the robot file's base frame, its flange in the last link's frame; "
         "default: the same.",
@@ -47,25 +47,25 @@ Pose = Annotated[
 ]
 Data = Annotated[
     list[Path] | None,
-    typer.Option(metavar="FILE", help="Another file of the program, with tools and bases. Repeat it for others."),
+    Option(metavar="FILE", help="Another file of the program, with tools and bases. Repeat it for others."),
 ]
 Nearest = Annotated[
     bool,
-    typer.Option(
+    Option(
         "--nearest",
         help="A pose without a configuration is reached as near as possible to the target before it in the file.",
     ),
 ]
-Still = Annotated[bool, typer.Option("--external-still", help="External axes carry neither the robot nor its bases.")]
+Still = Annotated[bool, Option("--external-still", help="External axes carry neither the robot nor its bases.")]
 Unreached = Annotated[
     bool,
-    typer.Option(
+    Option(
         "--leave-unreached",
         help="Leave poses that the nominal robot does not reach, and correct the others; for right frames only.",
     ),
 ]
 AccuracyOff = Annotated[
-    bool, typer.Option("--accuracy-off", help="The controller's own absolute accuracy has been switched off.")
+    bool, Option("--accuracy-off", help="The controller's own absolute accuracy has been switched off.")
 ]
 
 # What a folder or a file of the robot has, and a program of each kind.
@@ -85,7 +85,7 @@ PROGRAMS = {
 
 
 def correct(
-    context: typer.Context,
+    context: Context,
     model: Model,
     program: Program,
     out: Out,

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Context, Option
 
 from casadical.cli import options as o
 from casadical.cli.terminal import DIAGNOSIS, html, keep, suggest, with_json, working, wrapped
@@ -23,19 +23,18 @@ if TYPE_CHECKING:
 
 Out = Annotated[
     Path | None,
-    typer.Option(
+    Option(
         metavar="DIR",
         help="Write diagnosed.robot.toml, the robot with its causes, for every command that takes a robot file; "
         "diagnosis.json and diagnosis.txt. With several campaigns, a folder for each.",
     ),
 ]
 Unlisted = Annotated[
-    bool,
-    typer.Option("--unlisted", help="With --out: also have the description of an unknown cause in the robot's model."),
+    bool, Option("--unlisted", help="With --out: also have the description of an unknown cause in the robot's model.")
 ]
 Together = Annotated[
     bool,
-    typer.Option(
+    Option(
         "--together",
         help="The tables are of one robot as it stood, by one or several instruments, and are diagnosed as one; "
         "each has noise of its own.",
@@ -43,7 +42,7 @@ Together = Annotated[
 ]
 Laws = Annotated[
     bool | None,
-    typer.Option(
+    Option(
         "--laws/--no-laws",
         help="Search for the law of what no listed effect explains: where it acts, what it follows, in which form; "
         "with --out also discovered.robot.toml, law.effect.toml (for --effects), discovery.json, discovery.txt. "
@@ -53,23 +52,21 @@ Laws = Annotated[
 ]
 OfMasses = Annotated[
     bool,
-    typer.Option(
+    Option(
         "--nuisance-masses",
         help="Wrong declared masses of links are part of the base model, not a cause that may be named.",
     ),
 ]
 Next = Annotated[
-    Path | None,
-    typer.Option("--next", metavar="FILE", help="Write poses that distinguish the leading causes, as CSV."),
+    Path | None, Option("--next", metavar="FILE", help="Write poses that distinguish the leading causes, as CSV.")
 ]
-NextN = Annotated[int, typer.Option(min=1, max=1000, help="How many of these poses.")]
+NextN = Annotated[int, Option(min=1, max=1000, help="How many of these poses.")]
 Network = Annotated[
-    bool,
-    typer.Option("--network", help="Also train a 6-5-3 network, instead of the causes and after them (slow)."),
+    bool, Option("--network", help="Also train a 6-5-3 network, instead of the causes and after them (slow).")
 ]
 Line = Annotated[
     float | None,
-    typer.Option(
+    Option(
         min=1,
         max=2000,
         metavar="CYCLES",
@@ -79,11 +76,8 @@ Line = Annotated[
 ]
 Bootstrap = Annotated[
     int,
-    typer.Option(
-        min=0,
-        max=1_000_000,
-        metavar="N",
-        help="Draws of noise alone that calibrate whether something is there: 2000.",
+    Option(
+        min=0, max=1_000_000, metavar="N", help="Draws of noise alone that calibrate whether something is there: 2000."
     ),
 ]
 
@@ -99,7 +93,7 @@ MODES = {
 
 
 def diagnose(
-    context: typer.Context,
+    context: Context,
     problem: o.Problem,
     campaigns: o.Campaigns = None,
     reference: o.Reference = None,
@@ -135,7 +129,7 @@ def diagnose(
 
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug in casadical.
     """
-    from casadical.project.diagnosis import Options, read_campaigns, read_logs
+    from casadical.project.diagnosis import Options, effects_named, read_campaigns, read_logs
 
     logs = read_logs(problem, campaigns, reference, drive, effects.split(",") if effects else ())
     o.refuse_of_others(context, "joint logs" if logs else "measured poses", MODES)
@@ -148,7 +142,7 @@ def diagnose(
     given = read_campaigns(problem, campaigns, o.carried(prior, prior_effects, frozen), together=together)
     if given[0].own_effects:
         console.print(f"Effects of the robot file are in the model, held at their values: {given[0].own_effects}.")
-    options = Options(o.effects_of(effects), seed, bootstrap, "nuisance" if nuisance_masses else "candidate", laws)
+    options = Options(effects_named(effects), seed, bootstrap, "nuisance" if nuisance_masses else "candidate", laws)
     file = measure_next if len(given) == 1 else None
     answers: list[CampaignDiagnosis] = []
     texts: dict[Path, str] = {}
@@ -161,7 +155,10 @@ def diagnose(
         answers.append(answer)
         texts |= {**files, **_printed(answer, details, file, console)}
     if report_file:
-        texts[report_file] = _report(answers, quiet)
+        from casadical.export.mjcf.replay import replay_blocks
+
+        with working(quiet, "writing the report"):  # each with what a simulator says of its poses
+            texts[report_file] = html([found.page([*replay_blocks(found.diagnosis)]) for found in answers])
     keep(with_json(texts, json_file, [answer.to_json() for answer in answers] if json_file else []), console)
     _suggested(answers, problem, campaigns or (), list(texts) if out else None, console)
     if not details:
@@ -209,15 +206,15 @@ def _diagnose_logs(
             texts |= replay.files(out)
     if report_file:
         texts[report_file] = html([campaign.page(answers, replay)])
-    found = {"replay": replay.to_json()} if replay else {}
+    more = {"replay": replay.to_json()} if replay else {}
     keep(
-        with_json(texts, json_file, [{**answer.to_json(), **found} for answer in answers] if json_file else []), console
+        with_json(texts, json_file, [{**answer.to_json(), **more} for answer in answers] if json_file else []), console
     )
     robot = next((path for path in texts if path.name == "diagnosed.robot.toml"), None)
     if robot:
         suggest(console, "to have it as a model that moves", "export", "model", robot, "--out", "arm.xml")
     elif out is None and answers[-1].verdict not in ("ambiguous", "unknown"):
-        suggest(console, "to keep what was found", *sys.argv[1:], "--out", "diagnosed")
+        suggest(console, "to keep what was replayed", *sys.argv[1:], "--out", "diagnosed")
 
 
 def _answered(
@@ -240,8 +237,8 @@ def _printed(found: CampaignDiagnosis, details: bool, file: Path | None, console
         console.print(found.titled_text(), soft_wrap=True)
     else:
         console.print(terminal(found.brief()))
-    if found.law_blocks():
-        console.print(terminal(found.law_blocks()))
+    if found.searched:
+        console.print(terminal(found.searched.blocks()))
     console.print()
     if file is None or found.details.poses is None:
         return {}
@@ -265,11 +262,3 @@ def _next_command(found: CampaignDiagnosis, problem: Path, tables: Sequence[Path
     u = found.details.unlisted
     unlisted = ("--unlisted",) if d.verdict == "unknown" and u and u.shrink_interval[0] > 0 else ()
     return next_step("to keep what was found", *typed, "--out", "diagnosed", *unlisted)
-
-
-def _report(answers: list[CampaignDiagnosis], quiet: bool) -> str:
-    """The page of all, each with what a simulator says of its poses."""
-    from casadical.export.mjcf.replay import replay_blocks
-
-    with working(quiet, "writing the report"):
-        return html([found.page([*replay_blocks(found.diagnosis)]) for found in answers])

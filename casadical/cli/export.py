@@ -3,39 +3,34 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Context, Option
 
 from casadical.cli import options as o
 from casadical.cli.terminal import keep, plain, print_written, refuse_taken, suggest, suggest_later, with_json, working
 
 Robot = Annotated[
-    Path,
-    typer.Argument(metavar="ROBOT.toml", callback=o.robot_of, help="A calibrated robot file, or a folder of results."),
+    Path, Argument(metavar="ROBOT.toml", callback=o.robot_of, help="A calibrated robot file, or a folder of results.")
 ]
-Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the files; other files in it stay.")]
+Folder = Annotated[Path, Option("--out", metavar="DIR", help="Folder for the files; other files in it stay.")]
 Product = Annotated[
     str,
-    typer.Option(
+    Option(
         "--what",
         metavar="network|command|curves",
         help="The network alone, the correction of joint commands, or the joints' error curves alone.",
     ),
 ]
-Real = Annotated[str, typer.Option(metavar="float|double", help="Number type of the C.")]
-Cycle = Annotated[
-    float | None, typer.Option(metavar="MS", help="Time between two calls of NAME_step [ms]; default: 4.")
-]
+Real = Annotated[str, Option(metavar="float|double", help="Number type of the C.")]
+Cycle = Annotated[float | None, Option(metavar="MS", help="Time between two calls of NAME_step [ms]; default: 4.")]
 Rate = Annotated[
-    float | None,
-    typer.Option(metavar="RAD_PER_S", help="Rate at which a joint's correction may change; default: 0.5 rad/s."),
+    float | None, Option(metavar="RAD_PER_S", help="Rate at which a joint's correction may change; default: 0.5 rad/s.")
 ]
 Ramp = Annotated[
-    float | None,
-    typer.Option(metavar="S", help="Time in which the correction is switched on and off [s]; default: 1."),
+    float | None, Option(metavar="S", help="Time in which the correction is switched on and off [s]; default: 1.")
 ]
 Precise = Annotated[
     bool,
-    typer.Option(
+    Option(
         "--precise",
         help="Compare nominal and real robot without rounding errors of their positions, at about twice the "
         "operations: for --real float.",
@@ -43,11 +38,11 @@ Precise = Annotated[
 ]
 Prefix = Annotated[
     str | None,
-    typer.Option("--name", metavar="PREFIX", help="Prefix of C functions and files; default: from the robot's name."),
+    Option("--name", metavar="PREFIX", help="Prefix of C functions and files; default: from the robot's name."),
 ]
 Languages = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--language",
         metavar="NAMES",
         autocompletion=o.languages,
@@ -55,23 +50,23 @@ Languages = Annotated[
     ),
 ]
 Replaced = Annotated[
-    bool, typer.Option("--overwrite", help="Replace files that casadical did not write or that were changed.")
+    bool, Option("--overwrite", help="Replace files that casadical did not write or that were changed.")
 ]
 NoBound = Annotated[
-    bool, typer.Option("--no-bound", help="Leave out the bound of the error that remains: less code and memory.")
+    bool, Option("--no-bound", help="Leave out the bound of the error that remains: less code and memory.")
 ]
 Source = Annotated[
     Path,
-    typer.Argument(
+    Argument(
         metavar="PROBLEM_DIR_OR_ROBOT.toml",
         callback=o.robot_of,
         help="A problem folder, which is calibrated, a calibrated robot file, or a folder of results.",
     ),
 ]
-Out = Annotated[Path, typer.Option(metavar="FILE", help="Where the model goes.")]
+Out = Annotated[Path, Option(metavar="FILE", help="Where the model goes.")]
 Form = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--to",
         metavar="FORM",
         autocompletion=o.forms,
@@ -82,7 +77,7 @@ Form = Annotated[
 ]
 Campaign = Annotated[
     Path | None,
-    typer.Option(
+    Option(
         metavar="CAMPAIGN.csv",
         help="For mjcf: measured positions, from which the robot is calibrated and diagnosed; the causes found go into "
         "the model.",
@@ -90,7 +85,7 @@ Campaign = Annotated[
 ]
 Into = Annotated[
     Path | None,
-    typer.Option(
+    Option(
         metavar="YOURS.xml",
         help="For mjcf: a MuJoCo model of the nominal robot: its bodies get the calibrated geometry, the rest stays. "
         "Needs --joints.",
@@ -98,13 +93,11 @@ Into = Annotated[
 ]
 Joints = Annotated[
     str | None,
-    typer.Option(metavar="NAMES", help="Names of the arm's joints in YOURS.xml, from the base to the tool, by commas."),
+    Option(metavar="NAMES", help="Names of the arm's joints in YOURS.xml, from the base to the tool, by commas."),
 ]
-Springs = Annotated[
-    bool, typer.Option("--springs", help="With --into: a spring beside each compliant joint, NAME_spring.")
-]
+Springs = Annotated[bool, Option("--springs", help="With --into: a spring beside each compliant joint, NAME_spring.")]
 Checksum = Annotated[
-    str, typer.Option("--hash", metavar="WORD", help="For ur: the hash of the controller's own calibration, calib_...")
+    str, Option("--hash", metavar="WORD", help="For ur: the hash of the controller's own calibration, calib_...")
 ]
 
 # What each product has beside the options of all.
@@ -119,7 +112,7 @@ PRODUCTS = {
 
 
 def export_c(
-    context: typer.Context,
+    context: Context,
     robot: Robot,
     out: Folder,
     what: Product = "command",

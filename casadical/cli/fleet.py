@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Exit, Option, echo
 
 from casadical.cli.options import Json, Quiet, Report
 from casadical.cli.terminal import html, keep, suggest, with_json, working, wrapped
@@ -14,26 +14,23 @@ from casadical.core.telling.result import terminal
 
 def fleet(
     folders: Annotated[
-        list[Path],
-        typer.Argument(metavar="FOLDER...", help="Problem folders, one a robot, or folders that hold them."),
+        list[Path], Argument(metavar="FOLDER...", help="Problem folders, one a robot, or folders that hold them.")
     ],
     store: Annotated[
-        Path,
-        typer.Option(metavar="STORE.parquet", help="Folder of parquet files, a row of each robot; continued."),
+        Path, Option(metavar="STORE.parquet", help="Folder of parquet files, a row of each robot; continued.")
     ],
     scheduler: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Dask scheduler, as tcp://host:8786; default: this machine's cores."),
+        str | None, Option(metavar="ADDRESS", help="Dask scheduler, as tcp://host:8786; default: this machine's cores.")
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(min=1, max=1024, metavar="N", help="Processes of this machine; default: one a core.")
+        int | None, Option(min=1, max=1024, metavar="N", help="Processes of this machine; default: one a core.")
     ] = None,
     diagnose: Annotated[
-        bool, typer.Option("--diagnose/--no-diagnose", help="Diagnose every robot, which takes longest.")
+        bool, Option("--diagnose/--no-diagnose", help="Diagnose every robot, which takes longest.")
     ] = True,
     priors: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             metavar="DIR",
             help="Write what robots of one type have in common, TYPE.robot.toml, for calibrate --prior FILE "
             "--prior-effects all.",
@@ -60,8 +57,8 @@ def fleet(
         with working(quiet, "starting") as show:
             robots = run_fleet(folders, store, scheduler=scheduler, workers=workers, with_diagnosis=diagnose, show=show)
     except KeyboardInterrupt as stop:
-        typer.echo(f"casadical: {stop or 'interrupted'}", err=True)
-        raise typer.Exit(130) from None
+        echo(f"casadical: {stop or 'interrupted'}", err=True)
+        raise Exit(130) from None
     console.print(terminal(robots.blocks()))
     texts = dict(robots.prior_files(priors)) if priors else {}
     if priors and not texts:

@@ -8,25 +8,24 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Context, Option
 
 from casadical.cli.options import Json, Quiet, Room, refuse_of_others
-from casadical.cli.terminal import keep_json, plain, suggest
+from casadical.cli.terminal import keep, plain, suggest, with_json
 from casadical.core.basics import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from casadical.export.controller.programs.language import ProgramLanguage
     from casadical.project.live.session import LiveSession
     from casadical.project.live.sources import Source
 
 Folder = Annotated[
-    Path, typer.Argument(metavar="ARM", help="Problem folder, as casadical new makes it; the readings are kept there.")
+    Path, Argument(metavar="ARM", help="Problem folder, as casadical new makes it; the readings are kept there.")
 ]
 Follow = Annotated[
     str | None,
-    typer.Option(
+    Option(
         metavar="FILE|DIR|-",
         help="Where readings come from: a table that the instrument's software appends to, a folder of tables, or - "
         "for standard input. Any table that casadical new understands.",
@@ -34,28 +33,24 @@ Follow = Annotated[
 ]
 Simulate = Annotated[
     int | None,
-    typer.Option(
+    Option(
         metavar="N",
         min=1,
         help="Play an instrument in place of --follow: N made-up readings of a robot that departs a little from its "
         "file, each at the pose that is planned next. The folder is marked synthetic.",
     ),
 ]
-Target = Annotated[float | None, typer.Option(min=0, metavar="MM", help="Wanted accuracy; says when it is reached.")]
+Target = Annotated[float | None, Option(min=0, metavar="MM", help="Wanted accuracy; says when it is reached.")]
 Program = Annotated[
-    str | None,
-    typer.Option(metavar="WORD", help="Give the next pose as a program line, too: krl, rapid, urscript or fanuc."),
+    str | None, Option(metavar="WORD", help="Give the next pose as a program line, too: krl, rapid, urscript or fanuc.")
 ]
-NoPage = Annotated[bool, typer.Option("--no-page", help="Print the answers; serve no page.")]
+NoPage = Annotated[bool, Option("--no-page", help="Print the answers; serve no page.")]
 Host = Annotated[
-    str,
-    typer.Option(metavar="ADDRESS", help="Where the page is served; another machine then needs the token it prints."),
+    str, Option(metavar="ADDRESS", help="Where the page is served; another machine then needs the token it prints.")
 ]
-Port = Annotated[int, typer.Option(min=0, max=65535, metavar="N", help="Port of the page; default: a free one.")]
-Every = Annotated[float, typer.Option(min=0, max=3600, metavar="S", help="Seconds between readings of --simulate.")]
-Finish = Annotated[
-    bool, typer.Option("--finish", help="Calibrate when the readings end, into the folder `results` in ARM.")
-]
+Port = Annotated[int, Option(min=0, max=65535, metavar="N", help="Port of the page; default: a free one.")]
+Every = Annotated[float, Option(min=0, max=3600, metavar="S", help="Seconds between readings of --simulate.")]
+Finish = Annotated[bool, Option("--finish", help="Calibrate when the readings end, into the folder `results` in ARM.")]
 # How often a source is looked at, and after how long it is said that nothing comes [s].
 PAUSE, SILENT = 0.2, 180.0
 # Options of some modes alone.
@@ -64,7 +59,7 @@ SHOWN = {"the page": ("host", "port"), "--no-page": ()}
 
 
 def measure(
-    context: typer.Context,
+    context: Context,
     folder: Folder,
     follow: Follow = None,
     simulate: Simulate = None,
@@ -96,7 +91,11 @@ def measure(
     console = plain(quiet)
     refuse_of_others(context, [*SOURCES][not simulate], SOURCES)
     refuse_of_others(context, [*SHOWN][no_page], SHOWN)
-    move = _language(program).move_line if program else None
+    move = None
+    if program:
+        from casadical.export.controller.programs.registry import language_named
+
+        move = language_named(program).move_line
     if (follow and simulate) or (no_page and not (follow or simulate)):
         raise InputError("--follow FILE, DIR or -, or --simulate N: give one of them, from which the readings come")
     source: Source | None = source_of(follow, sys.stdin.buffer) if follow else None
@@ -116,19 +115,12 @@ def measure(
             from casadical.project.live.server import serve
 
             serve(session, source, console.print, host=host, port=port, pause=pause)
-        keep_json(json_file, session.state(), console)
+        keep(with_json({}, json_file, session.state()), console)
     if finish:
         console.print(finished(session))
         suggest(console, "to learn what is left", "diagnose", folder)
     else:
         suggest(console, "to look for slips before a calibration", "check", folder)
-
-
-def _language(word: str) -> ProgramLanguage:
-    """The language of this name. Raises InputError."""
-    from casadical.export.controller.programs.registry import language_named
-
-    return language_named(word)
 
 
 def _follow(session: LiveSession, source: Source, console: Console, pause: float) -> None:

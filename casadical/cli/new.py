@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Abort, Argument, Context, Option, echo, prompt
 
 from casadical.cli.options import Json, Quiet, refuse_of_others
 from casadical.cli.terminal import print_written, suggest, with_json, wrapped
@@ -15,38 +15,35 @@ if TYPE_CHECKING:
     from casadical.project.problem import Problem
 
 
-Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The new folder; nothing is overwritten.")]
-Urdf = Annotated[Path | None, typer.Option(metavar="FILE", help="Take the robot from this URDF.")]
-BaseLink = Annotated[
-    str | None, typer.Option(metavar="LINK", help="First link of the arm in the URDF; default: its root.")
-]
+Folder = Annotated[Path, Argument(metavar="DIR", help="The new folder; nothing is overwritten.")]
+Urdf = Annotated[Path | None, Option(metavar="FILE", help="Take the robot from this URDF.")]
+BaseLink = Annotated[str | None, Option(metavar="LINK", help="First link of the arm in the URDF; default: its root.")]
 TipLink = Annotated[
     str | None,
-    typer.Option(metavar="LINK", help="Last link of the arm; default: the only moving end, or where a gripper begins."),
+    Option(metavar="LINK", help="Last link of the arm; default: the only moving end, or where a gripper begins."),
 ]
 Dh = Annotated[
     Path | None,
-    typer.Option(
+    Option(
         metavar="FILE.csv",
         help="Take the robot from this table, one row per joint: a_mm, alpha_deg, d_mm, theta_deg, ...",
     ),
 ]
 Convention = Annotated[
-    str | None,
-    typer.Option(metavar="WORD", help="Convention of the DH table: modified (Craig, the default) or standard."),
+    str | None, Option(metavar="WORD", help="Convention of the DH table: modified (Craig, the default) or standard.")
 ]
 Data = Annotated[
     Path | None,
-    typer.Option(
+    Option(
         metavar="FILE",
         help="Measured poses: CSV or text in any usual form, or .xlsx, headings in five languages; default: "
         "synthetic ones, marked as such.",
     ),
 ]
 Example = Annotated[
-    bool, typer.Option("--example", help="An example arm with made-up poses: what is written without a robot, too.")
+    bool, Option("--example", help="An example arm with made-up poses: what is written without a robot, too.")
 ]
-Yes = Annotated[bool, typer.Option("--yes", "-y", help="Take the most probable answer to every question on the table.")]
+Yes = Annotated[bool, Option("--yes", "-y", help="Take the most probable answer to every question on the table.")]
 
 
 EXAMPLE = "an example (--example, or no robot)"
@@ -59,7 +56,7 @@ ROBOTS = {
 
 
 def new(
-    context: typer.Context,
+    context: Context,
     folder: Folder,
     urdf: Urdf = None,
     base_link: BaseLink = None,
@@ -114,12 +111,12 @@ def _ask(question: "Question") -> str:
     """The answer that is typed. Raises InputError where nobody answers."""
     choices = list(question.choices)
     for k, words in enumerate(choices, 1):
-        typer.echo(f"  {k}: {words}", err=True)
+        echo(f"  {k}: {words}", err=True)
     number = 0
     while not 1 <= number <= len(choices):
         try:
-            number = int(typer.prompt(question.text, default=1, type=int, err=True))
-        except typer.Abort:
+            number = int(prompt(question.text, default=1, type=int, err=True))
+        except Abort:
             raise InputError(
                 f"{question.text} Nobody answered; --yes takes the first choice ({choices[0]}), or name the columns "
                 "with their units in the file"

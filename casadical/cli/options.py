@@ -5,16 +5,15 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Context, Option
 
 from casadical.core.basics import InputError, shown
 
 if TYPE_CHECKING:
-    from casadical.project.diagnosis import EffectChoice
     from casadical.project.problem import Carried
 Reference = Annotated[
     Path | None,
-    typer.Option(
+    Option(
         "--reference",
         metavar="LOG",
         help="With joint logs: a log of the same arm in health on another day; what differs from it by more than a "
@@ -23,7 +22,7 @@ Reference = Annotated[
 ]
 DriveFile = Annotated[
     Path | None,
-    typer.Option(
+    Option(
         "--drive",
         metavar="FILE.toml",
         help="With joint logs: what is known of the drives, a table [drive]; default: that of the robot file, or "
@@ -45,31 +44,29 @@ def _offered(module: str, name: str, *, listed: bool = False) -> Callable[[str],
 
 
 methods = _offered("project.problem_file", "all_methods")  # --method
-losses = _offered("project.problem_file", "all_losses")  # --loss
-criteria = _offered("project.planning", "all_criteria")  # --criterion
+losses = _offered("identification.residuals", "ALL_LOSSES")  # --loss
+criteria = _offered("pose_selection.information", "CRITERIA")  # --criterion
 languages = _offered("export.c.registry", "known_languages", listed=True)  # export c --language
 forms = _offered("export.model_file", "FORMS")  # export model --to
 effects = _offered("project.diagnosis", "all_effects", listed=True)  # --effects
 
 Nominal = Annotated[
     Path | None,
-    typer.Option(
+    Option(
         metavar="NOMINAL.toml",
         help="The controller's model of the robot, taken as rigid: the robot file from before the calibration. What "
         "the calibrated robot differs from it is corrected.",
     ),
 ]
 Compensator = Annotated[
-    Path | None,
-    typer.Option(metavar="NET.json", help="A trained compensator, as `casadical calibrate --out` writes it."),
+    Path | None, Option(metavar="NET.json", help="A trained compensator, as `casadical calibrate --out` writes it.")
 ]
 Payload = Annotated[
-    float | None,
-    typer.Option(metavar="KG", min=0, max=1e5, help="Mass on the flange; default: as the robot file declares."),
+    float | None, Option(metavar="KG", min=0, max=1e5, help="Mass on the flange; default: as the robot file declares.")
 ]
 LeaveOut = Annotated[
     bool,
-    typer.Option(
+    Option(
         "--leave-out",
         help="Leave out effects of the robot that cannot be written there; otherwise they are refused, with what "
         "would be lost in millimetres.",
@@ -77,7 +74,7 @@ LeaveOut = Annotated[
 ]
 Tool = Annotated[
     str,
-    typer.Option(
+    Option(
         metavar="shared|own",
         help="shared: nominal and real robot have the calibrated file's tool. own: each has its own file's, for a "
         "measured point that is the controller's tool centre point.",
@@ -85,7 +82,7 @@ Tool = Annotated[
 ]
 What = Annotated[
     str,
-    typer.Option(
+    Option(
         "--correct",
         metavar="position|pose",
         help="What the real tool reaches: the nominal tool's position by the least change of the joints, or its "
@@ -94,7 +91,7 @@ What = Annotated[
 ]
 Limit = Annotated[
     float | None,
-    typer.Option(
+    Option(
         "--limit",
         metavar="MM",
         help="A correction is OK only where 95 % of the errors that remain are below so much, by the bound of the "
@@ -103,7 +100,7 @@ Limit = Annotated[
 ]
 TcpError = Annotated[
     float | None,
-    typer.Option(
+    Option(
         "--tcp-error",
         metavar="MM",
         min=0,
@@ -114,16 +111,14 @@ TcpError = Annotated[
 ]
 Room = Annotated[
     Path | None,
-    typer.Option(metavar="FILE.toml", help="Where poses may lie: limits, floor, boxes, tracker; see docs/plan.md."),
+    Option(metavar="FILE.toml", help="Where poses may lie: limits, floor, boxes, tracker; see docs/plan.md."),
 ]
-Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
-Steps = Annotated[int | None, typer.Option(min=1, max=10, help="Least-squares steps of the correction; default: 2.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
+Seed = Annotated[int, Option(min=0, help="Seed of everything random.")]
+Steps = Annotated[int | None, Option(min=1, max=10, help="Least-squares steps of the correction; default: 2.")]
+Quiet = Annotated[bool, Option("--quiet", "-q", help="Print errors only.")]
 Json = Annotated[
     Path | None,
-    typer.Option(
-        "--json", metavar="FILE", help="Write all figures as JSON; with several inputs, a list or a table of them."
-    ),
+    Option("--json", metavar="FILE", help="Write all figures as JSON; with several inputs, a list or a table of them."),
 ]
 
 
@@ -138,7 +133,7 @@ def _with_report(path: Path | None) -> Path | None:
 
 Report = Annotated[
     Path | None,
-    typer.Option(
+    Option(
         "--report",
         metavar="FILE.html",
         callback=_with_report,
@@ -156,29 +151,27 @@ def robot_of(path: Path) -> Path:
     return path
 
 
-Details = Annotated[bool, typer.Option("--details", help="Print all figures, parameters and findings.")]
+Details = Annotated[bool, Option("--details", help="Print all figures, parameters and findings.")]
 Problems = Annotated[
     list[Path],
-    typer.Argument(
+    Argument(
         metavar="PROBLEM_DIR...",
         help="Problem folders. Tables after one (CSV) take the place of its own; a robot file needs them.",
     ),
 ]
 Problem = Annotated[
     Path,
-    typer.Argument(
+    Argument(
         metavar="PROBLEM_DIR", callback=robot_of, help="Folder with the robot, a robot file, or a folder of results."
     ),
 ]
 Campaigns = Annotated[
     list[Path] | None,
-    typer.Argument(
-        metavar="CAMPAIGN.csv...", help="Measured poses, of any kind; default: the tables of the problem folder."
-    ),
+    Argument(metavar="CAMPAIGN.csv...", help="Measured poses, of any kind; default: the tables of the problem folder."),
 ]
 Effects = Annotated[
     str | None,
-    typer.Option(
+    Option(
         metavar="NAMES",
         autocompletion=effects,
         help="standard (the default), extended, or only these, by commas: names (backlash), labels "
@@ -187,7 +180,7 @@ Effects = Annotated[
 ]
 Prior = Annotated[
     Path | None,
-    typer.Option(
+    Option(
         metavar="ROBOT.toml",
         help="This robot as another campaign found it, with effects and covariance: its effects are put into the "
         "model, with their values and covariance as a prior; base and tool are fitted again.",
@@ -195,7 +188,7 @@ Prior = Annotated[
 ]
 PriorEffects = Annotated[
     str | None,
-    typer.Option(
+    Option(
         metavar="NAMES",
         help="What of it is taken, by commas: effects (the default: those that do not follow the time of their "
         "campaign), names or labels of single ones, all (geometry and compliance too).",
@@ -203,19 +196,16 @@ PriorEffects = Annotated[
 ]
 Frozen = Annotated[
     bool,
-    typer.Option(
+    Option(
         "--frozen",
         help="Hold the prior's effects at their values; refused for readings outside of the ranges that it covers.",
     ),
 ]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace FILE if it is there.")]
+Overwrite = Annotated[bool, Option("--overwrite", help="Replace FILE if it is there.")]
 
 
-def refuse_of_others(context: typer.Context, mode: str, modes: Mapping[str, Sequence[str]]) -> None:
-    """Raises InputError for what was given, but is for other modes of the command than this one.
-
-    modes : names of the parameters that some modes have and others have not, by the mode in words
-    """
+def refuse_of_others(context: Context, mode: str, modes: Mapping[str, Sequence[str]]) -> None:
+    """Raises InputError for what is for other modes; modes : parameters that not all have, by mode in words."""
     for parameter in context.command.params:
         theirs = [other for other, names in modes.items() if parameter.name in names]
         source = context.get_parameter_source(parameter.name or "")
@@ -232,10 +222,7 @@ def need(given: object, other: object, words: str) -> None:
 
 
 def problems_of(paths: Sequence[Path]) -> dict[str, tuple[Path, list[Path]]]:
-    """Problem folders and robot files, each with the tables after it, by the names that results get.
-
-    Raises InputError.
-    """
+    """Problem folders and robot files with the tables after each, by the names of their results. Raises InputError."""
     given: list[tuple[Path, list[Path]]] = []
     for path in map(robot_of, paths):
         if path.is_dir() or path.suffix in ("", ".toml", ".urdf"):
@@ -253,13 +240,6 @@ def problems_of(paths: Sequence[Path]) -> dict[str, tuple[Path, list[Path]]]:
             raise InputError(f"{shown(source)}: a second problem of the name {name!r}; give them one after the other")
         by_name[name] = source, tables
     return by_name
-
-
-def effects_of(text: str | None) -> "EffectChoice":
-    """What `--effects` names: a list's name, or names, labels and the effects of files. Raises InputError."""
-    from casadical.project.diagnosis import effects_named
-
-    return effects_named(text.split(",") if text else ())
 
 
 def carried(prior: Path | None, parts: str | None, frozen: bool) -> "Carried":

@@ -33,12 +33,10 @@ _MEASURED = {"x_mm", "x_m", "y_mm", "y_m", "z_mm", "z_m"}
 
 
 def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[..., Any]:
-    """A command that first checks what it would write, and holds its folders against other writers while it works.
-
-    also : names of further parameters that are outputs
-    """
-    folders = {name for name, text in _metavars(command).items() if text.startswith("DIR")}
-    outputs = {*_OUTPUTS, *also}
+    """A command that checks and claims what it will write before it works; also : names of further outputs."""
+    hints, outputs = get_type_hints(command, include_extras=True), {*_OUTPUTS, *also}
+    options = {name: getattr(hints[name], "__metadata__", (None,))[0] for name in inspect.signature(command).parameters}
+    folders = {name for name, option in options.items() if (getattr(option, "metavar", "") or "").startswith("DIR")}
 
     @wraps(command)
     def run(**given: Any) -> Any:
@@ -75,13 +73,6 @@ def _refuse_unusable(given: Mapping[str, Any], outputs: Collection[str]) -> None
                 fault = number_fault(one)
             if fault:
                 raise InputError(f"--{name.replace('_', '-')} {shown(one)}: {fault}")
-
-
-def _metavars(command: Callable[..., Any]) -> Mapping[str, str]:
-    """How the help of a command shows its parameters."""
-    hints = get_type_hints(command, include_extras=True)
-    options = {name: getattr(hints[name], "__metadata__", (None,))[0] for name in inspect.signature(command).parameters}
-    return {name: getattr(option, "metavar", None) or "" for name, option in options.items()}
 
 
 def _check(files: Sequence[Path], folders: Sequence[Path], inputs: Sequence[Path], overwrite: bool | None) -> None:
@@ -170,17 +161,13 @@ def _refuse_foreign(path: Path, remedy: str = "move this one away") -> None:
 
 def _ours(path: Path, text: str) -> bool:
     if text.lstrip().startswith(("{", "[")):
-        return _our_json(text)
+        try:
+            data = json.loads(text)
+        except (ValueError, RecursionError):
+            return False
+        tables = [data, *(data if isinstance(data, list) else data.values())]
+        return any(isinstance(t, dict) and any(names <= t.keys() for names in _OURS) for t in tables)
     if path.suffix == ".csv":
         header = text.partition("\n")[0].strip().split(",")
         return len(header) > 1 and not _MEASURED & set(header)
     return "casadical" in text or text.startswith("\ufffdPNG")
-
-
-def _our_json(text: str) -> bool:
-    try:
-        data = json.loads(text)
-    except (ValueError, RecursionError):
-        return False
-    tables = [data, *(data if isinstance(data, list) else data.values())]
-    return any(isinstance(t, dict) and any(names <= t.keys() for names in _OURS) for t in tables)

@@ -6,24 +6,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Context, Option
 
-from casadical.cli.options import (
-    DriveFile,
-    Json,
-    Prior,
-    PriorEffects,
-    Quiet,
-    Reference,
-    Room,
-    Seed,
-    carried,
-    criteria,
-    effects_of,
-    refuse_of_others,
-)
-from casadical.cli.options import effects as effect_words
-from casadical.cli.terminal import PLAN, keep, keep_json, suggest, with_json, working, wrapped
+from casadical.cli import options as o
+from casadical.cli.terminal import PLAN, keep, suggest, with_json, working, wrapped
 from casadical.core.basics import InputError, shown
 from casadical.core.telling.result import terminal
 
@@ -31,87 +17,77 @@ if TYPE_CHECKING:
     from casadical.project.planning import Places, Wanted
 
 Problem = Annotated[
-    Path, typer.Argument(metavar="PROBLEM", help="Folder with the robot, or a robot file, such as calibrate writes.")
+    Path, Argument(metavar="PROBLEM", help="Folder with the robot, or a robot file, such as calibrate writes.")
 ]
 Poses = Annotated[
     list[Path] | None,
-    typer.Argument(
+    Argument(
         metavar="[POSES.csv...]", help="With --isolability: the poses in question; default: the tables of the folder."
     ),
 ]
 Number = Annotated[
     int | None,
-    typer.Option(
-        "-n", min=1, max=10_000, help="Number of joint readings to measure; without it, print how many are enough."
-    ),
+    Option("-n", min=1, max=10_000, help="Number of joint readings to measure; without it, print how many are enough."),
 ]
 Out = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE.csv", help="The poses in order, expected figures beside it; default: plan.csv."),
+    Path | None, Option(metavar="FILE.csv", help="The poses in order, expected figures beside it; default: plan.csv.")
 ]
 For = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--for",
         metavar="NAMES",
-        autocompletion=effect_words,
+        autocompletion=o.effects,
         help="Effects to identify as well: names or labels (backlash@5), by commas.",
     ),
 ]
 Isolability = Annotated[
     bool,
-    typer.Option(
+    Option(
         "--isolability",
         help="Choose no poses: say what POSES could show of each effect (of --for; default: all), and which look "
         "alike. Measured positions are not needed.",
     ),
 ]
 Criterion = Annotated[
-    str,
-    typer.Option(metavar="WORD", autocompletion=criteria, help="V (accuracy over all poses), D, A, or O1 to O5."),
+    str, Option(metavar="WORD", autocompletion=o.criteria, help="V (accuracy over all poses), D, A, or O1 to O5.")
 ]
-Measured = Annotated[
-    Path | None, typer.Option(metavar="FILE.csv", help="Poses already measured; the plan adds to them.")
-]
-Payloads = Annotated[str | None, typer.Option(metavar="KG,KG", help="Payloads that can be mounted, by commas.")]
-EveryPayload = Annotated[bool, typer.Option(help="Measure each reading with all payloads.")]
-BothApproaches = Annotated[bool, typer.Option(help="Approach each reading from either side.")]
-Repeats = Annotated[int, typer.Option(min=1, max=1000, help="Passes over all poses.")]
+Measured = Annotated[Path | None, Option(metavar="FILE.csv", help="Poses already measured; the plan adds to them.")]
+Payloads = Annotated[str | None, Option(metavar="KG,KG", help="Payloads that can be mounted, by commas.")]
+EveryPayload = Annotated[bool, Option(help="Measure each reading with all payloads.")]
+BothApproaches = Annotated[bool, Option(help="Approach each reading from either side.")]
+Repeats = Annotated[int, Option(min=1, max=1000, help="Passes over all poses.")]
 NoiseMm = Annotated[
     float | None,
-    typer.Option(
+    Option(
         min=0,
         help="Noise of a coordinate or distance, one sigma; default: sigma_mm of problem.toml, or 0.02; "
         "estimated from --measured.",
     ),
 ]
-JointNoise = Annotated[float, typer.Option(min=0, help="Repeatability of a joint, one sigma.")]
+JointNoise = Annotated[float, Option(min=0, help="Repeatability of a joint, one sigma.")]
 Distance = Annotated[
     float,
-    typer.Option(
-        min=0, max=1, help="Least distance of two poses: in the joint that differs most, as a share of its range."
-    ),
+    Option(min=0, max=1, help="Least distance of two poses: in the joint that differs most, as a share of its range."),
 ]
-Target = Annotated[float | None, typer.Option(min=0, help="Wanted accuracy; prints how many poses are enough for it.")]
-Order = Annotated[bool, typer.Option("--order/--no-order", help="Order the poses for short travel (needs networkx).")]
+Target = Annotated[float | None, Option(min=0, help="Wanted accuracy; prints how many poses are enough for it.")]
+Order = Annotated[bool, Option("--order/--no-order", help="Order the poses for short travel (needs networkx).")]
 Wires = Annotated[
-    int | None,
-    typer.Option(min=1, max=4, help="Plan for so many draw wires, and where they end, in place of positions."),
+    int | None, Option(min=1, max=4, help="Plan for so many draw wires, and where they end, in place of positions.")
 ]
 Sockets = Annotated[
-    int | None,
-    typer.Option(min=1, max=30, help="Plan for the tool's ball in so many sockets, in place of positions."),
+    int | None, Option(min=1, max=30, help="Plan for the tool's ball in so many sockets, in place of positions.")
 ]
 PlacesFile = Annotated[
     Path | None,
-    typer.Option(
+    Option(
         metavar="FILE.csv", help="Where wires or sockets may be: columns x_mm, y_mm, z_mm; default: about the robot."
     ),
 ]
-KnownPlaces = Annotated[bool, typer.Option(help="The wires' ends will be measured, too.")]
+KnownPlaces = Annotated[bool, Option(help="The wires' ends will be measured, too.")]
 Iso9283 = Annotated[
     bool,
-    typer.Option(
+    Option(
         "--iso9283",
         help="Plan a test by ISO 9283 instead: five poses in the largest cube of the standard, 30 visits each, three "
         "approach paths, drift over 8 hours; written to --out (default: iso9283.csv).",
@@ -119,13 +95,13 @@ Iso9283 = Annotated[
 ]
 Motion = Annotated[
     Path | None,
-    typer.Option(
+    Option(
         metavar="LOG",
         help="Propose a motion instead, by a joint log: what to log next to distinguish the causes that it leaves open "
         "(or those of --for); commands are written to --out (default: motion.csv).",
     ),
 ]
-Cube = Annotated[float | None, typer.Option(min=10, max=5000, help="With --iso9283: side of the cube.")]
+Cube = Annotated[float | None, Option(min=10, max=5000, help="With --iso9283: side of the cube.")]
 
 CALIBRATION = "poses to calibrate with (--measured: those that there are)"
 MODES = {
@@ -141,7 +117,7 @@ MODES = {
 
 
 def plan(
-    context: typer.Context,
+    context: Context,
     problem: Problem,
     poses: Poses = None,
     n: Number = None,
@@ -149,7 +125,7 @@ def plan(
     effects: For = None,
     isolability: Isolability = False,
     criterion: Criterion = "V",
-    room: Room = None,
+    room: o.Room = None,
     measured: Measured = None,
     payloads: Payloads = None,
     every_payload: EveryPayload = False,
@@ -163,17 +139,17 @@ def plan(
     wires: Wires = None,
     sockets: Sockets = None,
     places: PlacesFile = None,
-    prior: Prior = None,
-    prior_effects: PriorEffects = None,
+    prior: o.Prior = None,
+    prior_effects: o.PriorEffects = None,
     known_places: KnownPlaces = False,
     iso9283: Iso9283 = False,
     cube_mm: Cube = None,
     motion: Motion = None,
-    reference: Reference = None,
-    drive: DriveFile = None,
-    seed: Seed = 0,
-    json_file: Json = None,
-    quiet: Quiet = False,
+    reference: o.Reference = None,
+    drive: o.DriveFile = None,
+    seed: o.Seed = 0,
+    json_file: o.Json = None,
+    quiet: o.Quiet = False,
 ) -> None:
     """Choose which poses to measure, and predict the accuracy of the calibration before measuring.
 
@@ -187,7 +163,7 @@ def plan(
     from casadical.project.planning import Wanted, circumstances_of
 
     mode = "--isolability" if isolability else "--iso9283" if iso9283 else "--motion" if motion else CALIBRATION
-    refuse_of_others(context, mode, MODES)
+    o.refuse_of_others(context, mode, MODES)
     if isolability:
         _isolability(problem, poses, effects, json_file, quiet)
         return
@@ -214,7 +190,7 @@ def _calibration(
 
     with working(quiet, "choosing poses", steps=PLAN) as show:
         planned = plan_problem(
-            problem, n, wanted, measured, carried(prior, prior_effects, frozen=False), seed=seed, show=show
+            problem, n, wanted, measured, o.carried(prior, prior_effects, frozen=False), seed=seed, show=show
         )
     place = out if n is None else out or Path("plan.csv")
     console = wrapped(quiet)
@@ -250,7 +226,6 @@ def _motion(
 
 def _iso9283(problem: Path, out: Path, cube_mm: float | None, room: Path | None, seed: int, quiet: bool) -> None:
     """The table of a test by the standard."""
-    from casadical.core.telling.result import terminal
     from casadical.project.planning import iso9283_plan
 
     console = wrapped(quiet)
@@ -265,16 +240,16 @@ def _isolability(
     problem: Path, poses: list[Path] | None, effects: str | None, json_file: Path | None, quiet: bool
 ) -> None:
     """What poses can show, before any data."""
-    from casadical.project.diagnosis import isolability_of, read_campaigns
+    from casadical.project.diagnosis import effects_named, isolability_of, read_campaigns
 
     console = wrapped(quiet)
     answers = []
     for campaign in read_campaigns(problem, poses, readings_only=True):
-        text, answer = isolability_of(campaign, effects_of(effects))
+        text, answer = isolability_of(campaign, effects_named(effects))
         answers.append(answer)
         console.print(text, soft_wrap=True)
         console.print()
-    keep_json(json_file, answers, console)
+    keep(with_json({}, json_file, answers), console)
     suggest(console, "for poses that distinguish effects", "plan", problem, "-n", 60)
 
 

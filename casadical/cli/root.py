@@ -3,7 +3,7 @@
 import re
 from typing import Annotated, Any
 
-import typer
+from typer import Exit, Option, Typer, echo
 from typer.core import TyperCommand, TyperGroup
 
 from casadical import __version__
@@ -39,18 +39,14 @@ OUTPUTS = {"new": ("folder",), "verify": ("update", "chart", "poses")}
 _TYPE = re.compile(r" <([^>]*)>")
 
 
-def _short(found: re.Match[str]) -> str:
-    return " N" if "range" in found[1] else ""
-
-
 class Command(TyperCommand):
     """A command whose help leaves the width to the words: without the types that click adds to what is given."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         records = [(p.param_type_name, p.get_help_record(ctx)) for p in self.get_params(ctx)]
+        records = [(of, (_TYPE.sub(lambda t: " N" if "range" in t[1] else "", r[0]), r[1])) for of, r in records if r]
         for kind in ("argument", "option"):
-            shown = [(_TYPE.sub(_short, r[0]), r[1]) for of, r in records if r is not None and of == kind]
-            if shown:
+            if shown := [record for of, record in records if of == kind]:
                 with formatter.section(f"{kind.title()}s"):
                     formatter.write_dl(shown, col_max=24)
 
@@ -61,8 +57,8 @@ class Commands(TyperGroup):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Without a command the help goes to standard output; click's would go to standard error."""
         if not args and not ctx.resilient_parsing:
-            typer.echo(ctx.get_help())
-            raise typer.Exit(BAD_INPUT)
+            echo(ctx.get_help())
+            raise Exit(BAD_INPUT)
         return super().parse_args(ctx, args)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
@@ -90,8 +86,8 @@ class RobotFirst(Commands):
         return super().parse_args(ctx, [self.default, *args] if own else args)
 
 
-def _group(name: str | None = None, cls: type[Commands] = Commands, **settings: Any) -> typer.Typer:
-    return typer.Typer(name=name, cls=cls, no_args_is_help=True, rich_markup_mode=None, **settings)
+def _group(name: str | None = None, cls: type[Commands] = Commands, **settings: Any) -> Typer:
+    return Typer(name=name, cls=cls, no_args_is_help=True, rich_markup_mode=None, **settings)
 
 
 app = _group(
@@ -116,14 +112,14 @@ export_app = _group(help="Turn a calibrated robot into code for its controller, 
 
 def _version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"casadical {__version__}")
-        raise typer.Exit
+        echo(f"casadical {__version__}")
+        raise Exit
 
 
 @app.callback()
 def _root(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and stop.")
+        bool, Option("--version", callback=_version, is_eager=True, help="Print the version and stop.")
     ] = False,
 ) -> None:
     pass

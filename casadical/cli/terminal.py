@@ -53,12 +53,6 @@ def refusal(error: object) -> None:
         print("\n".join(lines), file=sys.stderr)  # noqa: T201
 
 
-def as_text(figures: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> str:
-    """Figures as JSON; a list of one is written as its only entry."""
-    whole = figures[0] if isinstance(figures, Sequence) and len(figures) == 1 else figures
-    return json_text(whole)
-
-
 class _Console(Console):
     """One that goes on silently where nobody reads any more, as after `| head`: files are still to be written."""
 
@@ -79,17 +73,13 @@ def plain(quiet: bool) -> Console:
     return _Console(quiet=quiet, soft_wrap=not sys.stdout.isatty(), highlight=False, markup=False, emoji=False)
 
 
-def keep_json(path: Path | None, figures: Mapping[str, Any] | Sequence[Mapping[str, Any]], console: Console) -> None:
-    """Write figures to the file of `--json`, if there is one, and print its name. Raises InputError."""
-    if path is not None:
-        keep({path: as_text(figures)}, console)
-
-
 def with_json(
     texts: Mapping[Path, str | bytes], path: Path | None, figures: Mapping[str, Any] | Sequence[Mapping[str, Any]]
 ) -> dict[Path, Any]:
-    """Files, and among them the one of `--json`, if there is one."""
-    return {**texts, **({} if path is None else {path: as_text(figures)})}
+    """Files, and among them the one of `--json`, if there is one; a list of one is written as its only entry."""
+    if path is None:
+        return dict(texts)
+    return {**texts, path: json_text(figures[0] if isinstance(figures, Sequence) and len(figures) == 1 else figures)}
 
 
 def keep(texts: Mapping[Path, Any], console: Console, about: Mapping[Path, str] | None = None) -> None:
@@ -127,15 +117,11 @@ def refuse_taken(out: Path, overwrite: bool) -> None:
         raise InputError(f"{out} is there already; give another file, or --overwrite")
 
 
-def as_typed() -> list[str]:
-    return ["casadical", *sys.argv[1:]]
-
-
 def html(pages: "Sequence[Page]") -> str:
     """Pages of results as one HTML file, with the command as it was typed."""
     from casadical.core.telling.page import html_of
 
-    return html_of(pages, as_typed())
+    return html_of(pages, ["casadical", *sys.argv[1:]])
 
 
 # How a step's words begin -> the share of the whole work that is done when it begins, as a usual run takes its time.

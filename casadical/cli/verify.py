@@ -4,27 +4,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Argument, Context, Exit, Option
 
-from casadical.cli.options import Effects, Json, Quiet, Report, Room, effects_of, refuse_of_others
-from casadical.cli.terminal import (
-    DIAGNOSIS,
-    NOT_VALID,
-    html,
-    keep,
-    keep_json,
-    plain,
-    suggest,
-    with_json,
-    working,
-    wrapped,
-)
+from casadical.cli.options import Effects, Json, Quiet, Report, Room, refuse_of_others
+from casadical.cli.terminal import DIAGNOSIS, NOT_VALID, html, keep, plain, suggest, with_json, working, wrapped
 from casadical.core.basics import InputError
 from casadical.core.telling.result import terminal
 
 Robot = Annotated[
     Path,
-    typer.Argument(
+    Argument(
         metavar="ROBOT.toml",
         help="A calibrated robot, as `casadical calibrate --out` writes it, or that folder (the method that counts); "
         "with --mujoco a problem folder or the robot file of the drawing.",
@@ -32,7 +21,7 @@ Robot = Annotated[
 ]
 Tables = Annotated[
     list[Path] | None,
-    typer.Argument(
+    Argument(
         metavar="TEN.csv...",
         help="Some ten poses measured later, in any usual form; several count together. With --mujoco campaigns, each "
         "for itself; default: the tables of the problem folder.",
@@ -40,7 +29,7 @@ Tables = Annotated[
 ]
 Promised = Annotated[
     float | None,
-    typer.Option(
+    Option(
         min=0.0,
         metavar="MM",
         help="Promised rms position error as the instrument reads it, its noise included; default: of the held-out "
@@ -49,7 +38,7 @@ Promised = Annotated[
 ]
 Mujoco = Annotated[
     bool,
-    typer.Option(
+    Option(
         "--mujoco",
         help="Replay measured poses in MuJoCo instead: with the nominal robot, the calibrated one, and that with the "
         "diagnosed causes. Two thirds of the poses are fitted, the others replayed.",
@@ -57,7 +46,7 @@ Mujoco = Annotated[
 ]
 Iso9283 = Annotated[
     bool,
-    typer.Option(
+    Option(
         "--iso9283",
         help="The table is a test by ISO 9283, as `casadical plan --iso9283` plans it: AP, RP, variation with the "
         "approach, drift.",
@@ -65,41 +54,34 @@ Iso9283 = Annotated[
 ]
 Out = Annotated[
     Path | None,
-    typer.Option(
-        metavar="DIR", help="With --mujoco: write the models here, CAMPAIGN.STAGE.xml (0 is the nominal one)."
-    ),
+    Option(metavar="DIR", help="With --mujoco: write the models here, CAMPAIGN.STAGE.xml (0 is the nominal one)."),
 ]
 Split = Annotated[
-    int | None,
-    typer.Option(min=0, help="Of the split of the poses with --mujoco, of the draws with --touches; default: 0."),
+    int | None, Option(min=0, help="Of the split of the poses with --mujoco, of the draws with --touches; default: 0.")
 ]
 Touches = Annotated[
     int | None,
-    typer.Option(
+    Option(
         min=2, max=50, metavar="N",
         help="Without tables plan N touches that tell most about zeros, tool, foot; with tables (one a day, in the "
         "frame of the calibration) say whether the robot is valid on the last day, and what moved.",
     ),
 ]  # fmt: skip
 Poses = Annotated[
-    Path | None, typer.Option(metavar="FILE.csv", help="With --touches: the planned poses; default: touches.csv.")
+    Path | None, Option(metavar="FILE.csv", help="With --touches: the planned poses; default: touches.csv.")
 ]
 Tolerance = Annotated[
-    float | None,
-    typer.Option(min=0, help="With --touches: rms error that is allowed; default: twice what the file states."),
+    float | None, Option(min=0, help="With --touches: rms error that is allowed; default: twice what the file states.")
 ]
-NoiseMm = Annotated[float | None, typer.Option(min=0, help="With --touches: noise of a coordinate, one sigma.")]
+NoiseMm = Annotated[float | None, Option(min=0, help="With --touches: noise of a coordinate, one sigma.")]
 Fleet = Annotated[
     Path | None,
-    typer.Option(metavar="FILE.json", help="With --touches: what `casadical fleet --json` wrote, whose changes count."),
+    Option(metavar="FILE.json", help="With --touches: what `casadical fleet --json` wrote, whose changes count."),
 ]
 Update = Annotated[
-    Path | None,
-    typer.Option(metavar="ROBOT.toml", help="With --touches: write the corrected robot where that is better."),
+    Path | None, Option(metavar="ROBOT.toml", help="With --touches: write the corrected robot where that is better.")
 ]
-Chart = Annotated[
-    Path | None, typer.Option(metavar="FILE.csv", help="With --touches: a row a day, with control limits.")
-]
+Chart = Annotated[Path | None, Option(metavar="FILE.csv", help="With --touches: a row a day, with control limits.")]
 
 # Each with what it has beside robot, tables and quiet; the first that is asked for counts.
 MODES = {
@@ -114,7 +96,7 @@ MODES = {
 
 
 def verify(
-    context: typer.Context,
+    context: Context,
     robot: Robot,
     tables: Tables = None,
     promised_mm: Promised = None,
@@ -166,16 +148,16 @@ def verify(
     if iso9283:
         found = verification.iso9283(robot, tables)
         console.print(terminal(found.blocks()))
-        keep_json(json_file, found.to_json(), console)
+        keep(with_json({}, json_file, found.to_json()), console)
         folder = robot if robot.is_dir() else robot.parent
         suggest(console, "to put it into a certificate", "certificate", folder, "--iso9283", tables[0])
         return
     with working(quiet, "fitting base and tool", tables[0].name):
         checked = verification.verify(robot, tables, promised_mm)
     console.print(terminal(checked.blocks()))
-    keep_json(json_file, checked.to_json(), console)
+    keep(with_json({}, json_file, checked.to_json()), console)
     if not checked.valid:
-        raise typer.Exit(NOT_VALID)
+        raise Exit(NOT_VALID)
 
 
 def _plan_touches(
@@ -208,18 +190,18 @@ def _touched(
     update, chart, report, json_file = outputs
     console = wrapped(quiet)
     with working(quiet, "what changed", tables[-1].name):
-        found = replace(touched(robot, tables, **asked, seed=seed), update=update)
-    console.print(terminal(found.blocks()))
-    texts: dict[Path, str] = {chart: found.chart_csv()} if chart else {}
-    if update and found.better:
-        texts[update] = found.updated_text()
+        touches = replace(touched(robot, tables, **asked, seed=seed), update=update)
+    console.print(terminal(touches.blocks()))
+    texts: dict[Path, str] = {chart: touches.chart_csv()} if chart else {}
+    if update and touches.better:
+        texts[update] = touches.updated_text()
     elif update:
-        console.print(f"{update} is not written: {found.why_not_updated}")
+        console.print(f"{update} is not written: {touches.why_not_updated}")
     if report:
-        texts[report] = html([found.page()])
-    keep(with_json(texts, json_file, found.to_json()), console)
-    if found.verdict != "valid":
-        raise typer.Exit(NOT_VALID)
+        texts[report] = html([touches.page()])
+    keep(with_json(texts, json_file, touches.to_json()), console)
+    if touches.verdict != "valid":
+        raise Exit(NOT_VALID)
 
 
 def _replay(
@@ -233,7 +215,7 @@ def _replay(
 ) -> None:
     from casadical.export.mjcf.equilibrium import load_mujoco
     from casadical.export.mjcf.replay import replay_campaign
-    from casadical.project.diagnosis import read_campaigns
+    from casadical.project.diagnosis import effects_named, read_campaigns
 
     load_mujoco()
     console = plain(quiet)
@@ -241,7 +223,7 @@ def _replay(
     texts: dict[Path, str] = {}
     for campaign in read_campaigns(problem, tables):
         with working(quiet, "diagnosing", campaign.name, DIAGNOSIS) as show:
-            replayed = replay_campaign(campaign.robot, campaign.sets[0], effects_of(effects), seed=seed, show=show)
+            replayed = replay_campaign(campaign.robot, campaign.sets[0], effects_named(effects), seed=seed, show=show)
         console.print(f"{campaign.title}, held-out poses replayed in MuJoCo")
         console.print(terminal(replayed.blocks()))
         answers.append({"campaign": campaign.name, **replayed.to_json()})

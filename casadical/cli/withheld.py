@@ -4,10 +4,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Exit, Option, echo
 
 from casadical.cli.options import Json, Quiet
-from casadical.cli.terminal import keep_json, print_written, suggest, with_json, working, wrapped
+from casadical.cli.terminal import keep, print_written, suggest, with_json, working, wrapped
 from casadical.core.basics import InputError, Show
 
 if TYPE_CHECKING:
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 INTERRUPTED = 130
 
-Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder with the campaigns.")]
-Workers = Annotated[int | None, typer.Option(min=1, max=1000, help="Processes; default: one a core.")]
+Folder = Annotated[Path, Argument(metavar="DIR", help="Folder with the campaigns.")]
+Workers = Annotated[int | None, Option(min=1, max=1000, help="Processes; default: one a core.")]
 
 
 def _counted(show: Show) -> Callable[[str, int, int], None]:
@@ -26,21 +26,21 @@ def _counted(show: Show) -> Callable[[str, int, int], None]:
 
 def withheld_robot(
     robot: Annotated[
-        Path, typer.Argument(metavar="ROBOT.toml|FOLDER", help="Robot file (TOML or URDF), or a problem folder.")
+        Path, Argument(metavar="ROBOT.toml|FOLDER", help="Robot file (TOML or URDF), or a problem folder.")
     ],
     poses: Annotated[
         str,
-        typer.Option(
+        Option(
             metavar="N|TABLE.csv",
             help="Poses of a campaign: a number, or a table of them; what it logs is taken as it is.",
         ),
     ] = "60",
-    noise_um: Annotated[float, typer.Option(min=0.01, max=1e5, help="Noise of a measured coordinate [um].")] = 20.0,
-    n: Annotated[int, typer.Option("--n", "-n", min=4, max=10_000, help="Number of campaigns.")] = 40,
+    noise_um: Annotated[float, Option(min=0.01, max=1e5, help="Noise of a measured coordinate [um].")] = 20.0,
+    n: Annotated[int, Option("--n", "-n", min=4, max=10_000, help="Number of campaigns.")] = 40,
     not_logged: Annotated[
-        str, typer.Option(metavar="WORDS", help="Of temperature, payload, approach, time: what you do not log.")
+        str, Option(metavar="WORDS", help="Of temperature, payload, approach, time: what you do not log.")
     ] = "",
-    seed: Annotated[int | None, typer.Option(min=0, help="Of everything drawn; default: a random one.")] = None,
+    seed: Annotated[int | None, Option(min=0, help="Of everything drawn; default: a random one.")] = None,
     workers: Workers = None,
     json_file: Json = None,
     quiet: Quiet = False,
@@ -75,7 +75,7 @@ def withheld_robot(
         )
     console = wrapped(quiet)
     console.print(terminal(checked.blocks()))
-    keep_json(json_file, checked.to_json(), console)
+    keep(with_json({}, json_file, checked.to_json()), console)
     if poses.isdigit():
         suggest(console, "to choose these poses", "plan", robot, "-n", poses)
     else:
@@ -83,16 +83,16 @@ def withheld_robot(
 
 
 def withheld_make(
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the campaigns.")],
+    out: Annotated[Path, Option("--out", metavar="DIR", help="Folder for the campaigns.")],
     key: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder for the key, apart; default: DIR with -key behind it.")
+        Path | None, Option(metavar="DIR", help="Folder for the key, apart; default: DIR with -key behind it.")
     ] = None,
-    n: Annotated[int, typer.Option("--n", "-n", min=4, max=10_000, help="Number of campaigns.")] = 60,
+    n: Annotated[int, Option("--n", "-n", min=4, max=10_000, help="Number of campaigns.")] = 60,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Of everything drawn; default: a random one, kept in the key.")
+        int | None, Option(min=0, help="Of everything drawn; default: a random one, kept in the key.")
     ] = None,
-    poses: Annotated[str, typer.Option(metavar="N,N", help="Poses of a campaign, one of these.")] = "40,100,200",
-    project: Annotated[Path, typer.Option(metavar="DIR", help="Folder with problems/ and data/.")] = Path(),
+    poses: Annotated[str, Option(metavar="N,N", help="Poses of a campaign, one of these.")] = "40,100,200",
+    project: Annotated[Path, Option(metavar="DIR", help="Folder with problems/ and data/.")] = Path(),
     workers: Workers = None,
     json_file: Json = None,
     quiet: Quiet = False,
@@ -109,7 +109,10 @@ def withheld_make(
     from casadical.blind_check.generation import make
     from casadical.blind_check.worker_pool import workers as pool
 
-    sizes = _whole(poses)
+    try:
+        sizes = tuple(int(word) for word in poses.split(","))
+    except ValueError:
+        raise InputError(f"--poses {poses}: allowed: whole numbers by commas, such as 40,100") from None
     place = key or out.with_name(f"{out.resolve().name}-key")
 
     def kept(made: "Manifest") -> dict[Path, str]:
@@ -118,17 +121,7 @@ def withheld_make(
 
     with working(quiet, "drawing campaigns") as step, pool(None, workers) as executor:
         show = _counted(step)
-        made = make(
-            out,
-            place,
-            n,
-            seed,
-            poses=sizes,
-            project=project,
-            executor=executor,
-            show=show,
-            also=kept,
-        )
+        made = make(out, place, n, seed, poses=sizes, project=project, executor=executor, show=show, also=kept)
     console = wrapped(quiet)
     console.print(f"wrote {len(made.campaigns)} campaigns to {out}, their key to {place}", soft_wrap=True)
     console.print(f"sha256 of the key: {made.key_sha256}", soft_wrap=True)
@@ -136,21 +129,14 @@ def withheld_make(
     suggest(console, "to have them diagnosed", "withheld", "predict", out)
 
 
-def _whole(text: str) -> tuple[int, ...]:
-    try:
-        return tuple(int(word) for word in text.split(","))
-    except ValueError:
-        raise InputError(f"--poses {text}: allowed: whole numbers by commas, such as 40,100") from None
-
-
 def withheld_predict(
     folder: Folder,
     out: Annotated[
         Path | None,
-        typer.Option("--out", metavar="FILE", help="Answers, a line of JSON each; default: DIR/answers.METHOD.jsonl."),
+        Option("--out", metavar="FILE", help="Answers, a line of JSON each; default: DIR/answers.METHOD.jsonl."),
     ] = None,
     by: Annotated[
-        str, typer.Option(metavar="diagnosis|f-test", help="The diagnosis, or a method to compare it with.")
+        str, Option(metavar="diagnosis|f-test", help="The diagnosis, or a method to compare it with.")
     ] = "diagnosis",
     workers: Workers = None,
     json_file: Json = None,
@@ -172,22 +158,22 @@ def withheld_predict(
             show = _counted(step)
             path = predict(folder, out, by=by, executor=executor, show=show)
     except KeyboardInterrupt:
-        typer.echo("casadical: interrupted; the answers so far are kept, the same command goes on from there", err=True)
-        raise typer.Exit(INTERRUPTED) from None
+        echo("casadical: interrupted; the answers so far are kept, the same command goes on from there", err=True)
+        raise Exit(INTERRUPTED) from None
     console = wrapped(quiet)
     console.print(f"wrote {path}", soft_wrap=True)
     usual = folder.with_name(f"{folder.resolve().name}-key")
     suggest(console, "to count what is right", "withheld", "score", folder, usual if usual.is_dir() else "KEYDIR", path)
-    keep_json(json_file, {"answers": str(path), "by": by}, console)
+    keep(with_json({}, json_file, {"answers": str(path), "by": by}), console)
 
 
 def withheld_score(
     folder: Folder,
-    key: Annotated[Path, typer.Argument(metavar="KEYDIR", help="Folder with the key.")],
-    answers: Annotated[list[Path], typer.Argument(metavar="ANSWERS...", help="One or more files of answers.")],
+    key: Annotated[Path, Argument(metavar="KEYDIR", help="Folder with the key.")],
+    answers: Annotated[list[Path], Argument(metavar="ANSWERS...", help="One or more files of answers.")],
     json_file: Json = None,
     figure: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="Draw the confusion matrix of the first answers.")
+        Path | None, Option(metavar="FILE.png", help="Draw the confusion matrix of the first answers.")
     ] = None,
     quiet: Quiet = False,
 ) -> None:
@@ -206,7 +192,7 @@ def withheld_score(
     console = wrapped(quiet)
     # Wide tables are for files and wide windows; they are never folded.
     wrapped(quiet, max(console.width, 240, 90 + 40 * len(scores))).print(terminal(side_by_side(scores)), soft_wrap=True)
-    keep_json(json_file, [s.to_json() for s in scores], console)
+    keep(with_json({}, json_file, [s.to_json() for s in scores]), console)
     if figure:
         draw_confusion(scores[0], figure)
         console.print(f"wrote {figure}", soft_wrap=True)

@@ -136,7 +136,7 @@ def robot_to_write(
     if campaign is None:
         return read_campaign_robot(source) if source.is_file() else calibrated(source).written_robot
     (given,) = read_campaigns(source, [campaign])
-    asked = Options(effects_named(effects.split(",") if effects else ()))
+    asked = Options(effects_named(effects))
     return diagnose_campaign(given, asked, show).diagnosis.apply()
 
 

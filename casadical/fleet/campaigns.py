@@ -18,7 +18,7 @@ from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate, estimate, estimate_of_file
 from casadical.identification.prior import refuse_another
 from casadical.project.check.targets import unnamed_targets, with_targets_of_rows
-from casadical.project.problem import Problem, read_campaign, read_campaign_robot, read_problem, tool_as_measured
+from casadical.project.problem import read_campaign, read_campaign_robot, read_problem, tool_as_measured
 from casadical.project.problem_file import own_tables, result_in
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
@@ -135,10 +135,7 @@ def name_of(paths: Sequence[Path], robot: str | Path | None = None) -> str:
 
 
 def campaign_estimate(path: Path, robot: str | Path | None = None, known: Robot | None = None) -> Estimate:
-    """What one campaign in files tells, as `compare_files` takes it. Raises CasadicalError.
-
-    known : robot of another campaign, which tells where the targets are
-    """
+    """What one campaign tells; known : robot of another one, which has the targets. Raises CasadicalError."""
     if not path.exists():
         raise missing(path, "file or folder")
     label, day = path.name.removesuffix(".robot.toml").removesuffix(".csv"), day_of(path)
@@ -149,7 +146,9 @@ def campaign_estimate(path: Path, robot: str | Path | None = None, known: Robot 
         problem = read_problem(path, campaign=True)
         if fault := unnamed_targets(problem):
             raise InputError(fault)
-        return estimate((problem.robot, [m for _, m in problem.parts()]), label, day_of_problem(problem))
+        own = day_of(Path(Path(str(problem.tables[0]["file"])).name)) if problem.tables else None
+        day = day_of(problem.folder.resolve()) if own is None else own
+        return estimate((problem.robot, [m for _, m in problem.parts()]), label, day)
     if path.is_dir():
         return estimate_of_file(read_robot(result_in(path)), label, day)
     if robot is None:
@@ -191,18 +190,8 @@ def day_of(path: Path) -> float | None:
     return None
 
 
-def day_of_problem(problem: Problem) -> float | None:
-    """By a date in the name of its first table, or of its folder."""
-    first = Path(str(problem.tables[0]["file"])) if problem.tables else Path()
-    own = day_of(Path(first.name))
-    return day_of(problem.folder.resolve()) if own is None else own
-
-
 def in_order(given: Sequence[Estimate], *, begun: bool = False) -> tuple[list[Estimate], list[str]]:
-    """Campaigns by their days, and what is odd about these; as they are given where a day is not known.
-
-    begun : whether the first one is known to be the earliest, so that it needs no day
-    """
+    """Campaigns by their days, or as given, and what is odd; begun : whether the first is the earliest."""
     campaigns, said = _without_repeated(given)
     if begun and len(campaigns) > 1 and campaigns[0].day is None:
         later, more = in_order(campaigns[1:])

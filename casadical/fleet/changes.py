@@ -1,6 +1,6 @@
 """What a comparison of campaigns found, and its words, tables and plain data."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -195,14 +195,14 @@ class Comparison(Result):
             unclear = Words(f"NOT CLEAR whether anything changed: {text}", "verdict")
             blocks.append(Words(text, "warning") if self.changes else unclear)
         elif not self.changes:
-            chance = 1 - probability_of_change(self.log_odds)
-            blocks.append(
-                Words(f"NOTHING CHANGED in the robot that {len(self.campaigns)} campaigns would show.", "verdict")
-            )
-            blocks.append(Words(f"Probability {chance:.3f}, if one robot in ten changes between two campaigns."))
+            text = f"NOTHING CHANGED in the robot that {len(self.campaigns)} campaigns would show."
+            chance = f"Probability {1 - probability_of_change(self.log_odds):.3f}"
+            blocks += [Words(text, "verdict"), Words(f"{chance}, if one robot in ten changes between two campaigns.")]
         blocks += [Words(f"{what}: {how}.") for what, how in self.placements]
         blocks += [Words(f"note: {note}.", "note") for note in self.notes]
-        return [*blocks, _campaigns(self), _seen_from(self), *self.next]
+        rows = [(name, f"{v:.2g} {unit}" if np.isfinite(v) else NOT_SEEN) for name, v, unit in self.seen_from]
+        seen = Table("A jump before the last campaign would be seen from", ("cause", "size"), rows, folded=True)
+        return [*blocks, _campaigns(self), seen, *self.next]
 
     @property
     def next(self) -> tuple[Words, ...]:
@@ -215,8 +215,12 @@ class Comparison(Result):
 
     def figures(self) -> dict[str, Figure]:
         """By name: change/CAUSE for each change, and left, the scatter of each campaign."""
-        figures = [_course(self, change) for change in self.changes]
-        figures += [_left(self)] if any(c.sigma is not None for c in self.campaigns) else []
+        step = None if self.dated else 1 + len(self.campaigns) // 12  # between the ticks
+        figures = [_course(self, change, step) for change in self.changes]
+        if any(c.sigma is not None for c in self.campaigns):
+            left = [None if c.sigma is None else 1e3 * c.sigma for c in self.campaigns]
+            life = (self.campaigns[0].robot.name, _places(self), left, False)
+            figures.append(left_figure("left", [life], step, height=260, caption=_LEFT))
         return {figure.name: figure for figure in figures}
 
     def page(self, files: Sequence[Path] = ()) -> Page:
@@ -230,7 +234,9 @@ class Comparison(Result):
         ]
         kind = self.campaigns[0].robot.name
         name, read = self.name or kind, [path for path in files if path.is_file()]
-        tiles = [*_tiles(self)]
+        causes, sigma = [c.cause.label for c in self.changes], self.campaigns[-1].sigma
+        tiles = [Tile("Changes", str(len(causes)), "", ", ".join(causes) or "none")]
+        tiles += [] if sigma is None else [Tile("Left, last campaign", mm(sigma), "mm", "of one coordinate")]
         return Page(f"{name}: what changed", name, f"{kind}: {self.span}", sections, tiles, files=read)
 
     def to_json(self) -> dict[str, Any]:
@@ -258,8 +264,7 @@ class Comparison(Result):
             ],
             "placements": dict(self.placements),
             "seen_from": [
-                {"cause": cause, "size": size if np.isfinite(size) else None, "unit": unit}
-                for cause, size, unit in self.seen_from
+                {"cause": name, "size": v if np.isfinite(v) else None, "unit": unit} for name, v, unit in self.seen_from
             ],
             "notes": list(self.notes),
         }
@@ -282,14 +287,15 @@ def in_words(found: Comparison, change: Change) -> str:
     """What changed, how, since when, and by how much where it has one name."""
     since = found.campaigns[change.since].label
     if not change.named:
-        rivals = " or ".join(r.label for r in _likely(change))
+        held = np.cumsum([r.probability for r in change.rivals])
+        rivals = " or ".join(r.label for r in change.rivals[: 1 + int(np.searchsorted(held, 0.95))])
         return f"{rivals}, which these poses do not distinguish, {HOW[change.course]} {since}"
     if change.cause.kind == ROBOT:
         moved = sum(abs(a.value) > CLEAR * a.std_error for a in change.amounts)
         of = f"{moved} of {len(change.amounts)} parameters differ by more than {CLEAR} standard errors"
         return f"{change.cause.label}, {HOW[change.course]} {since}: {of}"
     main = max(change.amounts, key=_sureness)
-    size = f"{main.name} {_signed(main.value)} {main.unit}{_per(found, change)} +/- {main.std_error:.2g}"
+    size = f"{main.name} {main.value:+.3g} {main.unit}{_per(found, change)} +/- {main.std_error:.2g}"
     return f"{change.cause.label}, {HOW[change.course]} {since}: {size}"
 
 
@@ -318,22 +324,8 @@ def _change(found: Comparison, change: Change) -> Iterable[Words | Table]:
     amounts: Sequence[Amount] = change.amounts
     if len(amounts) > AMOUNTS:
         amounts = sorted(amounts, key=_sureness)[-1 : -AMOUNTS - 1 : -1]
-    cells = [(a.name, _signed(a.value), f"{a.std_error:.2g}", a.unit + per) for a in amounts]
+    cells = [(a.name, f"{a.value:+.3g}", f"{a.std_error:.2g}", a.unit + per) for a in amounts]
     yield Table("By how much", ("parameter", "change", "std error", "unit"), cells, frozenset({1, 2}))
-
-
-def _likely(change: Change) -> list[Any]:
-    held, kept = 0.0, []
-    for rival in change.rivals:
-        kept.append(rival)
-        held += rival.probability
-        if held >= 0.95:
-            break
-    return kept
-
-
-def _signed(value: float) -> str:
-    return f"{value:+.3g}"
 
 
 def times_in_words(log_odds: float) -> str:
@@ -344,30 +336,11 @@ def times_in_words(log_odds: float) -> str:
 
 def _campaigns(found: Comparison) -> Table:
     rows = [
-        (
-            c.label,
-            c.date if found.dated else str(k),
-            str(c.poses),
-            "" if c.sigma is None else mm(c.sigma),
-            f"{c.misfit:.2f}",
-            "; ".join(c.notes),
-        )
-        for k, c in enumerate(found.campaigns, 1)
+        (c.label, str(at), str(c.poses), "" if c.sigma is None else mm(c.sigma), f"{c.misfit:.2f}", "; ".join(c.notes))
+        for c, at in zip(found.campaigns, _places(found), strict=True)
     ]
     head = ("campaign", "day" if found.dated else "number", "poses", "left [mm]", "misfit", "")
     return Table("Campaigns", head, rows, frozenset({2, 3, 4}))
-
-
-def _seen_from(found: Comparison) -> Table:
-    rows = [(cause, f"{size:.2g} {unit}" if np.isfinite(size) else NOT_SEEN) for cause, size, unit in found.seen_from]
-    return Table("A jump before the last campaign would be seen from", ("cause", "size"), rows, folded=True)
-
-
-def _tiles(found: Comparison) -> Iterator[Tile]:
-    yield Tile("Changes", str(len(found.changes)), "", ", ".join(c.cause.label for c in found.changes) or "none")
-    last = found.campaigns[-1]
-    if last.sigma is not None:
-        yield Tile("Left, last campaign", mm(last.sigma), "mm", "of one coordinate")
 
 
 def _places(found: Comparison) -> list[Any]:
@@ -375,12 +348,7 @@ def _places(found: Comparison) -> list[Any]:
     return [c.date if found.dated else k for k, c in enumerate(found.campaigns, 1)]
 
 
-def _step(found: Comparison) -> int | None:
-    """Between the ticks of an axis on which campaigns are counted."""
-    return None if found.dated else 1 + len(found.campaigns) // 12
-
-
-def _course(found: Comparison, change: Change) -> Figure:
+def _course(found: Comparison, change: Change, step: int | None) -> Figure:
     x, main = _places(found), change.amounts[change.main]
     size, error = main.value * change.course_of[:, 0], abs(main.value) * change.course_of[:, 1]
     what = AXES.get(change.cause.kind, main.name).format(joint=change.cause.joint)
@@ -393,25 +361,15 @@ def _course(found: Comparison, change: Change) -> Figure:
     return Figure(
         f"change/{change.cause.label}",
         f"{change.cause.label}: {HOW[change.course]} {found.campaigns[change.since].label}", [sizes],
-        Axis("campaign", step=_step(found)), Axis(f"{what} [{main.unit}]"), caption=_COURSE,
-        marks=spans,
+        Axis("campaign", step=step), Axis(f"{what} [{main.unit}]"), caption=_COURSE, marks=spans,
     )  # fmt: skip
-
-
-def _left(found: Comparison) -> Figure:
-    left = [None if c.sigma is None else 1e3 * c.sigma for c in found.campaigns]
-    life = (found.campaigns[0].robot.name, _places(found), left, False)
-    return left_figure("left", [life], _step(found), height=260, caption=_LEFT)
 
 
 def left_figure(
     name: str, lives: Iterable[tuple[str, Sequence[Any], Sequence[float | None], bool]], step: int | None = None,
     **figure: Any,
 ) -> Figure:  # fmt: skip
-    """What nothing explains in each campaign of robots.
-
-    lives : (name, places on the axis, scatter [mm], changed) of each; step : of an axis on which campaigns are counted
-    """
+    """What nothing explains in each campaign; lives : (name, places on the axis, left [mm], changed) of robots."""
     series = [
         Series(
             "linked", x, list(left), colour="red" if changed else "grey", width=2 if changed else 1,
@@ -424,6 +382,8 @@ def left_figure(
 
 
 def _change_json(c: Change, labels: list[str]) -> dict[str, Any]:
+    amounts = [{"parameter": a.name, "change": a.value, "std_error": a.std_error, "unit": a.unit} for a in c.amounts]
+    course = [{"campaign": n, "size": s, "std_error": e} for n, (s, e) in zip(labels, c.course_of, strict=True)]
     return {
         "cause": c.cause.label,
         "named": c.named,
@@ -439,12 +399,8 @@ def _change_json(c: Change, labels: list[str]) -> dict[str, Any]:
             for r in c.rivals
             if r.probability >= SMALL
         ],
-        "amounts": [
-            {"parameter": a.name, "change": a.value, "std_error": a.std_error, "unit": a.unit} for a in c.amounts
-        ],
-        "course_of": [
-            {"campaign": n, "size": s, "std_error": e} for n, (s, e) in zip(labels, c.course_of, strict=True)
-        ],
+        "amounts": amounts,
+        "course_of": course,
     }
 
 

@@ -33,7 +33,7 @@ _SETTINGS = {
 LOOPBACK = "127.0.0.1"
 LAST_PORT = 65535
 _GONE = "the scheduler no longer answers"
-_NEEDED = "a fleet needs dask, distributed and pyarrow; install them: pip install 'casadical[fleet]'"
+NEEDED = "a fleet needs dask, distributed and pyarrow; install them: pip install 'casadical[fleet]'"
 
 
 class SchedulerLostError(InputError):
@@ -43,8 +43,8 @@ class SchedulerLostError(InputError):
 @contextmanager
 def client_of(scheduler: str | None, workers: int | None) -> Iterator[Any]:
     """A client of a scheduler, or of processes of this machine, one core each. Raises InputError."""
-    distributed = optional("distributed", _NEEDED)  # first: its own settings must not take the place of these
-    dask = optional("dask", _NEEDED)
+    distributed = optional("distributed", NEEDED)  # first: its own settings must not take the place of these
+    dask = optional("dask", NEEDED)
     with ExitStack() as stack:
         stack.enter_context(dask.config.set(_SETTINGS))
         yield _connected(distributed, stack, scheduler, workers)
@@ -81,8 +81,8 @@ def _refuse_address(scheduler: str) -> None:
             f"--scheduler {shown(scheduler)}: an encrypted one asks for certificates, which this command cannot give; "
             "start the scheduler with tcp:// on a network that you trust, or reach it through an SSH tunnel"
         )
-    found = re.fullmatch(r"(tcp://)?(\[[0-9a-fA-F:.]+\]|[\w.-]+):(\d{1,5})", scheduler)
-    if not found or int(found[3]) > LAST_PORT:
+    parts = re.fullmatch(r"(tcp://)?(\[[0-9a-fA-F:.]+\]|[\w.-]+):(\d{1,5})", scheduler)
+    if not parts or int(parts[3]) > LAST_PORT:
         raise InputError(f"--scheduler {shown(scheduler)}: is no address; an address is tcp://host:8786")
 
 
@@ -112,7 +112,7 @@ def results(
     Of very many workers several are handed out together; if that ends in an exception, one by one. Raises
     SchedulerLostError when the scheduler dies; what was given until then is good.
     """
-    distributed = optional("distributed", _NEEDED)
+    distributed = optional("distributed", NEEDED)
     waiting = iter(tasks)
     of: dict[Any, list[tuple[Any, ...]]] = {}
     workers = max(1, len(client.scheduler_info(n_workers=-1)["workers"]))

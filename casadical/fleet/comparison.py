@@ -11,17 +11,7 @@ from casadical.core.statistics import first_of_best
 from casadical.fleet import evidence
 from casadical.fleet.changes import SURE, Amount, Change, Comparison, Rival
 from casadical.fleet.estimates import Estimate, with_common_noise
-from casadical.fleet.evidence import (
-    FREQUENCY,
-    GRADUAL,
-    ROBOT,
-    SEASONAL,
-    Candidate,
-    Course,
-    candidates_of,
-    daily,
-    shared_names,
-)
+from casadical.fleet.evidence import ROBOT, Candidate, Course
 from casadical.fleet.placements import placements_of, seen_from
 from casadical.identification.prior import refuse_another
 
@@ -51,11 +41,7 @@ class _Hypotheses:
 
 
 def compare(
-    campaigns: Sequence[Estimate],
-    *,
-    same_tool: bool = False,
-    same_frame: bool = False,
-    notes: Iterable[str] = (),
+    campaigns: Sequence[Estimate], *, same_tool: bool = False, same_frame: bool = False, notes: Iterable[str] = ()
 ) -> Comparison:
     """What changed in a robot over two or more campaigns in the order of time: causes, times, sizes and probabilities.
 
@@ -75,15 +61,14 @@ def compare(
     accepted, left, swap = changes_in(information, candidates, times, dated=first.day is not None)
     model = _beside(information, accepted)
     changes = tuple(_change(information, accepted, k, first, swap) for k in range(len(accepted)))
-    return Comparison(
-        tuple(campaigns),
-        names,
-        changes,
-        left,
-        seen_from(lambda c: _beside(information, [a for a in accepted if not _same_jump(a, c)]), candidates, first),
-        placements_of(campaigns, names, model),
-        tuple(dict.fromkeys(notes)),
-    )
+
+    def beside(c: Candidate) -> evidence.Model:
+        """A second jump of the same parameter before the last campaign is no other change."""
+        others = [a for a in accepted if a.courses[:-1].any() or not {*a.candidate.names} & {*c.names}]
+        return _beside(information, others)
+
+    seen, placements = seen_from(beside, candidates, first), placements_of(campaigns, names, model)
+    return Comparison(tuple(campaigns), names, changes, left, seen, placements, tuple(dict.fromkeys(notes)))
 
 
 def shared_information(
@@ -93,21 +78,18 @@ def shared_information(
     first = campaigns[0]
     same_tool = same_tool and len({c.robot.tool_name for c in campaigns}) == 1
     common = set.intersection(*(set(c.names) for c in campaigns))
-    names = shared_names(
-        first.robot, [n for n in first.names if n in common], same_tool=same_tool, same_frame=same_frame
-    )
+    names = tuple(n for n in first.names if n in common)
+    names = evidence.shared_names(first.robot, names, same_tool=same_tool, same_frame=same_frame)
     at = [first.names.index(n) for n in names]
     values = first.values[at]
     if same_frame:
         campaigns = [_in_frame_of(first, c) for c in campaigns]
-    both = [c.about(names, values) for c in campaigns]
+    H, b = (np.array(told) for told in zip(*(c.about(names, values) for c in campaigns), strict=True))
     spread = np.sqrt(np.mean([c.spread[[c.names.index(n) for n in names]] ** 2 for c in campaigns], axis=0))
     spread[[n.startswith("joint_error_curve") for n in names]] *= WIDER
-    candidates = candidates_of(first.robot, names)
-    information = evidence.SharedInformation(
-        np.array([H for H, _ in both]), np.array([b for _, b in both]), spread**-2.0
-    )
-    return names, information.with_jitter(*daily(candidates)), candidates
+    candidates = evidence.candidates_of(first.robot, names)
+    information = evidence.SharedInformation(H, b, spread**-2.0).with_jitter(*evidence.daily(candidates))
+    return names, information, candidates
 
 
 def _in_frame_of(first: Estimate, other: Estimate) -> Estimate:
@@ -139,11 +121,6 @@ class _Accepted:
     own: _Hypotheses
     odds: float
     every: Sequence[_Hypotheses]
-
-    @property
-    def in_last_alone(self) -> bool:
-        """Whether only the last campaign shows it."""
-        return not self.courses[:-1].any()
 
 
 def changes_in(
@@ -198,18 +175,12 @@ def _beyond(accepted: Sequence[_Accepted], candidates: Sequence[Candidate]) -> l
 def _known(changes: Sequence[_Accepted], p: int, n: int) -> evidence.Known:
     columns = [np.einsum("nk,pm->npkm", a.courses, a.candidate.columns).reshape(n, p, -1) for a in changes]
     sizes = [np.tile(a.kappa * a.candidate.sizes, a.courses.shape[1]) for a in changes]
-    return evidence.Known(
-        np.concatenate([np.zeros((n, p, 0)), *columns], axis=2), np.concatenate([np.zeros(0), *sizes])
-    )
+    whole = np.concatenate([np.zeros((n, p, 0)), *columns], axis=2)
+    return evidence.Known(whole, np.concatenate([np.zeros(0), *sizes]))
 
 
 def _beside(told: evidence.SharedInformation, accepted: Sequence[_Accepted]) -> evidence.Model:
     return evidence.solve(told, _known(accepted, *told.score.shape[::-1]))
-
-
-def _same_jump(found: _Accepted, candidate: Candidate) -> bool:
-    """Whether it is a jump of the same parameter before the last campaign: a second one is no other change."""
-    return bool(set(found.candidate.names) & set(candidate.names)) and found.in_last_alone
 
 
 def _best(
@@ -223,11 +194,11 @@ def _best(
     n, p = told.score.shape
     model = evidence.solve(told, _known(known, p, n))
     kinds = [c.kind for c in candidates]
-    whole = sum(FREQUENCY[kind] for kind in set(kinds))
+    whole = sum(evidence.FREQUENCY[kind] for kind in set(kinds))
     hypotheses: list[_Hypotheses] = []
     prior = 0.0
     for candidate in candidates:
-        share = FREQUENCY[candidate.kind] / whole / kinds.count(candidate.kind)
+        share = evidence.FREQUENCY[candidate.kind] / whole / kinds.count(candidate.kind)
         for course, weight, since, courses in courses_of(candidate.kind, times, dated):
             H, b = evidence.visible(model, candidate.columns, courses)
             m = courses.shape[2]
@@ -243,9 +214,8 @@ def _best(
     own = [h for h in hypotheses if h.candidate.label == label]
     top = own[first_of_best([float(log_sum(evidence.averaged(h.logs))) for h in own], logs=True)]
     k = first_of_best(evidence.averaged(top.logs), logs=True)
-    _, _, kappa = evidence.amplitude(
-        top.H[k], top.b[k], np.tile(top.candidate.sizes, top.courses.shape[2]), top.logs[k]
-    )
+    sizes = np.tile(top.candidate.sizes, top.courses.shape[2])
+    _, _, kappa = evidence.amplitude(top.H[k], top.b[k], sizes, top.logs[k])
     return _Accepted(top.candidate, top.courses[k], kappa, top, odds, hypotheses)
 
 
@@ -254,9 +224,9 @@ def courses_of(kind: str, times: Array, dated: bool) -> Iterable[tuple[Course, A
     n = len(times)
     onset, since = _onsets(n), np.arange(1, n)
     kinds: list[Course] = ["jump"]
-    if kind in GRADUAL:
+    if kind in evidence.GRADUAL:
         kinds.append("drift")
-    if kind in SEASONAL and dated:
+    if kind in evidence.SEASONAL and dated:
         kinds.append("season")
     if kind == ROBOT and n > 2:
         kinds.append("once")

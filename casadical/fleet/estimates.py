@@ -89,10 +89,7 @@ class Estimate(Shown):
         return np.array([self.robot.parameters[n].scale for n in self.names])
 
     def about(self, names: tuple[str, ...], values: Array) -> tuple[Array, Array]:
-        """Information, shape (p, p), and score, (p,), of p parameters at other values [SI], in units of the scale.
-
-        All other parameters are fitted again with wide priors.
-        """
+        """Information, (p, p), and score, (p,), at other values [SI], units of scale; all others are fitted again."""
         place = {name: k for k, name in enumerate(self.names)}
         kept = np.array([place[n] for n in names])
         rest = np.array([k for k in range(len(self.names)) if k not in set(kept.tolist())], dtype=int)
@@ -198,7 +195,8 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
     doubts = doubts_of(wide, [n for n in solved if n in wide.parameters.names])
     turns = np.arange(DRAWN) % (1 + len(wide.targets))  # of several targets each pose tells one
     measured = {t.column: (turns == k).astype(float) for k, t in enumerate(wide.targets, 1)}
-    J = _seen(wide, unmeasured(q, measured), doubts.names)
+    J = evaluated(wide, [unmeasured(q, measured)], doubts.names)[1]
+    J = J[np.isfinite(J).all(axis=(1, 2))].reshape(-1, J.shape[2])  # poses that the robot can take
     at, rest = doubts.solved, np.setdiff1d(np.arange(len(doubts.names)), doubts.solved)
     A = scaled_inverse(J[:, at].T @ J[:, at]) @ (J[:, at].T @ J[:, rest])
     B = np.zeros((len(at), len(doubts.names)))
@@ -226,12 +224,6 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
         notes=(note,),
         readings=known.readings if len(known.readings) else None,
     )
-
-
-def _seen(robot: Robot, m: Measurements, names: tuple[str, ...]) -> Array:
-    """Jacobian in rows at poses that the robot can take, shape (numbers, k)."""
-    J = evaluated(robot, [m], names)[1]
-    return np.asarray(J[np.isfinite(J).all(axis=(1, 2))].reshape(-1, J.shape[2]))
 
 
 # Instruments are others where what they leave differs more than so many times.

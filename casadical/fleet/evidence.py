@@ -181,10 +181,6 @@ class SharedInformation:
         b = self.score - (lost @ (self.score @ columns)[:, :, None])[:, :, 0]
         return SharedInformation(self.information - lost @ HD.transpose(0, 2, 1), b, self.precision)
 
-    def first(self, n: int) -> SharedInformation:
-        """Of the first campaigns alone."""
-        return SharedInformation(self.information[:n], self.score[:n], self.precision)
-
 
 @dataclass(frozen=True, eq=False)
 class Known:

@@ -86,22 +86,24 @@ class Common:
         scale = float(self.scale[self.names.index(name)])
         return (*(v * scale * factor for v in values), unit)
 
+    @property
+    def rows(self) -> list[tuple[Any, ...]]:
+        """Name, mean, standard error, spread and unit of each parameter, as reported."""
+        every = zip(self.names, self.mean, self.std_error, self.spread, strict=True)
+        return [(name, *self.readable(name, *figures)) for name, *figures in every]
+
     def to_json(self) -> dict[str, Any]:
         """What robots of the type share, as plain data: mean, standard error, spread of each parameter, as reported."""
-        listed = []
-        for k, name in enumerate(self.names):
-            mean, error, spread, unit = self.readable(name, self.mean[k], self.std_error[k], self.spread[k])
-            figures = {"mean": float(mean), "std_error": float(error), "spread": float(spread)}
-            listed.append({"name": name, **figures, "unit": unit})
+        listed = [
+            {"name": name, "mean": float(mean), "std_error": float(error), "spread": float(spread), "unit": unit}
+            for name, mean, error, spread, unit in self.rows
+        ]
         faults = [name for name, _, _ in self.faults]
         about = {"type": self.type, "name": self.name, "robots": self.count}
         return {**about, "common_faults": faults, "parameters": listed}
 
     def prior_of(self, robot: Robot) -> Robot:
-        """A robot as the fleet knows its type: the common departures in the drawn one, and the spread as covariance.
-
-        For `identify`, or `casadical calibrate --prior FILE --prior-effects all`.
-        """
+        """A drawn robot with the common departures, their spread as covariance: for `calibrate --prior-effects all`."""
         own = [k for k, n in enumerate(self.names) if n in robot.parameters.names]
         names = tuple(self.names[k] for k in own)
         scale = self.scale[own]
@@ -174,7 +176,7 @@ def learnt(
     at = _numbers(len(spread)) if at is None else at
     for _ in range(ROUNDS):
         w = 1 / tau2
-        whole, informed, found = np.zeros_like(C), np.zeros_like(mean), np.zeros_like(mean)
+        whole, informed, squares = np.zeros_like(C), np.zeros_like(mean), np.zeros_like(mean)
         for some in (slice(k, k + BLOCK) for k in range(0, len(H), BLOCK)):
             V = np.array([inverse_of(own[at] + np.diag(w)) for own in H[some]])
             whole += V.sum(axis=0)
@@ -182,12 +184,12 @@ def learnt(
             m = np.einsum("nij,nj->ni", V, b[some] + mean * w)
             own = np.diagonal(V, axis1=1, axis2=2)
             # The last term: robots move the mean towards themselves, five of them by a tenth of their spread.
-            found += np.sum((m - mean) ** 2 + own + (1 - own * w) ** 2 * np.diag(C), axis=0)
+            squares += np.sum((m - mean) ** 2 + own + (1 - own * w) ** 2 * np.diag(C), axis=0)
         # The mean of greatest likelihood: theta_i integrated, each robot tells P - P V P of it, P = diag(w).
         C = inverse_of(np.diag(len(H) * w + wide) - np.outer(w, w) * whole)
         mean = C @ (w * informed)
-        usual = (np.bincount(group, found) / np.bincount(group))[group]
-        before, tau2 = tau2, np.maximum((found + POOLED * usual / len(H)) / (len(H) + POOLED), NARROWEST**2)
+        usual = (np.bincount(group, squares) / np.bincount(group))[group]
+        before, tau2 = tau2, np.maximum((squares + POOLED * usual / len(H)) / (len(H) + POOLED), NARROWEST**2)
         if np.abs(np.log(tau2 / before)).max() < STILL:
             break
     return mean, C, np.sqrt(tau2)
@@ -228,23 +230,20 @@ class Drawing:
         good = max(SURE * common.std_error[k], COUNTS) * common.scale[k]
         taken = next((other for other in near if abs(other.robot.parameters[name].value - new) <= good), None)
         new, said = (taken.robot.parameters[name].value, f"; {taken.robots} so") if taken else (new, "")
-        found = re.fullmatch(r"(L[345])(?:_(\d+))?|([a-z]+)(\d+)", name)
-        if not found or (found[3] == "beta" and self.standard):
+        place = re.fullmatch(r"(L[345])(?:_(\d+))?|([a-z]+)(\d+)", name)
+        if not place or (place[3] == "beta" and self.standard):
             return ""
-        if found[3] == "c":
-            key = (
-                "stiffness_Nm_per_rad"
-                if self.robot.joints[int(found[4]) - 1].kind == "revolute"
-                else "stiffness_N_per_m"
-            )
+        if place[3] == "c":
+            turning = self.robot.joints[int(place[4]) - 1].kind == "revolute"
+            key = "stiffness_Nm_per_rad" if turning else "stiffness_N_per_m"
             given = f"{1 / drawn:.6g}" if drawn else "no number"
             number = f"{1 / new:.12g}" if taken else f"{float(f'{1 / new:.3g}'):.0f}"
-            return f"[[joint]] {found[4]}: {key} = {number} (drawn {given}{said})" if new > 0 else ""
-        if found[1]:
-            key, where = _BARS[found[1]], f"[[four_bar]] {found[2] or 1}"
+            return f"[[joint]] {place[4]}: {key} = {number} (drawn {given}{said})" if new > 0 else ""
+        if place[1]:
+            key, where = _BARS[place[1]], f"[[four_bar]] {place[2] or 1}"
         else:
-            key = _KEYS[found[3]]
-            where = f"[[joint]] {int(found[4]) + (found[3] in ('alpha', 'a', 'beta', 'b') and not self.standard)}"
+            key = _KEYS[place[3]]
+            where = f"[[joint]] {int(place[4]) + (place[3] in ('alpha', 'a', 'beta', 'b') and not self.standard)}"
         factor = 1e3 if key.endswith("mm") else np.rad2deg(1.0)
         digits = max(0, int(np.ceil(-np.log10(common.std_error[k] * common.scale[k] * factor))))
         number = f"{factor * new:.12g}" if taken else f"{factor * new:.{min(digits, 6)}f}"
@@ -274,14 +273,10 @@ def nearly_one(drawings: Mapping[str, Drawing]) -> Iterator[str]:
     """In words, types whose drawings differ in few values, as where they are corrected one robot at a time."""
     for (first, one), (second, other) in combinations(drawings.items(), 2):
         if pairs := _differences(one, other):
-            words = ", ".join(
-                f"{p.name} ({p.readable(p.value):.9g} and {p.readable(q.value):.9g} {p.readable_unit})"
-                for p, q in pairs
-            )
-            names = " and ".join(
-                f"{d.name}, drawing {kind} ({d.robots})," for kind, d in ((first, one), (second, other))
-            )
-            yield f"types {names} differ only in {words}: corrected one by one? Then correct all of them"
+            both = ((p, f"{p.readable(p.value):.9g} and {p.readable(q.value):.9g}") for p, q in pairs)
+            words = ", ".join(f"{p.name} ({values} {p.readable_unit})" for p, values in both)
+            names = (f"{d.name}, drawing {kind} ({d.robots})," for kind, d in ((first, one), (second, other)))
+            yield f"types {' and '.join(names)} differ only in {words}: corrected one by one? Then correct all of them"
 
 
 def _differences(one: Drawing, other: Drawing) -> list[tuple[Parameter, Parameter]]:

@@ -1,6 +1,7 @@
 """Base and tool, which are fitted again in each campaign; and how large a change must be to be seen."""
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -21,16 +22,15 @@ OTHER_TOOL, MOVED_TOOL = 4.0, 2.0
 FAR = 30.0
 # Within this [m, rad] a base did not move: readings that tell nothing of it leave it where the robot file has it.
 SAME = 1e-12
+# How far parameters are apart, and its covariance.
+Between = Callable[[Sequence[str]], tuple[Array, Array]]
 
 
 def seen_from(
     beside: Callable[[Candidate], Model], candidates: Sequence[Candidate], first: Estimate
 ) -> tuple[tuple[str, float, str], ...]:
-    """(cause, size, unit) of single parameters: the least change since the campaign before last that would be seen.
-
-    beside : what is solved for together with a change of the candidate
-    """
-    found = []
+    """(cause, size, unit) of single parameters: the least change in the last campaign that would be seen."""
+    sizes = []
     for c in candidates:
         if c.columns.shape[1] == 1 and c.kind in ("joint_zero", "joint_stiffness"):
             model = beside(c)
@@ -38,23 +38,22 @@ def seen_from(
             p = first.robot.parameters[c.names[0]]
             size = SEEN / np.sqrt(max(float(H[0, 0, 0]), 1e-30))
             seen = size < FAR * float(c.sizes[0])
-            found.append((c.label, p.readable(float(size) * p.scale) if seen else float("inf"), p.readable_unit))
-    return tuple(found)
+            sizes.append((c.label, p.readable(float(size) * p.scale) if seen else float("inf"), p.readable_unit))
+    return tuple(sizes)
 
 
 def placements_of(campaigns: Sequence[Estimate], names: Sequence[str], model: Model) -> tuple[tuple[str, str], ...]:
     """How base and tool of the last campaign differ from those of the one before, where they were fitted again."""
     before, after = campaigns[-2], campaigns[-1]
-    return (*_tool(campaigns[0], before, after, names, model), *_base(campaigns[0], before, after, names, model))
+    between = partial(_between, campaigns[0], before, after, names, model)
+    return (*_tool(before, after, names, between), *_base(before, after, names, between))
 
 
-def _tool(
-    first: Estimate, before: Estimate, after: Estimate, names: Sequence[str], model: Model
-) -> Iterable[tuple[str, str]]:
+def _tool(before: Estimate, after: Estimate, names: Sequence[str], between: Between) -> Iterable[tuple[str, str]]:
     own = [n for n in SIX["tool"][:3] if n in before.names and n in after.names and n not in names]
     if len(own) < 3 or before.robot.tool_name != after.robot.tool_name:
         return
-    apart, cov = _between(first, before, after, own, names, model)
+    apart, cov = between(own)
     scale = np.array([after.robot.parameters[n].scale for n in own])
     size = float(np.linalg.norm(apart * scale))
     error = float(np.sqrt(np.trace(cov * np.outer(scale, scale)) / 3))
@@ -69,7 +68,7 @@ def _tool(
 
 
 def _between(
-    first: Estimate, before: Estimate, after: Estimate, own: Sequence[str], names: Sequence[str], model: Model
+    first: Estimate, before: Estimate, after: Estimate, names: Sequence[str], model: Model, own: Sequence[str]
 ) -> tuple[Array, Array]:
     """How far parameters that are fitted again are apart, in units of their scale, and its covariance."""
     # Parameters of a campaign as the solved ones make them: theta and the changes found by then.
@@ -98,9 +97,7 @@ def _given(
     return mean[at], (G @ X)[at], V[np.ix_(at, at)]
 
 
-def _base(
-    first: Estimate, before: Estimate, after: Estimate, names: Sequence[str], model: Model
-) -> Iterable[tuple[str, str]]:
+def _base(before: Estimate, after: Estimate, names: Sequence[str], between: Between) -> Iterable[tuple[str, str]]:
     placing = {p.name for p in after.robot.parameters if p.group == "base"}
     if not placing & set(after.names) or placing & set(names):
         return
@@ -110,7 +107,7 @@ def _base(
     turn = float(np.rad2deg(np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1, 1))))
     words = "the instrument stands elsewhere, or the robot's foot moved"
     if set(SIX["base"]) <= {*before.names} & {*after.names}:
-        _, cov = _between(first, before, after, SIX["base"], names, model)
+        _, cov = between(SIX["base"])
         apart = np.concatenate([T[:3, 3], to_xyz(T[:3, :3])])
         apart = apart / [after.robot.parameters[n].scale for n in SIX["base"]]
         if apart @ np.linalg.solve(cov, apart) < len(apart) * MOVED_TOOL**2:

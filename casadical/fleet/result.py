@@ -89,7 +89,8 @@ class Fleet(Result):
         return {name: words for name, words in told.items() if words}
 
     def blocks(self) -> list[Words | Table]:
-        good = self.good
+        good, bad = self.good, self.robots[self.robots["status"] != "ok"]
+        failed = [(r["robot"], r["status"], short(r["error"])) for r in records(bad.head(SHOWN))]
         text = f"{len(good)} of {len(self.robots)} robots calibrated"
         if len(good):
             before, after = good["before_mm"].median(), good["after_mm"].median()
@@ -102,7 +103,7 @@ class Fleet(Result):
             *self._faults(),
             *self._types(),
             *self._to_look_at(),
-            *self._failed(),
+            *([Table(f"Not calibrated ({len(bad)})", ("robot", "status", "why"), failed)] if failed else []),
             *self.next,
         ]
 
@@ -149,8 +150,7 @@ class Fleet(Result):
         for r in records(self.robots.head(LISTED)):
             errors = (f"{v:.4f}" if np.isfinite(v) else "" for v in (r["before_mm"], r["after_mm"]))
             figures = (short(r["error"], FEWER_LETTERS), *errors, str(r["poses"]), str(r["campaigns"]))
-            verdict = " ".join(filter(None, (r["verdict"], r["causes"])))
-            rows.append((r["robot"], r["type_name"], r["status"], *figures, verdict, r["changes"]))
+            rows.append((r["robot"], r["type_name"], r["status"], *figures, _found_in(r), r["changes"]))
         head = ("robot", "type", "status", "error", "before", "after", "poses", "campaigns", "diagnosis", "changed")
         title = f"Mean errors of held-out poses [mm]{f'; the first {LISTED}' if len(self.robots) > LISTED else ''}"
         return Table(title, head, rows, frozenset({4, 5, 6, 7}), folded=len(rows) > 50)
@@ -192,9 +192,6 @@ class Fleet(Result):
                     words = f"all {c.count} robots of the type {c.name}: {', '.join(some)} from the drawing"
                     yield Words(f"{words}: {remedies[soft]}.", "warning", "\n".join(filter(None, places[soft])))
 
-    def _corrections(self, common: Common) -> dict[str, str]:
-        return {name: self._correction(common, name) for name, _, _ in common.faults}
-
     def _types(self) -> Iterator[Table]:
         rows, types = [], self.good.groupby("type", sort=False)
         large = bool((types.size() >= MANY).any())
@@ -225,8 +222,7 @@ class Fleet(Result):
             said += [more[r["robot"]]] if r["robot"] in more else []
             said += [f"at bounds: {r['at_bounds']}"] if r["at_bounds"] else []
             said += [r["notes"]] if r["notes"] else []
-            verdict = " ".join(filter(None, (r["verdict"], r["causes"])))
-            rows.append((r["robot"], f"{r['after_mm']:.4f}", verdict, r["changes"], ", ".join(said)))
+            rows.append((r["robot"], f"{r['after_mm']:.4f}", _found_in(r), r["changes"], ", ".join(said)))
         if rows:
             title = f"Robots to check first ({len(some)}, the greatest errors [mm])"
             yield Table(title, ("robot", "after", "diagnosis", "changed", "note"), rows, frozenset({1}))
@@ -235,26 +231,27 @@ class Fleet(Result):
         if noted:
             yield Table(f"Odd about the campaigns of others ({len(noted)})", ("robot", "note"), noted[:SHOWN])
 
-    def _failed(self) -> Iterator[Table]:
-        bad = self.robots[self.robots["status"] != "ok"]
-        rows = [(r["robot"], r["status"], short(r["error"])) for r in records(bad.head(SHOWN))]
-        if rows:
-            yield Table(f"Not calibrated ({len(bad)})", ("robot", "status", "why"), rows)
-
     def to_json(self) -> dict[str, Any]:
         """The same as plain data."""
         words = ["robot", "folder", "status", "error", "type", "type_name", "method", "verdict", "causes", "changes",
                  "at_bounds", "notes", "poses", "campaigns", "before_mm", "after_mm", "seconds"]  # fmt: skip
         listed = [{k: _plain(v) for k, v in r.items()} for r in records(self.robots[words])]
+        corrections = [{name: self._correction(c, name) for name, _, _ in c.faults} for c in self.commons]
+        types = [{**c.to_json(), "corrections": own} for c, own in zip(self.commons, corrections, strict=True)]
         return {
             "fleet": len(self.robots),
             "robots": listed,
             "outliers": list(self.outliers),
-            "types": [{**c.to_json(), "corrections": self._corrections(c)} for c in self.commons],
+            "types": types,
             "notes": list(self.notes),
             "next": [step.code for step in self.next],
             "computed": self.computed,
         }
+
+
+def _found_in(row: Mapping[str, Any]) -> str:
+    """Verdict and causes of a robot's diagnosis."""
+    return " ".join(filter(None, (row["verdict"], row["causes"])))
 
 
 def short(error: str, letters: int = LETTERS) -> str:
@@ -269,10 +266,7 @@ def odd(notes: str) -> str:
 
 
 def grown(left: Sequence[float], freedom: Sequence[float] | float | None, alarms: float) -> str:
-    """In words, where what the last campaign leaves [mm] is more than those before, with so many false alarms.
-
-    freedom : degrees of freedom of each; nothing is said without them, as of a row that an older casadical wrote
-    """
+    """In words, where the last campaign leaves more [mm] than those before; freedom : of each, None: not known."""
     both = np.array(np.broadcast_arrays(left, np.array(freedom, dtype=float)))
     known, free = both[:, np.isfinite(both).all(axis=0)]
     pairs = [*zip(known.tolist(), free.tolist(), strict=True)]
@@ -407,10 +401,7 @@ def common_departures(c: Common) -> Figure:
     sure = np.abs(c.mean) / np.maximum(c.std_error, 1e-12)
     bad = {name for name, _, _ in c.faults}
     named = sorted(bad, key=lambda name: -sure[c.names.index(name)])[:LABELS]
-    words = []
-    for k, name in enumerate(c.names):
-        mean, error, unit = c.readable(name, c.mean[k], c.std_error[k])
-        words.append([name, f"{mean:+.4g} {unit} +/- {error:.1g}"])
+    words = [[name, f"{mean:+.4g} {unit} +/- {error:.1g}"] for name, mean, error, _, unit in c.rows]
     compliant = [n.startswith("c") and n[1:].isdigit() for n in c.names]
     dots = Series(
         "points", c.mean * np.where(compliant, 1.0, 1e3 * c.scale), sure, size=8,
@@ -423,10 +414,7 @@ def common_departures(c: Common) -> Figure:
 
 def common_table(c: Common) -> Table:
     """All parameters of a type: common departure, its standard error, and the spread of the robots."""
-    rows = []
-    for k, name in enumerate(c.names):
-        mean, error, spread, unit = c.readable(name, c.mean[k], c.std_error[k], c.spread[k])
-        rows.append((name, f"{mean:+.4f}", f"{error:.2g}", f"{spread:.3g}", unit))
+    rows = [(name, f"{m:+.4f}", f"{error:.2g}", f"{spread:.3g}", unit) for name, m, error, spread, unit in c.rows]
     strong = frozenset(k for k, n in enumerate(c.names) if n in {name for name, _, _ in c.faults})
     head = ("parameter", "common", "std error", "spread", "unit")
     return Table(f"{c.name}, drawing {c.type}", head, rows, frozenset({1, 2, 3}), strong, folded=True)

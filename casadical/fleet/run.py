@@ -130,11 +130,7 @@ def _to_compute(
 
 
 def _compute(
-    done: Iterator[tuple[tuple[Any, ...], dict[str, Any] | Exception]],
-    place: Path,
-    total: int,
-    left: int,
-    show: Show,
+    done: Iterator[tuple[tuple[Any, ...], dict[str, Any] | Exception]], place: Path, total: int, left: int, show: Show
 ) -> None:
     """Keeps the rows as they come. Raises SchedulerLostError with how to go on."""
     waiting: list[dict[str, Any]] = []
@@ -142,8 +138,11 @@ def _compute(
     again = f"robots are in {shown(place)}: run the same command again, it continues there"
     try:
         for (folder, _), found in done:
-            row = found if isinstance(found, dict) else _lost(folder, found)
-            waiting.append(row)
+            if isinstance(found, Exception):
+                why = f"the processes that computed it ended: {type(found).__name__}: {str(found).splitlines()[0]}"
+                place_of = {"robot": name_of(Path(folder)), "folder": name_of(Path(folder), whole=True)}
+                found = {**NOTHING, **place_of, "status": "lost", "error": why}
+            waiting.append(found)
             count += 1
             show(f"robot {count} of {total}")
             if len(waiting) >= ROWS or monotonic() - written > SECONDS:
@@ -155,13 +154,3 @@ def _compute(
         raise KeyboardInterrupt(f"interrupted; {count} of {total} {again}") from None
     finally:
         add(place, waiting)
-
-
-def _lost(folder: str, error: Exception) -> dict[str, Any]:
-    return {
-        **NOTHING,
-        "robot": name_of(Path(folder)),
-        "folder": name_of(Path(folder), whole=True),
-        "status": "lost",
-        "error": f"the processes that computed it ended: {type(error).__name__}: {str(error).splitlines()[0]}",
-    }

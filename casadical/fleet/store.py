@@ -25,6 +25,7 @@ from casadical.core.files import json_text, write_together
 from casadical.core.reading import read_bytes
 from casadical.fleet.campaigns import estimates_of, in_order, later_tables, other_regions
 from casadical.fleet.changes import in_words
+from casadical.fleet.cluster import NEEDED
 from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate
 from casadical.project.calibration import calibrate
@@ -110,11 +111,9 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
         "at_bounds": ", ".join(last.at_bounds),
         "identified": list(last.names),
     }
-    if with_diagnosis:
-        diagnosed = first_diagnosis(place)
-        if diagnosed is not None:
-            causes = ", ".join(c.label for c in diagnosed.diagnosis.causes)
-            row |= {"verdict": diagnosed.diagnosis.verdict, "causes": causes}
+    if with_diagnosis and (diagnosed := first_diagnosis(place)) is not None:
+        causes = ", ".join(c.label for c in diagnosed.diagnosis.causes)
+        row |= {"verdict": diagnosed.diagnosis.verdict, "causes": causes}
     ordered, said = in_order(estimates, begun=True)
     estimates, notes = ordered, [*notes, *said, *other_regions(ordered)]
     if len(ordered) > 1:
@@ -165,13 +164,12 @@ VERSION = 1
 KEY = b"casadical_fleet"
 # Columns that files of this version may lack.
 ADDED = ("left_free",)
-_NEEDED = "a fleet needs dask, distributed and pyarrow; install them: pip install 'casadical[fleet]'"
 
 
 @contextmanager
 def opened(folder: Path) -> Iterator[None]:
     """A store that this process alone writes to. Raises InputError: another one does, no folder, another version."""
-    optional("pyarrow", _NEEDED)
+    optional("pyarrow", NEEDED)
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{shown(folder)}: is a file; a store is a folder: give another name with --store")
     try:
@@ -198,7 +196,7 @@ def add(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Add rows as one more file, which appears completely or not at all. Raises InputError."""
     if not rows:
         return
-    arrow, parquet = optional("pyarrow", _NEEDED), optional("pyarrow.parquet", _NEEDED)
+    arrow, parquet = optional("pyarrow", NEEDED), optional("pyarrow.parquet", NEEDED)
     columns = {name: [row.get(name, empty) for row in rows] for name, empty in NOTHING.items()}
     table = arrow.table({name: arrow.array(values, _type(NOTHING[name])) for name, values in columns.items()})
     blob = io.BytesIO()
@@ -213,7 +211,7 @@ def add(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _type(empty: Any) -> Any:
-    arrow = optional("pyarrow", _NEEDED)
+    arrow = optional("pyarrow", NEEDED)
     if isinstance(empty, list):
         return arrow.list_(
             arrow.string() if empty is NOTHING["names"] or empty is NOTHING["identified"] else arrow.float64()
@@ -258,15 +256,17 @@ def records(robots: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def _read(path: Path, columns: Sequence[str] | None, damaged: list[str] | None) -> Any:
-    """Table of a file, without columns that were added after it was written; None where it cannot be read.
-
-    damaged : then said there. Raises InputError.
-    """
-    parquet = optional("pyarrow.parquet", _NEEDED)
+    """Table of a file; None where it cannot be read, which `damaged` then says. Raises InputError."""
+    parquet = optional("pyarrow.parquet", NEEDED)
     blob = io.BytesIO(read_bytes(path))
     try:
         schema = parquet.read_schema(blob)
-        _refuse_other(path, (schema.metadata or {}).get(KEY, b"").decode(errors="replace"))
+        version = (schema.metadata or {}).get(KEY, b"").decode(errors="replace")
+        if version != str(VERSION):
+            raise InputError(
+                f"{shown(path)}: a store of version {version or 'unknown'}; this casadical reads version {VERSION}: "
+                "give another --store, or use the casadical that wrote it. Nothing was changed"
+            )
         _refuse_malformed(schema)
         table = parquet.read_table(blob, columns=[n for n in schema.names if columns is None or n in columns])
         if lost := [name for name in table.column_names if table[name].null_count]:
@@ -289,12 +289,3 @@ def _refuse_malformed(schema: Any) -> None:
             raise ValueError(f"column {name!r} is missing")
         if name in schema.names and schema.field(name).type != _type(empty):
             raise ValueError(f"column {name!r} is of type {schema.field(name).type}, not {_type(empty)}")
-
-
-def _refuse_other(path: Path, version: str) -> None:
-    """Raises InputError for a file of a store that this casadical cannot read."""
-    if version != str(VERSION):
-        raise InputError(
-            f"{shown(path)}: a store of version {version or 'unknown'}; this casadical reads version {VERSION}: "
-            "give another --store, or use the casadical that wrote it. Nothing was changed"
-        )

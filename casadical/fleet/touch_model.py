@@ -220,10 +220,7 @@ class TouchModel:
 
     @cached_property
     def noises(self) -> list[tuple[float, Array, Array, Array]]:
-        """Log likelihood of no change, whitened y and inverse covariance, for each share of noise and of what stays.
-
-        Each is (log likelihood, inverse of S, whitened y, log of the roots of S), S of shape (rows, rows) [mm^2].
-        """
+        """For each share of noise and of what stays: log likelihood, inverse of S, whitened y, log of its roots."""
         y, S, same = self._known
         v = self.rest**2 / 3
         shares = SHARES if self.noise is None else (min(1.0, self.noise**2 / v),)
@@ -246,8 +243,9 @@ class TouchModel:
         own = [(np.bincount(self.day, z**2)[1:], np.bincount(self.day, roots)[1:]) for *_, z, roots in self.noises]
         T2, roots = np.array(own).transpose(1, 0, 2)
         known = np.cumsum(-0.5 * T2 - roots, axis=1) + 0.5 * T2 + roots  # log likelihood of the days before
-        weight = np.exp(known - log_sum(known, axis=0))
-        tails = np.vectorize(lambda u: 0.5 * erfc(u / np.sqrt(2)))(_deviates(T2, numbers))
+        weight, spread = np.exp(known - log_sum(known, axis=0)), 2 / (9 * numbers)
+        deviates = ((T2 / numbers) ** (1 / 3) - 1 + spread) / np.sqrt(spread)  # normal ones, as of `limit_of`
+        tails = np.vectorize(lambda u: 0.5 * erfc(u / np.sqrt(2)))(deviates)
         tail = np.clip((weight * tails).sum(axis=0), 1e-300, 1 - 1e-12)
         return np.array([limit_of(n, -NormalDist().inv_cdf(p)) for n, p in zip(numbers, tail, strict=True)])
 
@@ -300,8 +298,9 @@ class TouchModel:
                 a = h.amplitudes(row, float(KAPPAS[kappa]), len(own), rng)
                 label[own], since[own] = h.candidate.label, h.since[row]
                 x[own] = left[h.share](h.factors[row] * (a @ h.Z.T))
-                if h.candidate.kind == UNKNOWN:
-                    extra[own] = self._rms_today(a)
+                if h.candidate.kind == UNKNOWN:  # of displacements of all poses, those of the last day
+                    moved = a.reshape(len(a), -1, 3)[:, np.unique(self._poses[(self.day == len(self.days))[::3]])]
+                    extra[own] = np.sqrt((moved**2).sum(axis=2).mean(axis=1))
                 else:
                     d[own] = h.factors[row, -1] * a @ h.candidate.columns.T
             begins += h.logs.size
@@ -328,11 +327,6 @@ class TouchModel:
 
         return draw
 
-    def _rms_today(self, a: Array) -> Array:
-        """Of displacements of all poses, shape (n, 3 poses) [mm], at those of the last day, shape (n,)."""
-        seen = np.unique(self._poses[(self.day == len(self.days))[::3]])
-        return np.asarray(np.sqrt((a.reshape(len(a), -1, 3)[:, seen] ** 2).sum(axis=2).mean(axis=1)))
-
     @cached_property
     def task(self) -> Array:
         """Jacobian at poses over the readings on which the robot was learnt, shape (n, 3, p) [mm a unit of scale]."""
@@ -356,12 +350,6 @@ class TouchModel:
         """Rms over the task of departures, shape (n, p) [mm], shape (n,)."""
         square = np.einsum("np,pq,nq->n", d, self.weight, d, optimize=True)
         return np.asarray(np.sqrt(np.maximum(square, 0.0) + np.square(extra)))
-
-
-def _deviates(T2: Array, numbers: Array) -> Array:
-    """Of chi-squared numbers as normal deviates, as of `limit_of`."""
-    spread = 2 / (9 * numbers)
-    return np.asarray(((T2 / numbers) ** (1 / 3) - 1 + spread) / np.sqrt(spread))
 
 
 def limit_of(numbers: Array, quantile: float = 2.782) -> Array:

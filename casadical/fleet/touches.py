@@ -24,6 +24,7 @@ from casadical.measurements.measurements import Measurements, Noise
 from casadical.project.planning import poses_of_changes
 from casadical.project.problem import read_campaign
 from casadical.project.problem_file import result_in
+from casadical.project.verification import without_instrument
 from casadical.robot.robot import Covariance, ErrorBound, Knowledge, Robot
 from casadical.robot.robot_file import read_robot, to_toml
 
@@ -170,7 +171,7 @@ class Touches(Result):
         head = {"valid": "STILL VALID", "changed": "NO LONGER VALID", "open": "NOT CERTAIN"}[self.verdict]
         low, high = np.quantile(self.errors, [0.025, 0.975])
         known = float(np.quantile(self.errors, VALID))
-        found: list[Words | Table] = [
+        told: list[Words | Table] = [
             Words(
                 f"{head}: the rms error is within {mm(self.tolerance)} mm with a probability of {self.probability:.3f} "
                 f"({len(self.model.days[-1])} touches of {self.model.days[-1].source})",
@@ -184,16 +185,16 @@ class Touches(Result):
         ]
         if self.moved:
             rows = [(n, f"{v:+.4g}", f"{s:.2g}", unit) for n, v, s, unit in self.moved[:8]]
-            found.append(Table("What moved", ("parameter", "by", "std error", "unit"), rows, frozenset({1, 2})))
+            told.append(Table("What moved", ("parameter", "by", "std error", "unit"), rows, frozenset({1, 2})))
         before, after, sure = self.gain
         if self.better:
             text = f"Corrected, {mm(after)} mm of {mm(before)} mm of change would be left"
             hint = "" if self.update else ": --update"
-            found.append(Words(f"{text} (better with a probability of {sure:.3f}){hint}."))
+            told.append(Words(f"{text} (better with a probability of {sure:.3f}){hint}."))
         if self.more is not None:
-            found.append(self._more())
-        found += [Words(f"note: {note}.", "note") for note in self.notes]
-        return [*found, *self.next]
+            told.append(self._more())
+        told += [Words(f"note: {note}.", "note") for note in self.notes]
+        return [*told, *self.next]
 
     def _more(self) -> Table:
         assert self.more is not None
@@ -208,12 +209,12 @@ class Touches(Result):
         if (self.verdict == "valid" and not self.better) or not self.sources:
             return ()
         robot, *tables = self.sources
+        asked = ("--touches", len(self.model.days[-1]))
         if self.better and self.update:
-            return (next_step("on later days", "verify", self.update, "DAY.csv", "--touches",
-                              len(self.model.days[-1])),)  # fmt: skip
+            return (next_step("on later days", "verify", self.update, "DAY.csv", *asked),)
         if self.better:
-            return (next_step("to correct it", "verify", robot, *tables, "--touches", len(self.model.days[-1]),
-                              "--update", "corrected.robot.toml"),)  # fmt: skip
+            written = ("--update", "corrected.robot.toml")
+            return (next_step("to correct it", "verify", robot, *tables, *asked, *written),)
         if self.verdict == "open":
             return ()
         return (next_step("when ten poses are measured anywhere", "compare", robot, "TEN.csv"),)
@@ -272,14 +273,13 @@ class Touches(Result):
             "What each day's touches depart from what the robot file and the days before say, T2 over its limit, which "
             "is passed once in 370 days while nothing changes: the red line. Dotted: what is usual."
         )
-        labels = (
-            Axis("day", ticks=x, labels=[r[0] or r[1] for r in rows]) if len(rows) <= 12 else Axis("day", whole=True)
-        )
-        chart = Figure("chart", "Touches day by day", [course, points], labels, Axis("T2 / limit", begins=True),
+        many = len(rows) > 12
+        axis = Axis("day", whole=True) if many else Axis("day", ticks=x, labels=[r[0] or r[1] for r in rows])
+        chart = Figure("chart", "Touches day by day", [course, points], axis, Axis("T2 / limit", begins=True),
                        340, caption, marks=marks)  # fmt: skip
         table = Table("Every day", [c.replace("_", " ") for c in _COLUMNS],
                       [[f"{v:.4g}" if isinstance(v, float) else str(v) for v in r] for r in rows],
-                      frozenset({2, 3, 4, 5, 6}), folded=len(rows) > 12)  # fmt: skip
+                      frozenset({2, 3, 4, 5, 6}), folded=many)  # fmt: skip
         tiles = (
             Tile("Valid", f"{100 * self.probability:.1f}", "%", f"within {mm(self.tolerance)} mm"),
             Tile("Change", mm(float(np.sqrt(np.mean(self.change**2)))), "mm", "rms over the task, expected"),
@@ -314,7 +314,8 @@ def _wider_bound(bound: ErrorBound | None, names: Sequence[str], C: Array, scale
     if bound is None:
         return None
     values, V = np.linalg.eigh(C)
-    own = V[:, values > 1e-9 * max(values.max(), 1e-300)] * np.sqrt(values[values > 1e-9 * max(values.max(), 1e-300)])
+    kept = values > 1e-9 * max(values.max(), 1e-300)
+    own = V[:, kept] * np.sqrt(values[kept])
     wide = np.zeros((len(bound.names), own.shape[1]))
     for n, row in zip(names, scale[:, None] * own, strict=True):
         if n in bound.names:
@@ -354,18 +355,10 @@ def plan_touches(
     noise_mm : of a coordinate; None: as the file's bound leaves unexplained, or 0.1; room : file of a workspace
     Returns a table, a row a touch. Raises InputError.
     """
-    arm = _robot_of(Path(robot))[1]
+    arm, _ = without_instrument(read_robot(result_in(Path(robot))))
     rest = MM * arm.bound.rest / np.sqrt(3) if arm.bound else 0.0
     noise = Noise(1e-3 * float(np.hypot(noise_mm or (0.0 if rest else 0.1), rest)))
     return poses_of_changes(arm, n, usual_changes(arm), noise, room, touched, seed)
-
-
-def _robot_of(robot: Path) -> tuple[Path, Robot]:
-    """The file and the robot in it, without effects of an instrument."""
-    place = result_in(robot) if robot.is_dir() else robot
-    whole = read_robot(place)
-    gone = [e for e in whole.effects if e.from_kind]
-    return place, whole.with_only(e for e in whole.effects if not e.from_kind) if gone else whole
 
 
 def touched(
@@ -384,7 +377,8 @@ def touched(
     noise_mm : of a coordinate, None: not known; fleet : what `casadical fleet --json` wrote
     Raises InputError: no positions, fewer than two of them, another frame or robot, a file without covariance.
     """
-    place, arm = _robot_of(Path(robot))
+    place = result_in(Path(robot))
+    arm, _ = without_instrument(read_robot(place))
     paths = [Path(t) for t in tables]
     days = [(p, read_campaign(place, p, arm, later=True, words=True)) for p in paths]
     notes: list[str] = []

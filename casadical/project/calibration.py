@@ -188,7 +188,7 @@ class Calibration(Result):
     def to_json(self) -> dict[str, Any]:
         """The same as plain data: per method and set the error figures, per parameter value, error, unit, status."""
         problem, kinds = self.problem, {name: m.kind for name, m in self.problem.parts()}
-        found: dict[str, Any] = {
+        figures: dict[str, Any] = {
             "problem": problem.folder.name,
             "title": problem.title,
             "data": problem.data,
@@ -198,19 +198,19 @@ class Calibration(Result):
             "methods": {method: self._method_json(method) for method in self.identifications},
         }
         if self.identification.tried:
-            found["compliance_tried"] = self.identification.tried.to_json()
+            figures["compliance_tried"] = self.identification.tried.to_json()
         if self.refitted:
-            found["refit_poses"] = sum(len(m) for m in problem.whole)
+            figures["refit_poses"] = sum(len(m) for m in problem.whole)
         if self.networks:
-            found["trained_on"] = self.networks.trained_on
-            found["networks"] = {name: result.to_json() for name, result in self.networks.results.items()}
+            figures["trained_on"] = self.networks.trained_on
+            figures["networks"] = {name: result.to_json() for name, result in self.networks.results.items()}
         if problem.prior:
-            found["prior"] = problem.prior.to_json([m for _, m in problem.parts()])
+            figures["prior"] = problem.prior.to_json([m for _, m in problem.parts()])
             if self.without_prior is not None:
-                found["prior"]["without_mean_mm"] = 1e3 * self.without_prior.mean
+                figures["prior"]["without_mean_mm"] = 1e3 * self.without_prior.mean
         if problem.paper:
-            found["paper"] = problem.paper.to_json()
-        return found
+            figures["paper"] = problem.paper.to_json()
+        return figures
 
     def _method_json(self, method: str) -> dict[str, Any]:
         """A method with its errors on every set; where poses are far off, without these, too."""
@@ -229,9 +229,7 @@ class Calibration(Result):
         return {**told, "sets": sets, **last}
 
     def files(self, folder: str | Path) -> dict[Path, str]:
-        """What is kept, by file in a folder: all figures, of each method the robot and its parameters, or the
-        compensator.
-        """
+        """What is kept, by file in a folder: all figures, of each method robot and parameters, or compensator."""
         folder, problem = Path(folder), self.problem
         texts = {folder / "result.json": json_text(self.to_json())}
         for name, trained in (self.networks.results if self.networks else {}).items():
@@ -344,8 +342,8 @@ def _refitted(problem: Problem, results: Mapping[str, Identification], show: Sho
     whole = replace(
         problem, whole=(), sets={"identify": problem.whole}, methods=tuple(m for m in problem.methods if m in results)
     )
-    found = _identified(whole, lambda text: show(f"of all poses, {text}"), len(results))
-    return {method: found.get(method, list(found.values())[-1]) for method in results}
+    refitted = _identified(whole, lambda text: show(f"of all poses, {text}"), len(results))
+    return {method: refitted.get(method, list(refitted.values())[-1]) for method in results}
 
 
 def _identified(problem: Problem, show: Show, count: int) -> dict[str, Identification]:
@@ -362,31 +360,31 @@ def _identified(problem: Problem, show: Show, count: int) -> dict[str, Identific
         return lambda iteration, cost: show(f"part {part} of {count}: {method} iteration {iteration}, cost {cost:.6g}")
 
     by = partial(identify, method=last, loss=problem.loss, prior=problem.prior, progress=progress_of(last))
-    found = by(robot, sets)
-    if problem.whole and undeclared(robot) and not (found.tried and found.tried.kept):  # few poses may not show it
+    final = by(robot, sets)
+    if problem.whole and undeclared(robot) and not (final.tried and final.tried.kept):  # few poses may not show it
         tried = compliance_tried(prepare(robot, problem.whole, problem.prior, method="SKCM")).tried
         with suppress(InputError, ConvergenceError):
-            found = replace(by(all_compliant(robot, sets)[0], sets), tried=tried) if tried and tried.kept else found
+            final = replace(by(all_compliant(robot, sets)[0], sets), tried=tried) if tried and tried.kept else final
     results: dict[str, Identification] = {}
     for method in others:
         prepared = prepare(robot, sets, problem.prior, method=method)
-        result = judged(prepared, found.outliers, found.loss, progress=progress_of(method))
-        results[method] = replace(result, tried=found.tried)
-    rigid = undeclared(robot) and not (found.tried and found.tried.kept)
+        result = judged(prepared, final.outliers, final.loss, progress=progress_of(method))
+        results[method] = replace(result, tried=final.tried)
+    rigid = undeclared(robot) and not (final.tried and final.tried.kept)
     if results and rigid and not problem.networks:
         return results
-    return {**results, last: found}
+    return {**results, last: final}
 
 
 def accuracy_without_prior(plain: Problem, results: Mapping[str, Identification]) -> Accuracy | None:
     """Of held-out poses, by the last method, as if there were no prior; None where they are too few without one."""
-    method, found = list(results.items())[-1]
+    method, last = list(results.items())[-1]
     parts = {name: m for name, m in plain.parts() if name.startswith("report")}
     if not parts:
         return None
-    kept = without_poses(plain.sets["identify"], found.outliers)
+    kept = without_poses(plain.sets["identify"], last.outliers)
     try:
-        alone = identify(plain.robot, kept, method="KM" if method == "KM" else "SKCM", loss=found.loss, screen=False)
+        alone = identify(plain.robot, kept, method="KM" if method == "KM" else "SKCM", loss=last.loss, screen=False)
     except InputError:
         return None
     return alone.accuracy(*(parts[name] for name in next(iter(together(parts).values()))))["calibrated"]

@@ -70,6 +70,11 @@ _TRAINING = (
     "A low loss on the training poses alone is no proof: the poses that each network was judged on decide. Trainers "
     "that choose a penalty on the weights may end at a greater loss on purpose."
 )
+_CAUSES = (
+    "A calibration does not ask which unmodelled effects are behind what is left. A diagnosis does, given the poses in "
+    "the order of measuring, with payload and temperature where they were logged:"
+)
+_CAMPAIGN = "CAMPAIGN.csv --report diagnosis.html"
 Identifications = Mapping[str, Identification]
 
 
@@ -195,13 +200,16 @@ def calibration_page(
     """One problem's page; results, accuracies : by method; figures : by name."""
     last = list(results.values())[-1]
     errors = [*left_out_table(results), *error_tables(problem, accuracies, networks)]
+    each = [figure for name, figure in figures.items() if name.startswith(("errors/", "distribution/report"))]
+    kinds = ", ".join(sorted({m.kind for parts in problem.sets.values() for m in parts}))
+    no_map = f"The data are of the kind {kinds}: they do not say where each point is, so there is no map."
     sections = [
         Section("Verdict", [*_verdict(problem, results, accuracies, networks)]),
         Section("Errors before and after", [*errors, *paper_tables(problem.paper, accuracies, networks)]),
-        Section("Error of each pose", [*_each(figures)]),
-        Section("In the workspace", shown(figures, "workspace") or [_no_map(problem)]),
+        Section("Error of each pose", each),
+        Section("In the workspace", shown(figures, "workspace") or [Words(no_map, "note")]),
         Section("Where the gap lies", [*_where(shown(figures, "where"), last)]),
-        Section("Which causes", [_causes(problem)]),
+        Section("Which causes", [Words(_CAUSES, code=f"casadical diagnose {problem.folder} {_CAMPAIGN}")]),
         Section("Parameters", [*_parameters(shown(figures, "parameters"), last)]),
         Section("Can the fit be trusted", shown(figures, "fit")),
         Section(
@@ -240,18 +248,6 @@ def _verdict(
     yield from (Words(note, "note") for note in problem.robot.notes)
 
 
-def _each(figures: Mapping[str, Figure]) -> Iterator[Figure]:
-    """The errors of every set, and how those of held-out poses are distributed."""
-    for name, figure in figures.items():
-        if name.startswith(("errors/", "distribution/report")):
-            yield figure
-
-
-def _no_map(problem: Problem) -> Words:
-    kinds = ", ".join(sorted({m.kind for parts in problem.sets.values() for m in parts}))
-    return Words(f"The data are of the kind {kinds}: they do not say where each point is, so there is no map.", "note")
-
-
 def _where(figures: Iterable[Figure], result: Identification) -> Iterator[Block]:
     if not figures:
         yield Words("Localising the gap needs exactly one set of measured positions.", "note")
@@ -260,14 +256,6 @@ def _where(figures: Iterable[Figure], result: Identification) -> Iterator[Block]
     poses = "the poses" if len(result.measurements[0]) <= most else f"{most} of the poses"
     yield Words(f"Of what {result.method} leaves at {poses} it was identified from. Bars are 95 % intervals.", "note")
     yield from figures
-
-
-def _causes(problem: Problem) -> Words:
-    return Words(
-        "A calibration does not ask which unmodelled effects are behind what is left. A diagnosis does, given the "
-        "poses in the order of measuring, with payload and temperature where they were logged:",
-        code=f"casadical diagnose {problem.folder} CAMPAIGN.csv --report diagnosis.html",
-    )
 
 
 def _parameters(figures: Iterable[Figure], result: Identification) -> Iterator[Block]:

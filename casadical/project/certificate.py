@@ -26,11 +26,12 @@ from casadical.identification.plausibility import check_against
 from casadical.measurements.measurements import Measurements
 from casadical.project.calibration import calibrate, with_knowledge
 from casadical.project.certificate_words import words_of
-from casadical.project.iso9283 import Iso9283, evaluated_table
+from casadical.project.iso9283 import Iso9283
 from casadical.project.problem import Problem, read_problem
 from casadical.project.problem_file import result_in
-from casadical.project.uncertainty_budget import Budget, Conditions, Contribution, budget_of, repeats_of
-from casadical.project.verification import problem_of, promised_rms
+from casadical.project.uncertainty_budget import Budget, Conditions, budget_of, repeats_of
+from casadical.project.verification import iso9283 as iso9283_test
+from casadical.project.verification import problem_of
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
@@ -162,8 +163,11 @@ class Certificate(Result):
                 k=f"{self.after.factor:.2f}", freedom=_many(self.after.freedom)))]),
             Section(w["pictures"], figures),
         ]  # fmt: skip
-        if self.iso9283:
-            second.append(Section("ISO 9283:1998", self._iso(w, self.iso9283)))
+        if iso := self.iso9283:
+            drift = f"dAP = {mm(iso.drift[0])} mm, dRP = {mm(iso.drift[1])} mm. " if iso.drift else ""
+            beside = "" if iso.model is None else w["iso_model"].format(model=mm(iso.model))
+            iso_blocks: list[Words | Table] = [replace(iso.table(), title=""), Words(drift + beside + w["iso"])]
+            second.append(Section("ISO 9283:1998", iso_blocks))
         made = provenance_of(self.files_)
         rows = [(Path(path).name, code[:32]) for path, code in made.files]
         second.append(Section(w["files"], [Table("", (w["file"], "SHA-256 (32)"), rows)]))
@@ -212,7 +216,8 @@ class Certificate(Result):
     def _fields(self, w: Mapping[str, str]) -> Table:
         d, c, i = self.details, self.details.conditions, self.details.instrument
         degrees = "" if c.temperature_degC is None else f"{c.temperature_degC:g} °C, +- {c.range_K:g} K"
-        method = f"{self.method} ({w[self.method] if self.method in w else w['other']}), {self._version}"
+        made_by = f"casadical {dict(provenance_of(()).versions).get('casadical', '')}"
+        method = f"{self.method} ({w[self.method] if self.method in w else w['other']}), {made_by}"
         rows = [
             (w["number"], d.number), (w["issued"], d.issued), (w["issuer"], d.issuer), (w["customer"], d.customer),
             (w["robot"], f"{self.problem.robot.name}, {w['serial']} {d.robot_serial or '-'}"),
@@ -225,20 +230,14 @@ class Certificate(Result):
         ]  # fmt: skip
         return Table("", ("", ""), [(name, text or w["not_stated"]) for name, text in rows])
 
-    @property
-    def _version(self) -> str:
-        return "casadical " + next((v for name, v in provenance_of(()).versions if name == "casadical"), "")
-
     def _space(self, w: Mapping[str, str]) -> str:
         low, high = 1e3 * self.places.min(axis=0), 1e3 * self.places.max(axis=0)
         span = ", ".join(f"{c} {a + 0.0:.0f} .. {b:.0f}" for c, a, b in zip("xyz", low, high, strict=True))
         return w["space_of"].format(n=self.after.n, span=span)
 
     def _results(self, w: Mapping[str, str]) -> Table:
-        rows = [
-            (w[name], _stated(b), f"{mm(b.rms)}", f"{mm(b.worst)}", str(b.n))
-            for name, b in (("before", self.before), ("after", self.after))
-        ]
+        both = (("before", self.before), ("after", self.after))
+        rows = [(w[name], _stated(b), mm(b.rms), mm(b.worst), str(b.n)) for name, b in both]
         return Table("", ("", w["error"], w["rms"], w["worst"], "n"), rows, frozenset({2, 3, 4}), frozenset({1}))
 
     def _refit(self, w: Mapping[str, str]) -> list[Words]:
@@ -287,12 +286,6 @@ class Certificate(Result):
         across, height = ("x [mm]", "y [mm]") if flat else (w["distance"], w["height"])
         return Figure(name, title, [series], Axis(across), Axis(height), caption=w["caption"])
 
-    def _iso(self, w: Mapping[str, str], iso: Iso9283) -> list[Words | Table]:
-        table = replace(iso.table(), title="")
-        drift = f"dAP = {mm(iso.drift[0])} mm, dRP = {mm(iso.drift[1])} mm. " if iso.drift else ""
-        beside = "" if iso.model is None else w["iso_model"].format(model=mm(iso.model))
-        return [table, Words(drift + beside + w["iso"])]
-
 
 def _stated(b: Budget) -> str:
     """E +- U, or its upper limit where it is not resolved."""
@@ -304,13 +297,11 @@ def _many(freedom: float) -> str:
 
 
 def _budget_json(b: Budget) -> dict[str, Any]:
-    def line(c: Contribution) -> dict[str, Any]:
-        return {"source": c.source, "type": c.kind, "adds_mm2": 1e6 * c.square, "u_mm2": 1e6 * c.u,
-                "freedom": c.freedom, "stated": c.stated}  # fmt: skip
-
+    lines = [{"source": c.source, "type": c.kind, "adds_mm2": 1e6 * c.square, "u_mm2": 1e6 * c.u,
+              "freedom": c.freedom, "stated": c.stated} for c in b.lines]  # fmt: skip
     return {"error_mm": 1e3 * b.error, "U_mm": 1e3 * b.expanded, "k": b.factor, "freedom": b.freedom,
             "resolved": b.resolved, "poses": b.n, "rms_mm": 1e3 * b.rms, "worst_mm": 1e3 * b.worst,
-            "budget": [line(c) for c in b.lines]}  # fmt: skip
+            "budget": lines}  # fmt: skip
 
 
 def certificate(
@@ -329,8 +320,7 @@ def certificate(
     Raises InputError: results and measurements that do not belong together, no held-out positions, details that cannot
         be.
     """
-    place = Path(results)
-    place = result_in(place) if place.is_dir() else place
+    place = result_in(Path(results))
     said = Details(casadical=1) if details is None else check(Details, load_toml(details), str(details))
     folder = Path(problem) if problem is not None else problem_of(place)
     if folder is None:
@@ -340,7 +330,7 @@ def certificate(
     sets = [m.positions_alone() for m in found.sets.get("report", ()) if m.position is not None]
     if not sets:
         raise InputError(f"{folder}: no measured positions were held out; a certificate needs [sets] report")
-    file_robot, refit = robot, int(stated.get("refit_poses", 0))
+    refit = int(stated.get("refit_poses", 0))
     if refit:  # the file's robot has seen the held-out poses: that of the others is judged, as it was then
         robot = with_knowledge(calibrate(replace(found, whole=()), method=method).identification)
     _refuse_others(stated, method, robot, sets, place)
@@ -352,17 +342,10 @@ def certificate(
     own = budget(robot)
     p = np.concatenate([m.position for m in sets if m.position is not None])
     T = robot.base.T
-    iso = evaluated_table(Path(iso9283), file_robot, _promised(place)) if iso9283 else None
+    iso = iso9283_test(place, [iso9283]) if iso9283 else None
     tables = [path for t in found.tables if (path := folder / str(t["file"])).is_file()]
     files = (place, place.parent / "result.json", *tables, *(Path(p) for p in (details, iso9283) if p))
     return Certificate(found, method, said, nominal, own, (p - T[:3, 3]) @ T[:3, :3], files, iso, refit)
-
-
-def _promised(place: Path) -> float | None:
-    try:
-        return promised_rms(place)
-    except InputError:
-        return None
 
 
 def _refuse_others(

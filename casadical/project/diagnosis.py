@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,7 +14,7 @@ from casadical.core.drive import read_drive
 from casadical.core.telling.blocks import Block, Page, Section, Table, Words
 from casadical.core.telling.figure import Figure
 from casadical.core.telling.result import Result
-from casadical.diagnosis.details import NEXT, Details, analyse
+from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.diagnose import Masses, diagnose
 from casadical.diagnosis.figures import diagnosis_figures
 from casadical.diagnosis.isolability import isolability
@@ -52,10 +51,10 @@ def all_effects() -> tuple[str, ...]:
     return tuple(sorted(kind.name for kind in known_effects().values() if kind.on_list != "unknown"))
 
 
-def effects_named(words: Sequence[str]) -> EffectChoice:
-    """Effects of these words: names, labels, and effect files (`.toml`); without any "standard". Raises InputError."""
+def effects_named(text: str | None) -> EffectChoice:
+    """Effects by commas: names, labels, and effect files (`.toml`); without any "standard". Raises InputError."""
     named: list[str | Effect | type[Effect]] = []
-    for word in words:
+    for word in text.split(",") if text else ():
         if not word.strip().endswith(".toml"):
             named.append(word)
             continue
@@ -145,28 +144,9 @@ class CampaignDiagnosis(Result):
     diagnosis: Diagnosis
     details: Details = field(default_factory=Details)
 
-    def analysed(
-        self,
-        *,
-        poses: int = NEXT,
-        workspace: Workspace | None = None,
-        networks: bool = False,
-        highest_line: float | None = None,
-        file: str = "",
-        show: Show = silent,
-    ) -> CampaignDiagnosis:
-        """The same with its details, each as of `casadical.diagnosis.analyse`. Raises ConvergenceError."""
-        details = analyse(
-            self.diagnosis,
-            poses=poses,
-            workspace=workspace,
-            networks=networks,
-            highest_line=highest_line,
-            laws=self.options.laws,
-            file=file,
-            show=show,
-        )
-        return replace(self, details=details)
+    def analysed(self, **asked: Any) -> CampaignDiagnosis:
+        """The same with its details; asked : as of `casadical.diagnosis.analyse`. Raises ConvergenceError."""
+        return replace(self, details=analyse(self.diagnosis, laws=self.options.laws, **asked))
 
     def brief(self) -> Sequence[Words | Table]:
         """What counts, in a few lines: verdict, errors before and after, what must be known of them."""
@@ -179,17 +159,11 @@ class CampaignDiagnosis(Result):
 
     @property
     def searched(self) -> Discovery | None:
+        """The search for the missing law, where it was asked for."""
         return self.details.laws if self.options.laws else None
-
-    def law_blocks(self) -> Sequence[Words | Table]:
-        """The search for the missing law, where it was asked for: laws, their rivals, and what each leaves."""
-        return self.searched.blocks() if self.searched else []
 
     def blocks(self) -> list[Words | Table]:
         return [b for section in self.page().sections for b in section.blocks if not isinstance(b, Figure)]
-
-    def text(self) -> str:
-        return page_of(self.diagnosis, self.details)
 
     def titled_text(self) -> RenderableType:
         return titled(self.campaign.title, page_of(self.diagnosis, self._beside_laws))
@@ -204,23 +178,20 @@ class CampaignDiagnosis(Result):
         return replace(page, files=campaign_files(self.campaign.folder, self.campaign.tables))
 
     def to_json(self) -> dict[str, Any]:
-        found = as_json(self.diagnosis, self.campaign.name, self.details)
-        return {**found, "laws": self.searched.to_json(self.campaign.name)} if self.searched else found
+        answer = as_json(self.diagnosis, self.campaign.name, self.details)
+        return {**answer, "laws": self.searched.to_json(self.campaign.name)} if self.searched else answer
 
     def files(self, folder: str | Path, *, unlisted: bool = False) -> Mapping[Path, str]:
         """Robot file with the causes, figures and page; unlisted : with the description of an unknown cause, too."""
         name = self.campaign.name
-        found = diagnosis_files(folder, self.diagnosis, self.details, name, unlisted=unlisted)
-        return {**found, **self.searched.files(Path(folder), name)} if self.searched else found
+        texts = diagnosis_files(folder, self.diagnosis, self.details, name, unlisted=unlisted)
+        return {**texts, **self.searched.files(Path(folder), name)} if self.searched else texts
 
 
 def diagnose_campaign(campaign: Campaign, options: Options | None = None, show: Show = silent) -> CampaignDiagnosis:
-    """Diagnose a campaign; the command, a fleet, a replay and exports get the same answer, because all ask here.
-
-    Raises InputError where the measurements cannot carry a diagnosis.
-    """
+    """Diagnose a campaign, for all that ask: the command, a fleet, a replay, exports. Raises InputError."""
     asked = options or Options()
-    found = diagnose(
+    diagnosis = diagnose(
         campaign.robot,
         campaign.sets,
         asked.effects,
@@ -231,7 +202,7 @@ def diagnose_campaign(campaign: Campaign, options: Options | None = None, show: 
         laws=asked.laws is not False,
         show=show,
     )
-    return CampaignDiagnosis(campaign, asked, found)
+    return CampaignDiagnosis(campaign, asked, diagnosis)
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,11 +219,7 @@ class LogCampaign:
     healthy: JointLog | None = None
     withheld: tuple[Path, ...] = ()
     own: tuple[Cause, ...] = ()
-
-    @cached_property
-    def read(self) -> dict[Path, JointLog]:
-        """The logs as they were read so far."""
-        return {}
+    read: dict[Path, JointLog] = field(default_factory=dict)  # so far
 
     def log(self, path: Path) -> JointLog:
         """A log, read once. Raises InputError."""
@@ -265,8 +232,8 @@ class LogCampaign:
     def proposed(self, names: Sequence[str] = (), show: Show = silent) -> Proposal:
         """The motion to log next, after the first of the logs; names : causes in question. Raises InputError."""
         log = self.log(self.logs[0])
-        found = diagnose_log(self.robot, log, self.healthy, show, own=self.own)
-        return proposed(found, looks_of(self.robot, log, self.healthy), names, show)
+        first = diagnose_log(self.robot, log, self.healthy, show, own=self.own)
+        return proposed(first, looks_of(self.robot, log, self.healthy), names, show)
 
     def replayed(self, show: Show = silent) -> Replay | None:
         """Runs that were not fitted, from their commands alone; None where no commands were logged."""

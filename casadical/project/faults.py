@@ -56,6 +56,17 @@ def every_fault(error: InputError, paths: Iterable[Path], *, later: bool = False
     return FaultsError.of(found.errors)
 
 
+def each_of(steps: Iterable[Callable[[], Read]]) -> list[Read]:
+    """What several steps give; their errors are raised together. Raises InputError."""
+    given: list[Read] = []
+
+    def take(step: Callable[[], Read]) -> None:
+        given.append(step())
+
+    all_faults(partial(take, step) for step in steps)
+    return given
+
+
 @dataclass
 class _Collected:
     errors: list[InputError] = field(default_factory=list)

@@ -75,10 +75,7 @@ def planned_test(
 
 
 def _one_orientation(robot: Robot, q: Array, places: Array, room: Workspace) -> Array | None:
-    """Readings that hold the places in the orientation of the first, shape (5, joints); None: there are none.
-
-    q : readings that hold the first, shape (k, joints). A robot of fewer than six joints turns as it must.
-    """
+    """Readings, (5, joints), at the places in the orientation of the first, which q, (k, joints), holds; or None."""
     R = predicted(robot, unmeasured(q))[1]
     rows, (lower, upper) = 6 if robot.n >= 6 else 3, room.ranges(robot)
     held, good = [q], np.ones(len(q), dtype=bool)
@@ -143,14 +140,13 @@ def _table(robot: Robot, q: Array, command: Array) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class PoseFigures:
-    """Of one pose and n visits [m]: accuracy AP with its parts, shape (3,), repeatability RP, the mean place."""
+    """Of one pose and n visits [m]: accuracy AP with its parts, shape (3,), repeatability RP."""
 
     pose: int
     n: int
     AP: float
     parts: tuple[float, float, float]
     RP: float
-    mean: tuple[float, float, float]
 
 
 def pose_figures(pose: int, p: Array, command: Array) -> PoseFigures:
@@ -162,7 +158,7 @@ def pose_figures(pose: int, p: Array, command: Array) -> PoseFigures:
     off = mean - command
     RP = float(length.mean() + 3 * length.std(ddof=1))
     x, y, z = map(float, off)
-    return PoseFigures(pose, len(p), float(np.linalg.norm(off)), (x, y, z), RP, (mean[0], mean[1], mean[2]))
+    return PoseFigures(pose, len(p), float(np.linalg.norm(off)), (x, y, z), RP)
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,14 +188,13 @@ class Iso9283(Result):
         said = f"ISO 9283 figures of {self.robot}: AP {mm(AP)} mm, RP {mm(RP)} mm (the greatest of the poses)"
         said += f", vAP {mm(max(self.directions.values()))} mm" if self.directions else ""
         said += f", dAP {mm(self.drift[0])} mm, dRP {mm(self.drift[1])} mm" if self.drift else ""
-        found: list[Words | Table] = [Words(f"{said}.", "verdict"), self.table()]
+        told: list[Words | Table] = [Words(f"{said}.", "verdict"), self.table()]
         if self.model is not None:
             text = f"The calibrated model leaves {mm(self.model)} mm rms at the mean places"
-            text += (
-                f"; its calibration stated {mm(self.promised)} mm for single held-out poses" if self.promised else ""
-            )
-            found.append(Words(f"{text}. AP is the error of the commands, RP that of the robot in itself."))
-        return [*found, *(Words(f"note: {note}.", "note") for note in self.notes)]
+            if self.promised:
+                text += f"; its calibration stated {mm(self.promised)} mm for single held-out poses"
+            told.append(Words(f"{text}. AP is the error of the commands, RP that of the robot in itself."))
+        return [*told, *(Words(f"note: {note}.", "note") for note in self.notes)]
 
     def table(self) -> Table:
         """A row a pose."""
@@ -253,9 +248,11 @@ def evaluated_table(path: Path, robot: Robot, promised: float | None = None) -> 
     drift = None
     if (test == "drift").any():
         group = columns.column("group")
-        each = [_by_pose(pose, local, command, (test == "drift") & (group == g)) for g in np.unique(group)
-                if ((test == "drift") & (group == g)).any()]  # fmt: skip
-        drift = _drift(each)
+        first, *later = (_by_pose(pose, local, command, (test == "drift") & (group == g)) for g in np.unique(group)
+                         if ((test == "drift") & (group == g)).any())  # fmt: skip
+        then = {f.pose: f for f in first}
+        off = [(abs(then[f.pose].AP - f.AP), abs(then[f.pose].RP - f.RP)) for g in later for f in g if f.pose in then]
+        drift = (max((AP for AP, _ in off), default=0.0), max((RP for _, RP in off), default=0.0))
     few = [f"P{f.pose}" for f in accuracy if f.n < CYCLES]
     notes = [f"fewer visits than the {CYCLES} of the standard at {', '.join(few)}"] if few else []
     if np.median([f.AP for f in accuracy]) > 0.05 * robot.reach:
@@ -271,16 +268,6 @@ def _by_pose(pose: Array, p: Array, command: Array, own: Array) -> tuple[PoseFig
     return tuple(
         pose_figures(int(k), p[own & (pose == k)], command[own & (pose == k)].mean(axis=0))
         for k in np.unique(pose[own])
-    )
-
-
-def _drift(groups: Sequence[Sequence[PoseFigures]]) -> tuple[float, float]:
-    (first, *later) = groups
-    then = {f.pose: f for f in first}
-    both = [(then[f.pose], f) for row in later for f in row if f.pose in then]
-    return (
-        max((abs(a.AP - b.AP) for a, b in both), default=0.0),
-        max((abs(a.RP - b.RP) for a, b in both), default=0.0),
     )
 
 

@@ -1,12 +1,13 @@
 """The paper's network methods on a problem: a network learns the error left by SKCM (section 5)."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from casadical.compensator import Compensator, Trainer
+from casadical.compensator import Compensator
 from casadical.compensator.compensator import Progress
 from casadical.compensator.trainers.known import network_methods
 from casadical.core.basics import Array, Show, silent
@@ -14,7 +15,6 @@ from casadical.identification.accuracy import Accuracy, residual_mm, summarise
 from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
 from casadical.project.problem import Problem, together
-from casadical.robot.robot import Robot
 
 # A problem without a set to train on lends the poses that identified the robot, where they are so many that the
 # identification could not follow their errors: so many readings for each parameter.
@@ -100,43 +100,27 @@ def train_networks(
     material = training_material(problem, result, seed)
     if isinstance(material, str):
         return Networks({m: NetworkResult(m, None, material, {}) for m in methods}, material)
-    found: dict[str, NetworkResult] = {}
-    chosen = ", judged on choose" if "choose" in material.sets else ", judged by cross-validation in it"
+    trained: dict[str, NetworkResult] = {}
+    sets = material.sets
+    fit = partial(Compensator.fit, *sets["train"], choose=sets.get("choose"), validate=sets.get("report"), seed=seed)
+    chosen = ", judged on choose" if "choose" in sets else ", judged by cross-validation in it"
     for method in methods:
 
         def progress(p: Progress, method: str = method) -> None:
             show(f"{method} step {p.step}, loss {p.loss_mm2:.4g} mm2")
 
         kind = trainers[method]
-        compensator = fit(material, kind.for_method(), kind.output_scale_mm, seed, progress)
-        found[method] = NetworkResult(method, compensator, "", _errors(judged, result.robot, compensator))
-    return Networks(found, material.lent or f"Networks: trained on the set train{chosen}; report was kept from both.")
-
-
-def fit(
-    material: Material,
-    trainer: Trainer,
-    output_scale_mm: float | None,
-    seed: int,
-    progress: Callable[[Progress], None] | None = None,
-) -> Compensator:
-    """A compensator from the sets train, choose (cross-validation in train where there is none) and report."""
-    q, residual_mm = material.sets["train"]
-    return Compensator.fit(
-        q,
-        residual_mm,
-        choose=material.sets.get("choose"),
-        validate=material.sets.get("report"),
-        trainer=trainer,
-        output_scale_mm=output_scale_mm,
-        seed=seed,
-        progress=progress,
-    )
+        network = fit(trainer=kind.for_method(), output_scale_mm=kind.output_scale_mm, progress=progress)
+        left = {name: residual_mm(result.robot, m) - network.correction_mm(m.q) for name, m in judged.items()}
+        e = {name: 1e-3 * np.linalg.norm(rest, axis=1) for name, rest in left.items()}
+        figures = {name: summarise(np.concatenate([e[n] for n in names])) for name, names in together(e).items()}
+        trained[method] = NetworkResult(method, network, "", figures)
+    return Networks(trained, material.lent or f"Networks: trained on the set train{chosen}; report was kept from both.")
 
 
 def training_material(problem: Problem, result: Identification, seed: int = 0) -> Material | str:
     """What there is to train on, or the reason why nothing is."""
-    sets = {name: parts for name, parts in problem.sets.items() if all(map(_has_position, parts))}
+    sets = {name: parts for name, parts in problem.sets.items() if all(m.position is not None for m in parts)}
     if "identify" not in sets or "report" not in sets:
         kinds = ", ".join(sorted({m.kind for parts in problem.sets.values() for m in parts}))
         return (
@@ -145,42 +129,20 @@ def training_material(problem: Problem, result: Identification, seed: int = 0) -
         )
     lent = ""
     if "train" not in sets:
-        kept = [m for m in result.used if _has_position(m)]
+        kept = [m for m in result.used if m.position is not None]
         readings = 3 * sum(map(len, kept))
         if readings < ENOUGH_READINGS * len(result.names) or len(kept[0]) < 4 * TOO_FEW:
             return (
                 f"no network: there is no set train, and {readings} readings for {len(result.names)} parameters are "
                 "too few to learn from what identification left of them; name a set train in problem.toml"
             )
-        sets |= _lend(kept, seed)
+        train = min(LENT["train"], int(0.75 * len(kept[0])))
+        choose = min(LENT["choose"], len(kept[0]) - train)
+        sets |= {name: (m,) for name, m in kept[0].split({"train": train, "choose": choose}, seed).items()}
         lent = (
-            f"Networks: no set train, so {_count(sets['train'])} of the poses that identified the robot were lent to "
-            f"train and {_count(sets['choose'])} others of them to choose; report was kept from all."
+            f"Networks: no set train, so {len(sets['train'][0])} of the poses that identified the robot were lent to "
+            f"train and {len(sets['choose'][0])} others of them to choose; report was kept from all."
         )
-    return Material({name: _stacked(result.robot, parts) for name, parts in sets.items()}, lent)
-
-
-def _has_position(m: Measurements) -> bool:
-    return m.position is not None
-
-
-def _count(parts: Sequence[Measurements]) -> int:
-    return sum(map(len, parts))
-
-
-def _stacked(robot: Robot, parts: Sequence[Measurements]) -> tuple[Array, Array]:
-    return np.concatenate([m.q for m in parts]), np.concatenate([residual_mm(robot, m) for m in parts])
-
-
-def _lend(parts: Sequence[Measurements], seed: int) -> dict[str, tuple[Measurements, ...]]:
-    """Sets train and choose out of the poses that identified the robot; replicates stay together."""
-    first = parts[0]
-    train = min(LENT["train"], int(0.75 * len(first)))
-    choose = min(LENT["choose"], len(first) - train)
-    return {name: (m,) for name, m in first.split({"train": train, "choose": choose}, seed).items()}
-
-
-def _errors(judged: Mapping[str, Measurements], robot: Robot, compensator: Compensator) -> dict[str, Accuracy]:
-    left = {name: residual_mm(robot, m) - compensator.correction_mm(m.q) for name, m in judged.items()}
-    e = {name: 1e-3 * np.linalg.norm(rest, axis=1) for name, rest in left.items()}
-    return {name: summarise(np.concatenate([e[n] for n in names])) for name, names in together(e).items()}
+    q = {name: np.concatenate([m.q for m in parts]) for name, parts in sets.items()}
+    left = {name: np.concatenate([residual_mm(result.robot, m) for m in parts]) for name, parts in sets.items()}
+    return Material({name: (q[name], left[name]) for name in sets}, lent)

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from casadical.identification.gravity import in_words
 from casadical.identification.result import AS_BEFORE, Identification, LeftOut, rows_in_words
 from casadical.identification.undetermined import undetermined
 from casadical.measurements.columns import Source
+from casadical.measurements.measurements import Measurements
 from casadical.measurements.vocabulary import UNITS
 from casadical.project.check.plausible import coverage
 from casadical.project.networks import Networks
@@ -19,8 +21,8 @@ from casadical.project.problem import Problem, together
 from casadical.project.tables import Accuracies, judged_on
 from casadical.robot.robot import Robot
 
-# A held-out pose with more than so many times the median error is far off.
-FAR = 10.0
+# A held-out pose with more than so many times the median error is far off, and so is a fitted one.
+FAR, OFF = 10.0, 4.0
 THINGS = 3
 # So many rows are named in the short answer.
 NAMED = 12
@@ -50,8 +52,8 @@ def things_to_know(
     problem: Problem, last: Identification, networks: Networks | None, accuracies: Accuracies
 ) -> Iterator[Words]:
     """At most three, the most important first; last : by the method that counts."""
-    found = [*_doubts(problem, last), *no_better(problem, last, accuracies), *_notes(problem, last, networks)]
-    yield from found[:THINGS]
+    things = [*_doubts(problem, last), *no_better(problem, last, accuracies), *_notes(problem, last, networks)]
+    yield from things[:THINGS]
 
 
 def refit_words(refitted: Mapping[str, Identification]) -> Iterator[Words]:
@@ -75,11 +77,10 @@ def _doubts(problem: Problem, last: Identification) -> Iterator[Words]:
         yield Words("The model does not fit: run casadical check, it searches for slips of the table.", "warning")
     if last.left_out:
         yield Words(f"Left out as outliers: {rows_in_words(last.left_out, NAMED, last.sources)}.", "warning")
-    far = far_held_out(problem, last.robot)
-    if far:
-        worst = rows_in_words(far, 3, last.sources)
-        without = mm(float(np.mean(np.concatenate([e for e, _ in _held_out(problem, last.robot).values()]))))
-        text = f"Held-out poses far off, in the figures above: {worst}; without them the mean is {without} mm."
+    held = _held_out(problem, last.robot)
+    if far := sorted((out for _, some in held.values() for out in some), key=lambda out: -out.error):
+        worst, without = rows_in_words(far, 3, last.sources), np.mean(np.concatenate([e for e, _ in held.values()]))
+        text = f"Held-out poses far off, in the figures above: {worst}; without them the mean is {mm(without)} mm."
         yield Words(text, "warning")
     for text in undetermined(last.measurements, last.unknown_points):
         yield Words(f"These readings cannot {text}.", "warning")
@@ -106,13 +107,11 @@ def no_better(problem: Problem, last: Identification, accuracies: Accuracies) ->
         missing.append(f"wider ranges of {which} (less than half of the limits is covered)")
     if not missing or not open_still:
         missing.append("what the model lacks: casadical diagnose names it")
-    text = "The calibration hardly helps. It would need"
+    text = "The calibration hardly helps. It"
     if after.mean > before.mean:
-        text = (
-            f"Held-out poses are worse than before, perhaps by chance of {after.n} poses: keep the nominal robot. The "
-        )
-        text += "calibration would need"
-    yield Words(f"{text} {'; '.join(missing)}.", "warning")
+        text = f"Held-out poses are worse than before, perhaps by chance of {after.n} poses: keep the nominal robot. "
+        text += "The calibration"
+    yield Words(f"{text} would need {'; '.join(missing)}.", "warning")
 
 
 def _notes(problem: Problem, last: Identification, networks: Networks | None) -> Iterator[Words]:
@@ -131,11 +130,6 @@ def _notes(problem: Problem, last: Identification, networks: Networks | None) ->
         yield Words("It is not said whether the data are real or synthetic (data in problem.toml).", "note")
 
 
-def far_held_out(problem: Problem, robot: Robot) -> list[LeftOut]:
-    """Held-out poses whose error is many times the median of their set, the farthest first."""
-    return sorted((out for _, far in _held_out(problem, robot).values() for out in far), key=lambda out: -out.error)
-
-
 def usual_held_out(problem: Problem, robot: Robot) -> dict[str, Accuracy]:
     """Of each held-out set with poses that are far off, the figures without them."""
     held = _held_out(problem, robot)
@@ -148,14 +142,14 @@ def usual_held_out(problem: Problem, robot: Robot) -> dict[str, Accuracy]:
 
 def _held_out(problem: Problem, robot: Robot) -> dict[str, tuple[Array, list[LeftOut]]]:
     """Of each held-out set, errors of the usual poses [m], and the poses that are far off."""
-    found = {}
-    for name, m in problem.parts():
-        if name.startswith("report"):
-            e = errors(robot, m)
-            far = e > FAR * np.median(e)
-            rows = [LeftOut(m.source, int(m.row[k]), float(e[k])) for k in np.flatnonzero(far)]
-            found[name] = (e[~far], rows)
-    return found
+    return {name: _far_off(robot, m, FAR) for name, m in problem.parts() if name.startswith("report")}
+
+
+def _far_off(robot: Robot, m: Measurements, times: float) -> tuple[Array, list[LeftOut]]:
+    """Errors of usual poses [m], and the poses with more than so many times the median error."""
+    e = errors(robot, m)
+    far = e > times * np.median(e)
+    return e[~far], [LeftOut(m.source, int(m.row[k]), float(e[k])) for k in np.flatnonzero(far)]
 
 
 def chance_of(before: Accuracy, after: Accuracy) -> float:
@@ -184,7 +178,8 @@ def worse_than_before(result: Identification, before: Accuracy, after: Accuracy)
     if after.mean <= before.mean + chance_of(before, after):
         return ""
     text = f"held-out poses are worse after the calibration, {mm(after.mean)} mm, than before, {mm(before.mean)} mm"
-    worst = _worst(result)
+    worst = [out for m in result.used for out in _far_off(result.robot, m, OFF)[1]]
+    worst.sort(key=lambda out: -out.error)
     if worst and result.loss == "linear":
         cause = f"rows that nothing explains draw the fit ({rows_in_words(worst, 4, result.sources)})"
         return f"{text}: {cause}; use --loss huber, or name them in leave_out"
@@ -195,23 +190,20 @@ def worse_than_before(result: Identification, before: Accuracy, after: Accuracy)
     return f"{text}: the nominal model is better than what these poses tell; measure more, or keep the nominal robot"
 
 
-def _worst(result: Identification) -> list[LeftOut]:
-    """Rows of the fit that are far off by its own scatter."""
-    found = []
-    for m in result.used:
-        e = errors(result.robot, m)
-        found += [LeftOut(m.source, int(m.row[k]), float(e[k])) for k in np.flatnonzero(e > 4 * np.median(e))]
-    return sorted(found, key=lambda out: -out.error)
-
-
-def assumptions(problem: Problem, accuracies: Accuracies, without_prior: Accuracy | None) -> list[Words]:
+def assumptions(problem: Problem, accuracies: Accuracies, without_prior: Accuracy | None) -> Iterator[Words]:
     """What a result rests on besides the measurements; without_prior : of the poses that it is judged by, if known."""
-    return [
-        *_prior_words(problem, accuracies, without_prior),
-        *_held_effects(problem),
-        *_payload_not_in_the_model(problem),
-        *made_readings(problem),
-    ]
+    yield from _prior_words(problem, accuracies, without_prior)
+    carried = problem.prior.labels if problem.prior else ()
+    robot = problem.robot.with_only(e for e in problem.robot.effects if e.label not in carried)
+    if robot.effects:
+        text = "Effects of the robot file are in the model, held at their values:"
+        yield Words(f"{text} {robot.effects_in_words}.", "note")
+    payloads = [m.conditions["payload_kg"] for _, m in problem.parts() if "payload_kg" in m.conditions]
+    gives = problem.robot.payload is None and any(j.compliance is not None for j in problem.robot.joints)
+    if gives and any(np.any(p != 0) for p in payloads):
+        text = "The tables log a payload (payload_kg), but the robot file has no [payload] with its mass centre "
+        yield Words(f"{text}(com_mm): its weight is not in the model. Add it to the robot file.", "warning")
+    yield from made_readings(problem)
 
 
 def _prior_words(problem: Problem, accuracies: Accuracies, without: Accuracy | None) -> list[Words]:
@@ -228,29 +220,12 @@ def _prior_words(problem: Problem, accuracies: Accuracies, without: Accuracy | N
     return [*words, Words(f"{' '.join(text.split())}{doubt}.", "warning" if worse else "note")]
 
 
-def _held_effects(problem: Problem) -> list[Words]:
-    text = "Effects of the robot file are in the model, held at their values:"
-    carried = problem.prior.labels if problem.prior else ()
-    robot = problem.robot.with_only(e for e in problem.robot.effects if e.label not in carried)
-    return [Words(f"{text} {robot.effects_in_words}.", "note")] if robot.effects else []
-
-
-def _payload_not_in_the_model(problem: Problem) -> list[Words]:
-    """That the tables name a payload whose weight the robot file does not let into the model."""
-    carried = [m.conditions["payload_kg"] for _, m in problem.parts() if "payload_kg" in m.conditions]
-    gives = any(j.compliance is not None for j in problem.robot.joints)
-    if problem.robot.payload is not None or not gives or not any(np.any(p != 0) for p in carried):
-        return []
-    text = "The tables log a payload (payload_kg), but the robot file has no [payload] with its mass centre (com_mm): "
-    return [Words(f"{text}its weight is not in the model. Add it to the robot file.", "warning")]
-
-
 def made_readings(problem: Problem) -> list[Words]:
     """Joint readings that problem.toml turns round or shifts: the controller's own are others than the model's."""
-    changed = []
-    for name, made in sorted(
-        dict(item for table in problem.tables for item in table.get("columns", {}).items()).items()
-    ):
+    changed, columns = [], dict[str, Any]()
+    for table in problem.tables:
+        columns |= table.get("columns", {})
+    for name, made in sorted(columns.items()):
         if re.fullmatch(r"q\d+(_\w+)?", name) and isinstance(made, Mapping):
             source = Source.read(made)
             unit_alone = np.isclose(source.times, _UNIT_FACTORS, rtol=1e-6).any()

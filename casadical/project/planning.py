@@ -22,7 +22,7 @@ from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.measurements.raw_table import read_table
 from casadical.pose_selection.candidates import Circumstances
-from casadical.pose_selection.information import CRITERIA, Criterion, checked
+from casadical.pose_selection.information import Criterion, checked
 from casadical.pose_selection.instruments import usual_places
 from casadical.pose_selection.plan import MeasurementPlan
 from casadical.pose_selection.pose_search import forecast, place_instrument, select_poses, select_with_places
@@ -51,10 +51,6 @@ def robot_of(path: Path) -> Robot:
             raise InputError(f"{path}: {len(written)} calibrated robots; give the one to plan with: {names}")
         return read_robot(written[0])
     return read_campaign_robot(path)
-
-
-def all_criteria() -> tuple[str, ...]:
-    return CRITERIA
 
 
 def circumstances_of(payloads: str | None, every_payload: bool, both_approaches: bool, repeats: int) -> Circumstances:
@@ -201,11 +197,7 @@ def plan_problem(
     seed: int = 0,
     show: Show = silent,
 ) -> MeasurementPlan:
-    """The plan of a problem folder or a robot file.
-
-    measured : table of poses measured already; carried : puts the prior of another campaign into the robot
-    Raises InputError.
-    """
+    """The plan of a problem folder or robot file; measured : poses so far; carried : a prior. Raises InputError."""
     robot, prior = carried(robot_of(path))
     before = read_campaign(path, measured, robot) if measured else None
     candidates = [c for c in named(robot, wanted.effects) if c.listed] if wanted.effects else []

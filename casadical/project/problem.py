@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from casadical.compensator.trainers.known import network_methods
-from casadical.core.basics import InputError, all_faults, shown
+from casadical.core.basics import InputError, shown
 from casadical.core.parts import GRAVITY
 from casadical.core.telling.result import Shown
 from casadical.identification.prior import Prior, carry_over
@@ -18,13 +18,11 @@ from casadical.identification.residuals import AnyLoss
 from casadical.measurements.columns import Columns
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.registry import find_kind
-from casadical.measurements.logs.log import JointLog
-from casadical.measurements.logs.reading import read_log
 from casadical.measurements.measurements import SETS, Measurements
 from casadical.measurements.raw_table import RawTable
 from casadical.measurements.reading import from_columns, readings_alone, refuse_open
 from casadical.measurements.table_parts import read_columns
-from casadical.project.faults import every_fault
+from casadical.project.faults import each_of, every_fault
 from casadical.project.problem_file import (
     BaseMethod,
     DataTable,
@@ -125,9 +123,7 @@ class Problem(Shown):
             yield from zip(_part_names(name, parts), parts, strict=True)
 
     def calibrated_urdf(self, robot: Robot) -> str:
-        """The problem's URDF with a calibrated robot's geometry, the measured point as a link. Raises InputError
-        without one.
-        """
+        """The problem's URDF with calibrated geometry, the measured point a link. Raises InputError without one."""
         from casadical.robot.urdf import calibrated_urdf_text
 
         if self.urdf is None:
@@ -145,10 +141,10 @@ def _part_names(name: str, parts: Sequence[Measurements]) -> list[str]:
 
 def together(names: Iterable[str]) -> dict[str, list[str]]:
     """By what errors are told of: which names of `Problem.parts` count there; tables of one kind as SET/KIND first."""
-    found: dict[str, list[str]] = {}
+    groups: dict[str, list[str]] = {}
     for name in names:
-        found.setdefault("/".join(name.split("/")[:2]), []).append(name)
-    return found | {name: [name] for several in found.values() for name in several}
+        groups.setdefault("/".join(name.split("/")[:2]), []).append(name)
+    return groups | {name: [name] for several in groups.values() for name in several}
 
 
 def read_problem(
@@ -194,16 +190,10 @@ def _problem(folder: Path, seed: int | None, carried: Carried, tables: Sequence[
     place, urdf = folder / (file.of_campaigns if campaign else file.robot), file.urdf or UrdfTable()
     robot, prior = carried(replace(robot_of_file(place, urdf), sessions=file.sessions.sessions()))
     sets = file.sets if seed is None else file.sets.model_copy(update={"seed": seed})
+    measured = each_of(partial(_read, folder, data, robot, sets) for data in file.measurements)
     split: dict[str, list[Measurements]] = {}
-    whole: list[Measurements] = []
-
-    def read(data: DataTable) -> None:
-        found, parts = _read(folder, data, robot, sets)
-        whole.append(found)
-        for name, part in parts.items():
-            split.setdefault(name, []).append(part)
-
-    all_faults(partial(read, data) for data in file.measurements)
+    for name, part in (item for _, parts in measured for item in parts.items()):
+        split.setdefault(name, []).append(part)
     if "identify" not in split:
         raise InputError(f"{path}: sets: no poses are named 'identify'; there are {', '.join(split)}")
     robot = tool_as_measured(robot, folder, [m for parts in split.values() for m in parts])
@@ -223,7 +213,7 @@ def _problem(folder: Path, seed: int | None, carried: Carried, tables: Sequence[
         set_column=sets.column,
         tables=tuple(data.understood for data in file.measurements),
         robot_file=place,
-        whole=tuple(whole) if sets.refit and len(split) > 1 else (),
+        whole=tuple(whole for whole, _ in measured) if sets.refit and len(split) > 1 else (),
     )
 
 
@@ -251,18 +241,6 @@ def _robot_of(folder: Path, campaign: bool) -> Robot:
     file = problem_file(folder)
     name = file.of_campaigns if campaign else file.robot
     return replace(robot_of_file(folder / name, file.urdf or UrdfTable()), sessions=file.sessions.sessions())
-
-
-def read_problem_logs(folder: str | Path, robot: Robot) -> dict[str, tuple[JointLog, ...]]:
-    """Joint logs of a problem folder: identify, and report, of motions that are not fitted.
-
-    Raises InputError: a folder without logs, or what is wrong with one.
-    """
-    folder = Path(folder)
-    if (logs := problem_file(folder).logs) is None:
-        raise InputError(f"{shown(folder / 'problem.toml')}: no [logs]; give the files of joint logs after the folder")
-    named = {"identify": logs.identify, "report": logs.report}
-    return {name: tuple(read_log(folder / path, robot) for path in paths) for name, paths in named.items()}
 
 
 def tool_as_measured(robot: Robot, source: Path, sets: Iterable[Measurements]) -> Robot:
@@ -309,20 +287,20 @@ def read_campaign(
     columns, joints = _columns(raw, data, robot), [j.kind for j in robot.joints]
     lost = (columns.lost_rows if words else columns.empty_rows) if later else ()
     columns = columns.without(lost, "the table")
-    found = replace(readings_alone(columns, joints) if readings_only else _of_kind(columns, joints, data), lost=lost)
+    m = replace(readings_alone(columns, joints) if readings_only else _of_kind(columns, joints, data), lost=lost)
     if not (readings_only or later):
-        refuse_nameless(found, robot)
-    return _with_conditions(found if later else with_known_targets(found, robot), robot)
+        refuse_nameless(m, robot)
+    return _with_conditions(m if later else with_known_targets(m, robot), robot)
 
 
 def _of_kind(columns: Columns, joints: Sequence[str], data: DataTable) -> Measurements:
     """A table as a problem's table says, with known distances between points; the noise of positions is found."""
-    found = from_columns(columns, joints, data.kind)
-    if found.kind == "position":
-        return found
-    found = from_columns(columns, joints, data.kind, sigma_mm=data.sigma_mm, sigma_deg=data.sigma_deg)
-    touched = set() if found.label is None else set(found.label.tolist())
-    return found.with_separations(s for s in _separations(data) if touched.issuperset(s[:2]))
+    m = from_columns(columns, joints, data.kind)
+    if m.kind == "position":
+        return m
+    m = from_columns(columns, joints, data.kind, sigma_mm=data.sigma_mm, sigma_deg=data.sigma_deg)
+    touched = set() if m.label is None else set(m.label.tolist())
+    return m.with_separations(s for s in _separations(data) if touched.issuperset(s[:2]))
 
 
 def _separations(data: DataTable) -> list[tuple[str, str, float]]:
@@ -346,13 +324,13 @@ def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> tuple
         raise InputError(f"{path}: no such file; it is named in {folder / 'problem.toml'}")
     columns = _columns(read_columns(path), data, robot)
     joints = [j.kind for j in robot.joints]
-    found = from_columns(columns, joints, data.kind, sigma_mm=data.sigma_mm, sigma_deg=data.sigma_deg)
-    refuse_nameless(found, robot)
+    m = from_columns(columns, joints, data.kind, sigma_mm=data.sigma_mm, sigma_deg=data.sigma_deg)
+    refuse_nameless(m, robot)
     # Before the split: progress and the direction of approach follow from the order of all poses.
-    found = _with_conditions(with_known_targets(found, robot), robot).with_separations(_separations(data))
+    m = _with_conditions(with_known_targets(m, robot), robot).with_separations(_separations(data))
     if sets.column is None:
-        return found, found.split(sets.sizes(), sets.seed)
-    return found, _by_column(found, columns, sets.column)
+        return m, m.split(sets.sizes(), sets.seed)
+    return m, _by_column(m, columns, sets.column)
 
 
 def _with_conditions(m: Measurements, robot: Robot) -> Measurements:
@@ -364,7 +342,7 @@ def _with_conditions(m: Measurements, robot: Robot) -> Measurements:
         )
     if not robot.effects:
         return m
-    found, missing = derive(m, robot.conditions)
+    derived, missing = derive(m, robot.conditions)
     for effect in robot.effects:
         lost = [c for c in effect.conditions if c in missing and not (c == "payload_kg" and robot.payload)]
         if lost:
@@ -373,7 +351,7 @@ def _with_conditions(m: Measurements, robot: Robot) -> Measurements:
                 f"({', '.join(effect.needs) or 'see docs/measurements.md'}); log it, or take the effect out of the "
                 "robot file"
             )
-    return found
+    return derived
 
 
 def _by_column(found: Measurements, columns: Columns, column: str) -> dict[str, Measurements]:

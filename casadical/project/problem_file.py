@@ -15,8 +15,8 @@ from casadical.compensator.trainers.known import network_methods
 from casadical.core.basics import InputError, shown
 from casadical.core.parts import Sessions
 from casadical.core.reading import load_json, load_toml, missing, read_bytes
-from casadical.core.schema import FaultError, check
-from casadical.identification.residuals import ALL_LOSSES, AnyLoss
+from casadical.core.schema import FaultError, Triple, check
+from casadical.identification.residuals import AnyLoss
 from casadical.measurements.columns import Source
 from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.measurements import SETS
@@ -28,10 +28,6 @@ from casadical.robot.robot_schema import ToolTable
 
 BaseMethod = Literal["KM", "SKCM"]
 BASE_METHODS: tuple[BaseMethod, ...] = get_args(BaseMethod)
-
-# auto: huber where it finds outliers, else linear.
-
-Three = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
 class _Strict(BaseModel):
@@ -135,10 +131,7 @@ class SessionsTable(_Strict):
 
 
 class UrdfTable(_Strict):
-    """Which part of a URDF is the robot; written again when it is calibrated.
-
-    tool : measured points in the frame of the tip link, where there are several
-    """
+    """Which part of a URDF is the robot; tool : measured points in the tip link's frame, where there are several."""
 
     base_link: str | None = None
     tip_link: str | None = None
@@ -170,10 +163,6 @@ def all_methods() -> tuple[str, ...]:
     return (*BASE_METHODS, *network_methods())
 
 
-def all_losses() -> tuple[str, ...]:
-    return ALL_LOSSES
-
-
 def _known_method(name: str) -> str:
     if name not in all_methods():
         raise ValueError(f"allowed: {', '.join(all_methods())}")
@@ -184,8 +173,8 @@ class Paper(_Strict):
     """Published figures: (mean, max, std) [mm] by method, "before" among them, of both of the paper's tables."""
 
     source: str
-    calibration: dict[str, Three] = {}
-    validation: dict[str, Three] = {}
+    calibration: dict[str, Triple] = {}
+    validation: dict[str, Triple] = {}
 
     @model_validator(mode="after")
     def _known(self) -> Paper:
@@ -255,10 +244,7 @@ def problem_file(folder: Path) -> ProblemFile:
 
 
 def file_with_tables(source: Path, tables: Sequence[str | Path]) -> ProblemFile:
-    """The file of a problem folder; of a robot file, or with other tables than its own, as if it said so.
-
-    Raises InputError.
-    """
+    """A problem folder's file; of a robot file, or with other tables, as if it said so. Raises InputError."""
     if not tables:
         return problem_file(source)
     if source.is_file():
@@ -267,10 +253,10 @@ def file_with_tables(source: Path, tables: Sequence[str | Path]) -> ProblemFile:
         file = problem_file(source)
         file = file.model_copy(update={"robot": file.of_campaigns, "title": "", "paper": None})
     own = tables_of(source)
-    found = [
+    measured = [
         table_like(source, read_columns(t), own).model_copy(update={"file": str(Path(t).resolve())}) for t in tables
     ]
-    return file.model_copy(update={"measurements": found, "data": None})
+    return file.model_copy(update={"measurements": measured, "data": None})
 
 
 def own_tables(source: Path) -> list[Path]:
@@ -279,10 +265,10 @@ def own_tables(source: Path) -> list[Path]:
         raise InputError(f"{shown(source)}: a robot file has no measurements; give their tables after it")
     if source.is_dir() and not (source / "problem.toml").exists():
         raise InputError(f"{shown(source)}: no problem.toml is in it, which would name tables; give them after it")
-    found = [source / table.file for table in problem_file(source).measurements]
-    if not found:
+    paths = [source / table.file for table in problem_file(source).measurements]
+    if not paths:
         raise InputError(f"{shown(source / 'problem.toml')}: no [[measurements]]; give tables after the folder")
-    return found
+    return paths
 
 
 def tables_of(folder: Path) -> Sequence[DataTable]:
@@ -303,9 +289,9 @@ def table_like(folder: Path, raw: RawTable, tables: Sequence[DataTable]) -> Data
         if own.resolve() == raw.path.resolve() or (own.is_file() and read_bytes(own) == read_bytes(raw.path)):
             return data
     others = [data.named_in(raw.header) for data in tables]
-    for found in others:
-        if found.columns or found.point_from:
-            return found
+    for like in others:
+        if like.columns or like.point_from:
+            return like
     said = {data.kind for data in tables}
     kind = said.pop() if len(said) == 1 else None
     shown = [k.name for k in kinds().values() if k.matches({*raw.header})]  # by our names; else by the headings
@@ -314,7 +300,9 @@ def table_like(folder: Path, raw: RawTable, tables: Sequence[DataTable]) -> Data
 
 
 def result_in(folder: Path) -> Path:
-    """The robot file of the method that counts in a folder of results. Raises InputError."""
+    """The robot file of the method that counts in a folder of results; a file as it is. Raises InputError."""
+    if not folder.is_dir():
+        return folder
     with suppress(OSError, ValueError, KeyError, TypeError, IndexError):
         methods = list(load_json(folder / "result.json")["methods"])
         return folder / f"{methods[-1]}.robot.toml"

@@ -28,15 +28,12 @@ COMPUTED_TURN = 2e-5
 
 
 def understood(raw: RawTable, robot: Robot, given: Mapping[str, Source], kind: str | None = None) -> Understanding:
-    """What a table's headings mean (see `understand`), where the nominal robot may tell what they do not.
-
-    given : columns that are known; kind : of measurement, where it is said
-    """
-    found = understand(raw, [j.kind for j in robot.joints], given, names=[j.name for j in robot.joints], kind=kind)
-    for question in found.questions:
+    """What headings mean (see `understand`), or the nominal robot tells; given : known columns; kind : if said."""
+    meaning = understand(raw, [j.kind for j in robot.joints], given, names=[j.name for j in robot.joints], kind=kind)
+    for question in meaning.questions:
         if question.about:
-            found = _by_model(raw, robot, given, found, question)
-    return _without_other_frame(raw, robot, given, found)
+            meaning = _by_model(raw, robot, given, meaning, question)
+    return _without_other_frame(raw, robot, given, meaning)
 
 
 def _without_other_frame(
@@ -135,14 +132,14 @@ def refuse_nameless(m: Measurements, robot: Robot) -> None:
 def unfitted(sets: Mapping[str, Sequence[Measurements]]) -> list[str]:
     """Targets that were measured in poses that are held out, but in none that is fitted: a sentence each."""
     fitted = {name for m in sets.get("identify", ()) for name in names_in(m) if m.conditions[f"tool_{name}"].any()}
-    found = []
+    faults = []
     for name, parts in sets.items():
         for m in parts:
             for target in names_in(m):
                 rows = m.row[m.conditions[f"tool_{target}"] > 0]
                 if target not in fitted and len(rows):
                     listed = ", ".join(map(str, rows[:8])) + (" ..." if len(rows) > 8 else "")
-                    found.append(
+                    faults.append(
                         f"{m.source}: target {target!r} was measured in row {listed} only, of the set {name!r}; no "
                         "pose that is fitted tells where it is: measure it at three poses or more, or leave the rows "
                         f"out (leave_out = [{listed}] in problem.toml)"
@@ -150,11 +147,11 @@ def unfitted(sets: Mapping[str, Sequence[Measurements]]) -> list[str]:
     inside = set(sessions_in(sets.get("identify", ())))
     for name, parts in sets.items():
         for session in sorted(set(sessions_in(parts)) - inside):
-            found.append(
+            faults.append(
                 f"session {session!r} has poses of the set {name!r} only; none that is fitted tells where its base and "
                 "tool are: put some of them into the set 'identify'"
             )
-    return found
+    return faults
 
 
 def unmeasured(sets: Mapping[str, Sequence[Measurements]], robot: Robot) -> list[str]:
@@ -168,10 +165,7 @@ WITHIN = 2e-3
 
 
 def with_coupled(columns: Columns, robot: Robot) -> Columns:
-    """The table with the readings of coupled and locked joints, in radians or metres where they were not logged.
-
-    Raises InputError for a logged one that is elsewhere than the robot file says, with file, row and column.
-    """
+    """The table with readings of coupled and locked joints [rad or m]. Raises InputError for one logged elsewhere."""
     coupled = [i for i, joint in enumerate(robot.joints, 1) if joint.coupling is not None]
     if not coupled:
         return columns

@@ -131,8 +131,8 @@ def _beside(
             yield method, base, (1e3 * a.mean, 1e3 * a.max, 1e3 * a.std)
     for result in networks.results.values() if networks else ():
         c = result.compensator
-        found = c and (c.training if name == "calibration" else c.validation)
-        if found:
-            e = found.after
+        share = c and (c.training if name == "calibration" else c.validation)
+        if share:
+            e = share.after
             of_set = "train" if name == "calibration" else base
             yield result.method, of_set, (e.mean_mm, e.max_mm, e.std_mm)

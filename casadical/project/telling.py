@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeAlias, overload
 
 from casadical.core.basics import InputError
-from casadical.core.reading import load_toml
 from casadical.core.telling.blocks import Page
 from casadical.core.telling.drawing import dark as darkened
 from casadical.core.telling.drawing import draw
@@ -18,6 +17,7 @@ from casadical.diagnosis.result import Diagnosis
 from casadical.identification.figures import identification_figures
 from casadical.identification.result import Identification
 from casadical.project.problem import Problem
+from casadical.project.problem_file import problem_file
 
 if TYPE_CHECKING:
     from casadical.core.telling.drawing import Picture
@@ -97,10 +97,7 @@ def campaign_files(source: Path, campaigns: Sequence[Path]) -> list[Path]:
     """What a diagnosis was read from: problem.toml, the campaign's robot, or a robot file; and the campaigns."""
     if source.is_file():
         return [source, *campaigns]
-    path = source / "problem.toml"
-    file = load_toml(path)
-    robot = file.get("campaign_robot", file.get("robot", "robot.toml"))
-    return [path, _short(source / robot), *campaigns]
+    return [source / "problem.toml", _short(source / problem_file(source).of_campaigns), *campaigns]
 
 
 def _short(path: Path) -> Path:

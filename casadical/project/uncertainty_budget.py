@@ -71,10 +71,7 @@ class Contribution:
 
 @dataclass(frozen=True, eq=False)
 class Budget:
-    """E with its uncertainty; lengths in m.
-
-    errors : held out, as the instrument reads them, shape (n,); lines : of the budget
-    """
+    """E with its uncertainty [m]; errors : held out, as the instrument reads, shape (n,); lines : of the budget."""
 
     errors: Array
     lines: tuple[Contribution, ...]
@@ -215,10 +212,7 @@ def budget_of(
 
 
 def _beyond(robot: Robot, sets: Sequence[Measurements]) -> float:
-    """How much E^2 may differ between the poses from what it is at them, one sigma [m^2].
-
-    By the covariance of the robot file, as another campaign may find it. Half the width of an even distribution.
-    """
+    """How much E^2 may differ between the poses, half an even width [m^2], by the covariance of the robot file."""
     if robot.knowledge is None or not (blocks := robot.knowledge.covariance):
         return 0.0
     names = tuple(n for b in blocks for n in b.names)

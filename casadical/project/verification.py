@@ -23,6 +23,7 @@ from casadical.project.check.targets import with_targets_of_rows
 from casadical.project.iso9283 import Iso9283, evaluated_table
 from casadical.project.problem import read_campaign
 from casadical.project.problem_file import result_in
+from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
 POSITION = "position"
@@ -80,13 +81,9 @@ class Verification(Result):
         return self.found <= self.limit
 
     def blocks(self) -> list[Words | Table]:
-        times = self.found / self.promised
-        verdict = "STILL VALID" if self.valid else "NO LONGER VALID"
-        text = (
-            f"{verdict}: {mm(self.found)} mm rms on {self.n} poses, promised {mm(self.promised)} mm ({times:.2f} times)"
-        )
-        found = [
-            Words(text, "verdict"),
+        text = f"{'STILL VALID' if self.valid else 'NO LONGER VALID'}: {mm(self.found)} mm rms on {self.n} poses"
+        told = [
+            Words(f"{text}, promised {mm(self.promised)} mm ({self.found / self.promised:.2f} times)", "verdict"),
             Words(
                 f"Up to {mm(self.limit)} mm would be chance; {self.n} poses show an error of {mm(self.seen)} mm "
                 f"or more in nine of ten cases. {self.again} fitted again; the share of that in the error is made up "
@@ -96,18 +93,18 @@ class Verification(Result):
         ]
         if self.gone:
             text = f"{', '.join(self.gone)}: what the instrument of the calibration did is left out of the model."
-            found.append(Words(text, "note"))
-        found += [Words(f"note: {note}.", "note") for note in self.notes]
+            told.append(Words(text, "note"))
+        told += [Words(f"note: {note}.", "note") for note in self.notes]
         if self.far:
             text = f"Far off: {rows_in_words(self.far, of=self.tables)}"
             if self.without is not None:
                 text += f"; without them it is {mm(self.without)} mm{', as promised' * (self.without <= self.limit)}"
-            found.append(Words(f"{text}.", "warning"))
+            told.append(Words(f"{text}.", "warning"))
         if self.lost:
             several = len(self.tables) > 1
             listed = ", ".join(f"{row} of {source}" if several else str(row) for source, row in self.lost)
-            found.append(Words(f"Left out, a cell is no number: row {listed}.", "warning"))
-        return [*found, *self.next]
+            told.append(Words(f"Left out, a cell is no number: row {listed}.", "warning"))
+        return [*told, *self.next]
 
     @property
     def next(self) -> tuple[Words, ...]:
@@ -164,11 +161,8 @@ def verify(
     >>> casadical.verify("results", "data/planar/planar.csv").valid
     True
     """
-    place, given = Path(robot), [tables] if isinstance(tables, str | Path) else list(tables)
-    place = result_in(place) if place.is_dir() else place
-    whole = read_robot(place)
-    gone = tuple(e.label for e in whole.effects if e.from_kind)
-    arm = whole.with_only(e for e in whole.effects if not e.from_kind) if gone else whole
+    place, given = result_in(Path(robot)), [tables] if isinstance(tables, str | Path) else list(tables)
+    arm, gone = without_instrument(read_robot(place))
     sets = [read_campaign(place, table, arm, later=True, words=True) for table in given]
     kind = _kind_of(sets)
     promised = 1e-3 * promised_mm if promised_mm is not None else promised_rms(place, kind)
@@ -209,6 +203,12 @@ def verify(
     )
 
 
+def without_instrument(robot: Robot) -> tuple[Robot, tuple[str, ...]]:
+    """The robot without effects of the instrument that measured it, and their labels."""
+    gone = tuple(e.label for e in robot.effects if e.from_kind)
+    return robot.with_only(e for e in robot.effects if not e.from_kind) if gone else robot, gone
+
+
 def iso9283(robot: str | Path, tables: Sequence[str | Path]) -> Iso9283:
     """What a table of a test by ISO 9283 says, beside what the calibration states.
 
@@ -217,9 +217,7 @@ def iso9283(robot: str | Path, tables: Sequence[str | Path]) -> Iso9283:
     """
     if len(tables) != 1:
         raise InputError(f"{len(tables)} tables; a test by ISO 9283 is one")
-    place = Path(robot)
-    place = result_in(place) if place.is_dir() else place
-    stated = None
+    place, stated = result_in(Path(robot)), None
     with suppress(InputError):
         stated = promised_rms(place)
     return evaluated_table(Path(tables[0]), read_robot(place), stated)
@@ -227,10 +225,7 @@ def iso9283(robot: str | Path, tables: Sequence[str | Path]) -> Iso9283:
 
 @dataclass(frozen=True)
 class _Placing:
-    """What is fitted again: groups of `numbers` parameters, and `points` coordinates of unknown places.
-
-    n : poses, each of so many `lengths`; base : whether the base is among it; touched : whether places were touched
-    """
+    """What is fitted again: `numbers` of these groups, `points` coordinates of unknown places; n : poses."""
 
     groups: tuple[str, ...]
     numbers: int
@@ -304,10 +299,13 @@ def promised_rms(robot: Path, kind: str = POSITION) -> float:
         distributed errors. Raises InputError.
     """
     for name, stated in (("diagnosed", "diagnosis"), ("discovered", "discovery")):
-        if robot.name == f"{name}.robot.toml" and (mean := _mean_of(robot.parent / f"{stated}.json")) is not None:
-            return RMS_OF_MEAN * 1e-3 * mean
+        if robot.name == f"{name}.robot.toml":
+            with suppress(OSError, ValueError, KeyError, TypeError):
+                gap = load_json(robot.parent / f"{stated}.json")
+                return RMS_OF_MEAN * 1e-3 * float(gap["gap_mm"][gap.get("kept", "after")])
     path = robot.parent / "result.json"
     remedy = "give the promised rms error with --promised-mm"
+    alike = (POSITION, "pose", "position_covariance") if kind == POSITION else (kind,)
     try:
         stated = load_json(path)
         sets = dict(stated["methods"]).get(robot.name.removesuffix(".robot.toml"), {}).get("sets", {})
@@ -315,7 +313,7 @@ def promised_rms(robot: Path, kind: str = POSITION) -> float:
         held = [
             1e-3 * float(figures.get("without_far_off", figures)["rms_mm"])
             for name, figures in sets.items()
-            if name.split("/")[0] == "report" and kinds.get(name, kind) in _alike(kind)
+            if name.split("/")[0] == "report" and kinds.get(name, kind) in alike
         ]
     except (ValueError, KeyError, TypeError, AttributeError):  # no such file; figures of other kinds
         raise InputError(f"{path}: no figures of a calibration; {remedy}") from None
@@ -331,16 +329,3 @@ def problem_of(robot: Path) -> Path | None:
         name = str(load_json(results / "result.json")["problem"])
         return next((p for p in (Path(name), results.parent / name) if (p / "problem.toml").exists()), None)
     return None
-
-
-def _alike(kind: str) -> tuple[str, ...]:
-    return (POSITION, "pose", "position_covariance") if kind == POSITION else (kind,)
-
-
-def _mean_of(path: Path) -> float | None:
-    """Mean held-out error [mm] of the model that was kept, as a diagnosis or a discovery states it."""
-    try:
-        stated = load_json(path)
-        return float(stated["gap_mm"][stated.get("kept", "after")])
-    except (OSError, ValueError, KeyError, TypeError):
-        return None

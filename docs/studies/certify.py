@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import tomlkit
 
-from casadical import Calibration, Problem, calibrate, diagnose, read_campaign_robot
+from casadical import Calibration, Problem, calibrate, diagnose
 from casadical.identification.accuracy import errors
 from casadical.measurements.logs.findings import quantum
-from casadical.project.problem import read_problem_logs
+from casadical.project.diagnosis import read_logs
 from casadical.project.problem_file import problem_file
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
@@ -70,7 +70,10 @@ def curves(problem: Problem) -> dict[str, Any]:
 def figures_of_logs(folder: Path) -> dict[str, Any]:
     """Figures of joint logs by set: what they are, and how far readings are from commands, joint by joint."""
     found: dict[str, Any] = {}
-    for name, logs in read_problem_logs(folder, read_campaign_robot(folder)).items():
+    campaign = read_logs(folder)
+    assert campaign is not None
+    for name, paths in (("identify", campaign.logs), ("report", campaign.withheld)):
+        logs = [campaign.log(path) for path in paths]
         far = np.concatenate([log.position - log.command for log in logs])
         found[name] = {
             "logs": len(logs),

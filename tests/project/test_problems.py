@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from casadical import InputError, from_table, identify, read_problem
-from casadical.project.problem import read_problem_logs
+from casadical.project.diagnosis import read_logs
 from casadical.project.problem_file import LogsTable
 from casadical.robot.robot_file import read_robot
 
@@ -69,8 +69,7 @@ def test_certified_figures_of_logs_hold(folder: Path) -> None:
 def test_folder_of_logs_is_no_calibration_and_names_its_command() -> None:
     with pytest.raises(InputError, match=r"holds joint logs, no measured poses; take casadical diagnose .*so101"):
         read_problem(ROOT / "problems" / "so101")
-    with pytest.raises(InputError, match=r"no \[logs\]; give the files of joint logs after the folder"):
-        read_problem_logs(ROOT / "problems" / "planar", read_robot(ROOT / "problems" / "planar" / "robot.toml"))
+    assert read_logs(ROOT / "problems" / "planar") is None
 
 
 def test_no_motion_may_be_fitted_and_reported() -> None:

@@ -14,22 +14,9 @@ from casadical.identification.sessions import apart, place_sessions, with_sessio
 from casadical.identification.undetermined import undetermined_at_start
 from casadical.measurements.derived_columns import clock_faults
 from casadical.measurements.measurements import Measurements
-from casadical.project.check.findings import Finding, unknown_columns
+from casadical.project.check import plausible as facts
 from casadical.project.check.information import Outlook, outlook
-from casadical.project.check.plausible import (
-    GROSS,
-    convention_of,
-    coverage,
-    coverage_findings,
-    far_off,
-    far_rows,
-    limits_findings,
-    margin,
-    margin_findings,
-    other_conventions,
-    plausible,
-    repeats,
-)
+from casadical.project.check.plausible import Finding
 from casadical.project.check.repair import MIRRORED, OF_LENGTHS, in_words, left_mm, other_lengths
 from casadical.project.check.result import Precheck
 from casadical.project.check.slips import Slips, search_slips
@@ -67,43 +54,44 @@ def precheck(
         return Precheck(folder, tuple(_faults(error, "reading")))
     show("comparing with the nominal robot")
     sets = apart(problem.sets["identify"])
-    others = other_conventions(problem.robot_file)
+    others = facts.other_conventions(problem.robot_file)
     table = whole_table(problem)
     table = apart([table])[0] if table is not None else None
-    standard = convention_of(problem.robot_file) == "standard"
-    found, slips = _data_findings(problem.robot, sets, others, table, standard)
-    usable = not any(f.topic in ("data", "units") and f.level == "error" for f in found)
+    standard = facts.convention_of(problem.robot_file) == "standard"
+    findings, slips = _data_findings(problem.robot, sets, others, table, standard)
+    usable = not any(f.topic in ("data", "units") and f.level == "error" for f in findings)
     targets = recognised(problem.robot, table) if table is not None else None
     wrong = wrong_names(problem.robot, table) if table is not None else None
     if wrong or (targets and targets.turning):  # what contradicts one target, or wrong names, says nothing
-        found, usable, slips = [f for f in found if f.topic not in ("units", "repeats", "rows")], False, None
-    found = [*_target_findings(targets, wrong, sets[0].source), *found]
+        findings, usable, slips = [f for f in findings if f.topic not in ("units", "repeats", "rows")], False, None
+    findings = [*_target_findings(targets, wrong, sets[0].source), *findings]
     one = table if table is not None else sets[0] if sets[0].position is None else None
     if one is not None and not usable and wrong is None and (targets is None or targets.which is None):
         searched = _slips(problem.robot, one, targets, others, show)
-        if searched and searched.explains and (not slips or _says_more(searched, slips, problem.robot)):
+        more = searched and (searched.best.slips > 1 or other_lengths(searched.best, problem.robot))  # than single ones
+        if searched and searched.explains and (not slips or not slips.explains or more):
             slips = searched
-            found = [f for f in found if not (f.topic == "units" and f.level == "error")]
-            found.insert(0, _slip_finding(slips, problem.robot, standard, sets[0]))
-    found += _held_out_findings(problem)
-    found += limits_findings(problem.robot)
+            findings = [f for f in findings if not (f.topic == "units" and f.level == "error")]
+            findings.insert(0, _slip_finding(slips, problem.robot, standard, sets[0]))
+    findings += _held_out_findings(problem)
+    findings += facts.limits_findings(problem.robot)
     known, source = _noise(noise, sets)
     show("accuracy to expect")
-    trusted = [m[np.flatnonzero(~far_off(problem.robot, m)[0])] for m in sets] if usable else []
+    trusted = [m[np.flatnonzero(~facts.far_off(problem.robot, m)[0])] for m in sets] if usable else []
     start = place_sessions(problem.robot, trusted or sets)
-    found += [
+    findings += [
         Finding("warning", "kind", f"these readings cannot {t}") for t in undetermined_at_start(start, trusted or sets)
     ]
     outlooks, faults = _outlooks(problem.methods if usable else (), start, trusted, noise)
-    found += faults
+    findings += faults
     for view in outlooks:
-        found += outlook_findings(view, problem.robot, known)
+        findings += outlook_findings(view, problem.robot, known)
     first = sets[0]
     return Precheck(
-        folder, tuple(found), problem.title, problem.robot.name,
+        folder, tuple(findings), problem.title, problem.robot.name,
         tuple((name, sum(len(m) for m in parts)) for name, parts in problem.sets.items()),
-        known, source, coverage(problem.robot, first), margin(problem.robot, first), tuple(outlooks), problem.robot,
-        slips, targets, wrong, tuple(map(Path, tables)), more_poses(folder, first),
+        known, source, facts.coverage(problem.robot, first), facts.margin(problem.robot, first), tuple(outlooks),
+        problem.robot, slips, targets, wrong, tuple(map(Path, tables)), more_poses(folder, first),
     )  # fmt: skip
 
 
@@ -112,7 +100,7 @@ def _outlooks(
 ) -> tuple[list[Outlook], list[Finding]]:
     """The accuracy to expect of each method, and of those that have none, why."""
     outlooks: list[Outlook] = []
-    found: list[Finding] = []
+    findings: list[Finding] = []
     for method in methods:
         try:
             several, sessions = with_sessions(start, sets)
@@ -122,12 +110,12 @@ def _outlooks(
             view = outlook(taken, sets, (*METHODS[method], *free, *sessions), method, noise)
             if tried and not view.enough and any(other.enough for other in outlooks):
                 text = f"{view.numbers} numbers are too few to see whether the joints give under load"
-                found.append(Finding("warning", "too few poses", f"{text}; measure more poses"))
+                findings.append(Finding("warning", "too few poses", f"{text}; measure more poses"))
             else:
                 outlooks.append(view)
         except (InputError, np.linalg.LinAlgError) as error:
-            found.append(Finding("error", "identifiability", f"{method}: {error}"))
-    return outlooks, found
+            findings.append(Finding("error", "identifiability", f"{method}: {error}"))
+    return outlooks, findings
 
 
 def _target_findings(targets: Targets | None, wrong: WrongNames | None, source: str) -> list[Finding]:
@@ -149,10 +137,7 @@ def _target_findings(targets: Targets | None, wrong: WrongNames | None, source: 
 def _slips(
     robot: Robot, table: Measurements, targets: Targets | None, others: Sequence[Robot], show: Show
 ) -> Slips | None:
-    """Several slips at once, from all poses of a table, in the order of the file; of several targets, from one point.
-
-    That is the target that was measured most, or the middle of those that the table does not name.
-    """
+    """Several slips of a table at once; of several targets, of the one measured most, or of their middle."""
     if targets and targets.turning:
         middle = middles(table, targets.count)
         return search_slips(robot, middle, others, show) if middle is not None else None
@@ -161,11 +146,6 @@ def _slips(
         most = max(names, key=lambda name: table.conditions[name].sum())
         table = table[np.flatnonzero(table.conditions[most] > 0)]
     return search_slips(robot, table, others, show)
-
-
-def _says_more(searched: Slips, single: Slips, robot: Robot) -> bool:
-    """Whether a search finds what no single slip is."""
-    return not single.explains or searched.best.slips > 1 or bool(other_lengths(searched.best, robot))
 
 
 def _slip_finding(slips: Slips, robot: Robot, standard: bool, m: Measurements) -> Finding:
@@ -186,11 +166,11 @@ def _plausible(
     robot: Robot, m: Measurements, others: Sequence[Robot], standard: bool
 ) -> tuple[list[Finding], Slips | None]:
     """Whether the nominal model explains a table, or would if one slip were undone."""
-    told = plausible(robot, m, others)
+    told = facts.plausible(robot, m, others)
     if told is None:
         return [], None
     slips = Slips(*told, ())
-    if slips.explains or slips.before.error > GROSS * robot.reach:
+    if slips.explains or slips.before.error > facts.GROSS * robot.reach:
         return [_slip_finding(slips, robot, standard, m)], slips
     text = f"{m.source}: the nominal model, base and tool fitted, is {1e3 * slips.before.error:.3g} mm (median) from"
     return [Finding("note", "units", f"{text} the data: units, signs and zeros fit")], None
@@ -205,60 +185,60 @@ def _data_findings(
     robot: Robot, sets: tuple[Measurements, ...], others: Sequence[Robot], table: Measurements | None, standard: bool
 ) -> tuple[list[Finding], Slips | None]:
     """Findings of the data that are fitted, and a single slip where one explains those of the first table, whole."""
-    found: list[Finding] = []
+    findings: list[Finding] = []
     single: Slips | None = None
     for k, m in enumerate(sets):
         try:
             check_against(robot, m)
         except InputError as error:
-            found += _faults(error, "data")
+            findings += _faults(error, "data")
         said, slips = _plausible(robot, m, others, standard)
-        found += said
+        findings += said
         single = slips if k == 0 else single
         if not any(f.level == "error" for f in said):
-            found += far_rows(robot, table or m)
+            findings += facts.far_rows(robot, table or m)
         if not any(np.array_equal(m.q, before.q) for before in sets[:k]):  # a table for each wire
-            found += [*coverage_findings(robot, m), *margin_findings(robot, m)]
+            findings += [*facts.coverage_findings(robot, m), *facts.margin_findings(robot, m)]
         if computed(robot, m):
             text = f"{m.source}: the positions are the nominal robot's own to the last digit: computed, not measured?"
-            found.append(Finding("warning", "data", text))
-        found += unknown_columns([*m.conditions], m.source)
-        found += [Finding("warning", "clock", text) for text in clock_faults(table or m)]
-        distinct, _ = repeats(m)
+            findings.append(Finding("warning", "data", text))
+        findings += facts.unknown_columns([*m.conditions], m.source)
+        findings += [Finding("warning", "clock", text) for text in clock_faults(table or m)]
+        distinct, _ = facts.repeats(m)
         if distinct < len(m):
             text = f"{m.source}: {len(m)} measurements at {distinct} distinct readings"
             few = 3 * distinct < len(m)
             more = "; repeats show the noise, only new readings determine parameters" if few else ""
-            found.append(Finding("warning" if few else "note", "repeats", text + more))
-    return found, single
+            findings.append(Finding("warning" if few else "note", "repeats", text + more))
+    return findings, single
 
 
 def _held_out_findings(problem: Problem) -> list[Finding]:
     """Of the poses that are not fitted, which count in the figures, and the columns that nobody uses."""
-    found = [Finding("error", "targets", text) for text in unfitted(problem.sets)]
+    findings = [Finding("error", "targets", text) for text in unfitted(problem.sets)]
     for table in problem.tables:
         made = {ours[0]: made for ours, made in table.get("columns", {}).items() if ours[0] in "xyz"}
         turned = [c for c, source in made.items() if isinstance(source, Mapping) and source.get("times", 1.0) < 0]
         if len(turned) % 2:
             text = f"problem.toml turns the sign of {', '.join(turned)}: {MIRRORED}"
-            found.append(Finding("warning", "units", text))
+            findings.append(Finding("warning", "units", text))
     if lost := unmeasured(problem.sets, problem.robot):
         text = f"the robot file has {', '.join(lost)}, which no row names: it stays where the file says"
-        found.append(Finding("warning", "targets", text))
+        findings.append(Finding("warning", "targets", text))
     for name, m in problem.parts():
         if not name.startswith("identify"):
             try:
                 check_against(problem.robot, m)
             except InputError as error:
-                found += [replace(f, text=f"set {name}: {f.text}") for f in _faults(error, "data")]
+                findings += [replace(f, text=f"set {name}: {f.text}") for f in _faults(error, "data")]
     for m in problem.sets["identify"]:
         left = [column for column in m.unused if column != problem.set_column]
         if left:
             text = f"{m.source}: columns of words or without a cell are left out: {', '.join(map(shown, left))}"
-            found.append(Finding("note", "columns", text))
+            findings.append(Finding("note", "columns", text))
         if m.copies:
-            found.append(Finding("warning", "data", m.copies_in_words))
-    return found
+            findings.append(Finding("warning", "data", m.copies_in_words))
+    return findings
 
 
 def _noise(given: float | None, sets: tuple[Measurements, ...]) -> tuple[float | None, str]:
@@ -267,7 +247,7 @@ def _noise(given: float | None, sets: tuple[Measurements, ...]) -> tuple[float |
     stated = next((m.sigma for m in sets if m.sigma), None)
     if stated:
         return stated, "as the problem states"
-    shown = next((s for s in (repeats(m)[1] for m in sets) if s), None)
+    shown = next((s for s in (facts.repeats(m)[1] for m in sets) if s), None)
     return (shown, "as repeated readings show") if shown else (None, "")
 
 
@@ -281,18 +261,18 @@ def outlook_findings(view: Outlook, robot: Robot, noise: float | None) -> list[F
             f"{view.method}: with noise of {1e3 * view.noise:.3g} mm a coordinate these poses determine no parameter; "
         )
         return [Finding("error", "identifiability", f"{text}measure more accurately, or more poses spread wider")]
-    found = []
+    findings = []
     if view.numbers < COMFORTABLE * p:
         text = f"{view.method}: {view.numbers} numbers for {p} unknowns; {COMFORTABLE} for each show how good it is"
-        found.append(Finding("warning", "too few poses", text))
+        findings.append(Finding("warning", "too few poses", text))
     if view.condition > CONFOUNDED:
         text = f"{view.method}: condition number {view.condition:.0f}: some parameters are nearly confounded"
-        found.append(Finding("warning", "identifiability", f"{text}; spread the poses wider (casadical plan)"))
+        findings.append(Finding("warning", "identifiability", f"{text}; spread the poses wider (casadical plan)"))
     if noise and view.scatter > LACKS * noise:
         text = f"{view.method}: a linear step leaves {1e3 * view.scatter:.3g} mm a coordinate, the noise is "
         text += f"{1e3 * noise:.3g}: the model lacks something, or base and tool are far off"
-        found.append(Finding("warning", "misfit", text))
+        findings.append(Finding("warning", "misfit", text))
     if view.method == "SKCM" and not undeclared(robot) and not {f"c{i}" for i in robot.numbers} & {*view.names}:
         text = "SKCM: no compliance is identifiable (no compliant joint, no masses, or constant gravity torques)"
-        found.append(Finding("warning", "identifiability", text))
-    return found
+        findings.append(Finding("warning", "identifiability", text))
+    return findings

@@ -83,13 +83,15 @@ def outlook(
     """
     sigmas = tuple((noise or m.sigma or SIGMA_GUESS, m.sigma_angle or SIGMA_ANGLE_GUESS) for m in sets)
     problem = LeastSquares(robot, tuple(sets), robot.parameters.select(free), "linear", False, sigmas)
-    found = independent_parameters(problem)
-    problem, r, J = _weighted(problem.with_names(found.independent))
+    independent = independent_parameters(problem)
+    problem, r, J = _weighted(problem.with_names(independent.independent))
     near = _near(problem.sets, r, J)
     if not all(rows.all() for rows in near):  # as calibrate leaves them out; the nominal model may have hidden them
         sets = [m[np.flatnonzero(rows)] for m, rows in zip(sets, near, strict=True)]
         return outlook(robot, sets, free, method, noise, seed)
-    sigmas, scatter = problem.sigmas, _scatter(r, J, problem.residual_count - problem.size)
+    sigmas, spare = problem.sigmas, problem.residual_count - problem.size
+    left = r - J @ np.linalg.lstsq(J, r, rcond=None)[0]
+    scatter = float(np.sqrt(left @ left / spare)) if spare > 0 else float("nan")
     if find_kind(sets[0].kind).angles:  # what angles leave says nothing of positions
         lengths, freedom = _parts(problem.sets[0], r, J)[0]
         scatter = float(np.sqrt(lengths / freedom)) if freedom > 0 else float("nan")
@@ -98,11 +100,15 @@ def outlook(
     columns, poor, C = drop_poor([robot.parameters[n] for n in problem.names], H, unit**2)
     kept = tuple(problem.names[k] for k in columns)
     index = observability(J[:, columns] / unit, sum(len(m) for m in sets))["O1"] if kept else 0.0
-    scale = np.array([robot.parameters[n].scale for n in kept])
+    scale, accuracy = np.array([robot.parameters[n].scale for n in kept]), float("nan")
+    if kept:  # root mean square position error over the joints' ranges
+        task = expected(robot, draw(robot, TASK_POSES, Workspace(), np.random.default_rng(seed)), {}, "task")
+        J = scaled_jacobian(robot, kept, task)
+        accuracy = MM * float(np.sqrt(np.einsum("kip,pq,kiq->", J, C, J) / len(J)))
     return Outlook(
-        method, kept, (*found.held, *poor), problem.residual_count, problem.size, found.condition, index,
+        method, kept, (*independent.held, *poor), problem.residual_count, problem.size, independent.condition, index,
         scatter * sigmas[0][0], unit * sigmas[0][0], all(find_kind(m.kind).lengths == 3 for m in sets),
-        np.sqrt(np.diag(C)) * scale, _accuracy(robot, kept, C, seed) if kept else float("nan"),
+        np.sqrt(np.diag(C)) * scale, accuracy,
     )  # fmt: skip
 
 
@@ -122,9 +128,9 @@ def _weighted(problem: LeastSquares) -> tuple[LeastSquares, Array, Array]:
         if min(freedom, length_freedom) <= 0:
             break
         own = m.sigma or sigma * np.sqrt(square / length_freedom)
-        found = (float(own), max(float(angle * np.sqrt(turned / freedom)), LEAST_SCATTER * SIGMA_ANGLE_GUESS))
-        change = abs(np.log(found[1] / angle)) + abs(np.log(found[0] / sigma))
-        problem = replace(problem, sigmas=(found, *problem.sigmas[1:]))
+        sigmas = (float(own), max(float(angle * np.sqrt(turned / freedom)), LEAST_SCATTER * SIGMA_ANGLE_GUESS))
+        change = abs(np.log(sigmas[1] / angle)) + abs(np.log(sigmas[0] / sigma))
+        problem = replace(problem, sigmas=(sigmas, *problem.sigmas[1:]))
         if change < STILL:
             break
     return problem, r, J
@@ -133,15 +139,15 @@ def _weighted(problem: LeastSquares) -> tuple[LeastSquares, Array, Array]:
 def _near(sets: Sequence[Measurements], r: Array, J: Array) -> list[Array]:
     """Rows of each set that a linear step does not leave far off, shapes (n,); all where it leaves nothing to see."""
     left = r - J @ np.linalg.lstsq(J, r, rcond=None)[0]
-    found = []
+    masks = []
     for m in sets:
         kind = find_kind(m.kind)
         size = len(m) * (kind.lengths + kind.angles)
         own, left = left[:size].reshape(len(m), -1)[:, : kind.lengths or None], left[size:]
         e = np.linalg.norm(own, axis=1)
         near = e <= FAR * np.median(e)
-        found.append(near if len(r) > 2 * J.shape[1] and near.mean() > MOST else np.ones(len(m), dtype=bool))
-    return found
+        masks.append(near if len(r) > 2 * J.shape[1] and near.mean() > MOST else np.ones(len(m), dtype=bool))
+    return masks
 
 
 def _parts(m: Measurements, r: Array, J: Array) -> tuple[tuple[float, float], ...]:
@@ -153,18 +159,3 @@ def _parts(m: Measurements, r: Array, J: Array) -> tuple[tuple[float, float], ..
     left, free = (values[: of_set[0] * of_set[1]].reshape(of_set) for values in (left, free))
     cut = [slice(0, kind.lengths), slice(kind.lengths, None)]
     return tuple((float((left[:, part] ** 2).sum()), float(free[:, part].sum())) for part in cut)
-
-
-def _scatter(r: Array, J: Array, freedom: int) -> float:
-    """Of what a linear step leaves of residuals r, in units of sigma."""
-    if freedom < 1:
-        return float("nan")
-    left = r - J @ np.linalg.lstsq(J, r, rcond=None)[0]
-    return float(np.sqrt(left @ left / freedom))
-
-
-def _accuracy(robot: Robot, names: tuple[str, ...], C: Array, seed: int) -> float:
-    """Root mean square position error over the joints' ranges [m]; C : covariance, shape (p, p), units of scale."""
-    q = draw(robot, TASK_POSES, Workspace(), np.random.default_rng(seed))
-    J = scaled_jacobian(robot, names, expected(robot, q, {}, "task"))
-    return MM * float(np.sqrt(np.einsum("kip,pq,kiq->", J, C, J) / len(J)))

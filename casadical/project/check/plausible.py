@@ -5,10 +5,12 @@ Single slips are tried one by one (see `slips`), and one that explains far more 
 Coverage of the poses: ranges of the joints, repeated readings and their scatter, four-bar margin.
 """
 
+import difflib
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -20,7 +22,6 @@ from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import least_margins
 from casadical.measurements.columns import RADIANS
 from casadical.measurements.measurements import Measurements, same_readings
-from casadical.project.check.findings import Finding
 from casadical.project.check.slip_fit import Fit, Hypothesis
 from casadical.project.check.slips import WORTH, outside, single_slips, slip_fit
 from casadical.robot.kinematics import LEAST_MARGIN
@@ -35,6 +36,20 @@ LEAST_SPREAD = 0.1
 # A row with more than so many times the median error is doubtful; of so few poses nothing is said.
 FAR, FEWEST = 5.0, 12
 POSES = 150
+# Columns that the model or an effect may ask for, besides readings and observations.
+KNOWN = ("payload_kg", "temperature_degC", "time_s", "warmth_K", "weight", "set", "point", "pose", "other_pose")
+# A height is no weight (0.83); a temperature_C may be meant as temperature_degC.
+ALMOST = 0.84
+Level = Literal["error", "warning", "note"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """level : error (no use to go on), warning (look at it), note (good to know); topic : one word or two"""
+
+    level: Level
+    topic: str
+    text: str
 
 
 def plausible(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> tuple[Fit, Fit] | None:
@@ -56,17 +71,16 @@ def plausible(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> tu
     for fit in single_slips(robot, len(others)):
         h = fit.hypothesis
         turns = np.array([*fit.scale]) * [1, -1 if fit.mirrored else 1, 1]
-        meant = replace(some, q=h.readings(some.q), position=some.position * turns)
+        meant = replace(some, q=h.readings(some.q), position=(place := some.position * turns))
         free = rigid([robot, *others][h.rows])
-        if _large_enough(free, meant):
+        measured, moved = (np.linalg.norm(np.ptp(p, axis=0)) for p in (place, predicted(free, meant)[0]))
+        if measured > LEAST_SPREAD * moved:  # shrunk positions would fit anything
             tried.append(replace(fit, error=median_error(free, meant)))
     return _simplest(robot, some, tried)
 
 
 def _simplest(robot: Robot, some: Measurements, tried: list[Fit]) -> tuple[Fit, Fit]:
-    """The first, and of all that which leaves least: of slips that fit alike a turned sign comes before a shifted zero,
-    and one that leaves the joints' ranges is none.
-    """
+    """The first and the best: of alike fits that with fewest shifted zeros; one out of the joints' ranges is none."""
     before = tried[0]
     tried.sort(key=lambda fit: sum(z != 0 for z in fit.hypothesis.zero))
     costs = [fit.error * (WORTH if outside(fit.hypothesis, robot, some.q) else 1) for fit in tried]
@@ -144,13 +158,6 @@ def median_error(robot: Robot, m: Measurements) -> float:
     return float(np.median(e)) if np.isfinite(e).all() else np.inf
 
 
-def _large_enough(robot: Robot, m: Measurements) -> bool:
-    """Whether the positions spread as far as a robot's do; shrunk ones would fit anything."""
-    assert m.position is not None
-    moved, _ = predicted(robot, m)
-    return bool(np.linalg.norm(np.ptp(m.position, axis=0)) > LEAST_SPREAD * np.linalg.norm(np.ptp(moved, axis=0)))
-
-
 LITTLE = 0.25
 STILL = np.deg2rad(1.0)
 NARROW_MARGIN = 5 * LEAST_MARGIN
@@ -173,28 +180,28 @@ class JointCoverage:
 
 def coverage(robot: Robot, m: Measurements) -> tuple[JointCoverage, ...]:
     """Ranges covered by the readings; of a joint that turns more than once, a full turn is all there is to cover."""
-    found = []
+    joints = []
     for i, (joint, (key, factor)) in enumerate(zip(robot.joints, robot.reading_units.items(), strict=True)):
         low, high = float(m.q[:, i].min()), float(m.q[:, i].max())
         whole = min(joint.upper - joint.lower, 2 * np.pi if joint.kind == "revolute" else np.inf)
         ends = (low / factor, high / factor, joint.lower / factor, joint.upper / factor)
-        found.append(JointCoverage(i + 1, key.split("_")[1], *ends, min(1.0, (high - low) / whole)))
-    return tuple(found)
+        joints.append(JointCoverage(i + 1, key.split("_")[1], *ends, min(1.0, (high - low) / whole)))
+    return tuple(joints)
 
 
 def coverage_findings(robot: Robot, m: Measurements) -> list[Finding]:
-    found = []
+    findings = []
     for c, moved in zip(coverage(robot, m), np.ptp(m.q, axis=0), strict=True):
         if moved < STILL:
             text = f"joint {c.joint} does not move: its parameters cannot be distinguished from those of its neighbours"
-            found.append(Finding("warning", "coverage", f"{m.source}: {text}"))
+            findings.append(Finding("warning", "coverage", f"{m.source}: {text}"))
         elif c.share < LITTLE:
             text = f"joint {c.joint} covers {c.low:.0f} .. {c.high:.0f} {c.unit}, {100 * c.share:.0f} % of its range"
             doubt = "; are these radians?" if c.unit == "deg" and max(-c.low, c.high) <= RADIANS else ""
-            found.append(
+            findings.append(
                 Finding("warning", "coverage", f"{m.source}: {text}; expect little beyond these readings{doubt}")
             )
-    return found
+    return findings
 
 
 def limits_findings(robot: Robot) -> list[Finding]:
@@ -233,3 +240,15 @@ def margin_findings(robot: Robot, m: Measurements) -> list[Finding]:
         return []
     text = f"the four-bar is nearly folded in some pose (margin {smallest:.3f}; 1 is square, {LEAST_MARGIN} refused)"
     return [Finding("warning", "four-bar", f"{m.source}: {text}; small errors of the bars count much there")]
+
+
+def unknown_columns(conditions: Sequence[str], source: str) -> list[Finding]:
+    """Columns that are almost a name that something asks for, and those that are kept."""
+    findings = []
+    for name in conditions:
+        near = [known for known in KNOWN if known.startswith(f"{name}_")]
+        near = near or difflib.get_close_matches(name, KNOWN, 1, ALMOST)
+        if name not in KNOWN and near and not name.startswith(("warmth_", "approach")):
+            text = f"{source}: column {name!r} is no name that anything asks for; is {near[0]!r} meant?"
+            findings.append(Finding("warning", "columns", text))
+    return findings

@@ -117,10 +117,7 @@ def _of_rows(fit: Fit, robot: Robot, standard: bool) -> Iterator[str]:
 
 
 def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
-    """problem.toml, and the robot file where its rows are wrong, with the repair of the first table of positions.
-
-    Raises InputError where a repair cannot be written there.
-    """
+    """problem.toml and, of wrong rows, the robot file, the first table repaired. Raises InputError."""
     path = folder / "problem.toml"
     problem = tomlkit.parse(read_text(path))
     tables: Any = problem["measurements"]
@@ -149,15 +146,12 @@ def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
 
 
 def repaired_columns(fit: Fit, robot: Robot, known: Mapping[str, Source]) -> dict[str, Source]:
-    """Our columns as they are made of the file's, with the repair. Raises InputError.
-
-    known : how they are made now, by our names
-    """
+    """How our columns are made, with the repair; known : how they are made now. Raises InputError."""
     h = fit.hypothesis
     names = [_present(known, f"q{i}", ("_deg", "_rad", "_mm", "_m")) for i in range(1, robot.n + 1)]
     si = {"deg": np.pi / 180, "rad": 1.0, "mm": 1e-3, "m": 1.0}
     unit = [si[name.rsplit("_", 1)[1]] for name in names]
-    found: dict[str, Source] = {}
+    columns: dict[str, Source] = {}
     for i, name in enumerate(names):
 
         def own(j: int, i: int = i) -> Source:
@@ -174,7 +168,7 @@ def repaired_columns(fit: Fit, robot: Robot, known: Mapping[str, Source]) -> dic
             made = replace(made, plus=made.plus + h.add[i] * other.plus)
         made = Source(made.name, _round(made.times), _round(made.plus), add, made.rows + h.shift)
         if made != known[name]:
-            found[name] = made
+            columns[name] = made
     scales = (1.0, 1.0, 1.0) if other_lengths(fit, robot) else fit.scale
     for c, scale in zip("xyz", scales, strict=True):
         if scale == 1.0 and not (c == "y" and fit.mirrored):
@@ -183,8 +177,8 @@ def repaired_columns(fit: Fit, robot: Robot, known: Mapping[str, Source]) -> dic
         source, sign = _simple(known[name]), -1.0 if c == "y" and fit.mirrored else 1.0
         made = Source(source.name, _round(sign * scale * source.times), sign * scale * source.plus, {}, source.rows)
         if made != known[name]:
-            found[name] = made
-    return found
+            columns[name] = made
+    return columns
 
 
 def _round(value: float) -> float:
@@ -237,41 +231,33 @@ def _repaired_robot(path: Path, fit: Fit, times: float) -> str:
 
 def difference(texts: Mapping[Path, str]) -> str:
     """The files as they are and as they become, line by line."""
-    found: list[str] = []
+    lines: list[str] = []
     for path, text in texts.items():
         before = read_text(path).splitlines()
-        found += difflib.unified_diff(before, text.splitlines(), str(path), f"{path} repaired", n=0, lineterm="")
-    return "\n".join(line for line in found if not line.startswith("@@"))
+        lines += difflib.unified_diff(before, text.splitlines(), str(path), f"{path} repaired", n=0, lineterm="")
+    return "\n".join(line for line in lines if not line.startswith("@@"))
 
 
-def write_repair(folder: Path, fit: Fit, robot: Robot) -> str:
-    """Write the repair; the difference that it makes. Raises InputError."""
-    texts = repaired_files(folder, fit, robot)
+def write_repair(texts: Mapping[Path, str]) -> str:
+    """Write repaired files; the difference that it makes. Raises InputError."""
     shown = difference(texts)
     write_together(texts)
     return shown
 
 
 def repaired(found: Precheck) -> str:
-    """Write the repair of what a check has found, targets before slips; the lines that change, or nothing.
-
-    Raises InputError.
-    """
+    """Write the repair that a check has found, targets before slips: the lines that change. Raises InputError."""
     robot, slips, targets = found.nominal, found.slips, found.targets
     if targets and targets.which is not None and targets.points is not None and targets.rows is not None:
         rows = [targets.rows[targets.which == k] for k in range(targets.count)]
-        texts = files_with_targets(found.folder, targets.names, targets.points, rows)
-        shown = difference(texts)
-        write_together(texts)
+        shown = write_repair(files_with_targets(found.folder, targets.names, targets.points, rows))
         return f"{shown}\nrepaired: {targets.count} targets, named {', '.join(targets.names)}"
     if wrong := found.wrong_names:
         rows = [wrong.row[wrong.meant == k] for k in range(len(wrong.names))]
-        texts = file_with_names(found.folder, wrong.names, rows)
-        shown = difference(texts)
-        write_together(texts)
+        shown = write_repair(file_with_names(found.folder, wrong.names, rows))
         return f"{shown}\nrepaired: {int((wrong.given != wrong.meant).sum())} rows name another target"
     if robot and slips and slips.explains:
-        shown = write_repair(found.folder, slips.best, robot)
+        shown = write_repair(repaired_files(found.folder, slips.best, robot))
         meant = f"\nthe frame is mirrored: {MIRRORED}" if slips.best.mirrored else ""
         after = left_mm(slips.best, robot)
         return f"{shown}\nrepaired: {1e3 * slips.before.error:.4g} mm before, {after} after{meant}"
@@ -291,10 +277,7 @@ def not_repaired(found: Precheck) -> str:
 
 
 def files_with_targets(folder: Path, names: Sequence[str], points: Array, rows: Sequence[Array]) -> dict[Path, str]:
-    """problem.toml and, unless the robot is from a URDF, the robot file, with several targets in place of one.
-
-    points : in the last link's frame, shape (K, 3) [m]; rows : of the file, of each target
-    """
+    """problem.toml and, but of a URDF, the robot file with targets: points, (K, 3) [m], rows of the file of each."""
     path = folder / "problem.toml"
     problem = tomlkit.parse(file_with_names(folder, names, rows)[path])
     unknown = read_problem_robot(folder).tool.unknown

@@ -7,9 +7,8 @@ from typing import Any
 
 from casadical.core.telling.blocks import Table, Words, next_step
 from casadical.core.telling.result import Result
-from casadical.project.check.findings import Finding, Level
 from casadical.project.check.information import Outlook
-from casadical.project.check.plausible import JointCoverage
+from casadical.project.check.plausible import Finding, JointCoverage, Level
 from casadical.project.check.slips import Slips
 from casadical.project.check.targets import Targets, WrongNames
 from casadical.robot.robot import Robot
@@ -95,28 +94,19 @@ class Precheck(Result):
         return (next_step("when this is corrected", "check", self.folder, *self.tables),)
 
     def _head(self) -> Iterator[Words]:
-        yield Words(f"{self.folder.resolve().name}: {self._verdict()}", "verdict")
+        errors, warnings = len(self.of_level("error")), len(self.of_level("warning"))
+        verdict = f"ready, {warnings} warning{'s' * (warnings > 1)}" if warnings else "ready"
+        verdict = f"NOT READY, {errors} error{'s' * (errors > 1)}" if errors else verdict
+        yield Words(f"{self.folder.resolve().name}: {verdict}", "verdict")
         if self.title:
             sets = ", ".join(f"{name} {n}" for name, n in self.poses)
             yield Words(f"{self.title}; {self.robot}; poses: {sets}")
 
-    def _verdict(self) -> str:
-        errors, warnings = len(self.of_level("error")), len(self.of_level("warning"))
-        if errors:
-            return f"NOT READY, {errors} error{'s' if errors > 1 else ''}"
-        return f"ready, {warnings} warning{'s' if warnings > 1 else ''}" if warnings else "ready"
-
     def _ranges(self) -> Table:
-        rows = [
-            (
-                str(c.joint),
-                f"{c.low:.1f}",
-                f"{c.high:.1f} {c.unit}",
-                f"{c.lower:.0f} .. {c.upper:.0f}",
-                f"{100 * c.share:.0f} %",
-            )
-            for c in self.joints
-        ]
+        rows = []
+        for c in self.joints:
+            limits, covered = f"{c.lower:.0f} .. {c.upper:.0f}", f"{100 * c.share:.0f} %"
+            rows.append((str(c.joint), f"{c.low:.1f}", f"{c.high:.1f} {c.unit}", limits, covered))
         columns = ("joint", "from", "to", "limits", "covered")
         return Table("Readings of the poses that are fitted", columns, rows, frozenset(range(5)))
 

@@ -156,14 +156,14 @@ class SlipFit:
             left, turn, _ = _without(y, p, R)
             left = left - (turn @ _solved(turn, left[..., None]))[..., 0]
             spread = np.sqrt(((p - p.mean(axis=1, keepdims=True)) ** 2).sum(axis=(1, 2)) / len(y)) + 1e-3 * self.reach
-            share[part] = self._trimmed(left) / spread
+            square = np.sort((left.reshape(len(left), -1, 3) ** 2).sum(axis=2), axis=1)
+            counted = square[:, : max(1, int(COUNTED * square.shape[1]))]
+            share[part] = np.sqrt(counted.mean(axis=1)) / spread
         return share
 
     def departures(self, hypotheses: Sequence[Hypothesis]) -> Array:
-        """Departures of the lengths that would explain most, one at a time: shape (k, 2 joints, 2) [share that is left
-        of the error, metres], the a first.
-        """
-        found = np.empty((len(hypotheses), 2 * self.q.shape[1], 2))
+        """Share of the error that each length would leave, and its departure [m], (k, 2 joints, 2), the a first."""
+        departures = np.empty((len(hypotheses), 2 * self.q.shape[1], 2))
         for part, y, p, R, along in self._parts(hypotheses):
             left, turn, extra = _without(y, p, R, np.moveaxis(np.concatenate(along, axis=1), 1, 3))
             left = left - (turn @ _solved(turn, left[..., None]))[..., 0]
@@ -172,8 +172,8 @@ class SlipFit:
             products = (extra * left[..., None]).sum(axis=1)
             whole = (left**2).sum(axis=1)[:, None]
             after = np.maximum(whole - products**2 / norms, 0)
-            found[part] = np.stack([np.sqrt(after / np.maximum(whole, 1e-18)), -products / norms], axis=2)
-        return found
+            departures[part] = np.stack([np.sqrt(after / np.maximum(whole, 1e-18)), -products / norms], axis=2)
+        return departures
 
     def zeros(self, hypotheses: Sequence[Hypothesis], joint: int) -> Array:
         """What to add to the zero of a turning joint so that it fits best, shape (k,) [rad].
@@ -181,7 +181,7 @@ class SlipFit:
         Poses are linear in cosine and sine of it, so that p + R t is in both, in t and in their products; these are
         taken as unknowns of their own, of a linear least squares.
         """
-        found = np.empty(len(hypotheses))
+        zeros = np.empty(len(hypotheses))
         turned = [[h.at("zero", joint, h.zero[joint] + z) for h in hypotheses] for z in (0.0, np.pi / 2, np.pi)]
         for (part, y, p0, R0, _), (_, _, p1, R1, _), (_, _, p2, R2, _) in zip(*map(self._parts, turned), strict=True):
             constant, x0 = (p0 + p2) / 2, (R0 + R2) / 2
@@ -189,8 +189,8 @@ class SlipFit:
             (fixed, R, _), (cosine, R_cos, _), (sine, R_sin, _) = parts
             A = np.concatenate([cosine[..., None], sine[..., None], R, R_cos, R_sin], axis=2)
             w = -_solved(A, fixed[..., None])[..., 0]
-            found[part] = np.arctan2(w[:, 1], w[:, 0])
-        return found
+            zeros[part] = np.arctan2(w[:, 1], w[:, 0])
+        return zeros
 
     def _parts(
         self, hypotheses: Sequence[Hypothesis]
@@ -212,12 +212,6 @@ class SlipFit:
             for name, i, departure in h.lengths:
                 (a if name == "a" else d)[k, i] += departure
         return a, d
-
-    @staticmethod
-    def _trimmed(left: Array) -> Array:
-        square = (left.reshape(len(left), -1, 3) ** 2).sum(axis=2)
-        counted = np.sort(square, axis=1)[:, : max(1, int(COUNTED * square.shape[1]))]
-        return np.asarray(np.sqrt(counted.mean(axis=1)))
 
     def placed(self, h: Hypothesis, as_given: bool = False) -> Fit:
         """The hypothesis with base and tool as frames: its error, and what is wrong with the positions.
@@ -291,7 +285,7 @@ class LengthFit(SlipFit):
         length, place = y[:, 0], np.eye(int(y[:, 1].max()) + 1)[y[:, 1].astype(int)]
         weight = np.ones(len(y)) if kept is None else kept.astype(float)
         x, damping, best = self._start(p, length, place), np.full(len(p), 1e-3), np.full(len(p), np.inf)
-        tried, left, found = x, np.empty(p.shape[:2]), np.empty(p.shape[:2])
+        tried, left, least = x, np.empty(p.shape[:2]), np.empty(p.shape[:2])
         A, b = np.zeros((len(p), x.shape[1], x.shape[1])), np.zeros((*x.shape, 1))
         for _ in range(steps):
             line = p + (R @ tried[:, None, :3, None])[..., 0] - place @ tried[:, 3:].reshape(len(p), -1, 3)
@@ -299,7 +293,7 @@ class LengthFit(SlipFit):
             left = length - size
             cost = (weight * left**2).sum(axis=1)
             better = cost < best
-            found[better], x, best = left[better], np.where(better[:, None], tried, x), np.minimum(cost, best)
+            least[better], x, best = left[better], np.where(better[:, None], tried, x), np.minimum(cost, best)
             # Never none: what no length tells, as a planar arm of its tool, would have no step.
             damping = np.where(better, np.maximum(damping / 5, 1e-9), damping * 10)
             along = (weight[:, None] * line / size[..., None])[better]
@@ -310,7 +304,7 @@ class LengthFit(SlipFit):
             A[better], b[better] = np.swapaxes(J, 1, 2) @ J, np.swapaxes(J, 1, 2) @ left[better][..., None]
             ridge = damping[:, None, None] * (np.eye(x.shape[1]) * (1e-6 * len(y) + A))
             tried = x + np.linalg.solve(A + ridge, b)[..., 0]
-        return found
+        return least
 
     @staticmethod
     def _start(p: Array, length: Array, place: Array) -> Array:
@@ -322,11 +316,11 @@ class LengthFit(SlipFit):
         for own in place.T > 0:
             local = p[:, own] - p[:, own].mean(axis=1, keepdims=True)
             A = np.concatenate([2 * local, -np.ones((*local.shape[:2], 1))], axis=2)
-            found = _solved(A, ((local**2).sum(axis=2) - length[own] ** 2)[..., None])[..., 0]
+            solved = _solved(A, ((local**2).sum(axis=2) - length[own] ** 2)[..., None])[..., 0]
             spread, axes = np.linalg.eigh(np.swapaxes(local, 1, 2) @ local)
-            beside = np.sqrt(np.maximum(found[:, 3] - (found[:, :3] ** 2).sum(axis=1), 0.0))
+            beside = np.sqrt(np.maximum(solved[:, 3] - (solved[:, :3] ** 2).sum(axis=1), 0.0))
             beside[spread[:, 0] > FLAT * spread[:, 2]] = 0.0
-            x.append(found[:, :3] + axes[:, :, 0] * beside[:, None] + p[:, own].mean(axis=1))
+            x.append(solved[:, :3] + axes[:, :, 0] * beside[:, None] + p[:, own].mean(axis=1))
         return np.concatenate(x, axis=1)
 
 
@@ -336,9 +330,9 @@ def _readings(hypotheses: Sequence[Hypothesis], q: Array) -> Array:
         np.array([getattr(h, name) for h in hypotheses]) for name in ("source", "sign", "factor", "zero", "add")
     )
     own = q.T[source].swapaxes(1, 2) * (sign * factor)[:, None, :] + zero[:, None, :]
-    found = own.copy()
-    found[..., 1:] += add[:, None, 1:] * own[..., :-1]
-    return np.asarray(found)
+    meant = own.copy()
+    meant[..., 1:] += add[:, None, 1:] * own[..., :-1]
+    return np.asarray(meant)
 
 
 def _without(y: Array, p: Array, R: Array, more: Array | None = None) -> tuple[Array, Array, Array]:
@@ -383,7 +377,7 @@ SCALES = (1.0, 1e3, 1e-3, 25.4, 1 / 25.4, 10.0, 0.1, 1e2, 1e-2, 1e3 / 25.4, 25.4
 def _shape(M: Array) -> tuple[tuple[float, float, float], bool]:
     """Factors of x, y and z that make M a rotation, where they are units, and whether M mirrors."""
     norms = np.linalg.norm(M, axis=0)
-    found = [min(SCALES, key=lambda s: abs(np.log(norm / s))) if norm > 0 else 1.0 for norm in norms]
-    sure = [abs(np.log(max(norm, 1e-12) / s)) < 0.2 for norm, s in zip(norms, found, strict=True)]
-    x, y, z = (s if ok else 1.0 for s, ok in zip(found, sure, strict=True))
+    nearest = [min(SCALES, key=lambda s: abs(np.log(norm / s))) if norm > 0 else 1.0 for norm in norms]
+    sure = [abs(np.log(max(norm, 1e-12) / s)) < 0.2 for norm, s in zip(norms, nearest, strict=True)]
+    x, y, z = (s if ok else 1.0 for s, ok in zip(nearest, sure, strict=True))
     return (x, y, z), bool(np.linalg.det(M) < 0)

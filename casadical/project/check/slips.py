@@ -55,16 +55,8 @@ class Slips:
         return self.best.slips > 0 and self.best.error < EXPLAINS * self.before.error
 
 
-def search_slips(
-    robot: Robot,
-    m: Measurements,
-    others: Sequence[Robot] = (),
-    show: Show = silent,
-) -> Slips | None:
-    """What is wrong with a table, if anything is; None where this is not known (see `slip_fit`).
-
-    others : the robot with its rows read otherwise; show : called with a line of progress
-    """
+def search_slips(robot: Robot, m: Measurements, others: Sequence[Robot] = (), show: Show = silent) -> Slips | None:
+    """What is wrong with a table; None where it is not known (see `slip_fit`). others : with rows read otherwise"""
     order = np.argsort(m.row)
     # Whole stretches of rows, so that shifted ones still belong together.
     fit = slip_fit(robot, m[order[:POSES]], others)
@@ -72,12 +64,12 @@ def search_slips(
         return None
     # Shifts need rows that follow each other in the file.
     shifts = (0, 1, -1) if np.all(np.diff(m.row[order]) >= 1) and m.position is not None else (0,)
-    found = _search(fit, robot, shifts, show)
+    fits = _search(fit, robot, shifts, show)
     before = fit.placed(Hypothesis.none(robot.n), as_given=True)
-    costs = [_cost(f, robot) + OUTSIDE * outside(f.hypothesis, robot, fit.q) for f in found]
+    costs = [_cost(f, robot) + OUTSIDE * outside(f.hypothesis, robot, fit.q) for f in fits]
     first, *behind = ranked(np.negative(costs))
-    best = found[first]
-    near = [found[k] for k in behind if found[k].slips and costs[k] < costs[first] + np.log(WORTH)]
+    best = fits[first]
+    near = [fits[k] for k in behind if fits[k].slips and costs[k] < costs[first] + np.log(WORTH)]
     # What leaves the same is the same robot, or its mirror image: no pose would distinguish them.
     rivals = [f for f in near if abs(f.error - best.error) > SAME * best.error]
     return Slips(before, best, tuple(rivals[:2]))
@@ -122,15 +114,15 @@ def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int], show: Show) -> li
     none = Hypothesis.none(robot.n)
     turning = [j.kind == "revolute" for j in robot.joints]
     level = [none, *_in_radians(none, fit.q, turning)]
-    seen, found = set(level), {none: fit.placed(none)}
+    seen, fits = set(level), {none: fit.placed(none)}
     share = fit.shares(level)
     for depth in range(MOST_SLIPS + 1):
         show(f"slips, search {depth + 1} of {MOST_SLIPS + 1}")
         kept = _kept(level, share, fit.beam)
         for k in kept[:PLACED]:
             h = _refined(fit, level[k])
-            found.setdefault(h, fit.placed(h))
-        least = min(f.error for f in found.values())
+            fits.setdefault(h, fit.placed(h))
+        least = min(f.error for f in fits.values())
         if depth == MOST_SLIPS or least < 2 * OWN * robot.reach:
             break
         parents = [level[k] for k in kept]
@@ -145,7 +137,7 @@ def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int], show: Show) -> li
         if not level:
             break
         share = fit.shares(level)
-    return list(found.values())
+    return list(fits.values())
 
 
 def _in_radians(none: Hypothesis, q: Array, turning: Sequence[bool]) -> Iterator[Hypothesis]:

@@ -4,7 +4,7 @@ Distances between the targets are the same at every pose, their directions turn 
 (one direction), nor bad rows, nor shifted readings (other distances each time) do both.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations, product
 
@@ -74,10 +74,7 @@ class Targets:
 
 
 def recognised(robot: Robot, m: Measurements) -> Targets | None:
-    """Several targets in a table that names none; None where repeats agree, or where there are none.
-
-    robot : nominal; m : all rows of one table
-    """
+    """Several targets in a table, m, that names none; None where repeats agree, or there are none. robot : nominal"""
     if m.position is None or robot.targets or any(name.startswith("tool_") for name in m.conditions):
         return None
     poses = _poses(m)
@@ -90,7 +87,8 @@ def recognised(robot: Robot, m: Measurements) -> Targets | None:
     if not often:
         return None
     count = often[-1]
-    points = [_means(m.position[rows], part) for rows, part in apart if part.max() + 1 == count]
+    whole = [(rows, part) for rows, part in apart if part.max() + 1 == count]
+    points = [_means(m.position[rows], part) for rows, part in whole]
     lengths = np.array([np.sort(_lengths(p)) for p in points])
     distances = np.median(lengths, axis=0)
     alike = (np.abs(lengths - distances) < ALIKE).all(axis=1)
@@ -98,11 +96,10 @@ def recognised(robot: Robot, m: Measurements) -> Targets | None:
         return None
     distances = np.median(lengths[alike], axis=0)
     turning = _turning([p for p, ok in zip(points, alike, strict=True) if ok])
-    found = Targets(count, distances, len(apart), turning)
+    targets = Targets(count, distances, len(apart), turning)
     if not turning:
-        return found
-    whole = [(r, p) for r, p in apart if p.max() + 1 == count]
-    return _distinguished(robot, m, poses, [pose for pose, ok in zip(whole, alike, strict=True) if ok], found)
+        return targets
+    return _distinguished(robot, m, poses, [pose for pose, ok in zip(whole, alike, strict=True) if ok], targets)
 
 
 def _poses(m: Measurements) -> list[tuple[Array, Array]]:
@@ -137,22 +134,17 @@ def _lengths(points: Array) -> Array:
 
 def _turning(points: list[Array]) -> bool:
     """Whether the longest way between two targets points elsewhere at other poses."""
-    ways = []
-    for p in points:
-        first, second = np.triu_indices(len(p), 1)
-        longest = int(np.argmax(_lengths(p)))
-        ways.append(p[second[longest]] - p[first[longest]])
-    values = np.linalg.eigvalsh(np.array(ways).T @ np.array(ways))
+    first, second = np.triu_indices(len(points[0]), 1)
+    longest = [int(np.argmax(_lengths(p))) for p in points]
+    ways = np.array([p[second[k]] - p[first[k]] for p, k in zip(points, longest, strict=True)])
+    values = np.linalg.eigvalsh(ways.T @ ways)
     return bool(values[-1] < ONE_DIRECTION * values.sum())
 
 
 def _distinguished(
     robot: Robot, m: Measurements, poses: list[tuple[Array, Array]], whole: list[tuple[Array, Array]], found: Targets
 ) -> Targets:
-    """Which row is which target, by the nominal model with base and tool at the middle of the targets.
-
-    whole : poses at which every target was measured, at the distances found
-    """
+    """Which row is which target, by the nominal model at their middle; whole : poses at which each was measured."""
     placed = place_frames(rigid(robot), _middles(m, whole))
     p, R = predicted(placed, m)
     assert m.position is not None
@@ -226,10 +218,10 @@ def whole_table(problem: Problem) -> Measurements | None:
 def unnamed_targets(problem: Problem) -> str:
     """Where a problem's only table has several targets and names none: that, and what to do; else nothing."""
     table = whole_table(problem)
-    found = recognised(problem.robot, table) if table is not None else None
-    if table is None or not found or not found.turning:
+    targets = recognised(problem.robot, table) if table is not None else None
+    if table is None or not targets or not targets.turning:
         return ""
-    return f"{found.in_words(table.source)}; casadical check {problem.folder} --repair writes them"
+    return f"{targets.in_words(table.source)}; casadical check {problem.folder} --repair writes them"
 
 
 # So many rows begin the search; a further name must be nearer by this factor, and halve the error of the table.
@@ -263,10 +255,7 @@ class WrongNames:
 
 
 def wrong_names(robot: Robot, m: Measurements) -> WrongNames | None:
-    """Rows whose point lies where another target is, by a search that begins with a part of the rows; None of none.
-
-    robot : with several targets; m : all rows of one table, in the order of the file
-    """
+    """Rows of a whole table whose point lies where another target is, by a search from a part of them; None of none."""
     columns = [t.column for t in robot.targets]
     if not columns or m.position is None or len(m) < 2 * BEGIN:
         return None
@@ -275,12 +264,12 @@ def wrong_names(robot: Robot, m: Measurements) -> WrongNames | None:
     free = rigid(robot)
     before = median_error(free, m)
     part = max(BEGIN, len(m) // 3)
-    found = [_search(free, m, given, rows) for rows in (slice(0, part), slice(-part, None))]
-    left = [median_error(free, _named(m, robot, names)) for names in found]
+    searched = [_search(free, m, given, rows) for rows in (slice(0, part), slice(-part, None))]
+    left = [median_error(free, _named(m, robot, names)) for names in searched]
     if min(left) > WORTH * before:
         return None
     # Of two names that change places nobody can say which half is right: the one with more rows is taken.
-    as_good = [names for names, error in zip(found, left, strict=True) if error < min(left) / WORTH]
+    as_good = [names for names, error in zip(searched, left, strict=True) if error < min(left) / WORTH]
     meant = min(as_good, key=lambda names: int((names != given).sum()))
     if (meant == given).all():
         return None
@@ -289,10 +278,7 @@ def wrong_names(robot: Robot, m: Measurements) -> WrongNames | None:
 
 
 def _search(robot: Robot, m: Measurements, given: Array, rows: slice, nearer: float = NEARER) -> Array:
-    """The target of each row, where base and tools begin as these rows have them.
-
-    nearer : another target must be by this factor
-    """
+    """The target of each row; base and tools begin as these rows have them, another target is `nearer` by a factor."""
     names, placed = given, place_frames(robot, _named(m, robot, given)[rows])
     for _ in range(ROUNDS):
         points = np.array([placed.tool.T[:3, 3], *(t.point for t in placed.targets)])
@@ -334,7 +320,9 @@ def with_targets_of_rows(
     for m in sets:
         points = {} if names_in(m) or m.position is None else _by_position(robot, m)
         if points:
-            told.append(_rows_named(m, points))
+            places = np.arange(len(m))
+            logged = {f"tool_{name}": np.isin(places, own).astype(float) for name, (_, own) in points.items()}
+            told.append(replace(m, conditions={**m.conditions, **logged}))
             known |= {name: point for name, (point, _) in points.items()}
             rows = ", ".join(f"{name} {len(own)}" for name, (_, own) in points.items())
             notes.append(f"{m.source}: no column names the targets; as they lie, {rows} rows")
@@ -354,18 +342,13 @@ def with_targets_of_rows(
     return arm, tuple(told), tuple(notes)
 
 
-def _rows_named(m: Measurements, points: Mapping[str, tuple[Array, Array]]) -> Measurements:
-    logged = {f"tool_{name}": np.isin(np.arange(len(m)), own).astype(float) for name, (_, own) in points.items()}
-    return replace(m, conditions={**m.conditions, **logged})
-
-
 def _by_position(robot: Robot, m: Measurements) -> dict[str, tuple[Array, Array]]:
     """Point in the last link's frame [m] and places of the rows of each target of a table; none of one target alone."""
     alone = replace(robot, targets=(), tool_name="")
-    if (found := recognised(alone, m)) and found.turning:
-        if found.points is None or found.which is None:
-            raise InputError(found.in_words(m.source))
-        points, which = found.points, found.which
+    if (targets := recognised(alone, m)) and targets.turning:
+        if targets.points is None or targets.which is None:
+            raise InputError(targets.in_words(m.source))
+        points, which = targets.points, targets.which
     else:
         free = rigid(alone)
         one = median_error(free, m)
@@ -415,10 +398,7 @@ def _by_known(placed: Robot, points: Array, m: Measurements) -> Array:
 
 
 def _scattered(free: Robot, m: Measurements, which: Array) -> tuple[Array, Array, float]:
-    """Targets where each pose has one row: points, shape (K, 3) [m], target of each row, greatest median error [m].
-
-    which : to begin with
-    """
+    """Targets, (K, 3) [m], of each row which, and greatest median error [m], of one row a pose; which : at first."""
     several = _several(free, which)
     which = np.unique(_search(several, m, which, slice(None), 1.0), return_inverse=True)[1]
     several = _several(free, which)

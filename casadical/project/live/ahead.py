@@ -150,10 +150,7 @@ def _order(robot: Robot, q: Array, gain: Array, before: Array) -> list[int]:
 def candidates(
     robot: Robot, room: Workspace | None, seed: int, touches: Measurements | None = None
 ) -> tuple[Array, str]:
-    """Poses that may be measured, shape (POOL, joints), and what was not checked.
-
-    touches : readings that tell where the tool may be held, None: anywhere. Raises InputError of a room.
-    """
+    """Poses to choose from, (POOL, joints), and what was not checked; touches : what the tool is to touch."""
     rng, own = np.random.default_rng(seed), one_turn(robot if room else in_base(robot))
     # Some robots have axes in the plane that they stand on.
     standing = [Workspace(floor=0.0, clearance=clearance) for clearance in (CLEARANCE, -LEAST)]

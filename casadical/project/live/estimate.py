@@ -140,9 +140,8 @@ class Estimate:
             J = without_base(self.robot, J, task)
         W, seen = np.einsum("kip,kiq->pq", J, J, optimize=True) / len(J), np.zeros_like(self.covariance)
         if more:
-            turns = np.where(
-                np.arange(find_kind(self.m.kind).numbers) < find_kind(self.m.kind).lengths, 1, 1 / self.ratio
-            )
+            kind = find_kind(self.m.kind)
+            turns = np.where(np.arange(kind.numbers) < kind.lengths, 1, 1 / self.ratio)
             own = observed(self.robot, self.names, self.m, points=self.points).J * turns[:, None]
             seen = np.einsum("kip,kiq->pq", own, own, optimize=True) * (MM / self.sigma) ** 2 / len(own)
         now = np.linalg.inv(self.covariance)

@@ -39,10 +39,7 @@ class Slip:
 
 
 def slips_of(found: Estimate, m: Measurements, k: int, before: Array | None = None) -> list[Slip]:
-    """What the k-th reading looks like, the most probable first; empty where no slip explains it.
-
-    before : shift of the target that an earlier doubtful reading showed, shape (3,) [m]
-    """
+    """What the k-th reading looks like, the most probable first; before : shift of an earlier target, (3,) [m]."""
     one = m[[k]]
     all_exact = (*_of_names(found, m, k), *_of_observed(found, m, k), *_of_readings(found, m, k))
     exact = [s for s in all_exact if s.surprise <= found.limit]
@@ -188,14 +185,10 @@ def _of_joints(found: Estimate, one: Measurements, m: Measurements, k: int, y: A
             yield Slip(kind, words, float(values[i]))
 
 
-def _turned(angle: float) -> float:
-    """An angle from -180 to 180 deg [rad]."""
-    return float(np.arctan2(np.sin(angle), np.cos(angle)))
-
-
 def _joint_words(turning: bool, i: int, stood: float, read: float, before: float | None) -> tuple[str, str]:
     unit, factor = ("deg", 180 / np.pi) if turning else ("mm", 1e3)
-    if negative := abs(_turned(stood + read) if turning else stood + read) < SAME:
+    off = np.arctan2(np.sin(stood + read), np.cos(stood + read)) if turning else stood + read
+    if negative := abs(off) < SAME:
         stood = -read
     where = f"joint {i + 1} stood at {stood * factor:.2f}, not {read * factor:.2f} {unit}"
     if negative:

@@ -65,14 +65,8 @@ class LiveSession:
         self, folder: Path, course: Course, add: Add, *, target: float | None = None, room: Path | None = None,
         data: str = "real", move: Callable[[Sequence[float]], str] | None = None,
     ) -> None:  # fmt: skip
-        self.folder, self.course, self._add, self.target, self._data, self._move = (
-            folder,
-            course,
-            add,
-            target,
-            data,
-            move,
-        )
+        self.folder, self.course, self._add = folder, course, add
+        self.target, self._data, self._move = target, data, move
         _refuse_measured(folder)
         self.robot = read_problem_robot(folder)
         self.room: Workspace | None = read_workspace(room, self.robot) if room else None
@@ -126,7 +120,7 @@ class LiveSession:
     def feed(self, source: Source) -> tuple[list[int], list[str]]:
         """Take what is new in a source: numbers of the readings, and sentences about what cannot be taken."""
         news = source.news()
-        found, said, before = list[int](), list(news.said), set[tuple[str, ...]]()
+        numbers, said, before = list[int](), list(news.said), set[tuple[str, ...]]()
         for row in news.rows:
             if row.cells in before:
                 said.append(f"{row.source}: is a copy of an earlier row, and counts once")
@@ -136,19 +130,16 @@ class LiveSession:
             except InputError as error:
                 said.append(str(error))
                 continue
-            found += [number] if number else []
-        if found:
-            self._judge(*found)
+            numbers += [number] if number else []
+        if numbers:
+            self._judge(*numbers)
         with self.lock:
             said = [text for text in dict.fromkeys(said) if text not in self.said]
             self.said += said
-        return found, said
+        return numbers, said
 
     def type_in(self, values: Mapping[str, str]) -> int | None:
-        """Keep a reading that was typed: values by `fields`, names of what is touched as words.
-
-        Raises InputError: one is missing, or no finite number where it must be one.
-        """
+        """Keep a reading that was typed: values, or words, by `fields`. Raises InputError for what is none."""
         names, row = self.fields, dict[str, str]()
         for name in names:
             with suppress(ValueError):
@@ -217,11 +208,11 @@ class LiveSession:
 
     @property
     def _sources(self) -> dict[str, ColumnSource]:
-        """What our columns are made of in the table."""
-        data = self._table_said()
+        tables = problem_file(self.folder).measurements
+        data = next((t for t in tables if t.file == TABLE), DataTable(file=TABLE))
         raw = read_table(self.folder / TABLE)
-        found = {**understood(raw, self.robot, data.sources, data.kind).sources, **data.sources}
-        return {name: ColumnSource(name) for name in raw.header if name not in found} | found
+        sources = {**understood(raw, self.robot, data.sources, data.kind).sources, **data.sources}
+        return {name: ColumnSource(name) for name in raw.header if name not in sources} | sources
 
     def _as_file(self, values: Mapping[str, str]) -> dict[str, str]:
         """Typed values as the file's columns are, other columns empty. Raises InputError where that is not clear."""
@@ -266,11 +257,8 @@ class LiveSession:
         return str(error).replace(f"{self.folder}/", "")
 
     def _without_odd(self, new: Sequence[int], why: str) -> Measurements | None:
-        """The table without those of the new rows that make it none; None, and why, where they are not it.
-
-        Rows of before may have waited for these: for further touches of a plane, or the other end of a way.
-        """
-        found: Measurements | None = None
+        """The table without new rows that make it none, for which older ones may have waited; None, and why."""
+        table: Measurements | None = None
         before, read, whole = self._odd, self._read(), ""
         waiting = [r.number for r in self.course.readings if not (r.struck or r.number in (*new, *read))]
         for lost in ((), *((n,) for n in waiting[-WAITING:])) if waiting else ():
@@ -284,7 +272,7 @@ class LiveSession:
         for n in (0, *new):  # all of them left out, then one after the other taken in
             self._odd.pop(n, None)
             try:
-                found = self._table()
+                table = self._table()
             except InputError as error:
                 if n == 0:
                     self._odd = {k: text for k, text in self._odd.items() if k not in new}
@@ -294,42 +282,37 @@ class LiveSession:
                 alike = re.sub("[0-9]+", "", own) == re.sub("[0-9]+", "", whole)  # it waits as those before do
                 self._odd[n] = whole if alike else own
         self._write()
-        return found
+        return table
 
     def _judge_readings(self, m: Measurements, new: int) -> None:
         numbers = [self._number(row) for row in m.row]
         robot = self.robot if not undeclared(self.robot) else all_compliant(self.robot, [m])[0]
         robot = prepare(robot, m, tool_turns=True).robot
         known = np.array([self._doubtful.get(n, True) for n in numbers])
-        outside = self._out_of_range(m)
+        lower, upper = self.robot.limits
+        outside = ((m.q < lower - 0.002) | (m.q > upper + 0.002)).any(axis=1)
         inside = np.flatnonzero(~outside & (m.weight > 0))
-        found, out, off = counted(robot, m[inside], known[inside])
-        self.estimate = found
+        estimate, out, off = counted(robot, m[inside], known[inside])
+        self.estimate = estimate
         was = {n for n, d in self._doubtful.items() if d and n != new}
         self._doubtful = dict.fromkeys(numbers, False)
         self._off = {}
         for i, k in enumerate(inside):
             n = numbers[k]
             self._doubtful[n] = bool(out[i])
-            if found is not None:
+            if estimate is not None:
                 self._off |= {n: float(np.linalg.norm(off[i]))} if np.isfinite(off[i]).all() else {}
             if not out[i]:
                 self._words.pop(n, None)
-            elif found is not None and (n == new or n not in was or n not in self._words):
-                self._words[n] = self._slip_words(found, m[inside], i, n)
+            elif estimate is not None and (n == new or n not in was or n not in self._words):
+                self._words[n] = self._slip_words(estimate, m[inside], i, n)
         for k in np.flatnonzero(outside):
-            self._doubtful[numbers[k]], self._words[numbers[k]] = True, self._range_words(m[[int(k)]])
-
-    def _out_of_range(self, m: Measurements) -> Array:
-        lower, upper = self.robot.limits
-        return np.asarray(((m.q < lower - 0.002) | (m.q > upper + 0.002)).any(axis=1))
-
-    def _range_words(self, one: Measurements) -> str:
-        try:
-            check_against(self.robot, one)
-        except InputError as error:
-            return f"{str(error).splitlines()[0]}; another robot's pose, or another unit?"
-        return "outside of the joints' ranges"
+            words = "outside of the joints' ranges"
+            try:
+                check_against(self.robot, m[[int(k)]])
+            except InputError as error:
+                words = f"{str(error).splitlines()[0]}; another robot's pose, or another unit?"
+            self._doubtful[numbers[k]], self._words[numbers[k]] = True, words
 
     def _slip_words(self, found: Estimate, m: Measurements, k: int, number: int) -> str:
         """Which slip a doubtful reading looks like, in a sentence."""
@@ -346,8 +329,8 @@ class LiveSession:
     def look_ahead(self) -> None:
         """Plan the next poses with what is known by now; takes some tenths of a second."""
         with self.lock:
-            found, wish, m = self.estimate, self._wish, self.m
-        ahead = look_ahead(found.robot if found else self.robot, found, self.room, self.target, m)
+            estimate, wish, m = self.estimate, self._wish, self.m
+        ahead = look_ahead(estimate.robot if estimate else self.robot, estimate, self.room, self.target, m)
         with self.lock:
             self.ahead = ahead if wish is None else replace(ahead, q=np.vstack([wish, ahead.q]))
             self._wish = None
@@ -359,9 +342,6 @@ class LiveSession:
         assert self.ahead is not None
         return np.asarray(self.ahead.q[0])
 
-    def _last(self) -> Array | None:
-        return None if self.m is None or not len(self.m) else self.m.q[-1]
-
     def doubted(self) -> bool:
         """Whether the whole table is to be checked for slips now (see `check`)."""
         n = len(self.course.readings)
@@ -372,17 +352,12 @@ class LiveSession:
     def check(self) -> None:
         """The check of `casadical check` for the whole table; takes seconds where it searches slips."""
         n = len(self.course.readings)
-        found = precheck(self.folder)
-        texts = [f"{f.topic}: {f.text}" for f in found.findings if f.level == "error" and f.topic != "too few poses"]
+        checked = precheck(self.folder)
+        texts = [f"{f.topic}: {f.text}" for f in checked.findings if f.level == "error" and f.topic != "too few poses"]
         with self.lock:
             self.checked = (n, [text.replace(f"{self.folder}/", "") for text in texts])
 
     # What is told and kept -------------------------------------------------------------------------------------------
-
-    def _table_said(self) -> DataTable:
-        """How problem.toml says that the table is to be understood."""
-        tables = problem_file(self.folder).measurements
-        return next((t for t in tables if t.file == TABLE), DataTable(file=TABLE))
 
     def _write(self) -> None:
         """The table, and problem.toml where it does not name it as it is."""
@@ -423,12 +398,12 @@ class LiveSession:
             places = arms(self._in_base, np.array([q for q, _ in read.values()]))[:, -1].tolist() if read else []
             points = dict(zip(read, places, strict=True))
             readings = [{**self._reading_json(r, read), "point": points.get(r.number)} for r in self.course.readings]
-            found, ahead = self.estimate, self.ahead
+            estimate, ahead = self.estimate, self.ahead
             return {
                 "robot": self.robot.name, "folder": self.folder.resolve().name,
                 "data": self.course.data if readings else self._data, "fields": self.fields, "readings": readings,
                 "said": [*([self.unread] if self.unread else []), *self.said[-5:], *self._of_table],
-                "known": None if found is None else self._known_json(found),
+                "known": None if estimate is None else self._known_json(estimate),
                 "next": None if ahead is None else self._next_json(ahead),
             }  # fmt: skip
 
@@ -465,12 +440,12 @@ class LiveSession:
         }  # fmt: skip
 
     def _next_json(self, ahead: Ahead) -> dict[str, Any]:
-        last, poses = self._last(), [self._joints(q) for q in ahead.q]
+        last, poses = None if self.m is None else self.m.q[-1:], [self._joints(q) for q in ahead.q]
         return {
             "poses": poses, "program": self._move(poses[0]) if self._move else "", "to_go": ahead.to_go,
             "words": ahead.words, "touch": ahead.touch, "arm": arms(self._in_base, ahead.q[:1])[0].tolist(),
             "points": arms(self._in_base, ahead.q)[:, -1].tolist(),
-            "arm_now": None if last is None else arms(self._in_base, last[None])[0].tolist(),
+            "arm_now": None if last is None or not len(last) else arms(self._in_base, last)[0].tolist(),
         }  # fmt: skip
 
     def answer(self, number: int) -> str:
@@ -513,15 +488,15 @@ def finished(session: LiveSession) -> str:
     """
     folder = session.folder
     try:
-        found = calibrate(folder)
+        calibrated = calibrate(folder)
     except (InputError, ConvergenceError) as error:
         doubted = [str(r["number"]) for r in session.state()["readings"] if r["state"] == "doubtful"]
         listed = f"; doubtful: reading {', '.join(doubted)}: strike out what was a slip" if doubted else ""
         raise InputError(f"{error}{listed}") from None
-    if found.worse:
-        raise InputError(f"nothing was written: {found.worse}")
-    found.write(folder / "results")
-    return f"{plain_text(found.brief())}\nwrote {folder / 'results'}"
+    if calibrated.worse:
+        raise InputError(f"nothing was written: {calibrated.worse}")
+    calibrated.write(folder / "results")
+    return f"{plain_text(calibrated.brief())}\nwrote {folder / 'results'}"
 
 
 def _refuse_measured(folder: Path) -> None:

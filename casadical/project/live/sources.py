@@ -20,14 +20,12 @@ import numpy as np
 from casadical.core.basics import Array, InputError, shown
 from casadical.core.files import appending
 from casadical.core.reading import MOST_TEXT, json_of, read_bytes
-from casadical.measurements.raw_table import RawTable, read_table
+from casadical.measurements.raw_table import read_table
 from casadical.pose_selection.candidates import expected
 from casadical.project.new.new import NOISE, as_built
 from casadical.robot.robot import Robot
 
 NAME = "measured.jsonl"
-# What a line tells, and what it has besides.
-EVENTS = {"begin": ("header", "units", "data"), "read": ("cells", "from"), "strike": ("id", "why"), "restore": ("id",)}
 
 
 class Add(Protocol):
@@ -82,10 +80,7 @@ class Course:
 
 @contextmanager
 def journal(folder: Path) -> Iterator[tuple[Course, Add]]:
-    """What happened in a problem folder until now, and what adds to it; a line that was half written is cut off.
-
-    Raises InputError: another process measures into this folder, or a line that is no event.
-    """
+    """What happened in a problem folder, and what adds to it; half a line is cut off. Raises InputError."""
     path, course, end = folder / NAME, Course(), 0
     for k, line in enumerate(read_bytes(path).split(b"\n")[:-1] if path.exists() else (), 1):
         source = f"{shown(path)}: line {k}"
@@ -99,7 +94,6 @@ def journal(folder: Path) -> Iterator[tuple[Course, Add]]:
 
         def add(do: str, **event: Any) -> dict[str, Any]:
             whole = {"do": do, "at": datetime.now(UTC).isoformat(timespec="seconds"), **event}
-            assert set(event) == set(EVENTS[do])
             write(json.dumps(whole) + "\n")
             course.follow(whole)
             return whole
@@ -152,12 +146,12 @@ class FileSource:
         shorter = about.st_size < self._size
         self._seen, self._size = (about.st_mtime_ns, about.st_size), about.st_size
         try:
-            found = rows_of(self.path, read_bytes(self.path))
+            new = rows_of(self.path, read_bytes(self.path))
         except InputError as error:
             return News(said=[str(error)])
         if shorter:
-            found.said.append(f"{self.words}: became shorter; the readings of before stay")
-        return found
+            new.said.append(f"{self.words}: became shorter; the readings of before stay")
+        return new
 
 
 class FolderSource:
@@ -169,12 +163,12 @@ class FolderSource:
 
     def news(self) -> News:
         """All rows of the files that changed, in the order of their names."""
-        found = News()
+        new = News()
         for path in sorted(p for p in self.path.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file()):
             one = self._files.setdefault(path, FileSource(path)).news()
-            found.rows += one.rows
-            found.said += one.said
-        return found
+            new.rows += one.rows
+            new.said += one.said
+        return new
 
 
 class StreamSource:
@@ -208,10 +202,10 @@ class StreamSource:
             return News(said=said)
         self._read = len(data)
         try:
-            found = rows_of(Path(self.words), data)
+            new = rows_of(Path(self.words), data)
         except InputError as error:
             return News(said=[str(error), *said])
-        return News(found.rows, [*found.said, *said])
+        return News(new.rows, [*new.said, *said])
 
 
 class SimulatedSource:
@@ -273,20 +267,15 @@ def rows_of(path: Path, data: bytes) -> News:
             raise
         whole, said = _without_odd_lines(path, whole)
         raw = read_table(path, whole)
-    return News(list(_rows(raw)), said)
-
-
-def _rows(raw: RawTable) -> Iterator[Row]:
+    rows = []
     for line, cells in zip(raw.line, raw.cells, strict=True):
         wide = tuple(cells) + ("",) * (len(raw.header) - len(cells))
-        yield Row(raw.header, raw.form.units, wide, f"{raw.path.name}, line {line}")
+        rows.append(Row(raw.header, raw.form.units, wide, f"{raw.path.name}, line {line}"))
+    return News(rows, said)
 
 
 def _without_odd_lines(path: Path, data: bytes) -> tuple[bytes, list[str]]:
-    """A table without the lines that make it none, as two writers of one file leave them; blank in their place.
-
-    Raises InputError where its beginning is none.
-    """
+    """A table with blank lines for those that make it none (two writers of one file). Raises InputError."""
     lines = data.splitlines(keepends=True)
     good, said = 2, []
     read_table(path, b"".join(lines[:good]))

@@ -11,7 +11,7 @@
 """
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,10 +19,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from casadical.core.basics import FaultsError, InputError, all_faults
+from casadical.core.basics import FaultsError, InputError
 from casadical.measurements.headings import words_of
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.measurements.vocabulary import UNITS, WORDS
+from casadical.project.faults import each_of
 from casadical.project.new.texts import ROBOT_HEAD
 
 _ROW = [f"{stem}{unit}" for stem, units in (("a", ("_mm", "_m")), ("alpha", ("_deg", "_rad")), ("d", ("_mm", "_m")),
@@ -38,25 +39,20 @@ def robot_text(path: Path, name: str, convention: str) -> str:
     if convention not in ("modified", "standard"):
         raise InputError(f"--convention {convention}: not known; allowed: modified, standard")
     table = read_table(path)
-    rows: list[str] = []
-    said: list[str] = []
 
-    def add(row: Mapping[str, Any], where: str) -> None:
-        rows.append(_row(row, where))
-
-    def read() -> None:
-        frame, how = with_our_names(table, _KNOWN)
-        said.extend(how)
+    def read() -> str:
+        frame, said = with_our_names(table, _KNOWN)
         if not set(frame) & set(_ROW):
             raise InputError(f"{path.name}: no DH number found; columns are a_mm, alpha_deg, d_mm, theta_deg")
         records = [{str(key): value for key, value in row.items()} for row in frame.to_dict("records")]
         where = [f"{path.name}: row {line}" for line in table.line]
-        all_faults(partial(add, *row) for row in zip(records, where, strict=True))
+        rows = each_of(partial(_row, *row) for row in zip(records, where, strict=True))
+        return "".join(f"# {words}\n" for words in said) + "\n" + "\n".join(rows)
 
-    all_faults([partial(_refuse_no_numbers, table), read])
+    steps: list[Callable[[], Any]] = [partial(_refuse_no_numbers, table), read]
+    _, joints = each_of(steps)
     head = ROBOT_HEAD.format(name=name.replace('"', "'"), convention=convention, table=path.name.replace('"', "'"))
-    understood = "".join(f"# {words}\n" for words in said)
-    return head + understood + "\n" + "\n".join(rows)
+    return f"{head}{joints}"
 
 
 def _refuse_no_numbers(table: RawTable) -> None:
@@ -72,14 +68,9 @@ def _refuse_no_numbers(table: RawTable) -> None:
 
 
 def _row(row: Mapping[str, Any], where: str) -> str:
-    numbers: dict[str, float | None] = {}
     keys = [key for key in (*_ROW, *_ENDS, *_BODY, "stiffness_Nm_per_rad") if key in row]
-
-    def read(key: str) -> None:
-        numbers[key] = _number(row, key, where)
-
-    all_faults(partial(read, key) for key in keys)
-    given = {key: value for key, value in numbers.items() if value is not None}
+    numbers = zip(keys, each_of(partial(_number, row, key, where) for key in keys), strict=True)
+    given = {key: value for key, value in numbers if value is not None}
     lines = ["[[joint]]"]
     kind = _word(row, "type")
     if kind:
@@ -126,10 +117,7 @@ METRES, RADIANS = 10.0, 2 * np.pi + 0.01
 
 
 def with_our_names(table: RawTable, known: Collection[str]) -> tuple[pd.DataFrame, tuple[str, ...]]:
-    """The table with our names, lengths and angles in the units that these say; what was understood, in words.
-
-    known : our names. Raises InputError for a heading that means nothing here, or the same as another.
-    """
+    """The table with our names and units, and what was understood, in words; known : our names. Raises InputError."""
     frame = table.frame
     stems = {name: _stem(name) for name in table.header if name not in known}
     unknown = [name for name, stem in stems.items() if not stem]

@@ -8,10 +8,11 @@ import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from casadical.core.basics import Array, InputError, all_faults
+from casadical.core.basics import Array, InputError
 from casadical.core.files import claimed, write_together
 from casadical.core.parts import with_estimated_masses, without_masses
 from casadical.core.reading import read_bytes, read_text
@@ -26,6 +27,7 @@ from casadical.measurements.reading import from_columns
 from casadical.pose_selection import Workspace
 from casadical.pose_selection.candidates import draw, expected
 from casadical.project.check.targets import unnamed_targets
+from casadical.project.faults import each_of
 from casadical.project.new.dh_table import robot_text
 from casadical.project.new.texts import EXAMPLE_ROBOT, Given, problem_text, readme_text, with_masses, with_measured
 from casadical.project.problem import Problem, read_problem
@@ -121,13 +123,11 @@ def new_problem(
     if data and not (urdf or dh):
         raise InputError("--data needs the robot that was measured; give --urdf or --dh as well")
     name = folder.resolve().name
-    robots: list[tuple[dict[str, str | bytes], Robot]] = []
-    tables: list[RawTable | None] = []
-    all_faults([
-        lambda: robots.append(_robot_files(name, urdf, base_link, tip_link, dh, convention)),
-        lambda: tables.append(read_table(data) if data else None),
-    ])  # fmt: skip
-    (texts, robot), given = robots[0], tables[0]
+    steps: list[Callable[[], Any]] = [
+        lambda: _robot_files(name, urdf, base_link, tip_link, dh, convention),
+        lambda: read_table(data) if data else None,
+    ]
+    (texts, robot), given = each_of(steps)
     found = _understood(given, robot, ask, show) if given else Given()
     if len(found.tools) > 1 and show:
         place, listed = "problem.toml" if urdf else "robot.toml", ", ".join(found.tools)
@@ -213,15 +213,12 @@ def _tilt(columns: Columns, robot: Robot) -> tuple[float, list[Words]]:
 
 
 def tools_in(columns: Columns) -> tuple[tuple[str, ...], dict[int, str]]:
-    """Names in the column that says which point on the flange was measured, the one measured most first.
-
-    Of those measured at fewer poses than tell where they are, the rows, each with the reason to leave it out.
-    """
-    found = columns.tools()
-    order = sorted(found, key=lambda name: -found[name].sum())
+    """Names of targets, the one measured most first; rows of those measured too rarely, each with the reason."""
+    flags = columns.tools()
+    order = sorted(flags, key=lambda name: -flags[name].sum())
     names = {name: name.removeprefix("tool_") for name in order}
-    few = [name for name in order if found[name].sum() < FEWEST and len(order) > 1]
-    rare = {int(row): f"one of few of target {names[n]}" for n in few for row in columns.row[found[n] > 0]}
+    few = [name for name in order if flags[name].sum() < FEWEST and len(order) > 1]
+    rare = {int(row): f"one of few of target {names[n]}" for n in few for row in columns.row[flags[n] > 0]}
     return tuple(names[name] for name in order if name not in few), rare
 
 

@@ -6,8 +6,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from casadical.core.basics import Array
-from casadical.core.parts import Joint
 from casadical.core.transforms import frame, from_rpy
 from casadical.measurements.columns import Source
 from casadical.project.problem_file import as_toml
@@ -103,6 +101,8 @@ vector_m_per_s2 = [0, 0, -9.81]
 _LEVELLED = 'frame = "measuring"                # the instrument is levelled; "base": the robot stands upright'
 _UPRIGHT = 'frame = "base"                     # the robot stands upright; "measuring": the instrument is levelled'
 
+_ORIGIN = '# data = "real"                    # or "synthetic"; printed above every result'
+
 ESTIMATED = """\
 masses = "estimated"               # TO DO: where you know them, leave this line and [width.body] out
 """
@@ -168,9 +168,7 @@ def problem_text(
     compliant = any(j.compliance is not None for j in robot.joints)
     return _PROBLEM.format(
         title=title if given else f"{title}: SYNTHETIC poses, for a first run",
-        data='# data = "real"                    # or "synthetic"; printed above every result'
-        if given
-        else 'data = "synthetic"',
+        data=_ORIGIN if given else 'data = "synthetic"',
         mark="" if given else mark,
         robot="robot.urdf" if links else "robot.toml",
         methods='"KM", "SKCM"',
@@ -201,11 +199,8 @@ def _column_lines(given: Given) -> str:
 def _urdf(links: tuple[str | None, str | None], given: Given) -> str:
     lines = ["", "[urdf]"]
     for key, link in zip(("base_link", "tip_link"), links, strict=True):
-        lines.append(
-            f'{key} = "{link}"'
-            if link
-            else f'# {key} = "..."             # default: the only one there is, or where a gripper begins'
-        )
+        default = f'# {key} = "..."             # default: the only one there is, or where a gripper begins'
+        lines.append(f'{key} = "{link}"' if link else default)
     lines.append("# compliant = [2, 3]               # joints whose compliance is identified too")
     for name in given.tools if len(given.tools) > 1 else [""] if given.turned else ():
         lines += ["", "[[urdf.tool]]", *([f"name = {_quoted(name)}"] if name else [])]
@@ -256,24 +251,17 @@ def _quoted(name: str) -> str:
 
 
 def with_masses(text: str, robot: Robot, standard: bool) -> str:
-    """The text of a robot file with estimated masses of its links; robot : that it describes, with these masses.
-
-    standard : whether its rows, and so its mass centres, are in standard frames
-    """
+    """A robot file with the masses of this robot, which are estimated; standard : whether its rows are."""
     row_head = "\n[[joint]]\n"
     lines, following = [], [*robot.joints[1:], None]
     width = WIDTHS.format(share=robot.body_width.share, centre=1e3 * robot.body_width.centre)
     head, *rows = text.replace("\n[base]", f"{ESTIMATED}\n[base]", 1).split(row_head)
     for row, joint, after in zip(rows, robot.joints, following, strict=True):
         assert joint.body
-        tail = row_frame(after) if after else robot.tool.T
+        # A standard row ends behind the first half of the next modified one, Rx(alpha) Tx(a).
+        tail = frame(from_rpy(np.array([after.alpha, 0, 0])), np.array([after.a, 0, 0])) if after else robot.tool.T
         centre = tail[:3, :3].T @ (joint.body.com - tail[:3, 3]) if standard else joint.body.com
         shown = ", ".join(f"{1e3 * c:.0f}" for c in centre + 0.0)
         body = f"body = {{ mass_kg = {joint.body.mass:g}, com_mm = [{shown}] }}   # ESTIMATE from the reach"
         lines.append(f"{row.strip()}\n{body}\n")
     return row_head.join([f"{head.rstrip()}\n\n{width}", *lines])
-
-
-def row_frame(joint: Joint) -> Array:
-    """The first half of a modified row, Rx(alpha) Tx(a): where a standard row ends."""
-    return frame(from_rpy(np.array([joint.alpha, 0.0, 0.0])), np.array([joint.a, 0.0, 0.0]))

@@ -15,7 +15,7 @@ import first_hour
 
 from casadical import Measurements, calibrate
 from casadical.project.check import precheck
-from casadical.project.check.repair import MIRRORED, OF_LENGTHS, write_repair
+from casadical.project.check.repair import MIRRORED, OF_LENGTHS, repaired_files, write_repair
 from casadical.project.check.slip_fit import Hypothesis
 from casadical.project.check.targets import recognised
 from casadical.project.new import new_problem
@@ -139,7 +139,7 @@ def test_one_link_in_metres_is_named_and_repaired(tmp_path: Path) -> None:
     assert "a of row 3 is 700.0 mm, not 0.7 mm" in error.text
     assert found.slips is not None
     assert found.nominal is not None
-    assert "-a_mm = 0.7\n+a_mm = 700.0" in write_repair(folder, found.slips.best, found.nominal)
+    assert "-a_mm = 0.7\n+a_mm = 700.0" in write_repair(repaired_files(folder, found.slips.best, found.nominal))
     assert precheck(folder).ok
 
 
@@ -167,7 +167,7 @@ def test_lengths_of_the_whole_robot_in_another_unit_are_repaired_there(tmp_path:
     assert "the lengths in the robot file are in another unit (times 1000)" in " ".join(f.text for f in found.findings)
     assert found.slips is not None
     assert found.nominal is not None
-    write_repair(folder, found.slips.best, found.nominal)
+    write_repair(repaired_files(folder, found.slips.best, found.nominal))
     assert "a_mm = 700.0" in robot.read_text()
     assert precheck(folder).ok
 
@@ -193,7 +193,7 @@ def test_what_a_coupled_reading_counts_from_may_be_wrong_itself(tmp_path: Path) 
     found = precheck(folder)
     assert found.slips is not None
     assert found.nominal is not None
-    write_repair(folder, found.slips.best, found.nominal)
+    write_repair(repaired_files(folder, found.slips.best, found.nominal))
     q, _ = first_hour.measured(90)
     (m, *_) = read_problem(folder).sets["identify"]
     np.testing.assert_allclose(np.rad2deg(m.q), q[m.row - m.row.min()], atol=1e-6)
