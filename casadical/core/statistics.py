@@ -59,7 +59,7 @@ def ranked(values: Sequence[float] | Array, *, logs: bool = False) -> list[int]:
 
 
 def thirds(values: Array) -> tuple[Array, Array]:
-    """The third in which each value lies, 0 to 2, and the four edges; one at an edge, but for rounding, is below."""
+    """The third in which each value lies, 0 to 2, and the four edges; one at an edge, within rounding, is below."""
     edges = np.quantile(values, [0, 1 / 3, 2 / 3, 1])
     return np.searchsorted(edges[1:-1] + TIE * np.ptp(edges), values), edges
 

@@ -88,9 +88,8 @@ class Isolability(Result):
 
     def rivals(self, label: str, above: float = 0.5) -> dict[str, float]:
         """Candidates that reproduce more than a share of a candidate's visible signal, the worst first."""
-        shares = self.alike.loc[label].drop(label)
-        order = (k for k in ranked(shares.to_numpy()) if shares.iloc[k] > above)
-        return {str(shares.index[k]): float(shares.iloc[k]) for k in order}
+        names, shares = self.alike.columns, self.alike.loc[label].to_numpy(dtype=float)
+        return {str(names[k]): float(shares[k]) for k in ranked(shares) if shares[k] > above and names[k] != label}
 
     def blocks(self) -> list[Words]:
         """Its text, to be printed unwrapped."""
