@@ -6,6 +6,7 @@ decimals, as the controller prints them.
 """
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -75,7 +76,11 @@ class Fanuc(ProgramLanguage):
                 targets.append((Target(line, f"P[{tokens[k + 2]}]", False, (), left="cannot be read"), ("?", "?")))
         steps = {number: line_of(text, m.start()) for m in _INCREMENT.finditer(text) for number in [m[1]]}
         changes = {(m[1], m[2]): line_of(text, m.start()) for m in _CHANGE.finditer(text)}
-        return [self._placed(source, t, frames, given, steps, changes) for t, frames in targets]
+        count = Counter(t.name for t, _ in targets)
+        once = [
+            (t.leave(f"is there {count[t.name]} times" if count[t.name] > 1 else ""), frames) for t, frames in targets
+        ]
+        return [self._placed(source, t, frames, given, steps, changes) for t, frames in once]
 
     def _placed(
         self,
@@ -129,7 +134,8 @@ def _target(
     joints = len(axis_units)
     name = f"P[{words(position, 'NUMBER')[0]}]"
     group = parts(position, "group")[0]
-    items = {str(i.children[0]): i for i in parts(group, "item")}
+    named = [str(i.children[0]) for i in parts(group, "item")]
+    items = dict(zip(named, parts(group, "item"), strict=True))
     frames = (_value(items, "UT"), _value(items, "UF"))
     axes = tuple(f"J{i}" for i in range(1, joints + 1))
     keys = axes if "J1" in items else _POSE
@@ -138,6 +144,8 @@ def _target(
     tokens = [items[key].children[1] if key in items else None for key in keys]
     if not all(isinstance(t, Token) and t.type == "NUMBER" for t in tokens):
         return Target(line, name, "J1" in items, (), left="has a coordinate without a number"), frames
+    if twice := next((key for key in keys if named.count(key) > 1), ""):
+        return Target(line, name, "J1" in items, (), left=f"has {twice} twice"), frames
     units = {"mm": MM, "deg": DEG}
     own = tuple("mm" if unit == MM else "deg" for unit in axis_units)
     wanted = own if "J1" in items else ("mm",) * 3 + ("deg",) * 3

@@ -224,6 +224,9 @@ def _target(source: str, name: str, aggregate: Tree[Token], units: tuple[float, 
         return Target(line, shown, "A1" in values, (), left=f"without a number for {lost}")
     if f"A{joints + 1}" in values:
         raise InputError(f"{source}: line {line}: {shown} has A{joints + 1}; this robot has only {joints} joints")
+    named = [str(pair.children[0]).upper() for pair in parts(aggregate, "pair")]
+    if twice := next((key for key in keys if named.count(key) > 1), ""):
+        return Target(line, shown, "A1" in values, (), left=f"has {twice} twice")
     numbers = tuple(Number.from_token(t, u) for t, u in zip(tokens, unit, strict=True))
     external = any(_moved(values.get(f"E{i}")) for i in range(1, 7))
     made = Target(line, shown, "A1" in values, numbers, external=external)
