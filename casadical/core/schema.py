@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from casadical.core.basics import MOST_FAULTS, InputError
 from casadical.core.reading import unusable
@@ -32,6 +32,15 @@ LENGTH = Quantity({"_mm": 1e-3, "_m": 1.0}, 1e4)
 ANGLE = Quantity({"_deg": np.pi / 180, "_rad": 1.0, "_mrad": 1e-3}, 1e3)
 READING = Quantity({**ANGLE.factors, **LENGTH.factors}, 1e4)  # of a joint, revolute or prismatic
 
+
+def _whole(value: Any) -> Any:
+    if isinstance(value, bool | float):  # true and 1.0 are equal to 1
+        raise ValueError("must be a whole number")
+    return value
+
+
+# Of versions, which are whole numbers.
+WHOLE = BeforeValidator(_whole)
 Length = Annotated[float, LENGTH]
 Angle = Annotated[float, ANGLE]
 Triple = Annotated[list[float], Field(min_length=3, max_length=3)]

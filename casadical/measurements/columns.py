@@ -91,7 +91,8 @@ def _made(table: pd.DataFrame, source: Source) -> pd.Series:
     """A column as its source says; cells that are no numbers stay as they are where nothing is computed."""
     if source.plain:
         return table[source.name]
-    terms = {source.name: source.times, **{n: source.add[n] for n in source.add if n != source.name}}
+    terms = {source.name: source.times + source.add.get(source.name, 0.0)}
+    terms |= {n: source.add[n] for n in source.add if n != source.name}
     number = {name: pd.to_numeric(table[name], errors="coerce") for name in terms}
     total = sum((factor * number[name] for name, factor in terms.items()), start=pd.Series(source.plus, table.index))
     words = table[source.name].where(number[source.name].isna())

@@ -22,7 +22,7 @@ from casadical.measurements.logs.log import JointLog
 from casadical.measurements.logs.reading import read_log
 from casadical.measurements.measurements import SETS, Measurements
 from casadical.measurements.raw_table import RawTable
-from casadical.measurements.reading import from_columns, readings_alone, refuse_open
+from casadical.measurements.reading import from_columns, readings_alone, refuse_open, refuse_shared_rows
 from casadical.measurements.table_parts import read_columns
 from casadical.project.faults import every_fault
 from casadical.project.problem_file import (
@@ -135,6 +135,10 @@ class Problem(Shown):
         return calibrated_urdf_text(self.robot, robot, *self.urdf, measured_link="casadical_measured_point")
 
 
+def _of_sessions(m: Measurements) -> bool:
+    return any(name.startswith("session_") for name in m.conditions)
+
+
 def _part_names(name: str, parts: Sequence[Measurements]) -> list[str]:
     if len(parts) == 1:
         return [name]
@@ -204,6 +208,12 @@ def _problem(folder: Path, seed: int | None, carried: Carried, tables: Sequence[
             split.setdefault(name, []).append(part)
 
     all_faults(partial(read, data) for data in file.measurements)
+    refuse_shared_rows(whole)
+    if "sessions" in file.model_fields_set and not tables and not any(map(_of_sessions, whole)):
+        raise InputError(
+            f"{path}: sessions: has no effect, no table names a session; take it out, or name sessions in a column "
+            "`session` or a key of [[measurements]]"
+        )
     if "identify" not in split:
         raise InputError(f"{path}: sets: no poses are named 'identify'; there are {', '.join(split)}")
     robot = tool_as_measured(robot, folder, [m for parts in split.values() for m in parts])
@@ -347,6 +357,8 @@ def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> tuple
     columns = _columns(read_columns(path), data, robot)
     joints = [j.kind for j in robot.joints]
     found = from_columns(columns, joints, data.kind, sigma_mm=data.sigma_mm, sigma_deg=data.sigma_deg)
+    if data.point_from and found.label is None:
+        raise InputError(f"{path}: point_from: has no effect on kind {found.kind!r}; take it out of problem.toml")
     refuse_nameless(found, robot)
     # Before the split: progress and the direction of approach follow from the order of all poses.
     found = _with_conditions(with_known_targets(found, robot), robot).with_separations(_separations(data))

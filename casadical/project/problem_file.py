@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -15,7 +14,7 @@ from casadical.compensator.trainers.known import network_methods
 from casadical.core.basics import InputError, shown
 from casadical.core.parts import Sessions
 from casadical.core.reading import load_json, load_toml, missing, read_bytes
-from casadical.core.schema import FaultError, check
+from casadical.core.schema import WHOLE, FaultError, check
 from casadical.identification.residuals import ALL_LOSSES, AnyLoss
 from casadical.measurements.columns import Source
 from casadical.measurements.kinds.registry import kinds
@@ -58,7 +57,7 @@ class _Source(_Strict):
 class DataTable(_Strict):
     file: str
     kind: str | None = None
-    columns: dict[str, str | _Source] = {}
+    columns: dict[Annotated[str, Field(min_length=1)], str | _Source] = {}
     leave_out: list[int] = []
     session: str = ""
     tools: dict[str, list[int]] = {}
@@ -216,7 +215,7 @@ class LogsTable(_Strict):
 
 
 class ProblemFile(_Strict):
-    casadical: Literal[1]
+    casadical: Annotated[Literal[1], WHOLE]
     title: str
     data: Literal["real", "synthetic"] | None = None
     robot: str = "robot.toml"
@@ -251,7 +250,12 @@ def problem_file(folder: Path) -> ProblemFile:
             f"{shown(folder)}: is a file; give the problem folder, which holds problem.toml and a robot file"
         )
     path = folder / "problem.toml"
-    return check(ProblemFile, load_toml(path), str(path))
+    file = check(ProblemFile, load_toml(path), str(path))
+    if file.urdf is not None and ".urdf" not in (Path(file.robot).suffix, Path(file.of_campaigns).suffix):
+        raise InputError(
+            f"{path}: urdf: has no effect, robot = {file.robot!r} is no .urdf; take it out, or name the URDF"
+        )
+    return file
 
 
 def file_with_tables(source: Path, tables: Sequence[str | Path]) -> ProblemFile:
@@ -315,9 +319,14 @@ def table_like(folder: Path, raw: RawTable, tables: Sequence[DataTable]) -> Data
 
 def result_in(folder: Path) -> Path:
     """The robot file of the method that counts in a folder of results. Raises InputError."""
-    with suppress(OSError, ValueError, KeyError, TypeError, IndexError):
+    fault = "no result.json of a calibration is in it"
+    try:
         methods = list(load_json(folder / "result.json")["methods"])
         return folder / f"{methods[-1]}.robot.toml"
+    except InputError as error:
+        fault = str(error) if (folder / "result.json").exists() else fault
+    except (KeyError, TypeError, IndexError):
+        pass
     if (folder / "problem.toml").exists():
         raise InputError(
             f"{shown(folder)}: is a problem folder; give its results: casadical calibrate {shown(folder)} --out results"
@@ -325,6 +334,4 @@ def result_in(folder: Path) -> Path:
     files = sorted(folder.glob("*.robot.toml"))
     if len(files) == 1:
         return files[0]
-    raise InputError(
-        f"{shown(folder)}: no result.json of a calibration is in it, and {len(files)} robot files: give a robot file"
-    )
+    raise InputError(f"{shown(folder)}: {fault}, and {len(files)} robot files: give a robot file")

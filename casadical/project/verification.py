@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from casadical.core.basics import Array, InputError
-from casadical.core.reading import load_json
+from casadical.core.basics import Array, InputError, shown
+from casadical.core.reading import load_json, number_fault
 from casadical.core.telling.blocks import Table, Words, mm, next_step
 from casadical.core.telling.result import Result
 from casadical.identification.accuracy import errors
@@ -19,6 +19,7 @@ from casadical.identification.identification import Prepared, calibrated, prepar
 from casadical.identification.result import LeftOut, rows_in_words
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
+from casadical.measurements.reading import refuse_shared_rows
 from casadical.project.check.targets import with_targets_of_rows
 from casadical.project.iso9283 import Iso9283, evaluated_table
 from casadical.project.problem import read_campaign
@@ -170,8 +171,9 @@ def verify(
     gone = tuple(e.label for e in whole.effects if e.from_kind)
     arm = whole.with_only(e for e in whole.effects if not e.from_kind) if gone else whole
     sets = [read_campaign(place, table, arm, later=True, words=True) for table in given]
+    refuse_shared_rows(sets)
     kind = _kind_of(sets)
-    promised = 1e-3 * promised_mm if promised_mm is not None else promised_rms(place, kind)
+    promised = promised_rms(place, kind) if promised_mm is None else _in_metres(promised_mm, "promised_mm")
     arm, told, notes = with_targets_of_rows(arm, sets)
     prepared = prepare(arm, [m.positions_alone() if m.position is not None else m for m in told])
     placing = _Placing.needed_by(prepared)
@@ -305,7 +307,7 @@ def promised_rms(robot: Path, kind: str = POSITION) -> float:
     """
     for name, stated in (("diagnosed", "diagnosis"), ("discovered", "discovery")):
         if robot.name == f"{name}.robot.toml" and (mean := _mean_of(robot.parent / f"{stated}.json")) is not None:
-            return RMS_OF_MEAN * 1e-3 * mean
+            return RMS_OF_MEAN * mean
     path = robot.parent / "result.json"
     remedy = "give the promised rms error with --promised-mm"
     try:
@@ -313,7 +315,7 @@ def promised_rms(robot: Path, kind: str = POSITION) -> float:
         sets = dict(stated["methods"]).get(robot.name.removesuffix(".robot.toml"), {}).get("sets", {})
         kinds = stated.get("kinds", {})
         held = [
-            1e-3 * float(figures.get("without_far_off", figures)["rms_mm"])
+            figures.get("without_far_off", figures)["rms_mm"]
             for name, figures in sets.items()
             if name.split("/")[0] == "report" and kinds.get(name, kind) in _alike(kind)
         ]
@@ -321,7 +323,16 @@ def promised_rms(robot: Path, kind: str = POSITION) -> float:
         raise InputError(f"{path}: no figures of a calibration; {remedy}") from None
     if not held:
         raise InputError(f"{path}: no held-out poses of {robot.name} (kind {kind}); {remedy}")
-    return held[0]
+    return _in_metres(
+        held[0], f"{path}: no figures of a calibration: rms_mm of {robot.name}", f"; calibrate again, or {remedy}"
+    )
+
+
+def _in_metres(stated: Any, place: str, remedy: str = "") -> float:
+    """An rms error that is stated [mm], in m. Raises InputError for what is no number above 0."""
+    if not isinstance(stated, int | float) or isinstance(stated, bool) or stated <= 0 or number_fault(stated):
+        raise InputError(f"{place} is {shown(repr(stated))}; allowed: a number above 0{remedy}")
+    return 1e-3 * float(stated)
 
 
 def problem_of(robot: Path) -> Path | None:
@@ -338,9 +349,14 @@ def _alike(kind: str) -> tuple[str, ...]:
 
 
 def _mean_of(path: Path) -> float | None:
-    """Mean held-out error [mm] of the model that was kept, as a diagnosis or a discovery states it."""
+    """Mean held-out error [m] of the model that was kept, as a diagnosis or a discovery states it."""
     try:
         stated = load_json(path)
-        return float(stated["gap_mm"][stated.get("kept", "after")])
+        mean = stated["gap_mm"][stated.get("kept", "after")]
     except (OSError, ValueError, KeyError, TypeError):
         return None
+    return (
+        None
+        if mean is None
+        else _in_metres(mean, f"{path}: gap_mm", "; diagnose again, or give the promised rms error with --promised-mm")
+    )

@@ -187,6 +187,24 @@ PROBLEM_FAULTS = {
         ("\n\n[sets]", '\ncolumns = { x_mm = "X" }\n\n[sets]'),
         ["column 'X'", "named for 'x_mm'", "is missing"],
     ),
+    "a version that is none": (("casadical = 1", "casadical = true"), ["casadical = True", "a whole number"]),
+    "a table of a URDF for none": (
+        ("[sets]", '[urdf]\nbase_link = "x"\n[sets]'),
+        ["urdf: has no effect", "robot.toml"],
+    ),
+    "sessions of none": (("[sets]", '[sessions]\nzeros = "own"\n[sets]'), ["sessions: has no effect", "`session`"]),
+    "a point where none is touched": (
+        ("\n\n[sets]", '\npoint_from = ["tag"]\n\n[sets]'),
+        ["table.csv: point_from: has no effect on kind 'position'"],
+    ),
+    "a column without a name": (
+        ("\n\n[sets]", '\ncolumns = { "" = "x_mm" }\n\n[sets]'),
+        ["measurements[1].columns", "at least 1 character"],
+    ),
+    "one table twice": (
+        ("\n\n[sets]", '\n[[measurements]]\nfile = "./table.csv"\n\n[sets]'),
+        ["table.csv: 12 of its 12 poses are in table.csv, too", "take one of the two tables out"],
+    ),
     "no such point column": (("\n\n[sets]", '\npoint_from = ["hole"]\n\n[sets]'), ["'hole'", "point_from"]),
 }
 
