@@ -424,7 +424,11 @@ def _name_of(cell: object) -> str:
 
 def _cell(text: object) -> str:
     """A cell as a message shows it."""
-    return "an empty cell" if isinstance(text, float) and np.isnan(text) else repr(text)
+    return (
+        "an empty cell"
+        if isinstance(text, float) and np.isnan(text)
+        else repr(text.item() if isinstance(text, np.generic) else text)
+    )
 
 
 def _columns(table: pd.DataFrame, source: str, row: Array) -> Columns:

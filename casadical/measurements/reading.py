@@ -249,9 +249,12 @@ _SHARED = 0.5
 
 def refuse_shared_rows(sets: Sequence[Measurements]) -> None:
     """Raises InputError where a table repeats rows of another one of its kind: a pose counts once."""
+    rows = [np.unique(_hashes(_numbers(m))) for m in sets] if len(sets) > 1 else []
+    if not rows or len(np.unique(np.concatenate(rows))) == sum(map(len, rows)):
+        return
     seen: list[tuple[tuple[object, ...], Array, Measurements]] = []
-    for m in sets if len(sets) > 1 else ():
-        alike, hashes = (m.kind, *m.arrays, m.q.shape[1]), np.unique(_hashes(_numbers(m)))
+    for m, hashes in zip(sets, rows, strict=True):
+        alike = (m.kind, *m.arrays, m.q.shape[1])
         for shape, others, other in seen:
             shared = np.isin(hashes, others).sum() if shape == alike else 0
             if shared >= _SHARED * min(len(hashes), len(others)):

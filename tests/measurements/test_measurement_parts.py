@@ -95,3 +95,9 @@ def test_a_control_character_in_a_heading_is_refused(tmp_path):
     (tmp_path / "poses.csv").write_text("q1_deg,x\x1b[31m_mm\n1,2\n")
     with pytest.raises(InputError, match=r"poses\.csv: the heading of column 2 holds the control character '\\x1b'"):
         read_measurements(tmp_path / "poses.csv", 1)
+
+
+def test_an_infinite_cell_is_named_as_it_stands(tmp_path):
+    (tmp_path / "poses.csv").write_text("q1_deg,x_mm,y_mm,z_mm\n1,2,3,4\n2,inf,3,4\n3,2,3,4\n")
+    with pytest.raises(InputError, match=r"row 3, column 'x_mm': inf is not a finite number"):
+        read_measurements(tmp_path / "poses.csv", 1)
