@@ -124,12 +124,15 @@ def read_text(path: str | Path, most: int = MOST_TEXT) -> str:
 
 def load_toml(path: str | Path) -> dict[str, Any]:
     """Tables of a TOML file. Raises InputError."""
+    data = read_bytes(path, MOST_TEXT)
     try:
-        return tomllib.loads(read_bytes(path, MOST_TEXT).decode())
-    except InputError:  # no such file, a folder, a device
-        raise
-    except ValueError as error:  # of TOML, of its encoding, or an integer of thousands of digits
-        raise InputError(f"{shown(path)}: not valid TOML: {error}") from None
+        if data.startswith((codecs.BOM_UTF8, codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            raise ValueError("it begins with a mark of the byte order; save it as UTF-8 without one (BOM)")
+        return tomllib.loads(data.decode())
+    except UnicodeDecodeError as error:
+        raise InputError(f"{shown(path)}: not valid TOML: {error}; save it as UTF-8") from None
+    except ValueError as error:  # of TOML, or an integer of thousands of digits, with advice for programmers
+        raise InputError(f"{shown(path)}: not valid TOML: {str(error).partition('; use sys.')[0]}") from None
     except RecursionError:
         raise InputError(f"{shown(path)}: not valid TOML: nested too deeply") from None
 

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validat
 from casadical.compensator.trainers.known import network_methods
 from casadical.core.basics import InputError, shown
 from casadical.core.parts import Sessions
-from casadical.core.reading import load_json, load_toml, missing, read_bytes
+from casadical.core.reading import MOST_COUNT, load_json, load_toml, missing, read_bytes
 from casadical.core.schema import WHOLE, FaultError, check
 from casadical.identification.residuals import ALL_LOSSES, AnyLoss
 from casadical.measurements.columns import Source
@@ -224,7 +224,7 @@ class ProblemFile(_Strict):
     methods: list[Annotated[str, AfterValidator(_known_method)]] = Field(default=["KM", "SKCM"], min_length=1)
     loss: AnyLoss = "auto"
     paper: Paper | None = None
-    measurements: list[DataTable] = []
+    measurements: list[DataTable] = Field(default=[], max_length=MOST_COUNT)
     logs: LogsTable | None = None
     sets: SetsTable = SetsTable()
     sessions: SessionsTable = SessionsTable()

@@ -201,12 +201,33 @@ PROBLEM_FAULTS = {
         ("\n\n[sets]", '\ncolumns = { "" = "x_mm" }\n\n[sets]'),
         ["measurements[1].columns", "at least 1 character"],
     ),
+    "a set without poses": (("report = 0.5", "report = 1e-9"), ["table.csv: no poses are left for the set 'report'"]),
+    "tables without end": (
+        ("[sets]", 1000 * '[[measurements]]\nfile = "table.csv"\n' + "[sets]"),
+        ["at most 1000 entries"],
+    ),
     "one table twice": (
         ("\n\n[sets]", '\n[[measurements]]\nfile = "./table.csv"\n\n[sets]'),
         ["table.csv: 12 of its 12 poses are in table.csv, too", "take one of the two tables out"],
     ),
     "no such point column": (("\n\n[sets]", '\npoint_from = ["hole"]\n\n[sets]'), ["'hole'", "point_from"]),
 }
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        (PROBLEM.encode("utf-8-sig"), "save it as UTF-8 without one"),
+        (PROBLEM.encode("utf-16"), "save it as UTF-8 without one"),
+        (PROBLEM.replace("synthetic", "\u00fc").encode("latin-1"), "save it as UTF-8"),
+        (f"casadical = {'1' * 5000}".encode(), "4300 digits.*digits$"),
+    ],
+)
+def test_a_text_that_is_no_toml_says_what_to_do(content: bytes, why: str, tmp_path: Path) -> None:
+    folder = problem_folder(tmp_path, PROBLEM)
+    (folder / "problem.toml").write_bytes(content)
+    with pytest.raises(InputError, match=rf"problem\.toml: not valid TOML: .*{why}"):
+        read_problem(folder)
 
 
 def problem_folder(folder: Path, text: str) -> Path:

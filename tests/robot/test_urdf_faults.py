@@ -63,6 +63,15 @@ FAULTS = {
         {},
         "101 joints move between 'l0' and 'l101'; allowed: up to 100",
     ),
+    "mimic of a mimic": (
+        robot(
+            ABC,
+            joint("j1", "revolute", "a", "b", extra='<mimic joint="j2"/>'),
+            joint("j2", "revolute", "b", "c", extra='<mimic joint="j1"/>'),
+        ),
+        {},
+        "'j1' mimics 'j2', which mimics 'j1'; let both mimic a joint that mimics none",
+    ),
     "5000 links": (robot(*(link(f"l{k}") for k in range(5000))), {}, "has 5000 links; allowed: up to 1000"),
     "a long chain of fixed joints": (
         robot(

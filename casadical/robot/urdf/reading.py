@@ -101,8 +101,14 @@ def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfC
             "name other links"
         )
     own = {j.name for j in moving}
+    led = {j.name: j.mimic.joint for j in moving if j.mimic is not None and j.mimic.joint in own}
     for j in moving:
         _refuse_unusable(j, str(path))
+        if (leader := led.get(j.name)) in led:
+            raise InputError(
+                f"{path}: joint {j.name!r} mimics {leader!r}, which mimics {led[leader]!r}; let both mimic a joint "
+                "that mimics none"
+            )
     frames, movers = tree.at_zero(base, own)
     placed = [(frames[j.child], j.axis / np.linalg.norm(j.axis)) for j in moving]
     dh = rows_from_axes([Axis(T[:3, 3], T[:3, :3] @ axis) for T, axis in placed], frames[tip])
