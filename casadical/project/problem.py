@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import pandas as pd
 
 from casadical.compensator.trainers.known import network_methods
 from casadical.core.basics import InputError, all_faults, shown
@@ -391,7 +392,8 @@ def _with_conditions(m: Measurements, robot: Robot) -> Measurements:
 def _by_column(found: Measurements, columns: Columns, column: str) -> dict[str, Measurements]:
     if column not in columns.table:
         raise InputError(f"{found.source}: column {column!r}, named in sets, is missing; there are {columns.names}")
-    names = columns.table[column].astype(str)
+    said = pd.Series(columns.table[column].astype(str).to_numpy(), index=columns.row)
+    names = said.loc[found.row]  # copies of rows are in the columns alone
     unknown = set(names) - set(SETS)
     if unknown:
         raise InputError(f"{found.source}: column {column!r} holds {min(unknown)!r}; allowed: {', '.join(SETS)}")

@@ -247,6 +247,15 @@ def test_fault_of_a_problem_is_named(name: str, tmp_path: Path) -> None:
         assert part in str(caught.value)
 
 
+def test_a_copied_row_shifts_no_set(tmp_path: Path) -> None:
+    folder = problem_folder(tmp_path, PROBLEM.replace("identify = 0.5\nreport = 0.5", 'column = "set"'))
+    head, *rows = TABLE.splitlines()
+    rows = [row if k < 8 else row.replace("identify", "report") for k, row in enumerate(rows)]
+    (folder / "table.csv").write_text("\n".join([head, *rows[:3], rows[0], *rows[3:]]) + "\n")
+    sets = read_problem(folder).sets
+    assert [sets["identify"][0].row[-1], *sets["report"][0].row] == [10, 11, 12, 13, 14]
+
+
 def test_the_good_problem_is_good(tmp_path: Path) -> None:
     sets = read_problem(problem_folder(tmp_path, PROBLEM)).sets
     assert {name: len(parts[0]) for name, parts in sets.items()} == {"identify": 6, "report": 6}
