@@ -11,6 +11,7 @@ from casadical.core.basics import InputError
 from casadical.measurements.columns import Columns, Source
 from casadical.measurements.kinds.distance import distance_fault
 from casadical.measurements.measurements import Noise
+from casadical.measurements.raw_table import read_table
 from casadical.measurements.reading import refuse_shared_rows
 from casadical.measurements.table_form import Form, decoded
 
@@ -101,3 +102,11 @@ def test_an_infinite_cell_is_named_as_it_stands(tmp_path):
     (tmp_path / "poses.csv").write_text("q1_deg,x_mm,y_mm,z_mm\n1,2,3,4\n2,inf,3,4\n3,2,3,4\n")
     with pytest.raises(InputError, match=r"row 3, column 'x_mm': inf is not a finite number"):
         read_measurements(tmp_path / "poses.csv", 1)
+
+
+def test_a_column_without_a_cell_is_there_but_empty(tmp_path):
+    (tmp_path / "poses.csv").write_text("q1_deg,q2_deg,x_mm,y_mm,z_mm\n,1,2,3,4\nnan,5,2,3,5\n")
+    with pytest.raises(InputError, match=r"^poses\.csv: column q1_deg is empty; each of its rows needs a number$"):
+        read_measurements(tmp_path / "poses.csv", 2)
+    with pytest.raises(InputError, match="column 'q1_deg' is empty"):
+        Columns.of_file(read_table(tmp_path / "poses.csv")).si("q1", ["_deg", "_rad"])
