@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
 import tomlkit
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, Tag, field_validator, model_validator
 
 from casadical.compensator.trainers.known import network_methods
 from casadical.core.basics import InputError, shown
 from casadical.core.parts import Sessions
 from casadical.core.reading import MOST_COUNT, load_json, load_toml, missing, read_bytes
-from casadical.core.schema import WHOLE, FaultError, check
+from casadical.core.schema import FORMS, WHOLE, FaultError, check
 from casadical.identification.residuals import ALL_LOSSES, AnyLoss
 from casadical.measurements.columns import Source
 from casadical.measurements.kinds.registry import kinds
@@ -54,10 +54,17 @@ class _Source(_Strict):
     rows: int = 0
 
 
+def _form(value: Any) -> str:
+    return FORMS[isinstance(value, dict | _Source)]
+
+
+_Made = Annotated[Annotated[str, Tag(FORMS[0])] | Annotated[_Source, Tag(FORMS[1])], Discriminator(_form)]
+
+
 class DataTable(_Strict):
     file: str
     kind: str | None = None
-    columns: dict[Annotated[str, Field(min_length=1)], str | _Source] = {}
+    columns: dict[Annotated[str, Field(min_length=1)], _Made] = {}
     leave_out: list[int] = []
     session: str = ""
     tools: dict[str, list[int]] = {}

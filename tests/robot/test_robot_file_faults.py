@@ -206,6 +206,14 @@ PROBLEM_FAULTS = {
         ("[sets]", 1000 * '[[measurements]]\nfile = "table.csv"\n' + "[sets]"),
         ["at most 1000 entries"],
     ),
+    "a number that is none": (
+        ("\n\n[sets]", '\ncolumns = { q1_deg = { from = "q1_deg", plus = nan } }\n\n[sets]'),
+        ["1 fault(s)\n  measurements[1].columns.q1_deg.plus = nan: must be a finite number"],
+    ),
+    "an unknown key of a column": (
+        ("\n\n[sets]", '\ncolumns = { q1_deg = { from = "q1_deg", time = 2 } }\n\n[sets]'),
+        ["columns.q1_deg.time = 2: not a known key (is times meant?); allowed here: from, times, plus, add, rows"],
+    ),
     "one table twice": (
         ("\n\n[sets]", '\n[[measurements]]\nfile = "./table.csv"\n\n[sets]'),
         ["table.csv: 12 of its 12 poses are in table.csv, too", "take one of the two tables out"],
