@@ -54,7 +54,8 @@ def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[.
                 from casadical.project.faults import every_fault
 
                 later = command.__name__ in LATER
-                raise every_fault(error, [] if command.__name__ == "new" else inputs, later=later) from None
+                judged = [path for path in inputs if path != given.get("room") and command.__name__ != "new"]
+                raise every_fault(error, judged, later=later) from None
 
     return run
 

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, Task, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from casadical.core.basics import MOST_FAULTS, FaultsError, InputError, Show, shown
+from casadical.core.basics import MOST_FAULTS, FaultsError, InputError, Show, shown, visible
 from casadical.core.files import json_text, write_together
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def refusal(error: object) -> None:
         width = shutil.get_terminal_size().columns
         lines = [part for line in lines for part in textwrap.wrap(line, width, break_long_words=False) or [""]]
     if lines:
-        print("\n".join(lines), file=sys.stderr)  # noqa: T201
+        print(visible("\n".join(lines)), file=sys.stderr)  # noqa: T201
 
 
 class _Console(Console):

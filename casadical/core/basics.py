@@ -4,6 +4,7 @@ Each message of an error says what is wrong, the value, what is allowed, and wha
 """
 
 import importlib
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -144,6 +145,11 @@ def optional(module: str, otherwise: str) -> Any:
         return importlib.import_module(module)
     except ImportError:
         raise InputError(otherwise) from None
+
+
+def visible(text: str) -> str:
+    """Lines as a terminal may get them: control characters of what was read escaped."""
+    return re.sub(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", lambda found: repr(found[0])[1:-1], text)
 
 
 def shown(value: object) -> str:

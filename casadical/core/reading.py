@@ -126,10 +126,13 @@ def load_toml(path: str | Path) -> dict[str, Any]:
     """Tables of a TOML file. Raises InputError."""
     data = read_bytes(path, MOST_TEXT)
     try:
+        if data.startswith((codecs.BOM_UTF8, codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            raise ValueError("it begins with a mark of the byte order; save it as UTF-8 without one (BOM)")
         return tomllib.loads(data.decode())
     except (ValueError, RecursionError) as error:  # of TOML, its encoding, or an integer of thousands of digits
-        why = "nested too deeply" if isinstance(error, RecursionError) else error
-        raise InputError(f"{shown(path)}: not valid TOML: {why}") from None
+        why = "nested too deeply" if isinstance(error, RecursionError) else str(error).partition("; use sys.")[0]
+        more = "; save it as UTF-8" if isinstance(error, UnicodeDecodeError) else ""
+        raise InputError(f"{shown(path)}: not valid TOML: {why}{more}") from None
 
 
 def load_json(path: str | Path) -> Any:

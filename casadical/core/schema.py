@@ -1,12 +1,12 @@
 """TOML tables checked key by key: units in the keys, and messages that name file, key, value and what is allowed."""
 
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from casadical.core.basics import MOST_FAULTS, InputError
 from casadical.core.reading import unusable
@@ -32,6 +32,17 @@ LENGTH = Quantity({"_mm": 1e-3, "_m": 1.0}, 1e4)
 ANGLE = Quantity({"_deg": np.pi / 180, "_rad": 1.0, "_mrad": 1e-3}, 1e3)
 READING = Quantity({**ANGLE.factors, **LENGTH.factors}, 1e4)  # of a joint, revolute or prismatic
 
+
+def _whole(value: Any) -> Any:
+    if isinstance(value, bool | float):  # true and 1.0 are equal to 1
+        raise ValueError("must be a whole number")
+    return value
+
+
+# Tags of the two forms of a value that may be either; messages leave them out.
+FORMS = ("a text", "a table")
+# Of versions, which are whole numbers.
+WHOLE = BeforeValidator(_whole)
 Length = Annotated[float, LENGTH]
 Angle = Annotated[float, ANGLE]
 Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
@@ -117,12 +128,14 @@ def _faults(told: Sequence[str], count: int, source: str) -> InputError:
 def _fault(schema: type[BaseModel], data: Mapping[str, Any], error: Any) -> str:
     """One fault as the user wrote it: key with its unit, value, what is allowed."""
     cause = error.get("ctx", {}).get("error")
-    place = (*error["loc"], *(cause.place if isinstance(cause, FaultError) else ()))
+    loc = tuple(part for part in error["loc"] if part not in FORMS)
+    place = (*loc, *(cause.place if isinstance(cause, FaultError) else ()))
     key, value = _as_written(schema, data, place)
     if error["type"] == "extra_forbidden":
-        table = _table(schema, error["loc"][:-1])
-        keys = table.keys() if issubclass(table, TomlTable) else list(table.model_fields)
-        near = difflib.get_close_matches(str(error["loc"][-1]), keys, 1, 0.6)
+        table = _table(schema, loc[:-1])
+        own = [field.alias or name for name, field in table.model_fields.items()]
+        keys = table.keys() if issubclass(table, TomlTable) else own
+        near = difflib.get_close_matches(str(loc[-1]), keys, 1, 0.6)
         hint = f" (is {near[0]} meant?)" if near else ""
         return f"{key} = {_short(value)}: not a known key{hint}; allowed here: {', '.join(keys)}"
     if error["type"] == "missing":
@@ -169,7 +182,13 @@ def _table(schema: type[BaseModel], location: tuple[int | str, ...]) -> type[Bas
     """The schema of the table at a location."""
     for part in location:
         if isinstance(part, str) and part in schema.model_fields:
-            inner = schema.model_fields[part].annotation
-            candidates = [inner, *getattr(inner, "__args__", ())]
-            schema = next((c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel)), schema)
+            schema = next(_models(schema.model_fields[part].annotation), schema)
     return schema
+
+
+def _models(annotation: Any) -> Iterator[type[BaseModel]]:
+    """The schemas in a type, its own first."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for inner in getattr(annotation, "__args__", ()):
+        yield from _models(inner)

@@ -70,7 +70,8 @@ def _made(table: pd.DataFrame, source: Source) -> pd.Series:
     """A column as its source says; cells that are no numbers stay as they are where nothing is computed."""
     if source.plain:
         return table[source.name]
-    terms = {source.name: source.times, **{n: source.add[n] for n in source.add if n != source.name}}
+    terms = {source.name: source.times + source.add.get(source.name, 0.0)}
+    terms |= {n: source.add[n] for n in source.add if n != source.name}
     number = {name: pd.to_numeric(table[name], errors="coerce") for name in terms}
     total = sum((factor * number[name] for name, factor in terms.items()), start=pd.Series(source.plus, table.index))
     words = table[source.name].where(number[source.name].isna())
@@ -265,10 +266,14 @@ class Columns:
         Raises FaultsError: with every fault.
         """
         named = [[f"q{i}{unit}" for unit in _UNITS[kind]] for i, kind in enumerate(kinds, 1)]
-        lost = [" or ".join(names) for names in named if not {*names} & {*self.table}]
+        blank = [name for names in named if not {*names} & {*self.table} for name in names if name in self.empty]
+        lost = [" or ".join(names) for names in named if not {*names} & {*self.table, *blank}]
         remedy = f"name it so, or map it by `columns` in problem.toml; there are {self.names}"
         what = "are missing" if len(lost) > 1 else "is missing"
         faults = [Fault(self.source, (), ", ".join(lost), "", what, "", remedy)] if lost else []
+        faults += [
+            Fault(self.source, (), name, "", "is empty", "", "each of its rows needs a number") for name in blank
+        ]
         for name in map(str, self.table):
             asked = name in POSSIBLE or re.fullmatch(f"{_NUMBERS.pattern}|{_READING.pattern}|{_TILT}", name)
             mostly = pd.to_numeric(self.table[name], errors="coerce").notna().mean() >= 0.5
@@ -289,6 +294,8 @@ class Columns:
             raise InputError(f"{self.source}: columns {both} say the same; keep one")
         if not present:
             wanted = " or ".join(f"{stem}{u}" for u in units)
+            if blank := [name for name in self.empty if name in {f"{stem}{u}" for u in units}]:
+                raise InputError(f"{self.source}: column {blank[0]!r} is empty; each of its rows needs a number")
             raise InputError(f"{self.source}: column {wanted} is missing; there are {self.names}")
         return self.column(stem + present[0]) * _TO_SI[present[0]]
 
@@ -379,4 +386,6 @@ def in_seconds(cells: pd.Series) -> Array:
 
 def _cell(text: object) -> str:
     """A cell as a message shows it."""
-    return "an empty cell" if isinstance(text, float) and np.isnan(text) else repr(text)
+    if isinstance(text, float) and np.isnan(text):
+        return "an empty cell"
+    return repr(text.item() if isinstance(text, np.generic) else text)

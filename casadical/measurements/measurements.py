@@ -221,7 +221,14 @@ class Measurements(Shown):
         first = np.empty(len(copies), dtype=int)
         first[order] = np.cumsum(copies[order]) - copies[order]
         home = np.searchsorted(edges, first, side="right") - 1
-        return {name: self[(home[near] == k) & (home[far] == k)] for k, name in enumerate(sizes)}
+        members = {name: (home[near] == k) & (home[far] == k) for k, name in enumerate(sizes)}
+        for name, own in members.items():
+            if not own.any():
+                raise InputError(
+                    f"{self.source}: no poses are left for the set {name!r}, {sizes[name]:g} of {len(self)}; give it "
+                    "more in [sets], or measure more"
+                )
+        return {name: self[own] for name, own in members.items()}
 
     def with_separations(self, known: Iterable[tuple[str, str, float]], sigma: float = 2e-5) -> Measurements:
         """Contact poses with known distances (label, label, distance [m]) between touched points, sigma [m] each."""

@@ -11,7 +11,7 @@ from typing import Any
 import pandas as pd
 
 from casadical.core.basics import Array, InputError, optional
-from casadical.core.reading import MOST_CELLS, archive_of, foreign, read_bytes, unpacked
+from casadical.core.reading import LONGEST, MOST_CELLS, archive_of, foreign, read_bytes, text_fault, unpacked
 from casadical.measurements import table_form
 
 # Characters of a heading, and columns.
@@ -39,8 +39,16 @@ class RawTable:
     comments: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if len(self.header) > MOST_COLUMNS:
-            raise InputError(f"{self.path}: has {len(self.header)} columns; at most {MOST_COLUMNS} are read")
+        _refuse_header(self.header, self.path)
+
+
+def _refuse_header(header: Sequence[str], path: Path) -> None:
+    """Raises InputError for too many headings, and for control characters in one."""
+    if len(header) > MOST_COLUMNS:
+        raise InputError(f"{path}: has {len(header)} columns; at most {MOST_COLUMNS} are read")
+    for k, name in enumerate(header, 1):
+        if len(name) <= LONGEST and (fault := text_fault(name)):
+            raise InputError(f"{path}: the heading of column {k} {fault}")
 
 
 def read_table(path: str | Path, data: bytes | None = None) -> RawTable:
@@ -122,6 +130,7 @@ def table_of(
     width = max(len(cells) for _, cells in body) if body else 0
     given = [f"column {k}" for k in range(1, width + 1)] if header is None else header[1]
     names = tuple(name.replace("\ufeff", "").strip() for name in given)  # pandas drops a mark of the byte order, too
+    _refuse_header(names, path)
     if long := next((name for name in names if len(name) > LONGEST_HEADING), ""):
         why = f"a heading of {len(long)} characters, {long[:30]!r}...; allowed: up to {LONGEST_HEADING}"
         raise InputError(f"{path}: not a readable CSV table: {why}")

@@ -234,10 +234,7 @@ def readings_alone(columns: Columns, joints: int | Sequence[str]) -> Measurement
 
 def _without_copies(m: Measurements) -> Measurements:
     """A row copied whole is no second measurement: it is counted once."""
-    numbers = [m.q]
-    for name, values in m.arrays.items():
-        known = np.unique(values.astype(str), return_inverse=True)[1] if name == "label" else values
-        numbers.append(known.reshape(len(m), -1))
+    numbers = _numbers(m)
     # Only rows with equal hashes can be copies: of a table greater than memory these few are compared.
     hashes = _hashes(numbers)
     hashes.sort()
@@ -254,6 +251,38 @@ def _without_copies(m: Measurements) -> Measurements:
     once = m[kept] if m.label is not None or len(pieces) == 1 else joined(m[piece] for piece in pieces)
     assert once is not None
     return replace(once, copies=tuple(m.row[copied].tolist()))
+
+
+def _numbers(m: Measurements) -> list[Array]:
+    """Readings and what was observed, each of shape (n, ...); of names a number for each."""
+    names = {
+        name: pd.util.hash_array(v.astype(str).astype(object)) >> 11
+        for name, v in m.arrays.items()
+        if v.dtype.kind not in "fiub"
+    }
+    return [m.q, *(names.get(name, values).reshape(len(m), -1) for name, values in m.arrays.items())]
+
+
+# Of the rows of a table, the share from which on it is taken for a copy of another one.
+_SHARED = 0.5
+
+
+def refuse_shared_rows(sets: Sequence[Measurements]) -> None:
+    """Raises InputError where a table repeats rows of another one of its kind: a pose counts once."""
+    rows = [np.unique(_hashes(_numbers(m))) for m in sets] if len(sets) > 1 else []
+    if not rows or len(np.unique(np.concatenate(rows))) == sum(map(len, rows)):
+        return
+    seen: list[tuple[tuple[object, ...], Array, Measurements]] = []
+    for m, hashes in zip(sets, rows, strict=True):
+        alike = (m.kind, *m.arrays, m.q.shape[1])
+        for shape, others, other in seen:
+            shared = np.isin(hashes, others).sum() if shape == alike else 0
+            if shared >= _SHARED * min(len(hashes), len(others)):
+                raise InputError(
+                    f"{m.source}: {shared} of its {len(hashes)} poses are in {other.source}, too; a pose counts once: "
+                    "take one of the two tables out"
+                )
+        seen.append((alike, hashes, m))
 
 
 def _hashes(numbers: Sequence[Array]) -> Array:

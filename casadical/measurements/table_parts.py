@@ -9,17 +9,19 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
-from itertools import chain
+from importlib import import_module
+from itertools import chain, repeat
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array, InputError, optional
-from casadical.core.reading import MOST_NUMBERS
+from casadical.core.reading import MOST_BYTES, MOST_COUNT, MOST_NUMBERS
 from casadical.measurements.measurements import FIELDS, Measurements
 from casadical.measurements.raw_table import RawTable, read_table, records_in, table_of
-from casadical.measurements.table_form import Form, marked_encoding, separator_of
+from casadical.measurements.table_form import Form, Record, commented, marked_encoding, separator_of
 
 _CONDITION = "condition "
 _FIELDS = ("q", "weight", "row", *FIELDS)
@@ -118,16 +120,20 @@ def _text(path: Path, encoding: str) -> Iterator[RawTable]:
         file.seek(0)
         first: RawTable | None = None
         lines = 0
+        above: list[Record] = []
         while some := file.read(SIZE) + file.readline():
             records = [(lines + line, cells) for line, cells in records_in(path, some, separator)]
-            if first is None and records:
-                first = table_of(path, records, encoding.removesuffix("-sig"), separator)
+            more = not all(commented(cells) for _, cells in records)
+            if first is None and more:
+                first = table_of(path, [*above, *records], encoding.removesuffix("-sig"), separator)
                 yield first
-            elif first is not None and records:
+            elif first is not None and more:
                 yield _under(first, records, lines + 1)
+            else:  # comments alone; above the table the last ones may hold its headings
+                above = [*above, *records][-MOST_COUNT:]
             lines += some.count("\n")
     if first is None:
-        table_of(path, [], encoding, separator)  # which refuses it
+        table_of(path, above, encoding, separator)  # which refuses it
 
 
 def _under(first: RawTable, records: list[tuple[int, list[str]]], line: int) -> RawTable:
@@ -154,12 +160,32 @@ def _parquet(path: Path) -> Iterator[RawTable]:
             groups = map(about.row_group, range(about.num_row_groups))
             if any(about.schema.column(k).max_repetition_level for k in range(about.num_columns)):  # of lists
                 refuse_many(path, sum(g.column(k).num_values for g in groups for k in range(about.num_columns)))
-            for frame in (batch.to_pandas(ignore_metadata=True) for batch in file.iter_batches(ROWS)):
+            batches = zip(_bounded_texts(path, file), file.iter_batches(ROWS), strict=False)
+            for frame in (batch.to_pandas(ignore_metadata=True) for _, batch in batches):
                 rows = range(line, line + len(frame))
                 line += len(frame)
                 if len(frame):
                     yield RawTable(path, header, (), frame, rows, Form("parquet"))
+    except InputError:
+        raise
     except (OSError, ValueError) as error:  # Arrow's errors are such
         raise InputError(f"{path}: not a readable table: {getattr(error, 'strerror', None) or error}") from None
     if line == 2:
         raise InputError(f"{path}: no rows; at least one is needed")
+
+
+def _bounded_texts(path: Path, file: Any) -> Iterator[None]:
+    """Once before each part is read, whose texts a file may hold once for all rows. Raises InputError for too many."""
+    parquet, compute = import_module("pyarrow.parquet"), import_module("pyarrow.compute")
+    schema = file.metadata.schema
+    leaves = map(schema.column, range(len(schema)))
+    texts = [leaf.path for leaf in leaves if leaf.physical_type == "BYTE_ARRAY" and not leaf.max_repetition_level]
+    size = 0
+    with parquet.ParquetFile(path, memory_map=True, pre_buffer=False, read_dictionary=texts) as coded:
+        for batch in coded.iter_batches(ROWS, columns=texts) if texts else repeat(()):
+            for column in batch:
+                lengths = compute.binary_length(column.dictionary)
+                size += compute.sum(lengths.take(column.indices)).as_py() or 0
+            if size > MOST_BYTES:
+                raise InputError(f"{path}: its texts have more than {MOST_BYTES} bytes; leave columns of texts out")
+            yield

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from casadical.core.basics import Array, InputError
 from casadical.core.reading import load_toml
-from casadical.core.schema import ANGLE, LENGTH, READING, Angle, Length, Pair, TomlTable, Triple, check
+from casadical.core.schema import ANGLE, LENGTH, READING, WHOLE, Angle, Length, Pair, TomlTable, Triple, check
 from casadical.robot.kinematics import LEAST_MARGIN, link_frames
 from casadical.robot.model import base_frame
 from casadical.robot.robot import Robot
@@ -210,7 +210,7 @@ class _Tracker(TomlTable):
 
 
 class _Workspace(TomlTable):
-    casadical: Literal[1]
+    casadical: Annotated[Literal[1], WHOLE]
     floor: Annotated[float | None, LENGTH] = None
     clearance: Length = 0.0
     four_bar_margin: float = Field(default=0.1, gt=0, lt=1)

@@ -36,6 +36,7 @@ from casadical.identification.prior import Prior
 from casadical.measurements.logs.log import JointLog
 from casadical.measurements.logs.reading import is_log, read_log
 from casadical.measurements.measurements import Measurements
+from casadical.measurements.reading import refuse_shared_rows
 from casadical.pose_selection.workspace import Workspace, read_workspace
 from casadical.project.problem import Carried, nothing_carried, read_campaign, read_campaign_robot, tool_as_measured
 from casadical.project.problem_file import own_tables, problem_file
@@ -112,6 +113,8 @@ def read_campaigns(
     nominal = read_campaign_robot(folder)
     robot, prior = carried(nominal)
     sets = {path: read_campaign(folder, path, robot, readings_only=readings_only) for path in paths}
+    if together and not readings_only:
+        refuse_shared_rows([sets[path] for path in paths])
     robot = tool_as_measured(robot, folder, sets.values())
     groups = [paths] if together else [[path] for path in sets]
     return tuple(

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import pandas as pd
 
 from casadical.compensator.trainers.known import network_methods
 from casadical.core.basics import InputError, shown
@@ -20,7 +21,7 @@ from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import SETS, Measurements
 from casadical.measurements.raw_table import RawTable
-from casadical.measurements.reading import from_columns, readings_alone, refuse_open
+from casadical.measurements.reading import from_columns, readings_alone, refuse_open, refuse_shared_rows
 from casadical.measurements.table_parts import read_columns
 from casadical.project.faults import each_of, every_fault
 from casadical.project.problem_file import (
@@ -131,6 +132,10 @@ class Problem(Shown):
         return calibrated_urdf_text(self.robot, robot, *self.urdf, measured_link="casadical_measured_point")
 
 
+def _of_sessions(m: Measurements) -> bool:
+    return any(name.startswith("session_") for name in m.conditions)
+
+
 def _part_names(name: str, parts: Sequence[Measurements]) -> list[str]:
     if len(parts) == 1:
         return [name]
@@ -192,6 +197,12 @@ def _problem(folder: Path, seed: int | None, carried: Carried, tables: Sequence[
     sets = file.sets if seed is None else file.sets.model_copy(update={"seed": seed})
     measured = each_of(partial(_read, folder, data, robot, sets) for data in file.measurements)
     split: dict[str, list[Measurements]] = {}
+    refuse_shared_rows([whole for whole, _ in measured])
+    if "sessions" in file.model_fields_set and not tables and not any(_of_sessions(whole) for whole, _ in measured):
+        raise InputError(
+            f"{path}: sessions: has no effect, no table names a session; take it out, or name sessions in a column "
+            "`session` or a key of [[measurements]]"
+        )
     for name, part in (item for _, parts in measured for item in parts.items()):
         split.setdefault(name, []).append(part)
     if "identify" not in split:
@@ -325,6 +336,8 @@ def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> tuple
     columns = _columns(read_columns(path), data, robot)
     joints = [j.kind for j in robot.joints]
     m = from_columns(columns, joints, data.kind, sigma_mm=data.sigma_mm, sigma_deg=data.sigma_deg)
+    if data.point_from and m.label is None:
+        raise InputError(f"{path}: point_from: has no effect on kind {m.kind!r}; take it out of problem.toml")
     refuse_nameless(m, robot)
     # Before the split: progress and the direction of approach follow from the order of all poses.
     m = _with_conditions(with_known_targets(m, robot), robot).with_separations(_separations(data))
@@ -357,7 +370,8 @@ def _with_conditions(m: Measurements, robot: Robot) -> Measurements:
 def _by_column(found: Measurements, columns: Columns, column: str) -> dict[str, Measurements]:
     if column not in columns.table:
         raise InputError(f"{found.source}: column {column!r}, named in sets, is missing; there are {columns.names}")
-    names = columns.table[column].astype(str)
+    said = pd.Series(columns.table[column].astype(str).to_numpy(), index=columns.row)
+    names = said.loc[found.row]  # copies of rows are in the columns alone
     unknown = set(names) - set(SETS)
     if unknown:
         raise InputError(f"{found.source}: column {column!r} holds {min(unknown)!r}; allowed: {', '.join(SETS)}")

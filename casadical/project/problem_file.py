@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
 import tomlkit
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, Tag, field_validator, model_validator
 
 from casadical.compensator.trainers.known import network_methods
 from casadical.core.basics import InputError, shown
 from casadical.core.parts import Sessions
-from casadical.core.reading import load_json, load_toml, missing, read_bytes
-from casadical.core.schema import FaultError, Triple, check
+from casadical.core.reading import MOST_COUNT, load_json, load_toml, missing, read_bytes
+from casadical.core.schema import FORMS, WHOLE, FaultError, Triple, check
 from casadical.identification.residuals import AnyLoss
 from casadical.measurements.columns import Source
 from casadical.measurements.kinds.registry import kinds
@@ -51,10 +50,17 @@ class _Source(_Strict):
     rows: int = 0
 
 
+def _form(value: Any) -> str:
+    return FORMS[isinstance(value, dict | _Source)]
+
+
+_Made = Annotated[Annotated[str, Tag(FORMS[0])] | Annotated[_Source, Tag(FORMS[1])], Discriminator(_form)]
+
+
 class DataTable(_Strict):
     file: str
     kind: str | None = None
-    columns: dict[str, str | _Source] = {}
+    columns: dict[Annotated[str, Field(min_length=1)], _Made] = {}
     leave_out: list[int] = []
     session: str = ""
     tools: dict[str, list[int]] = {}
@@ -205,7 +211,7 @@ class LogsTable(_Strict):
 
 
 class ProblemFile(_Strict):
-    casadical: Literal[1]
+    casadical: Annotated[Literal[1], WHOLE]
     title: str
     data: Literal["real", "synthetic"] | None = None
     robot: str = "robot.toml"
@@ -214,7 +220,7 @@ class ProblemFile(_Strict):
     methods: list[Annotated[str, AfterValidator(_known_method)]] = Field(default=["KM", "SKCM"], min_length=1)
     loss: AnyLoss = "auto"
     paper: Paper | None = None
-    measurements: list[DataTable] = []
+    measurements: list[DataTable] = Field(default=[], max_length=MOST_COUNT)
     logs: LogsTable | None = None
     sets: SetsTable = SetsTable()
     sessions: SessionsTable = SessionsTable()
@@ -240,7 +246,12 @@ def problem_file(folder: Path) -> ProblemFile:
             f"{shown(folder)}: is a file; give the problem folder, which holds problem.toml and a robot file"
         )
     path = folder / "problem.toml"
-    return check(ProblemFile, load_toml(path), str(path))
+    file = check(ProblemFile, load_toml(path), str(path))
+    if file.urdf is not None and ".urdf" not in (Path(file.robot).suffix, Path(file.of_campaigns).suffix):
+        raise InputError(
+            f"{path}: urdf: has no effect, robot = {file.robot!r} is no .urdf; take it out, or name the URDF"
+        )
+    return file
 
 
 def file_with_tables(source: Path, tables: Sequence[str | Path]) -> ProblemFile:
@@ -303,9 +314,14 @@ def result_in(folder: Path) -> Path:
     """The robot file of the method that counts in a folder of results; a file as it is. Raises InputError."""
     if not folder.is_dir():
         return folder
-    with suppress(OSError, ValueError, KeyError, TypeError, IndexError):
+    fault = "no result.json of a calibration is in it"
+    try:
         methods = list(load_json(folder / "result.json")["methods"])
         return folder / f"{methods[-1]}.robot.toml"
+    except InputError as error:
+        fault = str(error) if (folder / "result.json").exists() else fault
+    except (KeyError, TypeError, IndexError):
+        pass
     if (folder / "problem.toml").exists():
         raise InputError(
             f"{shown(folder)}: is a problem folder; give its results: casadical calibrate {shown(folder)} --out results"
@@ -313,6 +329,4 @@ def result_in(folder: Path) -> Path:
     files = sorted(folder.glob("*.robot.toml"))
     if len(files) == 1:
         return files[0]
-    raise InputError(
-        f"{shown(folder)}: no result.json of a calibration is in it, and {len(files)} robot files: give a robot file"
-    )
+    raise InputError(f"{shown(folder)}: {fault}, and {len(files)} robot files: give a robot file")

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from casadical.core.basics import Array, InputError
-from casadical.core.reading import load_json
+from casadical.core.basics import Array, InputError, shown
+from casadical.core.reading import load_json, number_fault
 from casadical.core.telling.blocks import Table, Words, mm, next_step
 from casadical.core.telling.result import Result
 from casadical.identification.accuracy import errors
@@ -19,6 +19,7 @@ from casadical.identification.identification import Prepared, calibrated, prepar
 from casadical.identification.result import LeftOut, rows_in_words
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
+from casadical.measurements.reading import refuse_shared_rows
 from casadical.project.check.targets import with_targets_of_rows
 from casadical.project.iso9283 import Iso9283, evaluated_table
 from casadical.project.problem import read_campaign
@@ -164,8 +165,9 @@ def verify(
     place, given = result_in(Path(robot)), [tables] if isinstance(tables, str | Path) else list(tables)
     arm, gone = without_instrument(read_robot(place))
     sets = [read_campaign(place, table, arm, later=True, words=True) for table in given]
+    refuse_shared_rows(sets)
     kind = _kind_of(sets)
-    promised = 1e-3 * promised_mm if promised_mm is not None else promised_rms(place, kind)
+    promised = promised_rms(place, kind) if promised_mm is None else _in_metres(promised_mm, "promised_mm")
     arm, told, notes = with_targets_of_rows(arm, sets)
     prepared = prepare(arm, [m.positions_alone() if m.position is not None else m for m in told])
     placing = _Placing.needed_by(prepared)
@@ -300,9 +302,13 @@ def promised_rms(robot: Path, kind: str = POSITION) -> float:
     """
     for name, stated in (("diagnosed", "diagnosis"), ("discovered", "discovery")):
         if robot.name == f"{name}.robot.toml":
+            path, mean = robot.parent / f"{stated}.json", None
             with suppress(OSError, ValueError, KeyError, TypeError):
-                gap = load_json(robot.parent / f"{stated}.json")
-                return RMS_OF_MEAN * 1e-3 * float(gap["gap_mm"][gap.get("kept", "after")])
+                gap = load_json(path)
+                mean = gap["gap_mm"][gap.get("kept", "after")]
+            if mean is not None:
+                remedy = "; diagnose again, or give the promised rms error with --promised-mm"
+                return RMS_OF_MEAN * _in_metres(mean, f"{path}: gap_mm", remedy)
     path = robot.parent / "result.json"
     remedy = "give the promised rms error with --promised-mm"
     alike = (POSITION, "pose", "position_covariance") if kind == POSITION else (kind,)
@@ -311,7 +317,7 @@ def promised_rms(robot: Path, kind: str = POSITION) -> float:
         sets = dict(stated["methods"]).get(robot.name.removesuffix(".robot.toml"), {}).get("sets", {})
         kinds = stated.get("kinds", {})
         held = [
-            1e-3 * float(figures.get("without_far_off", figures)["rms_mm"])
+            figures.get("without_far_off", figures)["rms_mm"]
             for name, figures in sets.items()
             if name.split("/")[0] == "report" and kinds.get(name, kind) in alike
         ]
@@ -319,7 +325,16 @@ def promised_rms(robot: Path, kind: str = POSITION) -> float:
         raise InputError(f"{path}: no figures of a calibration; {remedy}") from None
     if not held:
         raise InputError(f"{path}: no held-out poses of {robot.name} (kind {kind}); {remedy}")
-    return held[0]
+    return _in_metres(
+        held[0], f"{path}: no figures of a calibration: rms_mm of {robot.name}", f"; calibrate again, or {remedy}"
+    )
+
+
+def _in_metres(stated: Any, place: str, remedy: str = "") -> float:
+    """An rms error that is stated [mm], in m. Raises InputError for what is no number above 0."""
+    if not isinstance(stated, int | float) or isinstance(stated, bool) or stated <= 0 or number_fault(stated):
+        raise InputError(f"{place} is {shown(repr(stated))}; allowed: a number above 0{remedy}")
+    return 1e-3 * float(stated)
 
 
 def problem_of(robot: Path) -> Path | None:

@@ -18,7 +18,7 @@ from casadical.core.basics import Array, InputError
 from casadical.core.drive import Drive
 from casadical.core.parts import STANDARD_GRAVITY
 from casadical.core.reading import MOST_COUNT
-from casadical.core.schema import ANGLE, LENGTH, READING, Angle, FaultError, Length, Pair, TomlTable, Triple
+from casadical.core.schema import ANGLE, LENGTH, READING, WHOLE, Angle, FaultError, Length, Pair, TomlTable, Triple
 from casadical.core.transforms import frame, from_rpy
 from casadical.effects import Effect
 from casadical.effects.definition import Definition
@@ -187,7 +187,7 @@ class _Widths(TomlTable):
 
 
 class RobotFile(TomlTable):
-    casadical: Literal[1, 2]
+    casadical: Annotated[Literal[1, 2], WHOLE]
     written_by: str = ""
     name: str = Field(min_length=1)
     convention: Literal["modified", "standard"] = "modified"

@@ -73,3 +73,11 @@ def test_what_is_not_told_is_counted(tables: int, capfd: pytest.CaptureFixture[s
     assert told.count("poses.csv") == min(tables, MOST_FAULTS)
     assert told.count("toml: wrong") == (2 if tables == 3 else 0)
     assert ("and 7 more" in told, "more" in told) == (tables > 3, tables > 3)
+
+
+def test_a_room_is_not_judged_as_a_robot(tmp_path: Path) -> None:
+    (tmp_path / "room.toml").write_text("casadical = 1\n[[joint]]\nlower_deg = 1\n")
+    done = run("plan", ROOT / "problems" / "planar" / "robot.toml", "--room", "room.toml", folder=tmp_path)
+    assert done.returncode == 2
+    assert "joint[1].lower_deg = 1: not a known key; allowed here: number, limits_deg" in done.stderr
+    assert done.stderr.count("lower_deg") == 1

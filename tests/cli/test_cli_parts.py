@@ -8,7 +8,9 @@ from command_line import main
 
 from casadical.cli.export import export_c
 from casadical.cli.root import MOVED
-from casadical.cli.terminal import DIAGNOSIS, share
+from casadical.cli.terminal import DIAGNOSIS, refusal, share
+from casadical.core.telling.blocks import Table, Words
+from casadical.core.telling.result import plain_text
 from casadical.export.mjcf.replay import replay_campaign
 
 ROOT = Path(__file__).parents[2]
@@ -71,3 +73,10 @@ def test_a_check_that_finds_nothing_to_repair_says_no_more_than_without(monkeypa
         told.append(capsys.readouterr().out)
     assert told[0]
     assert told[0] == told[1]
+
+
+def test_control_characters_of_what_was_read_reach_no_terminal(capsys):
+    refusal("topic \x1b[31mred\x9b, line\nnext")
+    assert capsys.readouterr().err == "casadical: topic \\x1b[31mred\\x9b, line\nnext\n"
+    blocks = [Words("\x1b[31mred", "warning"), Table("t", ["\x1bcolumn"], [["\x1bcell"]])]
+    assert "\x1b" not in plain_text(blocks)

@@ -8,8 +8,11 @@ import pytest
 
 from casadical import Measurements, read_measurements
 from casadical.core.basics import InputError
+from casadical.measurements.columns import Columns, Source
 from casadical.measurements.kinds.distance import distance_fault
 from casadical.measurements.measurements import Noise
+from casadical.measurements.raw_table import read_table
+from casadical.measurements.reading import refuse_shared_rows
 from casadical.measurements.table_form import Form, decoded
 
 
@@ -64,3 +67,46 @@ def test_what_cannot_be_logged_is_refused(tmp_path: Path, name: str, least: floa
         table.assign(**{name: [20.0, far]}).to_csv(tmp_path / "a.csv", index=False)
         with pytest.raises(InputError, match=f"row 3, column '{name}'"):
             read_measurements(tmp_path / "a.csv", 1)
+
+
+def test_a_column_may_be_added_to_itself():
+    table = pd.DataFrame({"q1_deg": [10.0, -20.0], "q2_deg": [1.0, 2.0]})
+    source = Source("q1_deg", times=2.0, add={"q1_deg": -0.5, "q2_deg": 1.0})
+    columns = Columns.of_frame(table, "made up").mapped({"q1_deg": source})
+    assert columns.column("q1_deg").tolist() == [16.0, -28.0]
+
+
+@pytest.mark.parametrize("kind", ["position", "contact"])
+def test_tables_that_share_half_of_their_poses_are_refused(kind):
+    q = np.arange(24.0).reshape(8, 3) / 10
+    seen = {"position": q + 1} if kind == "position" else {"label": np.array(["a", "b"] * 4)}
+
+    def part(rows):
+        return Measurements(q[rows], kind, source=f"{rows[0]}.csv", **{name: v[rows] for name, v in seen.items()})
+
+    refuse_shared_rows([part([0, 1, 2, 3]), part([4, 5, 6]), part([7, 0])][:2])
+    for other in ([0, 1, 2, 3], [7, 0], [5, 6, 2, 3, 7]):
+        with pytest.raises(InputError, match=r"poses are in 0\.csv, too; a pose counts once: take one"):
+            refuse_shared_rows([part([0, 1, 2, 3]), part(other)])
+    if kind == "contact":  # another point at the same readings is another pose
+        refuse_shared_rows([part([0, 1]), Measurements(q[:2], kind, label=np.array(["b", "a"]))])
+
+
+def test_a_control_character_in_a_heading_is_refused(tmp_path):
+    (tmp_path / "poses.csv").write_text("q1_deg,x\x1b[31m_mm\n1,2\n")
+    with pytest.raises(InputError, match=r"poses\.csv: the heading of column 2 holds the control character '\\x1b'"):
+        read_measurements(tmp_path / "poses.csv", 1)
+
+
+def test_an_infinite_cell_is_named_as_it_stands(tmp_path):
+    (tmp_path / "poses.csv").write_text("q1_deg,x_mm,y_mm,z_mm\n1,2,3,4\n2,inf,3,4\n3,2,3,4\n")
+    with pytest.raises(InputError, match=r"row 3, column 'x_mm': inf is not a finite number"):
+        read_measurements(tmp_path / "poses.csv", 1)
+
+
+def test_a_column_without_a_cell_is_there_but_empty(tmp_path):
+    (tmp_path / "poses.csv").write_text("q1_deg,q2_deg,x_mm,y_mm,z_mm\n,1,2,3,4\nnan,5,2,3,5\n")
+    with pytest.raises(InputError, match=r"^poses\.csv: column q1_deg is empty; each of its rows needs a number$"):
+        read_measurements(tmp_path / "poses.csv", 2)
+    with pytest.raises(InputError, match="column 'q1_deg' is empty"):
+        Columns.of_file(read_table(tmp_path / "poses.csv")).si("q1", ["_deg", "_rad"])

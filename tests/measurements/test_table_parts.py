@@ -245,3 +245,36 @@ def test_notes_for_pandas_in_a_parquet_file_are_not_needed(tmp_path: Path) -> No
     parquet.write_table(table.replace_schema_metadata({"pandas": cut}), tmp_path / "cut.parquet")
     (part,) = table_parts.table_parts(tmp_path / "cut.parquet")
     assert part.frame.to_dict("list") == {"q1_deg": [1.0, 2.0], "x_mm": [3.0, 4.0]}
+
+
+@pytest.mark.parametrize("form", ["coded", "plain"])
+def test_a_small_file_of_large_texts_is_refused_before_they_are_made(tmp_path, monkeypatch, form):
+    pyarrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    monkeypatch.setattr(table_parts, "MOST_BYTES", 1_000_000)
+    texts = pyarrow.array(["x" * 10_000] * 150 + [None])
+    table = {"q1_deg": [1.0] * 151, "remark": texts.dictionary_encode() if form == "coded" else texts}
+    parquet.write_table(pyarrow.table(table), tmp_path / "poses.parquet", compression="zstd")
+    assert (tmp_path / "poses.parquet").stat().st_size < 30_000
+    with pytest.raises(
+        InputError, match=r"^[^:]*poses\.parquet: its texts have more than 1000000 bytes; leave columns"
+    ):
+        table_parts.read_columns(tmp_path / "poses.parquet")
+    monkeypatch.setattr(table_parts, "MOST_BYTES", 1_500_000)
+    assert table_parts.read_columns(tmp_path / "poses.parquet").frame.shape == (151, 2)
+
+
+def test_parts_of_comments_alone_are_no_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    comments = ["# made up"] * 50
+    lines = [*comments, *LINES[:20], *comments, *LINES[20:], *comments]
+    whole = read_measurements(written(tmp_path, lines), 2)
+    in_parts(monkeypatch)
+    assert_same(read_measurements(written(tmp_path, lines), 2), whole)
+    with pytest.raises(InputError, match="at least one row is needed"):
+        read_measurements(written(tmp_path, [*comments, *comments]), 2)
+
+
+def test_too_many_columns_are_refused_before_they_are_parsed(tmp_path, monkeypatch):
+    monkeypatch.setattr(pd, "read_csv", None)
+    path = written(tmp_path, [",".join(f"c{k}" for k in range(2001)), ",".join(["1"] * 2001)])
+    with pytest.raises(InputError, match="has 2001 columns; at most 2000 are read"):
+        read_measurements(path, 2)

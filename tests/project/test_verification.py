@@ -150,3 +150,26 @@ def test_bad_rows_neither_loosen_the_promise_nor_hide(tmp_path, monkeypatch, cap
     assert "Left out, a cell is no number: row 11." in printed
     assert "without them it is 0.0614 mm, as promised." in printed
     assert "Next, when the rows that are far off are measured again: casadical verify " in printed
+
+
+@pytest.mark.parametrize("stated", ["true", '"0.04"', "-1.0", "0", "1e200"])
+def test_a_promise_that_is_no_number_above_zero_is_refused(calibrated_arm: Path, tmp_path: Path, stated: str) -> None:
+    (tmp_path / "KM.robot.toml").write_bytes(calibrated_arm.read_bytes())
+    text = f'{{"methods": {{"KM": {{"sets": {{"report": {{"rms_mm": {stated}}}}}}}}}}}'
+    (tmp_path / "result.json").write_text(text)
+    with pytest.raises(InputError, match=r"rms_mm of KM\.robot\.toml is .*allowed: a number above 0;.*--promised-mm"):
+        verify(tmp_path, later(tmp_path))
+    with pytest.raises(InputError, match="promised_mm is 0; allowed: a number above 0"):
+        verify(tmp_path, later(tmp_path), promised_mm=0)
+
+
+def test_one_table_of_a_check_counts_once(calibrated_arm: Path, tmp_path: Path) -> None:
+    table = later(tmp_path)
+    with pytest.raises(InputError, match=r"12 of its 12 poses are in einheiten\.csv, too; a pose counts once"):
+        verify(calibrated_arm, [table, table])
+
+
+def test_a_result_that_cannot_be_read_says_what_is_wrong_in_it(tmp_path: Path) -> None:
+    (tmp_path / "result.json").write_text('{"methods": NaN}')
+    with pytest.raises(InputError, match=r"result\.json: not valid JSON: NaN is no finite number.*give a robot file"):
+        verify(tmp_path, "later.csv")

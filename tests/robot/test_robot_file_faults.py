@@ -187,8 +187,55 @@ PROBLEM_FAULTS = {
         ("\n\n[sets]", '\ncolumns = { x_mm = "X" }\n\n[sets]'),
         ["column 'X'", "named for 'x_mm'", "is missing"],
     ),
+    "a version that is none": (("casadical = 1", "casadical = true"), ["casadical = True", "a whole number"]),
+    "a table of a URDF for none": (
+        ("[sets]", '[urdf]\nbase_link = "x"\n[sets]'),
+        ["urdf: has no effect", "robot.toml"],
+    ),
+    "sessions of none": (("[sets]", '[sessions]\nzeros = "own"\n[sets]'), ["sessions: has no effect", "`session`"]),
+    "a point where none is touched": (
+        ("\n\n[sets]", '\npoint_from = ["tag"]\n\n[sets]'),
+        ["table.csv: point_from: has no effect on kind 'position'"],
+    ),
+    "a column without a name": (
+        ("\n\n[sets]", '\ncolumns = { "" = "x_mm" }\n\n[sets]'),
+        ["measurements[1].columns", "at least 1 character"],
+    ),
+    "a set without poses": (("report = 0.5", "report = 1e-9"), ["table.csv: no poses are left for the set 'report'"]),
+    "tables without end": (
+        ("[sets]", 1000 * '[[measurements]]\nfile = "table.csv"\n' + "[sets]"),
+        ["at most 1000 entries"],
+    ),
+    "a number that is none": (
+        ("\n\n[sets]", '\ncolumns = { q1_deg = { from = "q1_deg", plus = nan } }\n\n[sets]'),
+        ["1 fault(s)\n  measurements[1].columns.q1_deg.plus = nan: must be a finite number"],
+    ),
+    "an unknown key of a column": (
+        ("\n\n[sets]", '\ncolumns = { q1_deg = { from = "q1_deg", time = 2 } }\n\n[sets]'),
+        ["columns.q1_deg.time = 2: not a known key (is times meant?); allowed here: from, times, plus, add, rows"],
+    ),
+    "one table twice": (
+        ("\n\n[sets]", '\n[[measurements]]\nfile = "./table.csv"\n\n[sets]'),
+        ["table.csv: 12 of its 12 poses are in table.csv, too", "take one of the two tables out"],
+    ),
     "no such point column": (("\n\n[sets]", '\npoint_from = ["hole"]\n\n[sets]'), ["'hole'", "point_from"]),
 }
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        (PROBLEM.encode("utf-8-sig"), "save it as UTF-8 without one"),
+        (PROBLEM.encode("utf-16"), "save it as UTF-8 without one"),
+        (PROBLEM.replace("synthetic", "\u00fc").encode("latin-1"), "save it as UTF-8"),
+        (f"casadical = {'1' * 5000}".encode(), "4300 digits.*digits$"),
+    ],
+)
+def test_a_text_that_is_no_toml_says_what_to_do(content: bytes, why: str, tmp_path: Path) -> None:
+    folder = problem_folder(tmp_path, PROBLEM)
+    (folder / "problem.toml").write_bytes(content)
+    with pytest.raises(InputError, match=rf"problem\.toml: not valid TOML: .*{why}"):
+        read_problem(folder)
 
 
 def problem_folder(folder: Path, text: str) -> Path:
@@ -206,6 +253,15 @@ def test_fault_of_a_problem_is_named(name: str, tmp_path: Path) -> None:
         read_problem(problem_folder(tmp_path, PROBLEM.replace(old, new, 1)))
     for part in expected:
         assert part in str(caught.value)
+
+
+def test_a_copied_row_shifts_no_set(tmp_path: Path) -> None:
+    folder = problem_folder(tmp_path, PROBLEM.replace("identify = 0.5\nreport = 0.5", 'column = "set"'))
+    head, *rows = TABLE.splitlines()
+    rows = [row if k < 8 else row.replace("identify", "report") for k, row in enumerate(rows)]
+    (folder / "table.csv").write_text("\n".join([head, *rows[:3], rows[0], *rows[3:]]) + "\n")
+    sets = read_problem(folder).sets
+    assert [sets["identify"][0].row[-1], *sets["report"][0].row] == [10, 11, 12, 13, 14]
 
 
 def test_the_good_problem_is_good(tmp_path: Path) -> None:

@@ -60,6 +60,31 @@ FAULTS = {
     "limits reversed": (robot(ABC, AB, joint("j2", "revolute", "b", "c", limit=(1.0, -1.0))), {}, r"range \[1, -1\]"),
     "nothing moves": (robot(ABC, joint("j1", "fixed", "a", "b"), joint("j2", "fixed", "b", "c")), {}, "no joint moves"),
     "base is tip": (robot(ABC, AB, BC), {"base_link": "a", "tip_link": "a"}, "no joint moves between 'a' and 'a'"),
+    "101 joints": (
+        robot(
+            *(link(f"l{k}") for k in range(102)),
+            *(joint(f"j{k}", "revolute", f"l{k}", f"l{k + 1}") for k in range(101)),
+        ),
+        {},
+        "101 joints move between 'l0' and 'l101'; allowed: up to 100",
+    ),
+    "mimic of a mimic": (
+        robot(
+            ABC,
+            joint("j1", "revolute", "a", "b", extra='<mimic joint="j2"/>'),
+            joint("j2", "revolute", "b", "c", extra='<mimic joint="j1"/>'),
+        ),
+        {},
+        "'j1' mimics 'j2', which mimics 'j1'; let both mimic a joint that mimics none",
+    ),
+    "5000 links": (robot(*(link(f"l{k}") for k in range(5000))), {}, "has 5000 links; allowed: up to 1000"),
+    "a long chain of fixed joints": (
+        robot(
+            *(link(f"l{k}") for k in range(990)), *(joint(f"j{k}", "fixed", f"l{k}", f"l{k + 1}") for k in range(989))
+        ),
+        {},
+        "no joint moves",
+    ),
     "negative mass": (
         robot(ABC, link("d", -2.0), AB, BC, joint("j3", "fixed", "c", "d")),
         {},

@@ -14,6 +14,7 @@ from textwrap import indent as indented
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from casadical.core.basics import visible
 from casadical.core.telling.blocks import Block, Table, Words, mm
 from casadical.core.telling.figure import Figure
 
@@ -46,11 +47,12 @@ def _rendered(block: Words | Table) -> RenderableType:
     if isinstance(block, Table):
         return _rich_table(block)
     if block.mark:
-        return Text.assemble((block.mark, _STYLES[block.kind]), f" {block.text}")
+        return Text.assemble((block.mark, _STYLES[block.kind]), f" {visible(block.text)}")
     code = block.code
     if code.startswith("casadical "):  # a command is broken so that it can be copied
         code = " \\\n".join(wrap(code, _WIDE, break_long_words=False, break_on_hyphens=False, subsequent_indent="  "))
-    return Text(f"{block.text}\n{indented(code, '    ')}" if code else block.text, style=_STYLES[block.kind])
+    text = visible(f"{block.text}\n{indented(code, '    ')}" if code else block.text)
+    return Text(text, style=_STYLES[block.kind])
 
 
 def _rich_table(block: Table) -> RenderableType:
@@ -64,9 +66,11 @@ def _rich_table(block: Table) -> RenderableType:
         number = k in block.numbers
         longest = max((len(row[k]) for row in block.rows), default=0)
         least = longest if number else None
-        shown.add_column(Text(name), justify="right" if number else "left", overflow="fold", min_width=least)
+        shown.add_column(Text(visible(name)), justify="right" if number else "left", overflow="fold", min_width=least)
     for k, row in enumerate(block.rows):
-        shown.add_row(*map(Text, row), style="bold" if k in block.strong else "dim" if k in block.faint else "")
+        shown.add_row(
+            *map(Text, map(visible, row)), style="bold" if k in block.strong else "dim" if k in block.faint else ""
+        )
     return shown
 
 

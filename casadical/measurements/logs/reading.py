@@ -21,7 +21,7 @@ from casadical.measurements.logs.columns import FACTORS, LENGTHS, NAMES, Logged,
 from casadical.measurements.logs.findings import found_in, refuse_other_units, with_signs
 from casadical.measurements.logs.log import CHANNELS, JointLog
 from casadical.measurements.logs.systems import BAGS, STATE, STATES, bag, lerobot, sage
-from casadical.measurements.raw_table import RawTable
+from casadical.measurements.raw_table import MOST_COLUMNS, RawTable
 from casadical.measurements.table_parts import read_columns, refuse_many, table_parts
 from casadical.measurements.vocabulary import WORDS
 
@@ -118,7 +118,7 @@ def _table(path: Path) -> RawTable:
         data = unpacked(read_bytes(path), str(path))
         refuse_many(path, data.count(b",") + data.count(b"\n"))
         head = data[: data.find(b"\n") + 1]
-        if head.isascii() and _HEADINGS.fullmatch(head.decode().strip()):
+        if head.count(b",") < MOST_COLUMNS and head.isascii() and _HEADINGS.fullmatch(head.decode().strip()):
             try:
                 frame = pd.read_csv(io.BytesIO(data), skipinitialspace=True)
             except (ValueError, pd.errors.ParserError):

@@ -78,7 +78,7 @@ def bag(path: Path) -> Logged:
             )
     streams: dict[tuple[str, ...], _Stream] = {}
     size = 0
-    with foreign(f"{path}: not a readable bag"):
+    with foreign(f"{path}: not a readable bag", "record it again, or write its joint states to a CSV"):
         store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
         with highlevel.AnyReader([path], default_typestore=store) as reader:
             topics = sorted({f"{c.topic} ({c.msgtype})" for c in reader.connections})

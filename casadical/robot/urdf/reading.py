@@ -11,6 +11,7 @@ from casadical.core.basics import Array, InputError
 from casadical.core.parts import STANDARD_GRAVITY, Body, Coupling, Placement, possible_inertia
 from casadical.robot.axes import Axis, Chain, rows_from_axes
 from casadical.robot.robot import Robot
+from casadical.robot.robot_schema import MOST_JOINTS
 from casadical.robot.urdf.tree import Tree, parse_urdf
 
 _FULL_TURN = 2 * np.pi
@@ -92,9 +93,20 @@ def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfC
     moving = tuple(j for j in joints if j.type != "fixed")
     if not moving:
         raise InputError(f"{path}: no joint moves between {base!r} and {tip!r}; name other links")
+    if len(moving) > MOST_JOINTS:
+        raise InputError(
+            f"{path}: {len(moving)} joints move between {base!r} and {tip!r}; allowed: up to {MOST_JOINTS}; "
+            "name other links"
+        )
     own = {j.name for j in moving}
+    led = {j.name: j.mimic.joint for j in moving if j.mimic is not None and j.mimic.joint in own}
     for j in moving:
         _refuse_unusable(j, str(path))
+        if (leader := led.get(j.name)) in led:
+            raise InputError(
+                f"{path}: joint {j.name!r} mimics {leader!r}, which mimics {led[leader]!r}; let both mimic a joint "
+                "that mimics none"
+            )
     frames, movers = tree.at_zero(base, own)
     placed = [(frames[j.child], j.axis / np.linalg.norm(j.axis)) for j in moving]
     dh = rows_from_axes([Axis(T[:3, 3], T[:3, :3] @ axis) for T, axis in placed], frames[tip])

@@ -9,7 +9,7 @@ from xml.dom import minidom
 import numpy as np
 
 from casadical.core.basics import Array, InputError, optional
-from casadical.core.reading import foreign, read_xml
+from casadical.core.reading import MOST_COUNT, foreign, read_xml
 
 # Levels of elements: of links of links in a MuJoCo model, say.
 DEEPEST_XML = 200
@@ -56,6 +56,8 @@ class Tree:
         self.source = source
         self.names: list[str] = [link.name for link in urdf.links]
         self.above: dict[str, Any] = {}
+        if len(self.names) > MOST_COUNT:
+            raise InputError(f"{source}: has {len(self.names)} links; allowed: up to {MOST_COUNT}; take the others out")
         self.below: dict[str, list[Any]] = {name: [] for name in self.names}
         for kind, items in (("link", urdf.links), ("joint", urdf.joints)):
             names = [item.name for item in items]
@@ -133,9 +135,11 @@ class Tree:
         return str(common[-1].child)
 
     def _walk(self, link: str, moved: bool) -> Iterator[tuple[str, bool]]:
-        yield link, moved
-        for j in self.below[link]:
-            yield from self._walk(j.child, moved or j.type != "fixed")
+        waiting = [(link, moved)]
+        while waiting:
+            link, moved = waiting.pop()
+            yield link, moved
+            waiting += [(j.child, moved or j.type != "fixed") for j in reversed(self.below[link])]
 
     def at_zero(self, base: str, moving: Collection[str]) -> tuple[dict[str, Array], dict[str, int]]:
         """Frames at zero readings of all links on the base, in its frame, and how many of the joints move each."""

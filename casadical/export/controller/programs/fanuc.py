@@ -6,6 +6,7 @@ decimals, as the controller prints them.
 """
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -13,7 +14,7 @@ import numpy as np
 from lark import Token, Tree
 
 from casadical.core.basics import Array, InputError
-from casadical.export.controller.programs.grammar import ParsedText, is_number, parts, whole, words
+from casadical.export.controller.programs.grammar import ParsedText, is_number, parts, repeated, whole, words
 from casadical.export.controller.programs.language import AngleLanguage
 from casadical.export.controller.programs.target import MM, Given, Number, Posture, Target, numbers
 
@@ -62,6 +63,7 @@ class Fanuc(AngleLanguage):
                 targets.append(_target(source, line, position, given.joint_units(joints)))
         steps = {step[1]: _line(text, step) for step in _INCREMENT.finditer(text)}
         changes = {(change[1], change[2]): _line(text, change) for change in _CHANGE.finditer(text)}
+        count = Counter(target.name for target, _ in targets)
         for target, frames in targets:
             for what, pick in zip(("UTOOL", "UFRAME"), frames, strict=True):
                 if (what, pick) in changes and not target.left:
@@ -70,7 +72,10 @@ class Fanuc(AngleLanguage):
                         f"(line {target.line}) is given in it; split the program there, or give the frame to the "
                         "controller"
                     )
-        return [_placed(target, frames, given, steps) for target, frames in targets]
+        once = [
+            (t.leave(f"is there {count[t.name]} times") if count[t.name] > 1 else t, frames) for t, frames in targets
+        ]
+        return [_placed(target, frames, given, steps) for target, frames in once]
 
     def move_line(self, joints: Sequence[float]) -> str:
         axes = ", ".join(f"J{i}= {value:.3f} deg" for i, value in enumerate(joints, 1))
@@ -87,7 +92,8 @@ def _line(text: str, found: re.Match[str]) -> int:
 def _target(source: str, line: int, position: Tree[Token], axes: Sequence[float]) -> tuple[Target, tuple[str, str]]:
     """A target, and the names of its tool and base; axes : units of the joints."""
     name = f"P[{words(position, 'NUMBER')[0]}]"
-    items = {str(item.children[0]): item.children for item in parts(parts(position, "group")[0], "item")}
+    group = parts(parts(position, "group")[0], "item")
+    items = {str(item.children[0]): item.children for item in group}
     tool, base = (str(items[key][1]) if key in items else "?" for key in ("UT", "UF"))
     joints = "J1" in items
     keys = [f"J{i}" for i in range(1, len(axes) + 1)] if joints else ["X", "Y", "Z", "W", "P", "R"]
@@ -95,6 +101,8 @@ def _target(source: str, line: int, position: Tree[Token], axes: Sequence[float]
         raise InputError(f"{source}: line {line}: {name} has {beyond}; this robot has only {len(axes)} joints")
     if not all(key in items and is_number(items[key][1]) for key in keys):
         return Target(line, name, joints, (), left="has a coordinate without a number"), (tool, base)
+    if twice := repeated((str(item.children[0]) for item in group), keys):
+        return Target(line, name, joints, (), left=f"has {twice} twice"), (tool, base)
     units = axes if joints else Fanuc.units
     for key, unit in zip(keys, units, strict=True):
         said, allowed = str(items[key][-1]).lower(), "mm" if unit == MM else "deg"

@@ -4,6 +4,7 @@ Everything between the runs stays opaque. A whole grammar of such a language is 
 grammar of its targets alone is small, and a line that it does not know costs nothing.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import cache
@@ -129,3 +130,9 @@ def only_one(source: str, what: str, by_line: dict[int, Any]) -> Any:
                 "depends on the order of execution: split the program there"
             )
     return by_line.get(first)
+
+
+def repeated(names: Iterable[str], keys: Iterable[str]) -> str:
+    """The first of some keys that is among the names more than once, or nothing."""
+    count = Counter(names)
+    return next((key for key in keys if count[key] > 1), "")

@@ -12,7 +12,7 @@ import numpy as np
 from lark import Token, Tree
 
 from casadical.core.basics import Array, InputError
-from casadical.export.controller.programs.grammar import ParsedText, is_number, only_one, parts, whole, words
+from casadical.export.controller.programs.grammar import ParsedText, is_number, only_one, parts, repeated, whole, words
 from casadical.export.controller.programs.language import AngleLanguage
 from casadical.export.controller.programs.target import Given, Posture, Target, numbers
 
@@ -199,6 +199,8 @@ def _target(source: str, name: str, aggregate: Tree[Token], axes: tuple[float, .
         return Target(line, shown, joints, (), left=f"without a number for {', '.join(lost)}")
     if (beyond := f"A{len(axes) + 1}") in values:
         raise InputError(f"{source}: line {line}: {shown} has {beyond}; this robot has only {len(axes)} joints")
+    if twice := repeated((str(pair.children[0]).upper() for pair in parts(aggregate, "pair")), keys):
+        return Target(line, shown, joints, (), left=f"has {twice} twice")
     external = any(is_number(e := values.get(f"E{i}")) and float(str(e)) != 0 for i in range(1, 7))
     read = numbers((values[key] for key in keys), axes if joints else Krl.units)
     made = Target(line, shown, joints, read, external=external)

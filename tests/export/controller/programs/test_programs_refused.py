@@ -334,3 +334,19 @@ def test_a_long_program_is_read_in_linear_time(tmp_path):
             assert len(program(tmp_path, "p.script", f"def job():\n{text}end\n").targets) == count
         calls.append(sum(entry.callcount for entry in profile.getstats()))
     assert calls[1] < 4.5 * calls[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "why"),
+    [
+        ("p.src", "PTP {A1 10,A1 20,A2 -80,A3 40,A4 0,A5 30,A6 0}\n", "has A1 twice"),
+        ("p.ls", "/POS\n" + 2 * LS.format(config="'N U T, 0, 0, 0'", unit="mm"), "is there 2 times"),
+        (
+            "p.ls",
+            "/POS\n" + LS.format(config="'N U T, 0, 0, 0'", unit="mm").replace("Y =", "X = 1.0 mm, Y ="),
+            "has X twice",
+        ),
+    ],
+)
+def test_what_is_given_twice_is_left(name, text, why, cell, tmp_path):
+    assert {found for _, found in statuses(tmp_path, cell, name, text).values()} == {why}
