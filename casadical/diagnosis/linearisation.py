@@ -291,7 +291,11 @@ class EffectColumns:
         used = np.unique(np.searchsorted(self._edges, columns, side="right") - 1)
         some = EffectColumns(self.linear, tuple(self.effects[k] for k in used), self.growth)
         some.made.sizes = self.sizes[columns]
-        some.made.factors = self._all.only(columns) if self._few else None
+        if self.made.of is not None:
+            whole, poses = self.made.of
+            some.made.of = whole.only(columns), poses
+        elif self._few:
+            some.made.factors = self._all.only(columns)
         return some
 
     def at(self, blocks: Array) -> EffectColumns:
