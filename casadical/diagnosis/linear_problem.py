@@ -201,7 +201,16 @@ class Case:
         if (kept != self.kept).sum() <= FEW * self.kept.sum():
             lost, gained = (self.whole.at(np.flatnonzero(a & ~b)) for a, b in ((self.kept, kept), (kept, self.kept)))
             more.evidence.moving(self.evidence, lost, gained)
+            if self.form.stays:
+                known, judged = self.judged, more.judged
+                judged.moving(known, known.at(_others(self, more)), judged.at(_others(more, self)))
         return more
+
+    @property
+    def _followed(self) -> Array:
+        """Of each pose in the order of measuring its number, and that of the one before or -1, shape (kept, 2)."""
+        poses = np.flatnonzero(self.kept)[self.order]
+        return np.column_stack([poses, np.append(-1, poses[:-1])])
 
     @cached_property
     def variants(self) -> tuple[tuple[int, int], ...]:
@@ -267,6 +276,12 @@ class Case:
         if self.form is not PLAIN:
             more.judged.extending(self.judged)
         return more
+
+
+def _others(case: Case, beside: Case) -> Array:
+    """Which poses of a case, in the order of measuring, follow another pose than beside, or are not kept there."""
+    known = set(map(tuple, beside._followed.tolist()))
+    return np.array([k for k, pair in enumerate(case._followed.tolist()) if tuple(pair) not in known], dtype=np.int64)
 
 
 def make_case(
