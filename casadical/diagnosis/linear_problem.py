@@ -270,7 +270,8 @@ class Case:
         more = replace(self, m=m, candidates=candidates, columns=columns, whole=replace(self.whole, E=E, held=held))
         known = self.evidence
         assert isinstance(known.E, EffectColumns)
-        conditions = {name: values[self.kept] for name, values in m.conditions.items()}
+        there = known.E.linear.conditions  # each variant's are kept: those that are there are not copied again
+        conditions = {name: there[name] if name in there else v[self.kept] for name, v in m.conditions.items()}
         own = known.E.plus(effects, conditions, (E, np.flatnonzero(self.kept)))
         more.selected.evidence = replace(known, E=own, held=held).extending(known)
         if self.form is not PLAIN:
