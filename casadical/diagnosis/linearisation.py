@@ -94,8 +94,8 @@ class Linearisation:
         """
         return self.factors(plan(self.model, tuple(effects))).columns_at(self.S)
 
-    def factors(self, parts: Sequence[Part]) -> Factors:
-        """The same columns as factors of the seams at which they act; parts : of `plan`."""
+    def factors(self, parts: Sequence[Part], sizes: Array | None = None) -> Factors:
+        """The same columns as factors of the seams at which they act; parts : of `plan`; sizes : units, (columns,)."""
         n, found = len(self.q), dict[int, list[tuple[Array, Array | float]]]()
         for numbers, first, least, turn in self._places():
             q, seen = ([c[None] for c in of.T] for of in numbers)
@@ -115,7 +115,10 @@ class Linearisation:
             values = np.empty((edges[-1], n))
             for start, end, (_, factor) in zip(edges[:-1], edges[1:], own, strict=True):
                 values[start:end] = factor
-            blocks.append((seam, np.concatenate([columns for columns, _ in own]), values))
+            columns = np.concatenate([columns for columns, _ in own])
+            if sizes is not None:
+                values *= sizes[columns, None]
+            blocks.append((seam, columns, values))
         return Factors(tuple(blocks), sum(len(part.starts) * part.width for part in parts))
 
     def _places(self) -> Iterator[tuple[tuple[Array, Array], int, int, int]]:
@@ -247,7 +250,7 @@ class EffectColumns:
         return self.made.factors
 
     def _factors_at(self, linear: Linearisation) -> Factors:
-        return linear.factors(self._parts).scaled(self.sizes)
+        return linear.factors(self._parts, self.sizes)
 
     @property
     def _few(self) -> bool:
@@ -276,7 +279,7 @@ class EffectColumns:
         if self._few:
             return self._all.only(columns).at(poses)
         some, places = self._owning(columns)
-        return some.factors(poses).only(places)
+        return some._factors_at(some.linear.at(poses)).only(places)
 
     def _owning(self, columns: Array) -> tuple[EffectColumns, Array]:
         """The columns of those effects that have some columns, and the places of these among them."""

@@ -176,10 +176,6 @@ class Factors:
             out[as_slice(columns)] += values[:, None] * by_variable[variable]
         return out
 
-    def scaled(self, sizes: Array) -> Factors:
-        """In units of sizes, shape (columns,)."""
-        return replace(self, blocks=tuple((s, c, values * sizes[c, None]) for s, c, values in self.blocks))
-
     def at(self, blocks: Array | slice) -> Factors:
         some = blocks if isinstance(blocks, slice) else as_slice(blocks)
         if isinstance(some, slice):
