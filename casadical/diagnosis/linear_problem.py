@@ -16,7 +16,7 @@ from casadical.diagnosis.candidates import Candidate, choose
 from casadical.diagnosis.cross_validation import fit_of
 from casadical.diagnosis.evidence import ALL_SIGMAS, RHOS, SIGMAS, Evidence, KnownNoise
 from casadical.diagnosis.instrument_columns import with_far_ends, with_images
-from casadical.diagnosis.linearisation import EffectColumns
+from casadical.diagnosis.linearisation import EffectColumns, Made
 from casadical.diagnosis.noise_evidence import PLAIN, Form, as_form_moves
 from casadical.diagnosis.noise_floor import replicates
 from casadical.diagnosis.observations import Observations, Ratios, joined, observe, stops_in
@@ -176,7 +176,7 @@ class Case:
         whole = replace(self.whole, sigmas=ALL_SIGMAS)
         if left > most:
             assert isinstance(whole.E, EffectColumns)
-            whole = replace(whole, reference=left, E=replace(whole.E, growth=left / most, first=None))
+            whole = replace(whole, reference=left, E=replace(whole.E, growth=left / most, first=None, made=Made()))
         return replace(self, whole=whole)
 
     @property
@@ -269,11 +269,7 @@ class Case:
         held = E.held if self.whole.held is None else np.append(self.whole.held, E.held[self.whole.width :])
         more = replace(self, m=m, candidates=candidates, columns=columns, whole=replace(self.whole, E=E, held=held))
         known = self.evidence
-        assert isinstance(known.E, EffectColumns)
-        there = known.E.linear.conditions  # each variant's are kept: those that are there are not copied again
-        conditions = {name: there[name] if name in there else v[self.kept] for name, v in m.conditions.items()}
-        own = known.E.plus(effects, conditions, (E, np.flatnonzero(self.kept)))
-        more.selected.evidence = replace(known, E=own, held=held).extending(known)
+        more.selected.evidence = replace(known, E=E.at(np.flatnonzero(self.kept)), held=held).extending(known)
         if self.form is not PLAIN:
             more.judged.extending(self.judged)
         return more

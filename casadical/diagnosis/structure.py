@@ -169,7 +169,7 @@ class _White:
     @property
     def _is_left(self) -> bool:
         """Whether anything is left to be judged."""
-        return self.e.count - float(self._taken.sum()) >= 2 and self.squares.sum() > 0
+        return self.e.count - float(self._taken.sum()) >= 2 and bool(self.squares.sum() > 0)
 
     def _functions(self) -> Iterator[tuple[str, Array]]:
         kept = np.flatnonzero(self.case.kept)
