@@ -16,7 +16,7 @@ from casadical.diagnosis.candidates import Candidate, choose
 from casadical.diagnosis.cross_validation import fit_of
 from casadical.diagnosis.evidence import ALL_SIGMAS, RHOS, SIGMAS, Evidence, KnownNoise
 from casadical.diagnosis.instrument_columns import with_far_ends, with_images
-from casadical.diagnosis.linearisation import EffectColumns
+from casadical.diagnosis.linearisation import EffectColumns, Made
 from casadical.diagnosis.noise_evidence import PLAIN, Form, as_form_moves
 from casadical.diagnosis.noise_floor import replicates
 from casadical.diagnosis.observations import Observations, Ratios, joined, observe, stops_in
@@ -176,7 +176,7 @@ class Case:
         whole = replace(self.whole, sigmas=ALL_SIGMAS)
         if left > most:
             assert isinstance(whole.E, EffectColumns)
-            whole = replace(whole, reference=left, E=replace(whole.E, growth=left / most, first=None))
+            whole = replace(whole, reference=left, E=replace(whole.E, growth=left / most, first=None, made=Made()))
         return replace(self, whole=whole)
 
     @property
@@ -201,7 +201,16 @@ class Case:
         if (kept != self.kept).sum() <= FEW * self.kept.sum():
             lost, gained = (self.whole.at(np.flatnonzero(a & ~b)) for a, b in ((self.kept, kept), (kept, self.kept)))
             more.evidence.moving(self.evidence, lost, gained)
+            if self.form.stays:
+                known, judged = self.judged, more.judged
+                judged.moving(known, known.at(_others(self, more)), judged.at(_others(more, self)))
         return more
+
+    @property
+    def _followed(self) -> Array:
+        """Of each pose in the order of measuring its number, and that of the one before or -1, shape (kept, 2)."""
+        poses = np.flatnonzero(self.kept)[self.order]
+        return np.column_stack([poses, np.append(-1, poses[:-1])])
 
     @cached_property
     def variants(self) -> tuple[tuple[int, int], ...]:
@@ -260,13 +269,16 @@ class Case:
         held = E.held if self.whole.held is None else np.append(self.whole.held, E.held[self.whole.width :])
         more = replace(self, m=m, candidates=candidates, columns=columns, whole=replace(self.whole, E=E, held=held))
         known = self.evidence
-        assert isinstance(known.E, EffectColumns)
-        conditions = {name: values[self.kept] for name, values in m.conditions.items()}
-        own = known.E.plus(effects, conditions, (E, np.flatnonzero(self.kept)))
-        more.selected.evidence = replace(known, E=own, held=held).extending(known)
+        more.selected.evidence = replace(known, E=E.at(np.flatnonzero(self.kept)), held=held).extending(known)
         if self.form is not PLAIN:
             more.judged.extending(self.judged)
         return more
+
+
+def _others(case: Case, beside: Case) -> Array:
+    """Which poses of a case, in the order of measuring, follow another pose than beside, or are not kept there."""
+    known = set(map(tuple, beside._followed.tolist()))
+    return np.array([k for k, pair in enumerate(case._followed.tolist()) if tuple(pair) not in known], dtype=np.int64)
 
 
 def make_case(

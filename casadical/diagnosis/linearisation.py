@@ -94,8 +94,8 @@ class Linearisation:
         """
         return self.factors(plan(self.model, tuple(effects))).columns_at(self.S)
 
-    def factors(self, parts: Sequence[Part]) -> Factors:
-        """The same columns as factors of the seams at which they act; parts : of `plan`."""
+    def factors(self, parts: Sequence[Part], sizes: Array | None = None) -> Factors:
+        """The same columns as factors of the seams at which they act; parts : of `plan`; sizes : units, (columns,)."""
         n, found = len(self.q), dict[int, list[tuple[Array, Array | float]]]()
         for numbers, first, least, turn in self._places():
             q, seen = ([c[None] for c in of.T] for of in numbers)
@@ -115,7 +115,10 @@ class Linearisation:
             values = np.empty((edges[-1], n))
             for start, end, (_, factor) in zip(edges[:-1], edges[1:], own, strict=True):
                 values[start:end] = factor
-            blocks.append((seam, np.concatenate([columns for columns, _ in own]), values))
+            columns = np.concatenate([columns for columns, _ in own])
+            if sizes is not None:
+                values *= sizes[columns, None]
+            blocks.append((seam, columns, values))
         return Factors(tuple(blocks), sum(len(part.starts) * part.width for part in parts))
 
     def _places(self) -> Iterator[tuple[tuple[Array, Array], int, int, int]]:
@@ -172,21 +175,18 @@ KEPT = 100_000_000
 
 @dataclass(eq=False)
 class Made:
-    """What was made of columns: their factors at all poses, and the sizes of their parameters.
-
-    of : the columns at more poses that these are of, whose factors are kept once, and which of the poses, shape (n,)
-    """
+    """What was made of columns: their factors at all poses of the linearisation, and the sizes of their parameters."""
 
     factors: Factors | None = None
     sizes: Array | None = None
-    of: tuple[EffectColumns, Array] | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class EffectColumns:
     """Columns of effects at poses in units of their parameters' sizes, made when they are asked for.
 
-    linear : the poses; effects : one after the other; sizes : of every parameter, shape (columns,)
+    linear : all poses; effects : one after the other; sizes : of every parameter, shape (columns,)
+    poses : which of the linearisation's these columns are of, shape (n,); None for all
     growth : of the sizes, for a robot that leaves more than others do
     first : the columns of the first of the effects, which were made before
     directions : of the parts of effects that have parts (see `core.linear_gaussian.columns`); none until they are asked
@@ -198,7 +198,8 @@ class EffectColumns:
     growth: float = 1.0
     first: EffectColumns | None = None
     directions: Directions = ()
-    made: Made = field(init=False, repr=False, default_factory=Made)
+    poses: Array | None = None
+    made: Made = field(repr=False, default_factory=Made)
 
     @property
     def sizes(self) -> Array:
@@ -222,7 +223,12 @@ class EffectColumns:
     @property
     def shape(self) -> tuple[int, int, int]:
         """Poses, coordinates, columns."""
-        return *self.linear.S.shape[:2], len(self.sizes)
+        n, numbers, _ = self.linear.S.shape
+        return n if self.poses is None else len(self.poses), numbers, len(self.sizes)
+
+    def _among_all(self, blocks: Array | slice) -> Array | slice:
+        """The numbers of some poses among those of the linearisation."""
+        return blocks if self.poses is None else self.poses[blocks]
 
     @cached_property
     def _edges(self) -> Array:
@@ -235,9 +241,6 @@ class EffectColumns:
 
     @property
     def _all(self) -> Factors:
-        if self.made.of is not None:
-            whole, poses = self.made.of
-            return whole._all.at(poses)
         if self.made.factors is None:
             if self.first is None:
                 self.made.factors = self._factors_at(self.linear)
@@ -247,36 +250,32 @@ class EffectColumns:
         return self.made.factors
 
     def _factors_at(self, linear: Linearisation) -> Factors:
-        return linear.factors(self._parts).scaled(self.sizes)
+        return linear.factors(self._parts, self.sizes)
 
     @property
     def _few(self) -> bool:
-        return 8 * self.shape[0] * self.shape[2] <= KEPT
+        return 8 * len(self.linear.q) * self.shape[2] <= KEPT
 
     def factors(self, blocks: Array | slice = EVERY) -> Factors:
         """All columns at some poses as factors of the seams (see `Linearisation.S`)."""
-        if self.made.of is not None:
-            whole, poses = self.made.of
-            return whole.factors(poses[blocks])
-        return self._all.at(blocks) if self._few else self._factors_at(self.linear.at(blocks))
+        poses = self._among_all(blocks)
+        return self._all.at(poses) if self._few else self._factors_at(self.linear.at(poses))
 
     def levers(self, blocks: Array | slice = EVERY) -> Array:
         """Derivative by the seams' variables at some poses, shape (poses, 3, seams)."""
-        return self.linear.S[blocks]
+        return self.linear.S[self._among_all(blocks)]
 
     def take(self, columns: Array, blocks: Array | slice = EVERY, every: Combined | None = None) -> Array:
         """Some of the columns at some poses, shape (poses, 3, len(columns)) [m per unit of size], or combinations."""
         factors = self._factors_of(columns, blocks)
-        return (factors.combined(every) if every else factors).columns_at(self.linear.S[blocks])
+        return (factors.combined(every) if every else factors).columns_at(self.levers(blocks))
 
-    def _factors_of(self, columns: Array, poses: Array | slice) -> Factors:
-        if self.made.of is not None:
-            whole, own = self.made.of
-            return whole._factors_of(columns, own[poses])
+    def _factors_of(self, columns: Array, blocks: Array | slice) -> Factors:
+        poses = self._among_all(blocks)
         if self._few:
             return self._all.only(columns).at(poses)
         some, places = self._owning(columns)
-        return some.factors(poses).only(places)
+        return some._factors_at(some.linear.at(poses)).only(places)
 
     def _owning(self, columns: Array) -> tuple[EffectColumns, Array]:
         """The columns of those effects that have some columns, and the places of these among them."""
@@ -289,18 +288,17 @@ class EffectColumns:
     def only(self, columns: Array) -> EffectColumns:
         """Some of the columns, in rising order, all those of an effect or none."""
         used = np.unique(np.searchsorted(self._edges, columns, side="right") - 1)
-        some = EffectColumns(self.linear, tuple(self.effects[k] for k in used), self.growth)
+        some = EffectColumns(self.linear, tuple(self.effects[k] for k in used), self.growth, poses=self.poses)
         some.made.sizes = self.sizes[columns]
         some.made.factors = self._all.only(columns) if self._few else None
         return some
 
     def at(self, blocks: Array) -> EffectColumns:
         """The same columns at some of the poses."""
-        some = EffectColumns(self.linear.at(blocks), self.effects, self.growth, directions=self.directions)
-        if self._few:
-            whole, poses = self.made.of or (self, np.arange(self.shape[0]))
-            some.made.of = whole, poses[blocks]
-        return some
+        poses = blocks if self.poses is None else self.poses[blocks]
+        if self._few or 2 * len(poses) > len(self.linear.q):
+            return replace(self, poses=poses)
+        return EffectColumns(self.linear.at(poses), self.effects, self.growth, directions=self.directions)
 
     def with_directions(self) -> EffectColumns:
         """The same with the directions of all parts; they serve for some of these poses, too."""
@@ -310,27 +308,16 @@ class EffectColumns:
                 normal = np.zeros((len(part), len(part)))
                 for start in range(0, self.shape[0], BLOCK):
                     poses = slice(start, start + BLOCK)
-                    normal += self._factors_of(first + part, poses).products(self.linear.S[poses])
+                    normal += self._factors_of(first + part, poses).products(self.levers(poses))
                 directions.append((first + part, directions_of(normal, NOTHING)))
-        more = replace(self, directions=tuple(directions))
-        more.made.factors = self._all if self._few else None
-        return more
+        return replace(self, directions=tuple(directions))
 
     def after(self, column: int) -> EffectColumns:
         """The columns from this one on, with which an effect's columns begin."""
-        return EffectColumns(self.linear, self.effects[int(np.searchsorted(self._edges, column)) :], self.growth)
+        some = self.effects[int(np.searchsorted(self._edges, column)) :]
+        return EffectColumns(self.linear, some, self.growth, poses=self.poses)
 
-    def plus(
-        self,
-        effects: tuple[Effect, ...],
-        conditions: Mapping[str, Array],
-        of: tuple[EffectColumns, Array] | None = None,
-    ) -> EffectColumns:
-        """With further effects behind the others; conditions : all logged and derived columns of these poses.
-
-        of : the same effects at more poses, and which of these the poses are
-        """
+    def plus(self, effects: tuple[Effect, ...], conditions: Mapping[str, Array]) -> EffectColumns:
+        """With further effects behind the others; conditions : all logged and derived columns of all poses."""
         linear = replace(self.linear, conditions=dict(conditions))
-        more = EffectColumns(linear, (*self.effects, *effects), self.growth, self, self.directions)
-        more.made.of = of if self._few else None
-        return more
+        return EffectColumns(linear, (*self.effects, *effects), self.growth, self, self.directions, self.poses)

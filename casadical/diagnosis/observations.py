@@ -151,11 +151,18 @@ class Layout:
     places: list[Array]
 
     @property
+    def alone(self) -> bool:
+        """Whether each row of the one set is a pose."""
+        return len(self.rows) == 1 and np.array_equal(self.stops.of, np.arange(len(self.stops.rows)))
+
+    @property
     def shape(self) -> tuple[int, int]:
         return len(self.stops.rows), max(int(places.max()) + 1 for places in self.places)
 
     def together(self, parts: Sequence[Array]) -> Array:
         """Numbers of all sets at their poses, shape (poses, numbers, ...), zero where there are none."""
+        if self.alone:
+            return parts[0]
         out = np.zeros((*self.shape, *parts[0].shape[2:]))
         for poses, places, part in zip(self.poses, self.places, parts, strict=True):
             out[poses, places] = part
@@ -222,6 +229,8 @@ def _by_seams(parts: Sequence[_OfSet], layout: Layout, ends: int) -> Array:
     the measured point are others, behind all seams.
     """
     stops, seams = layout.stops, parts[0].S.shape[2] // parts[0].ends
+    if layout.alone:
+        return parts[0].S
     S = np.zeros((*layout.shape, ends * seams + POINT * (stops.most - 1)))
     for part, at, poses, places in zip(parts, layout.rows, layout.poses, layout.places, strict=True):
         S[poses, places, : part.S.shape[2]] = part.S
@@ -306,16 +315,18 @@ def _of_set(robot: Robot, m: Measurements, k: int, values: Array, where: Mapping
         for part, value in zip(parts, outputs, strict=True):
             here = len(m.q[some])
             part.append(value.reshape(value.shape[0], here, value.shape[1] // here).transpose(1, 0, 2))
-    r, J, S, U, seen, q = (np.concatenate(part) for part in parts)
+    r, J, S, U, seen, q = (_together(parts.pop(0)) for _ in range(6))
     length, angle = ratios.of_set(k)
     scale = np.concatenate([np.full(kind.lengths, length), np.full(kind.angles, angle)])
     rows = scale * np.sqrt(m.weight)[:, None]
     size = np.concatenate([np.full(kind.lengths, 1 / length), np.zeros(kind.angles)])
+    for each in (J, S, U):
+        each *= rows[:, :, None]
     return _OfSet(
         r=-r[:, :, 0] * rows,
-        J=J * rows[:, :, None],
-        S=S * rows[:, :, None],
-        U=U * rows[:, :, None],
+        J=J,
+        S=S,
+        U=U,
         seen=tuple(seen[:, :, i] for i in (0, at.ends - 1)),
         q=tuple(q[:, :, i] for i in (0, at.ends - 1)),
         measured=np.broadcast_to((m.weight > 0)[:, None], (n, kind.numbers)),
@@ -323,6 +334,11 @@ def _of_set(robot: Robot, m: Measurements, k: int, values: Array, where: Mapping
         point=np.array([number[name] for name in names] or [-1] * n),
         ends=at.ends,
     )
+
+
+def _together(parts: Sequence[Array]) -> Array:
+    """Numbers of some poses after those of others, pose by pose in memory."""
+    return np.concatenate(parts, out=np.empty((sum(map(len, parts)), *parts[0].shape[1:])))
 
 
 def _known_points(identification: Identification, where: Mapping[str, Array]) -> tuple[Array, Array]:

@@ -20,7 +20,7 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_forms import best_following, with_noise_forms
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, rank
 from casadical.diagnosis.settings_search import refined
-from casadical.diagnosis.structure import remainder_of
+from casadical.diagnosis.structure import lines_of
 from casadical.diagnosis.thresholds import (
     CLAIM,
     DETECT,
@@ -223,7 +223,7 @@ def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tupl
         if form.stays == beside.case.form.stays or gain < FORM_GAIN:
             return None
         show(f"causes where the noise follows itself, by {form.stays:g}")
-        lines.update(remainder_of(beside.case, beside.columns(), noise, form).lines)
+        lines.update(lines_of(beside.case, beside.columns(), noise, form))
         other, other_end, _ = search(_with_lines(case.with_form(form), lines), seed, 0, show)
         there = other.steps and other.rankings[0].none <= FORM_NONE and gain + other.log_gain > least
         return (other, other_end) if there else None

@@ -9,7 +9,7 @@ count for as much as they are. Close poses are compared, too: in joint space, an
 """
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
@@ -43,6 +43,8 @@ COSINES = 4
 # Squares scatter like those of noise if their degrees of freedom are this share of the numbers at least; and noise is
 # alike in all directions if chance alone makes them differ as much so often.
 LIKE_NOISE, ISOTROPIC = 0.6, 1e-4
+# Poses that are compared with all others in one go.
+AT_ONCE = 512
 # Of poses one after the other.
 BEFORE = "the pose before"
 # Directions of which a share of this is linear in others move nothing more.
@@ -67,19 +69,20 @@ class Structure:
 
 @dataclass(frozen=True)
 class Remainder:
-    """What is known of the remainder of a model: structures, the surest first; whether it looks like noise besides.
-
-    lines : joint and cycles a turn of the surest line of each joint
-    """
+    """What is known of the remainder of a model: structures, the surest first; whether it looks like noise besides."""
 
     structures: tuple[Structure, ...]
     like_noise: bool
-    lines: tuple[tuple[int, float], ...] = ()
 
 
 def remainder_of(case: Case, columns: Array, noise: Noise, form: Form | None = None) -> Remainder:
     """What is left beside columns of causes, shape (k,), at a noise of a form."""
     return _White(case, columns, noise, form or Form()).judged()
+
+
+def lines_of(case: Case, columns: Array, noise: Noise, form: Form) -> tuple[tuple[int, float], ...]:
+    """Joint and cycles a turn of the surest line of each joint in the same remainder, among all that is tried there."""
+    return _White(case, columns, noise, form).lines()
 
 
 def joint_of_outliers(case: Case, columns: Array, noise: Noise) -> int | None:
@@ -100,6 +103,11 @@ def joint_of_outliers(case: Case, columns: Array, noise: Noise) -> int | None:
     terms = [i * log(max(total[best], 1e-300)) - lgamma(i + 1) for i in range(len(left))]
     chance = len(total) * float(np.exp(log_sum(np.array(terms)) - total[best]))
     return best + 1 if chance < CHANCE else None
+
+
+# Drivers with their functions; and along a direction, those of as many functions each, with the cycles of lines.
+_Functions = tuple[tuple[str, Array], ...]
+_Group = tuple[str, Array, _Functions, Mapping[str, tuple[int, float]]]
 
 
 class _White:
@@ -140,16 +148,28 @@ class _White:
         return min(2 * n / max(scatter, 1e-9), numbers) * (1 - float(self._taken.sum()) / max(numbers, 1))
 
     def judged(self) -> Remainder:
-        taken = float(self._taken.sum())
-        if self.e.count - taken < 2 or not self.squares.sum() > 0:
+        if not self._is_left:
             return Remainder((), like_noise=True)
-        found = [*self._followed(), *self._close()]
-        among = [replace(s, log_chance=s.log_chance + log(len(found))) for s in found]
-        sure = sorted((s for s in among if s.log_chance < log(CHANCE)), key=lambda s: s.log_chance)
+        found = [*(s for group in self._groups() for s in self._followed(*group)), *self._close()]
+        sure = _sure(found, len(found))
         each = {s.line[0] if s.line else s.over: s for s in reversed(sure)}  # of a joint's lines the surest
-        lines = {s.line[0]: s.line for s in reversed(sure) if s.line}
-        tails = self.freedom >= LIKE_NOISE * (self.e.count - taken)
-        return Remainder(tuple([*reversed(each.values())][:MOST]), tails and self._isotropic(), tuple(lines.values()))
+        tails = self.freedom >= LIKE_NOISE * (self.e.count - float(self._taken.sum()))
+        return Remainder(tuple([*reversed(each.values())][:MOST]), tails and self._isotropic())
+
+    def lines(self) -> tuple[tuple[int, float], ...]:
+        """The surest line of each joint, among all that are tried."""
+        if not self._is_left:
+            return ()
+        groups = [*self._groups()]
+        tried = sum(len(some) for _, _, some, _ in groups) + 2
+        lines = [(a, v, tuple(f for f in some if f[0] in cycles), cycles) for a, v, some, cycles in groups]
+        sure = _sure([s for group in lines if group[2] for s in self._followed(*group)], tried)
+        return tuple({s.line[0]: s.line for s in reversed(sure) if s.line}.values())
+
+    @property
+    def _is_left(self) -> bool:
+        """Whether anything is left to be judged."""
+        return self.e.count - float(self._taken.sum()) >= 2 and bool(self.squares.sum() > 0)
 
     def _functions(self) -> Iterator[tuple[str, Array]]:
         kept = np.flatnonzero(self.case.kept)
@@ -157,21 +177,28 @@ class _White:
         for name, g in _of_poses(self.case.robot, self._m, self.case.positions[at]):
             yield name, g[self.pick]
 
-    def _followed(self) -> Iterator[Structure]:
-        """Every driver along every direction."""
+    def _groups(self) -> Iterator[_Group]:
+        """Drivers of as many functions each along every direction."""
         functions = _by_width(self._functions())
         for along, v in self._directions():
             own, cycles = dict(functions), dict[str, tuple[int, float]]()
             if hit := re.fullmatch(r"joint (\d+)", along):
                 lines, cycles = _lines(self.case.m.q[self.at, int(hit[1]) - 1], int(hit[1]))
                 own |= {2: (*own.get(2, ()), *lines)} if lines else {}
-            for width, some in own.items():
-                G = np.stack([g for _, g in some], axis=1)
-                F = self.rows(v[:, :, None] * G.reshape(len(v), 1, -1))
-                F -= self._Q @ (self._taken[:, None] * (self._Q.T @ F))
-                F = F.reshape(len(F), len(some), width).transpose(1, 0, 2)
-                for (over, _), (share, k) in zip(some, self._shares(F), strict=True):
-                    yield Structure(along, over, share, log_chance_of(share, k, self.freedom), cycles.get(over))
+            for some in own.values():
+                yield along, v, some, cycles
+
+    def _followed(
+        self, along: str, v: Array, some: _Functions, cycles: Mapping[str, tuple[int, float]]
+    ) -> Iterator[Structure]:
+        """Drivers of as many functions each along a direction."""
+        width = some[0][1].shape[1]
+        G = np.stack([g for _, g in some], axis=1)
+        F = self.rows(v[:, :, None] * G.reshape(len(v), 1, -1))
+        F -= self._Q @ (self._taken[:, None] * (self._Q.T @ F))
+        F = F.reshape(len(F), len(some), width).transpose(1, 0, 2)
+        for (over, _), (share, k) in zip(some, self._shares(F), strict=True):
+            yield Structure(along, over, share, log_chance_of(share, k, self.freedom), cycles.get(over))
 
     def _shares(self, F: Array) -> Iterator[tuple[float, int]]:
         """Of each group of columns, shape (groups, rows, width), the share that they explain and their rank."""
@@ -187,12 +214,10 @@ class _White:
         """Whether close poses err alike: in joint space, and one after the other."""
         y = self.y.reshape(len(self.squares), -1)
         q = np.concatenate([np.sin(self.case.m.q[self.at]), np.cos(self.case.m.q[self.at])], axis=1)
-        apart = (q**2).sum(axis=1)[:, None] + (q**2).sum(axis=1) - 2 * q @ q.T
-        np.fill_diagonal(apart, np.inf)
         n = len(y)
         pairs = {
             "poses that are near in joint space": np.unique(
-                np.sort(np.column_stack([np.arange(n), apart.argmin(axis=1)]), axis=1), axis=0
+                np.sort(np.column_stack([np.arange(n), _nearest(q)]), axis=1), axis=0
             ),
             BEFORE: np.column_stack([np.arange(n - 1), np.arange(1, n)]),
         }
@@ -237,6 +262,23 @@ class _White:
             # Six even degrees of freedom for five.
             chances.append(-square / 2 + np.log1p(square / 2 + square**2 / 8))
         return bool(min(chances) > log(ISOTROPIC / len(chances)))
+
+
+def _nearest(q: Array) -> Array:
+    """The number of the row nearest to each row, shape (n,), some at a time."""
+    square, nearest = (q**2).sum(axis=1), np.empty(len(q), dtype=np.int64)
+    for first in range(0, len(q), AT_ONCE):
+        some = slice(first, first + AT_ONCE)
+        apart = square[some, None] + square - 2 * q[some] @ q.T
+        apart[np.arange(len(apart)), first + np.arange(len(apart))] = np.inf
+        nearest[some] = apart.argmin(axis=1)
+    return nearest
+
+
+def _sure(found: Sequence[Structure], tried: int) -> list[Structure]:
+    """Those that chance does not make among so many that are tried, the surest first."""
+    among = [replace(s, log_chance=s.log_chance + log(tried)) for s in found]
+    return sorted((s for s in among if s.log_chance < log(CHANCE)), key=lambda s: s.log_chance)
 
 
 def about_vertical(p: Array) -> Array:

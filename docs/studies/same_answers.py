@@ -95,6 +95,7 @@ def make(folder: Path, tree: Path, jobs: int, only: str) -> None:
     environment = {
         **os.environ,
         "PYTHONPATH": str(tree.resolve()),
+        "PYTHONSAFEPATH": "1",  # else the package of the folder that it runs in comes first
         "OMP_NUM_THREADS": "1",
         "COLUMNS": "120",
         "NO_COLOR": "1",

@@ -70,6 +70,24 @@ def test_sums_by_another_set_of_poses_are_combined_alike(known: Case, curve: Arr
         assert found == pytest.approx(expected, abs=1e-4)
 
 
+def test_sums_under_noise_that_follows_itself_are_those_of_the_other_poses(known, curve, backlash):
+    followed = known.with_form(Form(stays=0.6))
+    for beside in (None, curve):
+        followed.judged.log_grids([curve, *backlash], beside)
+    for out in ([3, 11], [0, 1], [len(known.kept) - 1]):
+        kept = known.kept.copy()
+        kept[out] = False
+        fewer = followed.with_kept(kept)
+        assert fewer.judged.cache.marginals
+        back = fewer.with_kept(known.kept)
+        for moved in (fewer, back):
+            anew = replace(moved).judged
+            assert not anew.cache.marginals
+            for beside in (None, curve):
+                found, expected = (e.log_grids([curve, *backlash], beside) for e in (moved.judged, anew))
+                assert found == pytest.approx(expected, rel=1e-9, abs=1e-4)
+
+
 def test_other_forms_of_noise_are_judged_alike(known, curve, backlash, apart):
     chosen = np.union1d(curve, backlash[0])
     for form in (Form(), Form(joint=1, worse=8.0), Form(stays=0.6)):

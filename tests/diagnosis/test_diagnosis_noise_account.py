@@ -13,8 +13,9 @@ from casadical.core.basics import Array
 from casadical.diagnosis import page_of
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.noise_account import Rule
+from casadical.diagnosis.noise_evidence import Form
 from casadical.diagnosis.result import Diagnosis
-from casadical.diagnosis.structure import log_chance_of
+from casadical.diagnosis.structure import lines_of, log_chance_of
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements
 
@@ -90,6 +91,16 @@ def test_what_follows_the_sum_of_two_angles_is_structure() -> None:
     assert d.verdict == "unknown"
     assert (d.account.structures[0].over, d.account.structures[0].along) == ("q4 + q5", "joint 5")
     assert "follows q4 + q5 along joint 5" in words(d)
+
+
+def test_lines_looked_for_alone_are_those_among_all_structures() -> None:
+    m, arm = clean(100), robot("kr210")
+    rippled = replace(m, q=m.q + 2e-4 * np.sin(21 * m.q) * (np.arange(6) == 1))
+    assert m.position is not None
+    m = replace(m, position=m.position + predicted(arm, rippled)[0] - predicted(arm, m)[0])
+    d = diagnose(arm, with_noise(m), ["backlash"], laws=False)
+    lines = [s.line for s in d.account.structures if s.line]
+    assert lines == [*lines_of(d.case, d.columns, d.noise, Form())] == [(2, pytest.approx(21, abs=1.0))]
 
 
 def test_noise_that_follows_itself_is_noise() -> None:

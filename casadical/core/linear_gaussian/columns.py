@@ -111,7 +111,7 @@ class MovedColumns:
         return self.columns.directions
 
     def at(self, blocks: Array) -> ArrayColumns:
-        return ArrayColumns(self.take(np.arange(self.shape[2]), blocks))
+        return ArrayColumns(self.take(np.arange(self.shape[2]), blocks), self.directions)
 
     def only(self, columns: Array) -> MovedColumns:
         return replace(self, columns=self.columns.only(columns))
@@ -166,17 +166,21 @@ class Factors:
 
     def columns_at(self, levers: Array) -> Array:
         """The columns, shape (n, m, columns); levers : shape (n, m, variables)."""
-        out = np.zeros((*levers.shape[:2], self.width))
+        return np.ascontiguousarray(self.by_column(levers)[:-1].transpose(2, 1, 0))
+
+    def by_column(self, levers: Array) -> Array:
+        """The same one by one, with a last one of zeros, shape (columns + 1, m, n)."""
+        n, m, _ = levers.shape
+        out, by_variable = np.zeros((self.width + 1, m, n)), np.ascontiguousarray(levers.transpose(2, 1, 0))
         for variable, columns, values in self.blocks:
-            out[:, :, as_slice(columns)] += levers[:, :, variable, None] * values.T[:, None]
+            out[as_slice(columns)] += values[:, None] * by_variable[variable]
         return out
 
-    def scaled(self, sizes: Array) -> Factors:
-        """In units of sizes, shape (columns,)."""
-        return replace(self, blocks=tuple((s, c, values * sizes[c, None]) for s, c, values in self.blocks))
-
     def at(self, blocks: Array | slice) -> Factors:
-        return replace(self, blocks=tuple((s, c, values[:, blocks]) for s, c, values in self.blocks))
+        some = blocks if isinstance(blocks, slice) else as_slice(blocks)
+        if isinstance(some, slice):
+            return replace(self, blocks=tuple((s, c, values[:, some]) for s, c, values in self.blocks))
+        return replace(self, blocks=tuple((s, c, np.take(v, some, axis=1, mode="clip")) for s, c, v in self.blocks))
 
     def only(self, columns: Array) -> Factors:
         place = np.full(self.width, -1)
@@ -185,7 +189,7 @@ class Factors:
         for variable, own, values in self.blocks:
             there = np.flatnonzero(place[own] >= 0)
             if len(there):
-                kept.append((variable, place[own[there]], values[there] if len(there) < len(own) else values))
+                kept.append((variable, place[own[there]], values[as_slice(there)]))
         return Factors(tuple(kept), len(columns))
 
     def combined(self, every: Combined) -> Factors:
@@ -218,6 +222,8 @@ class Factors:
 
 def as_slice(columns: Array) -> Array | slice:
     """Columns one after the other as a slice, which is faster."""
+    if not len(columns):
+        return slice(0)
     return slice(columns[0], columns[-1] + 1) if (np.diff(columns) == 1).all() else columns
 
 

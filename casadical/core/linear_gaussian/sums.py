@@ -106,10 +106,17 @@ class GridSums:
         for (key, k), own in known._wide.items():
             group = np.frombuffer(key, dtype=np.int64)
             self._wide[key, k] = own + sum(sign * part.wide(group, k) for sign, part in parts)
+        alike: dict[tuple[bytes, int], list[Array]] = {}
         for (first, last, k), cross in known._cross.items():
-            run, at = np.arange(first, last + 1), cross.known
-            self._cross[first, last, k] = more = KnownRows(len(cross.place), cross.numbers)
-            more.add(at, cross[at] + sum(sign * part.crossed(run, [k], at)[k] for sign, part in parts))
+            alike.setdefault((cross.known.tobytes(), k), []).append(np.arange(first, last + 1))
+        for (key, k), runs in alike.items():
+            at = np.frombuffer(key, dtype=np.int64)
+            for _, part in parts:
+                part.cross(runs, [k], at)
+            for run in runs:
+                cross = known._cross[_key(run, k)]
+                self._cross[_key(run, k)] = more = KnownRows(len(cross.place), cross.numbers)
+                more.add(at, cross[at] + sum(sign * part._cross[_key(run, k)][at] for sign, part in parts))
 
     def add_own(self, groups: Iterable[Array]) -> None:
         """Add up the products of each narrow group's columns among themselves, all in one go."""
@@ -127,7 +134,7 @@ class GridSums:
             F, levers = E.factors(blocks), E.levers(blocks)
             for axes in self._axes:
                 for rows, columns, by_column in _by_rows(F, axes.turned(levers, blocks)):
-                    weights = axes.precision[:, blocks, rows].reshape(len(axes.points), -1)
+                    weights = axes.precision[:, blocks, rows].transpose(0, 2, 1).reshape(len(axes.points), -1)
                     place = np.full(len(used), len(columns))  # behind the last of them is nothing
                     place[columns] = np.arange(len(columns))
                     for w, which in stacks.items():
@@ -214,11 +221,11 @@ class GridSums:
                 turned = self._turned_base(axes, blocks)
                 U, points = axes.turned(levers, blocks), slice(axes.points[0], axes.points[-1] + 1)
                 alone = _each_alone(U)
+                precision = axes.precision[:, blocks].transpose(1, 0, 2)
                 for s, columns, values in F.blocks:
                     # What the variable in between does, times the base's columns, at each point.
                     rows = slice(s, s + 1) if alone else EVERY
-                    own = axes.precision[:, blocks, rows], U[:, rows, s], turned[:, rows]
-                    across = np.einsum("kni,ni,nip->nkp", *own, optimize=True)
+                    across = (precision[:, :, rows] * U[:, None, rows, s]) @ turned[:, rows]
                     product = values @ across.reshape(len(U), -1)
                     total[as_slice(columns), points] += product.reshape(len(values), -1, numbers)
         return total
@@ -261,8 +268,7 @@ def _each_alone(U: Array) -> bool:
 def _by_rows(F: Factors, U: Array) -> Iterator[tuple[slice, Array, Array]]:
     """Rows, the columns that act there, and these one by one with a last one of zeros, shape (columns + 1, -1)."""
     if not _each_alone(U):
-        made = F.columns_at(U).reshape(-1, F.width).T
-        yield EVERY, np.arange(F.width), np.concatenate([made, np.zeros((1, made.shape[1]))])
+        yield EVERY, np.arange(F.width), F.by_column(U).reshape(F.width + 1, -1)
         return
     for s, columns, values in F.blocks:
         yield slice(s, s + 1), columns, np.concatenate([values * U[:, s, s], np.zeros((1, len(U)))])
@@ -272,15 +278,22 @@ def _add_weighted(total: Array, F: Factors, G: Factors, U: Array, weight: Array,
     """Add products at the points of some axes; U : levers in these axes; weight : of the axes, shape (points, n, m)."""
     W, V = weight.transpose(0, 2, 1), np.ascontiguousarray(U[:, :, [t for t, _, _ in G.blocks]].transpose(2, 1, 0))
     others = [(as_slice(own), factors) for _, own, factors in G.blocks]
-    across = np.empty((len(weight), G.width, len(U)))
+    K, n = len(weight), len(U)
+    across = np.empty((K, G.width, n))
     for s, columns, values in F.blocks:
-        # What the variable in between does, times each column of G.
-        across[:] = 0
+        # What the variable in between does, times the fewer: each column of G, or those of F for each variable of G.
         shares = np.einsum("kin,tin->tkn", W * U[:, :, s].T, V)
-        for share, (own, factors) in zip(shares, others, strict=True):
-            across[:, own] += share[:, None] * factors
-        product = values @ across.reshape(-1, len(U)).T
-        total[as_slice(columns), at] += product.reshape(len(values), len(weight), G.width)
+        if len(values) * len(others) < G.width:
+            product = np.zeros((len(values), K, G.width))
+            for share, (own, factors) in zip(shares, others, strict=True):
+                own_product = (values[:, None] * share).reshape(-1, n) @ factors.T
+                product[:, :, own] += own_product.reshape(len(values), K, -1)
+        else:
+            across[:] = 0
+            for share, (own, factors) in zip(shares, others, strict=True):
+                across[:, own] += share[:, None] * factors
+            product = (values @ across.reshape(-1, n).T).reshape(len(values), K, G.width)
+        total[as_slice(columns), at] += product
 
 
 class KnownRows:
