@@ -105,7 +105,7 @@ def make(folder: Path, tree: Path, jobs: int, only: str) -> None:
         out = folder.resolve() / name
         out.mkdir(exist_ok=True)
         words = [w.replace("OUT", str(out)).replace("MADE", str(folder.resolve())) for w in todo[name]]
-        program = [sys.executable, "-P", "-c", "from casadical.cli import main; main()", *words]
+        program = [sys.executable, "-c", "from casadical.cli import main; main()", *words]
         done = subprocess.run(program, cwd=ROOT, env=environment, capture_output=True, text=True)
         (out / "stdout.txt").write_text(done.stdout.replace(str(folder.resolve()), "FOLDER"))
         (out / "exit.txt").write_text(f"{done.returncode}\n{done.stderr[-2000:] if done.returncode else ''}")
