@@ -271,9 +271,7 @@ class Columns:
         remedy = f"name it so, or map it by `columns` in problem.toml; there are {self.names}"
         what = "are missing" if len(lost) > 1 else "is missing"
         faults = [Fault(self.source, (), ", ".join(lost), "", what, "", remedy)] if lost else []
-        faults += [
-            Fault(self.source, (), name, "", "is empty", "", "each of its rows needs a number") for name in blank
-        ]
+        faults += map(self._empty, blank)
         for name in map(str, self.table):
             asked = name in POSSIBLE or re.fullmatch(f"{_NUMBERS.pattern}|{_READING.pattern}|{_TILT}", name)
             mostly = pd.to_numeric(self.table[name], errors="coerce").notna().mean() >= 0.5
@@ -282,6 +280,9 @@ class Columns:
                 faults += self._faults(name)
         if faults:
             raise FaultsError(faults)
+
+    def _empty(self, name: str) -> Fault:
+        return Fault(self.source, (), name, "", "is empty", "", "each of its rows needs a number")
 
     def si(self, stem: str, units: Sequence[str]) -> Array:
         """Column `stem` with one of the suffixes _mm, _m, _deg, _rad, shape (n,) [m or rad].
@@ -295,7 +296,7 @@ class Columns:
         if not present:
             wanted = " or ".join(f"{stem}{u}" for u in units)
             if blank := [name for name in self.empty if name in {f"{stem}{u}" for u in units}]:
-                raise InputError(f"{self.source}: column {blank[0]!r} is empty; each of its rows needs a number")
+                raise FaultsError([self._empty(blank[0])])
             raise InputError(f"{self.source}: column {wanted} is missing; there are {self.names}")
         return self.column(stem + present[0]) * _TO_SI[present[0]]
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from bench import ROOT, campaign, robot, with_columns
 
-from casadical.cli.options import effects_of
 from casadical.core.basics import InputError
 from casadical.core.reading import load_toml
 from casadical.diagnosis.candidates import candidates_of
@@ -21,6 +20,7 @@ from casadical.effects.definition import LISTED
 from casadical.effects.plugins import known_effects
 from casadical.export.mjcf.mjcf import counterparts
 from casadical.identification.accuracy import predicted
+from casadical.project.diagnosis import effects_named
 from casadical.robot.effect_tables import read_effects
 from casadical.robot.robot_file import read_robot, write_robot
 
@@ -93,7 +93,7 @@ def test_a_diagnosis_names_it_and_writes_it(tmp_path: Path) -> None:
     moved = robot(NAME).with_effect(kind(5, 1.0)).with_values({"soft_stop@5.give": 4e-4})
     noise = np.random.default_rng(0).normal(0, 2e-5, (len(poses), 3))
     seen = replace(poses, position=predicted(moved, poses)[0] + noise)
-    effects = effects_of(f"standard,{tmp_path / 'own.effect.toml'}")
+    effects = effects_named(f"standard,{tmp_path / 'own.effect.toml'}")
     found = diagnose(robot(NAME), seen, effects, laws=False)
     assert [c.label for c in found.causes] == ["soft_stop@5"]
     estimates = found.causes[0].estimates

@@ -66,7 +66,8 @@ def test_the_course_of_the_gap_ends_at_the_floor_in_millimetres() -> None:
 
 
 def test_a_diagnosis_names_the_files_that_it_read(tmp_path: Path) -> None:
-    (tmp_path / "problem.toml").write_text('robot = "arm.toml"\ncampaign_robot = "real.toml"\n')
+    said = 'casadical = 1\ntitle = "a"\nrobot = "arm.toml"\ncampaign_robot = "real.toml"\n'
+    (tmp_path / "problem.toml").write_text(said)
     campaign = tmp_path / "a.csv"
     names = campaign_files(tmp_path, [campaign])
     assert [Path(p).name for p in names] == ["problem.toml", "real.toml", "a.csv"]

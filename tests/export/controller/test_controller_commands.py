@@ -187,7 +187,7 @@ BAD = {
     "no number": (f"{HEAD}\n1,90,180,0,0,0\n1,90,x,0,0,0\n", ["row 3", "'q3_deg'", "'x' is not a finite number"]),
     "nan": (f"{HEAD}\n1,90,180,0,nan,0\n1,90,180,0,0,0\n", ["row 2", "'q5_deg'", "is not a finite number"]),
     "empty cell": (f"{HEAD}\n1,90,180,0,0,0\n1,90,180,0,,0\n", ["row 3", "'q5_deg'", "is not a finite number"]),
-    "empty column": (f"{HEAD}\n1,90,180,0,,0\n", ["q5_deg or q5_rad is missing"]),
+    "empty column": (f"{HEAD}\n1,90,180,0,,0\n", ["column q5_deg is empty"]),
     "short row": (f"{HEAD}\n1,90,180,0,0,0\n1,90,180\n", ["row 3 has 3 cells, the header 6"]),
     "after a blank row": (f"{HEAD}\n\n1,90,180,0,0,0\n1,90\n", ["row 4 has 2 cells"]),
     "missing joint": ("q1_deg,q2_deg\n1,2\n", ["q3_deg or q3_rad is missing"]),
