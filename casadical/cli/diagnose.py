@@ -160,16 +160,14 @@ def diagnose(
         with working(quiet, "writing the report"):  # each with what a simulator says of its poses
             texts[report_file] = html([found.page([*replay_blocks(found.diagnosis)]) for found in answers])
     keep(with_json(texts, json_file, [answer.to_json() for answer in answers] if json_file else []), console)
-    _suggested(answers, problem, campaigns or (), list(texts) if out else None, console)
-    if not details:
-        console.print("where it lies, how sure, what is left: --details, --out DIR or --report FILE.html", style="dim")
+    _suggested(answers, problem, campaigns or (), list(texts) if out else None, details, console)
 
 
 def _suggested(
     answers: Sequence[CampaignDiagnosis], problem: Path, campaigns: Sequence[Path],
-    written: Sequence[Path] | None, console: Console,
+    written: Sequence[Path] | None, details: bool, console: Console,
 ) -> None:  # fmt: skip
-    """The next command; written : files of --out, none without it."""
+    """The next command, and how to learn more; written : files of --out, none without it."""
     if len(answers) > 1:
         suggest(
             console, "to learn what changed between them", "compare", problem, *(a.campaign.tables[0] for a in answers)
@@ -179,6 +177,8 @@ def _suggested(
         suggest(console, "when it was measured again", "compare", robot or problem, "LATER.csv")
     else:
         console.print(terminal([_next_command(answers[0], problem, campaigns)]))
+    if not details:
+        console.print("where it lies, how sure, what is left: --details, --out DIR or --report FILE.html", style="dim")
 
 
 def _diagnose_logs(
