@@ -45,6 +45,8 @@ COSINES = 4
 LIKE_NOISE, ISOTROPIC = 0.6, 1e-4
 # Poses that are compared with all others in one go.
 AT_ONCE = 512
+# Decimals of a squared distance: of poses on a grid many are equally near, within rounding.
+SAME_PLACE = 9
 # Of poses one after the other.
 BEFORE = "the pose before"
 # Directions of which a share of this is linear in others move nothing more.
@@ -161,7 +163,7 @@ class _White:
         if not self._is_left:
             return ()
         groups = [*self._groups()]
-        tried = sum(len(some) for _, _, some, _ in groups) + 2
+        tried = sum(len(some) for _, _, some, _ in groups) + 2  # with close poses, as where all is judged
         lines = [(a, v, tuple(f for f in some if f[0] in cycles), cycles) for a, v, some, cycles in groups]
         sure = _sure([s for group in lines if group[2] for s in self._followed(*group)], tried)
         return tuple({s.line[0]: s.line for s in reversed(sure) if s.line}.values())
@@ -265,13 +267,13 @@ class _White:
 
 
 def _nearest(q: Array) -> Array:
-    """The number of the row nearest to each row, shape (n,), some at a time."""
+    """The number of the row nearest to each row, shape (n,), some at a time; of equally near ones the first."""
     square, nearest = (q**2).sum(axis=1), np.empty(len(q), dtype=np.int64)
     for first in range(0, len(q), AT_ONCE):
         some = slice(first, first + AT_ONCE)
         apart = square[some, None] + square - 2 * q[some] @ q.T
         apart[np.arange(len(apart)), first + np.arange(len(apart))] = np.inf
-        nearest[some] = apart.argmin(axis=1)
+        nearest[some] = apart.round(SAME_PLACE).argmin(axis=1)
     return nearest
 
 
