@@ -18,10 +18,11 @@ from scipy.spatial.transform import Rotation
 
 import casadical as ca_package
 from casadical.core import file_locks, lazy, subprocesses
+from casadical.core.basics import InputError
 from casadical.core.file_locks import exchange
 from casadical.core.mapped_function import call
 from casadical.core.parameters import Parameter
-from casadical.core.parts import Arm, Joint
+from casadical.core.parts import Arm, Coupling, FourBar, Joint, Placement
 from casadical.core.schema import TomlTable
 from casadical.core.statistics import first_of_best, known_digits, ranked, student_t
 from casadical.core.sx_instructions import SxInstructions
@@ -195,3 +196,18 @@ def test_to_rpy_gives_the_same_rotation_at_every_pitch(roll, yaw, off, sign):
 
 def test_yaw_is_zero_at_pitch_90_deg():
     np.testing.assert_allclose(to_rpy(from_rpy(np.array([0.3, np.pi / 2, 0.5]))), [-0.2, np.pi / 2, 0], atol=1e-15)
+
+
+def test_reach_is_the_length_of_all_links_and_the_tool() -> None:
+    tool = np.eye(4)
+    tool[:3, 3] = 0.3, 0.0, 0.4
+    rows = (Joint(a=-0.2, d=0.1), Joint(d=0.25, kind="prismatic", lower=-0.6, upper=0.1))
+    assert Arm("two", rows, tool=Placement(tool)).reach == pytest.approx(0.2 + 0.1 + 0.25 + 0.6 + 0.5)
+
+
+def test_couplings_and_loops_are_refused_by_their_numbers() -> None:
+    rows = (Joint(), Joint(coupling=Coupling(((3, 1.0),))), Joint(coupling=Coupling(((1, 1.0),))))
+    with pytest.raises(InputError, match=r"joint\[2\].follows: joint 3; allowed: 1, which are not coupled"):
+        Arm("two followers", rows)
+    with pytest.raises(InputError, match=r"four_bar\[1\]: carrier = 1, driven = 3"):
+        Arm("no neighbours", (Joint(a=0.5),) * 3, loops=(FourBar(3, 1, 0.4, 0.4, 0.4),))

@@ -11,6 +11,7 @@ import pytest
 from command_line import ROOT, main
 
 from casadical import InputError, calibrate, read_problem
+from casadical.core.telling.figure import Figure
 from casadical.identification import errors, predicted
 from casadical.measurements.measurements import unmeasured
 from casadical.project.certificate import certificate
@@ -68,6 +69,17 @@ def test_the_command_writes_two_pages_with_fields_as_text(results, tmp_path, mon
     assert told["missing"] == ["traceability", "calibrated", "repeatability", "temperature"]
     assert main(monkeypatch, "certificate", results, *options) == 0  # its own file is replaced
     assert out.read_bytes() == pdf
+
+
+def test_points_of_a_picture_lie_where_they_are_in_one_scale(results, tmp_path):
+    found = certificate(results, details(tmp_path), problem=PLANAR)
+    curves = r"^([\d.]+) ([\d.]+) m .* c\n.*\n.*\n.* c f$"
+    drawn = np.array(re.findall(curves, drawn_in(found.pdf()), re.MULTILINE), float).reshape(2, -1, 2)
+    figures = [block for part in found.pages()[1].sections for block in part.blocks if isinstance(block, Figure)]
+    for figure, at in zip(figures, drawn, strict=True):
+        told = np.column_stack([figure.series[0].x, figure.series[0].y])
+        scale = np.ptp(at[:, 0]) / np.ptp(told[:, 0])
+        np.testing.assert_allclose(at - at[0], scale * (told - told[0]), atol=0.05)  # points of PDF, with two digits
 
 
 def test_the_same_in_german_with_everything_stated(results, tmp_path):
