@@ -8,13 +8,14 @@ import pytest
 from bench import campaign, robot, with_columns
 
 from casadical.core.basics import InputError
+from casadical.core.parts import Body, Joint
 from casadical.diagnosis.linearisation import signatures
-from casadical.effects import Law
+from casadical.effects import BearingPlay, Law, LinkMasses
 from casadical.export.mjcf.mjcf import counterparts
 from casadical.export.omission import left_out
 from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive
-from casadical.measurements.measurements import Measurements
+from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot, write_robot
 
@@ -144,6 +145,23 @@ def test_a_simulator_has_no_counterpart() -> None:
     with pytest.raises(InputError, match=r"law at joint 2 by tau3: no counterpart in MuJoCo; lost without it: 0\."):
         left_out(whole, omissions, "a MuJoCo model", leave_out=False)
     assert len(left_out(whole, omissions, "a MuJoCo model", leave_out=True)) == 1
+
+
+def test_a_link_without_mass_is_named_where_a_simulator_has_none() -> None:
+    (masses,) = LinkMasses.candidates(robot("ur10e"))
+    whole = robot("ur10e").with_effect(masses).with_values({"link_masses.m2": -1.5})
+    (omission,) = counterparts(whole).left_out
+    assert "the mass of link 2 came out negative" in str(omission)
+
+
+def test_a_bearings_play_is_that_under_its_whole_weight() -> None:
+    flange = BearingPlay(1)
+    lying = Robot("lying", (Joint(alpha=np.pi / 2, body=Body(10.0, np.array([0.5, 0.0, 0.0]))),))
+    poses = unmeasured(np.radians([[0.0], [40.0]]))
+    loose = lying.with_effect(flange).with_values({"bearing_play@1.drop": 1e-4})
+    moved = predicted(loose, poses)[0] - predicted(lying, poses)[0]
+    # All of the weight lies across the axis; a share s of it moves the ring by s / sqrt(s^2 + 0.01).
+    np.testing.assert_allclose(moved, np.tile([0.0, 0.0, -1e-4 / np.sqrt(1.01)], (2, 1)), atol=1e-9)
 
 
 @pytest.mark.parametrize(
