@@ -18,7 +18,7 @@ from casadical.core.reading import read_bytes, unpacked
 from casadical.measurements.columns import RADIANS
 from casadical.measurements.headings import words_of
 from casadical.measurements.logs.columns import FACTORS, LENGTHS, NAMES, Logged, logged, meaning
-from casadical.measurements.logs.findings import found_in, refuse_other_units, with_signs
+from casadical.measurements.logs.findings import found_in, refuse_frozen, refuse_other_units, with_signs
 from casadical.measurements.logs.log import CHANNELS, JointLog
 from casadical.measurements.logs.systems import BAGS, STATE, STATES, bag, lerobot, sage
 from casadical.measurements.raw_table import MOST_COLUMNS, RawTable
@@ -60,6 +60,7 @@ def read_log(
         log = replace(log, channels=channels, notes=tuple(n for n in log.notes if "effort is read" not in n))
     made = assembled(log, robot, unit)
     refuse_other_units(made, robot)
+    refuse_frozen(made)
     made = with_signs(made)
     return replace(made, findings=(*made.findings, *found_in(made)))
 

@@ -95,7 +95,10 @@ def test_speeds_of_another_unit_than_they_say(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        ({"q2_rad": np.full(len(T), 0.3)}, "joint 2 never moves (0 mrad): of it only the load that it holds is told"),
+        (
+            {"q2_rad": np.full(len(T), 0.3), "command2_rad": np.full(len(T), 0.3)},
+            "joint 2 never moves (0 mrad): of it only the load that it holds is told",
+        ),
         ({"q2_rad": np.round(3 * np.sin(T)) * 1.5e-3}, "joint 2 moves by 6 steps of its encoder (9 mrad): too little"),
         (
             {"q2_rad": np.round(0.1 * np.sin(0.1 * T) / 1e-4) * 1e-4},
@@ -146,6 +149,16 @@ def test_degrees_called_radians_are_refused(tmp_path) -> None:
         said(tmp_path, TWO, q1_rad=small[:, 0], q2_rad=small[:, 1], command1_rad=None, command2_rad=None)
     with pytest.raises(InputError, match=r"readings of joint 1 are 57.3 times its commands: degrees called"):
         said(tmp_path, q1_rad=small[:, 0], q2_rad=small[:, 1], command1_rad=0.15 * motion(T)[:, 0])
+
+
+def test_readings_that_were_not_measured_are_refused(tmp_path) -> None:
+    still = np.full(len(T), 0.3)
+    with pytest.raises(
+        InputError, match=r"joint 2: 0.3 rad in all 3000 rows, though its commands move by 1 rad: .*Log"
+    ):
+        said(tmp_path, q2_rad=still)
+    with pytest.raises(InputError, match="no joint moves, each reading is one number in all 3000 rows; log a motion"):
+        said(tmp_path, q1_rad=still, q2_rad=still, command1_rad=None, command2_rad=None)
 
 
 def test_a_unit_that_changes_is_refused_with_its_row(tmp_path) -> None:
