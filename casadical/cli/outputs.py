@@ -2,6 +2,7 @@
 
 import inspect
 import json
+import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from fnmatch import fnmatch
@@ -65,9 +66,12 @@ def _refuse_unusable(given: Mapping[str, Any], outputs: Collection[str]) -> None
     for name, value in given.items():
         for one in value if isinstance(value, list) else [value]:
             fault = ""
+            if one == Path() and "" in sys.argv and "." not in sys.argv:
+                raise InputError("a path is empty, '': name the file or folder, or . for the one that you are in")
             if isinstance(one, Path) and name not in outputs:
                 real = _real(one, "read")
-                fault = "is a device; name a file" if real.is_char_device() or real.is_block_device() else ""
+                if real.is_char_device() or real.is_block_device():
+                    raise InputError(f"{shown(one)}: is a device; name a file")
             if isinstance(one, str):
                 fault = text_fault(one)
             elif isinstance(one, int | float):

@@ -102,6 +102,22 @@ def test_a_device_is_no_input(monkeypatch, capsys, tmp_path, problem, command) -
     assert "/dev/full: is a device; name a file" in capsys.readouterr().err
 
 
+def test_an_empty_path_is_not_the_folder_that_one_is_in(problem: Path) -> None:
+    for command in (["new", ""], ["check", ""], ["check", "p", "--json", ""]):
+        done = run(*command, folder=problem.parent)
+        assert done.returncode == 2
+        assert "a path is empty" in done.stderr
+    assert [path.name for path in problem.parent.iterdir()] == ["p"]
+
+
+def test_what_two_options_say_is_asked_for(tmp_path: Path) -> None:
+    done = run("new", "arm", "--urdf", "a.urdf", "--dh", "b.csv", folder=tmp_path)
+    assert "--dh: not together with --urdf; leave one of the two out" in done.stderr
+    done = run("new", "a\x1bb", folder=tmp_path)
+    assert "its name holds the control character" in done.stderr
+    assert not [*tmp_path.iterdir()]
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
 def test_a_folder_is_not_left_where_the_json_beside_it_is_not_written(monkeypatch, capsys, tmp_path) -> None:
     monkeypatch.chdir(tmp_path)
