@@ -38,8 +38,8 @@ def _whole(value: Any) -> Any:
     return str(value) if isinstance(value, bool | float) else value  # true and 1.0 are equal to 1, which is allowed
 
 
-# Tags of the two forms of a value that may be either; messages leave them out.
-FORMS = ("a text", "a table")
+# Tags of the forms of a value that may be either of two; messages leave them out.
+FORMS = ("a text", "a table", "a number", "a list")
 # Of versions, which are whole numbers.
 WHOLE = BeforeValidator(_whole)
 Length = Annotated[float, LENGTH]

@@ -54,6 +54,11 @@ FAULTS = {
         ("a_mm = 300", "a_mm = 300\nstiffness_Nm_per_rad = 2e5\ncompliant = false"),
         ["joint[2].compliant = false", "leave one of the two out"],
     ),
+    "a gear without teeth": (("[tool]", "[drive]\ngear_ratio = 0\n[tool]"), ["drive.gear_ratio = 0: must be greater"]),
+    "a gain that drives away": (
+        ("[tool]", "[drive]\nkp_Nm_per_rad = [1, -5]\n[tool]"),
+        ["1 fault(s)\n  drive.kp_Nm_per_rad[2] = -5: must be greater than or equal to 0"],
+    ),
     "one name for two joints": (
         ("[[joint]]\n", '[[joint]]\nname = "a"\n[[joint]]\nname = "a"\n'),
         ["joint[1].name = 'a'", "each needs one of its own"],

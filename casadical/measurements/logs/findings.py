@@ -295,7 +295,7 @@ def refuse_frozen(log: JointLog) -> None:
             raise InputError(
                 f"{log.source}: position of {log.joints[k]}: {value:.6g} {unit} in all {len(log)} rows, though its "
                 f"commands move by {np.ptp(told):.3g} {unit}: it was not measured, or the joint is blocked. Log its "
-                "encoder, or leave its commands out"
+                "encoder"
             )
 
 

@@ -161,6 +161,34 @@ def test_readings_that_were_not_measured_are_refused(tmp_path) -> None:
         said(tmp_path, q1_rad=still, q2_rad=still, command1_rad=None, command2_rad=None)
 
 
+def test_what_is_logged_of_some_joints_alone_is_left_out(tmp_path) -> None:
+    text = said(tmp_path, TWO, current1_A=None)
+    assert "current is left out, for there is none of joint 1. Log it of every joint" in text
+    with pytest.raises(InputError, match="neither commands nor a torque or current"):
+        said(tmp_path, TWO, current1_A=None, command1_rad=None)
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault"),
+    [
+        ({"payload_kg": np.full(len(T), -5)}, "row 2, column 'payload': -5 is not possible; allowed: 0 to 100000"),
+        ({"temperature1_degC": np.full(len(T), -400.0)}, "'temperature joint 1': -400 is not possible; allowed: -273"),
+        ({"time_s": np.full(len(T), 1.0)}, "time grows in none of its 3000 rows from the row before in its run"),
+        ({"run": np.arange(len(T))}, "time grows in none of its 3000 rows"),
+        ({"time_s": 100 * T}, "rows lie 1 s apart; a motion is logged some times a second"),
+    ],
+)
+def test_cells_that_cannot_be_are_refused(tmp_path, changes, fault) -> None:
+    with pytest.raises(InputError, match=fault):
+        said(tmp_path, **changes)
+
+
+def test_a_heading_that_is_there_twice_is_refused(tmp_path) -> None:
+    (tmp_path / "log.csv").write_text("time_s,q1_rad,q1_rad,command1_rad\n0,1,1,1\n0.1,2,2,2\n")
+    with pytest.raises(InputError, match="column 'q1_rad' is there twice; keep one"):
+        read_log(tmp_path / "log.csv")
+
+
 def test_a_unit_that_changes_is_refused_with_its_row(tmp_path) -> None:
     q = 0.15 * motion(T)
     q[1700:] = np.rad2deg(q[1700:])
