@@ -194,6 +194,12 @@ def test_workbooks_that_are_damaged(tmp_path: Path) -> None:
             read_table(path)
 
 
+def test_a_link_that_leads_nowhere_is_said_so(tmp_path: Path) -> None:
+    (tmp_path / "poses.csv").symlink_to("moved.csv")
+    with pytest.raises(InputError, match=r"poses\.csv: no such file; it is a symbolic link that leads nowhere"):
+        read_bytes(tmp_path / "poses.csv")
+
+
 def test_a_journal_of_somebody_else_moves_nothing(tmp_path: Path) -> None:
     place = tmp_path / "foreign"
     (place / ".casadical-folder").mkdir(parents=True)

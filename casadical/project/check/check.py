@@ -166,7 +166,7 @@ def _plausible(
     robot: Robot, m: Measurements, others: Sequence[Robot], standard: bool
 ) -> tuple[list[Finding], Slips | None]:
     """Whether the nominal model explains a table, or would if one slip were undone."""
-    told = facts.plausible(robot, m, others)
+    told = facts.plausible(robot, m, others) if len(m) >= facts.TELLING else None
     if told is None:
         return [], None
     slips = Slips(*told, ())

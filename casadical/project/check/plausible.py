@@ -30,6 +30,8 @@ from casadical.robot.kinematics import LEAST_MARGIN
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
 
+# Fewer poses fit any model, or none, with base and tool alone.
+TELLING = 4
 # Share of the reach that a placed nominal robot may miss by, and the share of that which an undone mistake may leave.
 GROSS = 0.02
 # And that by which a single row may miss.
