@@ -285,11 +285,11 @@ class RobotFile(TomlTable):
         if effects:
             _refuse_undefined(robot)
         assembly_sides(robot)  # raises InputError of a loop that does not close
-        _refuse_far(robot)
+        refuse_far(robot)
         return robot
 
 
-def _refuse_far(robot: Robot) -> None:
+def refuse_far(robot: Robot) -> None:
     """Raises InputError for a mass centre that no link of the arm can have, as one of metres for millimetres."""
     for i, joint in enumerate(robot.joints, 1):
         away = float(np.linalg.norm(joint.body.com)) if joint.body else 0.0
