@@ -85,6 +85,7 @@ def measure(
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
+    from casadical.core.reading import load_toml
     from casadical.project.live.session import LiveSession, finished
     from casadical.project.live.sources import SimulatedSource, journal, source_of
 
@@ -100,6 +101,7 @@ def measure(
         raise InputError("--follow FILE, DIR or -, or --simulate N: give one of them, from which the readings come")
     source: Source | None = source_of(follow, sys.stdin.buffer) if follow else None
     target = None if target_mm is None else 1e-3 * target_mm
+    load_toml(folder / "problem.toml")  # which is missed before anything is written beside it
     with journal(folder) as (course, add):
         session = LiveSession(
             folder, course, add, target=target, room=room, move=move, data="synthetic" if simulate else "real"
