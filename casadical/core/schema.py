@@ -161,9 +161,8 @@ def _text(error: Any) -> str:
 
 def _short(value: Any) -> str:
     """A value as TOML writes it: true, 2020-01-01."""
-    text = (
-        str(value).lower() if isinstance(value, bool) else str(value) if isinstance(value, date | time) else repr(value)
-    )
+    text = str(value) if isinstance(value, date | time) else repr(value)
+    text = {"True": "true", "False": "false", "None": "null"}.get(text, text)
     return text if len(text) < 60 else f"{text[:57]}..."
 
 

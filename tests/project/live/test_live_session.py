@@ -408,6 +408,12 @@ def test_positions_that_no_robot_reaches_are_doubted(arm: Path) -> None:
     assert any("from the others, and the robot reaches" in r["why"] for r in told if r["state"] == "doubtful")
 
 
+def test_what_the_command_writes_is_not_followed(arm: Path) -> None:
+    done = run("measure", arm, "--no-page", "--follow", arm / "measured.csv")
+    assert done.returncode == 2
+    assert "measured.csv: is what this command writes itself; name what the instrument writes" in done.stderr
+
+
 def test_a_folder_that_is_not_there_is_not_made(tmp_path: Path) -> None:
     done = run("measure", "none", "--no-page", "--simulate", "1", folder=tmp_path)
     assert (done.returncode, [*tmp_path.iterdir()]) == (2, [])
