@@ -12,7 +12,7 @@ from typer import Argument, Context, Option
 
 from casadical.cli.options import Json, Quiet, Room, refuse_of_others
 from casadical.cli.terminal import keep, plain, suggest, with_json
-from casadical.core.basics import InputError
+from casadical.core.basics import InputError, shown
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -85,8 +85,9 @@ def measure(
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
-    from casadical.project.live.session import LiveSession, finished
-    from casadical.project.live.sources import SimulatedSource, journal, source_of
+    from casadical.core.reading import load_toml
+    from casadical.project.live.session import TABLE, LiveSession, finished
+    from casadical.project.live.sources import NAME, SimulatedSource, journal, source_of
 
     console = plain(quiet)
     refuse_of_others(context, [*SOURCES][not simulate], SOURCES)
@@ -98,8 +99,11 @@ def measure(
         move = language_named(program).move_line
     if (follow and simulate) or (no_page and not (follow or simulate)):
         raise InputError("--follow FILE, DIR or -, or --simulate N: give one of them, from which the readings come")
+    if follow and Path(follow).resolve() in {(folder / name).resolve() for name in (NAME, TABLE)}:
+        raise InputError(f"{shown(follow)}: is what this command writes itself; name what the instrument writes")
     source: Source | None = source_of(follow, sys.stdin.buffer) if follow else None
     target = None if target_mm is None else 1e-3 * target_mm
+    load_toml(folder / "problem.toml")  # which is missed before anything is written beside it
     with journal(folder) as (course, add):
         session = LiveSession(
             folder, course, add, target=target, room=room, move=move, data="synthetic" if simulate else "real"

@@ -212,6 +212,8 @@ def refuse_of_others(context: Context, mode: str, modes: Mapping[str, Sequence[s
         if theirs and mode not in theirs and source is not None and source.name == "COMMANDLINE":
             name = parameter.opts[0]
             name = name if name.startswith("-") else name.upper()
+            if name in theirs:
+                raise InputError(f"{name}: not together with {mode}; leave one of the two out")
             raise InputError(f"{name}: is for {' or '.join(theirs)}, not for {mode}; leave it out")
 
 

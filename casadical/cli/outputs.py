@@ -2,6 +2,7 @@
 
 import inspect
 import json
+import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from fnmatch import fnmatch
@@ -54,7 +55,8 @@ def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[.
                 from casadical.project.faults import every_fault
 
                 later = command.__name__ in LATER
-                judged = [path for path in inputs if path != given.get("room") and command.__name__ != "new"]
+                others = (given.get("room"), given.get("store"))
+                judged = [path for path in inputs if path not in others and command.__name__ != "new"]
                 raise every_fault(error, judged, later=later) from None
 
     return run
@@ -65,11 +67,14 @@ def _refuse_unusable(given: Mapping[str, Any], outputs: Collection[str]) -> None
     for name, value in given.items():
         for one in value if isinstance(value, list) else [value]:
             fault = ""
+            if one == Path() and "" in sys.argv and "." not in sys.argv:
+                raise InputError("a path is empty, '': name the file or folder, or . for the one that you are in")
             if isinstance(one, Path) and name not in outputs:
                 real = _real(one, "read")
-                fault = "is a device; name a file" if real.is_char_device() or real.is_block_device() else ""
+                if real.is_char_device() or real.is_block_device():
+                    raise InputError(f"{shown(one)}: is a device; name a file")
             if isinstance(one, str):
-                fault = text_fault(one)
+                fault = text_fault(one) if one or "" not in sys.argv else "is empty; give a value, or leave it out"
             elif isinstance(one, int | float):
                 fault = number_fault(one)
             if fault:
@@ -127,8 +132,8 @@ def _inputs(path: Path) -> Iterator[Path]:
         yield real
         if not real.is_dir():
             return
-        always = ("robot.toml", "withheld.json", "key.json", "manifest.json")
-        yield from (p.resolve() for name in always if (p := real / name).exists())
+        always = ("robot.toml", "*.robot.toml", "result.json", "withheld.json", "key.json", "manifest.json")
+        yield from (p.resolve() for name in always for p in real.glob(name))
         problem = real / "problem.toml"
         if problem.is_file():
             yield problem

@@ -4,16 +4,24 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Discriminator, Field, Tag
 
 from casadical.core.basics import Array, InputError
 from casadical.core.reading import load_toml
-from casadical.core.schema import FaultError, Quantity, TomlTable, check
+from casadical.core.schema import FORMS, FaultError, Quantity, TomlTable, check
 
-# One number for all joints, or one of each.
-Each = Annotated[float, Field(ge=0)] | Annotated[list[Annotated[float, Field(ge=0)]], Field(min_length=1)] | None
-# Of either sign.
-EachSigned = float | Annotated[list[float], Field(min_length=1)] | None
+
+def _form(value: object) -> str:
+    return FORMS[2 + isinstance(value, list)]
+
+
+Least = Annotated[float, Field(ge=0)]
+Above = Annotated[float, Field(gt=0)]
+_ALL, _EACH, _EITHER = Tag(FORMS[2]), (Field(min_length=1), Tag(FORMS[3])), Discriminator(_form)
+# One number for all joints, or one of each; above zero; of either sign.
+Each = Annotated[Annotated[Least, _ALL] | Annotated[list[Least], *_EACH], _EITHER] | None
+Positive = Annotated[Annotated[Above, _ALL] | Annotated[list[Above], *_EACH], _EITHER] | None
+EachSigned = Annotated[Annotated[float, _ALL] | Annotated[list[float], *_EACH], _EITHER] | None
 _STIFFNESS = Quantity({"_Nm_per_rad": 1.0, "_N_per_m": 1.0}, 1e15)
 _DAMPING = Quantity({"_Nms_per_rad": 1.0, "_Ns_per_m": 1.0}, 1e15)
 _INTEGRAL = Quantity({"_Nm_per_rad_s": 1.0, "_N_per_m_s": 1.0}, 1e15)
@@ -54,8 +62,8 @@ class Drive(TomlTable):
     torque_limit: Annotated[Each, _TORQUE] = None
     current_limit: Annotated[Each, _CURRENT] = None
     speed_limit: Annotated[Each, _SPEED] = None
-    gear_ratio: Each = None
-    torque_constant: Annotated[Each, _CONSTANT] = None
+    gear_ratio: Positive = None
+    torque_constant: Annotated[Positive, _CONSTANT] = None
     rotor_inertia: Annotated[Each, _INERTIA] = None
     rotor_inertia_at_joint: Annotated[Each, _INERTIA] = None
     joint_stiffness: Annotated[Each, _STIFFNESS] = None

@@ -49,6 +49,8 @@ def missing(path: str | Path, what: str = "file") -> InputError:
     of_stem = [name for name in there if path.stem in (name, Path(name).stem)]
     like = [shown(path.parent / name) for name in (difflib.get_close_matches(path.name, there, 3) or of_stem)[:3]]
     meant = f"; did you mean {' or '.join(like)}?" if like and path.stem else ""
+    if path.is_symlink():
+        meant = "; it is a symbolic link that leads nowhere"
     return InputError(f"{shown(path)}: no such {what}{meant}")
 
 
@@ -131,8 +133,10 @@ def load_toml(path: str | Path) -> dict[str, Any]:
         return tomllib.loads(data.decode())
     except (ValueError, RecursionError) as error:  # of TOML, its encoding, or an integer of thousands of digits
         why = "nested too deeply" if isinstance(error, RecursionError) else str(error).partition("; use sys.")[0]
-        more = "; save it as UTF-8" if isinstance(error, UnicodeDecodeError) else ""
-        raise InputError(f"{shown(path)}: not valid TOML: {why}{more}") from None
+        if isinstance(error, UnicodeDecodeError):
+            row = data.count(b"\n", 0, error.start) + 1
+            why = f"row {row} holds the byte {data[error.start]:#04x}, which is not UTF-8; save it as UTF-8"
+        raise InputError(f"{shown(path)}: not valid TOML: {why}") from None
 
 
 def load_json(path: str | Path) -> Any:
@@ -149,7 +153,8 @@ def json_of(text: bytes | str, source: str, kind: Any = dict) -> Any:
         raise InputError(f"{source}: not valid JSON: {why}") from None
     if not isinstance(data, kind):
         wanted = "list" if kind is list else "object"
-        raise InputError(f"{source}: holds {type(data).__name__}; a JSON {wanted} is expected")
+        held = {dict: "an object", list: "a list", str: "a text", type(None): "null"}.get(type(data), str(data)[:30])
+        raise InputError(f"{source}: holds {held}; a JSON {wanted} is expected")
     level, row = 0, [data] if isinstance(data, dict | list) else []
     while row := [v for c in row for v in (c.values() if isinstance(c, dict) else c) if isinstance(v, dict | list)]:
         level += 1
@@ -194,8 +199,18 @@ def foreign(what: str, remedy: str = "") -> Iterator[None]:
     except InputError:
         raise
     except Exception as error:
-        text = (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(".")
+        lines = [] if _of_python(error) else str(error).strip().splitlines()
+        text = re.sub(r": \(.*,\)$", "", lines[0]).rstrip(".:") if lines else "damaged, or of a form that is not known"
         raise InputError(f"{what}: {shown(text)}{remedy and '; '}{remedy}") from None
+
+
+def _of_python(error: BaseException | None) -> bool:
+    """Whether an error, or what it was raised from, speaks of code (types, indices) rather than of the file."""
+    if error is None:
+        return False
+    told = type(error) is ValueError or isinstance(error, OSError | EOFError)
+    code = type(error).__module__ in ("builtins", "struct") and not told
+    return code or _of_python(error.__cause__ or error.__context__)
 
 
 def archive_of(data: bytes, source: str) -> io.BytesIO:

@@ -3,6 +3,7 @@
 import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import date, time
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
@@ -34,13 +35,11 @@ READING = Quantity({**ANGLE.factors, **LENGTH.factors}, 1e4)  # of a joint, revo
 
 
 def _whole(value: Any) -> Any:
-    if isinstance(value, bool | float):  # true and 1.0 are equal to 1
-        raise ValueError("must be a whole number")
-    return value
+    return str(value) if isinstance(value, bool | float) else value  # true and 1.0 are equal to 1, which is allowed
 
 
-# Tags of the two forms of a value that may be either; messages leave them out.
-FORMS = ("a text", "a table")
+# Tags of the forms of a value that may be either of two; messages leave them out.
+FORMS = ("a text", "a table", "a number", "a list")
 # Of versions, which are whole numbers.
 WHOLE = BeforeValidator(_whole)
 Length = Annotated[float, LENGTH]
@@ -130,6 +129,8 @@ def _fault(schema: type[BaseModel], data: Mapping[str, Any], error: Any) -> str:
     cause = error.get("ctx", {}).get("error")
     loc = tuple(part for part in error["loc"] if part not in FORMS)
     place = (*loc, *(cause.place if isinstance(cause, FaultError) else ()))
+    if loc[-1:] == ("[key]",):
+        return f"{_as_written(schema, data, loc[:-2])[0]}: a key {loc[-2]!r}: {_text(error)}"
     key, value = _as_written(schema, data, place)
     if error["type"] == "extra_forbidden":
         table = _table(schema, loc[:-1])
@@ -145,10 +146,13 @@ def _fault(schema: type[BaseModel], data: Mapping[str, Any], error: Any) -> str:
 
 
 _LIMITS = {"most": "max_length", "least": "min_length"}
+_PLAIN = {"model_type": "must be a table", "dict_type": "must be a table", "string_too_short": "must not be empty"}
 
 
 def _text(error: Any) -> str:
     """Pydantic's message in the words of our messages."""
+    if error["type"] in _PLAIN:
+        return _PLAIN[error["type"]]
     if error["type"] in ("too_long", "too_short"):
         wanted = next(f"at {w} {error['ctx'][k]}" for w, k in _LIMITS.items() if k in error["ctx"])
         return f"must have {wanted} entries, not {error['ctx']['actual_length']}"
@@ -156,7 +160,9 @@ def _text(error: Any) -> str:
 
 
 def _short(value: Any) -> str:
-    text = repr(value)
+    """A value as TOML writes it: true, 2020-01-01."""
+    text = str(value) if isinstance(value, date | time) else repr(value)
+    text = {"True": "true", "False": "false", "None": "null"}.get(text, text)
     return text if len(text) < 60 else f"{text[:57]}..."
 
 

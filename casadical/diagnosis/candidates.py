@@ -99,13 +99,15 @@ def choose(
 def named(robot: Robot, names: Iterable[str], extra: Iterable[Candidate] = ()) -> list[Candidate]:
     """Candidates chosen by list (standard, extended), name (backlash) or label (backlash@5), and a user's own effects.
 
-    Raises InputError for a name that is no effect.
+    Raises InputError for a name that is no effect, and for a user's own effect of joints that the robot has not.
     """
     standard = _of_list("standard", robot)
     extended = [*standard, *_of_list("extended", robot)]
     every = [*extended, *_of_list("", robot)]
     lists = {"standard": standard, "extended": extended}
     chosen = list(extra)
+    for effect in (e for candidate in chosen for variant in candidate.variants for e in variant):
+        effect.refuse_joints(robot)
     for name in names:
         hit = lists.get(name) or [c for c in every if name in (c.name, c.label)]
         if not hit:

@@ -172,6 +172,7 @@ def opened(folder: Path) -> Iterator[None]:
     optional("pyarrow", NEEDED)
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{shown(folder)}: is a file; a store is a folder: give another name with --store")
+    made = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with Lock(folder) as lock:
@@ -190,6 +191,10 @@ def opened(folder: Path) -> Iterator[None]:
             yield
     except OSError as error:
         raise InputError(f"{shown(folder)}: cannot be used as a store: {error.strerror or error}") from None
+    finally:
+        if made:  # and nothing was written into it
+            with suppress(OSError):
+                folder.rmdir()
 
 
 def add(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:

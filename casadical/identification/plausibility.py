@@ -32,13 +32,15 @@ FAR, UNEXPLAINED = 5.0, 0.02
 TURNS, ROUNDS = 200, 3
 # A reading may lie so far beyond a joint's limit [rad or m], as of a pose that was commanded there.
 BEYOND = 2e-3
+# A load may weigh so many times what the arm's links do.
+HEAVY = 10.0
 
 
 def check_against(robot: Robot, *sets: Measurements) -> None:
     """Refuse measurements that this robot cannot have made.
 
-    Raises InputError: wrong number of joints, joints out of range (all of them, FaultsError), an open loop, positions
-    in the wrong unit, orientations of another robot.
+    Raises InputError: wrong number of joints, joints out of range (all of them, FaultsError), loads in the wrong unit,
+    an open loop, positions in the wrong unit, orientations of another robot.
     """
     for m in sets:
         if m.q.shape[1] != robot.n:
@@ -46,7 +48,20 @@ def check_against(robot: Robot, *sets: Measurements) -> None:
     if faults := [fault for m in sets for fault in _out_of_range(robot, m)]:
         raise FaultsError(faults)
     for m in sets:
+        _refuse_payload(robot, m)
         _refuse_implausible(robot, m)
+
+
+def _refuse_payload(robot: Robot, m: Measurements) -> None:
+    """Refuses loads that weigh so much more than the arm, where its masses are known, that they are no kilograms."""
+    links = sum(joint.body.mass for joint in robot.joints if joint.body)
+    loads = m.conditions.get("payload_kg", np.zeros(1))
+    if links and robot.masses == "declared" and loads.max() > HEAVY * links:
+        value, allowed = f"{loads.max():.6g} kg", f"up to {HEAVY * links:.6g}, of an arm of {links:.6g} kg"
+        rows = tuple(map(int, m.row[loads > HEAVY * links]))
+        raise FaultsError(
+            [Fault(m.source, rows, "payload_kg", value, "is too heavy", allowed, "are these grams? give kg")]
+        )
 
 
 def _out_of_range(robot: Robot, m: Measurements) -> Iterator[Fault]:

@@ -30,7 +30,7 @@ def apart(sets: Sequence[Measurements]) -> tuple[Measurements, ...]:
     """The sets with the poses of each session for themselves: what was measured in one frame, of one tool."""
     alone = []
     for m in sets:
-        flags = [m.conditions[PREFIX + name] > 0 for name in sessions_in([m])]
+        flags = [flag for name in sessions_in([m]) if (flag := m.conditions[PREFIX + name] > 0).any()]
         alone += [m[np.flatnonzero(flag)] for flag in flags] if len(flags) > 1 else [m]
     return tuple(alone)
 

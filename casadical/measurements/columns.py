@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -87,7 +88,7 @@ _TO_SI = {"_mm": 1e-3, "_m": 1.0, "_deg": np.pi / 180, "_rad": 1.0}
 # Least and largest values of columns that the model and effects ask for [their own unit].
 POSSIBLE = {
     "payload_kg": (0.0, 1e5),
-    "temperature_degC": (-273.15, 1e4),
+    "temperature_degC": (-273.15, 200.0),  # not kelvin
     "time_s": (-1e12, 1e12),
     "pose": (-1e12, 1e12),
     "weight": (-LARGEST, LARGEST),
@@ -141,7 +142,8 @@ class Columns:
 
     def __post_init__(self) -> None:
         if not len(self.table):
-            raise InputError(f"{self.source}: a header but no rows that count; at least one row is needed")
+            why = f": {len(self.left_out)} are left out" if self.left_out else ""
+            raise InputError(f"{self.source}: a header but no rows that count{why}; at least one row is needed")
 
     @staticmethod
     def of_file(raw: RawTable) -> Columns:
@@ -182,6 +184,9 @@ class Columns:
         # q3_rad = "q3_deg" says that the unit in the header is wrong.
         moved |= {s.name for name, s in sources.items() if s.name not in sources and _stem(name) == _stem(s.name)}
         shifts = [s.rows for s in sources.values()]
+        if far := next((o for o, s in sources.items() if abs(s.rows) >= len(self.table)), None):
+            rows_of = f"columns.{far}.rows = {sources[far].rows}"
+            raise InputError(f"{self.source}: {rows_of}: allowed: less than its {len(self.table)} rows")
         rows = slice(max(0, -min(shifts, default=0)), len(self.table) - max(0, *shifts, 0))
         table = self.table.drop(columns=sorted(moved)).assign(**ours).iloc[rows].reset_index(drop=True)
         return replace(self, table=table, row=self.row[rows], taken=(*self.taken, *(name for name, _ in used)))
@@ -251,11 +256,13 @@ class Columns:
         least, most = POSSIBLE.get(name, (-LARGEST, LARGEST))
         with np.errstate(invalid="ignore"):
             far = (values < least) | (values > most)
+            if towards := name.startswith("approach"):
+                far = ~np.isin(values, (-1, 0, 1))
         for wrong, mask in (("is not a finite number", ~np.isfinite(values)), ("is not possible", far)):
             if (bad := np.flatnonzero(mask)).size and not faults:
                 rows, finite = tuple(map(int, self.row[bad])), np.isfinite(values[bad[0]])
                 value = f"{values[bad[0]]:g}" if finite else _cell(self.table[name].iloc[int(bad[0])])
-                allowed = f"{least:g} to {most:g}" if finite else ""
+                allowed = ("-1 or 1" if towards else f"{least:g} to {most:g}") if finite else ""
                 faults.append(Fault(self.source, rows, name, value, wrong, allowed, "correct or delete the row"))
         return faults
 
@@ -346,8 +353,7 @@ class Columns:
     def _named(self, column: str, remedy: str) -> dict[str, Array]:
         if column not in self.table:
             return {}
-        # 1.0 is 1, as a column of whole numbers with a gap is read.
-        names = self.table[column].map(lambda cell: "" if pd.isna(cell) else str(cell).strip().removesuffix(".0"))
+        names = self.table[column].map(lambda cell: "" if pd.isna(cell) else _name(str(cell)))
         if (names == "").any():
             raise InputError(f"{self.at(int(np.argmax(names == '')))}, column {column!r}: is empty; {remedy}")
         return {f"{column}_{name}": (names == name).to_numpy(dtype=float) for name in dict.fromkeys(names)}
@@ -357,6 +363,11 @@ class Columns:
         used = re.compile("|".join([_NO_CONDITIONS, *observations]))
         left = (n for n in map(str, self.table) if n not in (*conditions, *self.taken) and not used.fullmatch(n))
         return (*left, *self.empty)
+
+
+def _name(cell: str) -> str:
+    """A name in one spelling: 1.0 is 1, as a column of whole numbers with a gap is read; letters are composed."""
+    return unicodedata.normalize("NFC", cell).strip().removesuffix(".0")
 
 
 def is_ours(name: str, pattern: str) -> bool:

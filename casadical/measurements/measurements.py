@@ -211,8 +211,9 @@ class Measurements(Shown):
         counts = np.array([s * len(self) if s < 1 else s for s in sizes.values()])
         edges = np.cumsum([0.0, *counts]).round().astype(int)
         if not counts.size or counts.min() <= 0 or edges[-1] > len(self):
+            wanted = ", ".join(f"{name} {size:g}" for name, size in sizes.items())
             raise InputError(
-                f"{self.source}: sets of {dict(sizes)} cannot be taken from {len(self)} poses; give positive sizes "
+                f"{self.source}: sets of {wanted} cannot be taken from {len(self)} poses; give positive sizes "
                 "(shares below 1, or numbers) that add up to no more than the poses there are"
             )
         copies = np.bincount(near, minlength=int(reading.max()) + 1)

@@ -65,7 +65,9 @@ def read_table(path: str | Path, data: bytes | None = None) -> RawTable:
         text, encoding, sheet = _text(path, data)
         separator = "," if sheet else table_form.separator_of(text)
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not a readable CSV table: {error}") from None
+        row = error.object.count(b"\n", 0, error.start) + 1
+        why = f"row {row} is no text in {error.encoding}; save it as UTF-8"
+        raise InputError(f"{path}: not a readable CSV table: {why}") from None
     return table_of(path, records_in(path, text, separator), encoding, separator, sheet=sheet)
 
 

@@ -201,10 +201,8 @@ def _refuse_other_unit(q: Array, kinds: Sequence[str], columns: Columns, row: Ar
         )
     widest = float(np.rad2deg(np.ptp(ends, axis=1).max()))
     if all(f"q{i + 1}_deg" in names for i in turning) and len(q) >= 10 and widest < RADIANS:
-        raise InputError(
-            f"{source}: no joint moves by more than {widest:.2f} deg over {len(q)} poses; "
-            "are the columns in radians? name them q1_rad, ..."
-        )
+        remedy = "are the columns in radians? name them q1_rad, ..." if widest else "measure poses that differ"
+        raise InputError(f"{source}: no joint moves by more than {widest:.2f} deg over {len(q)} poses; {remedy}")
 
 
 def with_gravity(conditions: dict[str, Array], columns: Columns) -> dict[str, Array]:

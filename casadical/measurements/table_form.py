@@ -105,17 +105,20 @@ def _tried(data: bytes, name: str) -> str | None:
 def records_of(text: str, separator: str) -> list[Record]:
     """Cells of every line that is not blank, with its number; a quoted cell may go over several lines.
 
-    Raises csv.Error for a quote that is never closed.
+    Raises csv.Error, with its row, for a quote that is never closed.
     """
     if separator == " ":
         return [(k, line.split()) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
     loose = separator != "\t"  # csv counts tabs as blanks
     reader = csv.reader(io.StringIO(text, newline=""), strict=True, delimiter=separator, skipinitialspace=loose)
     records, line = [], 1
-    for cells in reader:
-        if len(cells) > 1 or any(cell.strip() for cell in cells):
-            records.append((line, cells))
-        line = reader.line_num + 1
+    try:
+        for cells in reader:
+            if len(cells) > 1 or any(cell.strip() for cell in cells):
+                records.append((line, cells))
+            line = reader.line_num + 1
+    except csv.Error as error:
+        raise csv.Error(f"row {line}: {error}; correct its quotes, and where its cells end") from None
     return records
 
 

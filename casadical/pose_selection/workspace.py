@@ -9,11 +9,11 @@ from typing import Annotated, Any, Literal
 
 import casadi as ca
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from casadical.core.basics import Array, InputError
 from casadical.core.reading import load_toml
-from casadical.core.schema import ANGLE, LENGTH, READING, WHOLE, Angle, Length, Pair, TomlTable, Triple, check
+from casadical.core.schema import ANGLE, LENGTH, READING, WHOLE, FaultError, Pair, Quantity, TomlTable, Triple, check
 from casadical.robot.kinematics import LEAST_MARGIN, link_frames
 from casadical.robot.model import base_frame
 from casadical.robot.robot import Robot
@@ -189,6 +189,9 @@ def places_about(robot: Robot, q: Array) -> tuple[Array, Array, Array]:
     return (points.full().T.reshape(count, robot.n, 3), R.full().reshape(3, count, 3).transpose(1, 0, 2), least)
 
 
+HalfTurn = Annotated[float, Quantity(ANGLE.factors, np.pi), Field(gt=0)]
+
+
 class _Joint(TomlTable):
     number: int = Field(ge=1)
     limits: Annotated[Pair, READING]
@@ -198,21 +201,40 @@ class _Box(TomlTable):
     low: Annotated[Triple, LENGTH]
     high: Annotated[Triple, LENGTH]
 
+    @model_validator(mode="after")
+    def _ordered(self) -> _Box:
+        if not np.less(self.low, self.high).all():
+            raise FaultError("high", "each of its coordinates must be greater than that of low")
+        return self
+
 
 class _Tracker(TomlTable):
     station: Annotated[Triple, LENGTH]
     towards: Annotated[Triple | None, LENGTH] = None
-    half_angle: Angle = np.pi / 4
-    nearest: Length = 0.3
-    farthest: Length = 30.0
+    half_angle: HalfTurn = np.pi / 4
+    nearest: Annotated[float, LENGTH, Field(ge=0)] = 0.3
+    farthest: Annotated[float, LENGTH, Field(gt=0)] = 30.0
     opening: Triple | None = None
-    acceptance: Annotated[float, ANGLE] = np.pi / 6
+    acceptance: HalfTurn = np.pi / 6
+
+    @model_validator(mode="after")
+    def _sees(self) -> _Tracker:
+        for needed, key in (("towards", "half_angle"), ("opening", "acceptance")):
+            if key in self.model_fields_set and getattr(self, needed) is None:
+                raise FaultError(key, f"has no effect without {needed}; give both")
+        if self.towards == self.station:
+            raise FaultError("towards", "is the station itself; name another point on the axis of its cone")
+        if self.opening is not None and not any(self.opening):
+            raise FaultError("opening", "has no direction; allowed: a vector that is not zero")
+        if self.nearest >= self.farthest:
+            raise FaultError("farthest", f"must be greater than nearest, {self.nearest:g} m")
+        return self
 
 
 class _Workspace(TomlTable):
     casadical: Annotated[Literal[1], WHOLE]
     floor: Annotated[float | None, LENGTH] = None
-    clearance: Length = 0.0
+    clearance: Annotated[float, LENGTH, Field(ge=0)] = 0.0
     four_bar_margin: float = Field(default=0.1, gt=0, lt=1)
     joint: list[_Joint] = Field(default=[])
     box: list[_Box] = Field(default=[])

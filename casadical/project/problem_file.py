@@ -49,6 +49,13 @@ class _Source(_Strict):
     add: dict[str, float] = {}
     rows: int = 0
 
+    @model_validator(mode="after")
+    def _tells(self) -> _Source:
+        if self.times + self.add.get(self.name, 0.0) == 0:
+            key = "times" if "times" in self.model_fields_set else "add"
+            raise FaultError(key, f"leaves nothing of column {self.name!r}; leave it out, or take another factor")
+        return self
+
 
 def _form(value: Any) -> str:
     return FORMS[isinstance(value, dict | _Source)]
@@ -62,7 +69,7 @@ class DataTable(_Strict):
     kind: str | None = None
     columns: dict[Annotated[str, Field(min_length=1)], _Made] = {}
     leave_out: list[int] = []
-    session: str = ""
+    session: str = Field(default="", min_length=1)
     tools: dict[str, list[int]] = {}
     point_from: list[str] = []
     separation: list[_Separation] = []

@@ -321,8 +321,9 @@ def promised_rms(robot: Path, kind: str = POSITION) -> float:
             for name, figures in sets.items()
             if name.split("/")[0] == "report" and kinds.get(name, kind) in alike
         ]
-    except (ValueError, KeyError, TypeError, AttributeError):  # no such file; figures of other kinds
-        raise InputError(f"{path}: no figures of a calibration; {remedy}") from None
+    except (ValueError, KeyError, TypeError, AttributeError) as error:  # no such file; figures of other kinds
+        why = f" ({error})" if isinstance(error, InputError) and path.is_file() else ""
+        raise InputError(f"{path}: no figures of a calibration{why}; {remedy}") from None
     if not held:
         raise InputError(f"{path}: no held-out poses of {robot.name} (kind {kind}); {remedy}")
     return _in_metres(

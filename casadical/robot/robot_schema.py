@@ -6,8 +6,10 @@ or radians are taken by name. See docs/robot-file.md for every key.
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -24,10 +26,15 @@ from casadical.effects import Effect
 from casadical.effects.definition import Definition
 from casadical.robot import effect_tables
 from casadical.robot.error_bound import refuse_other
+from casadical.robot.kinematics import assembly_sides
 from casadical.robot.robot import Robot
 
 # Rows of a robot file.
 MOST_JOINTS = 100
+# Size of gravity [m/s2]: mm/s2 are none of it.
+MOST_GRAVITY = 30.0
+# Beyond twice the arm's reach a mass centre may be so far from its joint [m].
+FAR_CENTRE = 1.0
 
 Bar = Annotated[float, LENGTH, Field(gt=0)]
 
@@ -39,6 +46,7 @@ def _stiff(value: float | None) -> float | None:
 
 
 Stiffness = Annotated[float | None, Field(gt=0, le=1e15), AfterValidator(_stiff)]
+Spelt = Annotated[str, AfterValidator(partial(unicodedata.normalize, "NFC"))]  # as a table's names are
 HalfLength = Annotated[float | None, LENGTH, Field(gt=0)]
 HalfAngle = Annotated[float | None, ANGLE, Field(gt=0)]
 
@@ -115,6 +123,9 @@ class _Joint(TomlTable):
     def _consistent(self) -> _Joint:
         if self.limits and self.limits[0] >= self.limits[1]:
             raise FaultError("limits", "the lower one must come first")
+        stiffness = self.stiffness_Nm_per_rad or self.stiffness_N_per_m
+        if stiffness and not self.compliant and "compliant" in self.model_fields_set:
+            raise FaultError("compliant", "a joint with a stiffness is compliant; leave one of the two out")
         if self.b is not None and self.beta is None:
             raise FaultError("b", "stands in row 1 beside beta only, where six numbers are the base frame; give both")
         return self
@@ -144,7 +155,7 @@ class _Frame(TomlTable):
 class ToolTable(_Frame):
     """One of several [[tool]]."""
 
-    name: str = ""
+    name: Spelt = ""
 
 
 class _FourBar(TomlTable):
@@ -159,6 +170,13 @@ class _FourBar(TomlTable):
 class _Gravity(TomlTable):
     frame: Literal["measuring", "base", "logged"] = "measuring"
     vector_m_per_s2: Triple = Field(default=[0.0, 0.0, -STANDARD_GRAVITY])
+
+    @model_validator(mode="after")
+    def _possible(self) -> _Gravity:
+        if np.linalg.norm(self.vector_m_per_s2) > MOST_GRAVITY:
+            allowed = f"at most {MOST_GRAVITY:g} m/s2, on Earth {STANDARD_GRAVITY:.3g}"
+            raise FaultError("vector_m_per_s2", f"no planet has that; allowed: {allowed}")
+        return self
 
 
 class _Width(TomlTable):
@@ -195,7 +213,7 @@ class RobotFile(TomlTable):
     masses: Literal["declared", "estimated"] = "declared"
     base: _Frame = _Frame()
     tool: _Frame = _Frame()
-    tool_name: str = ""
+    tool_name: Spelt = ""
     further_tool: list[ToolTable] = Field(default=[], max_length=MOST_COUNT)
     gravity: _Gravity = _Gravity()
     payload: _Body | None = None
@@ -221,6 +239,9 @@ class RobotFile(TomlTable):
                 )
             if row.b is not None and i > 0:
                 raise FaultError(("joint", i, "b"), "stands in row 1 only, where six numbers are the base frame")
+        names = [row.name for row in self.joint if row.name]
+        for i in (i for i, row in enumerate(self.joint) if names.count(row.name) > 1):
+            raise FaultError(("joint", i, "name"), "another joint has this name; each needs one of its own")
         if self.drive:
             self.drive.refuse_other(len(self.joint))
         return self
@@ -263,7 +284,20 @@ class RobotFile(TomlTable):
         robot = replace(robot, knowledge=known, bound=bound)
         if effects:
             _refuse_undefined(robot)
+        assembly_sides(robot)  # raises InputError of a loop that does not close
+        refuse_far(robot)
         return robot
+
+
+def refuse_far(robot: Robot) -> None:
+    """Raises InputError for a mass centre that no link of the arm can have, as one of metres for millimetres."""
+    for i, joint in enumerate(robot.joints, 1):
+        away = float(np.linalg.norm(joint.body.com)) if joint.body else 0.0
+        if away > (most := 2 * robot.reach + FAR_CENTRE):
+            raise InputError(
+                f"joint[{i}].body.com: {away:.4g} m from the origin of its frame, of an arm that reaches "
+                f"{robot.reach:.4g} m; allowed: up to {most:.4g} m. Is it in the unit that the key says?"
+            )
 
 
 def _refuse_undefined(robot: Robot) -> None:

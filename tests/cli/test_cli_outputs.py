@@ -102,6 +102,34 @@ def test_a_device_is_no_input(monkeypatch, capsys, tmp_path, problem, command) -
     assert "/dev/full: is a device; name a file" in capsys.readouterr().err
 
 
+def test_an_empty_path_is_not_the_folder_that_one_is_in(problem: Path) -> None:
+    for command in (["new", ""], ["check", ""], ["check", "p", "--json", ""]):
+        done = run(*command, folder=problem.parent)
+        assert done.returncode == 2
+        assert "a path is empty" in done.stderr
+    assert [path.name for path in problem.parent.iterdir()] == ["p"]
+    done = run("plan", "p", "-n", "6", "--for", "", folder=problem.parent)
+    assert "is empty; give a value, or leave it out" in done.stderr
+
+
+def test_a_fleet_of_none_leaves_no_store(tmp_path: Path) -> None:
+    done = run("fleet", "nothing", "--store", "s.parquet", folder=tmp_path)
+    assert "nothing: neither a problem folder nor a folder of such" in done.stderr
+    shutil.copytree(ROOT / "problems" / "planar", tmp_path / "p")
+    again = run("fleet", "p", "--store", "s.parquet", "--scheduler", "nonsense", folder=tmp_path)
+    assert (done.returncode, again.returncode) == (2, 2)
+    assert "s.parquet" not in done.stderr + again.stderr
+    assert not (tmp_path / "s.parquet").exists()
+
+
+def test_what_two_options_say_is_asked_for(tmp_path: Path) -> None:
+    done = run("new", "arm", "--urdf", "a.urdf", "--dh", "b.csv", folder=tmp_path)
+    assert "--dh: not together with --urdf; leave one of the two out" in done.stderr
+    done = run("new", "a\x1bb", folder=tmp_path)
+    assert "its name holds the control character" in done.stderr
+    assert not [*tmp_path.iterdir()]
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
 def test_a_folder_is_not_left_where_the_json_beside_it_is_not_written(monkeypatch, capsys, tmp_path) -> None:
     monkeypatch.chdir(tmp_path)
@@ -141,6 +169,9 @@ def test_a_folder_of_results_stands_for_its_robot_file(problem: Path) -> None:
         assert "problem.toml" not in done.stderr, command
         assert "Traceback" not in done.stderr
     assert (folder / "arm.urdf").is_file()
+    for kept in (folder / "results" / "result.json", *(folder / "results").glob("*.robot.toml")):
+        done = run("certificate", "results", "--out", kept, folder=folder)
+        assert "is an input of this command and is not replaced" in done.stderr
     (folder / "targets.csv").write_text("q1_deg,q2_deg\n10,20\n")
     done = run("correct", "results", "targets.csv", "--nominal", "p/robot.toml", "--out", "t.csv", folder=folder)
     assert "manifest" not in done.stderr

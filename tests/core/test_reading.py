@@ -86,7 +86,8 @@ def test_sizes_are_looked_at_before_the_content(tmp_path: Path, read: Callable[[
         ('{"a": 1e999}', "no finite number"),
         ('{"a": ' + "[" * 200 + "]" * 200 + "}", "nested too deeply"),
         ('{"a": ' * 100_000, "nested too deeply"),
-        ("[1]", "holds list"),
+        ("[1]", "holds a list"),
+        ("null", "holds null; a JSON object is expected"),
         ("\ud800", "not valid JSON"),
         (b"\xff\xfe\x00\x81", "not valid JSON"),
         ("", "not valid JSON"),
@@ -192,6 +193,12 @@ def test_workbooks_that_are_damaged(tmp_path: Path) -> None:
         path.write_bytes(broken)
         with suppress(InputError):
             read_table(path)
+
+
+def test_a_link_that_leads_nowhere_is_said_so(tmp_path: Path) -> None:
+    (tmp_path / "poses.csv").symlink_to("moved.csv")
+    with pytest.raises(InputError, match=r"poses\.csv: no such file; it is a symbolic link that leads nowhere"):
+        read_bytes(tmp_path / "poses.csv")
 
 
 def test_a_journal_of_somebody_else_moves_nothing(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from rich.console import Console
 from casadical import InputError, identify
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.text import page_of, titled
-from casadical.effects import Context, Effect
+from casadical.effects import Context, Effect, Law
 
 
 @dataclass(frozen=True)
@@ -66,6 +66,14 @@ def test_own_effect_is_part_of_the_robot() -> None:
     assert table["status"] == "identified"
     estimate = dict(zip(found.names, found.estimate, strict=True))["sagging_cable@5.pull"]
     assert np.isclose(estimate, 50e-6, rtol=0.15)
+
+
+def test_an_effect_of_a_joint_that_is_not_there_is_refused() -> None:
+    with pytest.raises(InputError, match=r"sagging_cable: joint = 9; robot .* has joints 1 to 6"):
+        diagnose(robot("ur10e"), with_cable(0.0), effects=[SaggingCable(9)])
+    law = Law.from_dict({"joint": 2, "settings": {"formula": "a * q9"}})
+    with pytest.raises(InputError, match=r"formula 'a \* q9': q9; robot .* has joints 1 to 6"):
+        diagnose(robot("ur10e"), with_cable(0.0), effects=[law])
 
 
 def test_unknown_name_lists_those_that_exist() -> None:

@@ -35,6 +35,7 @@ ARM = Robot(
     base=Placement(np.eye(4), "pose"),
     tool=Placement(frame(np.eye(3), np.array([0.4, 0.1, 0.05])), "position"),
 )
+LADEN = replace(ARM, joints=tuple(replace(joint, body=Body(5.0, np.zeros(3))) for joint in ARM.joints))
 LOOPED = replace(ARM, loops=(FourBar(driven=3, carrier=2, crank=0.3, coupler=0.35, rocker=0.3),))
 
 
@@ -98,6 +99,8 @@ TABLES = [
     Bad("an integer of 400 digits", lambda tmp: file(tmp, f"q1_deg,q2_deg\n{'1' * 400},1\n"),
         ("bad.csv", "q1_deg")),
     Bad("ragged rows", lambda tmp: file(tmp, "a,b\n1,2\n1,2,3,4\n"), ("bad.csv", "row 3 has 4 cells", "2")),
+    Bad("a quote without end", lambda tmp: file(tmp, 'q1_deg,q2_deg\n1,2\n"3,4\n'),
+        ("bad.csv", "row 3", "correct its quotes")),
     Bad("not text", lambda tmp: file(tmp, b"a,b\n\xff\xfe\x00\x81,2\n"), ("bad.csv", "not a readable CSV")),
     Bad("header only", lambda tmp: file(tmp, "q1_deg,q2_deg,q3_deg,x_mm,y_mm,z_mm\n"), ("bad.csv", "no rows")),
     Bad("a column twice", lambda tmp: file(tmp, "q1_deg,q1_deg\n1,2\n"), ("bad.csv", "'q1_deg'", "twice")),
@@ -120,6 +123,10 @@ TABLES = [
     Bad("infinity", lambda _: read(changed("z_mm", 2, np.inf)), ("row 2", "'z_mm'", "inf", "not a finite number")),
     Bad("a word among payloads", lambda _: read(table(payload_kg=["2.0"] * 5 + ["2,0"] + ["2.0"] * (N - 6))),
         ("row 7", "'payload_kg'", "'2,0'", "not a finite number")),
+    Bad("a direction that is none", lambda _: read(table(approach2=np.full(N, 0.5))),
+        ("row 2", "'approach2'", "0.5 is not possible", "allowed: -1 or 1")),
+    Bad("kelvin", lambda _: read(table(temperature_degC=np.full(N, 293.0))),
+        ("row 2", "'temperature_degC'", "293 is not possible", "-273.15 to 200")),
     Bad("a negative weight", lambda _: read(table(weight=[1.0] * 7 + [-2] + [1.0] * (N - 8))),
         ("row 9", "'weight'", "-2", "zero or more")),
     Bad("no weight at all", lambda _: read(table(weight=np.zeros(N))), ("'weight'", "zero in every row")),
@@ -131,6 +138,10 @@ TABLES = [
     Bad("radians as degrees",
         lambda _: read(table(**{c: np.deg2rad(table()[c]) for c in ("q1_deg", "q2_deg", "q3_deg")})),
         ("no joint moves by more than", "radians?", "q1_rad")),
+    Bad("one pose again and again", lambda _: read(table(q1_deg=np.ones(N), q2_deg=np.ones(N), q3_deg=np.ones(N))),
+        ("no joint moves by more than 0.00 deg", "measure poses that differ")),
+    Bad("grams as kilograms", lambda _: check(table(payload_kg=np.full(N, 2000.0)), LADEN),
+        ("row 2", "'payload_kg'", "2000 kg is too heavy", "up to 150, of an arm of 15 kg", "grams?")),
     Bad("far too many turns", lambda _: read(changed("q1_deg", 4, 4000.0)),
         ("row 4", "'q1_deg'", "4000 deg", "11.1 turns")),
     Bad("millimetres as metres", lambda _: check(table().rename(columns=lambda c: c.replace("_mm", "_m"))),

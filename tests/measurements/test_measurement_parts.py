@@ -57,7 +57,7 @@ def test_utf_16_without_its_mark_is_told_by_where_the_zeros_are(order: str, text
     assert decoded(text.encode(f"utf-16-{order}")) == (text, f"utf-16-{order}")
 
 
-@pytest.mark.parametrize(("name", "least", "most"), [("temperature_degC", -273.15, 1e4), ("payload_kg", 0.0, 1e5)])
+@pytest.mark.parametrize(("name", "least", "most"), [("temperature_degC", -273.15, 200.0), ("payload_kg", 0.0, 1e5)])
 def test_what_cannot_be_logged_is_refused(tmp_path: Path, name: str, least: float, most: float) -> None:
     """Colder than all, and heavier than any arm lifts."""
     table = pd.DataFrame({"q1_deg": [1.0, 2.0], "x_mm": [0.0, 1.0], "y_mm": [0.0, 1.0], "z_mm": [0.0, 1.0]})

@@ -119,6 +119,9 @@ half_angle_deg = 15
 """
 
 
+SEEN = "casadical = 1\n[tracker]\nstation_m = [3, 0, 0]\n"
+
+
 def test_a_room_file(tmp_path) -> None:
     (tmp_path / "room.toml").write_text(ROOM, encoding="utf-8")
     room = read_workspace(tmp_path / "room.toml", elbow())
@@ -138,6 +141,14 @@ def test_a_room_file(tmp_path) -> None:
         ("casadical = 1\n[[joint]]\nnumber = 9\nlimits_deg = [0, 1]\n", "elbow has 6 joints"),
         ("casadical = 1\n[[joint]]\nnumber = 1\nlimits_deg = [170, 180]\n", "nothing of its range is left"),
         ("casadical = 1\n[tracker]\nstation = [0, 0, 0]\n", "write its unit too"),
+        ("casadical = 1\nclearance_mm = -5\n", "clearance_mm = -5: must be greater than or equal to 0"),
+        ("casadical = 1\n[[box]]\nlow_m = [1, 1, 1]\nhigh_m = [2, 0, 2]\n", r"box\[1\].high_m = .* greater than that"),
+        (SEEN + "half_angle_deg = 5\n", "half_angle_deg = 5: has no effect without towards"),
+        (SEEN + "acceptance_deg = 5\n", "acceptance_deg = 5: has no effect without opening"),
+        (SEEN + "towards_m = [3, 0, 0]\n", "towards_m = .*: is the station itself"),
+        (SEEN + "towards_m = [0, 0, 0]\nhalf_angle_deg = 400\n", "half_angle_deg = 400: allowed: at most 180"),
+        (SEEN + "opening = [0, 0, 0]\n", "opening = .*: has no direction"),
+        (SEEN + "farthest_m = 0.1\n", "farthest_m = 0.1: must be greater than nearest, 0.3 m"),
     ],
 )
 def test_faults_of_a_room_file(tmp_path, text, message) -> None:

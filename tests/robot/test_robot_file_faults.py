@@ -28,7 +28,7 @@ LOOP = "\n[[four_bar]]\ndriven = {driven}\ncarrier = {carrier}\ncrank_mm = {cran
 # What is changed or added, and what the message must then hold besides the file's name.
 FAULTS = {
     "text for a number": (("a_mm = 300", 'a_mm = "300"'), ["joint[2].a_mm = '300'", "must be a valid number"]),
-    "boolean for a number": (("a_mm = 300", "a_mm = true"), ["joint[2].a_mm = True", "must be a valid number"]),
+    "boolean for a number": (("a_mm = 300", "a_mm = true"), ["joint[2].a_mm = true", "must be a valid number"]),
     "not finite": (("a_mm = 300", "a_mm = nan"), ["joint[2].a_mm = nan", "finite"]),
     "longer than any arm": (("a_mm = 300", "a_mm = 1e12"), ["joint[2].a_mm = 1000000000000", "allowed: at most 1e+07"]),
     "no unit": (("a_mm = 300", "a = 0.3"), ["joint[2].a = 0.3", "a_mm or a_m"]),
@@ -41,7 +41,36 @@ FAULTS = {
     ),
     "an unknown table": (("[tool]", "[flange]"), ["flange", "not a known key", "tool", "four_bar"]),
     "no name": (('name = "two joints"', ""), ["name: is missing"]),
-    "an empty name": (('"two joints"', '""'), ["name = ''", "at least 1"]),
+    "an empty name": (('"two joints"', '""'), ["name = ''", "must not be empty"]),
+    "a version that is true": (("casadical = 1", "casadical = true"), ["casadical = true", "must be 1 or 2"]),
+    "a version with a point": (("casadical = 1", "casadical = 1.0"), ["casadical = 1.0", "must be 1 or 2"]),
+    "a date for a number": (("a_mm = 300", "a_mm = 2026-01-01"), ["joint[2].a_mm = 2026-01-01: must be a valid"]),
+    "a list for a table": (("[tool]", "base = [3]\n[tool]"), ["base = [3]: must be a table"]),
+    "gravity in millimetres": (
+        ("[tool]", "[gravity]\nvector_m_per_s2 = [0, 0, -9810]\n[tool]"),
+        ["gravity.vector_m_per_s2 = [0, 0, -9810]", "at most 30 m/s2"],
+    ),
+    "a stiffness of what is not compliant": (
+        ("a_mm = 300", "a_mm = 300\nstiffness_Nm_per_rad = 2e5\ncompliant = false"),
+        ["joint[2].compliant = false", "leave one of the two out"],
+    ),
+    "a gear without teeth": (("[tool]", "[drive]\ngear_ratio = 0\n[tool]"), ["drive.gear_ratio = 0: must be greater"]),
+    "a gain that drives away": (
+        ("[tool]", "[drive]\nkp_Nm_per_rad = [1, -5]\n[tool]"),
+        ["1 fault(s)\n  drive.kp_Nm_per_rad[2] = -5: must be greater than or equal to 0"],
+    ),
+    "one name for two joints": (
+        ("[[joint]]\n", '[[joint]]\nname = "a"\n[[joint]]\nname = "a"\n'),
+        ["joint[1].name = 'a'", "each needs one of its own"],
+    ),
+    "a mass centre in the wrong unit": (
+        ("a_mm = 300", "a_mm = 300\nbody = { mass_kg = 5, com_m = [60, 0, 0] }"),
+        ["joint[2].body.com: 60 m", "reaches 0.41 m", "Is it in the unit"],
+    ),
+    "a loop that does not close": (
+        ("", LOOP.format(driven=2, carrier=1, crank=2000)),
+        ["four_bar[1] cannot be assembled", "limits_deg of joints 1 and 2"],
+    ),
     "no version": (("casadical = 1", ""), ["casadical: is missing"]),
     "a version to come": (("casadical = 1", "casadical = 3"), ["casadical = 3", "up to version 2"]),
     "no such convention": (
@@ -122,7 +151,8 @@ def test_fault_is_named(name: str, tmp_path: Path) -> None:
 
 
 def test_the_good_file_is_good(tmp_path: Path) -> None:
-    (tmp_path / "arm.toml").write_text(GOOD + LOOP.format(driven=2, carrier=1, crank=100))
+    loop = "limits_deg = [60, 120]\n" + LOOP.format(driven=2, carrier=1, crank=100)
+    (tmp_path / "arm.toml").write_text(GOOD + loop)
     assert read_robot(tmp_path / "arm.toml").n == 2
 
 
@@ -187,7 +217,7 @@ PROBLEM_FAULTS = {
         ("\n\n[sets]", '\ncolumns = { x_mm = "X" }\n\n[sets]'),
         ["column 'X'", "named for 'x_mm'", "is missing"],
     ),
-    "a version that is none": (("casadical = 1", "casadical = true"), ["casadical = True", "a whole number"]),
+    "a version that is none": (("casadical = 1", "casadical = true"), ["casadical = true", "must be 1"]),
     "a table of a URDF for none": (
         ("[sets]", '[urdf]\nbase_link = "x"\n[sets]'),
         ["urdf: has no effect", "robot.toml"],
@@ -199,8 +229,26 @@ PROBLEM_FAULTS = {
     ),
     "a column without a name": (
         ("\n\n[sets]", '\ncolumns = { "" = "x_mm" }\n\n[sets]'),
-        ["measurements[1].columns", "at least 1 character"],
+        ["measurements[1].columns: a key '': must not be empty"],
     ),
+    "a column of nothing": (
+        ("\n\n[sets]", '\ncolumns = { q1_deg = { from = "q1_deg", times = 0 } }\n\n[sets]'),
+        ["columns.q1_deg.times = 0: leaves nothing of column 'q1_deg'"],
+    ),
+    "a column less itself": (
+        ("\n\n[sets]", '\ncolumns = { q1_deg = { from = "q1_deg", add = { q1_deg = -1 } } }\n\n[sets]'),
+        ["columns.q1_deg.add", "leaves nothing of column 'q1_deg'"],
+    ),
+    "a shift beyond the table": (
+        ("\n\n[sets]", '\ncolumns = { q1_deg = { from = "q1_deg", rows = 1000 } }\n\n[sets]'),
+        ["table.csv: columns.q1_deg.rows = 1000: allowed: less than its 12 rows"],
+    ),
+    "all rows left out": (
+        ("\n\n[sets]", f"\nleave_out = {[*range(2, 14)]}\n\n[sets]"),
+        ["table.csv: a header but no rows that count: 12 are left out"],
+    ),
+    "a session without a name": (("\n\n[sets]", '\nsession = ""\n\n[sets]'), ["session = '': must not be empty"]),
+    "sets beyond the table": (("identify = 0.5", "identify = 0.9"), ["sets of identify 0.9, report 0.5 cannot"]),
     "a set without poses": (("report = 0.5", "report = 1e-9"), ["table.csv: no poses are left for the set 'report'"]),
     "tables without end": (
         ("[sets]", 1000 * '[[measurements]]\nfile = "table.csv"\n' + "[sets]"),
@@ -227,7 +275,10 @@ PROBLEM_FAULTS = {
     [
         (PROBLEM.encode("utf-8-sig"), "save it as UTF-8 without one"),
         (PROBLEM.encode("utf-16"), "save it as UTF-8 without one"),
-        (PROBLEM.replace("synthetic", "\u00fc").encode("latin-1"), "save it as UTF-8"),
+        (
+            PROBLEM.replace("synthetic", "\u00fc").encode("latin-1"),
+            r"row 4 holds the byte 0xfc, which is not UTF-8; save it as UTF-8",
+        ),
         (f"casadical = {'1' * 5000}".encode(), "4300 digits.*digits$"),
     ],
 )

@@ -26,6 +26,31 @@ FAULTS = {
         "not a readable",
     ),
     "two numbers": (robot(ABC, joint("j1", "fixed", "a", "b", (1, 2))), {}, "vectors three numbers"),
+    "an origin of words": (
+        robot(ABC, AB, BC).replace('xyz="0.0 0.0 0.0"', 'xyz="0,0 0 0"', 1),
+        {},
+        "link 'a': xyz = '0,0 0 0' of its <origin>: allowed: numbers with blanks",
+    ),
+    "an origin of kilometres": (
+        robot(ABC, joint("j1", "revolute", "a", "b", (1e9, 0, 0)), BC),
+        {},
+        "joint 'j1': xyz = .* of its <origin>: allowed: up to 10000; a URDF has metres",
+    ),
+    "an origin in degrees": (
+        robot(ABC, joint("j1", "revolute", "a", "b", (1, 0, 0), (0, 0, 90)), BC),
+        {},
+        "joint 'j1': rpy = .* of its <origin>: is more than a turn; a URDF has radians",
+    ),
+    "a mass centre in millimetres": (
+        robot(ABC.replace('xyz="0.0 0.0 0.0"', 'xyz="0 0 60"'), AB, joint("j2", "revolute", "b", "c", (1, 0, 0))),
+        {},
+        r"joint\[1\].body.com: .* of an arm that reaches .* Is it in the unit",
+    ),
+    "a mimic of words": (
+        robot(ABC, AB, BC).replace("</joint>", '<mimic joint="j0" offset="x"/></joint>', 1),
+        {},
+        "joint 'j1': offset = 'x' of its <mimic>: allowed: numbers",
+    ),
     "infinite origin": (robot(ABC, joint("j1", "revolute", "a", "b", (1, float("nan"), 0)), BC), {}, "not finite"),
     "links twice": (robot(ABC, link("a"), AB), {}, "link names occur twice: a"),
     "joints twice": (robot(ABC, AB, joint("j1", "revolute", "b", "c")), {}, "joint names occur twice: j1"),

@@ -283,7 +283,7 @@ def _friction(replay: Replay, j: int, panel: int) -> list[Series]:
 def _maps(replay: Replay) -> Iterator[Figure]:
     """Rms of each joint over the time of all runs, before and after, on one scale."""
     time, cells = replay.by_time()
-    most = float(np.nanmax(cells["before"])) * 1e3
+    most = 1e3 * float(np.nanmax(cells["before"], initial=0.0))
     joints = replay.runs[0].joints
     for what, values in cells.items():
         yield Figure(

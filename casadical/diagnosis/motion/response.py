@@ -350,7 +350,7 @@ def _beside(arm: Arm, runs: Sequence[JointLog], floor: Floor | None) -> Array | 
         left = np.where(known, logged - bodies, 0.0)
         H += np.einsum("tja,tjb->jab", terms * known[..., None], terms)
         b += np.einsum("tja,tj->ja", terms, left)
-    H += 1e-9 * np.trace(H, axis1=1, axis2=2)[:, None, None] * np.eye(4)
+    H += (1e-9 * np.trace(H, axis1=1, axis2=2)[:, None, None] + 1e-30) * np.eye(4)  # zero of a joint without torque
     return np.asarray(np.linalg.solve(H, b[..., None])[..., 0])
 
 
@@ -367,7 +367,7 @@ def _gains_by_torque(runs: Sequence[JointLog], arm: Arm) -> Array:
     for delay in LATES if all(t is not None for t in torques) else ():
         errors = [late(np.asarray(r.command), np.full(arm.joints, delay / r.step)) - r.position for r in runs]
         e, torque = (np.concatenate([np.asarray(v) for v in each]) for each in (errors, torques))
-        e, torque = (v - np.nanmean(v, axis=0) for v in (e, torque))
+        e, torque = (v - np.nansum(v, axis=0) / np.maximum(np.isfinite(v).sum(axis=0), 1) for v in (e, torque))
         both, ee, tt = (np.nansum(v, axis=0) + 1e-30 for v in (e * torque, e * e, torque * torque))
         better = both / np.sqrt(ee * tt) > best
         best, gains = np.where(better, both / np.sqrt(ee * tt), best), np.where(better, both / ee, gains)

@@ -21,6 +21,8 @@ STILL = 1e-4
 TOO_SLOW = 0.02
 # How far beyond its range an angle may be before another unit is asked for [rad].
 BEYOND = 0.3
+# A joint whose readings stay at one number while its commands move by more [rad or m] was not measured.
+COMMANDED = 0.1
 
 
 def quantum(column: Array) -> float:
@@ -277,6 +279,24 @@ def refuse_other_units(log: JointLog, robot: Arm | None) -> None:
                         f"{log.source}: {words[0]} of {name} are {DEGREES:.1f} times its {words[1]}: degrees called "
                         f"radians; name the columns of the {words[0]} with _deg"
                     )
+
+
+def refuse_frozen(log: JointLog) -> None:
+    """Raises InputError where readings are one number in every row: of all joints, or of one whose commands move."""
+    still = np.flatnonzero(np.nanmin(log.position, axis=0) == np.nanmax(log.position, axis=0))
+    if len(still) == len(log.joints):
+        raise InputError(
+            f"{log.source}: no joint moves, each reading is one number in all {len(log)} rows; log a motion"
+        )
+    for k in still:
+        told = np.zeros(0) if log.command is None else log.command[np.isfinite(log.command[:, k]), k]
+        if len(told) and np.ptp(told) > COMMANDED:
+            unit, value = log.unit("position", int(k)), float(np.nanmax(log.position[:, k]))
+            raise InputError(
+                f"{log.source}: position of {log.joints[k]}: {value:.6g} {unit} in all {len(log)} rows, though its "
+                f"commands move by {np.ptp(told):.3g} {unit}: it was not measured, or the joint is blocked. Log its "
+                "encoder"
+            )
 
 
 def _refuse_change(log: JointLog, k: int) -> None:

@@ -14,6 +14,7 @@ from casadical.core.basics import Array, Fault, FaultsError, InputError
 from casadical.core.reading import LARGEST
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import Shown, html
+from casadical.measurements.columns import POSSIBLE
 
 # What is logged of each joint, with its unit for revolute and for prismatic joints.
 CHANNELS = {
@@ -166,7 +167,9 @@ def _cells(log: JointLog, name: str, values: Array) -> Iterator[Fault]:
     """The cells of a channel that cannot be, joint by joint."""
     for k, column in enumerate(values.T if values.ndim == 2 else [values]):
         label = f"{name} {log.joints[k]}" if values.ndim == 2 else name
-        wrong, allowed = np.abs(column) > LARGEST, "finite numbers"
+        limited = {"payload": "payload_kg", "temperature": "temperature_degC"}.get(name, "")
+        least, most = POSSIBLE.get(limited, (-LARGEST, LARGEST))
+        wrong, allowed = (column < least) | (column > most), f"{least:g} to {most:g}" if limited else "finite numbers"
         if name == "time":
             wrong |= np.isnan(column)
         elif np.isnan(column).all() and name == "position":

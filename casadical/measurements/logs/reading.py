@@ -18,15 +18,17 @@ from casadical.core.reading import read_bytes, unpacked
 from casadical.measurements.columns import RADIANS
 from casadical.measurements.headings import words_of
 from casadical.measurements.logs.columns import FACTORS, LENGTHS, NAMES, Logged, logged, meaning
-from casadical.measurements.logs.findings import found_in, refuse_other_units, with_signs
+from casadical.measurements.logs.findings import found_in, refuse_frozen, refuse_other_units, with_signs
 from casadical.measurements.logs.log import CHANNELS, JointLog
 from casadical.measurements.logs.systems import BAGS, STATE, STATES, bag, lerobot, sage
-from casadical.measurements.raw_table import MOST_COLUMNS, RawTable
+from casadical.measurements.raw_table import MOST_COLUMNS, RawTable, refuse_repeated_names
 from casadical.measurements.table_parts import read_columns, refuse_many, table_parts
 from casadical.measurements.vocabulary import WORDS
 
 # Rows of a motion lie at most so far apart, and after so long a pause another run begins [s].
-SLOWEST, PAUSE = 10.0, 600.0
+SLOWEST, PAUSE = 0.5, 600.0
+# What drives the joints of a robot is judged of all of them or of none.
+DRIVEN = ("command", "torque", "current")
 # Channels in units of angle or length.
 _OF_MOTION = ("position", "command", "speed", "command_speed")
 # Characters of a line of headings that are looked at.
@@ -60,6 +62,7 @@ def read_log(
         log = replace(log, channels=channels, notes=tuple(n for n in log.notes if "effort is read" not in n))
     made = assembled(log, robot, unit)
     refuse_other_units(made, robot)
+    refuse_frozen(made)
     made = with_signs(made)
     return replace(made, findings=(*made.findings, *found_in(made)))
 
@@ -119,6 +122,7 @@ def _table(path: Path) -> RawTable:
         refuse_many(path, data.count(b",") + data.count(b"\n"))
         head = data[: data.find(b"\n") + 1]
         if head.count(b",") < MOST_COLUMNS and head.isascii() and _HEADINGS.fullmatch(head.decode().strip()):
+            refuse_repeated_names((name.strip() for name in head.decode().split(",")), str(path))
             try:
                 frame = pd.read_csv(io.BytesIO(data), skipinitialspace=True)
             except (ValueError, pd.errors.ParserError):
@@ -143,7 +147,12 @@ def assembled(log: Logged, robot: Arm | None, unit: str | None = None) -> JointL
         if columns := log.channels.get(channel):
             none = np.full(len(log.time), np.nan)
             arrays[channel] = np.column_stack([columns.get(key, none) for key in keys])[kept]
-            if np.isnan(arrays[channel]).all():
+            lost = np.isnan(arrays[channel]).all(axis=0)
+            apart = robot is not None and channel in DRIVEN and bool(lost.any())
+            if apart and not lost.all():
+                without = ", ".join(names[k] for k in np.flatnonzero(lost))
+                notes += (f"{channel} is left out, for there is none of {without}. Log it of every joint",)
+            if apart or lost.all():
                 del arrays[channel]
     notes += _into_si(log, keys, arrays, kinds, unit, robot)
     arrays |= {name: log.scalars[name][kept] for name in ("voltage", "payload") if name in log.scalars}
@@ -205,6 +214,11 @@ def _clock(log: Logged) -> tuple[Array, Array, Array, tuple[str, ...]]:
         raise InputError(
             f"{log.source}: rows lie {usual:.3g} s apart; a motion is logged some times a second. If the time is in "
             "another unit, name its column so: time_ms, time_us, time_ns"
+        )
+    if len(steps) and not (~changes & (steps > 0)).any():
+        raise InputError(
+            f"{log.source}: time grows in none of its {len(log.time)} rows from the row before in its run; log a clock "
+            "that grows, and let the column run number runs, not rows"
         )
     ahead = ~changes & (steps > PAUSE)
     stands = np.concatenate([[False], ~changes & (steps == 0)])

@@ -166,7 +166,7 @@ def _plausible(
     robot: Robot, m: Measurements, others: Sequence[Robot], standard: bool
 ) -> tuple[list[Finding], Slips | None]:
     """Whether the nominal model explains a table, or would if one slip were undone."""
-    told = facts.plausible(robot, m, others)
+    told = facts.plausible(robot, m, others) if len(m) >= facts.TELLING else None
     if told is None:
         return [], None
     slips = Slips(*told, ())
@@ -202,7 +202,7 @@ def _data_findings(
         if computed(robot, m):
             text = f"{m.source}: the positions are the nominal robot's own to the last digit: computed, not measured?"
             findings.append(Finding("warning", "data", text))
-        findings += facts.unknown_columns([*m.conditions], m.source)
+        findings += facts.unknown_columns(robot, [*m.conditions], m.source)
         findings += [Finding("warning", "clock", text) for text in clock_faults(table or m)]
         distinct, _ = facts.repeats(m)
         if distinct < len(m):

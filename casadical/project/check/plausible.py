@@ -6,6 +6,7 @@ Coverage of the poses: ranges of the joints, repeated readings and their scatter
 """
 
 import difflib
+import re
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -15,6 +16,7 @@ from typing import Literal
 import numpy as np
 
 from casadical.core.basics import Array, InputError
+from casadical.core.parts import GRAVITY
 from casadical.core.reading import load_toml
 from casadical.core.statistics import first_of_best
 from casadical.identification.accuracy import errors, predicted
@@ -28,6 +30,8 @@ from casadical.robot.kinematics import LEAST_MARGIN
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
 
+# Fewer poses fit any model, or none, with base and tool alone.
+TELLING = 4
 # Share of the reach that a placed nominal robot may miss by, and the share of that which an undone mistake may leave.
 GROSS = 0.02
 # And that by which a single row may miss.
@@ -242,12 +246,21 @@ def margin_findings(robot: Robot, m: Measurements) -> list[Finding]:
     return [Finding("warning", "four-bar", f"{m.source}: {text}; small errors of the bars count much there")]
 
 
-def unknown_columns(conditions: Sequence[str], source: str) -> list[Finding]:
-    """Columns that are almost a name that something asks for, and those that are kept."""
+def unknown_columns(robot: Robot, conditions: Sequence[str], source: str) -> list[Finding]:
+    """Columns that are almost a name that something asks for, and those that this robot has no use for."""
     findings = []
+    if robot.gravity_frame != "logged" and {*GRAVITY} <= {*conditions}:
+        text = f"{source}: its columns say how the base tilts, and the robot file takes it as still"
+        findings.append(
+            Finding("warning", "columns", f'{text}: write frame = "logged" in [gravity], or leave them out')
+        )
+    beyond = [c for c in conditions if (found := re.fullmatch(r"approach(\d+)", c)) and int(found[1]) > robot.n]
+    if beyond:
+        text = f"{source}: column {beyond[0]!r} has no effect: this robot has {robot.n} joints"
+        findings.append(Finding("warning", "columns", text))
     for name in conditions:
         near = [known for known in KNOWN if known.startswith(f"{name}_")]
-        near = near or difflib.get_close_matches(name, KNOWN, 1, ALMOST)
+        near = near or difflib.get_close_matches(name.casefold(), KNOWN, 1, ALMOST)
         if name not in KNOWN and near and not name.startswith(("warmth_", "approach")):
             text = f"{source}: column {name!r} is no name that anything asks for; is {near[0]!r} meant?"
             findings.append(Finding("warning", "columns", text))

@@ -49,6 +49,8 @@ NAMES = ("point", "plane", "sphere", "anchor", "dial", "tool", "session")
 FURTHER = ("to_x_mm", "to_y_mm", "to_z_mm", "along_x", "along_y", "along_z", "pose", "other_pose", *NAMES)
 # A share of readings of which 95 % lie below is stated from so many on.
 FOR_QUANTILE = 20
+# Positions so many times the reach apart are of another unit, or of nothing that the robot holds.
+BEYOND = 10.0
 
 
 class LiveSession:
@@ -313,6 +315,13 @@ class LiveSession:
             except InputError as error:
                 words = f"{str(error).splitlines()[0]}; another robot's pose, or another unit?"
             self._doubtful[numbers[k]], self._words[numbers[k]] = True, words
+        if m.position is not None:
+            away = np.linalg.norm(m.position - np.median(m.position, axis=0), axis=1)
+            for k in np.flatnonzero(away > BEYOND * self.robot.reach):
+                words = (
+                    f"{away[k]:.4g} m from the others, and the robot reaches {self.robot.reach:.3g} m: another unit?"
+                )
+                self._doubtful[numbers[k]], self._words[numbers[k]] = True, words
 
     def _slip_words(self, found: Estimate, m: Measurements, k: int, number: int) -> str:
         """Which slip a doubtful reading looks like, in a sentence."""

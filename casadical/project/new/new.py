@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from casadical.core.basics import Array, InputError
+from casadical.core.basics import Array, InputError, shown
 from casadical.core.files import claimed, write_together
 from casadical.core.parts import with_estimated_masses, without_masses
-from casadical.core.reading import read_bytes, read_text
+from casadical.core.reading import read_bytes, read_text, text_fault
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.transforms import frame, from_rpy
 from casadical.measurements.columns import Columns, is_ours
@@ -123,6 +123,8 @@ def new_problem(
     if data and not (urdf or dh):
         raise InputError("--data needs the robot that was measured; give --urdf or --dh as well")
     name = folder.resolve().name
+    if fault := text_fault(name):
+        raise InputError(f"{shown(name)}: its name {fault}")
     steps: list[Callable[[], Any]] = [
         lambda: _robot_files(name, urdf, base_link, tip_link, dh, convention),
         lambda: read_table(data) if data else None,

@@ -7,11 +7,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from casadical.core.basics import Array, InputError
+from casadical.core.basics import Array, InputError, errors_of
 from casadical.core.parts import STANDARD_GRAVITY, Body, Coupling, Placement, possible_inertia
 from casadical.robot.axes import Axis, Chain, rows_from_axes
 from casadical.robot.robot import Robot
-from casadical.robot.robot_schema import MOST_JOINTS
+from casadical.robot.robot_schema import MOST_JOINTS, refuse_far
 from casadical.robot.urdf.tree import Tree, parse_urdf
 
 _FULL_TURN = 2 * np.pi
@@ -72,8 +72,8 @@ def read_urdf(
         soft, coupling = 0.0 if i in compliant else None, _coupling(j, [other.name for other in chain.moving])
         more = {"compliance": soft, "body": body, "coupling": coupling, "name": j.name}
         joints.append(replace(row, kind=kind, lower=lower, upper=upper, **more))
-    return Robot(
-        name=chain.name,
+    robot = Robot(
+        name=chain.name or Path(path).stem,
         joints=tuple(joints),
         base=Placement(chain.dh.base, "pose"),
         tool=Placement(chain.dh.tool, "position"),
@@ -81,6 +81,9 @@ def read_urdf(
         gravity_frame="base",
         notes=chain.notes,
     )
+    with errors_of(f"{path}: "):
+        refuse_far(robot)
+    return robot
 
 
 def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfChain:

@@ -8,11 +8,16 @@ from xml.dom import minidom
 
 import numpy as np
 
-from casadical.core.basics import Array, InputError, optional
+from casadical.core.basics import Array, InputError, optional, shown
 from casadical.core.reading import MOST_COUNT, foreign, read_xml
+from casadical.core.schema import LENGTH
 
 # Levels of elements: of links of links in a MuJoCo model, say.
 DEEPEST_XML = 200
+# Attributes that hold numbers, of elements of a link or a joint; the greatest angle of a frame [rad].
+_NUMBERS = (("origin", "xyz"), ("origin", "rpy"), ("mass", "value"), ("limit", "lower"), ("limit", "upper"),
+            ("mimic", "multiplier"), ("mimic", "offset"))  # fmt: skip
+MOST_TURN = 6.3
 
 
 def parse_xml(path: Path, root: str = "robot") -> minidom.Document:
@@ -39,14 +44,34 @@ def parse_urdf(path: Path) -> Any:
     """
     needed = "reading a URDF needs yourdfpy: pip install 'casadical[urdf]', in a checkout pip install '.[urdf]'"
     yourdfpy = optional("yourdfpy", needed)
-    content = BytesIO(parse_xml(path).toxml(encoding="utf-8"))
-    try:
+    document = parse_xml(path)
+    _refuse_odd(document, str(path))
+    content = BytesIO(document.toxml(encoding="utf-8"))
+    needs = "robot, links and joints need a name, joints a type, parent and child, vectors three numbers"
+    with foreign(f"{path}: not a readable URDF", f"{needs}; a xacro must be expanded first"):
         return yourdfpy.URDF.load(content, build_scene_graph=False, load_meshes=False).robot
-    except Exception as error:
-        raise InputError(
-            f"{path}: not a readable URDF: {type(error).__name__}: {error}; robot, links and joints need a name, "
-            "joints a type, parent and child, vectors three numbers; a xacro must be expanded first"
-        ) from None
+
+
+def _refuse_odd(document: minidom.Document, path: str) -> None:
+    """Raises InputError for attributes that are no numbers, or none that can be meant, with their link or joint."""
+    for owner in [*document.getElementsByTagName("link"), *document.getElementsByTagName("joint")]:
+        for tag, key in _NUMBERS:
+            for text in (e.getAttribute(key) for e in owner.getElementsByTagName(tag) if e.hasAttribute(key)):
+                place = f"{owner.tagName} {owner.getAttribute('name')!r}"
+                where = f"{path}: {place}: {key} = {shown(repr(text))} of its <{tag}>"
+                try:
+                    numbers = [float(part) for part in text.split()]
+                except ValueError:
+                    raise InputError(
+                        f"{where}: allowed: numbers with blanks between them; a xacro must be expanded first"
+                    ) from None
+                if tag != "limit" and not np.isfinite(numbers).all():
+                    raise InputError(f"{where}: is not finite")
+                largest = max(map(abs, numbers), default=0.0)
+                if key == "rpy" and largest > MOST_TURN:
+                    raise InputError(f"{where}: is more than a turn; a URDF has radians, and this looks like degrees")
+                if tag in ("origin", "mimic", "mass") and largest > LENGTH.most:
+                    raise InputError(f"{where}: allowed: up to {LENGTH.most:g}; a URDF has metres and kilograms")
 
 
 class Tree:

@@ -95,7 +95,10 @@ def test_speeds_of_another_unit_than_they_say(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        ({"q2_rad": np.full(len(T), 0.3)}, "joint 2 never moves (0 mrad): of it only the load that it holds is told"),
+        (
+            {"q2_rad": np.full(len(T), 0.3), "command2_rad": np.full(len(T), 0.3)},
+            "joint 2 never moves (0 mrad): of it only the load that it holds is told",
+        ),
         ({"q2_rad": np.round(3 * np.sin(T)) * 1.5e-3}, "joint 2 moves by 6 steps of its encoder (9 mrad): too little"),
         (
             {"q2_rad": np.round(0.1 * np.sin(0.1 * T) / 1e-4) * 1e-4},
@@ -146,6 +149,44 @@ def test_degrees_called_radians_are_refused(tmp_path) -> None:
         said(tmp_path, TWO, q1_rad=small[:, 0], q2_rad=small[:, 1], command1_rad=None, command2_rad=None)
     with pytest.raises(InputError, match=r"readings of joint 1 are 57.3 times its commands: degrees called"):
         said(tmp_path, q1_rad=small[:, 0], q2_rad=small[:, 1], command1_rad=0.15 * motion(T)[:, 0])
+
+
+def test_readings_that_were_not_measured_are_refused(tmp_path) -> None:
+    still = np.full(len(T), 0.3)
+    with pytest.raises(
+        InputError, match=r"joint 2: 0.3 rad in all 3000 rows, though its commands move by 1 rad: .*Log"
+    ):
+        said(tmp_path, q2_rad=still)
+    with pytest.raises(InputError, match="no joint moves, each reading is one number in all 3000 rows; log a motion"):
+        said(tmp_path, q1_rad=still, q2_rad=still, command1_rad=None, command2_rad=None)
+
+
+def test_what_is_logged_of_some_joints_alone_is_left_out(tmp_path) -> None:
+    text = said(tmp_path, TWO, current1_A=None)
+    assert "current is left out, for there is none of joint 1. Log it of every joint" in text
+    with pytest.raises(InputError, match="neither commands nor a torque or current"):
+        said(tmp_path, TWO, current1_A=None, command1_rad=None)
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault"),
+    [
+        ({"payload_kg": np.full(len(T), -5)}, "row 2, column 'payload': -5 is not possible; allowed: 0 to 100000"),
+        ({"temperature1_degC": np.full(len(T), -400.0)}, "'temperature joint 1': -400 is not possible; allowed: -273"),
+        ({"time_s": np.full(len(T), 1.0)}, "time grows in none of its 3000 rows from the row before in its run"),
+        ({"run": np.arange(len(T))}, "time grows in none of its 3000 rows"),
+        ({"time_s": 100 * T}, "rows lie 1 s apart; a motion is logged some times a second"),
+    ],
+)
+def test_cells_that_cannot_be_are_refused(tmp_path, changes, fault) -> None:
+    with pytest.raises(InputError, match=fault):
+        said(tmp_path, **changes)
+
+
+def test_a_heading_that_is_there_twice_is_refused(tmp_path) -> None:
+    (tmp_path / "log.csv").write_text("time_s,q1_rad,q1_rad,command1_rad\n0,1,1,1\n0.1,2,2,2\n")
+    with pytest.raises(InputError, match="column 'q1_rad' is there twice; keep one"):
+        read_log(tmp_path / "log.csv")
 
 
 def test_a_unit_that_changes_is_refused_with_its_row(tmp_path) -> None:

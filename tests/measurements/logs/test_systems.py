@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from sqlite3 import connect
 
 import numpy as np
 import pandas as pd
@@ -101,6 +102,17 @@ def test_bags_that_cannot_be_used(tmp_path) -> None:
     (tmp_path / "damaged.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(100))
     with pytest.raises(InputError, match="not a readable bag"):
         read_log(tmp_path / "damaged.mcap")
+    odd = "insert into topics values(1,NULL,NULL,'cdr','')"
+    with connect(tmp_path / "odd.db3") as database:
+        database.executescript(
+            "create table topics(id,name,type,serialization_format,offered_qos_profiles);"
+            f"create table messages(id,topic_id,timestamp,data);{odd};insert into messages values(1,1,NULL,NULL)"
+        )
+    (tmp_path / "meta").mkdir()
+    (tmp_path / "meta" / "metadata.yaml").write_text("rosbag2_bagfile_information: 5")
+    for path in (tmp_path / "odd.db3", tmp_path / "meta"):
+        with pytest.raises(InputError, match="not a readable bag: damaged, or of a form that is not known; record it"):
+            read_log(path)
     with pytest.raises(InputError, match="no such file"):
         read_log(tmp_path / "none.db3")
     with pytest.raises(InputError, match="a folder without state_motor"):

@@ -270,6 +270,24 @@ def test_a_column_nearly_named_right_is_pointed_at(tmp_path: Path) -> None:
     assert "is 'payload_kg' meant?" in said(precheck(made), "warning")
 
 
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        ({"Weight": 1.0}, "is 'weight' meant?"),
+        ({"approach9": 1.0}, "column 'approach9' has no effect: this robot has 6 joints"),
+        ({"tilt_x_deg": 1.0, "tilt_y_deg": 2.0}, 'the robot file takes it as still: write frame = "logged"'),
+    ],
+)
+def test_a_column_that_this_robot_has_no_use_for_is_named(tmp_path: Path, columns: dict, words: str) -> None:
+    assert words in said(precheck(problem_with(tmp_path, lambda t: t.assign(**columns))), "warning")
+
+
+def test_sessions_of_single_poses_are_not_taken_for_slips(tmp_path: Path) -> None:
+    told = said(precheck(problem_with(tmp_path, lambda t: t[:30].assign(session=range(30)))), "error")
+    assert "session '0' has 1 poses; where its base and tool are cannot be determined from fewer than 6" in told
+    assert "units:" not in told
+
+
 def test_an_open_four_bar_is_an_error_and_one_nearly_folded_a_warning(tmp_path: Path) -> None:
     table = pd.read_csv(ROOT / "data" / "hh800_twin" / "hh800_twin.csv")
     for k, (q3, level, words) in enumerate(((269.0, "error", "four-bar"), (256.0, "warning", "nearly folded"))):

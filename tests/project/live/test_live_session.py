@@ -402,6 +402,24 @@ def test_a_pose_beyond_the_limits_is_doubted_and_a_lost_cell_is_said(arm: Path) 
     assert {told[k]["state"] for k in (0, 1, 2, 3, 4, 7)} == {"good"}
 
 
+def test_positions_that_no_robot_reaches_are_doubted(arm: Path) -> None:
+    told = measured(arm, series(12), lambda k, v: [*v[:6], *(1e3 * x for x in v[6:])])
+    assert sum(r["state"] == "doubtful" for r in told) >= 10
+    assert any("from the others, and the robot reaches" in r["why"] for r in told if r["state"] == "doubtful")
+
+
+def test_what_the_command_writes_is_not_followed(arm: Path) -> None:
+    done = run("measure", arm, "--no-page", "--follow", arm / "measured.csv")
+    assert done.returncode == 2
+    assert "measured.csv: is what this command writes itself; name what the instrument writes" in done.stderr
+
+
+def test_a_folder_that_is_not_there_is_not_made(tmp_path: Path) -> None:
+    done = run("measure", "none", "--no-page", "--simulate", "1", folder=tmp_path)
+    assert (done.returncode, [*tmp_path.iterdir()]) == (2, [])
+    assert "none/problem.toml: no such file" in done.stderr
+
+
 def test_a_clock_that_goes_back_and_another_robots_table_are_said_in_the_terminal_too(arm: Path) -> None:
     rows = series(5)
     with journal(arm) as (course, add):

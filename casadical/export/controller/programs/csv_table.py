@@ -70,7 +70,7 @@ def _table(path: str) -> RawTable:
     if table.form.separator != "," or table.form.sheet:
         form = "a workbook" if table.form.sheet else f"separated by {table.form.separator!r}"
         raise InputError(f"{path}: is {form}; a program is read and written with commas and decimal points, as CSV")
-    if STATUS in table.header:
+    if STATUS in map(str.casefold, table.header):
         raise InputError(
             f"{path}: column {STATUS!r} is there already: this program was corrected before; correct the original"
         )

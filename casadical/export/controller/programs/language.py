@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from casadical.core.basics import Array, InputError
+from casadical.core.basics import Array, InputError, errors_of
 from casadical.core.transforms import frame, from_rpy, to_rpy
 from casadical.export.controller.programs.target import DEG, MM, Given, Target
 
@@ -72,7 +72,8 @@ class ProgramLanguage(ABC):
         """A tool or base in a program, shape (4, 4) [m]. Raises InputError that begins with `where`."""
         if not np.isfinite(values).all():
             raise InputError(f"{where}: a tool or base needs finite numbers, {self.pose}")
-        return self.matrix(values)
+        with errors_of(f"{where}: "):
+            return self.matrix(values)
 
     def transform(self, option: str, text: str) -> Array:
         """A pose that a user gives as the controller shows it, shape (4, 4) [m]. Raises InputError."""
@@ -82,7 +83,7 @@ class ProgramLanguage(ABC):
             numbers = []
         if len(numbers) != len(self.units) or not np.isfinite(numbers).all():
             raise InputError(f"{option} {text}: give {len(self.units)} numbers with commas, {self.pose}")
-        return self.matrix(np.array(numbers) * self.units)
+        return self.frame(f"{option} {text}", np.array(numbers) * self.units)
 
     def shown(self, T: Array) -> str:
         """The numbers of a transform, shape (4, 4) [m], as `transform` takes them."""

@@ -287,7 +287,10 @@ def _of_sources(sources: Sources, oriented: bool) -> list[str]:
 
 def _transforms(language: ProgramLanguage, option: str, entries: Sequence[str] | None) -> dict[str, Array]:
     pairs = [entry.rpartition("=")[::2] for entry in entries or []]
-    return {name.strip(): language.transform(option, numbers) for name, numbers in pairs}
+    names = [name.strip() for name, _ in pairs]
+    if twice := next((text for name, (_, text) in zip(names, pairs, strict=True) if names.count(name) > 1), ""):
+        raise InputError(f"{option} {twice}: one of this name is given twice; keep one")
+    return {name: language.transform(option, numbers) for name, (_, numbers) in zip(names, pairs, strict=True)}
 
 
 def _frame(language: ProgramLanguage, option: str, text: str | None) -> Array:

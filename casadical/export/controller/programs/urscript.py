@@ -35,6 +35,7 @@ COMMENT.4: /#[^\n]*/
 %ignore COMMENT
 """
 _MOTIONS = {"movej": 1, "movel": 1, "movep": 1, "movec": 2, "servoj": 1, "servoc": 1}
+_LONGEST = 3.0  # m: no tool of a UR is longer
 _FARTHEST = 20.0  # m: no pose of a UR is farther; more is in millimetres
 _MOST_TURNS = 4 * np.pi  # rad: more is in degrees
 
@@ -114,7 +115,12 @@ class _Program:
     def _call(self, call: Tree[Token]) -> None:
         name, arguments = str(call.children[0]), parts(call, "argument")
         if name == "set_tcp" and arguments:
-            self.tools[call.meta.line] = _si(self._resolved(arguments[0]))
+            tool = self.tools[call.meta.line] = _si(self._resolved(arguments[0]))
+            if tool is not None and (away := np.abs(tool[:3]).max()) > _LONGEST:
+                raise InputError(
+                    f"{self.source}: line {call.meta.line}: the tool is {away:g} m long; URScript has metres, and this "
+                    "looks like millimetres"
+                )
         elif name == "get_inverse_kin" and arguments:
             near = next((self._resolved(a) for a in arguments[1:] if _keyword(a) in ("", "qnear")), None)
             for word in (word for argument in arguments[1:] for word in words(argument, "NAME")):

@@ -71,6 +71,14 @@ def statuses(tmp_path, cell, name, text, given=None):
         ("p.script", "set_tcp(p[0,0,0.1,0,0,0])\nmovej([0,0,0,0,0,0])\nset_tcp(p[0,0,0.2,0,0,0])\n", "line 3.*split"),
         ("p.script", "movej([0,0,0,0,0,0])\nmovel(p[350,0,200,0,3.14,0])\n", "line 2.*millimetres"),
         ("p.script", "movej([0,-90,90,0,0,0])\n", "line 1.*degrees"),
+        ("p.script", "set_tcp(p[40,20,120,0,0,0])\nmovej([0,0,0,0,0,0])\n", "line 1: the tool is 120 m.*millimetres"),
+        (
+            "p.mod",
+            "PERS tooldata t1:=[TRUE,[[0,0,1],[0,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]];\n"
+            f"MoveL {ROBTARGET},v1,fine,t1;\n",
+            "p.mod: line 1: .*its length is 0; it must be 1",
+        ),
+        ("p.csv", "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,Correction_Status\n1,2,3,4,5,6,OK\n", "corrected before"),
         ("p.ls", "/POS\n" + LS.format(config="'N U T, 0, 0, 0'", unit="inch"), "line 2.*X is given in inch"),
         (
             "p.ls",
