@@ -34,7 +34,7 @@ WRONG = {
     "a header": ("q1_deg,q2_deg,x_mm\n", "a header but no rows"),
     "a cell too many": ("q1_deg,q2_deg,x_mm,y_mm,z_mm\n1,2,3,4,5,\n", "row 2 has 6 cells, the header 5"),
     "a name twice": ("q1_deg,q2_deg,x_mm, x_mm\n1,2,3,4\n", "column 'x_mm' is there twice"),
-    "an open quote": ('q1_deg,q2_deg\n"1,2\n', "not a readable CSV table: unexpected end of data"),
+    "an open quote": ('q1_deg,q2_deg\n"1,2\n', "not a readable CSV table: row 2: unexpected end of data"),
 }
 
 
