@@ -18,7 +18,7 @@ tests/robot ...` runs tests once and adds what they call; a mutant whose tests a
 A run works in a copy of the repository, appends a line to the log for each mutant with the commit that it was made on,
 and leaves out what ran on a killed mutant before: `--room effects --most 20` runs the next twenty of one room, `--again
 WORDS` those whose name contains the words, `--again ""` all, `--lived` those
-that lived. `--list` prints all mutants, `--tests FILES` runs only these tests.
+that lived and are not argued as equivalent. `--list` prints all mutants, `--tests FILES` runs only these tests.
 """
 
 from __future__ import annotations
@@ -196,7 +196,7 @@ def wanted(given: argparse.Namespace, mutant: Mutant, line: dict[str, Any] | Non
     """Whether to run a mutant whose last line in the log is this."""
     if given.again is not None:
         return given.again in mutant.name
-    return line is None or (given.lived and line["outcome"] != "killed")
+    return line is None or (given.lived and line["outcome"] != "killed" and mutant.key not in EQUIVALENT)
 
 
 def note(log: Path, lines: list[dict[str, Any]]) -> None:
