@@ -9,6 +9,7 @@ from casadical import InputError, Measurements
 from casadical.core.transforms import from_rpy
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
+from casadical.identification.misfit import misfit_of
 from casadical.identification.undetermined import undetermined
 from tests.identification import arms
 
@@ -132,6 +133,7 @@ def test_places_of_wires_in_one_table_are_found_by_their_names() -> None:
     length += arms.NOISE * np.random.default_rng(1).normal(size=150)
     label = np.array(["left", "right", "behind"], dtype=object)[which]
     found = identify(robot, Measurements(q, "distance", distance=length, label=label), FREE)
+    assert 1 <= misfit_of(found) < 1.5  # of noise alone
     where = np.array([found.unknown_points[f"0/{name}"] for name in ("left", "right", "behind")])
     apart = [np.linalg.norm(where[i] - where[j]) for i, j in ((0, 1), (1, 2), (0, 2))]
     assert apart == pytest.approx([np.linalg.norm(far[i] - far[j]) for i, j in ((0, 1), (1, 2), (0, 2))], abs=2e-3)

@@ -1,6 +1,7 @@
 """The figures carry the numbers they claim, by other ways of computing them."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -125,6 +126,8 @@ def test_many_poses_are_thinned_and_said_to_be() -> None:
         1e3 * models[0].length.max(), abs=1e-5
     )  # of all
     assert len(draw(workspace(poses)).to_json()) < 400_000
+    np.testing.assert_array_equal(poses.thinned(2).models[0].vector, error[[0, -1]])
+    assert made_up().thinned(2).models[0].vector is None
 
 
 def made_up(n: int = 60, **changes: object) -> PoseErrors:
@@ -174,6 +177,8 @@ def test_quantiles_of_normal_noise_lie_in_their_band_and_a_wrong_row_does_not() 
         inside = (points.y <= high) & (points.y >= low)
         assert inside.mean() > 0.95
         assert inside[-1] == (residuals is noise)
+    # About the middle one of n normal numbers: 1.96 roots of pi / (2 n) on either side.
+    assert (high - low)[half // 2] == pytest.approx(2 * 1.96 * np.sqrt(np.pi / 2 / noise.size), rel=0.01)
     assert max(points.y) == 9.0
 
 
@@ -186,6 +191,9 @@ def test_ellipses_are_those_of_the_covariance(hh800, figures) -> None:
     ellipse = np.stack([figures["fit/pairs"].data[0].x, figures["fit/pairs"].data[0].y])
     distance = (ellipse * np.linalg.solve(C, ellipse)).sum(axis=0)
     assert distance == pytest.approx(5.991, rel=0.05)  # chi squared, two degrees of freedom, 95 %
+    told = [note for note in figures["fit/pairs"].layout.annotations if re.fullmatch(r"[+-]\d\.\d\d", note.text)]
+    assert len(told) == len(names) * (len(names) - 1) / 2
+    assert all((note.x < 0.5) == note.text.startswith("+") for note in told)  # where the ellipse is not
 
 
 def test_the_coverage_has_every_reading_between_the_limits(hh800, figures) -> None:
