@@ -95,7 +95,8 @@ RANGES = {"a": (-4.0, 4.0), "x": (-2.0, 3.0), "y": (1.0, 2.0)}
         ("-x + abs(x)", -3, 5),
         ("exp(x) * step(a)", 0, np.exp(3)),
         ("sqrt(x*x + 1)", 1, np.sqrt(10)),
-        ("min(x, y) + max(x, y)", -1, 5),
+        ("min(x, y)", -2, 2),
+        ("max(x, y)", 1, 3),
         ("[sin(x), 2*cos(a), tanh(x) * sign(a)]", -2, 2),
     ],
 )

@@ -139,6 +139,11 @@ def test_a_file_with_a_bad_formula_is_refused(tmp_path: Path) -> None:
         read_robot(tmp_path / "bad.toml")
 
 
+def test_an_approach_is_from_either_side() -> None:
+    with pytest.raises(InputError, match="may become greater"):
+        with_law(Law(2, "joint", "a * exp(1 / (approach2 - 0.5))"), 1e-4)
+
+
 def test_a_simulator_has_no_counterpart() -> None:
     whole = with_law(Law(2, "joint", "a * abs(tau3)"), 1e-4)
     omissions = counterparts(whole).left_out

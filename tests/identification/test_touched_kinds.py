@@ -134,6 +134,7 @@ def test_places_of_wires_in_one_table_are_found_by_their_names() -> None:
     label = np.array(["left", "right", "behind"], dtype=object)[which]
     found = identify(robot, Measurements(q, "distance", distance=length, label=label), FREE)
     assert 1 <= misfit_of(found) < 1.5  # of noise alone
+    assert not [*undetermined(found.measurements, found.unknown_points)]  # three places, not in line
     where = np.array([found.unknown_points[f"0/{name}"] for name in ("left", "right", "behind")])
     apart = [np.linalg.norm(where[i] - where[j]) for i, j in ((0, 1), (1, 2), (0, 2))]
     assert apart == pytest.approx([np.linalg.norm(far[i] - far[j]) for i, j in ((0, 1), (1, 2), (0, 2))], abs=2e-3)

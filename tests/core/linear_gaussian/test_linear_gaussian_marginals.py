@@ -69,6 +69,14 @@ def test_marginal_likelihood_is_the_normal_density(name: str, chosen: np.ndarray
                     assert grids[g, point, s, k] == pytest.approx(expected, rel=1e-7, abs=1e-6)
 
 
+def test_a_projection_has_the_same_likelihood() -> None:
+    model = small_model()
+    for base, ratio in zip(Marginals(model).log_base(), RATIOS["joints"], strict=True):
+        projected = model.projection({"joints": ratio})
+        likelihood = model.log_over_sigmas(float(projected.y @ projected.y), projected.log_norm)
+        np.testing.assert_allclose(likelihood, base, rtol=1e-7)
+
+
 @pytest.mark.parametrize("ratios", [RATIOS, TWO], ids=["one component", "two components"])
 def test_looking_ahead_changes_nothing(ratios: dict[str, np.ndarray]) -> None:
     model, sets = small_model(ratios), [np.array([3]), np.array([4])]
