@@ -1,5 +1,6 @@
 """Parts of a search for poses: depth of the exchange, size of the pool, order, digits of the table."""
 
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from casadical.core.basics import InputError
 from casadical.pose_selection import experimental_design, pose_search
 from casadical.pose_selection.candidates import Candidates, Circumstances
 from casadical.pose_selection.pose_search import select_poses
-from casadical.pose_selection.selection import TIME_PARTS, arranged
+from casadical.pose_selection.selection import TIME_PARTS, arranged, short_path
 from casadical.pose_selection.workspace import read_workspace
 
 ROBOT = planar()
@@ -78,3 +79,21 @@ def test_the_table_for_the_robot_tells_micrometres() -> None:
     assert (np.round(shown, 3) == shown).all()
     np.testing.assert_allclose(shown, 1e3 * found.m.position, rtol=0, atol=5.001e-4)
     assert list(found.table.columns[:3]) == ["pose", "q1_deg", "q2_deg"]
+
+
+def test_the_path_is_the_shortest_of_the_greedy_ones() -> None:
+    rng = np.random.default_rng(0)
+    at, before = rng.uniform(size=(9, 2)), rng.uniform(0, 3, 9)
+    D = np.linalg.norm(at[:, None] - at, axis=2)
+
+    def length(path: np.ndarray) -> float:
+        return float(before[path[0]] + sum(D[i, j] for i, j in itertools.pairwise(path)))
+
+    greedy = []
+    for start in range(9):
+        path, left = [start], {*range(9)} - {start}
+        while left:
+            path.append(min(left, key=lambda j: D[path[-1], j]))
+            left.remove(path[-1])
+        greedy.append(length(np.array(path)))
+    assert length(short_path(D, before)) == pytest.approx(min(greedy))
