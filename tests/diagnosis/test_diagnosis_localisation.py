@@ -97,6 +97,7 @@ def test_tables_have_stable_columns_and_sum_to_one() -> None:
         assert (table["share"] <= table["high"] + 1e-12).all()
         assert (table.groupby("by")["poses"].sum() == int(diagnosed("ur10e-P06").case.kept.sum())).all()
     assert set(w.payload["part"]) == {"0 kg", "10 kg"}
+    assert list(w.time["part"]) == [f"quarter {k} of 4" for k in (1, 2, 3, 4)]
 
 
 def doctored(change: np.ndarray) -> Case:

@@ -119,6 +119,16 @@ def test_given_candidates_are_chosen_from(robot) -> None:
     assert len({tuple(v) for v in found.q}) == 20
 
 
+def test_poses_keep_their_distance_or_may_be_chosen_again(robot) -> None:
+    q = readings(robot, 60, 5)
+    far = select_poses(robot, q, 12, "D", min_distance=0.3).q
+    lower, upper = robot.limits
+    share = (np.abs(far[:, None] - far) / (upper - lower)).max(axis=2)
+    assert share[~np.eye(12, dtype=bool)].min() > 0.3
+    few = select_poses(robot, q[:8], 12, "D", min_distance=None)
+    assert len(few.q) == 12 > len(np.unique(few.q, axis=0))
+
+
 def test_measured_poses_count_and_are_not_measured_again(robot) -> None:
     before = positions(robot, readings(robot, 15, 3), 0, SIGMA)
     found = select_poses(robot, np.concatenate([before.q, readings(robot, 80, 4)]), 10, measured=before)

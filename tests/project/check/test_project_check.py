@@ -15,9 +15,10 @@ from command_line import run
 sys.path.insert(0, str(Path(__file__).parents[2] / "cli"))
 import first_hour
 
-from casadical import calibrate
+from casadical import Measurements, calibrate
 from casadical.identification.identification import identify
 from casadical.project.check import Precheck, precheck
+from casadical.project.check.plausible import repeats
 from casadical.project.new import new_problem
 from casadical.project.problem import read_problem
 
@@ -326,3 +327,10 @@ def test_poses_that_determine_nothing_at_a_noise_are_an_error() -> None:
     assert not found.ok
     assert "with noise of 2e+03 mm a coordinate these poses determine no parameter" in said(found, "error")
     assert found.outlooks[0].held_out is None
+
+
+def test_repeated_readings_tell_their_scatter() -> None:
+    q = np.repeat([[0.0], [0.5], [1.0]], 2, axis=0)
+    off = np.tile([[1e-4, 0.0, 0.0], [-1e-4, 0.0, 0.0]], (3, 1))
+    # Six squares of 0.1 mm, over three coordinates of the three readings that are more than one each.
+    assert repeats(Measurements(q, "position", position=off)) == (3, pytest.approx(np.sqrt(6e-8 / 9)))
