@@ -27,6 +27,8 @@ directions,1,1,1,0,100,200,300,100.0,200.0,300.0
 directions,1,2,1,0,100,200,300,100.0,200.2,300.0
 directions,1,1,2,0,100,200,300,100.3,200.1,300.4
 directions,1,1,3,0,100,200,300,100.0,200.1,300.1
+directions,2,1,1,0,0,0,0,0.0,0.0,1.0
+directions,2,1,2,0,0,0,0,0.0,0.2,1.0
 drift,1,1,0,0,100,200,300,100.1,200,300
 drift,1,2,0,0,100,200,300,100.1,200,300
 drift,1,1,0,1,100,200,300,100.4,200,300
@@ -54,7 +56,7 @@ def test_the_figures_are_those_of_a_sheet_by_hand(sheet):
     assert pytest.approx(1.1) == 1e3 * second.AP
     assert pytest.approx(0.1) == 1e3 * second.RP
     # Means of the paths: (100, 200.1, 300), (100.3, 200.1, 300.4), (100, 200.1, 300.1): .5 apart at most.
-    assert 1e3 * found.directions[1] == pytest.approx(0.5)
+    assert {k: 1e3 * apart for k, apart in found.directions.items()} == pytest.approx({1: 0.5, 2: 0.2})
     # AP .1, .3, .2: dAP .2. RP 0, then l = .1, .1 and S = 0, then 0: dRP .1.
     assert found.drift is not None
     np.testing.assert_allclose(1e3 * np.array(found.drift), [0.2, 0.1], atol=1e-9)
