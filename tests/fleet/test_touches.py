@@ -148,6 +148,7 @@ def test_where_touches_do_not_decide_two_more_are_named(place, tmp_path):
     more = np.deg2rad(found.more[[f"q{j}_deg" for j in range(1, 7)]].to_numpy(dtype=float))
     again = touched(file, [day(tmp_path, 1, true, np.vstack([q, more]))], tolerance_mm=tolerance)
     assert again.probability > found.probability
+    assert again.page().tiles[0].value == f"{100 * again.probability:.1f}" > "50"
 
 
 def test_a_fleet_whose_tools_are_hit_makes_the_tool_more_probable(place, tmp_path):
