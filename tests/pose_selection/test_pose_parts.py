@@ -81,8 +81,13 @@ def test_the_table_for_the_robot_tells_micrometres() -> None:
     assert list(found.table.columns[:3]) == ["pose", "q1_deg", "q2_deg"]
 
 
-def test_the_path_is_the_shortest_of_the_greedy_ones() -> None:
-    rng = np.random.default_rng(0)
+def test_a_reading_is_measured_in_every_pass_from_both_sides() -> None:
+    assert Circumstances(both_approaches=True, repeats=3).size(planar()) == 6
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_path_is_the_shortest_of_the_greedy_ones(seed: int) -> None:
+    rng = np.random.default_rng(seed)
     at, before = rng.uniform(size=(9, 2)), rng.uniform(0, 3, 9)
     D = np.linalg.norm(at[:, None] - at, axis=2)
 
