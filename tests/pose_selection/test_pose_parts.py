@@ -88,7 +88,7 @@ def test_a_reading_is_measured_in_every_pass_from_both_sides() -> None:
 @pytest.mark.parametrize("seed", range(6))
 def test_the_path_is_the_shortest_of_the_greedy_ones(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    at, before = rng.uniform(size=(9, 2)), rng.uniform(0, 3, 9)
+    at, before = rng.uniform(size=(9, 2)), rng.uniform(0, 0.5, 9)
     D = np.linalg.norm(at[:, None] - at, axis=2)
 
     def length(path: np.ndarray) -> float:
