@@ -59,8 +59,8 @@ def statuses(tmp_path, cell, name, text, given=None):
         ("p.mod", f"MoveL {ROBTARGET},v1,fine,t1;\nPDispOn p1,p2,t1;\n", "line 2.*displaces"),
         (
             "p.mod",
-            f"CONST robtarget p1:={ROBTARGET};\nMoveL p1,v1,fine,t1;\nMoveL p1,v1,fine,t2;\n",
-            "line 3.*tool t2.*line 2.*t1",
+            f"CONST robtarget p1:={ROBTARGET};\nMoveL p1,v1,fine,t1\\WObj:=w1;\nMoveL p1,v1,fine,t2;\n",
+            "line 3.*tool t2 and work object wobj0, in line 2 with t1 and w1",
         ),
         (
             "p.mod",
