@@ -76,7 +76,7 @@ EQUIVALENT: dict[str, str] = {
     "robot/model.py ReplaceTrueWithFalse 0: @dataclass(frozen=True, eq=False) => @dataclass(frozen=False, eq=False)": "frozen keeps from assigning; nothing assigns",
     "robot/robot.py ReplaceTrueWithFalse 0: @dataclass(frozen=True, eq=False) => @dataclass(frozen=False, eq=False)": "frozen keeps from assigning; nothing assigns",
     "measurements/columns.py NumberReplacer 69: rows = slice(max(0, -min(shifts, default=0)), len(self.table) - max(0, *shifts, 0)) => rows = slice(max(0, -min(shifts, default=0)), len(self.table) - max(0, *shifts, -1))": "zero is in the maximum already",
-    "measurements/headings.py NumberReplacer 131: return \"joint\", str(int(numbers[0])), rest | joint => return \"joint\", str(int(numbers[ -1])), rest | joint": "there is one number: the last is the first",
+    'measurements/headings.py NumberReplacer 131: return "joint", str(int(numbers[0])), rest | joint => return "joint", str(int(numbers[ -1])), rest | joint': "there is one number: the last is the first",
     "identification/placement.py ReplaceTrueWithFalse 0: @dataclass(frozen=True, eq=False) => @dataclass(frozen=False, eq=False)": "frozen keeps from assigning; nothing assigns",
     "diagnosis/laws/contest.py ReplaceTrueWithFalse 2: for candidate, group in zip(listed, groups, strict=True): => for candidate, group in zip(listed, groups, strict=False):": "groups are made of the same list",
     "diagnosis/motion/proposal.py ReplaceFalseWithTrue 0: @dataclass(frozen=True, eq=False) => @dataclass(frozen=True, eq=True)": "nothing compares two of them",
