@@ -313,8 +313,9 @@ def looks_of(
     of_command = log.torque is None and (log.current is None or log.current_unsigned or arm.per_ampere is None)
     if of_command and log.command is None:
         raise InputError(
-            f"{log.source}: a current without a torque constant, and no commands; give torque_constant_Nm_per_A and "
-            "gear_ratio in [drive] of the robot file, or log command1_rad ..."
+            f"{log.source}: a current without a torque constant, and no commands of every joint; give "
+            "torque_constant_Nm_per_A and gear_ratio in [drive] of the robot file, or log command1_rad to "
+            f"command{arm.joints}_rad"
         )
 
     def seen(one: JointLog, of: Arm, great: Array | None = None) -> Look:
