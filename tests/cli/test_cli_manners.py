@@ -12,7 +12,7 @@ from pathlib import Path
 import click
 import pytest
 import typer
-from command_line import ROOT, main
+from command_line import ROOT
 
 from casadical.cli import app
 from casadical.cli.terminal import DIAGNOSIS, share
@@ -227,9 +227,3 @@ def test_linear_algebra_has_one_thread_unless_the_environment_says_how_many() ->
             [sys.executable, "-c", code], env={**bare, **given}, capture_output=True, text=True, check=True
         )
         assert run.stdout.splitlines()[-1] == expected
-
-
-def test_brackets_in_a_name_are_no_markup(tmp_path, monkeypatch, capfd):
-    shutil.copytree(ROOT / "problems" / "planar", tmp_path / "[red]arm")  # without its data
-    main(monkeypatch, "check", tmp_path / "[red]arm")
-    assert "[red]arm: NOT READY" in capfd.readouterr().out

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from bench import campaign, robot
 
-from casadical.effects import FrictionWindup, GravityCompensator, MissingCompliance, NonlinearStiffness
+from casadical.effects import FrictionWindup, MissingCompliance, NonlinearStiffness
 from casadical.effects.base import RIGID, Counterparts, Drive
 from casadical.effects.plugins import known_effects
 from casadical.effects.registry import FrameSettling
@@ -99,7 +99,3 @@ def test_any_function_of_another_angle_is_that_angles() -> None:
     expected = predicted(arm, replace(poses, q=q))[0]
     whole = np.abs(expected - predicted(arm, poses)[0]).max()
     np.testing.assert_allclose(found, expected, rtol=0, atol=0.01 * whole)
-
-
-def test_a_compensators_phase_may_be_below_zero() -> None:
-    assert GravityCompensator(2, phase=-0.5).phase == -0.5
