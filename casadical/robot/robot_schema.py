@@ -35,6 +35,8 @@ MOST_JOINTS = 100
 MOST_GRAVITY = 30.0
 # Beyond twice the arm's reach a mass centre may be so far from its joint [m].
 FAR_CENTRE = 1.0
+# Twists of a right and a straight angle in radians, read as degrees, to so much [rad].
+TWISTS, NEAR_TWIST = np.deg2rad([np.pi / 2, np.pi]), np.deg2rad(1e-3)
 
 Bar = Annotated[float, LENGTH, Field(gt=0)]
 
@@ -242,6 +244,10 @@ class RobotFile(TomlTable):
         names = [row.name for row in self.joint if row.name]
         for i in (i for i, row in enumerate(self.joint) if names.count(row.name) > 1):
             raise FaultError(("joint", i, "name"), "another joint has this name; each needs one of its own")
+        twists = np.array([abs(row.alpha) for row in self.joint])
+        in_radians = np.flatnonzero((np.abs(twists[:, None] - TWISTS) < NEAR_TWIST).any(axis=1))
+        if len(in_radians) > 1 and (twists < TWISTS[1] + NEAR_TWIST).all():  # of one alone it may be chance
+            raise FaultError(("joint", int(in_radians[0]), "alpha"), "looks like radians; write them as alpha_rad")
         if self.drive:
             self.drive.refuse_other(len(self.joint))
         return self

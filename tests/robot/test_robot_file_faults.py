@@ -31,6 +31,10 @@ FAULTS = {
     "boolean for a number": (("a_mm = 300", "a_mm = true"), ["joint[2].a_mm = true", "must be a valid number"]),
     "not finite": (("a_mm = 300", "a_mm = nan"), ["joint[2].a_mm = nan", "finite"]),
     "longer than any arm": (("a_mm = 300", "a_mm = 1e12"), ["joint[2].a_mm = 1000000000000", "allowed: at most 1e+07"]),
+    "twists in radians under a name of degrees": (
+        ("d_mm = 100", "alpha_deg = -1.5708\n[[joint]]\nalpha_deg = 3.142\n[[joint]]\nalpha_deg = 0"),
+        ["joint[1].alpha_deg = -1.5708", "looks like radians", "alpha_rad"],
+    ),
     "no unit": (("a_mm = 300", "a = 0.3"), ["joint[2].a = 0.3", "a_mm or a_m"]),
     "an angle's unit on a length": (("a_mm = 300", "a_deg = 3"), ["joint[2].a_deg = 3", "not a known key", "a_mm"]),
     "a length's unit on an angle": (("a_mm = 300", "theta_mm = 3"), ["joint[2].theta_mm", "theta_deg"]),

@@ -84,6 +84,8 @@ def test_frames_to_identify_and_limits(tmp_path):
     assert [(j.lower, j.upper) for j in arm.joints] == [(-1.5, 2.5), (0.0, 0.3), (-2 * np.pi, 2 * np.pi)]
     assert [j.kind for j in arm.joints] == ["revolute", "prismatic", "revolute"]
     assert arm.notes == ("from arm.urdf: a to d",)
+    path.write_text(path.read_text().replace('lower="-1.5"', 'lower="-150"'))
+    assert read_urdf(path).notes[1] == "the range of j1 looks like degrees, and is read as radians, as a URDF has them"
 
 
 def test_compliant_joints_are_named_by_number(tmp_path):
