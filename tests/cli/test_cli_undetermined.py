@@ -136,3 +136,6 @@ def test_far_ends_are_those_that_fit_the_distances_best() -> None:
     found = Distance().errors(arrays, p, lambda _: p)
     np.testing.assert_allclose(found, np.abs(best.fun), atol=1e-7)
     assert Distance().errors(arrays, p, lambda _: p).max() < 4e-4
+    flat = p * [1, 1, 0]  # beside a plane the far end stands on either side of it
+    exact = {"distance": np.linalg.norm(flat - [0.3, 0.2, 0.7], axis=1)}
+    np.testing.assert_allclose(np.abs(Distance().start(exact, flat)), [0.3, 0.2, 0.7], atol=1e-9)

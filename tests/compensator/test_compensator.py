@@ -281,6 +281,7 @@ def test_failed_write_leaves_the_old_file(helping, tmp_path, monkeypatch):
         ({"residual_mm": np.full((50, 3), np.nan)}, r"residual_mm\[0, 0\] is nan"),
         ({"q": np.zeros((9, 6)), "residual_mm": np.zeros((9, 3))}, "too few"),
         ({"q": [["a"] * 6] * 50}, "numbers"),
+        ({"residual_mm": np.zeros(50), "layout": None}, r"its shape is \(50,\)"),
         ({"folds": 1}, "folds"),
         ({"margin": -1.0}, "margin"),
         ({"trainer": "adam"}, "backprop, iwo, lm, iwo-lm"),

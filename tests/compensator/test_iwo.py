@@ -113,6 +113,7 @@ def test_history_and_parents_compete():
     assert len(result.history.best) == 51
     assert result.history.evaluations[-1] == result.evaluations
     assert result.history.sigma[1] == 0.05
+    assert result.history.best[-1] == result.loss
 
 
 @pytest.mark.parametrize(

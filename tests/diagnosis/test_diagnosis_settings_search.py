@@ -15,7 +15,7 @@ from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.diagnosis.posterior import rank
 from casadical.diagnosis.settings_search import neighbours, refined
-from casadical.effects import Backlash, Effect, FrictionWindup, TransmissionRipple
+from casadical.effects import Backlash, Effect, FrictionWindup, GravityCompensator, TransmissionRipple
 from casadical.identification.identification import identify
 from casadical.measurements.measurements import Noise
 
@@ -84,3 +84,5 @@ def test_neighbours_move_one_setting_each() -> None:
     assert len(near) == 8
     assert all((e.friction == 0.05) != (e.width == 0.03) for e in near)
     assert neighbours(FrictionWindup(2), 1.0) == []
+    turned = [e.phase for e in neighbours(GravityCompensator(2), 1.0) if e.phase]
+    assert sorted(turned) == pytest.approx(sorted(-p for p in turned))  # to both sides of zero alike

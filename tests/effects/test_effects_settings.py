@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from bench import campaign, robot
 
-from casadical.effects import FrictionWindup, MissingCompliance, NonlinearStiffness
+from casadical import Joint, Placement, Robot
+from casadical.effects import FrictionWindup, LinkFlexure, MissingCompliance, NonlinearStiffness
 from casadical.effects.base import RIGID, Counterparts, Drive
 from casadical.effects.plugins import known_effects
 from casadical.effects.registry import FrameSettling
@@ -39,6 +40,12 @@ def test_settings_that_a_file_does_not_give(name: str) -> None:
 
 def test_a_frame_settles_within_a_fiftieth_to_a_third_of_the_campaign() -> None:
     assert [e.settles for e in FrameSettling.candidates(robot("ur10e"))] == [0.02, 0.05, 0.12, 0.3]
+
+
+def test_links_of_any_length_but_castings_bend() -> None:
+    links = [Joint(a=a, d=d) for a, d in ((5.0, 0), (1.0, 0), (0.2, 0), (0.0, 0.8))]
+    arm = Robot("arm", tuple(links), tool=Placement(np.eye(4)))
+    assert [e.member for e in LinkFlexure.candidates(arm)] == [1, 3]  # what is before joint 1 is no link
 
 
 def plain(joints: int = 3) -> Counterparts:

@@ -18,7 +18,7 @@ from casadical.core.version import NEXT, of_tree
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 BASE = [Path(p) for p in map(str, tracked()) if p.startswith("casadical/")]
 REPORTED = ("urdf", "xlsx", "plots", "report", "plan", "withheld", "mujoco")
-LEFT_OUT = ("plotly", "jinja2", "matplotlib", "yourdfpy", "openpyxl", "networkx", "mujoco", "scipy", "sklearn")
+LEFT_OUT = ("plotly", "jinja2", "matplotlib", "yourdfpy", "openpyxl", "networkx", "mujoco", "scipy", "sklearn", "fpdf")
 # Runs the program as often as there are lines, in a process in which the extras cannot be imported.
 PROGRAM = f"""
 import sys
@@ -63,15 +63,17 @@ def test_the_wheel_alone_takes_a_new_user_to_a_calibrated_robot(built, tmp_path)
     (wheel,) = built.glob("*.whl")
     with zipfile.ZipFile(wheel) as z:
         z.extractall(tmp_path / "site")
-    lines = ("new arm --example -q", "calibrate arm --out results", "calibrate arm -q --report r.html")
+    lines = ("new arm --example -q", "calibrate arm --out results", "certificate results -q",
+             "calibrate arm -q --report r.html", "certificate results -q --out c.pdf")  # fmt: skip
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM, str(tmp_path / "site"), *lines], cwd=tmp_path, capture_output=True, text=True,
         env={"PYTHONPATH": str(tmp_path / "site"), "HOME": str(tmp_path), "PATH": ""}, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert re.findall(r"^exit (\d+)$", done.stdout, re.MULTILINE) == ["0", "0", "2"]
+    assert re.findall(r"^exit (\d+)$", done.stdout, re.MULTILINE) == ["0", "0", "0", "2", "2"]
     assert (tmp_path / "results/SKCM.robot.toml").is_file()
     assert "pip install 'casadical[report]'" in " ".join(done.stderr.split())
+    assert "pip install 'casadical[certificate]'" in " ".join(done.stderr.split())
 
 
 def git(folder: Path, *command: str) -> None:

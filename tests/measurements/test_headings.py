@@ -126,6 +126,8 @@ def test_a_condition_with_its_unit_is_taken_beside_our_own_names(tmp_path: Path)
     m = read_measurements(path, 6)
     assert m.conditions["payload_kg"].tolist() == [0, 1, 2, 3, 4]
     assert "temperature_degC" not in m.conditions
+    path.write_text(path.read_text().replace("x_mm,y_mm,z_mm", "X [mm],Y [mm],Z [mm]"))  # names are foreign here
+    assert read_measurements(path, 6).conditions["temperature_degC"].tolist() == [20] * 5
 
 
 def test_a_column_is_made_as_its_source_says(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Measurements: units by name, kinds by their columns, named and disjoint splits."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -155,6 +156,8 @@ def test_pairs_across_two_sets_are_left_out():
     ends = [keys(s) | {row.tobytes() for row in s.other} for s in sets.values()]
     assert not ends[0] & ends[1]
     assert 20 < sum(len(s) for s in sets.values()) < 60
+    apart = replace(m, other=readings(60, seed=1) + 4).split({"identify": 0.3, "report": 0.3}, seed=1)
+    assert all(len(s) > 0 for s in apart.values())  # no pose is an end of two pairs
 
 
 def test_the_docs_list_every_kind_as_it_describes_itself():

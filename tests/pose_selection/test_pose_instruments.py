@@ -8,15 +8,15 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import main
-from pose_arms import elbow, readings
+from pose_arms import elbow, planar, readings
 
 from casadical import InputError, identify, write_robot
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import unmeasured
-from casadical.pose_selection import Noise, forecast, place_instrument
-from casadical.pose_selection.candidates import SOCKET, expected
+from casadical.pose_selection import Noise, Workspace, forecast, place_instrument
+from casadical.pose_selection.candidates import SOCKET, expected, held_in
 from casadical.pose_selection.experimental_design import inverse
-from casadical.pose_selection.instruments import Instrument, usual_places
+from casadical.pose_selection.instruments import Instrument, best_places, usual_places
 from casadical.pose_selection.pose_search import select_poses, select_with_places
 from casadical.project.planning import plan as planned
 
@@ -76,6 +76,27 @@ def test_places_are_not_chosen_in_a_line_where_others_are_offered(robot) -> None
     found = place_instrument(robot, "wires", np.concatenate([LINE, ANCHORS[1:]]), 3, noise=Noise(SIGMA))
     spread = np.linalg.svd(found.places - found.places.mean(axis=0), compute_uv=False)
     assert spread[1] > 0.3 * spread[0]
+
+
+def test_of_many_places_no_exchange_of_one_makes_the_set_better() -> None:
+    """So many that not all sets are tried."""
+    arm, noise, names = planar(), Noise(SIGMA), ["a1", "theta1", "theta2"]
+    places = np.random.default_rng(0).uniform(-2, 2, (60, 3))
+    m = expected(arm, readings(arm, 12, 0), {}, "test")
+
+    def variance(which) -> float:
+        rows = Instrument("wires", places[list(which)], known=True).rows(arm, names, m, noise).reshape(-1, 3)
+        return float(np.trace(np.linalg.inv(rows.T @ rows)))
+
+    best = best_places(arm, "wires", places, 3, True, names, m, noise, np.eye(3))
+    others = [{*best} - {i} | {k} for i in best for k in range(60)]
+    assert variance(best) <= 1.002 * min(variance(other) for other in others if len(other) == 3)
+
+
+def test_readings_that_hold_the_tool_in_a_socket_are_as_many_as_asked_for(robot) -> None:
+    q, which = held_in(robot, SOCKETS, 90, Workspace(), np.random.default_rng(0))
+    assert np.bincount(which.astype(int)).tolist() == [30, 30, 30]
+    np.testing.assert_allclose(expected(robot, q, {}, "test").position, SOCKETS[which.astype(int)], atol=1e-6)
 
 
 def test_chosen_sockets_promise_more_than_others_and_poses_lie_in_them(robot) -> None:

@@ -9,8 +9,9 @@ import pytest
 from pose_arms import planar
 
 from casadical.core.basics import InputError
+from casadical.effects.instrument import Session
 from casadical.pose_selection import experimental_design, pose_search
-from casadical.pose_selection.candidates import Candidates, Circumstances
+from casadical.pose_selection.candidates import Candidates, Circumstances, candidates_at, expected, later_poses
 from casadical.pose_selection.pose_search import select_poses
 from casadical.pose_selection.selection import TIME_PARTS, arranged, short_path
 from casadical.pose_selection.workspace import read_workspace
@@ -53,7 +54,7 @@ def test_the_pool_is_three_times_what_is_chosen_at_least(monkeypatch: pytest.Mon
 
 def test_poses_stay_in_their_part_of_the_campaign() -> None:
     rng = np.random.default_rng(0)
-    progress = np.array([0.9, 0.0, 0.3, 1.0, 0.05, 0.6])
+    progress = np.array([1.0, 0.0, 0.3, 0.9, 0.05, 0.6])
     q = rng.uniform(-1, 1, (6, ROBOT.n))
     m = arranged(ROBOT, Candidates(q, {"progress": progress[:, None]}), Circumstances(), travel=False)
     order = [int(np.flatnonzero((q == row).all(axis=1))[0]) for row in m.q]
@@ -79,6 +80,22 @@ def test_the_table_for_the_robot_tells_micrometres() -> None:
     assert (np.round(shown, 3) == shown).all()
     np.testing.assert_allclose(shown, 1e3 * found.m.position, rtol=0, atol=5.001e-4)
     assert list(found.table.columns[:3]) == ["pose", "q1_deg", "q2_deg"]
+
+
+def test_half_of_the_later_poses_lie_within_the_campaigns_ranges() -> None:
+    own = expected(ROBOT, np.random.default_rng(0).uniform(0.2, 0.6, (5, ROBOT.n)), {}, "campaign")
+    drawn = later_poses(ROBOT, own, np.ones(5, dtype=bool), (), 400, 0)
+    new = drawn.m.q[drawn.repeated < 0]
+    within = ((new >= own.q.min(axis=0)) & (new <= own.q.max(axis=0))).all(axis=1)
+    assert 200 <= within.sum() < 220
+
+
+def test_poses_are_planned_for_the_last_session() -> None:
+    arm = ROBOT.with_effect(*(Session(None, which=name) for name in "bcd"))
+    columns = candidates_at(arm, np.zeros((4, ROBOT.n)), Circumstances(), 4, np.random.default_rng(0)).conditions
+    assert {name: set(v.ravel()) for name, v in columns.items()} == {
+        "session_b": {0.0}, "session_c": {0.0}, "session_d": {1.0}
+    }  # fmt: skip
 
 
 def test_a_reading_is_measured_in_every_pass_from_both_sides() -> None:

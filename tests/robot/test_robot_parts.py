@@ -94,6 +94,8 @@ def test_effects_of_one_seam_add_up() -> None:
     one, two = Everywhere(2), Again(2)
     values = {f"{one.label}.turn": 0.01, f"{two.label}.turn": 0.02, f"{one.label}.seen": 0.1, f"{two.label}.seen": 0.2}
     arm = elbow().with_effect(one, two).with_values(values)
+    assert repr(arm).endswith("parameters, with everywhere@2, again@2>")
+    assert repr(elbow()).endswith("parameters>")
     expected = by_hand(READINGS[0], {"turn": 0.03}) * 1.1 * 1.2
     np.testing.assert_allclose(position(arm, READINGS[0]), expected, rtol=0, atol=1e-12)
 
@@ -104,6 +106,9 @@ def test_an_upright_joint_has_the_gear_of_a_twentieth() -> None:
     great = Robot("arm", joints, tool=Placement(np.eye(4))).torque_scale
     assert great[1] == pytest.approx(4 * 9.81 * 0.5, rel=0.02)
     assert great[0] == pytest.approx(SMALLEST_GEAR * great[1])
+    rail = Joint(kind="prismatic", lower=0, upper=1, body=Body(50.0, np.zeros(3)))
+    lifted = Robot("lift", (rail, *joints), tool=Placement(np.eye(4))).torque_scale
+    assert lifted[1] == pytest.approx(SMALLEST_GEAR * lifted[2])  # N m and N are not compared
     bare = Robot("arm", tuple(replace(j, body=None) for j in joints), tool=Placement(np.eye(4)))
     assert (bare.torque_scale > 0).all()  # something to divide by
 

@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,9 +10,11 @@ import pytest
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.drawing import draw
 from casadical.core.telling.figure import Figure
+from casadical.diagnosis.diagnose import diagnose
 from casadical.export.mjcf.replay import replay_blocks, replay_figure, stage_names
 from casadical.identification.accuracy import errors
 from casadical.identification.identification import identify
+from casadical.project.problem import read_problem
 
 
 @pytest.fixture(scope="module")
@@ -52,6 +55,13 @@ def test_a_cause_without_a_counterpart_is_no_stage(diagnosis) -> None:
     lost = replace(found, stages=(*found.stages[:2], replace(found.stages[2], lacking=("backlash@5",))))
     assert len(stage_names(lost)) == 2
     assert len(replay_figure(lost, 1e-5).series[0].x) == 2
+
+
+def test_a_robot_without_a_cause_is_replayed_as_calibrated(blocks) -> None:
+    problem = read_problem(Path(__file__).parents[3] / "problems" / "planar")
+    words, *_ = replay_blocks(diagnose(problem.robot, [*problem.sets["identify"]], ["backlash"]))
+    assert ", as calibrated by " in words.text
+    assert ", as diagnosed by " in blocks[0].text
 
 
 def test_without_mujoco_one_sentence_says_how_to_get_it(diagnosis, monkeypatch) -> None:

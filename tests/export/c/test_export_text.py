@@ -33,6 +33,8 @@ def bits(values):
 def test_structured_text_gives_the_bits_of_the_c(command, kernels, compiler, tmp_path, real):
     program = tape_program(command, real)
     text, q = structured_text(program, Label("arm")), comparison_inputs(program, 2000)
+    low, high = (q == end.astype(q.dtype) for end in (models.LOWER, models.UPPER))
+    assert ((low | high).all(axis=1) & low.any(axis=1) & high.any(axis=1)).any()  # corners are among them
     for block, out, outputs, expected in (
         ("correct", "dq", 6, kernels["command", real].correct(q)),
         ("network", "dp_mm", 3, kernels["command", real].network(q)),

@@ -19,7 +19,7 @@ from casadical.export.c.kernel import compilers
 from casadical.export.c.language import Label
 from casadical.export.c.reference import bound, correct
 from casadical.export.c.structured_text import structured_text
-from casadical.export.c.tape_program import tape_program
+from casadical.export.c.tape_program import operations, tape_program
 from casadical.export.controller.commands import bound_of
 from casadical.export.controller.programs.correction import Cell, corrected_targets
 from casadical.export.controller.programs.program import read_target_program
@@ -73,6 +73,7 @@ def test_it_is_the_spread_of_positions_and_says_where_the_limit_is_passed(robot)
     mm, status = bound(program, q)
     np.testing.assert_allclose(mm[:, 0], by_differences(robot, q), rtol=1e-3)
     assert (status == Status.OK).all()
+    assert operations(program).count["sqrt"] == 1  # of the bound alone
     free = correct(tape_program(command_of(sources(robot)), "double"), q)
     held = correct(program, q)
     assert (held[0] == free[0]).all()

@@ -72,6 +72,10 @@ def test_the_nominal_yaml_is_the_makers():
         np.array([[0, 0, 0.1273], [0, 0, 0], [-0.612, 0, 0], [-0.5723, 0, 0.163941], [0, -0.1157, 0], [0, 0.0922, 0]])
     )
     assert [read[link]["roll"] for link in read][:5] == pytest.approx([0, np.pi / 2, 0, 0, np.pi / 2])
+    rows = csv.reader(driver_file(Sources(nominal, nominal), "standard_dh")[0].splitlines())
+    assert [[float(v) for v in row[2:4]] for row in rows if row[0].isdecimal()] == pytest.approx(
+        np.array([[127.3, 0], [0, -612], [0, -572.3], [163.941, 0], [115.7, 0], [92.2, 0]])
+    )
 
 
 @pytest.mark.parametrize("name", ["ur10", "kr210"])
