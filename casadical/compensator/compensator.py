@@ -273,9 +273,9 @@ class Compensator:
         Returns the network, or the null compensator where it does not help
         Raises InputError: arrays of wrong shape or with values that are not finite, and for fewer than 10 poses.
         """
-        rows = joint_angles(q, layout.joints if layout else np.shape(q)[-1])
-        size = layout or Layout(joints=rows.shape[1], outputs=np.shape(residual_mm)[-1])
-        targets = residuals(residual_mm, len(rows), size.outputs)
+        rows = joint_angles(q, layout.joints if layout else None)
+        targets = residuals(residual_mm, len(rows), layout.outputs if layout else None)
+        size = layout or Layout(joints=rows.shape[1], outputs=targets.shape[1])
         _check_choices(len(rows), folds, margin)
         how = trainer_named(trainer)
         rms = float(np.sqrt(np.mean(targets**2))) or 1.0

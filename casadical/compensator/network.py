@@ -173,28 +173,29 @@ class Network:
         return self.output_scale_mm * (casadi.DM(last[:, :-1]) @ column + casadi.DM(last[:, -1]))
 
 
-def joint_angles(q: ArrayLike, joints: int) -> Array:
+def joint_angles(q: ArrayLike, joints: int | None) -> Array:
     """Return q as an array of shape (n, joints) [rad]; a single pose may have shape (joints,).
 
+    joints : None: as many as there are
     Raises InputError for another shape or values that are not finite.
     """
     rows = _numbers(q, "q")
     rows = rows[None] if rows.ndim == 1 else rows
-    if rows.ndim != 2 or rows.shape[1] != joints:
-        raise InputError(f"q must have shape (n, {joints}) [rad]; its shape is {np.shape(q)}")
+    if rows.ndim != 2 or rows.shape[1] != (joints or rows.shape[1]):
+        raise InputError(f"q must have shape (n, {joints or 'joints'}) [rad]; its shape is {np.shape(q)}")
     _finite(rows, "q", "rad")
     return rows
 
 
-def residuals(residual_mm: ArrayLike, poses: int, outputs: int) -> Array:
+def residuals(residual_mm: ArrayLike, poses: int, outputs: int | None) -> Array:
     """Return residuals as an array of shape (poses, outputs) [mm].
 
     Raises InputError for another shape or values that are not finite.
     """
     rows = _numbers(residual_mm, "residual_mm")
-    if rows.shape != (poses, outputs):
+    if rows.ndim != 2 or rows.shape != (poses, outputs or rows.shape[1]):
         raise InputError(
-            f"residual_mm must have shape ({poses}, {outputs}) [mm], one row for each row of q; "
+            f"residual_mm must have shape ({poses}, {outputs or 'outputs'}) [mm], one row for each row of q; "
             f"its shape is {rows.shape}"
         )
     _finite(rows, "residual_mm", "mm")

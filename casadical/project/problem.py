@@ -305,10 +305,7 @@ def read_campaign(
 
 
 def _of_kind(columns: Columns, joints: Sequence[str], data: DataTable) -> Measurements:
-    """A table as a problem's table says, with known distances between points; the noise of positions is found."""
-    m = from_columns(columns, joints, data.kind)
-    if m.kind == "position":
-        return m
+    """A table as a problem's table says, with known distances between points."""
     m = from_columns(columns, joints, data.kind, sigma_mm=data.sigma_mm, sigma_deg=data.sigma_deg)
     touched = set() if m.label is None else set(m.label.tolist())
     return m.with_separations(s for s in _separations(data) if touched.issuperset(s[:2]))

@@ -313,8 +313,11 @@ def table_like(folder: Path, raw: RawTable, tables: Sequence[DataTable]) -> Data
     said = {data.kind for data in tables}
     kind = said.pop() if len(said) == 1 else None
     shown = [k.name for k in kinds().values() if k.matches({*raw.header})]  # by our names; else by the headings
-    fits = kind in (shown or ("position", "pose"))
-    return DataTable(file=raw.path.name, kind=kind if fits else None)
+    if (kind or "position") not in (shown or ("position", "pose")):
+        return DataTable(file=raw.path.name)
+    noises = {(data.sigma_mm, data.sigma_deg) for data in tables}
+    sigma_mm, sigma_deg = noises.pop() if len(noises) == 1 else (None, None)
+    return DataTable(file=raw.path.name, kind=kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
 
 
 def result_in(folder: Path) -> Path:

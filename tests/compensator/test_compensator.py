@@ -282,6 +282,8 @@ def test_failed_write_leaves_the_old_file(helping, tmp_path, monkeypatch):
         ({"q": np.zeros((9, 6)), "residual_mm": np.zeros((9, 3))}, "too few"),
         ({"q": [["a"] * 6] * 50}, "numbers"),
         ({"residual_mm": np.zeros(50), "layout": None}, r"its shape is \(50,\)"),
+        ({"residual_mm": 0.5, "layout": None}, r"shape \(50, outputs\) \[mm\].*its shape is \(\)"),
+        ({"q": 0.5, "layout": None}, r"shape \(n, joints\) \[rad\]; its shape is \(\)"),
         ({"folds": 1}, "folds"),
         ({"margin": -1.0}, "margin"),
         ({"trainer": "adam"}, "backprop, iwo, lm, iwo-lm"),
