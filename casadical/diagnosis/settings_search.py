@@ -80,7 +80,19 @@ def refined(
         variant = trial[best]
         if halved == HALVINGS:
             break
-    return _with_probable_settings(case, label, variant[0], chosen)
+    case, effect = _between_poses(case, label, variant[0])
+    return _with_probable_settings(case, label, effect, chosen)
+
+
+def _between_poses(case: Case, label: str, effect: Effect) -> tuple[Case, Effect]:
+    """A step between two poses, which fits alike wherever it lies between them, midway."""
+    step: Any = effect
+    at, progress = getattr(step, "at", None), np.unique(case.m.conditions.get("progress", []))
+    if at is None or not len(progress) or not progress[0] <= at < progress[-1]:
+        return case, effect
+    after = int(np.searchsorted(progress, at, side="right"))
+    step = replace(step, at=float(progress[after - 1 : after + 1].mean()))
+    return case.with_variants(label, [(step,)]), step
 
 
 def _with_probable_settings(case: Case, label: str, effect: Effect, chosen: Array) -> tuple[Case, tuple[Effect, ...]]:

@@ -27,9 +27,9 @@ LITTLE = 0.1
 TIED = "\u00a0"
 # Words before what is said about something, where it is a sentence of its own; the most important first.
 SUBJECTS = {
-    "CHECK": "", "NOISE": "", "MORE": "", "PRIOR": "Prior: ", "CANNOT": "These data cannot ", "UNKNOWN": "Left: ",
-    "LAW": "Law: ", "AFTER": "", "OUT": "", "WHERE": "Where: ", "RULED": "Ruled ", "NEXT": "Next: ", "MISSING": "",
-    "GRAVITY": "In the model: ", "ASSUMED": "Assumed: ",
+    "CHECK": "", "NOISE": "", "SET": "", "MORE": "", "PRIOR": "Prior: ", "CANNOT": "These data cannot ",
+    "UNKNOWN": "Left: ", "LAW": "Law: ", "AFTER": "", "OUT": "", "WHERE": "Where: ", "RULED": "Ruled ",
+    "NEXT": "Next: ", "MISSING": "", "GRAVITY": "In the model: ", "ASSUMED": "Assumed: ",
 }  # fmt: skip
 
 
@@ -267,10 +267,13 @@ def _which(d: Diagnosis) -> Iterator[Statement]:
 
 def _near_threshold(d: Diagnosis) -> Iterator[Statement]:
     """Decisions that stand on a probability that is hardly above or below their threshold."""
-    for c in d.causes if d.verdict in ("explained", "ambiguous") else ():
-        p = d.cause_set.members.get(c.label, c.confidence) if d.cause_set else c.confidence
-        if side := _beside(p, CLAIM):
-            text = f"{c.label} is just {side} what is claimed: probability {p:.3f}, claimed from {CLAIM:g} on"
+    members, claimed = d.cause_set.members if d.cause_set else {}, d.verdict in ("explained", "ambiguous")
+    judged = {c.label: members.get(c.label, c.confidence) for c in d.causes if claimed}
+    first = next(iter(d.rankings[-1].order), "")
+    dropped = {} if not first or first in judged else {first: d.rankings[-1].probability[first]}
+    for label, p in {**judged, **dropped}.items():
+        if (side := _beside(p, CLAIM)) and (label in judged or side == "below"):
+            text = f"{label} is just {side} what is claimed: probability {p:.3f}, claimed from {CLAIM:g} on"
             yield Statement("SET", text, doubtful=True)
     if d.p_nothing is None and (side := _beside(1 - d.rankings[0].none, 1 - DETECT)):
         there = f"P(nothing) = {d.rankings[0].none:.3f}, something from {DETECT:g} down"

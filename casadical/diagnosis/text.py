@@ -27,7 +27,7 @@ THINGS, CAUSES = 3, 6
 # Characters of a thing to know: three lines of a terminal.
 LONGEST = 290
 # Of these only what casts a doubt is told.
-_DOUBTS = ("CANNOT", "AFTER")
+_DOUBTS = ("CANNOT", "AFTER", "SET")
 
 
 def titled(title: str, page: str) -> RenderableType:
@@ -122,7 +122,7 @@ def _causes(d: Diagnosis) -> Iterator[Table | Words]:
 
 
 def things_to_know(d: Diagnosis, told: Sequence[Statement]) -> list[Statement]:
-    """One statement of each kind at most, doubts first."""
+    """One statement of each kind at most, doubts first, and always what was taken as noise."""
     of_each: dict[str, Statement] = {}
     for s in told:
         known = of_each.get(s.about)
@@ -130,7 +130,8 @@ def things_to_know(d: Diagnosis, told: Sequence[Statement]) -> list[Statement]:
             of_each[s.about] = known if known and known.doubtful else s
     if d.verdict == "none":
         of_each.pop("WHERE", None)
-    return sorted(of_each.values(), key=lambda s: (not s.doubtful, [*SUBJECTS].index(s.about)))[:THINGS]
+    first = sorted(of_each.values(), key=lambda s: (not s.doubtful, [*SUBJECTS].index(s.about)))[:THINGS]
+    return [*first, *[s for s in told if s.about == "NOISE" and s not in first][:1]]
 
 
 def _short(text: str) -> str:

@@ -1,6 +1,6 @@
 """Settings between the grid's points: never less likely than where the search began."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -49,6 +49,20 @@ def test_a_frequency_between_the_grids_is_found() -> None:
     start = make_case(identify(r, m, priors=True), candidates_of(r, ["transmission_ripple@2"]))
     _, (found,) = refined(start, "transmission_ripple@2", (TransmissionRipple(2, 7.5),), NOTHING, Noise(2e-5, 0.0))
     assert found.cycles == pytest.approx(7, abs=0.1)
+
+
+def test_a_step_stands_midway_between_the_poses_that_it_is_seen_between() -> None:
+    r, m = robot("ur10e"), simulated("ur10e", 14, disturbances.JointZeroStep(3, 150e-6))
+    start = make_case(identify(r, m, priors=True), candidates_of(r, ["joint_zero_step@3"]))
+    ranking = rank(start, NOTHING)
+    variant = start.candidates[0].variants[ranking.variant["joint_zero_step@3"]]
+    found, (step,) = refined(start, "joint_zero_step@3", variant, NOTHING, ranking.noise["joint_zero_step@3"])
+    progress = np.unique(start.m.conditions["progress"])
+    after = progress > step.at
+    assert step.at == pytest.approx((progress[~after][-1] + progress[after][0]) / 2)
+    for at in (progress[~after][-1], progress[after][0] - 1e-6):  # wherever it lies between the two, it fits alike
+        same = found.with_variants("joint_zero_step@3", [(replace(step, at=float(at)),)])
+        assert evidence(same, (replace(step, at=float(at)),)) == pytest.approx(evidence(found, (step,)), abs=1e-9)
 
 
 @pytest.mark.parametrize(("run", "cycles"), [(1.5, 13.0), (0.0, 13.0)])
