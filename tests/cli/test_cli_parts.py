@@ -23,6 +23,7 @@ ROOT = Path(__file__).parents[2]
         ("laws beside what was found", 0.8),
         ("laws beside what was found: 3 of 4", 0.8 + 0.05 * 2 / 4),
         ("the robot with laws", 0.96),
+        ("the robot with laws: 2 of 2", 0.98),
         ("unknown words", 0.0),
         ("1 of 4 campaigns", 0.25),
     ],
