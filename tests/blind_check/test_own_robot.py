@@ -257,6 +257,8 @@ def test_the_commands_of_a_published_round_are_still_there() -> None:
     runner = CliRunner()
     for command in ("make", "predict", "score"):
         assert runner.invoke(app, ["withheld", command, "--help"]).exit_code == 0
+    one = runner.invoke(app, ["withheld", "make", "--out", "check", "--key", "check"])
+    assert "two outputs have this name" in str(one.exception)
     missing = runner.invoke(app, ["withheld", "nowhere.toml"])
     assert missing.exit_code != 0
 

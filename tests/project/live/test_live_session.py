@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from threading import Timer
 
 import numpy as np
 import pytest
@@ -495,6 +496,17 @@ def test_the_command_prints_answers_and_keeps_its_figures(arm: Path) -> None:
         assert "PTP {A1" in ended.stdout
     assert [r["state"] for r in json.loads(kept.read_text())["readings"]] == ["good", "good"]
     assert "goes on after 1 readings" in ended.stdout
+
+
+def test_a_pipe_is_followed_until_its_writer_closes_it(arm: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out, into = os.pipe()
+    os.write(into, csv_text(series(2)).encode())
+    Timer(0.5, os.close, [into]).start()
+    with os.fdopen(out) as stream:
+        monkeypatch.setattr("sys.stdin", stream)
+        done = run("measure", arm, "--no-page", "--follow", "-")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert len((arm / "measured.csv").read_text().splitlines()) == 3
 
 
 def test_a_stream_that_cannot_be_read_ends_and_says_so(tmp_path: Path) -> None:
