@@ -501,7 +501,7 @@ def test_the_command_prints_answers_and_keeps_its_figures(arm: Path) -> None:
 def test_a_pipe_is_followed_until_its_writer_closes_it(arm: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out, into = os.pipe()
     os.write(into, csv_text(series(2)).encode())
-    Timer(0.5, os.close, [into]).start()
+    Timer(1.0, os.close, [into]).start()
     with os.fdopen(out) as stream:
         monkeypatch.setattr("sys.stdin", stream)
         done = run("measure", arm, "--no-page", "--follow", "-")
