@@ -92,6 +92,8 @@ def test_approaches_follow_from_the_order() -> None:
     q = np.array([[0.0] * 6, [0.5] * 6, [0.2] * 6, [0.2, 0.9, 0.1, 0.3, -1, 0.2]])
     stops = draw_stops(q, np.random.SeedSequence(0).spawn(4), [0.0], Warmup(), "motion")
     assert stops.approach[1:].tolist() == [[1.0] * 6, [-1.0] * 6, [1, 1, -1, 1, -1, 1]]
+    chance = draw_stops(np.zeros((20, 6)), np.random.SeedSequence(0).spawn(4), [0.0], Warmup()).approach
+    assert {*chance.ravel()} == {-1.0, 1.0}
 
 
 def test_true_positions_have_a_tenth_of_a_micrometre_and_those_of_the_engine_a_nanometre() -> None:
@@ -112,6 +114,11 @@ def test_drawn_sizes_lie_in_their_ranges() -> None:
     assert 0.2 <= min(ovals) < 0.225
     assert 0.775 < max(ovals) <= 0.8
     assert np.mean(np.log([size["size"] / 40e-6 for size in drawn])) == pytest.approx(0.2, abs=0.1)
+    loads = np.array([mujoco_physics.draw_effect(ARM, "payload_error", rng).size["size"] for _ in range(300)])
+    assert np.median(loads[loads > 0]) == pytest.approx(-np.median(loads[loads < 0]), rel=0.3)
+    drifts = [mujoco_physics.draw_effect(ARM, "frame_drift", rng).size for _ in range(20)]
+    shift, turn = (np.array([np.linalg.norm(size[k]) for size in drifts]) for k in ("shift_m", "turn_rad"))
+    np.testing.assert_allclose(shift / turn, shift[0] / turn[0])  # both as many times as great as they usually are
     assert {draw_disturbance("link_flexure", k).link for k in range(30)} == {2, 3}
 
 
@@ -130,6 +137,9 @@ def test_a_crack_and_a_beam_are_cut_where_they_say() -> None:
     assert place.shape == (4, 4)
     assert np.linalg.norm(place[:3, 3]) == pytest.approx(0.3 * np.linalg.norm(link))
     beam = cause(Hidden("link_flexure", None, {"link": 2, "size": 1e-4, "torsion": 0.5})).built(whole, ARM)
+    middle, own = beam.body("link2a"), whole.body("link2")
+    assert (middle.mass, beam.body("link2").mass) == (own.mass, 0.0)
+    np.testing.assert_allclose(middle.place[:3, 3] + middle.com, own.com)  # its mass centre stays
     for name, share in (("link2a", 0.25), ("link2b", 0.5)):  # the second is seen from the first
         place = beam.body(name).place
         assert place.shape == (4, 4)

@@ -19,7 +19,7 @@ from casadical.blind_check.mujoco_physics.draw import impossible
 from casadical.blind_check.mujoco_physics.fourbar import unfolded
 from casadical.blind_check.mujoco_physics.stops import Stops, draw_poses
 from casadical.blind_check.own_robot import RobotCheck, check_robot, subject_of
-from casadical.blind_check.recording import Plan
+from casadical.blind_check.recording import Plan, record
 from casadical.cli import app
 from casadical.core.basics import InputError
 from casadical.core.parts import Coupling
@@ -218,6 +218,16 @@ def test_given_poses_are_measured_in_their_order_with_what_was_logged_of_them(ga
     np.testing.assert_array_equal(pd.read_csv(StringIO(logged))["approach3"], given["approach3"])
 
 
+@MUJOCO
+def test_an_arm_has_grown_from_the_first_of_the_given_poses_on(gantry: Path) -> None:
+    subject, _ = subject_of(read_campaign_robot(gantry))
+    poses = pd.DataFrame([[900.0, 700.0, 20.0, 30.0]] * 3, columns=SHOWN)
+    poses["time_s"], poses["temperature_degC"] = [600.0, 1200.0, 1800.0], [20.0, 28.0, 28.0]
+    made = record(subject, Plan("own", "own", "one", ("thermal_growth",), 3, None, 1e-5, 1e-6, 3), 3, poses)
+    grown = np.abs((made.session - made.clean)[["x_true_mm", "y_true_mm", "z_true_mm"]]).max(axis=1)
+    assert grown[0] == 0 < grown[1] < grown[2]
+
+
 def test_poses_between_lie_on_the_way() -> None:
     kept = np.array([True, False, False, True, False, True])
     given = pd.DataFrame({"q1_deg": [0.0, 8, 4], "payload_kg": [5, 0, 5], "approach1": [-1, 1, -1]})
@@ -247,6 +257,8 @@ def test_the_commands_of_a_published_round_are_still_there() -> None:
     runner = CliRunner()
     for command in ("make", "predict", "score"):
         assert runner.invoke(app, ["withheld", command, "--help"]).exit_code == 0
+    one = runner.invoke(app, ["withheld", "make", "--out", "check", "--key", "check"])
+    assert "two outputs have this name" in str(one.exception)
     missing = runner.invoke(app, ["withheld", "nowhere.toml"])
     assert missing.exit_code != 0
 

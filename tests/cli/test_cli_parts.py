@@ -8,7 +8,7 @@ from command_line import main
 
 from casadical.cli.export import export_c
 from casadical.cli.root import MOVED
-from casadical.cli.terminal import DIAGNOSIS, refusal, share
+from casadical.cli.terminal import DIAGNOSIS, refusal, share, wrapped
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import plain_text
 from casadical.export.mjcf.replay import replay_campaign
@@ -23,6 +23,7 @@ ROOT = Path(__file__).parents[2]
         ("laws beside what was found", 0.8),
         ("laws beside what was found: 3 of 4", 0.8 + 0.05 * 2 / 4),
         ("the robot with laws", 0.96),
+        ("the robot with laws: 2 of 2", 0.98),
         ("unknown words", 0.0),
         ("1 of 4 campaigns", 0.25),
     ],
@@ -73,6 +74,11 @@ def test_a_check_that_finds_nothing_to_repair_says_no_more_than_without(monkeypa
         told.append(capsys.readouterr().out)
     assert told[0]
     assert told[0] == told[1]
+
+
+def test_brackets_in_names_are_printed(capsys):
+    wrapped(False, 80).print("arm [red] of cell [bold]2")
+    assert capsys.readouterr().out == "arm [red] of cell [bold]2\n"
 
 
 def test_control_characters_of_what_was_read_reach_no_terminal(capsys):

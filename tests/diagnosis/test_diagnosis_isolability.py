@@ -113,6 +113,15 @@ def test_positions_are_not_looked_at() -> None:
     pd.testing.assert_frame_equal(first.alike, second.alike)
 
 
+def test_poses_that_are_measured_many_times_show_the_same_errors() -> None:
+    """The size of an error at a pose does not depend on how many poses there are."""
+    m = practice("hh800-P01")
+    tenfold = m[np.tile(np.arange(len(m)), 10)]
+    once, often = (isolability(robot("hh800"), k, ["transmission_ripple"]).effects for k in (m, tenfold))
+    np.testing.assert_allclose(often["size_mm"], once["size_mm"], rtol=1e-6)
+    assert (often["findable_from"] < once["findable_from"]).all()
+
+
 def test_more_poses_and_less_noise_find_smaller_effects() -> None:
     m = practice("ur10e-P03")
     every, half = (isolability(robot("ur10e"), k, ["friction_windup"]).effects["findable_from"] for k in (m, m[::2]))

@@ -141,6 +141,9 @@ def test_the_next_cause_may_have_a_few_names_one_of_them_on_no_list() -> None:
     further = replace(state, steps=(Step(made_up({}), ("thermal_growth",), ()),))
     twins = made_up({"friction_windup@1": 0.6, "backlash@1": 0.39, "joint_scale@2": 0.01})
     assert next_cause(further, twins) == ("claimed", ("friction_windup@1", "backlash@1"))
+    # Whether there is a first cause the bootstrap says where it ran.
+    assert next_cause(state, twins, 0.5) == ("none", ())
+    assert next_cause(further, twins, 0.5)[0] == "claimed"
     assert next_cause(further, made_up({f"joint_scale@{j}": 0.2 for j in range(1, 6)}))[0] == "ambiguous"
     rare = made_up({"bearing_play@2": 0.9, "link_flexure": 0.09, "joint_scale@2": 0.01})
     assert next_cause(state, rare) == ("claimed", ("bearing_play@2", "link_flexure"))

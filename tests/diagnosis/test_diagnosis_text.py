@@ -173,6 +173,13 @@ def test_an_explained_gap_of_which_much_is_left_says_so_first(fixed: Diagnosis) 
     assert none == f"VERDICT explained: {named}; 0.127 -> 0.046 mm, noise alone would leave 0.021"
 
 
+@pytest.mark.parametrize(("n", "end"), [(6, "row 6 (1.00 mm)"), (8, "row 6 (1.00 mm) and 2 more")])
+def test_six_outliers_are_named_and_more_are_counted(fixed: Diagnosis, n: int, end: str) -> None:
+    d = replace(fixed, outliers=tuple(Outlier(row, 1e-3, 50.0) for row in range(1, n + 1)))
+    said = page_of(d).partition("\nOUT ")[2].partition("\nMISSING ")[0]
+    assert " ".join(said.split()).endswith(end)
+
+
 def test_a_long_signature_is_wrapped_and_whole(fixed: Diagnosis) -> None:
     class Pull(Backlash):
         name = "pull"

@@ -2,8 +2,10 @@
 
 import ast
 import json
+import re
 import sys
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -268,7 +270,10 @@ def test_what_sticks_one_way_alone_is_no_ripple(robot):
 def test_faults_of_the_log_itself(robot):
     log = simulated(robot, 2)
     kept = np.random.default_rng(0).uniform(size=len(log)) > 0.05
-    assert [f.name for f in diagnose_log(robot, log[kept]).faults] == ["lost_samples"]
+    (fault,) = diagnose_log(robot, log[kept]).faults
+    assert fault.name == "lost_samples"
+    lost = (~kept).sum() / (len(log) - 2)  # of the steps of both runs, none lost at their ends
+    assert f"missing ({100 * lost:.1f} %) or repeated (0.0 %)" in fault.sentence
     slow = JointLog(log.time * 1.04, log.joints, log.position, log.command, current=log.current, run=log.run)
     assert [f.name for f in diagnose_log(robot, slow).faults] == ["clock_scale"]
     sizes = replace(log, current=None if log.current is None else np.abs(log.current))
@@ -476,7 +481,11 @@ def test_a_motion_is_proposed_that_tells_delay_from_lag(robot):
     moved = np.ptp(proposal.command, axis=0) > 0
     assert moved.tolist() == [False, True, False]
     (text,) = proposal.files("next.csv").values()
-    assert text.startswith("time_s,command1_rad")
+    planned = pd.read_csv(StringIO(text))
+    fastest = np.abs(planned["command2_rad"].diff() / planned["time_s"].diff()).max()
+    said = re.search(r"^Log next, 30 s: 2 through .* at up to ([0-9.]+) rad/s;", plain_text(proposal.blocks(), 400))
+    assert said is not None
+    assert float(said[1]) == pytest.approx(fastest, rel=0.06)
     with pytest.raises(InputError, match=r"'rust': no cause .* there are .*lag"):
         proposed(found, looks, ["rust"])
 

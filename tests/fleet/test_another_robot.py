@@ -49,6 +49,14 @@ def test_another_robot_stands_elsewhere_with_another_tool(arms, months):
     assert found(compare(told, same_tool=True, same_frame=True)) == [("another_robot", True, "jump", 1)]
 
 
+def test_what_changes_after_another_robot_came_is_named_beside_it(arms, months):
+    robot, _, other = arms
+    others = [estimate((robot, measured(other, seed)), f"2026-0{seed}") for seed in (4, 5)]
+    hit = [estimate((robot, measured(changed(other, theta3=1e-3), seed)), f"2026-0{seed}") for seed in (6, 7)]
+    told = found(compare([*months, *others, *hit]))
+    assert sorted(told) == [("another_robot", True, "jump", 3), ("joint_zero@3", True, "jump", 5)]
+
+
 def test_several_changes_at_once_are_no_other_robot(arms: tuple[Robot, Robot, Robot], months: list[Estimate]) -> None:
     """A crash that turned two joints and bent a link."""
     robot, built, _ = arms

@@ -223,7 +223,7 @@ def test_a_folder_whose_name_is_not_utf_8_stops_nobody(first: Path, tmp_path: Pa
     row = one_robot(str(folder), False)
     assert row["status"] == "failed"
     assert row["error"].endswith("a name that is not UTF-8; rename the folder")
-    assert list(robots_in([tmp_path])) == [row["robot"]]
+    assert list(robots_in([tmp_path, tmp_path])) == [row["robot"]]
     add(tmp_path / "store", [row])
     assert len(rows(tmp_path / "store")) == 1
 
@@ -251,6 +251,10 @@ def test_units_that_change_within_a_table_are_said_with_their_rows(first: Path, 
     spoil(spoilt, 28, ["q1_deg", "q2_deg"], 3.14159265 / 180)
     found = compare_files([whole, spoilt], first)
     assert found.campaigns[1].notes[0].startswith("12 poses left out as outliers, rows 30 to 41 one after another")
+    apart = pd.read_csv(spoilt)
+    apart.loc[26, ["q1_deg", "q2_deg"]] *= 3.14159265 / 180
+    apart.to_csv(spoilt, index=False)
+    assert compare_files([whole, spoilt], first).campaigns[1].notes[0] == "13 poses left out as outliers"
 
 
 def test_the_first_campaign_needs_no_day_and_its_copy_gives_one(first: Path) -> None:

@@ -80,6 +80,13 @@ def test_another_tool_and_load_keep_the_bound(calibrated) -> None:
     assert bound_at(held, q).mean() > bound_at(calibrated, q).mean()
 
 
+def test_a_joint_that_is_never_moved_leaves_a_bound(built) -> None:
+    q, later = (0.5 * arms.readings(built, n, seed) * [1, 1, 1, 1, 1, 0] for n, seed in ((200, 5), (400, 7)))
+    found = identify(ARM, arms.positions(built, q, 6), ["kinematic"])
+    robot = replace(found.robot, bound=learn_bound(found))
+    assert 0.9 < np.mean(errors_at(robot, built, later) <= bound_at(robot, later)) < 0.995
+
+
 def test_too_few_poses_have_no_bound(built) -> None:
     found = identify(ARM, arms.positions(built, arms.readings(built, 25, 5), 6), ["theta*"])
     with pytest.raises(InputError, match=r"needs 30 poses with a measured position; there are 25"):

@@ -14,6 +14,7 @@ from casadical.core.transforms import frame, from_rpy
 from casadical.identification.accuracy import summarise
 from casadical.identification.figures import parameter_tables
 from casadical.identification.identifiability import analyse, drop_poor
+from casadical.identification.identification import prepare
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against, least_margins
 from casadical.identification.prior import Prior
@@ -103,6 +104,17 @@ def test_a_base_that_leans_is_placed_where_one_joint_is_compliant() -> None:
     built = replace(arm, base=replace(arm.base, T=leaning))
     found = place_frames(arm, arms.positions(built, arms.readings(arm, 60, 5), 0, sigma=0.0))
     assert np.abs(found.base.T - leaning).max() < 2e-5
+
+
+@pytest.mark.parametrize("unknown", ["position", "none"])
+def test_a_tool_turns_as_orientations_show_unless_it_is_known(unknown: str) -> None:
+    arm = arms.six_axis()
+    turned = frame(from_rpy(np.array([0.5, -0.3, 1.0])), arm.tool.T[:3, 3])
+    built = replace(arm, base=replace(arm.base, T=arms.TRACKER), tool=replace(arm.tool, T=turned))
+    m = arms.poses(built, arms.readings(built, 30, 2), 3)
+    tool = prepare(replace(arm, tool=replace(arm.tool, unknown=unknown)), m, tool_turns=True).robot.tool
+    assert tool.unknown == ("pose" if unknown == "position" else "none")
+    np.testing.assert_allclose(tool.T[:3, :3], turned[:3, :3] if unknown == "position" else np.eye(3), atol=1e-3)
 
 
 def test_an_optimum_is_what_a_step_improves_by_less_than_a_ten_thousandth(result) -> None:

@@ -70,6 +70,15 @@ def test_joints_that_rest_determine_less() -> None:
     assert {each.reason for each in found.held if each.name == "Ia4"} == {"it has no effect on what was measured"}
 
 
+def test_of_two_parameters_that_load_alike_the_mass_is_told() -> None:
+    """Of the second body, held still and turned about an upright axis, two of mass, first moment and inertia show."""
+    upright = Robot("upright", (Joint(body=BODY), Joint(a=0.4, body=BODY)))
+    log = log_of(upright)
+    found = determined(upright, replace(log, position=log.position * [1, 0]))
+    assert {"m2", "mx2"} <= set(found.independent)
+    assert "Izz2" in {each.name for each in found.held}
+
+
 def test_nothing_is_determined_without_a_signed_torque() -> None:
     log = log_of(ARM, "current")
     assert determined(ARM, replace(log, current=np.abs(log.current), current_unsigned=True)) is None

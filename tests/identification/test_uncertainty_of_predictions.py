@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from casadical import identify
+from casadical.effects import GearEccentricity
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import unmeasured
 from casadical.robot.robot import Covariance, Knowledge
@@ -113,6 +114,20 @@ def test_what_the_robots_file_knows_counts_for_its_priors(built) -> None:
         found.append(sigma(result, probe))
     assert found[0] == pytest.approx(1e-3, rel=0.3)
     assert found[1] == pytest.approx(2 * found[0], rel=0.02)
+
+
+def test_a_prior_counts_from_its_mean_wherever_the_robots_file_begins(built) -> None:
+    """Readings of one plane; one prior of an effect, whose sizes are 0 in one file, and the prior's in another."""
+    effect = GearEccentricity(2)
+    told = {p.name: 1e-2 for p in effect.parameters()}
+    q, probe = arms.readings(built, 60, 5), arms.readings(built, 20, 7)
+    q[:, [0, 3, 5]] = q[0, [0, 3, 5]]
+    m = arms.positions(built.with_effect(effect).with_values(told), q, 6)
+    empty = ARM.with_effect(effect)
+    priors = {name: (mean, 1e-3) for name, mean in told.items()}
+    free = ["kinematic", effect.label]
+    found = [sigma(identify(robot, m, free, priors=priors), probe) for robot in (empty, empty.with_values(told))]
+    assert found[0] == pytest.approx(found[1], rel=2e-5)
 
 
 def test_held_parameters_move_identified_ones() -> None:

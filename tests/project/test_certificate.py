@@ -11,6 +11,7 @@ import pytest
 from command_line import ROOT, main
 
 from casadical import InputError, calibrate, read_problem
+from casadical.core.telling.blocks import Table
 from casadical.core.telling.figure import Figure
 from casadical.identification import errors, predicted
 from casadical.measurements.measurements import unmeasured
@@ -75,7 +76,10 @@ def test_points_of_a_picture_lie_where_they_are_in_one_scale(results, tmp_path):
     found = certificate(results, details(tmp_path), problem=PLANAR)
     curves = r"^([\d.]+) ([\d.]+) m .* c\n.*\n.*\n.* c f$"
     drawn = np.array(re.findall(curves, drawn_in(found.pdf()), re.MULTILINE), float).reshape(2, -1, 2)
-    figures = [block for part in found.pages()[1].sections for block in part.blocks if isinstance(block, Figure)]
+    blocks = [block for page in found.pages() for part in page.sections for block in part.blocks]
+    figures = [block for block in blocks if isinstance(block, Figure)]
+    (results,) = [block for block in blocks if isinstance(block, Table) and block.columns[-1] == "n"]
+    assert [results.rows[k][0] for k in results.strong] == ["after calibration"]
     for figure, at in zip(figures, drawn, strict=True):
         told = np.column_stack([figure.series[0].x, figure.series[0].y])
         scale = np.ptp(at[:, 0]) / np.ptp(told[:, 0])

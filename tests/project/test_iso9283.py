@@ -73,10 +73,12 @@ def test_the_poses_lie_on_the_diagonals_ten_per_cent_from_the_ends():
 
 
 def test_a_planned_test_is_reached_in_one_orientation_and_comes_back(tmp_path, monkeypatch, capfd):
-    robot = read_robot(ROBOT)
-    table, centre, side = planned_test(robot, 0.4)
-    assert (side, len(table)) == (0.4, 30 * 5 + 3 * 3 * 30 + 49 * 10)
+    robot, plan = read_robot(ROBOT), tmp_path / "plan.csv"
+    assert main(monkeypatch, "plan", ROBOT, "--iso9283", "--cube-mm", "400", "--out", plan, "--quiet") == 0
+    table = pd.read_csv(plan, keep_default_na=False)
+    assert len(table) == 30 * 5 + 3 * 3 * 30 + 49 * 10
     one = table.drop_duplicates("pose").sort_values("pose")
+    centre, side = 1e-3 * one[["cx_mm", "cy_mm", "cz_mm"]].to_numpy()[0], 0.4
     q = np.deg2rad(one[[f"q{j}_deg" for j in range(1, 7)]].to_numpy(dtype=float))
     p, R = predicted(robot, unmeasured(q))
     np.testing.assert_allclose(p, poses_in(centre, side) @ robot.base.T[:3, :3].T + robot.base.T[:3, 3], atol=2e-6)

@@ -129,6 +129,8 @@ def test_reflectors_that_nobody_named_are_recognised_from_repeats(sign, tmp_path
     assert "check the robot file" not in printed
     assert main(monkeypatch, "check", arm, "--repair") == 0
     assert "repaired: 3 targets, named target1, target2, target3" in capfd.readouterr().out
+    written = read_robot(arm / "robot.toml")
+    np.testing.assert_allclose(distances([written.tool.T[:3, 3], *(t.point for t in written.targets)]), NEST, atol=1.0)
     assert main(monkeypatch, "calibrate", arm, "--out", tmp_path / "results") == 0
     robot = read_robot(tmp_path / "results" / "KM.robot.toml")
     np.testing.assert_allclose(distances([robot.tool.T[:3, 3], *(t.point for t in robot.targets)]), NEST, atol=0.15)

@@ -41,6 +41,7 @@ def test_the_same_robot_keeps_its_promise_and_a_changed_one_does_not(calibrated_
     assert main(monkeypatch, "verify", calibrated_arm, later(tmp_path), "--json", kept) == 0
     said = " ".join(capfd.readouterr().out.split())
     assert "STILL VALID" in said
+    assert "Base and tool were fitted again" in said
     assert "Both errors are as the instrument reads them, its noise included" in said
     figures = json.loads(kept.read_text())
     assert figures["valid"]

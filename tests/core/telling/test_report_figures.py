@@ -203,6 +203,7 @@ def test_the_coverage_has_every_reading_between_the_limits(hh800, figures) -> No
     second = hh800.robot.joints[1]
     share = (m.q[:, 1] - second.lower) / (second.upper - second.lower)
     assert np.array(ticks.x).reshape(m.q.shape)[:, 1] == pytest.approx(100 * share, abs=0.01)
+    assert figures["fit/coverage"].layout.xaxis.tickvals[::4] == (0, 100)  # the limits
 
 
 def test_dark_changes_every_colour_and_no_number(hh800, figures) -> None:

@@ -308,7 +308,7 @@ def test_an_open_four_bar_is_an_error_and_one_nearly_folded_a_warning(tmp_path: 
 def test_the_command_prints_keeps_and_exits(tmp_path: Path) -> None:
     bad = problem_with(tmp_path, _turned("q3_deg"))
     file = tmp_path / "kept.json"
-    done = run("check", "problems/planar", bad, "--json", file)
+    done = run("check", "problems/planar", bad, "--details", "--json", file)
     assert (done.returncode, done.stderr) == (2, "")
     assert "planar: ready" in done.stdout
     assert "arm: NOT READY, 1 error" in done.stdout

@@ -87,7 +87,9 @@ def test_slips_are_found_together_and_repaired(slip, tmp_path, monkeypatch, capf
     before = (folder / "poses.csv").read_bytes()
     assert main(monkeypatch, "check", folder, "--repair") == 0
     printed = capfd.readouterr().out
-    assert "+++" in printed
+    added = re.findall(r"^\+(?!\+\+)(.*)$", printed, re.MULTILINE)
+    assert added
+    assert {*added} <= {*(folder / "problem.toml").read_text().splitlines()}
     assert "mm before" in printed
     assert (folder / "poses.csv").read_bytes() == before
     assert calibrate(folder).accuracies["KM"]["report"]["calibrated"].mean < 1e-4
