@@ -97,7 +97,7 @@ class FaultsError(InputError):
         return type(self), (self.faults, self.others)
 
     @staticmethod
-    def of(errors: Iterable[InputError]) -> InputError:
+    def joined(errors: Iterable[InputError]) -> InputError:
         """Several errors as one, each fault once; of the same in fewer rows of the same column, that of most rows."""
         told = list(errors)
         faults = list(dict.fromkeys(f for e in told if isinstance(e, FaultsError) for f in e.faults))
@@ -117,7 +117,7 @@ def all_faults(steps: Iterable[Callable[[], object]]) -> None:
         except InputError as error:
             errors.append(error)
     if errors:
-        raise FaultsError.of(errors)
+        raise FaultsError.joined(errors)
 
 
 @contextmanager

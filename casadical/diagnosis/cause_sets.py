@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from casadical.core.linear_gaussian.grid import log_sum
-from casadical.core.statistics import first_of_best, ranked
+from casadical.core.statistics import TIE, first_of_best, ranked
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking
 from casadical.diagnosis.thresholds import MOST_CAUSES
 from casadical.effects import Effect
@@ -60,7 +60,7 @@ class _Search:
         """Note a set and all with one more cause."""
         self.expanded.add(frozenset(found.chosen))
         for labels, label, mass in found.more():
-            if mass > self.mass.get(labels, -np.inf):
+            if mass > self.mass.get(labels, -np.inf) + TIE:
                 self.mass[labels], self.reached[labels] = mass, (found, label)
         return found
 

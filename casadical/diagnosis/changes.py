@@ -12,7 +12,7 @@ from casadical.core.basics import Array
 from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.linear_gaussian.normal_equations import joined
-from casadical.core.statistics import robust_std
+from casadical.core.statistics import best_of, robust_std
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.result import Change
@@ -39,7 +39,8 @@ def changes(case: Case, prior: Prior) -> tuple[tuple[Change, ...], Prior]:
         for key, wide in parts.items():
             if key not in done:
                 factor[key] = _log_evidence(case, fit, noise.sigma, prior.with_nothing_known(wide)) - as_known
-        first = max(parts.keys() - done, key=lambda key: factor[key], default=None)
+        left = [key for key in parts if key not in done]
+        first = best_of(left, factor.__getitem__, logs=True) if left else None
         if first is None or probability_of_change(factor[first]) < NEW:
             return tuple(Change(*key, probability_of_change(value)) for key, value in factor.items()), prior
         done.add(first)

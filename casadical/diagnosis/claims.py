@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.statistics import ranked
+from casadical.core.statistics import TIE, best_of, first_of_best, ranked
 from casadical.diagnosis.cross_validation import partitioned_errors, shrink_interval
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.result import CauseSet
@@ -41,8 +41,8 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
     certain = [s for s in there if _is_certain(state, s) and (alone or s.ranking.none <= DETECT_FURTHER)]
     doubtful = [s for s in there if s not in certain and _is_listed(state, s)]
     doubtful = [s for s in doubtful if sum(s.ranking.probability[k] for k in s.labels) >= LIKELY]
-    strongest = max(doubtful, key=_evidence, default=None)
-    if strongest and all(_evidence(strongest) > _evidence(s) for s in certain):
+    strongest = best_of(doubtful, _evidence, logs=True) if doubtful else None
+    if strongest and all(_evidence(strongest) > _evidence(s) + TIE for s in certain):
         certain = [strongest, *certain]
     if len(certain) == len(steps):
         return replace(state, steps=tuple(certain)), end
@@ -99,7 +99,7 @@ def _is_certain(state: State, step: Step) -> bool:
     each = [step.ranking.probability[k] for k in step.labels]
     own, *others = (state.by_label[k].variants[0][0] for k in step.labels)
     alike = all(own.name in e.confused_with or e.name in own.confused_with for e in others)
-    return len(each) == 1 or (alike and each[0] == max(each) and min(each) >= LEAST_ALIKE and sum(each) >= CLAIM)
+    return len(each) == 1 or (alike and first_of_best(each) == 0 and min(each) >= LEAST_ALIKE and sum(each) >= CLAIM)
 
 
 def _evidence(step: Step) -> float:

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array
+from casadical.core.statistics import ranked
 from casadical.diagnosis import thresholds
 from casadical.diagnosis.claims import cause_set, named, with_further
 from casadical.diagnosis.cross_validation import (
@@ -49,7 +50,8 @@ def conclude(
     joint = joint_of_outliers(case, columns, noise)
     before_all, outliers = (before, ()) if joint else _outliers_as_cause(case, before, left, distance, seed)
     gap = Gap(float(before_all.mean()), float(after.mean()), floor, float(before.mean()))
-    causes = sorted([*causes, *outliers], key=lambda c: -c.shrink)
+    causes += outliers
+    causes = [causes[k] for k in ranked([c.shrink for c in causes])]
     shrinks = course(case, _stages(state, noise), partitions(case.evidence, seed), noise, seed)
     verdict, rest = _verdict(state, end, gap, bool(causes), shrinks)
     exactly = with_further(cause_set(state), state, seed)

@@ -147,8 +147,8 @@ def network_gaps(found: Diagnosis, show: Show = silent) -> tuple[NetworkGap, Net
     show : called with a line of progress
     """
     case, none = found.case, np.zeros(0, dtype=np.int64)
-    instead = network_gap(case, none, found.rankings[0].noise[""], found.seed, show=show)
-    return instead, network_gap(case, found.columns, found.noise, found.seed, show=show)
+    alone = network_gap(case, none, found.rankings[0].noise[""], found.seed, show=show)
+    return alone, network_gap(case, found.columns, found.noise, found.seed, show=show)
 
 
 def network_gap(

@@ -21,7 +21,7 @@ import pandas as pd
 
 from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.grid import log_sum
-from casadical.core.statistics import first_of_best
+from casadical.core.statistics import best_of, first_of_best
 from casadical.diagnosis.cross_validation import likely_noise, new_fit
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, REPEATABILITY, joint_noise
 from casadical.diagnosis.linear_problem import Case, widths
@@ -297,7 +297,7 @@ def discrimination_probability(found: Diagnosis, poses: pd.DataFrame) -> tuple[f
     cause is true.
     """
     first, second = found.in_question[:2]
-    ranking = max(found.rankings, key=lambda r: r.probability.get(first, 0) + r.probability.get(second, 0))
+    ranking = best_of(found.rankings, lambda r: r.probability.get(first, 0) + r.probability.get(second, 0))
     a, b = (max(ranking.probability.get(k, 0.0), 1e-12) for k in (first, second))
     share = a / (a + b)
     return probability_after(share, 0.0), probability_after(share, float(poses["separation"].iloc[-1]))

@@ -14,7 +14,7 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.linear_gaussian.marginals import REACH
-from casadical.core.statistics import first_of_best
+from casadical.core.statistics import best_of, first_of_best
 from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.evidence import RHOS
 from casadical.diagnosis.linear_problem import Case
@@ -61,7 +61,7 @@ def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collec
         noise = (FOLLOWING, TAILED, *(scatter_of(j) for j in joints if j))
         own = {label: mass.pop(label) for label in noise if label in mass}
         none = float(log_sum(np.array([plain, *own.values()])))
-        best = max(own, key=lambda k: own[k])
+        best = best_of(own, lambda k: own[k], logs=True)
         noise_form = best if own[best] > plain else ""
     rivals = [f for f in forms if f.label in mass]
     ranking = replace(
@@ -122,8 +122,8 @@ def best_following(case: Case, chosen: Array) -> tuple[Form, Noise, float]:
         return [(float(log_sum(grid)), form, grid) for form, grid in zip(forms, grids, strict=True)]
 
     known = judged(FOLLOWS)
-    best = max(known, key=lambda k: k[0])[1].stays
-    log, form, grid = max((*known, *judged([best - BETWEEN, best + BETWEEN])), key=lambda k: k[0])
+    best = best_of(known, lambda k: k[0], logs=True)[1].stays
+    log, form, grid = best_of((*known, *judged([best - BETWEEN, best + BETWEEN])), lambda k: k[0], logs=True)
     return form, likely_noise(grid, e.sigmas), log - float(log_sum(e.log_base(chosen)))
 
 

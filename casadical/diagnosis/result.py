@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array
+from casadical.core.statistics import ranked
 from casadical.core.telling.blocks import Table, Words, mm
 from casadical.core.telling.result import Result
 from casadical.diagnosis.cross_validation import fitted_without, partitioned_errors
@@ -273,11 +274,14 @@ class Diagnosis(Result):
 
     @property
     def in_question(self) -> tuple[str, ...]:
-        """Labels that further poses should distinguish: a set of similar causes, or the two leading ones."""
+        """Labels that further poses should distinguish: a set of similar causes, of one more, or the first two."""
         known = {c.label for c in self.case.candidates}
         for cause in self.causes:
             if cause.indistinguishable and cause.label in known:
                 return (cause.label, *cause.indistinguishable)
+        further = self.cause_set.further if self.cause_set else {}
+        if len(names := [k for k in further if k in known]) > 1:
+            return tuple(names[k] for k in ranked([further[k] for k in names]))
         last = self.rankings[-1].probability
         order = [k for k in self.rankings[-1].order if k in known]
         certain = len(order) > 1 and last[order[0]] > CERTAIN * (last[order[0]] + last[order[1]])

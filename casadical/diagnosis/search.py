@@ -11,6 +11,7 @@ import numpy as np
 
 from casadical.core.basics import Array, Show
 from casadical.core.linear_gaussian.grid import log_sum
+from casadical.core.statistics import ranked
 from casadical.diagnosis.bootstrap import p_value
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cause_sets import most_probable_set
@@ -291,7 +292,7 @@ def next_cause(state: State, ranking: Ranking, p_nothing: float | None = None) -
         known = ranking.probability[listed[0]] > LEAST_ALIKE * there
         if not known or together < SET_SHARE * there or any(state.by_label[k].name == "unknown" for k in alike):
             return "unknown", ()
-        alike = tuple(sorted(alike, key=lambda k: -ranking.probability[k]))
+        alike = tuple(alike[k] for k in ranked([ranking.probability[k] for k in alike]))
     if state.steps and ranking.probability[listed[0]] < LEAST_FURTHER * there and together < SET_SHARE * there:
         return "ambiguous", ()
     return "claimed", alike

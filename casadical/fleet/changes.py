@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.statistics import exceeded_by_chance
+from casadical.core.statistics import best_of, exceeded_by_chance, ranked
 from casadical.core.telling.blocks import Page, Section, Table, Tile, Words, mm, next_step, shown
 from casadical.core.telling.figure import Axis, Figure, Series, Span
 from casadical.core.telling.result import Result
@@ -103,7 +103,7 @@ class Change:
     @property
     def main(self) -> int:
         """Place of the parameter in `amounts` that moved most surely, of a season in its first wave."""
-        return max(range(len(self.cause.sizes)), key=lambda k: _sureness(self.amounts[k]))
+        return best_of(range(len(self.cause.sizes)), lambda k: _sureness(self.amounts[k]))
 
     @property
     def named(self) -> bool:
@@ -294,7 +294,7 @@ def in_words(found: Comparison, change: Change) -> str:
         moved = sum(abs(a.value) > CLEAR * a.std_error for a in change.amounts)
         of = f"{moved} of {len(change.amounts)} parameters differ by more than {CLEAR} standard errors"
         return f"{change.cause.label}, {HOW[change.course]} {since}: {of}"
-    main = max(change.amounts, key=_sureness)
+    main = best_of(change.amounts, _sureness)
     size = f"{main.name} {main.value:+.3g} {main.unit}{_per(found, change)} +/- {main.std_error:.2g}"
     return f"{change.cause.label}, {HOW[change.course]} {since}: {size}"
 
@@ -323,7 +323,7 @@ def _change(found: Comparison, change: Change) -> Iterable[Words | Table]:
     yield Table("Causes", ("cause", "course", "since", "probability"), rows, frozenset({3}), strong=frozenset({0}))
     amounts: Sequence[Amount] = change.amounts
     if len(amounts) > AMOUNTS:
-        amounts = sorted(amounts, key=_sureness)[-1 : -AMOUNTS - 1 : -1]
+        amounts = [amounts[k] for k in ranked([_sureness(a) for a in amounts])[:AMOUNTS]]
     cells = [(a.name, f"{a.value:+.3g}", f"{a.std_error:.2g}", a.unit + per) for a in amounts]
     yield Table("By how much", ("parameter", "change", "std error", "unit"), cells, frozenset({1, 2}))
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.grid import log_sum
-from casadical.core.statistics import first_of_best
+from casadical.core.statistics import first_of_best, ranked
 from casadical.fleet import evidence
 from casadical.fleet.changes import SURE, Amount, Change, Comparison, Rival
 from casadical.fleet.estimates import Estimate, with_common_noise
@@ -262,7 +262,7 @@ def _change(
     probability = float(sum(s.sum() for _, s in own))
     at = first_of_best(evidence.averaged(top.logs), logs=True)
     begun = np.exp(evidence.averaged(top.logs) - log_sum(evidence.averaged(top.logs)))
-    likely = top.since[np.sort(np.argsort(-begun)[: int(np.searchsorted(np.cumsum(np.sort(begun)[::-1]), 0.95)) + 1])]
+    likely = top.since[np.sort(ranked(begun)[: int(np.searchsorted(np.cumsum(np.sort(begun)[::-1]), 0.95)) + 1])]
     rivals: dict[str, Rival] = {}
     for h, s in share:
         label, best = h.candidate.label, first_of_best(s)

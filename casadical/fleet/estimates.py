@@ -17,7 +17,7 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.normal_equations import without_others
-from casadical.core.statistics import exceeded_by_chance
+from casadical.core.statistics import best_of, exceeded_by_chance
 from casadical.core.telling.result import Shown
 from casadical.identification.error_bound import Doubts, doubts_of, evaluated
 from casadical.identification.identifiability import scaled_inverse
@@ -285,7 +285,7 @@ def repeatability(fits: Sequence[WideFit]) -> tuple[float, ...]:
     def log_likelihood(rhos: tuple[float, ...]) -> float:
         return sum(fit.log_likelihood(rhos) for fit in fits)
 
-    best = max(((rho,) * fits[0].joints for rho in RHOS), key=log_likelihood)
+    best = best_of(((rho,) * fits[0].joints for rho in RHOS), log_likelihood, logs=True)
     better = True
     while better:
         better = False

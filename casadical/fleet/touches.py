@@ -12,7 +12,7 @@ import pandas as pd
 from casadical.core.basics import Array, InputError
 from casadical.core.files import csv_text
 from casadical.core.reading import load_json
-from casadical.core.statistics import first_of_best
+from casadical.core.statistics import best_of, first_of_best
 from casadical.core.telling.blocks import Page, Section, Table, Tile, Words, mm, next_step
 from casadical.core.telling.figure import Axis, Figure, Rule, Series
 from casadical.core.telling.result import Result
@@ -127,7 +127,7 @@ class Touches(Result):
                 mean, std = (p.readable(float(v) * p.scale) for v in (own[:, k].mean(), own[:, k].std()))
                 rows.append((name, mean, std, p.readable_unit))
         if self.label == "lengths":  # all grow alike
-            p = max((self.model.robot.parameters[r[0]] for r in rows), key=lambda p: abs(p.value))
+            p = best_of((self.model.robot.parameters[r[0]] for r in rows), lambda p: abs(p.value))
             share = own[:, self.model.names.index(p.name)] * p.scale / p.value
             return [("all lengths", 1e6 * float(share.mean()), 1e6 * float(share.std()), "um/m")]
         return sorted(rows, key=lambda r: -abs(r[1]) / max(r[2], 1e-12))

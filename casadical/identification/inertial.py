@@ -11,6 +11,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.parts import without_masses
+from casadical.core.statistics import best_of
 from casadical.identification.identifiability import Identifiability, analyse
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.dynamics import Dynamics
@@ -157,7 +158,7 @@ def _order(robot: Robot, log: JointLog, states: States) -> Iterator[str]:
         for i, k in combinations(range(n), 2)
     }
     left = {words: _left(dynamics, other) for words, other in tries.items()}
-    words, rest = max(left.items(), key=lambda each: float(np.log(plain / each[1]).sum()))
+    words, rest = best_of(left.items(), lambda each: float(np.log(plain / each[1]).sum()))
     if np.log(plain / rest).sum() > GAIN:
         k = int(np.argmax(plain / rest))
         yield (

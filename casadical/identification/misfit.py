@@ -14,6 +14,7 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.noise import NoiseModel
 from casadical.core.linear_gaussian.normal_equations import NormalSums, normal_sums
+from casadical.core.statistics import first_of_best
 from casadical.identification.error_bound import ROUNDS, Doubts, doubts_of, posterior_of
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.residuals import make_block
@@ -209,7 +210,7 @@ def _most_probable(poses: _Poses, doubts: Doubts) -> _Fit:
         near = range(max(0, best - 1), min(len(RHOS), best + 2))
         rhos = {k: (RHOS[k],) * poses.joints for k in near if k not in tried}
         tried |= {k: (each, *_at(each, poses, doubts)) for k, each in rhos.items()}
-        at = max(near, key=lambda k: tried[k][1].log_likelihood)
+        at = near[first_of_best([tried[k][1].log_likelihood for k in near], logs=True)]
     return tried[best]
 
 

@@ -12,6 +12,7 @@ from itertools import product
 import numpy as np
 
 from casadical.core.basics import Array, ConvergenceError
+from casadical.core.statistics import best_of
 from casadical.core.transforms import frame, from_xyz, nearest_rotation, to_xyz
 from casadical.identification.accuracy import predicted
 from casadical.identification.least_squares import LeastSquares, first_sigmas
@@ -81,7 +82,7 @@ class Held:
 
     def best(self, starts: Sequence[Placed]) -> Placed:
         """The best optimum that is found from several starts, freed of the priors where the readings tell enough."""
-        lowest = min((self._refined(start, self.prior) for start in starts), key=lambda placed: placed.cost)
+        lowest = best_of((self._refined(start, self.prior) for start in starts), lambda placed: -placed.cost)
         H, unit = self._sums(lowest)[0], np.diag(self.prior) ** -0.5
         value, V = np.linalg.eigh(H * np.outer(unit, unit))
         kept = (V * (value < FREE)) @ V.T / np.outer(unit, unit)

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from casadical.core.basics import Array, ConvergenceError, InputError
-from casadical.core.statistics import robust_std
+from casadical.core.statistics import best_of, robust_std
 from casadical.identification.identifiability import (
     INVISIBLE,
     NO_EFFECT,
@@ -361,7 +361,8 @@ def independent_parameters(problem: LeastSquares) -> Identifiability:
         return replace(analysis, independent=tuple(n for n in names if n not in dropped))
     if any(find_kind(m.kind).has_scale or m.separations for m in problem.sets):
         return analysis
-    longest = max(analysis.independent, key=lambda n: abs(_length(problem, n)), default="")
+    known = analysis.independent
+    longest = best_of(known, lambda n: abs(_length(problem, n))) if known else ""
     if not longest or not _scale_is_free(problem):
         return analysis
     held[longest] = "contacts without known separations do not determine the scale; this length is its reference"

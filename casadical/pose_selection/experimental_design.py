@@ -92,6 +92,21 @@ class Design(ABC):
         vars(self).update(kept, chosen=list(kept["chosen"]))
 
     @property
+    def regular(self) -> bool:
+        """Whether the chosen poses, and what was measured, determine all parameters."""
+        determined = np.diag(self.M) > 0
+        root = np.sqrt(np.diag(self.M)[determined])
+        least = np.linalg.eigvalsh(self.M[np.ix_(determined, determined)] / np.outer(root, root))[0]
+        return bool(least > REGULAR)
+
+    def _volumes(self, D: Array, which: Array, sign: int) -> Array:
+        """Change of the logarithm of the determinant of M, shape (N,); D : A_k C A_k' of these, (len(which), m, m)."""
+        gains = np.full(self.N, -np.inf)
+        signs, logs = np.linalg.slogdet(np.eye(self.m) + sign * D)
+        gains[which] = np.where((signs > 0) & (logs > np.log(INDISPENSABLE)), logs, -np.inf)
+        return gains
+
+    @property
     @abstractmethod
     def value(self) -> float:
         """Logarithm of the index of the chosen candidates together with what is fixed."""
@@ -139,11 +154,7 @@ class _Inverse(Design):
         """Called before C and D change."""
 
     def gains(self, which: Array, sign: int) -> Array:
-        """Change of the logarithm of the determinant of M by each of these candidates, shape (N,); -inf for others."""
-        gains = np.full(self.N, -np.inf)
-        signs, logs = np.linalg.slogdet(np.eye(self.m) + sign * self.D[which])
-        gains[which] = np.where((signs > 0) & (logs > np.log(INDISPENSABLE)), logs, -np.inf)
-        return gains
+        return self._volumes(self.D[which], which, sign)
 
 
 class Determinant(_Inverse):
@@ -180,10 +191,7 @@ class Linear(_Inverse):
         self.L = self.L - Q - Q.transpose(0, 2, 1) + P @ S @ (U.T @ WU) @ S @ P.transpose(0, 2, 1)
 
     def gains(self, which: Array, sign: int) -> Array:
-        determined = np.diag(self.M) > 0
-        root = np.sqrt(np.diag(self.M)[determined])
-        least = np.linalg.eigvalsh(self.M[np.ix_(determined, determined)] / np.outer(root, root))[0]
-        if not least > REGULAR:  # the chosen poses, and what was measured, do not determine all parameters
+        if not self.regular:
             return super().gains(which, sign)
         gains = np.full(self.N, -np.inf)
         small = np.eye(self.m) + sign * self.D[which]
@@ -195,7 +203,10 @@ class Linear(_Inverse):
 
 
 class Spectral(Design):
-    """O2 to O5: a shortlist by the derivative, then eigenvalues."""
+    """O2 to O5: a shortlist by the derivative, then eigenvalues.
+
+    A set that does not determine all parameters grows by the determinant, until it does.
+    """
 
     def __init__(self, index: str, *of_design: Any) -> None:
         self._log, self._slope = SPECTRAL[index]
@@ -213,6 +224,9 @@ class Spectral(Design):
         self._refresh()
 
     def gains(self, which: Array, sign: int) -> Array:
+        if not self.regular:
+            A = self.rows[which]
+            return self._volumes(A @ inverse(self.M) @ A.transpose(0, 2, 1), which, sign)
         gains = np.full(self.N, -np.inf)
         along = self.rows[which].reshape(-1, self.p) @ self.V
         first_order = sign * (along**2 @ self._slope(self.w)).reshape(len(which), self.m).sum(axis=1)

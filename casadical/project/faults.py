@@ -53,7 +53,7 @@ def every_fault(error: InputError, paths: Iterable[Path], *, later: bool = False
         robot, joints = (robot, joints) if joints else own
     for path in tables:
         found.tried(_beside, source, path, robot, joints, later)
-    return FaultsError.of(found.errors)
+    return FaultsError.joined(found.errors)
 
 
 def each_of(steps: Iterable[Callable[[], Read]]) -> list[Read]:

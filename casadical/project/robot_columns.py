@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from casadical.core.basics import Array, InputError
+from casadical.core.statistics import ranked
 from casadical.identification.accuracy import errors
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import of_another_frame, turned_off
@@ -66,7 +67,8 @@ def _by_model(
             if m.kind == "position" and computed(robot, m):
                 length = next(c for c in question.choices if len(question.choices[c]) == 1)
                 return found.answered(question, length, "the coordinates are computed, as the nominal robot has them")
-    order = sorted(left, key=lambda choice: left[choice])
+    tried = list(left)
+    order = [tried[k] for k in ranked([-left[choice] for choice in tried])]
     if not order:
         return found
     others = [left[choice] for choice in order[1:]]

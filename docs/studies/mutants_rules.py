@@ -98,11 +98,12 @@ def drawn(room: str, number: int, seed: int) -> Iterator[Mutant]:
 
 
 def listed() -> list[Mutant]:
-    """The mutants of the audit that the package still has."""
+    """The mutants of the audit. Raises ValueError: the package has not what one changes, which must be listed anew."""
     found = []
     for path, old, new, what in LISTED:
         text = (PACKAGE / path).read_text(encoding="utf-8")
-        if old in text:
-            line = text[: text.find(old)].count("\n") + 1
-            found.append(Mutant(path, line, text.replace(old, new, 1), f"audit: {what}"))
+        if old not in text:
+            raise ValueError(f"mutants_listed.py: {what}: {path} has no {old!r}")
+        line = text[: text.find(old)].count("\n") + 1
+        found.append(Mutant(path, line, text.replace(old, new, 1), f"audit: {what}"))
     return found

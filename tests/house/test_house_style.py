@@ -25,9 +25,14 @@ def test_house_rule(command: str) -> None:
 def test_what_is_chosen_is_the_first_of_the_best_on_every_processor(room) -> None:
     for path in (ROOT / "casadical" / room).rglob("*.py"):
         for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(call, ast.Call) and ast.unparse(call.func).endswith(".argmax"):
-                of_mask = any(isinstance(argument, ast.Compare) for argument in call.args)
-                assert of_mask, f"{path.name}:{call.lineno}: rounding decides among ties: take first_of_best"
+            if not isinstance(call, ast.Call):
+                continue
+            where = f"{path.name}:{call.lineno}: rounding decides among ties: take first_of_best or best_of"
+            name, keys = ast.unparse(call.func), {k.arg: ast.unparse(k.value) for k in call.keywords}
+            if name.endswith(".argmax"):
+                assert any(isinstance(argument, ast.Compare) for argument in call.args), where
+            if name in ("max", "min") and "key" in keys:
+                assert keys["key"] == "len", where
 
 
 def test_what_a_study_times_is_there() -> None:

@@ -67,7 +67,7 @@ class Fit:
         A = np.concatenate([self._base[blocks], causes], axis=2)
         return np.asarray((self.W[blocks] @ A).reshape(-1, A.shape[2]))
 
-    def _of(self, blocks: Array | slice) -> Array:
+    def _columns_of(self, blocks: Array | slice) -> Array:
         if self._kept is None:
             return self._white(blocks)
         if isinstance(blocks, slice):
@@ -84,7 +84,9 @@ class Fit:
         out = np.setdiff1d(np.arange(len(self.W)), blocks)
         fewer = out if len(out) < len(blocks) else blocks
         parts = np.array_split(fewer, 1 + len(fewer) // len(self.prior))
-        total = reduce(NormalSums.plus, (normal_sums(self.y[self._rows(some)], self._of(some)) for some in parts))
+        total = reduce(
+            NormalSums.plus, (normal_sums(self.y[self._rows(some)], self._columns_of(some)) for some in parts)
+        )
         return self.sums.less(total) if fewer is out else total
 
     def _solution(self, sums: NormalSums) -> Array:
@@ -125,7 +127,7 @@ class Fit:
 
     def _left(self, x: Array) -> Array:
         """What a fit leaves, white, shape (n m,)."""
-        return np.asarray(self.y - np.concatenate([self._of(some) @ x for some in self._parts()]))
+        return np.asarray(self.y - np.concatenate([self._columns_of(some) @ x for some in self._parts()]))
 
     def left(self, x: Array) -> Array:
         """What a fit leaves at every block, shape (n, m); x : its parameters, shape (p,)."""
@@ -145,7 +147,7 @@ class Fit:
         else:
             root = root_of_inverse(self._sums_of(blocks).H + np.diag(self.prior**-2))
         return np.concatenate(
-            [_blocks((self._of(s) @ root.T).reshape(-1, self.numbers, len(root))) for s in self._parts()]
+            [_blocks((self._columns_of(s) @ root.T).reshape(-1, self.numbers, len(root))) for s in self._parts()]
         )
 
     @cached_property
@@ -181,7 +183,7 @@ class Fit:
             B = self._pulled[rows]
             left = np.linalg.solve(np.eye(len(rows)) - B @ B.T, self.rest[rows])
         else:
-            A, y = self._of(blocks), self.y[rows]
+            A, y = self._columns_of(blocks), self.y[rows]
             left = y - A @ self._solution(self.sums.less(normal_sums(y, A)))
         return np.asarray(np.linalg.solve(self.W[blocks], self._by_block(left))[:, :, 0])
 

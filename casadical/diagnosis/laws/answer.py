@@ -11,6 +11,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.files import json_text
+from casadical.core.statistics import best_of
 from casadical.core.telling.blocks import Page, Section, Table, Words, mm
 from casadical.core.telling.figure import Axis, Figure, Series
 from casadical.core.telling.result import Result, plain_text
@@ -83,7 +84,7 @@ class Discovery(Result):
     @property
     def kept(self) -> Kept:
         """Which model predicts best where it was not fitted; a law only if it was claimed."""
-        return min(self.gap, key=lambda name: self.gap[name])
+        return best_of(self.gap, lambda name: -self.gap[name])
 
     @property
     def effects(self) -> tuple[Effect, ...]:

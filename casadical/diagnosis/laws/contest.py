@@ -13,7 +13,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.grid import log_sum
-from casadical.core.statistics import first_of_best
+from casadical.core.statistics import best_of, first_of_best, ranked
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import lengths, new_fit, random_folds
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, RHOS, Evidence
@@ -86,7 +86,7 @@ def _set_mass(found: Diagnosis) -> float:
     for ranking in found.rankings:
         known = left & ranking.log_mass.keys()
         if known:
-            best = max(known, key=lambda k: ranking.log_mass[k])
+            best = best_of(sorted(known), ranking.log_mass.__getitem__, logs=True)
             total, count = total + ranking.log_mass[best], count + 1
             left.remove(best)
     return total if count > 1 else -np.inf
@@ -98,14 +98,18 @@ def round_of(case: Case, chosen: Array, ranking: Ranking, without: frozenset[str
 
 
 def _judged(laws: Sequence[Scored], case: Case, chosen: Array, ranking: Ranking) -> Round:
+    def score(found: tuple[str, float]) -> float:
+        return found[1]
+
     by_label = {c.label: c for c in case.candidates}
-    order = sorted(ranking.log_factor, key=lambda k: -ranking.log_factor[k])
+    labels = list(ranking.log_factor)
+    order = [labels[k] for k in ranked(list(ranking.log_factor.values()), logs=True)]
     listed = [k for k in order if k in by_label and by_label[k].listed]
     smooth = [k for k in order if k in by_label and not by_label[k].listed]
     rivals = [_refined_rival(case, by_label[k], ranking, chosen) for k in listed[:2]]
-    best = max(rivals, key=lambda r: r[1], default=("", -np.inf))
-    other = max((_refined_rival(case, by_label[k], ranking, chosen) for k in smooth[:2]), key=lambda r: r[1])
-    noise = max(((f.label, f.log_factor) for f in noise_forms(case, chosen)), key=lambda r: r[1])
+    best = best_of(rivals, score, logs=True) if rivals else ("", -np.inf)
+    other = best_of((_refined_rival(case, by_label[k], ranking, chosen) for k in smooth[:2]), score, logs=True)
+    noise = best_of(((f.label, f.log_factor) for f in noise_forms(case, chosen)), score, logs=True)
     return Round(tuple(laws), best, other, noise, aliases(case, chosen, laws[0], ranking.variant))
 
 

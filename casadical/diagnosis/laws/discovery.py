@@ -69,7 +69,9 @@ def laws_beside(found: Diagnosis, show: Show = silent) -> Discovery:
         return _concluded(found, rounds, case, [], (), none)
     for _ in range(MOST_ROUNDS):
         show("laws beside what was found")
-        labels = frozenset([*(s.law.label for s in laws), *(c.label for c in found.causes if c.effects in _of(causes))])
+        labels = frozenset(
+            [*(s.law.label for s in laws), *(c.label for c in found.causes if c.effects in _sets_of(causes))]
+        )
         ranking = rank(case, columns, labels | {e.label for e in causes})
         listed = {c.label: c for c in case.candidates if c.listed}
         top = ranking.order[0]
@@ -88,7 +90,7 @@ def laws_beside(found: Diagnosis, show: Show = silent) -> Discovery:
     return _concluded(found, rounds, case, laws, causes, columns)
 
 
-def _of(causes: tuple[Effect, ...]) -> set[tuple[Effect, ...]]:
+def _sets_of(causes: tuple[Effect, ...]) -> set[tuple[Effect, ...]]:
     return {(e,) for e in causes} | {causes}
 
 

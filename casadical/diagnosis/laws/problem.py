@@ -18,6 +18,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.grid import log_sum
+from casadical.core.statistics import best_of
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, REPEATABILITY, RHOS, SIGMAS, Evidence
 from casadical.diagnosis.laws.forms import (
     Driver,
@@ -318,7 +319,7 @@ class Round:
     @property
     def rival(self) -> tuple[str, float]:
         """Label and score of the best of all rivals."""
-        return max(self.listed, self.smooth, self.noise, key=lambda found: found[1])
+        return best_of((self.listed, self.smooth, self.noise), lambda rival: rival[1], logs=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -364,7 +365,7 @@ class Problem:
         near = list(self.evidence.near)
         by_rho = dict(zip(near, log_sum(self.log_base[near], axis=1), strict=True))
         total = float(log_sum(self.log_base[near]))
-        known = [k for k in SCREENED if k in by_rho] or [max(near, key=lambda k: by_rho[k])]
+        known = [k for k in SCREENED if k in by_rho] or [best_of(near, by_rho.__getitem__, logs=True)]
         return [(float(by_rho[k]) - total, Screen.at_rho(self.evidence, k)) for k in known]
 
     def gains(self, seam: Seam, functions: Array) -> Array:

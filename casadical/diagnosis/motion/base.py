@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from casadical.core.basics import Array
+from casadical.core.statistics import best_of
 from casadical.diagnosis.motion.arm import Arm
 from casadical.diagnosis.motion.signals import Motion, lagged, servo_error
 
@@ -145,7 +146,7 @@ def _response(m: Motion, arm: Arm, torque: Array) -> tuple[Array, Array | None]:
         for u in (torque, torque - forward)
     )
     # Whether the drive feeds the model's torque forward is seen at once.
-    fed = min((by_torque, ahead), key=lambda e: float((((left - e) - (left - e).mean(axis=0)) ** 2).sum()))
+    fed = best_of((by_torque, ahead), lambda e: -float((((left - e) - (left - e).mean(axis=0)) ** 2).sum()))
     return left - fed, fed
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.statistics import first_of_best, ranked
+from casadical.core.statistics import best_of, first_of_best, ranked
 from casadical.core.telling.blocks import Table, Words
 from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.laws.answer import line_of
@@ -134,18 +134,16 @@ def laws_of(looks: Sequence[Look], outcome: Outcome, own: Sequence[Cause] = ()) 
     laws = [replace(s, score=s.score - s.evidence + ranking.log_factor[s.law.label]) for s in laws]
     # What is smooth in the law's own driver is no rival, but the same without a form.
     others = {*(s.law.label for s in laws), _smooth_of(laws[0])}
-    by_list = {
-        listed: max(
-            ((k, g) for k, g in ranking.log_factor.items() if k not in others and more.by_label[k].listed == listed),
-            key=lambda each: each[1], default=("none", 0.0),
-        )
-        for listed in (True, False)
-    }  # fmt: skip
+    by_list = {True: [("none", 0.0)], False: [("none", 0.0)]}
+    for label, gain in ranking.log_factor.items():
+        if label not in others:
+            by_list[more.by_label[label].listed].append((label, gain))
+    listed, unlisted = (best_of(by_list[k][1:] or by_list[k], lambda rival: rival[1], logs=True) for k in (True, False))
     theta = more.fitted(columns)[1][np.isin(columns, own_columns)]
     values = {n: float(v) * size for (n, (size, _)), v in zip(best.sizes().items(), theta, strict=True)}
     least = UNLISTED * (1.0 if more.unit else WITHOUT_TORQUE)
     found = judged(more, outcome.found, ranking, best.label)
-    return LogLaws(tuple(laws), found, values, by_list[True], by_list[False], least)
+    return LogLaws(tuple(laws), found, values, listed, unlisted, least)
 
 
 def _smooth_of(s: Scored) -> str:
@@ -208,7 +206,8 @@ def _searched(look: Look, case: MotionCase, chosen: Array) -> list[Scored]:
                 k, mean = first_of_best(gains, logs=True), float(log_mean(gains) - np.log(len(gains)))
                 price = float(np.log(1 + len(FORMS[driver.kind])))
                 one = mean - price, float(gains[k]) - mean + price, tried, tried.settings[0][k]
-                rough[row, driver.text] = max(one, rough.get((row, driver.text), one), key=lambda each: each[0])
+                both = rough.get((row, driver.text), one), one
+                rough[row, driver.text] = both[first_of_best([each[0] for each in both], logs=True)]
     laws, of_each = [], list(rough.values())
     for _, price, tried, settings in (of_each[k] for k in ranked([each[0] for each in of_each], logs=True)[:EXACT]):
         law, columns = tried.column(0, settings)

@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from casadical.core.basics import Array, Show, silent
+from casadical.core.statistics import best_of
 from casadical.core.telling.blocks import Block, Table, Words
 from casadical.core.telling.figure import Axis, Figure, Panel, Series
 from casadical.core.telling.result import Result
@@ -204,7 +205,7 @@ def replayed(robot: Robot, logs: Sequence[JointLog], withheld: Sequence[JointLog
 
 def replay_figures(replay: Replay) -> Iterator[Figure]:
     """Of the run whose readings were farthest from their commands, and the map of all runs."""
-    run = max(range(len(replay.runs)), key=lambda k: float(np.nanmean(replay.left(k, before=True) ** 2)))
+    run = best_of(range(len(replay.runs)), lambda k: float(np.nanmean(replay.left(k, before=True) ** 2)))
     command, source = replay.runs[run].command, replay.runs[run].source
     assert command is not None
     there = replay.moves & (np.ptp(command, axis=0) > MOVED)

@@ -58,7 +58,7 @@ def _set_joints(root: ET.Element, robot: Robot, drive: Drive) -> None:
         body = bodies[f"link{i}"]
         joint = next(node for node in body.iter("joint") if node.get("name") == f"joint{i}")
         for name, attribute in moved:
-            joint.set(attribute, numbers(float(_of(drive, name, robot)[i - 1])))
+            joint.set(attribute, numbers(float(_each(drive, name, robot)[i - 1])))
         if row.compliance:
             add_spring(body, f"joint{i}_spring", "0 0 1", 1 / row.compliance)
 
@@ -96,24 +96,24 @@ def _set_floor(root: ET.Element, height: float | None) -> None:
 
 def _actuator(robot: Robot, drive: Drive, i: int) -> ET.Element:
     """Force = kp (ctrl - q) less the constant torque, with ctrl held back by the delay."""
-    row, kp = robot.joints[i - 1], float(_of(drive, "kp", robot)[i - 1])
-    bias = float(_of(drive, "bias", robot)[i - 1])
+    row, kp = robot.joints[i - 1], float(_each(drive, "kp", robot)[i - 1])
+    bias = float(_each(drive, "bias", robot)[i - 1])
     servo = ET.Element("general", name=f"drive{i}", joint=f"joint{i}", biastype="affine", gainprm=numbers(kp))
     servo.set("biasprm", numbers(-bias, -kp, 0))
     servo.set("ctrlrange", numbers(row.lower, row.upper))
-    if limit := float(_of(drive, "torque_limit", robot)[i - 1]):
+    if limit := float(_each(drive, "torque_limit", robot)[i - 1]):
         servo.set("forcerange", numbers(-limit, limit))
-    if within := float(_of(drive, "command_filter", robot)[i - 1]):
+    if within := float(_each(drive, "command_filter", robot)[i - 1]):
         servo.set("dyntype", "filterexact")
         servo.set("dynprm", numbers(within))
-    if (delay := float(_of(drive, "delay", robot)[i - 1])) > STEP / 2:
+    if (delay := float(_each(drive, "delay", robot)[i - 1])) > STEP / 2:
         servo.set("delay", numbers(delay))
         servo.set("nsample", str(int(np.ceil(delay / STEP)) + 2))
         servo.set("interp", "linear")
     return servo
 
 
-def _of(drive: Drive, name: str, robot: Robot) -> Any:
+def _each(drive: Drive, name: str, robot: Robot) -> Any:
     value = drive.of_joints(name, robot.n)
     return np.zeros(robot.n) if value is None else value
 
@@ -123,13 +123,13 @@ def _lost(robot: Robot) -> Iterator[str]:
     drive = robot.drive
     assert drive is not None
     if drive.ki is not None:
-        lag = 1e3 * float(np.max(robot.torque_scale / _of(drive, "kp", robot)))
+        lag = 1e3 * float(np.max(robot.torque_scale / _each(drive, "kp", robot)))
         yield f"integral gain: at rest the model droops by up to {lag:.3g} mrad where the servo would not"
     if drive.joint_stiffness is not None:
-        give = 1e3 * float(np.max(robot.torque_scale / _of(drive, "joint_stiffness", robot)))
+        give = 1e3 * float(np.max(robot.torque_scale / _each(drive, "joint_stiffness", robot)))
         yield f"gear springs behind the motor's encoder: up to {give:.3g} mrad under gravity"
     if drive.speed_limit is not None:
-        yield f"speed limit of {float(np.min(_of(drive, 'speed_limit', robot))):.3g} rad/s: joints may move faster"
+        yield f"speed limit of {float(np.min(_each(drive, 'speed_limit', robot))):.3g} rad/s: joints may move faster"
     if drive.read_skew is not None:
         yield "readings of joints one after another: all are of one time here"
 
@@ -138,8 +138,8 @@ def servos_of(robot: Robot) -> tuple[str, ...]:
     """What a file with damping and friction alone leaves out of drives that follow commands, in mrad and ms."""
     if robot.drive is None or not knows_motion(robot):
         return ()
-    droop = 1e3 * float(np.max(robot.torque_scale / _of(robot.drive, "kp", robot)))
-    late = 1e3 * float(np.max(_of(robot.drive, "delay", robot)))
+    droop = 1e3 * float(np.max(robot.torque_scale / _each(robot.drive, "kp", robot)))
+    late = 1e3 * float(np.max(_each(robot.drive, "delay", robot)))
     floor = "" if robot.drive.floor is None else f"; a surface where the tool is {1e3 * robot.drive.floor:.4g} mm high"
     return (
         f"gains, armature and delay of the drives: droop up to {droop:.3g} mrad under gravity, {late:.3g} ms{floor}",

@@ -183,7 +183,7 @@ def _zero(angle: float) -> float:
 
 
 def _kept(level: Sequence[Hypothesis], share: Array, beam: int) -> list[int]:
-    order = [int(k) for k in np.argsort(share)]
+    order = ranked(np.negative(share))
     kept, of_each = order[:beam], dict[tuple[int, int], int]()
     for k in order:
         key = (level[k].shift, level[k].rows)
@@ -218,10 +218,10 @@ def _moves(h: Hypothesis, turning: Sequence[bool], shifts: Sequence[int], rows: 
 def _length_moves(h: Hypothesis, lengths: Array, robot: Robot) -> Iterator[Hypothesis]:
     """The lengths whose departure explains most."""
     n = robot.n
-    order = np.argsort(lengths[:, 0])[:3]
+    order = ranked(-lengths[:, 0])[:3]
     for k in order:
         rest, departure = lengths[k]
-        name, i = ("a", int(k)) if k < n else ("d", int(k) - n)
+        name, i = ("a", k) if k < n else ("d", k - n)
         known = any((name, i) == (other, j) for other, j, _ in h.lengths)
         if rest < 0.9 and abs(departure) > LENGTH * robot.reach and not known:
             yield h._replace(lengths=(*h.lengths, (name, i, float(departure))))

@@ -12,6 +12,7 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.parts import Target
+from casadical.core.statistics import first_of_best
 from casadical.core.transforms import frame
 from casadical.identification.accuracy import errors, predicted
 from casadical.identification.placement import place_frames
@@ -152,7 +153,7 @@ def _distinguished(
     middle = [(x := _means(seen[rows], part)) - x.mean(axis=0) for rows, part in whole]
     points, orders = middle[0], np.array(list(permutations(range(found.count))))
     for _ in range(3):
-        ordered = np.array([x[orders[np.argmin(((x[orders] - points) ** 2).sum(axis=(1, 2)))]] for x in middle])
+        ordered = np.array([x[orders[first_of_best(-((x[orders] - points) ** 2).sum(axis=(1, 2)))]] for x in middle])
         points = np.median(ordered, axis=0)
     scatter = float(np.median(np.linalg.norm(ordered - points, axis=2)))
     if len(whole) < 2 * FEWEST or scatter > SURE * found.distances[0]:
@@ -186,7 +187,7 @@ def _nearest(x: Array, points: Array) -> Array:
     if k == count:  # what the nominal model misses by is the same for all
         off = off - np.median(off, axis=1, keepdims=True)
     most = _lengths(points).min() / 2  # what a bad row misses by does not count
-    return np.asarray(orders[np.argmin(np.minimum(np.linalg.norm(off, axis=2), most).sum(axis=1))])
+    return np.asarray(orders[first_of_best(-np.minimum(np.linalg.norm(off, axis=2), most).sum(axis=1))])
 
 
 def middles(m: Measurements, count: int) -> Measurements | None:
@@ -392,7 +393,7 @@ def _by_known(placed: Robot, points: Array, m: Measurements) -> Array:
     U[:, :, 2] *= np.sign(np.linalg.det(U @ V))[:, None]
     turn = U @ V  # of rows of coordinates, by Kabsch (1976)
     far = [(x[:, some] - c) @ T + y.mean(axis=0) - m.position[some] for c, T in zip(middle, turn, strict=True)]
-    best = int(np.argmin(np.median(np.linalg.norm(far, axis=3).min(axis=1), axis=1)))
+    best = first_of_best(-np.median(np.linalg.norm(far, axis=3).min(axis=1), axis=1))
     off = (x - middle[best]) @ turn[best] + y.mean(axis=0) - m.position
     return np.asarray(np.argmin(np.linalg.norm(off, axis=2), axis=0))
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadical.core.basics import Array, InputError
+from casadical.core.statistics import first_of_best
 from casadical.effects import Session
 from casadical.identification.accuracy import predicted
 from casadical.identification.least_squares import LeastSquares
@@ -135,13 +136,14 @@ def _words(to_go: int | None, target: float | None, now: float) -> str:
 
 def _order(robot: Robot, q: Array, gain: Array, before: Array) -> list[int]:
     """An order of short travel that begins with a pose that gains much, each then the nearest to the one before."""
-    n, last = len(q), before[-1:] if len(before) else q[[np.argmax(gain)]]
+    n, last = len(q), before[-1:] if len(before) else q[[first_of_best(gain)]]
     D = distances(robot, np.vstack([q, last]))
     order: list[int] = []
     left, at = set(range(n)), n
     while left:
         among = left if order else [k for k in left if gain[k] >= SHARE * gain.max()]
-        at = min(among, key=lambda k: D[at, k])
+        listed = sorted(among)
+        at = listed[first_of_best(-D[at, listed])]
         left.remove(at)
         order.append(at)
     return order

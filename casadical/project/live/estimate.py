@@ -14,6 +14,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.parameters import Parameter
+from casadical.core.statistics import best_of, first_of_best
 from casadical.identification.accuracy import predicted
 from casadical.identification.least_squares import FRAMES, LeastSquares
 from casadical.identification.sessions import PREFIX, place_sessions
@@ -218,7 +219,7 @@ def estimate(robot: Robot, m: Measurements, placed: Robot | None = None) -> Esti
         seen = observed(now, names, m, points=points) if step else seen
         y, apart = seen.off + seen.J @ x, (seen.separated[0] + seen.separated[1] @ x, seen.separated[1])
         fits = [(*_by_evidence(seen.J, y, np.where(angles, 1 / r, 1.0), free, width, apart), float(r)) for r in ratios]
-        _, sigma, C, b, ratio = max(fits, key=lambda fit: fit[0])
+        _, sigma, C, b, ratio = best_of(fits, lambda fit: fit[0], logs=True)
         ratios = np.array([ratio])
         before, x = x, C @ b
         values = np.clip(value + scale * x[:p], lower, upper)
@@ -300,7 +301,7 @@ def counted(robot: Robot, m: Measurements, doubtful: Array) -> tuple[Estimate | 
             surprise[inside] = [each.misses(m[inside[[k]]])[1][0] for k, each in enumerate(without)]
         if out.any():
             off[out], surprise[out] = found.misses(m[np.flatnonzero(out)])
-        worst = int(inside[np.argmax(surprise[inside])])
+        worst = int(inside[first_of_best(surprise[inside])])
         if surprise[worst] > found.limit and len(inside) > FEWEST:
             out[worst] = True
         elif (back := out & (surprise <= found.limit)).any():

@@ -165,7 +165,7 @@ def _of_joints(found: Estimate, one: Measurements, m: Measurements, k: int, y: A
         q[i, :, i] = np.linspace(max(lower[i], -2 * np.pi), min(upper[i], 2 * np.pi), PLACES)
     p, _ = predicted(found.robot, _at(one, q.reshape(-1, n)))
     away = np.linalg.norm(p - y, axis=1).reshape(n, PLACES)  # not a number where a four-bar cannot close
-    best = np.nan_to_num(away, nan=np.inf).argmin(axis=1)
+    best = np.nan_to_num(away, nan=np.inf).round(9).argmin(axis=1)  # of places a turn apart the first
     at = q[np.arange(n), best]
     for _ in range(STEPS):
         some = _at(one, at)
