@@ -11,7 +11,16 @@ from typing import Any
 import pandas as pd
 
 from casadical.core.basics import Array, InputError, optional
-from casadical.core.reading import LONGEST, MOST_CELLS, archive_of, foreign, read_bytes, text_fault, unpacked
+from casadical.core.reading import (
+    LONGEST,
+    MOST_CELLS,
+    MOST_NUMBERS,
+    archive_of,
+    foreign,
+    read_bytes,
+    text_fault,
+    unpacked,
+)
 from casadical.measurements import table_form
 
 # Characters of a heading, and columns.
@@ -86,6 +95,12 @@ def _text(path: Path, data: bytes) -> tuple[str, str, str]:
     if data.startswith(b"\xd0\xcf\x11\xe0"):
         raise InputError(f"{path}: a workbook of the old format; save it as .xlsx or as CSV")
     return (*table_form.decoded(data), "")
+
+
+def refuse_many(path: str | Path, numbers: int) -> None:
+    """Raises InputError for more numbers than memory should hold."""
+    if numbers > MOST_NUMBERS:
+        raise InputError(f"{path}: has more than {MOST_NUMBERS} numbers; split it, or leave columns and rows out")
 
 
 def _sheet(path: Path, data: bytes) -> tuple[str, str, str]:
