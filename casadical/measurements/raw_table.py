@@ -23,8 +23,8 @@ from casadical.core.reading import (
 )
 from casadical.measurements import table_form
 
-# Characters of a heading, and columns.
-LONGEST_HEADING, MOST_COLUMNS = 1000, 2000
+# Characters of a heading, columns, and numbers of a text that is split at once, which takes 200 bytes for each.
+LONGEST_HEADING, MOST_COLUMNS, MOST_AT_ONCE = 1000, 2000, 10_000_000
 # What a workbook has in a cell whose formula failed.
 _FAILED = ("#NULL!", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#N/A")
 
@@ -66,13 +66,15 @@ def read_table(path: str | Path, data: bytes | None = None) -> RawTable:
     The file may be gzipped. Comments, titles above the headings, a row of units, repeated headings and blank lines
     are no rows. data : the content, where it was read already
     Raises InputError that names the file, and the row where one is wrong: no such file, neither text nor a workbook,
-    a name twice in the header, no rows, or a row with more cells than the header.
+    a name twice in the header, no rows, too many numbers, or a row with more cells than the header.
     """
     path = Path(path)
     try:
         data = unpacked(read_bytes(path) if data is None else data, str(path))
         text, encoding, sheet = _text(path, data)
         separator = "," if sheet else table_form.separator_of(text)
+        if not sheet:
+            refuse_many(path, text.count(separator) + max(text.count("\n"), text.count("\r")), at_once=True)
     except UnicodeDecodeError as error:
         row = error.object.count(b"\n", 0, error.start) + 1
         why = f"row {row} is no text in {error.encoding}; save it as UTF-8"
@@ -97,10 +99,11 @@ def _text(path: Path, data: bytes) -> tuple[str, str, str]:
     return (*table_form.decoded(data), "")
 
 
-def refuse_many(path: str | Path, numbers: int) -> None:
-    """Raises InputError for more numbers than memory should hold."""
-    if numbers > MOST_NUMBERS:
-        raise InputError(f"{path}: has more than {MOST_NUMBERS} numbers; split it, or leave columns and rows out")
+def refuse_many(path: str | Path, numbers: int, *, at_once: bool = False) -> None:
+    """Raises InputError for more numbers than memory should hold; at_once : of a text that is not read in parts."""
+    if numbers > (most := MOST_AT_ONCE if at_once else MOST_NUMBERS):
+        plainer = "; of a CSV in UTF-8 without quotes, not gzipped, more are read" if at_once else ""
+        raise InputError(f"{path}: has more than {most} numbers; split it, or leave columns and rows out{plainer}")
 
 
 def _sheet(path: Path, data: bytes) -> tuple[str, str, str]:

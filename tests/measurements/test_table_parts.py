@@ -1,6 +1,8 @@
 """Tables of any size, read some rows at a time, are what they are when read at once, and identify the same robot."""
 
+import gzip
 import os
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +11,8 @@ import pytest
 
 from casadical import InputError, Measurements, identify, read_measurements, read_robot
 from casadical.identification import least_squares, residuals
-from casadical.measurements import reading, table_parts
+from casadical.measurements import raw_table, reading, table_parts
+from casadical.measurements.table_form import decoded, separator_of
 
 ROOT = Path(__file__).parents[2]
 PLANAR = ROOT / "data" / "planar" / "planar.csv"
@@ -297,3 +300,31 @@ def test_texts_and_headings_of_parquet_that_pandas_reads_otherwise(tmp_path: Pat
     parquet.write_table(arrow.table([numbers], [" q1_deg"]), path)
     raw = table_parts.read_columns(path)
     assert raw.header == tuple(raw.frame) == ("q1_deg",)
+
+
+@pytest.mark.parametrize("form", ["gzipped", "quoted", "decimal commas", "tabs", "carriage returns"])
+def test_too_many_numbers_are_refused_before_a_text_is_split(tmp_path, monkeypatch, form):
+    path, text = tmp_path / "poses.csv", ("\r" if "returns" in form else "\n").join(FORMS.get(form, LINES)).encode()
+    path.write_bytes(gzip.compress(text) if form == "gzipped" else text)
+    monkeypatch.setattr(raw_table, "MOST_AT_ONCE", 203)
+    monkeypatch.setattr(raw_table, "records_in", None)
+    with pytest.raises(InputError, match=r"poses\.csv: has more than 203 numbers; split it.*; of a CSV in UTF-8"):
+        table_parts.read_columns(path)
+
+
+def test_a_separator_is_told_from_the_head_of_a_long_text() -> None:
+    text = "10,20,500\n" * 500_000
+    tracemalloc.start()
+    assert separator_of(text) == ","
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 20e6
+
+
+def test_an_encoding_of_one_country_is_told_without_a_copy_for_each() -> None:
+    data = ("x,y\n" + "\u00a5\u00b1,1\n" * 100_000).encode("cp1252")
+    tracemalloc.start()
+    assert decoded(data)[1] == "cp1252"
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 8 * len(data)
