@@ -3,6 +3,7 @@
 import csv
 import io
 import re
+import zipfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,6 +28,8 @@ from casadical.measurements import table_form
 LONGEST_HEADING, MOST_COLUMNS, MOST_AT_ONCE = 1000, 2000, 10_000_000
 # What a workbook has in a cell whose formula failed.
 _FAILED = ("#NULL!", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#N/A")
+# Rows and cells in the XML of a sheet.
+_CELLS = re.compile(rb"<(?:\w+:)?(?:row|c)[\s/>]")
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,18 +115,26 @@ def _sheet(path: Path, data: bytes) -> tuple[str, str, str]:
     openpyxl = optional("openpyxl", needed)
     content, best, cells = archive_of(data, str(path)), ("", "", -1), 0
     with foreign(f"{path}: not a readable workbook"):
+        with zipfile.ZipFile(content) as archive:  # openpyxl reads a sheet to its end before it gives the first row
+            for name in archive.namelist():
+                if name.endswith(".xml"):
+                    _refuse_cells(path, sum(1 for _ in _CELLS.finditer(archive.read(name))))
         for sheet in openpyxl.load_workbook(content, read_only=True, data_only=True).worksheets:
             sheet.reset_dimensions()  # what it says of its size need not be true
             out, numbers = io.StringIO(newline=""), 0
             rows = csv.writer(out)
             for row in sheet.iter_rows(values_only=True):
                 cells += 1 + len(row)
-                if cells > MOST_CELLS:
-                    raise InputError(f"{path}: has more than {MOST_CELLS} cells; save what was measured as CSV")
+                _refuse_cells(path, cells)
                 numbers += sum(isinstance(value, int | float) for value in row)
                 rows.writerow(map(_cell, row))
             best = max(best, (out.getvalue(), str(sheet.title), numbers), key=lambda sheet: sheet[2])
     return best[0], "workbook", best[1]
+
+
+def _refuse_cells(path: Path, cells: int) -> None:
+    if cells > MOST_CELLS:
+        raise InputError(f"{path}: has more than {MOST_CELLS} cells; save what was measured as CSV")
 
 
 def _cell(value: Any) -> str:
