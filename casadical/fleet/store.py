@@ -271,12 +271,13 @@ def _read(path: Path, columns: Sequence[str] | None, damaged: list[str] | None) 
     blob = io.BytesIO(read_bytes(path))
     try:
         with foreign(f"{shown(path)}: is no part of a store", AGAIN):
-            file = parquet.ParquetFile(blob)
-            schema = file.schema_arrow
+            schema = parquet.read_schema(blob)
             version = (schema.metadata or {}).get(KEY, b"").decode(errors="replace")
             if version == str(VERSION):
-                _refuse_malformed(file)
-                table = file.read([n for n in schema.names if columns is None or n in columns])
+                _refuse_malformed(schema, parquet.read_metadata(blob).num_rows)
+                if (count := values_of(blob)) > MOST_NUMBERS:
+                    raise ValueError(f"it has {count} values; at most {MOST_NUMBERS} are read")
+                table = parquet.read_table(blob, columns=[n for n in schema.names if columns is None or n in columns])
                 table.validate(full=True)  # its texts, too
                 if lost := [name for name in table.column_names if table[name].null_count]:
                     raise ValueError(f"a cell of column {lost[0]!r} is empty")
@@ -292,13 +293,10 @@ def _read(path: Path, columns: Sequence[str] | None, damaged: list[str] | None) 
     )
 
 
-def _refuse_malformed(file: Any) -> None:
-    """Raises ValueError for too many rows or values, and where columns of a file are not those of a row."""
-    if (count := file.metadata.num_rows) > MOST_ROWS:
+def _refuse_malformed(schema: Any, count: int) -> None:
+    """Raises ValueError where a file has too many rows, or its columns are not those of a row."""
+    if count > MOST_ROWS:
         raise ValueError(f"it has {count} rows; at most {MOST_ROWS} are read")
-    if (count := values_of(file)) > MOST_NUMBERS:
-        raise ValueError(f"it has {count} values; at most {MOST_NUMBERS} are read")
-    schema = file.schema_arrow
     for name, empty in NOTHING.items():
         if name not in schema.names and name not in ADDED:
             raise ValueError(f"column {name!r} is missing")

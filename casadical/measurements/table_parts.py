@@ -12,7 +12,7 @@ from dataclasses import replace
 from importlib import import_module
 from itertools import chain, repeat
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import pandas as pd
@@ -163,7 +163,7 @@ def _parquet(path: Path) -> Iterator[RawTable]:
         refuse_repeated_names(header, str(path))
         about = file.metadata
         if any(about.schema.column(k).max_repetition_level for k in range(about.num_columns)):  # of lists
-            refuse_many(path, values_of(file))
+            refuse_many(path, values_of(path))
         for _, batch in zip(_bounded_texts(path, file), file.iter_batches(ROWS), strict=False):
             batch.validate(full=True)  # else pandas finds texts that are none where they are looked at
             frame = batch.to_pandas(ignore_metadata=True)
@@ -177,15 +177,16 @@ def _parquet(path: Path) -> Iterator[RawTable]:
         raise InputError(f"{path}: no rows; at least one is needed")
 
 
-def values_of(file: Any) -> int:
-    """How many values a `pyarrow.parquet.ParquetFile` holds, those of lists counted one by one.
+def values_of(source: Path | IO[bytes]) -> int:
+    """How many values a Parquet file holds, those of lists counted one by one; raises what Arrow does.
 
     They are decoded without being kept, which raises an error where the metadata of a column are damaged: to ask for
     these ends the process then.
     """
-    file.scan_contents()
-    groups, columns = map(file.metadata.row_group, range(file.num_row_groups)), range(file.metadata.num_columns)
-    return sum(group.column(k).num_values for group in groups for k in columns)
+    with import_module("pyarrow.parquet").ParquetFile(source, memory_map=True, pre_buffer=False) as file:
+        file.scan_contents()
+        groups, columns = map(file.metadata.row_group, range(file.num_row_groups)), range(file.metadata.num_columns)
+        return sum(group.column(k).num_values for group in groups for k in columns)
 
 
 def _bounded_texts(path: Path, file: Any) -> Iterator[None]:
