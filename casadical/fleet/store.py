@@ -22,12 +22,13 @@ from casadical import __version__
 from casadical.core.basics import CasadicalError, InputError, optional, shown
 from casadical.core.file_locks import Lock
 from casadical.core.files import json_text, write_together
-from casadical.core.reading import read_bytes
+from casadical.core.reading import MOST_NUMBERS, foreign, read_bytes
 from casadical.fleet.campaigns import estimates_of, in_order, later_tables, other_regions
 from casadical.fleet.changes import in_words
 from casadical.fleet.cluster import NEEDED
 from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate
+from casadical.measurements.table_parts import values_of
 from casadical.project.calibration import calibrate
 from casadical.project.diagnosis import CampaignDiagnosis, diagnose_campaign, read_campaigns
 from casadical.project.problem import Problem, read_campaign_robot, read_problem
@@ -164,6 +165,9 @@ VERSION = 1
 KEY = b"casadical_fleet"
 # Columns that files of this version may lack.
 ADDED = ("left_free",)
+# Rows of a file; one is written for `casadical.fleet.run.ROWS` robots at most.
+MOST_ROWS = 10_000
+AGAIN = "the robots in it are computed again; remove it"
 
 
 @contextmanager
@@ -250,7 +254,8 @@ def each(folder: Path, robots: Collection[str], columns: Sequence[str] | None = 
         names = _read(path, ["robot"], [])
         if names is None or left.isdisjoint(names["robot"].to_pylist()):
             continue
-        table = _read(path, columns, [])
+        if (table := _read(path, columns, [])) is None:
+            continue
         last = {name: k for k, name in enumerate(names["robot"].to_pylist()) if name in left}
         left -= last.keys()
         yield from records(table.take(list(last.values())).to_pandas(ignore_metadata=True))
@@ -265,30 +270,33 @@ def _read(path: Path, columns: Sequence[str] | None, damaged: list[str] | None) 
     parquet = optional("pyarrow.parquet", NEEDED)
     blob = io.BytesIO(read_bytes(path))
     try:
-        schema = parquet.read_schema(blob)
-        version = (schema.metadata or {}).get(KEY, b"").decode(errors="replace")
-        if version != str(VERSION):
-            raise InputError(
-                f"{shown(path)}: a store of version {version or 'unknown'}; this casadical reads version {VERSION}: "
-                "give another --store, or use the casadical that wrote it. Nothing was changed"
-            )
-        _refuse_malformed(schema)
-        table = parquet.read_table(blob, columns=[n for n in schema.names if columns is None or n in columns])
-        if lost := [name for name in table.column_names if table[name].null_count]:
-            raise ValueError(f"a cell of column {lost[0]!r} is empty")
-        return table
-    except (OSError, ValueError, ArithmeticError) as error:
-        if isinstance(error, InputError):
-            raise
-        why = f"{shown(path)}: is no part of a store: {str(error).splitlines()[0].rstrip('.')}"
+        with foreign(f"{shown(path)}: is no part of a store", AGAIN):
+            schema = parquet.read_schema(blob)
+            version = (schema.metadata or {}).get(KEY, b"").decode(errors="replace")
+            if version == str(VERSION):
+                _refuse_malformed(schema, parquet.read_metadata(blob).num_rows)
+                if (count := values_of(blob)) > MOST_NUMBERS:
+                    raise ValueError(f"it has {count} values; at most {MOST_NUMBERS} are read")
+                table = parquet.read_table(blob, columns=[n for n in schema.names if columns is None or n in columns])
+                table.validate(full=True)  # its texts, too
+                if lost := [name for name in table.column_names if table[name].null_count]:
+                    raise ValueError(f"a cell of column {lost[0]!r} is empty")
+                return table
+    except InputError as error:
         if damaged is None:
-            raise InputError(why) from None
-        damaged.append(f"{why}; the robots in it are computed again; remove it")
+            raise
+        damaged.append(str(error))
         return None
+    raise InputError(
+        f"{shown(path)}: a store of version {version or 'unknown'}; this casadical reads version {VERSION}: "
+        "give another --store, or use the casadical that wrote it. Nothing was changed"
+    )
 
 
-def _refuse_malformed(schema: Any) -> None:
-    """Raises ValueError where columns of a file are not those of a row."""
+def _refuse_malformed(schema: Any, count: int) -> None:
+    """Raises ValueError where a file has too many rows, or its columns are not those of a row."""
+    if count > MOST_ROWS:
+        raise ValueError(f"it has {count} rows; at most {MOST_ROWS} are read")
     for name, empty in NOTHING.items():
         if name not in schema.names and name not in ADDED:
             raise ValueError(f"column {name!r} is missing")

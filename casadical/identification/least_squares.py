@@ -267,6 +267,15 @@ class LeastSquares:
         assert known.triangle is not None
         return known.triangle
 
+    def undefined(self, v: Array) -> tuple[Measurements, Array] | None:
+        """The first set with a residual, or a slope of one, that is no finite number, and at which of its poses."""
+        bad: list[list[Array]] = [[] for _ in self.sets]
+        for k, r, J in self._parts(v):
+            if k < len(self.sets):  # not of separations
+                bad[k].append(~np.isfinite(np.column_stack([r, J.reshape(len(r), -1)])).all(axis=1))
+        at = ((m, np.concatenate(some)) for m, some in zip(self.sets, bad, strict=True) if some)
+        return next((found for found in at if found[1].any()), None)
+
     def information(self, v: Array) -> Array:
         """J'WJ at v without the priors, shape (size, size); W : the weights that the loss gives."""
         return self._sums(v).information

@@ -9,6 +9,7 @@ from casadical.core.basics import Array, Fault, FaultsError, InputError
 from casadical.core.transforms import nearest_rotation
 from casadical.identification.accuracy import positions_at, predicted
 from casadical.identification.placement import place_frames
+from casadical.identification.residuals import HELD
 from casadical.measurements.columns import MOST_TURNS
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
@@ -40,7 +41,7 @@ def check_against(robot: Robot, *sets: Measurements) -> None:
     """Refuse measurements that this robot cannot have made.
 
     Raises InputError: wrong number of joints, joints out of range (all of them, FaultsError), loads in the wrong unit,
-    an open loop, positions in the wrong unit, orientations of another robot.
+    an open loop, effects without a finite position, positions in the wrong unit, orientations of another robot.
     """
     for m in sets:
         if m.q.shape[1] != robot.n:
@@ -49,7 +50,28 @@ def check_against(robot: Robot, *sets: Measurements) -> None:
         raise FaultsError(faults)
     for m in sets:
         _refuse_payload(robot, m)
+        refuse_undefined(robot, m)
         _refuse_implausible(robot, m)
+
+
+def refuse_undefined(robot: Robot, m: Measurements) -> None:
+    """Raises InputError, with the row, where a robot with effects has no finite position, as with a divisor of zero."""
+    for k in range(0, len(m) if robot.effects else 0, HELD):
+        some = m[k : k + HELD]
+        for q in (some.q,) if some.other is None else (some.q, some.other):
+            bad = np.asarray(~np.isfinite(predicted(robot, replace(some, q=q))[0]).all(axis=1))
+            if bad.any():
+                raise undefined(robot, some, bad)
+
+
+def undefined(robot: Robot, m: Measurements, bad: Array) -> InputError:
+    """The error that a robot's model gives no finite number at some rows; bad : whether at each, shape (n,)."""
+    words = robot.effects_in_words and f" with {robot.effects_in_words}"
+    such = f" ({bad.sum()} such rows)" if bad.sum() > 1 else ""
+    return InputError(
+        f"{m.source}: row {m.row[np.argmax(bad)]}: the model{words} gives no finite number there{such}; change the "
+        "effect so that it does (does it divide by what may be zero?), or leave the rows out"
+    )
 
 
 def _refuse_payload(robot: Robot, m: Measurements) -> None:

@@ -20,6 +20,7 @@ from casadical.identification.identifiability import (
     drop_poor,
 )
 from casadical.identification.least_squares import LeastSquares, Linearised
+from casadical.identification.plausibility import undefined
 from casadical.identification.residuals import POINT_SCALE
 from casadical.identification.solver import Progress, Solution
 from casadical.measurements.kinds.registry import find_kind
@@ -337,7 +338,10 @@ _WHOLE_ROBOT = (
 
 
 def independent_parameters(problem: LeastSquares) -> Identifiability:
-    """Which of its names the data determine, by the Jacobian at v = 0, with fixed loads if joints are compliant."""
+    """Which of its names the data determine, by the Jacobian at v = 0, with fixed loads if joints are compliant.
+
+    Raises InputError, with the row, where that is no finite number.
+    """
     robot, names, p = problem.robot, problem.names, len(problem.names)
     loaded = any(j.compliance is not None for j in robot.joints) or bool(robot.effects)
     with_loads = problem if loaded == problem.fixed_loads else replace(problem, fixed_loads=loaded)
@@ -351,6 +355,8 @@ def independent_parameters(problem: LeastSquares) -> Identifiability:
     columns = [*range(p, problem.size), *asked]
     zero = np.zeros(problem.size)
     R = with_loads.triangle(zero, columns) if wide else with_loads.triangle(zero)[:, columns]
+    if not np.isfinite(R).all() and (found := with_loads.undefined(zero)):
+        raise undefined(robot, *found)
     if problem.priors and problem.residual_count <= problem.size:
         # Too few numbers to say what is confounded.
         R = np.concatenate([R, np.diag(np.sqrt(np.diag(problem.prior_matrix)))[:, columns]])

@@ -3,6 +3,7 @@
 import csv
 import io
 import re
+import zipfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,13 +12,24 @@ from typing import Any
 import pandas as pd
 
 from casadical.core.basics import Array, InputError, optional
-from casadical.core.reading import LONGEST, MOST_CELLS, archive_of, foreign, read_bytes, text_fault, unpacked
+from casadical.core.reading import (
+    LONGEST,
+    MOST_CELLS,
+    MOST_NUMBERS,
+    archive_of,
+    foreign,
+    read_bytes,
+    text_fault,
+    unpacked,
+)
 from casadical.measurements import table_form
 
-# Characters of a heading, and columns.
-LONGEST_HEADING, MOST_COLUMNS = 1000, 2000
+# Characters of a heading, columns, and numbers of a text that is split at once, which takes 200 bytes for each.
+LONGEST_HEADING, MOST_COLUMNS, MOST_AT_ONCE = 1000, 2000, 10_000_000
 # What a workbook has in a cell whose formula failed.
 _FAILED = ("#NULL!", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#N/A")
+# Rows and cells in the XML of a sheet.
+_CELLS = re.compile(rb"<(?:\w+:)?(?:row|c)[\s/>]")
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,13 +69,15 @@ def read_table(path: str | Path, data: bytes | None = None) -> RawTable:
     The file may be gzipped. Comments, titles above the headings, a row of units, repeated headings and blank lines
     are no rows. data : the content, where it was read already
     Raises InputError that names the file, and the row where one is wrong: no such file, neither text nor a workbook,
-    a name twice in the header, no rows, or a row with more cells than the header.
+    a name twice in the header, no rows, too many numbers, or a row with more cells than the header.
     """
     path = Path(path)
     try:
         data = unpacked(read_bytes(path) if data is None else data, str(path))
         text, encoding, sheet = _text(path, data)
         separator = "," if sheet else table_form.separator_of(text)
+        if not sheet:
+            refuse_many(path, text.count(separator) + max(text.count("\n"), text.count("\r")), at_once=True)
     except UnicodeDecodeError as error:
         row = error.object.count(b"\n", 0, error.start) + 1
         why = f"row {row} is no text in {error.encoding}; save it as UTF-8"
@@ -88,24 +102,39 @@ def _text(path: Path, data: bytes) -> tuple[str, str, str]:
     return (*table_form.decoded(data), "")
 
 
+def refuse_many(path: str | Path, numbers: int, *, at_once: bool = False) -> None:
+    """Raises InputError for more numbers than memory should hold; at_once : of a text that is not read in parts."""
+    if numbers > (most := MOST_AT_ONCE if at_once else MOST_NUMBERS):
+        plainer = "; of a CSV in UTF-8 without quotes, not gzipped, more are read" if at_once else ""
+        raise InputError(f"{path}: has more than {most} numbers; split it, or leave columns and rows out{plainer}")
+
+
 def _sheet(path: Path, data: bytes) -> tuple[str, str, str]:
     """The sheet of a workbook with the most numbers, as CSV with the sheet's rows as lines."""
     needed = f"{path}: reading .xlsx needs openpyxl: pip install 'casadical[xlsx]', or save it as CSV"
     openpyxl = optional("openpyxl", needed)
     content, best, cells = archive_of(data, str(path)), ("", "", -1), 0
     with foreign(f"{path}: not a readable workbook"):
+        with zipfile.ZipFile(content) as archive:  # openpyxl reads a sheet to its end before it gives the first row
+            for name in archive.namelist():
+                if name.endswith(".xml"):
+                    _refuse_cells(path, sum(1 for _ in _CELLS.finditer(archive.read(name))))
         for sheet in openpyxl.load_workbook(content, read_only=True, data_only=True).worksheets:
             sheet.reset_dimensions()  # what it says of its size need not be true
             out, numbers = io.StringIO(newline=""), 0
             rows = csv.writer(out)
             for row in sheet.iter_rows(values_only=True):
                 cells += 1 + len(row)
-                if cells > MOST_CELLS:
-                    raise InputError(f"{path}: has more than {MOST_CELLS} cells; save what was measured as CSV")
+                _refuse_cells(path, cells)
                 numbers += sum(isinstance(value, int | float) for value in row)
                 rows.writerow(map(_cell, row))
             best = max(best, (out.getvalue(), str(sheet.title), numbers), key=lambda sheet: sheet[2])
     return best[0], "workbook", best[1]
+
+
+def _refuse_cells(path: Path, cells: int) -> None:
+    if cells > MOST_CELLS:
+        raise InputError(f"{path}: has more than {MOST_CELLS} cells; save what was measured as CSV")
 
 
 def _cell(value: Any) -> str:

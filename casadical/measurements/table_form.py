@@ -28,8 +28,8 @@ _MARKS = {
 }
 # A number of more characters is cut to those of a double; a whole one would else be no number of an array.
 MOST_FIGURES = 40
-# So many lines are looked at to tell how a table is written.
-SAMPLE = 200
+# So many lines are looked at to tell how a table is written, within so many characters, comments included.
+SAMPLE, MOST_LOOKED = 200, 1_000_000
 _POINT = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
 _COMMA = re.compile(r"[+-]?(\d*,\d+|\d{1,3}(\.\d{3})+,\d+)(e[+-]?\d+)?", re.IGNORECASE)
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}(,\d{3})+(\.\d+)?")
@@ -88,11 +88,11 @@ def decoded(data: bytes) -> tuple[str, str]:
     try:
         return data.decode("utf-8"), "utf-8"
     except UnicodeDecodeError as error:
-        readings = [(name, text) for name in ENCODINGS if (text := _tried(data, name)) is not None]
-        if not readings:
+        heads = {name: text[:20000] for name in ENCODINGS if (text := _tried(data, name)) is not None}
+        if not heads:
             raise error
-        name, text = max(readings, key=lambda reading: hits(reading[1][:20000]))
-        return text, name
+        name = max(heads, key=lambda name: hits(heads[name]))
+        return data.decode(name), name
 
 
 def _tried(data: bytes, name: str) -> str | None:
@@ -135,6 +135,8 @@ def is_number(cell: str) -> bool:
 
 def separator_of(text: str) -> str:
     """The separator with which most cells are numbers in rows of one width; of a text without rows, of its headings."""
+    if len(text) > MOST_LOOKED:
+        text = text[:MOST_LOOKED].rpartition("\n")[0] or text
     sample = "\n".join(line for line in text.splitlines() if not line.startswith(COMMENTS))
     lines = sample.splitlines()[:SAMPLE]
     best, most = ",", 0

@@ -12,15 +12,22 @@ from dataclasses import replace
 from importlib import import_module
 from itertools import chain, repeat
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array, InputError, optional
-from casadical.core.reading import MOST_BYTES, MOST_COUNT, MOST_NUMBERS
+from casadical.core.reading import MOST_BYTES, MOST_COUNT, foreign, regular
 from casadical.measurements.measurements import FIELDS, Measurements
-from casadical.measurements.raw_table import RawTable, read_table, records_in, table_of
+from casadical.measurements.raw_table import (
+    RawTable,
+    read_table,
+    records_in,
+    refuse_many,
+    refuse_repeated_names,
+    table_of,
+)
 from casadical.measurements.table_form import Form, Record, commented, marked_encoding, separator_of
 
 _CONDITION = "condition "
@@ -91,12 +98,6 @@ def read_columns(path: str | Path) -> RawTable:
     return replace(first, cells=(), frame=frame, line=np.concatenate([part.line for part in parts]))
 
 
-def refuse_many(path: str | Path, numbers: int) -> None:
-    """Raises InputError for more numbers than memory should hold."""
-    if numbers > MOST_NUMBERS:
-        raise InputError(f"{path}: has more than {MOST_NUMBERS} numbers; split it, or leave columns and rows out")
-
-
 def _encoding(path: Path) -> str:
     """Of a text that can be read in parts; empty where it cannot."""
     with path.open("rb") as file:
@@ -150,28 +151,42 @@ def _under(first: RawTable, records: list[tuple[int, list[str]]], line: int) -> 
 
 
 def _parquet(path: Path) -> Iterator[RawTable]:
-    """Its rows count as in a text, from 2 on."""
+    """Its rows count as in a text, from 2 on. Raises InputError for whatever Arrow or pandas raise."""
     parquet = optional("pyarrow.parquet", f"{path}: reading Parquet needs pyarrow: pip install 'casadical[fleet]'")
     line = 2
-    try:
-        with parquet.ParquetFile(path, memory_map=True, pre_buffer=False) as file:
-            header = tuple(str(name).strip() for name in file.schema_arrow.names)
-            about = file.metadata
-            groups = map(about.row_group, range(about.num_row_groups))
-            if any(about.schema.column(k).max_repetition_level for k in range(about.num_columns)):  # of lists
-                refuse_many(path, sum(g.column(k).num_values for g in groups for k in range(about.num_columns)))
-            batches = zip(_bounded_texts(path, file), file.iter_batches(ROWS), strict=False)
-            for frame in (batch.to_pandas(ignore_metadata=True) for _, batch in batches):
-                rows = range(line, line + len(frame))
-                line += len(frame)
-                if len(frame):
-                    yield RawTable(path, header, (), frame, rows, Form("parquet"))
-    except InputError:
-        raise
-    except (OSError, ValueError) as error:  # Arrow's errors are such
-        raise InputError(f"{path}: not a readable table: {getattr(error, 'strerror', None) or error}") from None
+    regular(path)  # Arrow waits for a pipe
+    with (
+        foreign(f"{path}: not a readable table", "write it again"),
+        parquet.ParquetFile(path, memory_map=True, pre_buffer=False) as file,
+    ):
+        header = tuple(str(name).strip() for name in file.schema_arrow.names)
+        refuse_repeated_names(header, str(path))
+        about = file.metadata
+        if any(about.schema.column(k).max_repetition_level for k in range(about.num_columns)):  # of lists
+            refuse_many(path, values_of(path))
+        for _, batch in zip(_bounded_texts(path, file), file.iter_batches(ROWS), strict=False):
+            batch.validate(full=True)  # else pandas finds texts that are none where they are looked at
+            frame = batch.to_pandas(ignore_metadata=True)
+            if tuple(str(name).strip() for name in frame) != header:
+                raise ValueError(f"row {line} has other columns than the header")
+            rows = range(line, line + len(frame))
+            line += len(frame)
+            if len(frame):
+                yield RawTable(path, header, (), frame.set_axis(header, axis=1), rows, Form("parquet"))
     if line == 2:
         raise InputError(f"{path}: no rows; at least one is needed")
+
+
+def values_of(source: Path | IO[bytes]) -> int:
+    """How many values a Parquet file holds, those of lists counted one by one; raises what Arrow does.
+
+    They are decoded without being kept, which raises an error where the metadata of a column are damaged: to ask for
+    these ends the process then.
+    """
+    with import_module("pyarrow.parquet").ParquetFile(source, memory_map=True, pre_buffer=False) as file:
+        file.scan_contents()
+        groups, columns = map(file.metadata.row_group, range(file.num_row_groups)), range(file.metadata.num_columns)
+        return sum(group.column(k).num_values for group in groups for k in columns)
 
 
 def _bounded_texts(path: Path, file: Any) -> Iterator[None]:

@@ -14,6 +14,7 @@ from casadical.compensator.trainers.known import network_methods
 from casadical.core.basics import InputError, shown
 from casadical.core.parts import GRAVITY
 from casadical.core.telling.result import Shown
+from casadical.identification.plausibility import refuse_undefined
 from casadical.identification.prior import Prior, carry_over
 from casadical.identification.residuals import AnyLoss
 from casadical.measurements.columns import Columns
@@ -344,7 +345,10 @@ def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> tuple
 
 
 def _with_conditions(m: Measurements, robot: Robot) -> Measurements:
-    """With the columns that a robot's effects follow. Raises InputError where it lacks what they are derived from."""
+    """With the columns that a robot's effects follow.
+
+    Raises InputError where it lacks what they are derived from, and at a row where they give no finite position.
+    """
     if robot.gravity_frame == "logged" and not {*GRAVITY} <= m.conditions.keys():
         raise InputError(
             f'{m.source}: robot {robot.name!r} stands on what tilts ([gravity] frame = "logged"), and no columns say '
@@ -361,6 +365,7 @@ def _with_conditions(m: Measurements, robot: Robot) -> Measurements:
                 f"({', '.join(effect.needs) or 'see docs/measurements.md'}); log it, or take the effect out of the "
                 "robot file"
             )
+    refuse_undefined(robot, derived)
     return derived
 
 

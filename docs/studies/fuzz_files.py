@@ -189,6 +189,7 @@ def kinds(place: Path) -> dict[str, Kind]:
         Kind("p/problem.toml", [(place / "in/p/problem.toml").read_bytes(), *problems], folder, 4),
         Kind("poses.csv", [table, table.replace(b",", b";")], lambda p: casadical.read_measurements(p, 2), 4),
         Kind("book.xlsx", [_book(table)], lambda p: casadical.read_measurements(p, 2), 2),
+        Kind("poses.parquet", [_columns(table)], lambda p: casadical.read_measurements(p, 2), 2),
         Kind("dh.csv", [(place / "in/dh.csv").read_bytes()], made, 3),
         Kind("arm.urdf", [URDF.encode()], casadical.read_urdf, 3),
         Kind("room.toml", [(place / "in/room.toml").read_bytes()], lambda p: read_workspace(p, arm), 2),
@@ -201,7 +202,7 @@ def kinds(place: Path) -> dict[str, Kind]:
         ),
         Kind("w/withheld.json", [json.dumps(WITHHELD).encode()], lambda p: read_withheld(p.parent)),
         Kind("answers.jsonl", [ANSWER.encode() * 3], read_answers),
-        Kind("store/part-1.parquet", [_parquet()], lambda p: rows(p.parent), 1),
+        Kind("store/part-000001-a.parquet", [_parquet()], lambda p: rows(p.parent), 1),
         *(Kind(name, [(here / name).read_bytes()], log, 3) for name in ("log.csv", "rtde.csv", "log.parquet")),
         *(Kind(name, [(here / name).read_bytes()], log_folder(up), 2) for name, up in SYSTEMS.items()),
         Kind("drive.toml", [DRIVE.encode()], lambda p: read_drive(p, 2), 2),
@@ -224,6 +225,12 @@ def _book(table: bytes) -> bytes:
         book.active.append([float(c) if re.fullmatch(r"[-+.\deE]+", c) else c for c in line.split(",")])
     book.save(out)
     return out.getvalue()
+
+
+def _columns(table: bytes) -> bytes:
+    import pandas as pd
+
+    return pd.read_csv(io.BytesIO(table)).assign(note="a").to_parquet()
 
 
 def _parquet() -> bytes:

@@ -172,6 +172,13 @@ def test_workbooks_with_more_than_can_be_read(tmp_path: Path) -> None:
     refuse_workbook(path, "when unpacked; at most")
 
 
+@pytest.mark.parametrize("rows", ["<row/>", "<x:row><x:c/></x:row>", '<row r="1"><c r="A1"><v>1</v></c></row>'])
+def test_cells_of_a_workbook_are_counted_before_it_is_opened(tmp_path, monkeypatch, rows) -> None:
+    path = workbook(tmp_path / "book.xlsx", rows * (MOST_CELLS + 1))
+    monkeypatch.setattr("openpyxl.load_workbook", None)
+    refuse_workbook(path, f"has more than {MOST_CELLS} cells; save what was measured as CSV")
+
+
 def test_workbooks_that_are_damaged(tmp_path: Path) -> None:
     path = tmp_path / "book.xlsx"
     refuse_workbook(workbook(path, "<row><c>"), "not a readable workbook")

@@ -110,7 +110,6 @@ def test_every_kind_of_file_is_read_as_it_is(kinds) -> None:
         (place / kind.name).write_bytes(kind.seeds[0])
         if kind.name not in (
             "p/problem.toml",
-            "store/part-1.parquet",
             "answers.jsonl",
             "w/withheld.json",
             "c/manifest.json",

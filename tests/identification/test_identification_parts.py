@@ -11,6 +11,7 @@ from casadical import FourBar, Joint, Placement, Robot, identify
 from casadical.core.basics import InputError
 from casadical.core.parameters import Parameter
 from casadical.core.transforms import frame, from_rpy
+from casadical.effects import Law
 from casadical.identification.accuracy import summarise
 from casadical.identification.figures import parameter_tables
 from casadical.identification.identifiability import analyse, drop_poor
@@ -169,3 +170,17 @@ def test_a_model_that_does_not_fit_is_told_by_a_two_hundredth_of_the_reach() -> 
         m = arms.positions(arm, np.array([[0.3, 0.8], [-0.5, 0.1], [1.0, -1.0]]), 3, sigma=8e-3)
         with pytest.raises(InputError, match=word):
             identify(arm, m, ["a1"])
+
+
+@pytest.mark.parametrize("formula", ["a/q1", "sqrt(a**2*q1**2)"])
+def test_a_row_where_an_effect_is_no_finite_number_is_named(formula: str) -> None:
+    """The second formula is one there, its slope is not."""
+    law = Law(1, "joint", formula, (("a", 1e-5),))
+    arm = PLANAR.with_effect(law).with_values({law.parameters()[0].name: 1e-5})
+    q = np.random.default_rng(0).uniform(0.2, 1.5, (12, 2))
+    m = arms.positions(PLANAR, q, 0)
+    check_against(arm, m)
+    q[[4, 7], 0] = 0.0
+    told = r"row 4: the model with law .* no finite number there \(2 such rows\); change"
+    with pytest.raises(InputError, match=told):
+        identify(arm, replace(m, q=q), ["placement", law.label])

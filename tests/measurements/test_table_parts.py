@@ -1,5 +1,8 @@
 """Tables of any size, read some rows at a time, are what they are when read at once, and identify the same robot."""
 
+import gzip
+import os
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +11,8 @@ import pytest
 
 from casadical import InputError, Measurements, identify, read_measurements, read_robot
 from casadical.identification import least_squares, residuals
-from casadical.measurements import reading, table_parts
+from casadical.measurements import raw_table, reading, table_parts
+from casadical.measurements.table_form import decoded, separator_of
 
 ROOT = Path(__file__).parents[2]
 PLANAR = ROOT / "data" / "planar" / "planar.csv"
@@ -212,11 +216,14 @@ def test_angles_in_another_unit_are_told_by_all_rows(tmp_path, monkeypatch, slow
 
 def test_no_file_and_no_parquet(tmp_path: Path) -> None:
     pytest.importorskip("pyarrow")
-    with pytest.raises(InputError, match="No such file"):
+    with pytest.raises(InputError, match="no such file"):
         read_measurements(tmp_path / "none.parquet", 2)
+    os.mkfifo(tmp_path / "pipe.parquet")  # nobody writes to it
+    with pytest.raises(InputError, match=r"pipe\.parquet: is a pipe or a socket; name a file"):
+        read_measurements(tmp_path / "pipe.parquet", 2)
     broken = tmp_path / "broken.parquet"
     broken.write_text("q1_deg")
-    with pytest.raises(InputError, match=r"broken\.parquet: not a readable table: Parquet"):
+    with pytest.raises(InputError, match=r"broken\.parquet: not a readable table: Parquet.*; write it again"):
         read_measurements(broken, 2)
 
 
@@ -278,3 +285,46 @@ def test_too_many_columns_are_refused_before_they_are_parsed(tmp_path, monkeypat
     path = written(tmp_path, [",".join(f"c{k}" for k in range(2001)), ",".join(["1"] * 2001)])
     with pytest.raises(InputError, match="has 2001 columns; at most 2000 are read"):
         read_measurements(path, 2)
+
+
+def test_texts_and_headings_of_parquet_that_pandas_reads_otherwise(tmp_path: Path) -> None:
+    arrow, parquet = (pytest.importorskip(name) for name in ("pyarrow", "pyarrow.parquet"))
+    path, numbers = tmp_path / "poses.parquet", arrow.array([1.0, 2.0])
+    no_text = arrow.array([b"\xff", b"a"]).view(arrow.string())
+    parquet.write_table(arrow.table({"q1_deg": numbers, "note": no_text}), path)
+    with pytest.raises(InputError, match=r"poses\.parquet: not a readable table: .*UTF8.*; write it again"):
+        table_parts.read_columns(path)
+    parquet.write_table(arrow.table([numbers, numbers], ["q1_deg", " q1_deg"]), path)
+    with pytest.raises(InputError, match="column 'q1_deg' is there twice; keep one"):
+        table_parts.read_columns(path)
+    parquet.write_table(arrow.table([numbers], [" q1_deg"]), path)
+    raw = table_parts.read_columns(path)
+    assert raw.header == tuple(raw.frame) == ("q1_deg",)
+
+
+@pytest.mark.parametrize("form", ["gzipped", "quoted", "decimal commas", "tabs", "carriage returns"])
+def test_too_many_numbers_are_refused_before_a_text_is_split(tmp_path, monkeypatch, form):
+    path, text = tmp_path / "poses.csv", ("\r" if "returns" in form else "\n").join(FORMS.get(form, LINES)).encode()
+    path.write_bytes(gzip.compress(text) if form == "gzipped" else text)
+    monkeypatch.setattr(raw_table, "MOST_AT_ONCE", 203)
+    monkeypatch.setattr(raw_table, "records_in", None)
+    with pytest.raises(InputError, match=r"poses\.csv: has more than 203 numbers; split it.*; of a CSV in UTF-8"):
+        table_parts.read_columns(path)
+
+
+def test_a_separator_is_told_from_the_head_of_a_long_text() -> None:
+    text = "10,20,500\n" * 500_000
+    tracemalloc.start()
+    assert separator_of(text) == ","
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 20e6
+
+
+def test_an_encoding_of_one_country_is_told_without_a_copy_for_each() -> None:
+    data = ("x,y\n" + "\u00a5\u00b1,1\n" * 100_000).encode("cp1252")
+    tracemalloc.start()
+    assert decoded(data)[1] == "cp1252"
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 8 * len(data)

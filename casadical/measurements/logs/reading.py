@@ -21,8 +21,8 @@ from casadical.measurements.logs.columns import FACTORS, LENGTHS, NAMES, Logged,
 from casadical.measurements.logs.findings import found_in, refuse_frozen, refuse_other_units, with_signs
 from casadical.measurements.logs.log import CHANNELS, JointLog
 from casadical.measurements.logs.systems import BAGS, STATE, STATES, bag, lerobot, sage
-from casadical.measurements.raw_table import MOST_COLUMNS, RawTable, refuse_repeated_names
-from casadical.measurements.table_parts import read_columns, refuse_many, table_parts
+from casadical.measurements.raw_table import MOST_COLUMNS, RawTable, refuse_many, refuse_repeated_names
+from casadical.measurements.table_parts import read_columns, table_parts
 from casadical.measurements.vocabulary import WORDS
 
 # Rows of a motion lie at most so far apart, and after so long a pause another run begins [s].

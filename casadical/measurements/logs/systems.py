@@ -10,9 +10,8 @@ import numpy as np
 from casadical.core.basics import Array, InputError, optional
 from casadical.core.reading import MOST_BYTES, foreign, load_json, read_text, regular
 from casadical.measurements.logs.columns import Logged, logged
-from casadical.measurements.raw_table import RawTable, read_table
+from casadical.measurements.raw_table import RawTable, read_table, refuse_many
 from casadical.measurements.table_form import clean
-from casadical.measurements.table_parts import refuse_many
 
 STATE, CONTROL, JOINTS = "state_motor.csv", "control.csv", "joint_list.txt"
 # Columns of LeRobot's datasets.
@@ -71,7 +70,7 @@ def bag(path: Path) -> Logged:
     """The joint states of a ROS bag or an MCAP file, and the commands in it. Raises InputError."""
     needed = f"{path}: reading bags needs rosbags: pip install 'casadical[logs]'"
     highlevel, typesys = optional("rosbags.highlevel", needed), optional("rosbags.typesys", needed)
-    for file in (f for f in path.iterdir() if f.suffix.lower() in BAGS) if path.is_dir() else (path,):
+    for file in (f for f in path.iterdir() if f.exists() and not f.is_dir()) if path.is_dir() else (path,):
         if (size := regular(file).stat().st_size) > MOST_BYTES:
             raise InputError(
                 f"{file}: has {size} bytes; at most {MOST_BYTES} are read: record the joints' topics alone"
