@@ -116,9 +116,9 @@ class JointLog(Shown):
         return replace(self, time=self.time[which], run=self.run[which], row=self.row[which], **given)
 
     def runs(self) -> Iterator[JointLog]:
-        """The log run by run, without a copy of its numbers."""
+        """The log run by run, those of two rows and more, without a copy of its numbers."""
         ends = [0, *(np.flatnonzero(np.diff(self.run)) + 1), len(self)]
-        return (self[start:end] for start, end in pairwise(ends))
+        return (self[start:end] for start, end in pairwise(ends) if end > start + 1)
 
     @cached_property
     def step(self) -> float:

@@ -241,6 +241,11 @@ def _clock(log: Logged) -> tuple[Array, Array, Array, tuple[str, ...]]:
         k = int(np.flatnonzero(stands)[0])
         said.append(f"row {log.row[k]}: the time of the row before, as {stands.sum()} rows: left out as repeated")
     kept = np.flatnonzero(~stands)
+    several = np.bincount(starts[kept])[starts[kept]] > 1
+    if several.any() and not several.all():
+        lone = log.row[kept[~several]]
+        said.append(f"row {lone[0]}: a run of its own ({len(lone)} such): left out, a motion has two rows at least")
+        kept = kept[several]
     given = numbers[kept].astype(np.int64) if run is not None and not (back | ahead).any() else starts[kept] + 1
     start = log.time[0] if abs(log.time[0]) > 1e6 else 0.0
     return log.time[kept] - start, given, kept, tuple(said)

@@ -199,6 +199,14 @@ def test_a_pause_begins_another_run_and_rows_of_no_motion_are_refused(tmp_path) 
         read_log(tmp_path / "log.csv")
 
 
+def test_a_stray_row_with_a_run_of_its_own_is_left_out_and_said(tmp_path) -> None:
+    path = tmp_path / "stray.csv"
+    pd.concat([frame(), frame().head(1).assign(run=3)]).to_csv(path, index=False)
+    log = read_log(path)
+    assert (len(log), [len(run) for run in log.runs()]) == (400, [200, 200])
+    assert any("row 402: a run of its own (1 such): left out" in str(f) for f in log.findings)
+
+
 @pytest.mark.parametrize(("rows", "joints"), [(1, 1), (0, 1), (3, 0)])
 def test_a_log_has_two_rows_of_one_joint_at_least(rows: int, joints: int) -> None:
     q, names = np.zeros((rows, joints)), tuple(f"joint {k}" for k in range(joints))
