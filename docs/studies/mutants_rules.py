@@ -98,7 +98,7 @@ def drawn(room: str, number: int, seed: int) -> Iterator[Mutant]:
 
 
 def listed() -> list[Mutant]:
-    """The mutants of the audit. Raises ValueError: the package has not what one changes, which must be listed anew."""
+    """The mutants of the audit. Raises ValueError: the package has not what one changes, which must be listed again."""
     found = []
     for path, old, new, what in LISTED:
         text = (PACKAGE / path).read_text(encoding="utf-8")
