@@ -61,7 +61,7 @@ def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collec
         noise = (FOLLOWING, TAILED, *(scatter_of(j) for j in joints if j))
         own = {label: mass.pop(label) for label in noise if label in mass}
         none = float(log_sum(np.array([plain, *own.values()])))
-        best = best_of(own, lambda k: own[k], logs=True)
+        best = best_of(own, own.__getitem__, logs=True)
         noise_form = best if own[best] > plain else ""
     rivals = [f for f in forms if f.label in mass]
     ranking = replace(

@@ -85,14 +85,16 @@ def refined(
 
 
 def _between_poses(case: Case, label: str, effect: Effect) -> tuple[Case, Effect]:
-    """A step between two poses, which fits alike wherever it lies between them, midway."""
+    """A step between two poses, which fits alike wherever it lies between them, midway; another `at` as it is."""
     step: Any = effect
     at, progress = getattr(step, "at", None), np.unique(case.m.conditions.get("progress", []))
     if at is None or not len(progress) or not progress[0] <= at < progress[-1]:
         return case, effect
     after = int(np.searchsorted(progress, at, side="right"))
     step = replace(step, at=float(progress[after - 1 : after + 1].mean()))
-    return case.with_variants(label, [(step,)]), step
+    more = case.with_variants(label, [(step,)])
+    before, moved = (more.whole.take(more.group((e,))) for e in (effect, step))
+    return (more, step) if np.array_equal(before, moved) else (case, effect)
 
 
 def _with_probable_settings(case: Case, label: str, effect: Effect, chosen: Array) -> tuple[Case, tuple[Effect, ...]]:

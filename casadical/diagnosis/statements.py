@@ -269,8 +269,8 @@ def _near_threshold(d: Diagnosis) -> Iterator[Statement]:
     """Decisions that stand on a probability that is hardly above or below their threshold."""
     members, claimed = d.cause_set.members if d.cause_set else {}, d.verdict in ("explained", "ambiguous")
     judged = {c.label: members.get(c.label, c.confidence) for c in d.causes if claimed}
-    first = next(iter(d.rankings[-1].order), "")
-    dropped = {} if not first or first in judged else {first: d.rankings[-1].probability[first]}
+    ranking, listed = d.rankings[-1], {c.label for c in d.case.candidates if c.listed}
+    dropped = {k: ranking.probability[k] for k in ranking.order[:1] if k in listed and k not in judged}
     for label, p in {**judged, **dropped}.items():
         if (side := _beside(p, CLAIM)) and (label in judged or side == "below"):
             text = f"{label} is just {side} what is claimed: probability {p:.3f}, claimed from {CLAIM:g} on"

@@ -8,6 +8,7 @@ takes the place of causes only where it predicts poses held out better, too.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from operator import itemgetter
 
 import numpy as np
 
@@ -98,9 +99,7 @@ def round_of(case: Case, chosen: Array, ranking: Ranking, without: frozenset[str
 
 
 def _judged(laws: Sequence[Scored], case: Case, chosen: Array, ranking: Ranking) -> Round:
-    def score(found: tuple[str, float]) -> float:
-        return found[1]
-
+    score = itemgetter(1)
     by_label = {c.label: c for c in case.candidates}
     labels = list(ranking.log_factor)
     order = [labels[k] for k in ranked(list(ranking.log_factor.values()), logs=True)]

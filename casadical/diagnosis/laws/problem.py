@@ -13,6 +13,7 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import itemgetter
 
 import numpy as np
 
@@ -319,7 +320,7 @@ class Round:
     @property
     def rival(self) -> tuple[str, float]:
         """Label and score of the best of all rivals."""
-        return best_of((self.listed, self.smooth, self.noise), lambda rival: rival[1], logs=True)
+        return best_of((self.listed, self.smooth, self.noise), itemgetter(1), logs=True)
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ follows itself. It is claimed where it is large, true of runs that were not fitt
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -134,11 +135,9 @@ def laws_of(looks: Sequence[Look], outcome: Outcome, own: Sequence[Cause] = ()) 
     laws = [replace(s, score=s.score - s.evidence + ranking.log_factor[s.law.label]) for s in laws]
     # What is smooth in the law's own driver is no rival, but the same without a form.
     others = {*(s.law.label for s in laws), _smooth_of(laws[0])}
-    by_list = {True: [("none", 0.0)], False: [("none", 0.0)]}
-    for label, gain in ranking.log_factor.items():
-        if label not in others:
-            by_list[more.by_label[label].listed].append((label, gain))
-    listed, unlisted = (best_of(by_list[k][1:] or by_list[k], lambda rival: rival[1], logs=True) for k in (True, False))
+    rivals = [(k, gain) for k, gain in ranking.log_factor.items() if k not in others]
+    by_list = [[rival for rival in rivals if more.by_label[rival[0]].listed == kind] for kind in (True, False)]
+    listed, unlisted = (best_of(some or [("none", 0.0)], itemgetter(1), logs=True) for some in by_list)
     theta = more.fitted(columns)[1][np.isin(columns, own_columns)]
     values = {n: float(v) * size for (n, (size, _)), v in zip(best.sizes().items(), theta, strict=True)}
     least = UNLISTED * (1.0 if more.unit else WITHOUT_TORQUE)
