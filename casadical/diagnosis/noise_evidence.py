@@ -12,9 +12,9 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.columns import ArrayColumns, MovedColumns
+from casadical.core.linear_gaussian.columns import ArrayColumns, SerialColumns
 from casadical.core.linear_gaussian.model import axes_of_base, beside_base
-from casadical.core.linear_gaussian.noise import Axes
+from casadical.core.linear_gaussian.noise import Axes, SerialNoise, serial_noise
 from casadical.core.linear_gaussian.normal_equations import Joined, joined
 from casadical.diagnosis.evidence import REPEATABILITY, RHOS, Evidence, joint_noise, log_known
 
@@ -40,16 +40,10 @@ class Form:
     times: Array | None = None
     log_weight: float = 0.0
 
-    def moved(self, X: Array, at: slice) -> Array:
-        """Numbers at some poses, of which noise makes independent ones of usual size, shape (k, 3, ...).
-
-        X : the numbers at these poses, after those at the pose before unless they begin with the first
-        """
-        if self.stays:
-            first, before = (X[:0], X[:-1]) if at.start else (X[:1], X[:-1])
-            return np.concatenate([first, (X[1:] - self.stays * before) / np.sqrt(1 - self.stays**2)])
-        X = X[min(at.start, 1) :]
-        return X if self.times is None else X / self.times[at].reshape(-1, *[1] * (X.ndim - 1))
+    def serial(self, poses: int) -> SerialNoise:
+        """As noise of poses in the order of measuring."""
+        weight = 1.0 if self.times is None else 1 / self.times
+        return serial_noise(self.stays, np.arange(poses) == 0, weight)
 
     def repeatability(self, Jq: Array) -> Array:
         """Derivative by the joint variables as the joints repeat in the moved numbers, shape (n, 3, joints)."""
@@ -68,19 +62,14 @@ def as_form_moves(e: Evidence, form: Form, order: Array) -> Evidence:
 
     Its likelihoods are those of the problem with this noise, less the form's weight. order : of measuring, shape (n,)
     """
-    n, every = len(order), slice(0, len(order))
-    own, before = np.ones(n) if form.times is None else 1 / form.times, np.zeros(n)
-    if form.stays:
-        own = np.append(1.0, np.full(n - 1, 1 / np.sqrt(1 - form.stays**2)))
-        before = form.stays * own * (np.arange(n) > 0)
-    columns = ArrayColumns(e.E) if isinstance(e.E, np.ndarray) else e.E
+    noise, columns = form.serial(len(order)), ArrayColumns(e.E) if isinstance(e.E, np.ndarray) else e.E
     masks = {name: of[order] for name in ("measured", "size", "alike") if (of := getattr(e, name)) is not None}
     return replace(
         e,
-        r=form.moved(e.r[order], every),
-        J=form.moved(e.J[order], every),
+        r=noise.white(e.r[order]),
+        J=noise.white(e.J[order]),
         Jq=form.repeatability(e.Jq[order]),
-        E=MovedColumns(columns, order, own, before),
+        E=SerialColumns(columns, order, noise),
         **masks,
     )
 
@@ -121,8 +110,8 @@ class Problem:
         x = fit.root.T @ fit.z
         if self._by_rows:
             return np.asarray(x[: self.e.r.size].reshape(self.e.r.shape))
-        axes = self._axes(form, [k])
-        rest = ((form.moved(X[:, :, -1] - X[:, :, :-1] @ x, at), at) for X, at in self._parts())
+        axes, noise = self._axes(form, [k]), form.serial(len(self._order))
+        rest = ((noise.white(X[:, :, -1] - X[:, :, :-1] @ x, at), at) for X, at in self._parts())
         return np.concatenate(
             [np.sqrt(axes.precision[0, at]) * axes.turned(r[:, :, None], at)[:, :, 0] for r, at in rest]
         )
@@ -143,10 +132,10 @@ class Problem:
 
     def _again(self, form: Form, near: Sequence[int]) -> Array:
         """Products of columns and what is left as the form moves them, shape (rhos, p + 1, p + 1)."""
-        width, axes = len(self._weights) + 1, self._axes(form, near)
+        width, axes, noise = len(self._weights) + 1, self._axes(form, near), form.serial(len(self._order))
         total = np.zeros((len(near), width, width))
         for X, at in self._parts():
-            Y = axes.turned(form.moved(X, at), at)
+            Y = axes.turned(noise.white(X, at), at)
             for sums, precision in zip(total, axes.precision, strict=True):
                 white = (Y * np.sqrt(precision[at, :, None])).reshape(-1, width)
                 sums += white.T @ white
@@ -184,11 +173,11 @@ class Problem:
         return np.asarray(arm * np.sqrt(more / (1 + more * own))[:, None, None])
 
     def _by_covariance(self, form: Form, near: Sequence[int]) -> list[tuple[Joined, float]]:
-        rows, axes = self.e.r.size, self._axes(form, near)
-        X, every = next(self._parts())
+        rows, axes, noise = self.e.r.size, self._axes(form, near), form.serial(len(self._order))
+        X, _ = next(self._parts())
 
         def moved(numbers: Array) -> Array:
-            return axes.turned(form.moved(numbers.reshape(*self.e.r.shape, -1), every)).reshape(rows, -1)
+            return axes.turned(noise.white(numbers.reshape(*self.e.r.shape, -1))).reshape(rows, -1)
 
         P, weights = self.e.model.base.shape[2], self._weights
         y, base = moved(X[:, :, -1] - X[:, :, :-1] @ self._mean)[:, 0], moved(X[:, :, :P])

@@ -19,6 +19,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from casadical.core.basics import Array
+from casadical.core.linear_gaussian.grid import gain
+from casadical.core.linear_gaussian.normal_equations import joined
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.least_squares import FRAMES, LeastSquares
 from casadical.robot.robot import Covariance, Robot
@@ -82,13 +84,14 @@ def _sizes(whole: LeastSquares, v: Array, variance: float, given: Robot) -> Arra
     for k, size in enumerate(grid):
         d = np.ones(len(v))
         d[frames] = size**-2
-        outer, b = M[np.ix_(rest, rest)] + np.diag(d[rest]), c[rest] + d[rest] * mean[rest]
-        inner = np.linalg.solve(outer, np.column_stack([M[np.ix_(rest, arm)], b]))
-        value, V = np.linalg.eigh(M[np.ix_(arm, arm)] - M[np.ix_(arm, rest)] @ inner[:, :-1])
-        z = V.T @ (c[arm] - M[np.ix_(arm, rest)] @ inner[:, -1])
-        wide = np.maximum(value, 0) + grid[:, None] ** -2
-        likely[k] += 0.5 * (z**2 / wide - np.log(wide * grid[:, None] ** 2)).sum(axis=1)
-        likely[k] += 0.5 * (np.log(d).sum() - np.linalg.slogdet(outer)[1] + b @ inner[:, -1] - mean @ (d * mean))
+        g = c + np.where(np.isin(np.arange(len(v)), arm), 0.0, d * mean)
+        others = joined(M[np.ix_(rest, rest)] + np.diag(d[rest]), g[rest], float(mean @ (d * mean)), 0.0)
+        along = others.root @ M[np.ix_(rest, arm)]
+        value, V = np.linalg.eigh(M[np.ix_(arm, arm)] - along.T @ along)
+        likely[k] += others.log_norm - 0.5 * others.square + 0.5 * np.log(d).sum()
+        likely[k] += gain(grid**-2, 1.0, np.maximum(value, 0)[None], (V.T @ (g[arm] - along.T @ others.z))[None] ** 2)[
+            0
+        ]
     weight = np.exp(likely - likely.max())
     sizes = np.ones(len(v))
     for kind, axis in ((frames, 1), (arm, 0)):

@@ -18,6 +18,7 @@ from typing import Protocol
 import numpy as np
 
 from casadical.core.basics import Array
+from casadical.core.linear_gaussian.noise import SerialNoise
 
 # All blocks.
 EVERY = slice(None)
@@ -91,16 +92,12 @@ class ArrayColumns:
 
 
 @dataclass(frozen=True, eq=False)
-class MovedColumns:
-    """Columns of blocks in an order, each times a weight less a share of the block before it.
-
-    own, before : weight of each block and of the one before it, in this order, shapes (n,); the first has none before
-    """
+class SerialColumns:
+    """Columns of blocks in an order, as they are where noise that follows itself is white."""
 
     columns: Columns
     order: Array
-    own: Array
-    before: Array
+    noise: SerialNoise
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -113,39 +110,40 @@ class MovedColumns:
     def at(self, blocks: Array) -> ArrayColumns:
         return ArrayColumns(self.take(np.arange(self.shape[2]), blocks), self.directions)
 
-    def only(self, columns: Array) -> MovedColumns:
+    def only(self, columns: Array) -> SerialColumns:
         return replace(self, columns=self.columns.only(columns))
 
-    def after(self, column: int) -> MovedColumns:
+    def after(self, column: int) -> SerialColumns:
         return replace(self, columns=self.columns.after(column))
 
     def take(self, columns: Array, blocks: Array | slice = EVERY, every: Combined | None = None) -> Array:
-        here, last = self._blocks(blocks)
-        taken = self.own[here, None, None] * self.columns.take(columns, self.order[here], every)
-        if self.before.any():
-            taken = taken - self.before[here, None, None] * self.columns.take(columns, self.order[last], every)
+        here, last, own, before = self._blocks(blocks)
+        taken = own * self.columns.take(columns, self.order[here], every)
+        if self.noise.follows:
+            taken = taken - before * self.columns.take(columns, self.order[last], every)
         return np.asarray(taken)
 
     def factors(self, blocks: Array | slice = EVERY) -> Factors:
-        here, last = self._blocks(blocks)
+        here, last, _, _ = self._blocks(blocks)
         own = self.columns.factors(self.order[here])
-        if not self.before.any():
+        if not self.noise.follows:
             return own
         variables = self.columns.levers(self.order[:1]).shape[2]
-        before = self.columns.factors(self.order[last])
-        shifted = tuple((s + variables, columns, values) for s, columns, values in before.blocks)
+        shifted = tuple((s + variables, c, values) for s, c, values in self.columns.factors(self.order[last]).blocks)
         return Factors((*own.blocks, *shifted), own.width)
 
     def levers(self, blocks: Array | slice = EVERY) -> Array:
-        here, last = self._blocks(blocks)
-        own = self.own[here, None, None] * self.columns.levers(self.order[here])
-        if not self.before.any():
-            return np.asarray(own)
-        return np.concatenate([own, -self.before[here, None, None] * self.columns.levers(self.order[last])], axis=2)
+        here, last, own, before = self._blocks(blocks)
+        levers = own * self.columns.levers(self.order[here])
+        if not self.noise.follows:
+            return np.asarray(levers)
+        return np.concatenate([levers, -before * self.columns.levers(self.order[last])], axis=2)
 
-    def _blocks(self, blocks: Array | slice) -> tuple[Array, Array]:
+    def _blocks(self, blocks: Array | slice) -> tuple[Array, Array, Array, Array]:
+        """Some blocks and those before them, and the weight of each."""
         here = np.arange(len(self.order))[blocks]
-        return here, np.maximum(here - 1, 0)
+        own = self.noise.weight[here, None, None]
+        return here, np.maximum(here - 1, 0), own, self.noise.stays[here, None, None] * own
 
 
 def combined_of(columns: Columns, some: Array) -> Combined:

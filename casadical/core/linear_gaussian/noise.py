@@ -1,7 +1,8 @@
-"""Noise of rows in blocks: white, and named components that the rows of a block share.
+"""Noise of rows in blocks: white, named components that the rows of a block share, and what stays from block to block.
 
 A block's covariance is sigma^2 (I + sum_k rho_k^2 A_k A_k'): component k has sources (the joints of a robot, say) whose
-independent deviations of rho_k sigma reach the rows through A_k.
+independent deviations of rho_k sigma reach the rows through A_k. Noise that follows itself keeps a share of the block
+before it.
 """
 
 from __future__ import annotations
@@ -103,3 +104,43 @@ def whitening_of(covariance: Array) -> Whitening:
     """What makes noise of a covariance white, shape (n, m, m)."""
     L = np.linalg.cholesky(covariance)
     return Whitening(np.linalg.inv(L), 2 * float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum()))
+
+
+@dataclass(frozen=True, eq=False)
+class SerialNoise:
+    """Noise that keeps a share of what it was at the block before; without that share, times a weight, it is white.
+
+    stays : the share, zero where a run of blocks begins; weight : shapes (n,), or (n, m) of each row
+    """
+
+    stays: Array
+    weight: Array
+
+    @property
+    def follows(self) -> bool:
+        """Whether anything stays at all."""
+        return bool(self.stays.any())
+
+    def white(self, rows: Array, blocks: slice = slice(None)) -> Array:
+        """White rows of some blocks, shape (k, m, ...).
+
+        rows : of these blocks, after those of the block before unless they begin with the first
+        """
+        more = min(blocks.start or 0, 1)
+        stays, weight = (
+            a[blocks].reshape(*a[blocks].shape, *[1] * (rows.ndim - a.ndim)) for a in (self.stays, self.weight)
+        )
+        out = np.array(rows[more:])
+        if self.follows:
+            out[1 - more :] -= stays[1 - more :] * rows[:-1]
+        out *= weight
+        return out
+
+
+def serial_noise(stays: Array | float, first: Array, weight: Array | float = 1.0) -> SerialNoise:
+    """Noise of one size throughout.
+
+    stays : the share that stays; first : whether a run begins at a block, shape (n,) or (n, 1); weight : of each block
+    """
+    share = np.where(first, 0.0, stays)
+    return SerialNoise(share, weight / np.sqrt(1 - share**2))

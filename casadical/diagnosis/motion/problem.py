@@ -16,6 +16,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import EVERY, Combined, Factors
+from casadical.core.linear_gaussian.noise import serial_noise
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.evidence import Evidence
@@ -99,13 +100,7 @@ class Following:
 
     def white(self, values: Array, first: Array) -> Array:
         """Rows of blocks as white ones; values : shape (blocks, rows, ...); first : blocks that begin a run."""
-        tail = (1,) * (values.ndim - 2)
-        stays = np.where(first[:, None], 0.0, self.stays)
-        scale = self.weight / (self.sigma * np.sqrt(1 - stays**2))
-        out = np.array(values)
-        out[1:] -= stays[1:].reshape(-1, values.shape[1], *tail) * values[:-1]
-        out *= scale.reshape(*values.shape[:2], *tail)
-        return out
+        return serial_noise(self.stays, first[:, None], self.weight / self.sigma).white(values)
 
     def row(self, row: int) -> Following:
         """Of one row alone."""

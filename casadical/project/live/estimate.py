@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadical.core.basics import Array
+from casadical.core.linear_gaussian.grid import gain
+from casadical.core.linear_gaussian.normal_equations import root_of_inverse
 from casadical.core.parameters import Parameter
 from casadical.core.statistics import best_of, first_of_best
 from casadical.identification.accuracy import predicted
@@ -258,14 +260,12 @@ def _by_evidence(
         P = np.where(free > 0, free, factor * width) ** -2
         precisions.append(P)
         at = np.linalg.solve(np.diag(P) + known, of_known)  # mean before the readings
-        root = np.linalg.inv(np.linalg.cholesky(np.diag(P) + known))
+        root = root_of_inverse(np.diag(P) + known)
         values, V = np.linalg.eigh(root @ G @ root.T)
-        along, values = (V.T @ (root @ (b - G @ at))) ** 2, np.maximum(values, 0.0)
+        along = (V.T @ (root @ (b - G @ at))) ** 2
         left = square - 2 * float(at @ b) + float(at @ G @ at)
-        for k, s in enumerate(SIGMAS):
-            ratio = values / s**2
-            quadratic = left / s**2 - float((along / s**4 / (1 + ratio)).sum())
-            logs[i, k] = -0.5 * quadratic - len(y) * np.log(s) - 0.5 * float(np.log1p(ratio).sum())
+        logs[i] = -0.5 * left / SIGMAS**2 - len(y) * np.log(SIGMAS)
+        logs[i] += gain(SIGMAS**2, SIGMAS, np.maximum(values, 0.0)[None], along[None])[0]
     weights = np.exp(logs - logs.max())
     evidence = told + float(logs.max() + np.log(weights.sum()))
     weights /= weights.sum()

@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from models import KAPPAS, NONE, RATIOS, SIGMAS, TWO, log_density, small_model, without_last_rows
+from scipy.stats import multivariate_normal
 
 from casadical.core.linear_gaussian import grid, marginals, sums
-from casadical.core.linear_gaussian.columns import ArrayColumns, MovedColumns
+from casadical.core.linear_gaussian.columns import ArrayColumns, SerialColumns
 from casadical.core.linear_gaussian.marginals import Marginals
 from casadical.core.linear_gaussian.model import LinearModel
+from casadical.core.linear_gaussian.noise import serial_noise
 
 GROUPS = [np.array([0]), np.array([1, 2]), np.array([5]), np.array([0, 1, 2])]
 
@@ -145,8 +147,7 @@ def test_columns_less_a_share_of_the_block_before_are_judged_as_their_arrays() -
     """Noise that follows itself: each block is taken less a share of the one before, in the order of measuring."""
     whole = small_model(n=30)
     order, n = np.random.default_rng(6).permutation(30), 30
-    own, before = np.append(1.0, np.full(n - 1, 1.25)), np.append(0.0, np.full(n - 1, 0.75))
-    moved = MovedColumns(whole.columns, order, own, before)
+    moved = SerialColumns(whole.columns, order, serial_noise(0.6, np.arange(n) == 0))
     every = np.arange(whole.width)
     E = whole.columns.take(every)[order]
     array = 1.25 * E - 0.75 * np.concatenate([E[:1], E[:-1]])
@@ -156,3 +157,22 @@ def test_columns_less_a_share_of_the_block_before_are_judged_as_their_arrays() -
     groups = [np.array([0, 1]), np.array([2])]
     a, b = (Marginals(replace(whole, columns=c)).log_grids(groups) for c in (moved, ArrayColumns(array)))
     np.testing.assert_allclose(a, b, rtol=1e-9)
+
+
+def test_noise_that_keeps_a_share_is_white_without_it() -> None:
+    """Two runs of blocks, of which each row keeps a share of its own: the density of the normal covariance."""
+    stays, first = np.array([[0.8, 0.3]]), np.array([True, False, False, True, False])
+    rng = np.random.default_rng(8)
+    weight = np.broadcast_to([0.5, 2.0], (5, 2))
+    rows = rng.standard_normal((5, 2, 1))
+    noise = serial_noise(stays, first[:, None], weight)
+    white = noise.white(rows)
+    for row in range(2):
+        apart = np.abs(np.subtract.outer(np.arange(5), np.arange(5)))
+        same_run = np.equal.outer(np.cumsum(first), np.cumsum(first))
+        covariance = np.where(same_run, stays[0, row] ** apart, 0.0) / weight[0, row] ** 2
+        log_det = -2 * np.log(noise.weight[:, row]).sum()
+        own = -0.5 * (5 * np.log(2 * np.pi) + log_det + (white[:, row, 0] ** 2).sum())
+        assert own == pytest.approx(multivariate_normal.logpdf(rows[:, row, 0], np.zeros(5), covariance))
+    np.testing.assert_allclose(noise.white(rows[1:4], slice(2, 4)), white[2:4])
+    np.testing.assert_allclose(noise.white(rows[:2], slice(0, 2)), white[:2])
