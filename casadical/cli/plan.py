@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, Context, Option
 
 from casadical.cli import options as o
-from casadical.cli.terminal import PLAN, keep, suggest, with_json, working, wrapped
+from casadical.cli.terminal import PLAN, WIDE, keep, suggest, with_json, working, wrapped
 from casadical.core.basics import InputError, shown
 from casadical.core.telling.result import terminal
 
@@ -93,6 +93,14 @@ Iso9283 = Annotated[
         "approach paths, drift over 8 hours; written to --out (default: iso9283.csv).",
     ),
 ]
+Touches = Annotated[
+    int | None,
+    Option(
+        min=2, max=50, metavar="N",
+        help="Plan N touches a day instead, that tell most about zeros, tool and foot of a calibrated robot; written "
+        "to --out (default: touches.csv).",
+    ),
+]  # fmt: skip
 Motion = Annotated[
     Path | None,
     Option(
@@ -112,6 +120,7 @@ MODES = {
     ),
     "--isolability": ("poses", "effects", "json_file"),
     "--iso9283": ("out", "room", "cube_mm", "seed"),
+    "--touches": ("out", "room", "touches", "noise_mm", "seed"),
     "--motion": ("out", "motion", "reference", "drive", "effects", "json_file"),
 }  # fmt: skip
 
@@ -144,6 +153,7 @@ def plan(
     known_places: KnownPlaces = False,
     iso9283: Iso9283 = False,
     cube_mm: Cube = None,
+    touches: Touches = None,
     motion: Motion = None,
     reference: o.Reference = None,
     drive: o.DriveFile = None,
@@ -154,7 +164,7 @@ def plan(
     """Choose which poses to measure, and predict the accuracy of the calibration before measuring.
 
     Without -n only the stopping rule: the expected accuracy against the number of poses, given the poses measured
-    so far. With --isolability: what given poses can show of each effect.
+    so far. With --isolability: what given poses can show of each effect; with --touches: what to touch every day.
 
     Example: casadical plan arm -n 40 --target-mm 0.03 --out next.csv
 
@@ -162,13 +172,17 @@ def plan(
     """
     from casadical.project.planning import Wanted, circumstances_of
 
-    mode = "--isolability" if isolability else "--iso9283" if iso9283 else "--motion" if motion else CALIBRATION
+    given = {"--isolability": isolability, "--iso9283": iso9283, "--touches": touches, "--motion": motion}
+    mode = next((mode for mode, asked in given.items() if asked), CALIBRATION)
     o.refuse_of_others(context, mode, MODES)
     if isolability:
         _isolability(problem, poses, effects, json_file, quiet)
         return
     if iso9283:
         _iso9283(problem, out or Path("iso9283.csv"), cube_mm, room, seed, quiet)
+        return
+    if touches:
+        _touches(problem, touches, out or Path("touches.csv"), noise_mm, room, seed, quiet)
         return
     if motion:
         _motion(problem, motion, reference, drive, effects, out or Path("motion.csv"), json_file, quiet)
@@ -236,18 +250,36 @@ def _iso9283(problem: Path, out: Path, cube_mm: float | None, room: Path | None,
     suggest(console, "when it was measured", "verify", "RESULTS", out, "--iso9283")
 
 
+def _touches(robot: Path, n: int, out: Path, noise_mm: float | None, room: Path | None, seed: int, quiet: bool) -> None:
+    """The points to touch every day."""
+    from casadical.fleet.touches import plan_touches
+
+    console = wrapped(quiet)
+    with working(quiet, "choosing touches"):
+        table = plan_touches(robot, n, noise_mm=noise_mm, room=room, seed=seed)
+    console.print(
+        f"{n} touches that tell most about zeros, tool and foot. Touch them every day in the frame of the calibration, "
+        "put x_mm, y_mm, z_mm into a copy whose name has the day (2026-03-14.csv), and have the copies verified."
+    )
+    keep({out: table.to_csv(index=False)}, console)
+    suggest(console, "when they were touched", "verify", robot, "DAY.csv", "--touches")
+
+
 def _isolability(
     problem: Path, poses: list[Path] | None, effects: str | None, json_file: Path | None, quiet: bool
 ) -> None:
     """What poses can show, before any data."""
+    from casadical.core.telling.blocks import Words
+    from casadical.core.telling.result import terminal
     from casadical.project.diagnosis import effects_named, isolability_of, read_campaigns
 
-    console = wrapped(quiet)
+    console = wrapped(quiet, None if sys.stdout.isatty() else WIDE)
     answers = []
     for campaign in read_campaigns(problem, poses, readings_only=True):
-        text, answer = isolability_of(campaign, effects_named(effects))
-        answers.append(answer)
-        console.print(text, soft_wrap=True)
+        shows = isolability_of(campaign, effects_named(effects))
+        answers.append(shows.to_json(campaign.name))
+        title = Words(f"{campaign.title}, {sum(map(len, campaign.sets))} poses", "title")
+        console.print(terminal([title, *shows.blocks()]))
         console.print()
     keep(with_json({}, json_file, answers), console)
     suggest(console, "for poses that distinguish effects", "plan", problem, "-n", 60)

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from typer import Argument, Context, Exit, Option
 
-from casadical.cli.options import Effects, Json, Quiet, Report, Room, refuse_of_others
+from casadical.cli.options import Effects, Json, Quiet, Report, refuse_of_others
 from casadical.cli.terminal import DIAGNOSIS, NOT_VALID, html, keep, plain, suggest, with_json, working, wrapped
 from casadical.core.basics import InputError
 from casadical.core.telling.result import terminal
@@ -60,15 +60,12 @@ Split = Annotated[
     int | None, Option(min=0, help="Of the split of the poses with --mujoco, of the draws with --touches; default: 0.")
 ]
 Touches = Annotated[
-    int | None,
+    bool,
     Option(
-        min=2, max=50, metavar="N",
-        help="Without tables plan N touches that tell most about zeros, tool, foot; with tables (one a day, in the "
-        "frame of the calibration) say whether the robot is valid on the last day, and what moved.",
+        "--touches",
+        help="The tables are points touched in the frame of the calibration, one a day, as `plan --touches N` "
+        "plans them: say whether the robot is valid on the last day, and what moved.",
     ),
-]  # fmt: skip
-Poses = Annotated[
-    Path | None, Option(metavar="FILE.csv", help="With --touches: the planned poses; default: touches.csv.")
 ]
 Tolerance = Annotated[
     float | None, Option(min=0, help="With --touches: rms error that is allowed; default: twice what the file states.")
@@ -86,10 +83,9 @@ Chart = Annotated[Path | None, Option(metavar="FILE.csv", help="With --touches: 
 # Each with what it has beside robot, tables and quiet; the first that is asked for counts.
 MODES = {
     "--mujoco": ("mujoco", "effects", "seed", "out", "json_file"),
-    "--touches N with tables": (
+    "--touches": (
         "touches", "tolerance_mm", "noise_mm", "fleet", "update", "chart", "report_file", "seed", "json_file",
     ),
-    "--touches N without tables": ("touches", "poses", "noise_mm", "room", "seed"),
     "--iso9283": ("iso9283", "json_file"),
     "a check of some ten poses": ("promised_mm", "json_file"),
 }  # fmt: skip
@@ -102,12 +98,10 @@ def verify(
     promised_mm: Promised = None,
     mujoco: Mujoco = False,
     iso9283: Iso9283 = False,
-    touches: Touches = None,
-    poses: Poses = None,
+    touches: Touches = False,
     tolerance_mm: Tolerance = None,
     noise_mm: NoiseMm = None,
     fleet: Fleet = None,
-    room: Room = None,
     update: Update = None,
     chart: Chart = None,
     report_file: Report = None,
@@ -128,20 +122,18 @@ def verify(
 
     Exit codes: 0 still valid, or replayed, 2 bad input, 3 no optimum found, 5 no longer valid, 70 a bug in casadical.
     """
-    given = (mujoco, touches is not None and bool(tables), touches is not None, iso9283, True)
+    given = (mujoco, touches, iso9283, True)
     refuse_of_others(context, next(mode for mode, own in zip(MODES, given, strict=True) if own), MODES)
     if mujoco:
         _replay(robot, tables, effects, seed or 0, out, json_file, quiet)
         return
-    if touches is not None:
-        if tables:
-            asked = {"tolerance_mm": tolerance_mm, "noise_mm": noise_mm, "fleet": fleet}
-            _touched(robot, tables, asked, (update, chart, report_file, json_file), seed or 0, quiet)
-        else:
-            _plan_touches(robot, touches, poses or Path("touches.csv"), noise_mm, room, seed or 0, quiet)
-        return
     if not tables:
-        raise InputError("which poses? give a table of some ten that were measured later")
+        which = "of each day; `casadical plan --touches 5` says which" if touches else "of some ten measured later"
+        raise InputError(f"which poses? give a table {which}")
+    if touches:
+        asked = {"tolerance_mm": tolerance_mm, "noise_mm": noise_mm, "fleet": fleet}
+        _touched(robot, tables, asked, (update, chart, report_file, json_file), seed or 0, quiet)
+        return
     from casadical.project import verification
 
     console = wrapped(quiet)
@@ -158,22 +150,6 @@ def verify(
     keep(with_json({}, json_file, checked.to_json()), console)
     if not checked.valid:
         raise Exit(NOT_VALID)
-
-
-def _plan_touches(
-    robot: Path, n: int, out: Path, noise_mm: float | None, room: Path | None, seed: int, quiet: bool
-) -> None:
-    from casadical.fleet.touches import plan_touches
-
-    console = wrapped(quiet)
-    with working(quiet, "choosing touches"):
-        table = plan_touches(robot, n, noise_mm=noise_mm, room=room, seed=seed)
-    console.print(
-        f"{n} touches that tell most about zeros, tool and foot. Touch them every day in the frame of the calibration, "
-        "put x_mm, y_mm, z_mm into a copy whose name has the day (2026-03-14.csv), and give the copies to this command."
-    )
-    keep({out: table.to_csv(index=False)}, console)
-    suggest(console, "when they were touched", "verify", robot, "DAY.csv", "--touches", n)
 
 
 def _touched(

@@ -209,7 +209,7 @@ class Touches(Result):
         if (self.verdict == "valid" and not self.better) or not self.sources:
             return ()
         robot, *tables = self.sources
-        asked = ("--touches", len(self.model.days[-1]))
+        asked = ("--touches",)
         if self.better and self.update:
             return (next_step("on later days", "verify", self.update, "DAY.csv", *asked),)
         if self.better:

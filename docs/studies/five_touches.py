@@ -1,7 +1,7 @@
 """nice python docs/studies/five_touches.py [--lives N] [--seed N] [--kinds KIND ...] > docs/studies/five_touches.txt
 
-What five touches a day say of a calibrated robot (`casadical verify ROBOT --touches 5`), in lives of simulated robots
-and on real readings.
+What five touches a day say of a calibrated robot (`casadical verify ROBOT DAYS --touches`), in lives of simulated
+robots and on real readings.
 
 Lives: a UR10e of `lives.py` as built, with harmonics that no model has, is calibrated with 100 poses (noise 30 um a
 coordinate); its robot file is written and read. Five poses are planned and touched on 6 days, 30 um of noise; every

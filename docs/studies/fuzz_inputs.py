@@ -79,7 +79,7 @@ COMMANDS: dict[tuple[str, ...], tuple[tuple[Sequence[str], ...], dict[str, str |
         "--effects": "effects", "--seed": "number", "--laws": None, "--json": "out", "--drive": "path",
         "--reference": "path", "--out": "out"}),
     ("verify",): ((("in/results", *ROBOT), DAYS, DAYS), {
-        "--touches": "small", "--fleet": "path", "--room": "path", "--tolerance-mm": "number", "--noise-mm": "number",
+        "--touches": None, "--fleet": "path", "--tolerance-mm": "number", "--noise-mm": "number",
         "--chart": "out", "--update": "out", "--json": "out", "--promised-mm": "number", "--iso9283": None}),
     ("certificate",): ((("in/results",),), {
         "--details": "path", "--problem": "path", "--iso9283": "path", "--out": "out", "--json": "out"}),
@@ -117,10 +117,10 @@ LINES = (
     ("plan " + R + " --wires 2 --places in/places.csv -n 4 --out out/c.csv", ""),
     ("plan " + R + " in/p/poses.csv --isolability --for in/my.effect.toml", ""),
     ("plan in/p --iso9283 --room in/room.toml --out out/c.csv", "p/robot.toml"),
-    ("verify in/results in/2026-03-01.csv in/2026-03-02.csv --touches 5 --fleet in/fleet.json "
-     "--noise-mm 0.05 --tolerance-mm 1 --room in/room.toml --chart out/c.csv --update out/u.toml",
+    ("verify in/results in/2026-03-01.csv in/2026-03-02.csv --touches --fleet in/fleet.json "
+     "--noise-mm 0.05 --tolerance-mm 1 --chart out/c.csv --update out/u.toml",
      "results/result.json results/KM.robot.toml"),
-    ("verify in/results --touches 5 --room in/room.toml --poses out/t.csv", ""),
+    ("plan in/results --touches 5 --room in/room.toml --out out/t.csv", ""),
     ("verify in/results in/iso.csv --iso9283", "results/result.json"),
     ("verify in/results in/p/poses.csv --json out/j", "results/result.json"),
     ("certificate in/results --details in/certificate.toml --iso9283 in/iso.csv --problem in/p --out out/c.pdf",

@@ -63,7 +63,7 @@ def commands(scratch: Path, tree: Path) -> dict[str, list[str]]:
         robots = f"MADE/calibrate-{name}/files/SKCM.robot.toml --nominal problems/{name}/robot.toml"
         todo[f"export-{name}"] = f"export c {robots} --out OUT/c --json OUT/a.json --leave-out"
     todo["verify-ur10"] = f"verify MADE/calibrate-ur10/files/SKCM.robot.toml {scratch / 'C.csv'} --json OUT/a.json"
-    todo["touches-ur10"] = "verify MADE/calibrate-ur10/files/SKCM.robot.toml --touches 5 --poses OUT/touches.csv"
+    todo["touches-ur10"] = "plan MADE/calibrate-ur10/files/SKCM.robot.toml --touches 5 --out OUT/touches.csv"
     todo["certificate-ur10"] = "certificate MADE/calibrate-ur10/files --problem problems/ur10 --json OUT/a.json"
     todo["certificate-planar"] = "certificate MADE/calibrate-planar/files --problem problems/planar --json OUT/a.json"
     todo["model-kr210"] = "export model MADE/calibrate-kr210/files/KM.robot.toml --to mjcf --leave-out --out OUT/a.xml"

@@ -38,7 +38,7 @@ robot = read_robot(folder / "results" / "SKCM.robot.toml")
 # -----------
 # Those that tell most about zeros, tool and foot.
 
-assert casadical("verify", "results", "--touches", "5") == 0
+assert casadical("plan", "results", "--touches", "5") == 0
 plan = pd.read_csv(folder / "touches.csv")
 print(plan.round(2).to_string(index=False))
 q = np.deg2rad(plan[list(robot.reading_units)].to_numpy(dtype=float))
@@ -64,7 +64,7 @@ def touch(day, real):
 touch("2026-03-02", robot)
 touch("2026-03-03", robot)
 days = ["2026-03-02.csv", "2026-03-03.csv"]
-assert casadical("verify", "results", *days, "--touches", "5") == 0
+assert casadical("verify", "results", *days, "--touches") == 0
 
 # %%
 # The crash
@@ -72,7 +72,7 @@ assert casadical("verify", "results", *days, "--touches", "5") == 0
 # Exit code 5: no longer valid.
 
 touch("2026-03-04", hit)
-words = ("--touches", "5", "--update", "corrected.robot.toml", "--json", "found.json")
+words = ("--touches", "--update", "corrected.robot.toml", "--json", "found.json")
 assert casadical("verify", "results", *days, "2026-03-04.csv", *words) == 5
 found = json.loads((folder / "found.json").read_text())
 assert max(found["changes"], key=found["changes"].get) == "joint_zero@3"
