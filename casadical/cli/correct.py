@@ -124,6 +124,7 @@ def correct(
     Exit codes: 0 written, with or without refused targets; 2 bad input, or poses that are not reached; 70 a bug in
     casadical.
     """
+    from casadical.core.telling.result import terminal
     from casadical.export.controller.c_export import OfCommand
     from casadical.export.controller.commands import Sources
     from casadical.export.controller.programs.csv_table import CsvTable
@@ -137,9 +138,8 @@ def correct(
     language = OfLanguage(tcp, base, root, flange, data, nearest, external_still, leave_unreached, accuracy_off)
     made = correct_file(sources, program, out, OfCommand(steps or 2, what, limit), language, trust=trust)
     console = plain(quiet)
-    for line in made.lines:
-        console.print(line)
-    keep(with_json(made.files, json_file, made.figures), console)
+    console.print(terminal(made.blocks()))
+    keep(with_json(made.texts, json_file, made.to_json()), console)
     if model.is_file():
         suggest_later(console, model)
     else:

@@ -145,12 +145,13 @@ def export_c(
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
+    from casadical.core.telling.result import terminal
     from casadical.export.controller import c_export
     from casadical.export.controller.commands import Sources
 
     if (product := f"--what {what}") in PRODUCTS:
         o.refuse_of_others(context, product, PRODUCTS)
-    said = c_export.export_c(
+    written = c_export.export_c(
         Sources(robot, nominal, compensator, payload, tool, leave_out, tcp_error, not no_bound),  # type: ignore[arg-type]
         out,
         what,
@@ -162,7 +163,7 @@ def export_c(
         also=lambda written: with_json({}, json_file, written.to_json()),
     )
     console = plain(quiet)
-    console.print(said)
+    console.print(terminal(written.blocks()))
     print_written(json_file, console)
     if what == "command":
         suggest(console, "to correct an offline program by it", "correct", out, "program.csv", "--out", "corrected.csv")
@@ -197,6 +198,7 @@ def export_model(
 
     Exit codes: 0 written, 2 bad input, 3 no optimum found, 70 a bug in casadical.
     """
+    from casadical.core.telling.result import terminal
     from casadical.export.model_file import OfMjcf, form_of, robot_model
 
     refuse_taken(out, overwrite)
@@ -212,9 +214,8 @@ def export_model(
             show=show,
         )
     console = plain(quiet)
-    for line in made.lines:
-        console.print(line)
-    keep(with_json({out: made.text}, json_file, {"file": str(out), **made.figures}), console, {out: made.about})
+    console.print(terminal(made.blocks()))
+    keep(with_json({out: made.text}, json_file, {"file": str(out), **made.to_json()}), console, {out: made.about})
     if source.is_dir():
         suggest(console, "to keep the robot file and its accuracy", "calibrate", source, "--out", "results")
     else:

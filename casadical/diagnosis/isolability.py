@@ -6,10 +6,8 @@ with every cause, in the noise's metric; an effect of n poses and visible signal
 noise, has noncentrality 3 n r^2.
 """
 
-import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 from typing import Any, Literal
 
 import numpy as np
@@ -18,7 +16,7 @@ import pandas as pd
 from casadical.core.basics import Array, InputError
 from casadical.core.statistics import ranked
 from casadical.core.telling.blocks import Table, Words
-from casadical.core.telling.result import Result, table_lines
+from casadical.core.telling.result import Result
 from casadical.diagnosis.candidates import (
     Candidate,
     candidates_of,
@@ -57,9 +55,7 @@ NO_MARK = 1e-6
 TIMES = (1.0, 2.0, OUT_OF_REACH)
 
 SHOWN_RIVALS = 3
-WIDTH = 112
-HEAD = ("effect", "size mm", "absorbed", "visible mm", "to noise", "found from", "  looks like")
-WIDTHS = (24, 8, 9, 11, 9, 11, 0)
+HEAD = ("effect", "size mm", "absorbed", "visible mm", "to noise", "found from", "looks like")
 NOTES = (
     "size: rms at a realistic size; absorbed: the share that the base model takes up; visible: what is left of it, and "
     "a coordinate of that in units of the noise; found from: the multiple of the realistic size that is found 9 times "
@@ -91,31 +87,24 @@ class Isolability(Result):
         names, shares = self.alike.columns, self.alike.loc[label].to_numpy(dtype=float)
         return {str(names[k]): float(shares[k]) for k in ranked(shares) if shares[k] > above and names[k] != label}
 
-    def blocks(self) -> list[Words]:
-        """Its text, to be printed unwrapped."""
-        return [Words(self.text())]
+    def blocks(self) -> list[Words | Table]:
+        """A row per effect: size, what the base absorbs, what stays visible, its rivals; and what was not logged."""
+        rows = []
+        for label, row in self.effects.iterrows():
+            rivals = [f"{k} {v:.2f}" for k, v in list(self.rivals(str(label)).items())[:SHOWN_RIVALS]]
+            figures = (f"{row['size_mm']:.3f}", f"{100 * row['absorbed']:.0f} %", f"{row['visible_mm']:.4f}")
+            times = row["findable_from"]  # of the realistic size
+            found = f"{times:.2g} x" if np.isfinite(times) and times < 100 else "never"
+            rows.append((str(label), *figures, f"{row['visible_to_noise']:.2f}", found, "\n".join(rivals)))
+        told: list[Words | Table] = [Table("", HEAD, rows, frozenset(range(1, 6))), Words(NOTES, "note")]
+        gathered_columns = gathered_by_columns(columns_to_log(self.missing, ())).items()
+        return [*told, *(Words(f"not logged: {columns}; it would show {them}") for columns, them in gathered_columns)]
 
     def to_json(self, campaign: str = "") -> dict[str, Any]:
         """As plain data; campaign : name of the poses. A share that is nothing, a size never found, are left out."""
         rows = {str(k): {c: _plain(v) for c, v in row.items()} for k, row in self.effects.iterrows()}
         alike = {k: {r: round(v, 4) for r, v in self.rivals(k, 0.1).items()} for k in rows}
         return {"campaign": campaign, "effects": rows, "alike": alike, "missing": self.missing}
-
-    def text(self) -> str:
-        """A row per effect: size, what the base absorbs, what stays visible, its rivals; to be printed unwrapped."""
-        rows = []
-        for label, row in self.effects.iterrows():
-            rivals = [f"  {k} {v:.2f}" for k, v in list(self.rivals(str(label)).items())[:SHOWN_RIVALS]]
-            figures = (f"{row['size_mm']:.3f}", f"{100 * row['absorbed']:.0f} %", f"{row['visible_mm']:.4f}")
-            times = row["findable_from"]  # of the realistic size
-            found = f"{times:.2g} x" if np.isfinite(times) and times < 100 else "never"
-            rows.append((str(label), *figures, f"{row['visible_to_noise']:.2f}", found, "\n".join(rivals)))
-        lines = chain.from_iterable(table_lines(Table("", HEAD, rows, frozenset(range(1, 6))), WIDTHS, gap=1))
-        notes = [NOTES]
-        for columns, effects in gathered_by_columns(columns_to_log(self.missing, ())).items():
-            notes.append(f"not logged: {columns}; it would show {effects}")
-        wrapped = (line for note in notes for line in textwrap.wrap(note, WIDTH, break_on_hyphens=False))
-        return "\n".join([*lines, *wrapped])
 
 
 def isolability(

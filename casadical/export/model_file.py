@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from casadical.core.basics import InputError, Show, silent
 from casadical.core.files import json_text
 from casadical.core.reading import missing
-from casadical.core.telling.result import Shown
+from casadical.core.telling.blocks import Words
+from casadical.core.telling.result import Result
 from casadical.effects.base import Omission
 from casadical.export.controller.commands import Sources
 from casadical.export.controller.drivers import FORMS as DRIVERS
@@ -29,17 +30,26 @@ ENDINGS = {".xml": "mjcf", ".urdf": "urdf", ".json": "actuators", ".yaml": "ur",
 
 
 @dataclass(frozen=True, eq=False)
-class RobotModel(Shown):
+class RobotModel(Result):
     """A robot as another program reads it.
 
     text : of the file; lines : what it holds beside the geometry, what it leaves out and what that costs
     about : the robot, in words; figures : the same as plain data
     """
 
+    kept_as: ClassVar[str] = "model"
+
     text: str
     lines: tuple[str, ...]
     figures: dict[str, Any]
     about: str = ""
+
+    def blocks(self) -> list[Words]:
+        """What it holds, what it leaves out and what that costs."""
+        return [Words(line) for line in self.lines or ("nothing is left out",)]
+
+    def to_json(self) -> dict[str, Any]:
+        return self.figures
 
     @property
     def _line(self) -> str:
@@ -113,7 +123,10 @@ def robot_model(
     if form == "actuators":
         robot = robot_to_write(source)
         return RobotModel(
-            json_text(actuators := actuators_of(robot)), (), actuators, f"drives of {robot.name}, by joint names"
+            json_text(actuators := actuators_of(robot)),
+            ("the drives alone",),
+            actuators,
+            f"drives of {robot.name}, by joint names",
         )
     if form == "urdf":
         return _urdf(source, nominal, leave_out, show)

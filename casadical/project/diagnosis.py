@@ -17,7 +17,7 @@ from casadical.core.telling.result import Result
 from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.diagnose import Masses, diagnose
 from casadical.diagnosis.figures import diagnosis_figures
-from casadical.diagnosis.isolability import isolability
+from casadical.diagnosis.isolability import Isolability, isolability
 from casadical.diagnosis.json_answer import as_json, diagnosis_files
 from casadical.diagnosis.laws.answer import Discovery
 from casadical.diagnosis.motion.proposal import Proposal, proposed
@@ -298,8 +298,7 @@ def own_causes(files: Sequence[str]) -> tuple[Cause, ...]:
     return tuple(kinds)
 
 
-def isolability_of(campaign: Campaign, effects: EffectChoice) -> tuple[RenderableType, dict[str, Any]]:
-    """What the poses of a campaign could show of each effect, before any data, as text and as JSON."""
+def isolability_of(campaign: Campaign, effects: EffectChoice) -> Isolability:
+    """What the poses of a campaign could show of each effect, before any data."""
     (m,) = campaign.sets
-    shown = isolability(campaign.robot, m, effects)
-    return titled(f"{campaign.title}, {len(m)} poses", shown.text()), shown.to_json(campaign.name)
+    return isolability(campaign.robot, m, effects)

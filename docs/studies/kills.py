@@ -116,7 +116,7 @@ def writers() -> Iterator[Writer]:
             done.write(Path(scratch) / k)
             sources = Sources(Path(scratch) / k / "KM.robot.toml", ROOT / "problems/planar/robot.toml")
             made = write_c(command_of(sources, 2), Path(scratch) / f"c_{k}", name="planar", vectors=200)
-            exports.append({name: (made.folder / name).read_bytes() for name in made.files})
+            exports.append({name: (made.folder / name).read_bytes() for name in made.written})
             new_problem(Path(scratch) / f"new_{k}", seed=len(k))
             problems.append({p.name: p.read_bytes() for p in (Path(scratch) / f"new_{k}").iterdir()})
     yield Writer("export, again", "export", *exports, write_set)

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from cases import practice, robot
 
+from casadical.core.telling.result import plain_text
 from casadical.diagnosis.isolability import Isolability, isolability
 from casadical.diagnosis.linear_problem import base_prior
 from casadical.diagnosis.linearisation import signatures
@@ -65,7 +66,7 @@ def test_what_no_position_can_show(name: str) -> None:
     table = designed(name).effects
     assert table.loc["tracker_scale", "absorbed"] > 0.999
     assert table.loc["tracker_scale", "findable_from"] > 100
-    (row,) = (line for line in designed(name).text().splitlines() if line.startswith("tracker_scale"))
+    (row,) = (row for row in designed(name).blocks()[0].rows if row[0] == "tracker_scale")
     assert "never" in row
     assert table.loc["nonlinear_stiffness@1", "visible_mm"] < 1e-3
     assert table["absorbed"].between(0, 1).all()
@@ -141,7 +142,7 @@ def test_missing_columns_are_named() -> None:
 
 def test_page_and_json() -> None:
     found = isolability(robot("ur10e"), practice("ur10e-P03"), ["joint_scale@3", "gear_eccentricity@3"])
-    text = found.text()
+    text = plain_text(found.blocks(), 120)
     assert "joint_scale@3" in text
     assert f"gear_eccentricity@3 {found.alike.loc['joint_scale@3', 'gear_eccentricity@3']:.2f}" in text
     data = found.to_json("design")

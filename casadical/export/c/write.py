@@ -11,13 +11,15 @@ from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from casadical.core.basics import Array, CasadicalError, InputError
 from casadical.core.files import claimed, write_together
 from casadical.core.reading import json_of, read_bytes
+from casadical.core.telling.blocks import Words
+from casadical.core.telling.result import Result
 from casadical.export.c.c_language import comparison_inputs, functions, inside
 from casadical.export.c.c_source import SCHEMA
 from casadical.export.c.coefficients import Real
@@ -144,14 +146,21 @@ LEAST_CONVERGED = 0.9
 
 
 @dataclass(frozen=True)
-class Export:
-    """A written export: its files, the comparisons of the compiled C, figures of this model, operations of a call."""
+class Export(Result):
+    """A written export.
+
+    written : names of its files; comparisons : of the compiled C; figures : of this model; operations : of a call
+    about : what it was made from and what it leaves out, in words
+    """
+
+    kept_as: ClassVar[str] = "export"
 
     folder: Path
-    files: tuple[str, ...]
+    written: tuple[str, ...]
     comparisons: tuple[Comparison, ...]
     figures: dict[str, float]
     operations: Operations
+    about: tuple[str, ...] = ()
 
     @property
     def verified(self) -> bool:
@@ -163,26 +172,28 @@ class Export:
         """Whether a correction has status OK at nine of ten poses in its box; true where nothing is corrected."""
         return self.figures.get("share_converged", 1.0) >= LEAST_CONVERGED
 
-    def report(self) -> str:
+    def blocks(self) -> list[Words]:
         """Whether it is verified, every comparison, the figures of this model, and the operations of a call."""
-        head = "verified: compiled, and the same bits as the reference"
+        head = Words("verified: compiled, and the same bits as the reference", "verdict")
         if not self.converges:
             share = 100 * self.figures["share_converged"]
-            head = (
+            head = Words(
                 f"UNVERIFIED: the correction converges at {share:.3g} % of the poses in its box, "
-                f"{100 * LEAST_CONVERGED:g} % are needed; other poses are refused, with their status"
+                f"{100 * LEAST_CONVERGED:g} % are needed; other poses are refused, with their status",
+                "verdict",
             )
         elif not self.comparisons:
-            head = "UNVERIFIED: no C compiler found (gcc, clang, cc); install one and export again"
-        lines = [head, *map(str, self.comparisons)]
-        lines += [f"{key}: {value:g}" for key, value in self.figures.items()]
-        lines.append(self.operations.text())
-        return "\n".join([*lines, f"{len(self.files)} files in {self.folder}"])
+            wrong = "UNVERIFIED: no C compiler found (gcc, clang, cc); install one and export again"
+            head = Words(wrong, "verdict")
+        lines = [*map(str, self.comparisons), *(f"{key}: {value:g}" for key, value in self.figures.items())]
+        lines += [self.operations.text(), f"{len(self.written)} files in {self.folder}"]
+        lines += ["precondition: the controller's own absolute-accuracy option is off"]
+        return [*map(Words, self.about), head, *map(Words, lines)]
 
     def to_json(self) -> dict[str, Any]:
         return {
-            "folder": str(self.folder), "files": list(self.files), "verified": self.verified, "figures": self.figures,
-            "operations": self.operations.count,
+            "folder": str(self.folder), "files": list(self.written), "verified": self.verified,
+            "figures": self.figures, "operations": self.operations.count,
         }  # fmt: skip
 
 
@@ -218,7 +229,7 @@ def write_c(
     --------
     >>> command = casadical.export.command_of(casadical.export.Sources(found.robot, robot))
     >>> export = casadical.export.write_c(command, "command", name="arm", vectors=100)
-    >>> "arm.c" in export.files, "arm.st" in export.files
+    >>> "arm.c" in export.written, "arm.st" in export.written
     (True, True)
     """
     label = _checked_label(name, real, model_sha256, data_sha256)

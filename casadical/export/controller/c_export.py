@@ -44,8 +44,8 @@ def export_c(
     languages: Sequence[str] | None = None,
     overwrite: bool = False,
     also: Callable[[Export], Mapping[Path, str]] = lambda _written: {},
-) -> str:
-    """Write what a controller needs of a robot file, compiled and compared before it is kept; what to say of it.
+) -> Export:
+    """Write what a controller needs of a robot file, compiled and compared before it is kept.
 
     sources : files, not objects; what : see `product_of`; name : of C functions, None: from the robot's name
     real, languages, overwrite, also : as of `write_c`
@@ -76,7 +76,7 @@ def export_c(
     if what == "command" and (lost := unreached(robot)):
         lines.append(lost)
     lines += [*_sources_in_words(sources, what, product), *_command_in_words(sources, product, robot)]
-    return "\n".join([*lines, written.report(), "precondition: the controller's own absolute-accuracy option is off"])
+    return replace(written, about=tuple(lines))
 
 
 def _sources_in_words(sources: commands.Sources, what: str, product: Product) -> list[str]:

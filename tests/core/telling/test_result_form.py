@@ -14,6 +14,9 @@ from casadical.core.telling.result import Result
 from casadical.diagnosis.motion.proposal import Proposal
 from casadical.diagnosis.motion.replay import Replay as MotionReplay
 from casadical.diagnosis.motion.result import LogDiagnosis
+from casadical.export.c.tape_program import Operations
+from casadical.export.c.write import Export
+from casadical.export.controller.programs.program import CorrectedFile, CorrectedProgram
 from casadical.export.mjcf.replay import Replay
 from casadical.fleet.changes import Comparison
 from casadical.fleet.touches import Touches
@@ -27,7 +30,7 @@ ROOT = Path(__file__).parents[3]
 PLANAR, RUN = ROOT / "problems" / "planar", ROOT / "data" / "withheld" / "second"
 # Made elsewhere in the tests, where their own words and figures are compared: they cost too much to be made here.
 COSTLY = {Comparison, Replay, casadical.Fleet, casadical.Discovery, Iso9283, Touches, Certificate}
-COSTLY |= {LogDiagnosis, MotionReplay, Proposal}
+COSTLY |= {LogDiagnosis, MotionReplay, Proposal, CorrectedProgram, CorrectedFile}
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +50,14 @@ def results(calibrated, diagnosis):
         casadical.Verification("arm", 1e-4, 1.1e-4, 1.3e-4, 10, (), seen=1e-3),
         RobotCheck("arm", 24, 1e-5, 2, (), (), {}, (), {}),
         score(RUN, RUN, RUN / "answers.diagnosis.jsonl"),
+        casadical.robot_model(PLANAR / "robot.toml", "mjcf"),
+        Export(
+            Path("c"),
+            ("arm.c", "manifest.json"),
+            (),
+            {"rest_um_worst": 0.5},
+            Operations("correct", {"multiplications": 3}),
+        ),
     ]
 
 

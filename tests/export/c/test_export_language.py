@@ -95,9 +95,9 @@ def test_without_the_plug_in_its_name_is_refused_with_those_that_exist(tmp_path)
 
 
 def test_the_c_alone(tmp_path, network):
-    written = write_c(network, tmp_path, name="arm", languages=(), vectors=100)
-    assert "arm.c" in written.files
-    assert not {"arm.fmu", "arm.st"} & set(written.files)
+    made = write_c(network, tmp_path, name="arm", languages=(), vectors=100)
+    assert "arm.c" in made.written
+    assert not {"arm.fmu", "arm.st"} & set(made.written)
 
 
 FAULTY = {

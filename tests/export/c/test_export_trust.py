@@ -120,7 +120,7 @@ def test_a_correction_that_converges_nowhere_is_not_called_verified(tmp_path: Pa
     made = write_c(command, tmp_path / "c", name="flat", vectors=100)
     assert made.figures["share_converged"] == 0
     assert not made.verified
-    assert "UNVERIFIED: the correction converges at 0 %" in made.report()
+    assert "UNVERIFIED: the correction converges at 0 %" in made.blocks()[0].text
     assert json.loads((tmp_path / "c" / "manifest.json").read_text())["verified"] is False
     network = NetworkFunction(models.network(), models.LOWER, models.UPPER)
     assert write_c(network, tmp_path / "n", name="n", vectors=100).verified

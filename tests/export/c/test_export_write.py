@@ -25,9 +25,9 @@ def test_the_same_model_gives_the_same_bytes(tmp_path, network):
         real="float",
         vectors=1000,
     )
-    for name in first.files:
+    for name in first.written:
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes(), name
-    for name in set(first.files) - {"manifest.json", "arm.fmu"}:
+    for name in set(first.written) - {"manifest.json", "arm.fmu"}:
         assert str(tmp_path) not in (tmp_path / "a" / name).read_text()
 
 
@@ -50,7 +50,7 @@ def test_without_a_compiler_it_is_written_and_called_unverified(tmp_path, networ
     assert list(tmp_path.iterdir()) == []
     export = write_c(network, tmp_path, name="arm")
     assert not export.verified
-    assert "UNVERIFIED" in export.report()
+    assert "UNVERIFIED" in export.blocks()[0].text
     assert json.loads((tmp_path / "manifest.json").read_text())["verified"] is False
     assert (tmp_path / "arm.c").exists()
 

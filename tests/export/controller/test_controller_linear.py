@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from casadical.core.basics import InputError
 from casadical.core.parts import Joint, Placement
+from casadical.core.telling.result import plain_text
 from casadical.export import Sources, Status, command_of, inverse_kinematics, model_corrector, write_c
 from casadical.export.c.kernel import compilers
 from casadical.export.controller.c_export import poses_of, unreached
@@ -191,7 +192,7 @@ def test_a_csv_program_has_millimetres_of_a_linear_joint(exported, tmp_path):
     moved = [float(v) for v in done.content().decode().splitlines()[1].split(",")[:4]]
     found = np.array(moved) * [np.pi / 180, np.pi / 180, 1e-3, np.pi / 180]
     assert found == pytest.approx(done.results[0].q[1], abs=1e-12)
-    assert "joint 3 [mm]" in done.report()
+    assert "joint 3 [mm]" in plain_text(done.blocks())
     (tmp_path / "d.csv").write_text(text.replace("q3_mm", "q3_deg"))
     with pytest.raises(InputError, match="q3_mm or q3_m is missing"):
         read_target_program(tmp_path / "d.csv", Given(units=cell.units), 4)

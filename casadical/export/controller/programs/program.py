@@ -6,15 +6,17 @@ A program corrected, file for file: a CSV of joint targets or one in a controlle
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.files import csv_text
 from casadical.core.reading import missing, read_bytes
+from casadical.core.telling.blocks import Table, Words
+from casadical.core.telling.result import Result
 from casadical.export.c.manifest import read_manifest
 from casadical.export.controller.c_export import OfCommand, no_bound, poses_of, unreached, wants_pose
 from casadical.export.controller.commands import Sources, about_tool, followed, measured_range, robot_of
@@ -54,8 +56,10 @@ class TargetProgram:
 
 
 @dataclass(frozen=True, eq=False)
-class CorrectedProgram:
+class CorrectedProgram(Result):
     """A program and what became of its targets; units : rad or m of each joint's reading."""
+
+    kept_as: ClassVar[str] = "correction"
 
     program: TargetProgram
     results: tuple[c.Result, ...]
@@ -91,20 +95,19 @@ class CorrectedProgram:
                 figures[f"off_nominal_{name[4:]}_max"] = {"before": float(before), "after": float(after)}
         return {**answer, "refused": refused, **figures}
 
-    def report(self) -> str:
+    def blocks(self) -> list[Words | Table]:
         """The number of corrected targets, the others with their reasons, and how far joints and tool move."""
         fine, refused, language = self.fine, self.refused, self.program.language
-        lines = [f"{language.name}: {len(fine)} of {len(self.results)} targets corrected"]
-        lines[0] += position_only(tuple(r.status for r in fine))
-        if refused:
-            lines[0] += f", {len(refused)} LEFT as they were:"
+        head = f"{language.name}: {len(fine)} of {len(self.results)} targets corrected"
+        head += position_only(tuple(r.status for r in fine))
+        told = [Words(head + (f", {len(refused)} LEFT as they were:" if refused else ""), "verdict")]
         for r in refused[:SHOWN]:
             named = ", ".join(filter(None, (f"{language.place} {r.target.line}", r.target.name)))
-            lines.append(f"  {named}: {r.status}, {r.why or _MEANINGS[r.status]}")
+            told.append(Words(f"  {named}: {r.status}, {r.why or _MEANINGS[r.status]}"))
         if len(refused) > SHOWN:
             where = "report" if language.report_beside else "status column"
-            lines.append(f"  and {len(refused) - SHOWN} more; see the {where}")
-        return "\n".join([*lines, *(_moved(fine, self.units) if fine else ["nothing moved"])])
+            told.append(Words(f"  and {len(refused) - SHOWN} more; see the {where}"))
+        return [*told, *(_moved(fine, self.units) if fine else [Words("nothing moved")])]
 
 
 def read_target_program(path: Path, given: Given, joints: int) -> TargetProgram:
@@ -172,24 +175,27 @@ def _figures(fine: Sequence[c.Result]) -> dict[str, Array]:
     return {name: np.array(values) for name, values in known.items() if values}
 
 
-def _moved(fine: Sequence[c.Result], units: Sequence[str]) -> list[str]:
+def _moved(fine: Sequence[c.Result], units: Sequence[str]) -> list[Table]:
     joints = np.array([abs(new - old) for old, new in (r.q for r in fine if r.q)])
-    known = _figures(fine)
-    rows: list[tuple[str, Array | None]] = []  # a heading has no numbers
+    known, moved = _figures(fine), dict[str, Array]()
     for i, (column, unit) in enumerate(zip(joints.T, units, strict=True), 1):
         word, factor = ("mm", 1e3) if unit == "m" else ("deg", 180 / np.pi)
-        rows.append((f"joint {i} [{word}]", factor * column))
-    rows.append(("tool [mm]", known["moved_mm"]))
+        moved[f"joint {i} [{word}]"] = factor * column
+    made = [_table("", "moved by", {**moved, "tool [mm]": known["moved_mm"]})]
     if "off_mm" in known:
         (before, after), turned = known["off_mm"].T, 1e3 * known["off_deg"].T
-        rows += [("the real tool off the nominal one, by the model, with the numbers as written", None)]
-        rows += [("before [mm]", before), ("after [um]", 1e3 * after)]
-        rows += [("before [mdeg]", turned[0]), ("after [mdeg]", turned[1])]
+        title = "the real tool off the nominal one, by the model, with the numbers as written"
+        off = {"before [mm]": before, "after [um]": 1e3 * after}
+        made.append(_table(title, "off by", {**off, "before [mdeg]": turned[0], "after [mdeg]": turned[1]}))
     if "bound_mm" in known:
-        heading = "95 % of the errors that remain are below, by what was measured (where the tool is alike)"
-        rows += [(heading, None), ("bound [mm]", known["bound_mm"])]
-    told = (w if v is None else f"  {w:<20}{v.mean():>10.4f}{v.max():>10.4f}" for w, v in rows)
-    return [f"{'moved by':<22}{'mean':>10}{'max':>10}", *told]
+        title = "95 % of the errors that remain are below, by what was measured (where the tool is alike)"
+        made.append(_table(title, "", {"bound [mm]": known["bound_mm"]}))
+    return made
+
+
+def _table(title: str, what: str, rows: Mapping[str, Array]) -> Table:
+    cells = [(name, f"{v.mean():.4f}", f"{v.max():.4f}") for name, v in rows.items()]
+    return Table(title, (what, "mean", "max"), cells, frozenset({1, 2}))
 
 
 def assumptions(corrected: CorrectedProgram, cell: c.Cell) -> list[str]:
@@ -230,12 +236,23 @@ class OfLanguage:
 
 
 @dataclass(frozen=True, eq=False)
-class CorrectedFile:
-    """A corrected program: what to say of it, its files, and its figures as plain data."""
+class CorrectedFile(Result):
+    """A corrected program as files. assumed, said : of how it was corrected, in words; texts : what is written"""
 
-    lines: tuple[str, ...]
-    files: Mapping[Path, str | bytes]
-    figures: Mapping[str, Any] = field(default_factory=dict)
+    kept_as: ClassVar[str] = "correction"
+
+    corrected: CorrectedProgram
+    assumed: tuple[str, ...]
+    said: tuple[str, ...]
+    texts: Mapping[Path, str | bytes]
+
+    def blocks(self) -> list[Words | Table]:
+        """What became of the targets, and what was assumed."""
+        told = [*(Words(line, mark="ASSUMED") for line in self.assumed), *map(Words, self.said)]
+        return [*self.corrected.blocks(), *told]
+
+    def to_json(self) -> dict[str, Any]:
+        return self.corrected.to_json()
 
 
 def correct_file(
@@ -272,9 +289,8 @@ def correct_file(
         refuse_accuracy(read.source, read.targets)
     result = corrected_program(read, cell)
     said = [_stated(model)] if folder else _of_sources(sources, oriented)
-    lines = (result.report(), *(f"ASSUMED {line}" for line in assumptions(result, cell)), *said)
     beside: dict[Path, str | bytes] = {report_of(out): result.to_csv()} if spoken.report_beside else {}
-    return CorrectedFile(lines, {**beside, out: result.content()}, result.to_json())
+    return CorrectedFile(result, tuple(assumptions(result, cell)), tuple(said), {**beside, out: result.content()})
 
 
 def _of_sources(sources: Sources, oriented: bool) -> list[str]:

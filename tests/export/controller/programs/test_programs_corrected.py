@@ -13,6 +13,7 @@ import pytest
 from controller_arms import nominal_path, planted, poses, rigid_motion
 from program_texts import BASES, TOOLS, Point, held, joints_of, matrix, pose_of, read, write
 
+from casadical.core.telling.result import plain_text
 from casadical.export.controller.commands import Sources
 from casadical.export.controller.programs.correction import Cell
 from casadical.export.controller.programs.program import corrected_program, read_target_program
@@ -70,7 +71,7 @@ def test_the_real_tool_ends_where_the_nominal_one_would(language, end, pose, cel
     program = read_target_program(path, given if language == "fanuc" else Given(), 6)
     result = corrected_program(program, cell)
     new = result.content()
-    told = dict(re.findall(r"^  (before|after) \[[mu]m\] +(\S+)", result.report(), re.M))
+    told = dict(re.findall(r"^(before|after) \[[mu]m\] +(\S+)", plain_text(result.blocks()), re.M))
     off = np.mean([r.off_mm for r in result.results if r.fine], axis=0)
     assert [float(told["before"]), 1e-3 * float(told["after"])] == pytest.approx(off, abs=1e-4)
     assert len(result.results) == len(points)
