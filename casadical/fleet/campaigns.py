@@ -53,7 +53,7 @@ def compare_files(
     same_frame : whether all positions are in one frame
     show : called with a line of progress
     Returns what changed; of three campaigns or more, those that cannot be used are left out and named in its notes
-    Raises InputError: fewer than two campaigns that can be used, with what is wrong in them.
+    Raises InputError: fewer than two campaigns that can be used, with what is wrong in them; a robot without tables.
 
     Examples
     --------
@@ -65,6 +65,8 @@ def compare_files(
         begun = files[0]
         later, day = later_tables(begun)
         files = [begun, *later]
+    if robot and all(path.is_dir() or path.suffix in (".toml", ".urdf") for path in files):
+        raise InputError("--robot is that by which tables are understood, and none is given; leave it out")
     estimates = estimates_of(files, robot or _understood_by(files), show)
     found = [e for e in estimates if isinstance(e, Estimate)]
     errors = [(path, e) for path, e in zip(files, estimates, strict=True) if isinstance(e, CasadicalError)]

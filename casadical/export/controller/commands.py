@@ -48,7 +48,7 @@ class Sources:
         the bound is so much greater. None: 1 mm where reflectors of unknown place were measured, which do not tell
         where the flange is; 0 where the measured point is the tool's centre ("own") or its place is known
     bound : whether a command has the bound of the robot file
-    Raises InputError: another word as tool, or a length that cannot be.
+    Raises InputError: another word as tool, a length that cannot be, or one without a bound.
 
     Examples
     --------
@@ -71,6 +71,8 @@ class Sources:
             raise InputError(f"--tool {self.tool}: not known; allowed: {', '.join(get_args(Tool))}")
         if self.tcp_mm is not None and not (np.isfinite(self.tcp_mm) and self.tcp_mm >= 0):
             raise InputError(f"--tcp-error {self.tcp_mm}: it must be a finite length in mm, zero or more")
+        if self.tcp_mm is not None and not self.bound:
+            raise InputError("--tcp-error is of the bound, which --no-bound leaves out; leave one of them out")
 
     @property
     def doubt_mm(self) -> float:

@@ -197,6 +197,12 @@ def test_without_a_bound_it_is_said_why_and_a_limit_is_refused(robot, case) -> N
         command_of(given, limit_mm=LIMIT)
 
 
+def test_an_unknown_tool_centre_is_of_a_bound_alone(robot) -> None:
+    with pytest.raises(InputError, match="--tcp-error is of the bound, which --no-bound leaves out"):
+        sources(robot, tcp_mm=0.3, bound=False)
+    assert not sources(robot, tcp_mm=None, bound=False).bound
+
+
 @pytest.mark.parametrize("limit", [0.02, -1.0, float("nan")])
 def test_a_limit_below_what_the_steps_may_leave_is_refused(robot, limit) -> None:
     with pytest.raises(InputError, match=r"must be above 0.02 mm, which the steps alone may leave"):
