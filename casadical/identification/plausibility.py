@@ -193,7 +193,7 @@ def _refuse_another_unit_midway(robot: Robot, m: Measurements, some: Measurement
     parts, said = [], ""
     for part in np.array_split(by_row, max(1, min(PARTS, len(by_row) // LEAST_POSES))):
         if np.linalg.norm(np.ptp(p[part], axis=0)) > MOVED * robot.reach:
-            fault = _unit_fault(robot, some[part], p[part])
+            fault = _unit_fault(robot, some, p, part)
             parts += [(some.row[part[0]], some.row[part[-1]])] if fault else []
             said = said or fault
     if said:
@@ -210,9 +210,10 @@ def _by_row(m: Measurements) -> Array:
     return np.asarray(order[m.weight[order] > 0])
 
 
-def _unit_fault(robot: Robot, m: Measurements, p: Array) -> str:
-    """What is wrong with the unit of poses; p : positions of the model, shape (n, 3) [m]."""
-    return find_kind(m.kind).unit_fault(m.arrays, p, positions_at(robot, m), robot.reach)
+def _unit_fault(robot: Robot, m: Measurements, p: Array, which: Array | slice = slice(None)) -> str:
+    """What is wrong with the unit of some of the poses; p : positions of the model, shape (n, 3) [m]."""
+    arrays = {name: values[which] for name, values in m.arrays.items()}
+    return find_kind(m.kind).unit_fault(arrays, p[which], lambda q: positions_at(robot, m[which])(q), robot.reach)
 
 
 def _runs(robot: Robot, m: Measurements, parts: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
@@ -227,7 +228,7 @@ def _runs(robot: Robot, m: Measurements, parts: Sequence[tuple[int, int]]) -> li
         def beside(k: int, few: Array = few) -> bool:
             # As often as all others together, for faults that a median tells.
             which = by_row[[*few, *[k] * (len(few) + 1)]]
-            return bool(_unit_fault(robot, m[which], p[which]))
+            return bool(_unit_fault(robot, m, p, which))
 
         while first > 0 and beside(first - 1):
             first -= 1
