@@ -5,7 +5,7 @@ tables between the markers of docs/architecture.md. `--check` writes nothing and
 other rooms, imports or circles, or a figure that differs by more than a tenth. `--figures [PACKAGE]` prints the
 figures, also of another copy of the package, and more: what a parameter passes (`parameter_walk`), who calls, how long
 functions and tests are. architecture_before.txt holds those of commit e4e7bcd, before the rooms,
-architecture_0408a23.txt those of the commit before one way in, one engine, one teller.
+architecture_0408a23.txt those before one way in, one engine, one teller, architecture_now.txt those after.
 
 A room is an entry of the package's folder: a folder or a module. An arrow from room A to room B means that a module of
 A imports one of B, anywhere in the file: inside functions, under TYPE_CHECKING, or as a module's name in a string.
