@@ -13,7 +13,6 @@ import pandas as pd
 
 from casadical.core.basics import Array, InputError, optional
 from casadical.core.reading import (
-    LONGEST,
     MOST_CELLS,
     MOST_NUMBERS,
     archive_of,
@@ -55,11 +54,16 @@ class RawTable:
 
 
 def _refuse_header(header: Sequence[str], path: Path) -> None:
-    """Raises InputError for too many headings, and for control characters in one."""
+    """Raises InputError for too many headings, and for a long one or control characters in one."""
     if len(header) > MOST_COLUMNS:
         raise InputError(f"{path}: has {len(header)} columns; at most {MOST_COLUMNS} are read")
     for k, name in enumerate(header, 1):
-        if len(name) <= LONGEST and (fault := text_fault(name)):
+        if len(name) > LONGEST_HEADING:
+            raise InputError(
+                f"{path}: the heading of column {k} has {len(name)} characters, {name[:30]!r}...; allowed: up to "
+                f"{LONGEST_HEADING}; is it a table?"
+            )
+        if fault := text_fault(name):
             raise InputError(f"{path}: the heading of column {k} {fault}")
 
 
@@ -162,9 +166,6 @@ def table_of(
     given = [f"column {k}" for k in range(1, width + 1)] if header is None else header[1]
     names = tuple(name.replace("\ufeff", "").strip() for name in given)  # pandas drops a mark of the byte order, too
     _refuse_header(names, path)
-    if long := next((name for name in names if len(name) > LONGEST_HEADING), ""):
-        why = f"a heading of {len(long)} characters, {long[:30]!r}...; allowed: up to {LONGEST_HEADING}"
-        raise InputError(f"{path}: not a readable CSV table: {why}")
     refuse_repeated_names(names, str(path))
     skipped = [r for r in [*comments, *rest[:place]] if r is not header and not (units and r[1] is units[1])]
     rows = []

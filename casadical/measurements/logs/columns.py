@@ -31,6 +31,8 @@ _COMMANDED = WORDS["nominal"] | WORDS["log_commanded"]
 _FILLER = WORDS["filler"] | WORDS["measured"] | WORDS["joint"] | WORDS["log_filler"]
 NAMES = "Name them time_s, q1_rad, q2_rad, ... (_deg, _m, _mm), commands command1_rad, torque1_Nm or current1_A"
 SCALARS = ("voltage", "payload", "run")
+# Of a joint's number at most.
+JOINT_DIGITS = 9
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +144,12 @@ def _joint(words: Sequence[str], names: Sequence[str]) -> tuple[str, list[str]]:
             return name, [*words[:at], *words[at + len(part) :]]
     known = _FILLER | _COMMANDED | frozenset().union(*_QUANTITIES.values())
     left = [word for word in words if word not in known]
-    return " ".join(str(int(w)) if w.isdecimal() else w for w in left), [w for w in words if w not in left]
+    return " ".join(str(int(w)) if is_number(w) else w for w in left), [w for w in words if w not in left]
+
+
+def is_number(word: str) -> bool:
+    """Whether a word may be the number of a joint: one of thousands of digits is a word."""
+    return word.isdecimal() and len(word) <= JOINT_DIGITS
 
 
 def _si_name(unit: str) -> str:

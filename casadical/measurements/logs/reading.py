@@ -17,7 +17,7 @@ from casadical.core.parts import Arm
 from casadical.core.reading import read_bytes, unpacked
 from casadical.measurements.columns import RADIANS
 from casadical.measurements.headings import words_of
-from casadical.measurements.logs.columns import FACTORS, LENGTHS, NAMES, Logged, logged, meaning
+from casadical.measurements.logs.columns import FACTORS, LENGTHS, NAMES, Logged, is_number, logged, meaning
 from casadical.measurements.logs.findings import found_in, refuse_frozen, refuse_other_units, with_signs
 from casadical.measurements.logs.log import CHANNELS, JointLog
 from casadical.measurements.logs.systems import BAGS, STATE, STATES, bag, lerobot, sage
@@ -164,11 +164,11 @@ def assembled(log: Logged, robot: Arm | None, unit: str | None = None) -> JointL
 def _joints(log: Logged, robot: Arm | None) -> tuple[list[str], tuple[str, ...], tuple[str, ...]]:
     """Keys of the columns of each joint, the joints' names, and sentences about those left out."""
     there = list(log.channels["position"])
-    numbered = all(key.isdecimal() for key in there)
+    numbered = all(is_number(key) for key in there)
     if numbered:
         there.sort(key=int)
     if robot is None:
-        return there, tuple(f"joint {int(k) + ('0' in there)}" if k.isdecimal() else k for k in there), ()
+        return there, tuple(f"joint {int(k) + ('0' in there)}" if is_number(k) else k for k in there), ()
     own = [joint.name or f"joint {i}" for i, joint in enumerate(robot.joints, 1)]
     keys = there[: robot.n] if numbered else _by_name(there, own)
     if len(keys) < robot.n:
