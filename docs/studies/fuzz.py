@@ -46,7 +46,8 @@ from fuzz_world import hostile, world
 
 ROOT = Path(__file__).parents[2]
 SECONDS, BYTES = 20, 2**30
-CODES = {0, 2, 3, 4}
+CODES = {0, 2, 3}
+MORE_CODES = {"calibrate": 4, "compare": 5, "verify": 5}
 
 
 def load_all() -> None:
@@ -193,7 +194,7 @@ def _fault(hostile: Hostile, place: Path, before: dict[str, str], code: int, out
     """The first thing that is wrong with what a run left."""
     if "Traceback (most recent call last)" in out + error:
         return "traceback: " + error.strip().splitlines()[-2 if len(error.strip().splitlines()) > 1 else -1][:150]
-    if code not in CODES:
+    if code not in {*CODES, MORE_CODES.get(hostile.command[0], 0)}:
         return f"exit code {code}: {error[-150:]!r}"
     if code in (2, 3) and not error.startswith("casadical: ") and "Usage: " not in error and not out.strip():
         return f"no message with exit code {code}: {error[:150]!r}"
@@ -214,7 +215,7 @@ def _fault(hostile: Hostile, place: Path, before: dict[str, str], code: int, out
             names = [n for n in names if not n.startswith("live/")]
         # A folder that `new` was told to write gets new files.
         into = hostile.command[1] if hostile.command[0] == "new" and code == 0 else ""
-        if names and any(n in before or not into or Path("in", n).parent != Path(into) for n in names):
+        if any(n in before or not into or Path(into) not in (Path("in", n), Path("in", n).parent) for n in names):
             return f"changes inputs: {sorted(names)[:5]}"
     return _outputs_fault(hostile, place, code)
 
@@ -224,7 +225,7 @@ def _outputs_fault(hostile: Hostile, place: Path, code: int) -> str:
     if any(p.name.startswith(".casadical-") for p in left):
         return f"leaves a hidden file: {[p.name for p in left]}"
     files = [p for p in left if p.is_file()]
-    if code not in (0, 4) and files and hostile.command[0] != "check":
+    if code not in (0, 4, 5) and files and hostile.command[0] != "check":
         return f"leaves outputs with exit code {code}: {[p.name for p in files]}"
     for path in files:
         if path.stat().st_size == 0:
