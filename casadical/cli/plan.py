@@ -11,6 +11,7 @@ from typer import Argument, Context, Option
 from casadical.cli import options as o
 from casadical.cli.terminal import PLAN, WIDE, keep, suggest, with_json, working, wrapped
 from casadical.core.basics import InputError, shown
+from casadical.core.telling.blocks import Words
 from casadical.core.telling.result import terminal
 
 if TYPE_CHECKING:
@@ -269,8 +270,6 @@ def _isolability(
     problem: Path, poses: list[Path] | None, effects: str | None, json_file: Path | None, quiet: bool
 ) -> None:
     """What poses can show, before any data."""
-    from casadical.core.telling.blocks import Words
-    from casadical.core.telling.result import terminal
     from casadical.project.diagnosis import effects_named, isolability_of, read_campaigns
 
     console = wrapped(quiet, None if sys.stdout.isatty() else WIDE)

@@ -84,14 +84,13 @@ def _sizes(whole: LeastSquares, v: Array, variance: float, given: Robot) -> Arra
     for k, size in enumerate(grid):
         d = np.ones(len(v))
         d[frames] = size**-2
-        g = c + np.where(np.isin(np.arange(len(v)), arm), 0.0, d * mean)
-        others = joined(M[np.ix_(rest, rest)] + np.diag(d[rest]), g[rest], float(mean @ (d * mean)), 0.0)
+        normal = M[np.ix_(rest, rest)] + np.diag(d[rest])
+        others = joined(normal, c[rest] + d[rest] * mean[rest], float(mean @ (d * mean)), 0.0)
         along = others.root @ M[np.ix_(rest, arm)]
         value, V = np.linalg.eigh(M[np.ix_(arm, arm)] - along.T @ along)
+        score = V.T @ (c[arm] - along.T @ others.z)
         likely[k] += others.log_norm - 0.5 * others.square + 0.5 * np.log(d).sum()
-        likely[k] += gain(grid**-2, 1.0, np.maximum(value, 0)[None], (V.T @ (g[arm] - along.T @ others.z))[None] ** 2)[
-            0
-        ]
+        likely[k] += gain(grid**-2, 1.0, np.maximum(value, 0)[None], score[None] ** 2)[0]
     weight = np.exp(likely - likely.max())
     sizes = np.ones(len(v))
     for kind, axis in ((frames, 1), (arm, 0)):

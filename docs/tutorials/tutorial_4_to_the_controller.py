@@ -65,7 +65,7 @@ write_robot(calibrated.robot, folder / "calibrated.toml")
 save_compensator(compensator, folder / "network.json")
 sources = Sources(folder / "calibrated.toml", ROOT / "problems/hh800/robot.toml", folder / "network.json")
 export = write_c(command_of(sources), folder / "c", name="hh800", vectors=20_000)
-print(export)
+print(*(block.text for block in export.blocks()), sep="\n")
 assert export.verified
 
 # %%

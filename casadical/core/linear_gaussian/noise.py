@@ -138,9 +138,10 @@ class SerialNoise:
 
 
 def serial_noise(stays: Array | float, first: Array, weight: Array | float = 1.0) -> SerialNoise:
-    """Noise of one size throughout.
+    """Noise that is as large at the begin of a run as later, an AR(1) process in its steady state.
 
-    stays : the share that stays; first : whether a run begins at a block, shape (n,) or (n, 1); weight : of each block
+    stays : the share that stays; first : whether a run begins at a block; weight : of each, one over the noise; shapes
+        (n,), or (n, m) of each row, or what numpy broadcasts to either
     """
     share = np.where(first, 0.0, stays)
     return SerialNoise(share, weight / np.sqrt(1 - share**2))
