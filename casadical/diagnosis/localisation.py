@@ -41,6 +41,8 @@ MOST_POSES = 120
 OF_CAUSES = 1000
 ROUNDS = 40
 PART_DRAWS = 200
+# Errors that are less probable lie outside of a 95 % interval.
+TAIL = 0.025
 # Sizes that are tried, as a share of what would explain an even part of all, and how many of these are drawn.
 SIZES, SIZE_DRAWS = np.geomspace(1e-4, 1e2, 61), 20
 SIZE = 30e-6
@@ -60,18 +62,20 @@ class Components:
     energy: Array
 
 
-def components(case: Case, noise: Noise, columns: Array, seed: int = 0, *, noise_is_left: bool = False) -> Components:
+def components(case: Case, noise: Noise, columns: Array, seed: int = 0, *, remains: float = 1.0) -> Components:
     """The parts' shares of what the base model leaves, at a known noise.
 
-    columns : of the named causes; noise_is_left : whether these leave noise alone
+    columns : of the named causes; remains : how probable it is that these leave more than noise
     """
     rng = np.random.default_rng(seed)
     energy, left = _of_causes(case, noise, columns, rng)
     for part in _levers(case):
         energy.setdefault(part, np.zeros(PART_DRAWS))
-    if not noise_is_left:
-        for part, drawn in _of_smooth_errors(case, noise, left, rng).items():
-            energy[part] = energy[part] + drawn
+    if remains > TAIL:
+        smooth = _of_smooth_errors(case, noise, left, rng)
+        there = rng.random(PART_DRAWS) < remains
+        for part, drawn in smooth.items():
+            energy[part] = energy[part] + there * drawn
     return Components(tuple(energy), np.stack([*energy.values()], axis=1))
 
 
@@ -308,19 +312,17 @@ class Localisation:
 
 def localise(found: Diagnosis) -> Localisation:
     """Where the gap of a diagnosis' base model lies: by joint, link, direction, region and circumstances."""
-    return localise_residual(found.case, found.noise, found.columns, found.seed, noise_is_left=found.noise_is_left)
+    return localise_residual(found.case, found.noise, found.columns, found.seed, remains=found.remains)
 
 
-def localise_residual(
-    case: Case, noise: Noise, causes: Array, seed: int = 0, *, noise_is_left: bool = False
-) -> Localisation:
+def localise_residual(case: Case, noise: Noise, causes: Array, seed: int = 0, *, remains: float = 1.0) -> Localisation:
     """Where the residual of a case lies.
 
     noise : that is left aside in the shares of joints and links; causes : columns of those that were found
-    noise_is_left : whether these leave noise alone
+    remains : how probable it is that these leave more than noise
     """
     # Between two poses no one reading is where the gap lies.
-    found = components(case, noise, causes, seed, noise_is_left=noise_is_left) if case.one_end else None
+    found = components(case, noise, causes, seed, remains=remains) if case.one_end else None
     split = _Split(case, seed)
     return Localisation(
         joints=_parts(found, "joint"),

@@ -315,9 +315,15 @@ class Diagnosis(Result):
         return np.unique(self.case.group(effects)) if effects else np.zeros(0, dtype=np.int64)
 
     @property
-    def noise_is_left(self) -> bool:
-        """Whether the causes leave noise alone: nothing further is there, and what is above the floor is little."""
-        return self.rankings[-1].none > DETECT_FURTHER and not self.has_rest and not self.account.is_structure
+    def remains(self) -> float:
+        """How probable it is that more than noise is left of what causes explain in part; zero where none is named.
+
+        It is certain where more is seen than is passed over: something further, a rest above the floor, structure.
+        """
+        none = self.rankings[-1].none
+        if none <= DETECT_FURTHER or self.has_rest or self.account.is_structure:
+            return 1.0
+        return 1 - none if self.effects() else 0.0
 
     @property
     def has_rest(self) -> bool:

@@ -20,6 +20,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.grid import log_sum
+from casadical.core.linear_gaussian.model import axes_of_base
 from casadical.core.statistics import first_of_best
 from casadical.diagnosis.cross_validation import fitted_without
 from casadical.diagnosis.evidence import REPEATABILITY, joint_noise
@@ -128,13 +129,13 @@ class _White:
         self.e = e = case.evidence.at(order[self.pick])
         repeat = joint_noise(self._form.repeatability(e.Jq))
         self._W = repeat.whitening({REPEATABILITY: noise.repeatability / noise.sigma}).W / noise.sigma
-        prior = np.concatenate([e.model.prior, e.model.held[columns]]) * noise.sigma / e.reference
-        A = self.rows(np.concatenate([e.model.base, e.take(columns)], axis=2)) * prior
-        # What a fit with priors takes: each direction by how far the data determine it.
-        self._Q, square, _ = np.linalg.svd(A / noise.sigma * e.reference, full_matrices=False)
-        self._taken = square**2 / (1 + square**2)
-        y = self.rows(e.r[:, :, None])[:, 0]
-        self.y = y - self._Q @ (self._taken * (self._Q.T @ y))
+        # What a fit with priors takes.
+        whole = e.model.with_base(columns)
+        A = self.rows(whole.base) * noise.sigma
+        Q, _ = axes_of_base(A, noise.sigma / whole.prior)
+        self._Q = Q[: len(A)]
+        self._taken = float((self._Q**2).sum())
+        self.y = self._beside(self.rows(e.r[:, :, None]))[:, 0]
         self.squares = (self.y.reshape(len(e.r), -1) ** 2).sum(axis=1)
 
     def rows(self, X: Array) -> Array:
@@ -142,12 +143,16 @@ class _White:
         white = self._W @ self._form.serial(len(X)).white(X)
         return np.asarray(white.reshape(-1, X.shape[2]))
 
+    def _beside(self, rows: Array) -> Array:
+        """White rows less what the fit takes of them, shape (rows, k)."""
+        return np.asarray(rows - self._Q @ (self._Q.T @ rows))
+
     @cached_property
     def freedom(self) -> float:
         """Degrees of freedom of what is left, by the scatter of its squares over the poses."""
         n, numbers = len(self.squares), self.e.count
         scatter = n * float((self.squares**2).sum()) / float(self.squares.sum()) ** 2 - 1
-        return min(2 * n / max(scatter, 1e-9), numbers) * (1 - float(self._taken.sum()) / max(numbers, 1))
+        return min(2 * n / max(scatter, 1e-9), numbers) * (1 - self._taken / max(numbers, 1))
 
     def judged(self) -> Remainder:
         if not self._is_left:
@@ -155,7 +160,7 @@ class _White:
         found = [*(s for group in self._groups() for s in self._followed(*group)), *self._close()]
         sure = _sure(found, len(found))
         each = {s.line[0] if s.line else s.over: s for s in reversed(sure)}  # of a joint's lines the surest
-        tails = self.freedom >= LIKE_NOISE * (self.e.count - float(self._taken.sum()))
+        tails = self.freedom >= LIKE_NOISE * (self.e.count - self._taken)
         return Remainder(tuple([*reversed(each.values())][:MOST]), tails and self._isotropic())
 
     def lines(self) -> tuple[tuple[int, float], ...]:
@@ -171,7 +176,7 @@ class _White:
     @property
     def _is_left(self) -> bool:
         """Whether anything is left to be judged."""
-        return self.e.count - float(self._taken.sum()) >= 2 and bool(self.squares.sum() > 0)
+        return self.e.count - self._taken >= 2 and bool(self.squares.sum() > 0)
 
     def _functions(self) -> Iterator[tuple[str, Array]]:
         kept = np.flatnonzero(self.case.kept)
@@ -196,8 +201,7 @@ class _White:
         """Drivers of as many functions each along a direction."""
         width = some[0][1].shape[1]
         G = np.stack([g for _, g in some], axis=1)
-        F = self.rows(v[:, :, None] * G.reshape(len(v), 1, -1))
-        F -= self._Q @ (self._taken[:, None] * (self._Q.T @ F))
+        F = self._beside(self.rows(v[:, :, None] * G.reshape(len(v), 1, -1)))
         F = F.reshape(len(F), len(some), width).transpose(1, 0, 2)
         for (over, _), (share, k) in zip(some, self._shares(F), strict=True):
             yield Structure(along, over, share, log_chance_of(share, k, self.freedom), cycles.get(over))

@@ -201,9 +201,10 @@ class LeastSquares:
         return v[:p], v[p:].reshape(-1, 3)
 
     def values(self, v: Array) -> dict[str, float]:
-        """Parameters by name [SI]."""
+        """Parameters by name [SI]; round-off takes none beyond its bounds."""
         x, _ = self.separate(v)
-        return dict(zip(self.names, self._parameter("value") + self.scale * x, strict=True))
+        values = np.clip(self._parameter("value") + self.scale * x, self._parameter("lower"), self._parameter("upper"))
+        return dict(zip(self.names, values, strict=True))
 
     def solve(self, progress: Progress | None = None, start: Array | None = None) -> Solution:
         """The bounded optimum, sought from a start, by default `near`. Raises ConvergenceError.
@@ -394,13 +395,33 @@ class LeastSquares:
         return np.asarray((v - lower < near) | (upper - v < near))
 
     def decrement(self, v: Array) -> float:
-        """What one more Gauss-Newton step inside the bounds would gain in cost, half of chi-squared: g' H^-1 g / 2."""
+        """What one more Gauss-Newton step inside the bounds would gain in cost, half of chi-squared."""
+        g, H = self.gradient(v)
+        step = self.step(v)
+        return float(-(g + 0.5 * H @ step) @ step)
+
+    def step(self, v: Array) -> Array:
+        """The next Gauss-Newton step inside the bounds, shape (size,); what would leave them ends there."""
         g, H = self.gradient(v)
         lower, upper = self.bounds
         # A bound that the cost pushes away from holds nothing back.
         inward = np.where(v - lower < upper - v, g < 0, g > 0)
-        free = ~self.at_bounds(v) | inward
-        return float(0.5 * g[free] @ scaled_inverse(H[np.ix_(free, free)]) @ g[free])
+        free, step = ~self.at_bounds(v) | inward, np.zeros(self.size)
+        while free.any():
+            step[free] = -scaled_inverse(H[np.ix_(free, free)]) @ (g + H @ step)[free]
+            inside = np.clip(step, lower - v, upper - v)
+            beyond = free & (inside != step)
+            if not beyond.any():
+                break
+            step, free = np.where(beyond, inside, np.where(free, 0.0, step)), free & ~beyond
+        return step
+
+    def reweighted(self, weights: Sequence[Array]) -> LeastSquares:
+        """The same variables and points with other weights of each set's poses, shape (n,) each."""
+        sets = tuple(replace(m, weight=weight) for m, weight in zip(self.sets, weights, strict=True))
+        other = replace(self, sets=sets)
+        other.kept.made.update(labels=self.labels, points=self.points)
+        return other
 
     def covariance(self, v: Array, variance: float) -> Array:
         """Of the parameters, shape (p, p) [SI], points marginalised; NaN for those at a bound.

@@ -126,12 +126,25 @@ def test_rms_is_in_mm_however_much_the_joints_scatter(any_case: Case, named: boo
     scale = any_case.group(next(k for k in any_case.candidates if k.label == "joint_scale@2").variants[0])
     c = doctored(20 * any_case.whole.take(scale)[:, :, 0] + 5e-6 * np.random.default_rng(0).normal(size=(120, 3)))
     sizes = [
-        localise_residual(c, Noise(5e-6, rho * 5e-6), scale if named else NONE, noise_is_left=named)
+        localise_residual(c, Noise(5e-6, rho * 5e-6), scale if named else NONE, remains=0.0 if named else 1.0)
         .joints.set_index("part")
         .loc["joint 2", "rms_mm"]
         for rho in (0.0, 1.6)
     ]
     assert sizes[1] == pytest.approx(sizes[0], rel=0.1)
+
+
+@pytest.mark.parametrize(("remains", "least", "most"), [(0.0, 0.0, 1e-12), (0.1, 1e-4, 0.1), (1.0, 0.01, 0.3)])
+def test_what_may_be_left_beside_a_cause_is_in_its_interval(
+    any_case: Case, remains: float, least: float, most: float
+) -> None:
+    """Beside noise alone, other parts have as much as is probable (100 % with the interval 100 to 100 before)."""
+    scale = any_case.group(next(k for k in any_case.candidates if k.label == "joint_scale@2").variants[0])
+    noise = 2e-5 * np.random.default_rng(3).normal(size=(120, 3))
+    c = doctored(6 * any_case.whole.take(scale)[:, :, 0] + noise)
+    row = localise_residual(c, Noise(2e-5, 0.0), scale, remains=remains).joints.set_index("part").loc["joint 2"]
+    assert least <= 1 - row["low"] <= most
+    assert 1 - row["share"] <= remains * most
 
 
 def test_what_priors_of_the_base_cost_is_no_error_of_a_pose(any_case: Case) -> None:
@@ -142,7 +155,7 @@ def test_what_priors_of_the_base_cost_is_no_error_of_a_pose(any_case: Case) -> N
     J, prior = np.zeros_like(e.J), e.prior.copy()
     J[:, :, 0], prior[0] = moved, e.reference / np.linalg.norm(moved)
     c = replace(c, whole=replace(c.whole, J=J, prior=prior, delta0=0 * e.delta0, turn=None))
-    table = localise_residual(c, Noise(5e-6, 0.0), np.array([scale]), noise_is_left=True).joints.set_index("part")
+    table = localise_residual(c, Noise(5e-6, 0.0), np.array([scale]), remains=0.0).joints.set_index("part")
     assert table.loc["joint 2", "rms_mm"] == pytest.approx(500 * np.sqrt(np.mean(moved**2)), rel=0.05)
 
 
@@ -178,7 +191,7 @@ def test_intervals_cover(any_case: Case) -> None:
     for seed in range(40):
         rng = np.random.default_rng(seed)
         c = doctored(2e-5 * rng.standard_normal((len(any_case.m), 3)))
-        table = localise_residual(c, NOISE, NONE, seed, noise_is_left=True).payload.set_index("part")
+        table = localise_residual(c, NOISE, NONE, seed, remains=0.0).payload.set_index("part")
         hits += table.loc["10 kg", "low"] <= even <= table.loc["10 kg", "high"]
     assert hits >= 34
 

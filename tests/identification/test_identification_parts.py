@@ -5,7 +5,7 @@ from dataclasses import replace
 import arms
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import optimize, stats
 
 from casadical import FourBar, Joint, Placement, Robot, identify
 from casadical.core.basics import InputError
@@ -128,6 +128,36 @@ def test_an_optimum_is_what_a_step_improves_by_less_than_a_ten_thousandth(result
         moved = v + way / gain * np.sqrt(tolerance * result.variance)
         assert problem.decrement(moved) == pytest.approx(tolerance * result.variance, rel=0.05)
         assert replace(result, solution=replace(result.solution, v=moved)).is_optimal() is optimal
+
+
+def test_a_step_without_some_poses_is_their_refit(result) -> None:
+    """One Gauss-Newton step from the optimum of all poses leads to that of three quarters of them."""
+    problem, v = result.problem, result.solution.v
+    out = np.arange(40) % 4 == 0
+    others = problem.reweighted([np.where(out, 0.0, 1.0)])
+    alone = identify(result.start, result.measurements[0][~out], ["placement", "a2", "theta2"]).problem
+    moved = v + others.step(v)
+    assert others.decrement(v) > 1e3 * others.decrement(moved)
+    np.testing.assert_allclose(others.cost(moved), alone.cost(alone.solve().v), rtol=1e-6)
+
+
+@pytest.mark.parametrize("end", [0, 1])
+def test_a_step_ends_at_the_bounds_where_scipy_does(result, end: int) -> None:
+    """Of a quadratic cost whose optimum is outside, the step is that of bounded least squares."""
+    problem, v = result.problem, result.solution.v
+    far, k = v + 1e-3 * np.random.default_rng(1).normal(size=v.size), problem.names.index("a2")
+    bounds = [b.copy() for b in problem.bounds]
+    bounds[end][k] = v[k] + (1e-4 if end == 0 else -1e-4)
+    far[k] = bounds[end][k] + (1e-3 if end == 0 else -1e-3)
+    narrow = replace(problem)
+    narrow.__dict__["bounds"] = tuple(bounds)
+    g, H = narrow.gradient(far)
+    L = np.linalg.cholesky(H)
+    within = [b - far for b in bounds]
+    expected = optimize.lsq_linear(L.T, -np.linalg.solve(L, g), within, tol=1e-14).x
+    step = narrow.step(far)
+    assert far[k] + step[k] == bounds[end][k]
+    np.testing.assert_allclose(step, expected, atol=1e-8)
 
 
 def test_progress_counts_the_iterations_from_zero() -> None:

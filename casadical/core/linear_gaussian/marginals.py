@@ -7,12 +7,13 @@ groups in it is made from one with fewer of them; what is asked for again is kep
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.columns import Combined
+from casadical.core.linear_gaussian.columns import Columns, Combined
 from casadical.core.linear_gaussian.grid import log_gain
 from casadical.core.linear_gaussian.model import LinearModel
 from casadical.core.linear_gaussian.normal_equations import Joined, joined
@@ -55,6 +56,11 @@ class Chosen:
         own = self.V[k][columns]
         return own if self.before is None else np.concatenate([self.before.axes(k, columns), own], axis=-1)
 
+    def emptied(self, width: int) -> Chosen:
+        """The same of other columns, of which nothing is known yet."""
+        V, b = ({k: KnownRows(width, rows.numbers) for k, rows in part.items()} for part in (self.V, self.b))
+        return replace(self, V=V, b=b)
+
     def widened(self, width: int, known: dict[int, Chosen]) -> Chosen:
         """The same of at least as many columns; known : those that were made, by the identity of the old one."""
         if id(self) not in known:
@@ -81,6 +87,14 @@ class Marginals:
         if model.width > self.model.width:
             made: dict[int, Chosen] = {}
             more._chosen = {key: chosen.widened(model.width, made) for key, chosen in self._chosen.items()}
+        return more
+
+    def of_others(self, columns: Columns, held: float) -> Marginals:
+        """Those of the model with other columns, which take over what is known of its base."""
+        more = copy(self)
+        more.model = self.model.with_columns(columns, held)
+        more.sums = self.sums.of_others(columns)
+        more._chosen = {NONE.tobytes(): self._with(NONE).emptied(columns.shape[2])}
         return more
 
     def moved(self, model: LinearModel, lost: LinearModel, gained: LinearModel) -> Marginals:

@@ -58,12 +58,22 @@ class LinearModel:
         """The model with these columns moved into the base, as wide as they are held there."""
         if not len(columns):
             return self
+        new, prior = self.as_base(columns)
         return replace(
             self,
-            base=np.concatenate([self.base, self.take(columns)], axis=2),
-            mean=np.concatenate([self.mean, np.zeros(len(columns))]),
-            prior=np.concatenate([self.prior, self.held[columns]]),
+            base=np.concatenate([self.base, new], axis=2),
+            mean=np.append(self.mean, np.zeros(len(prior))),
+            prior=np.append(self.prior, prior),
         )
+
+    def as_base(self, columns: Array) -> tuple[Array, Array]:
+        """Some columns as those of the base, combined, shape (n, m, k), and their priors' widths, shape (k,)."""
+        every = self.combined(columns)
+        return self.columns.take(columns, EVERY, every), every.one_of_each(self.held[columns])
+
+    def with_columns(self, columns: Columns, held: float) -> LinearModel:
+        """The model with other columns; held : one sigma of each of them once it is in the model, in sizes."""
+        return replace(self, columns=columns, held=np.full(columns.shape[2], held))
 
     @cached_property
     def absorbed_by_base(self) -> float:

@@ -9,6 +9,7 @@ turn out to be outliers, or none.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from copy import copy
 
 import numpy as np
 
@@ -51,10 +52,21 @@ class GridSums:
                     if k in near:
                         white = (turned * np.sqrt(precision[:, :, None])).reshape(-1, width)
                         self.base[k] += white.T @ white
+        self._forget()
+
+    def _forget(self) -> None:
+        """Nothing is known of the columns."""
         self._columns: Array | None = None
         self._own: dict[bytes, Array] = {}
         self._wide: dict[tuple[bytes, int], Array] = {}
         self._cross: dict[tuple[int, int, int], KnownRows] = {}
+
+    def of_others(self, columns: Columns) -> GridSums:
+        """Sums of the same residual and base with other columns."""
+        more = copy(self)
+        more.E = columns
+        more._forget()
+        return more
 
     def _turned_base(self, axes: Axes, blocks: slice) -> Array:
         """The base columns and the residual of some blocks in some axes, shape (blocks, m, P + 1)."""

@@ -18,6 +18,7 @@ from operator import itemgetter
 import numpy as np
 
 from casadical.core.basics import Array
+from casadical.core.linear_gaussian.columns import ArrayColumns
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.statistics import best_of
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, REPEATABILITY, RHOS, SIGMAS, Evidence
@@ -27,6 +28,7 @@ from casadical.diagnosis.laws.forms import (
 )
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import Linearisation
+from casadical.effects.base import CHOSEN
 from casadical.effects.formula_effect import SEAMS, Law
 from casadical.measurements.measurements import Noise
 from casadical.robot.robot import Robot
@@ -347,9 +349,9 @@ class Problem:
     def grids(self, columns: Sequence[Array]) -> Array:
         """Log likelihood with each law, shape (laws, rhos, sigmas, kappas), sizes weighted."""
         edges = np.cumsum([0, *(c.shape[2] for c in columns)])
-        e = replace(self.evidence, E=np.concatenate(columns, axis=2))
+        judged = self.evidence.marginals.of_others(ArrayColumns(np.concatenate(columns, axis=2)), CHOSEN)
         groups = [np.arange(a, b) for a, b in itertools.pairwise(edges)]
-        found: Array = e.log_grids(groups) + np.log(KAPPA_WEIGHTS)
+        found: Array = judged.log_grids(groups) + np.log(KAPPA_WEIGHTS)
         return found
 
     def evidences(self, columns: Sequence[Array]) -> Array:

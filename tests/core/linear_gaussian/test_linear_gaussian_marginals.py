@@ -71,6 +71,35 @@ def test_marginal_likelihood_is_the_normal_density(name: str, chosen: np.ndarray
                     assert grids[g, point, s, k] == pytest.approx(expected, rel=1e-7, abs=1e-6)
 
 
+def test_other_columns_take_over_the_base_alone() -> None:
+    """Likelihoods are those of a model of its own, and those of the first columns stay as they were."""
+    model, rng = small_model(), np.random.default_rng(5)
+    first = Marginals(model)
+    known = first.log_grids(GROUPS)
+    columns = ArrayColumns(0.2 * rng.normal(size=(7, 3, 3)))
+    alone = Marginals(model.with_columns(columns, 4.0))
+    of_others = first.of_others(columns, 4.0)
+    for also in (NONE, np.array([2])):
+        some = [np.array([0]), np.array([0, 1])]
+        np.testing.assert_allclose(of_others.log_grids(some, also), alone.log_grids(some, also), rtol=1e-12)
+    np.testing.assert_array_equal(first.log_grids(GROUPS), known)
+
+
+def test_columns_in_the_base_without_directions_that_move_nothing() -> None:
+    """Four columns of a part, of which two are alike and one is nothing, are two of the base."""
+    model = small_model()
+    E = model.columns.take(np.arange(6)).copy()
+    E[:, :, 3], E[:, :, 4] = E[:, :, 2], 0.0
+    V = np.array([[1.0, 0, 0, 0], [0, np.sqrt(0.5), np.sqrt(0.5), 0]]).T
+    held = np.full(6, 2.0)
+    combined = replace(model, columns=ArrayColumns(E, ((np.arange(1, 5), V),)), held=held)
+    as_they_are = replace(model, columns=ArrayColumns(E), held=held)
+    part, group = np.arange(1, 5), [np.array([5])]
+    assert combined.with_base(part).base.shape[2] == 6
+    two, four = (Marginals(m.with_base(part)).log_grids(group) for m in (combined, as_they_are))
+    np.testing.assert_allclose(np.diff(two, axis=2), np.diff(four, axis=2), atol=1e-8)
+
+
 def test_a_projection_has_the_same_likelihood() -> None:
     model = small_model()
     for base, ratio in zip(Marginals(model).log_base(), RATIOS["joints"], strict=True):
