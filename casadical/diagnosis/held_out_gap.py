@@ -118,12 +118,10 @@ def check_refit(found: Diagnosis, show: Show = silent) -> Check:
     show("refit of all poses")
     whole = found.refit()
     problem, left = whole.problem, np.empty(len(folds))
-    for fold in range(FOLDS):
-        show(f"refit without fifth {fold + 1} of {FOLDS}")
-        test = folds == fold
-        out = [test[case.rows][at] for at in edges_of(problem.sets)]
-        others = problem.reweighted([np.where(o, 0.0, m.weight) for m, o in zip(problem.sets, out, strict=True)])
-        v = whole.solution.v + others.step(whole.solution.v)
+    show("refits without a fifth each")
+    steps = problem.steps_without(whole.solution.v, [folds[case.rows][at] for at in edges_of(problem.sets)])
+    for fold, step in enumerate(steps):
+        test, v = folds == fold, whole.solution.v + step
         fitted = replace(whole, robot=whole.start.with_values(problem.values(v)), solution=replace(whole.solution, v=v))
         error = left_by(fitted, sets, test[case.rows])
         square = np.bincount(case.rows[test[case.rows]], error**2, minlength=len(folds))

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadical.core.basics import Array
+from casadical.core.linear_gaussian.normal_equations import inverse_of_triangle
 from casadical.core.parameters import Parameter
 
 DEPENDENT = 1e-6
@@ -175,7 +176,7 @@ def scaled_inverse(H: Array) -> Array:
     root = np.sqrt(np.maximum(np.diag(H), 1e-200))
     scaled = H / np.outer(root, root)
     with suppress(np.linalg.LinAlgError):
-        L = np.linalg.inv(np.linalg.cholesky(scaled))
+        L = inverse_of_triangle(np.linalg.cholesky(scaled))
         inverse = np.asarray(L.T @ L)
         if np.diag(inverse).max(initial=0.0) < CERTAIN:  # no direction is at round-off
             return np.asarray(inverse / np.outer(root, root))

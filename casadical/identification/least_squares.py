@@ -312,18 +312,22 @@ class LeastSquares:
                 residuals.append((k, r))
             if triangle:
                 R = _with_rows(R, J)
-            rows, y = J, r.ravel()
-            square += (own := float(y @ y))
-            if (loss := self._loss_of(k)) == "linear":
-                cost += own
-            else:
-                cost += float(loss_value(loss, r).sum())
-                root = np.sqrt(np.repeat(loss_slope(loss, r), r.shape[1]))
-                rows, y = J * root[:, None], root * y
+            flat = r.ravel()
+            square += (own := float(flat @ flat))
+            loss = self._loss_of(k)
+            cost += own if loss == "linear" else float(loss_value(loss, r).sum())
+            rows, y = self._through_loss(k, r, J)
             information += rows.T @ rows
             gradient += rows.T @ y
         kept = self._joined(residuals) if residuals else None
         return Sums(0.5 * cost, gradient, information, square, kept, R if triangle else None)
+
+    def _through_loss(self, k: int, r: Array, J: Array) -> tuple[Array, Array]:
+        """Rows of the Jacobian and residuals of a part as the loss weighs them, shapes (rows, size) and (rows,)."""
+        if (loss := self._loss_of(k)) == "linear":
+            return J, r.ravel()
+        root = np.sqrt(np.repeat(loss_slope(loss, r), r.shape[1]))
+        return J * root[:, None], root * r.ravel()
 
     def _cost(self, v: Array) -> float:
         """The cost from residuals alone."""
@@ -402,7 +406,31 @@ class LeastSquares:
 
     def step(self, v: Array) -> Array:
         """The next Gauss-Newton step inside the bounds, shape (size,); what would leave them ends there."""
+        return self._step(v, *self.gradient(v))
+
+    def steps_without(self, v: Array, groups: Sequence[Array]) -> Array:
+        """The same without one group of poses each, shape (groups, size).
+
+        groups : number of each pose's group in every set, shape (n,)
+        """
+        count = 1 + max(int(own.max()) for own in groups)
+        lost = [(np.zeros(self.size), np.zeros((self.size, self.size))) for _ in range(count)]
+        first = [0] * len(self.sets)
+        for k, r, J in self._parts(v):
+            if k == len(self.sets):  # known separations belong to no pose
+                continue
+            at = np.repeat(groups[k][first[k] : first[k] + len(r)], r.shape[1])
+            first[k] += len(r)
+            rows, y = self._through_loss(k, r, J)
+            for group, (gradient, information) in enumerate(lost):
+                own = rows[at == group]
+                gradient += own.T @ y[at == group]
+                information += own.T @ own
         g, H = self.gradient(v)
+        return np.stack([self._step(v, g - gradient, H - information) for gradient, information in lost])
+
+    def _step(self, v: Array, g: Array, H: Array) -> Array:
+        """A step by gradient and Hessian."""
         lower, upper = self.bounds
         # A bound that the cost pushes away from holds nothing back.
         inward = np.where(v - lower < upper - v, g < 0, g > 0)
@@ -415,13 +443,6 @@ class LeastSquares:
                 break
             step, free = np.where(beyond, inside, np.where(free, 0.0, step)), free & ~beyond
         return step
-
-    def reweighted(self, weights: Sequence[Array]) -> LeastSquares:
-        """The same variables and points with other weights of each set's poses, shape (n,) each."""
-        sets = tuple(replace(m, weight=weight) for m, weight in zip(self.sets, weights, strict=True))
-        other = replace(self, sets=sets)
-        other.kept.made.update(labels=self.labels, points=self.points)
-        return other
 
     def covariance(self, v: Array, variance: float) -> Array:
         """Of the parameters, shape (p, p) [SI], points marginalised; NaN for those at a bound.

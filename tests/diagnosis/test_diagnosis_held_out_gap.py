@@ -219,7 +219,7 @@ def test_interrupt_leaves_nothing_behind() -> None:
     assert [s for s in seen if s.startswith("cause")][-1].startswith("cause 2")
     assert seen[-1] == "laws in place of the causes"
     check_refit(d, seen.append)
-    assert seen[-1] == "refit without fifth 5 of 5"
+    assert seen[-1] == "refits without a fifth each"
 
 
 def test_isolability_of_a_diagnosis_is_that_of_its_poses() -> None:

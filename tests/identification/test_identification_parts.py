@@ -131,14 +131,13 @@ def test_an_optimum_is_what_a_step_improves_by_less_than_a_ten_thousandth(result
 
 
 def test_a_step_without_some_poses_is_their_refit(result) -> None:
-    """One Gauss-Newton step from the optimum of all poses leads to that of three quarters of them."""
+    """One Gauss-Newton step from the optimum of all poses leads near that of three quarters."""
     problem, v = result.problem, result.solution.v
-    out = np.arange(40) % 4 == 0
-    others = problem.reweighted([np.where(out, 0.0, 1.0)])
-    alone = identify(result.start, result.measurements[0][~out], ["placement", "a2", "theta2"]).problem
-    moved = v + others.step(v)
-    assert others.decrement(v) > 1e3 * others.decrement(moved)
-    np.testing.assert_allclose(others.cost(moved), alone.cost(alone.solve().v), rtol=1e-6)
+    quarter = np.arange(40) % 4
+    for k, step in enumerate(problem.steps_without(v, [quarter])):
+        alone = replace(problem, sets=(result.measurements[0][quarter != k],))
+        assert alone.decrement(v) > 1e3 * alone.decrement(v + step)
+        np.testing.assert_allclose(alone.cost(v + step), alone.cost(alone.solve().v), rtol=1e-6)
 
 
 @pytest.mark.parametrize("end", [0, 1])
