@@ -23,7 +23,6 @@ def refit(
     effects: Sequence[Effect],
     noise: Noise,
     use: Array | None = None,
-    near: Mapping[str, float] | None = None,
 ) -> Identification:
     """Base model and effects identified together: the evidence's model without its linearisation.
 
@@ -33,13 +32,12 @@ def refit(
     and the optimum does not depend on the start.
     effects : with their settings (knee, lag, cycles), which stay; their parameters are free
     use : mask over the kept poses of those to identify from, all by default
-    near : values of parameters at which to start, as another refit has them
     """
     sets = refit_measurements(case, effects, noise)
     sets = sets if use is None else chosen_of(sets, use[case.rows])
     free = ("kinematic", "compliance", *case.free, *dict.fromkeys(e.label for e in effects))
     priors = _priors(case) | _priors_of_effects(case, effects)
-    return calibrated(prepare(case.robot.with_effect(*effects), sets, case.prior), free, priors=priors, near=near)
+    return calibrated(prepare(case.robot.with_effect(*effects), sets, case.prior), free, priors=priors)
 
 
 def _priors(case: Case) -> dict[str, tuple[float, float]]:

@@ -304,12 +304,9 @@ def calibrated(
     loss: AnyLoss = "linear",
     priors: bool | Mapping[str, tuple[float, float]] = False,
     screen: bool = True,
-    near: Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> Identification:
     """Identify what was prepared; arguments as of `identify`, a method brings its own parameters.
-
-    near : values from which to start, by parameter [SI]; the optimum does not depend on them
 
     Raises InputError, ConvergenceError.
     """
@@ -327,7 +324,7 @@ def calibrated(
             f"free={list(wanted)} chooses no parameter of {robot.name}; groups: {', '.join(start.parameters.groups)}"
         )
     plain: Loss = "linear" if loss == "auto" else loss
-    problem = LeastSquares(start, sets, names, plain, priors, first_sigmas(sets), known=prior.known, near=near or {})
+    problem = LeastSquares(start, sets, names, plain, priors, first_sigmas(sets), known=prior.known)
     solve = solve_by_auto if loss == "auto" else solve_without_outliers
     (reduced, solution, found), outliers = solve(problem, SCREENINGS if screen else 0, progress)
     placed = start.effect_values != robot.effect_values  # base and tool of further sessions

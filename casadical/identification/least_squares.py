@@ -33,6 +33,9 @@ ROUND_OFF = 1e-8
 # The same where a search creeps, for what priors hold is much: guesses, along their common scale, and what another
 # campaign has told; a tenth of a standard error.
 SETTLED = 5e-3
+# Of more parameters than this, held back by priors, not all are tested for independence, and a solve starts where so
+# many steps at most lead.
+WIDE, APPROACH = 200, 8
 # Groups of parameters that belong to a campaign, not to the robot.
 FRAMES = ("base", "tool")
 # Numbers of a Jacobian, or of residuals, that are kept from one question to the next.
@@ -49,7 +52,6 @@ class LeastSquares:
     known : correlated priors: names and their covariance [SI]; their means are those of `priors`
     priors : whether the robot's own priors hold the variables back, or name -> (mean, one sigma) [SI] of other priors
     fixed_loads : whether gravity torques are those of the nominal geometry (see `Model`)
-    near : values [SI] of parameters from which a solve starts, by name; the others start as the robot has them
     """
 
     robot: Robot
@@ -60,7 +62,6 @@ class LeastSquares:
     sigmas: tuple[tuple[float, float], ...]
     fixed_loads: bool = False
     known: tuple[tuple[tuple[str, ...], Array], ...] = ()
-    near: Mapping[str, float] = field(default_factory=dict)
     kept: Kept = field(default_factory=Kept, init=False, repr=False)
 
     @property
@@ -207,17 +208,13 @@ class LeastSquares:
         return dict(zip(self.names, values, strict=True))
 
     def solve(self, progress: Progress | None = None, start: Array | None = None) -> Solution:
-        """The bounded optimum, sought from a start, by default `near`. Raises ConvergenceError.
+        """The bounded optimum, sought from a start, by default the robot as it is. Raises ConvergenceError.
 
         Where the cost's round-off stops Ipopt's line search, the solver cannot know that it stands at an optimum.
         """
         scale = 0.5 * self.residual_count
-        if start is None and self.near:
-            start = np.zeros(self.size)
-            value = self._parameter("value")
-            known = zip(self.names, value.tolist(), strict=True)
-            start[: len(value)] = (np.array([self.near.get(n, v) for n, v in known]) - value) / self.scale
-            start = np.clip(start, *self.bounds)
+        if start is None and self.priors and len(self.names) > WIDE:
+            start = self._approached()
         creeps = bool(self.guesses.any() or self.known)
         settled = self._settled if creeps else None
         solution = minimise(
@@ -225,6 +222,20 @@ class LeastSquares:
         )
         sharp = solution.status == ACCEPTABLE and self.decrement(solution.v) < ROUND_OFF
         return replace(solution, message=OPTIMUM) if sharp else solution
+
+    def _approached(self) -> Array:
+        """Where Gauss-Newton steps inside the bounds lead from the start, while each gains what counts.
+
+        Of many parameters one always ends at a bound, where Ipopt shortens the whole step.
+        """
+        v = np.zeros(self.size)
+        cost = self.cost(v)
+        for _ in range(APPROACH):
+            closer = v + self.step(v)
+            if not (then := self.cost(closer)) < cost - SETTLED:
+                break
+            v, cost = closer, then
+        return v
 
     def _settled(self, v: Array) -> bool:
         """Whether little is left to gain, where what priors hold makes the search creep."""

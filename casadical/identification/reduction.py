@@ -19,7 +19,7 @@ from casadical.identification.identifiability import (
     analyse,
     drop_poor,
 )
-from casadical.identification.least_squares import LeastSquares, Linearised
+from casadical.identification.least_squares import WIDE, LeastSquares, Linearised
 from casadical.identification.plausibility import undefined
 from casadical.identification.residuals import POINT_SCALE
 from casadical.identification.solver import Progress, Solution
@@ -321,9 +321,6 @@ def _poor_at_start(problem: LeastSquares) -> list[Unidentifiable]:
     v = np.zeros(problem.size)
     return _poor(problem, v, 1.0) or _poor(problem, v, problem.variance(v))
 
-
-# More parameters than this, held back by priors, are not all tested for independence.
-WIDE = 200
 
 # They move the robot as a whole.
 _WHOLE_ROBOT = (
