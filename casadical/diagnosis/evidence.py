@@ -234,7 +234,12 @@ class Evidence:
         """The problem, which takes over what is known of one with some more (lost) and some fewer poses (gained)."""
         if known.cache.marginals is not None:
             self.cache.marginals = known.cache.marginals.moved(self.model, lost.model, gained.model)
+        known.forget()
         return self
+
+    def forget(self) -> None:
+        """Let go of what takes much memory and would be computed again."""
+        self.cache.marginals = None
 
     def log_base(self, also: Array | None = None) -> Array:
         """Log likelihood without a further cause, shape (rhos, sigmas); also : columns that are in the model."""

@@ -225,6 +225,7 @@ def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tupl
             return None
         show(f"causes where the noise follows itself, by {form.stays:g}")
         lines.update(lines_of(beside.case, beside.columns(), noise, form))
+        beside.case.judged.forget()
         other, other_end, _ = search(_with_lines(case.with_form(form), lines), seed, 0, show)
         there = other.steps and other.rankings[0].none <= FORM_NONE and gain + other.log_gain > least
         return (other, other_end) if there else None
