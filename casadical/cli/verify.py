@@ -131,6 +131,9 @@ def verify(
         which = "of each day; `casadical plan --touches 5` says which" if touches else "of some ten measured later"
         raise InputError(f"which poses? give a table {which}")
     if touches:
+        count = str(tables[0])
+        if count.isdecimal() and not tables[0].exists():
+            raise InputError(f"--touches judges tables of days; casadical plan {robot} --touches {count} plans points")
         asked = {"tolerance_mm": tolerance_mm, "noise_mm": noise_mm, "fleet": fleet}
         _touched(robot, tables, asked, (update, chart, report_file, json_file), seed or 0, quiet)
         return

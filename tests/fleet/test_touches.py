@@ -199,6 +199,8 @@ def test_the_command_plans_judges_charts_and_corrects(place, tmp_path, monkeypat
     assert not Path("no.robot.toml").exists()
     assert main(monkeypatch, "verify", file, days[0], "--chart", "c.csv") == 2
     assert "--chart: is for --touches" in capfd.readouterr().err
+    assert main(monkeypatch, "verify", file, "--touches", "5") == 2
+    assert "--touches 5 plans points" in " ".join(capfd.readouterr().err.split())
 
 
 def test_bad_touches_are_refused_or_said(place, tmp_path):
