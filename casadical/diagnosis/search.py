@@ -178,11 +178,16 @@ class State:
         return case, Step(ranking, tuple(labels), effects)
 
     def with_cause(self, labels: Sequence[str]) -> State:
-        """The state with a cause of the last ranking in the model, outliers judged again."""
+        """The state with a cause of the last ranking in the model, outliers judged again.
+
+        The same state where no joint shows it: a set may name what its other causes leave nothing of.
+        """
         ranking = self.rankings[-1]
         covers = self.by_label[labels[0]].covers
         steps = tuple(s for s in self.steps if s.effects[0].name not in covers)
         case, step = self.refined(ranking, labels, steps)
+        if not step.effects:
+            return self
         return replace(self, case=case, steps=(*steps, step))._screened(ranking.noise[labels[0]])
 
     def _screened(self, noise: Noise) -> State:
@@ -274,7 +279,11 @@ def search(case: Case, seed: int, bootstrap: int, show: Show) -> tuple[State, En
             labels = several[-1:] or labels
         if not labels:
             break
-        state = state.with_cause(labels).revisited()
+        before, state = state, state.with_cause(labels)
+        if state is before:
+            end = "unknown" if _detected(state, state.rankings[-1], p_nothing) else "none"
+            break
+        state = state.revisited()
     return state, end, p_nothing
 
 

@@ -101,6 +101,17 @@ def test_a_set_that_is_improbable_is_no_explanation(odds: float, verdict: str) -
     assert ("one more cause is there with probability" in words) == (verdict == "ambiguous")
 
 
+def test_what_no_joint_shows_beside_the_others_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A set named backlash of all joints, of which its other causes left nothing (a ValueError before)."""
+    clean = case("kr210-P08", "backlash")
+    state = State(clean).ranked()
+    assert state.with_cause(("backlash",)) is state
+    monkeypatch.setattr(search, "next_cause", lambda *_: ("unknown", ()))
+    monkeypatch.setattr(State, "most_probable_set", lambda _: (("backlash",), frozenset()))
+    last, end, _ = search.search(clean, 0, 0, silent)
+    assert (last.steps, end) == ((), "none")
+
+
 def test_what_is_on_no_list_is_no_set_of_listed_causes() -> None:
     d = diagnose(robot("ur10e"), simulated("ur10e", 31, disturbances.HoseDrag(500e-6)))
     first = d.rankings[0]
