@@ -413,8 +413,11 @@ def _directions(case: Case, split: _Split) -> pd.DataFrame:
 
 def _in_thirds(by: str, values: Array, unit: str, digits: int) -> Masks:
     which, edges = thirds(values)
-    parts = enumerate(itertools.pairwise(edges)) if (np.diff(edges) > 0).all() else ()
-    return [(by, f"{a:.{digits}f} .. {b:.{digits}f} {unit}", which == k) for k, (a, b) in parts]
+    if not (np.diff(edges) > 0).all():
+        return []
+    # Rounded first, so that round-off about zero or a half is not told.
+    shown = [f"{round(round(float(v), 9), digits) + 0.0:.{digits}f}" for v in edges]
+    return [(by, f"{a} .. {b} {unit}", which == k) for k, (a, b) in enumerate(itertools.pairwise(shown))]
 
 
 def _regions(case: Case) -> Masks:

@@ -173,6 +173,21 @@ def test_how_many_directions_of_the_base_round_off_leaves_changes_nothing(any_ca
     np.testing.assert_allclose(tables[0]["share"], tables[1]["share"], atol=1e-4)
 
 
+@pytest.mark.parametrize("edge", [0.0, 22.5, -7.5])
+def test_names_of_regions_do_not_follow_round_off(any_case: Case, edge: float) -> None:
+    """ "-170 .. 0 deg" was "-170 .. -0 deg" where readings moved by 1e-12."""
+    names = []
+    for moved in (-1e-12, 1e-12):
+        q = any_case.m.q.copy()
+        q[:, 4] = np.linspace(-2, 2, 120)
+        q[:, 4][q[:, 4] > -0.7] = np.deg2rad(edge) + moved
+        q[-40:, 4] += 1.0
+        c = replace(any_case, m=replace(any_case.m, q=q))
+        names.append(localise_residual(c, NOISE, NONE, remains=0.0).regions["part"].tolist())
+    assert names[0] == names[1]
+    assert f" .. {round(edge):.0f} deg" in " ".join(names[0])
+
+
 def test_part_of_the_data_that_is_worse_is_named(any_case: Case) -> None:
     """Errors twice as large with payload, and thrice as large where joint 2 rose, are the worst parts."""
     rng, m = np.random.default_rng(1), any_case.m
