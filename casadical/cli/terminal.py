@@ -174,7 +174,7 @@ def share(text: str, steps: Steps) -> float:
     if counted := _COUNT.search(text):
         done, count = int(counted[1]), int(counted[2])
         iteration = _ITERATION.search(text)
-        # What is counted is either done, as campaigns are, or begun, as solves and refits are.
+        # What is counted is either done, as campaigns are, or begun, as solves are.
         begun = int(iteration[1]) / (int(iteration[1]) + ITERATIONS) if iteration else 0.0
         inner = (done - 1 + begun) / count if iteration or named is not None else done / count
         return first + (last - first) * min(inner, 1.0)

@@ -50,7 +50,11 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
     again, names = next_cause(left, left.rankings[-1])
     if again == "claimed" and len(names) > 1:
         more = left.with_cause(names)
-        if _is_certain(more, more.steps[-1]) and _shrinks(more.ranked(), len(more.steps) - 1, seed):
+        if (
+            more is not left
+            and _is_certain(more, more.steps[-1])
+            and _shrinks(more.ranked(), len(more.steps) - 1, seed)
+        ):
             left = more.ranked()
             again, _ = next_cause(left, left.rankings[-1])
     # What was left out is no certain cause, even if it comes first again.

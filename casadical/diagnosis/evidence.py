@@ -234,7 +234,6 @@ class Evidence:
         """The problem, which takes over what is known of one with some more (lost) and some fewer poses (gained)."""
         if known.cache.marginals is not None:
             self.cache.marginals = known.cache.marginals.moved(self.model, lost.model, gained.model)
-        known.forget()
         return self
 
     def forget(self) -> None:

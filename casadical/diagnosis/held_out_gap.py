@@ -89,7 +89,7 @@ def of_time(effects: Sequence[Effect]) -> bool:
 
 @dataclass(frozen=True)
 class Check:
-    """Mean held-out gap [m] of the refit, fifths of the poses predicted by a refit to the others, and as linearised."""
+    """Mean held-out gap [m] of the refit, fifths of the poses predicted by the others, and of the linearised model."""
 
     refit: float
     linearised: float
@@ -103,8 +103,8 @@ class Check:
 def check_refit(found: Diagnosis, show: Show = silent) -> Check:
     """Held-out gap of the nonlinear refit beside that of the linearised model.
 
-    Ipopt refits all poses once; each fifth is then left out by a Gauss-Newton step from that optimum, for leaving out a
-    fifth moves the parameters by less than their standard errors.
+    Ipopt refits all poses once; each fifth is then left out by a Gauss-Newton step from that optimum: it moves the
+    parameters by a few standard errors at most, within which the model is linear.
 
     found : a diagnosis
     show : called with a line of progress

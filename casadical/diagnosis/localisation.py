@@ -73,7 +73,7 @@ def components(case: Case, noise: Noise, columns: Array, seed: int = 0, *, remai
         energy.setdefault(part, np.zeros(PART_DRAWS))
     if remains > TAIL:
         smooth = _of_smooth_errors(case, noise, left, rng)
-        there = rng.random(PART_DRAWS) < remains
+        there = rng.permutation(PART_DRAWS) < round(remains * PART_DRAWS)
         for part, drawn in smooth.items():
             energy[part] = energy[part] + there * drawn
     return Components(tuple(energy), np.stack([*energy.values()], axis=1))

@@ -316,9 +316,10 @@ class Diagnosis(Result):
 
     @property
     def remains(self) -> float:
-        """How probable it is that more than noise is left of what causes explain in part; zero where none is named.
+        """How probable it is that more than noise is left.
 
-        It is certain where more is seen than is passed over: something further, a rest above the floor, structure.
+        It is certain where more is seen than is passed over: something further, a rest above the floor, structure. Else
+        it is what the data leave for a further cause beside named ones; without any, zero.
         """
         none = self.rankings[-1].none
         if none <= DETECT_FURTHER or self.has_rest or self.account.is_structure:

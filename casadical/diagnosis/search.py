@@ -193,7 +193,10 @@ class State:
     def _screened(self, noise: Noise) -> State:
         case = self.case
         _, distance = remainders(case.whole, self.columns(), noise, case.kept)
-        return replace(self, case=case.screened(np.where(case.kept, distance < OUT, distance < IN)))
+        screened = case.screened(np.where(case.kept, distance < OUT, distance < IN))
+        if screened is not case:
+            case.judged.forget()
+        return replace(self, case=screened)
 
     def revisited(self) -> State:
         """Each cause compared again with the others in the model; a more probable one replaces it."""
@@ -204,7 +207,8 @@ class State:
             listed = state.listed(ranking)
             if ranking.none <= DETECT_FURTHER and listed[0] == ranking.order[0]:
                 case, step = state.refined(ranking, indistinguishable(ranking, listed), others)
-                state = replace(state, case=case, steps=(*state.steps[:k], step, *state.steps[k + 1 :]))
+                if step.effects:
+                    state = replace(state, case=case, steps=(*state.steps[:k], step, *state.steps[k + 1 :]))
         return state
 
 
@@ -266,7 +270,7 @@ def search(case: Case, seed: int, bootstrap: int, show: Show) -> tuple[State, En
     while len(state.steps) < MOST_CAUSES:
         show(f"cause {len(state.steps) + 1}: evidence of {len(state.by_label)} candidates")
         state = state.ranked()
-        ranking = state.rankings[-1]
+        ranking, known = state.rankings[-1], len(state.steps)
         if bootstrap and not state.steps:
             p_nothing = p_value(case, ranking, bootstrap, seed, show)
         end, labels = next_cause(state, ranking, p_nothing)
@@ -280,7 +284,7 @@ def search(case: Case, seed: int, bootstrap: int, show: Show) -> tuple[State, En
         if not labels:
             break
         before, state = state, state.with_cause(labels)
-        if state is before:
+        if state is before and len(state.steps) == known:
             end = "unknown" if _detected(state, state.rankings[-1], p_nothing) else "none"
             break
         state = state.revisited()

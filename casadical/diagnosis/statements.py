@@ -312,7 +312,7 @@ def _after(d: Diagnosis, more: Details) -> Iterator[Statement]:
         ratio = check.refit / check.linearised
         beside = "as the linearised model" if abs(ratio - 1) < 0.005 else f"{change(ratio)} than the linearised model"
         said = "they agree" if check.agree else "they DISAGREE"
-        words = f"refitted by Ipopt, nonlinear, each fifth left out once more: {beside}; {said}"
+        words = f"refitted by Ipopt, nonlinear, and each fifth left out of that: {beside}; {said}"
         yield Statement("AFTER", words, doubtful=not check.agree)
     for net, what in zip((more.networks or ())[: 1 + bool(steps)], ("instead", "on the rest"), strict=False):
         words = f"6-5-3 network {what if steps else 'on the gap'}: {change(net.used / net.before)}"

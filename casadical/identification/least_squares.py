@@ -36,6 +36,9 @@ SETTLED = 5e-3
 # Of more parameters than this, held back by priors, not all are tested for independence, and a solve starts where so
 # many steps at most lead.
 WIDE, APPROACH = 200, 8
+# Times that variables are held at bounds again on the way to a step, the first ones all at once; and the share of what
+# is known of a variable below which rounding alone is left of it.
+MOST_HELD, ALL_AT_ONCE, ALONE = 60, 8, 1e-9
 # Groups of parameters that belong to a campaign, not to the robot.
 FRAMES = ("base", "tool")
 # Numbers of a Jacobian, or of residuals, that are kept from one question to the next.
@@ -226,7 +229,7 @@ class LeastSquares:
     def _approached(self) -> Array:
         """Where Gauss-Newton steps inside the bounds lead from the start, while each gains what counts.
 
-        Of many parameters one always ends at a bound, where Ipopt shortens the whole step.
+        Of many parameters one meets its bound on the way, where Ipopt shortens the whole step.
         """
         v = np.zeros(self.size)
         cost = self.cost(v)
@@ -413,22 +416,22 @@ class LeastSquares:
         """What one more Gauss-Newton step inside the bounds would gain in cost, half of chi-squared."""
         g, H = self.gradient(v)
         step = self.step(v)
-        return float(-(g + 0.5 * H @ step) @ step)
+        return max(0.0, float(-(g + 0.5 * H @ step) @ step))
 
     def step(self, v: Array) -> Array:
-        """The next Gauss-Newton step inside the bounds, shape (size,); what would leave them ends there."""
+        """The next Gauss-Newton step, to the least of the linearised problem inside the bounds, shape (size,)."""
         return self._step(v, *self.gradient(v))
 
     def steps_without(self, v: Array, groups: Sequence[Array]) -> Array:
-        """The same without one group of poses each, shape (groups, size).
+        """Such a step from the optimum v without one group of rows each, shape (groups, size).
 
-        groups : number of each pose's group in every set, shape (n,)
+        groups : number of each row's group in every set, shape (n,). What a group alone tells of stays where it is.
         """
         count = 1 + max(int(own.max()) for own in groups)
         lost = [(np.zeros(self.size), np.zeros((self.size, self.size))) for _ in range(count)]
         first = [0] * len(self.sets)
         for k, r, J in self._parts(v):
-            if k == len(self.sets):  # known separations belong to no pose
+            if k == len(self.sets):  # known separations belong to no row
                 continue
             at = np.repeat(groups[k][first[k] : first[k] + len(r)], r.shape[1])
             first[k] += len(r)
@@ -438,22 +441,35 @@ class LeastSquares:
                 gradient += own.T @ y[at == group]
                 information += own.T @ own
         g, H = self.gradient(v)
-        return np.stack([self._step(v, g - gradient, H - information) for gradient, information in lost])
+        told = [np.diag(H - information) > ALONE * np.diag(H) for _, information in lost]
+        return np.stack([self._step(v, g - of[0], H - of[1], some) for of, some in zip(lost, told, strict=True)])
 
-    def _step(self, v: Array, g: Array, H: Array) -> Array:
-        """A step by gradient and Hessian."""
-        lower, upper = self.bounds
-        # A bound that the cost pushes away from holds nothing back.
-        inward = np.where(v - lower < upper - v, g < 0, g > 0)
-        free, step = ~self.at_bounds(v) | inward, np.zeros(self.size)
-        while free.any():
+    def _step(self, v: Array, g: Array, H: Array, moves: Array | None = None) -> Array:
+        """The step to the least of a quadratic cost inside the bounds, by its gradient and Hessian at v.
+
+        moves : mask of the variables that may move, all by default. Variables are held at bounds that they would leave
+        and let go where the cost draws them back (Portugal, Judice and Vicente 1994).
+        """
+        lower, upper = (b - v for b in self.bounds)
+        step, free = np.zeros(self.size), np.ones(self.size, dtype=bool) if moves is None else moves
+        held = np.where(-lower < upper, g >= 0, g <= 0) & self.at_bounds(v) & free
+        best, least, own = step, 0.0, free
+        for turn in range(MOST_HELD):
+            free = own & ~held
+            step = np.where(free, 0.0, step)
             step[free] = -scaled_inverse(H[np.ix_(free, free)]) @ (g + H @ step)[free]
-            inside = np.clip(step, lower - v, upper - v)
-            beyond = free & (inside != step)
-            if not beyond.any():
+            inside = np.clip(step, lower, upper)
+            if (cost := float((g + 0.5 * H @ inside) @ inside)) < least:
+                best, least = inside, cost
+            beyond, slope = free & (inside != step), g + H @ inside
+            drawn = held & np.where(inside - lower < upper - inside, slope < 0, slope > 0)
+            wrong = beyond | drawn
+            if not wrong.any():
                 break
-            step, free = np.where(beyond, inside, np.where(free, 0.0, step)), free & ~beyond
-        return step
+            if turn > ALL_AT_ONCE:  # one at a time never comes back to where it was (Murty 1974)
+                wrong &= np.arange(self.size) == wrong.argmax()
+            step, held = np.where(held | beyond & wrong, inside, 0.0), held ^ wrong
+        return best
 
     def covariance(self, v: Array, variance: float) -> Array:
         """Of the parameters, shape (p, p) [SI], points marginalised; NaN for those at a bound.

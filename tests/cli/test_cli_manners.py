@@ -190,7 +190,12 @@ def test_progress_is_shown_on_a_terminal_and_nowhere_else() -> None:
 
 def test_the_share_done_grows_with_the_steps_of_a_run() -> None:
     told = ["calibrating the base model", "signatures of the candidates", "cause 1: evidence of 90 candidates"]
-    told += ["cause 5: evidence of 3 candidates", "refit 1 of 5", "refit 4 of 5", "poses to measure next"]
+    told += [
+        "cause 5: evidence of 3 candidates",
+        "refit of all poses",
+        "refits without a fifth each",
+        "poses to measure next",
+    ]
     shares = [share(text, DIAGNOSIS) for text in told]
     assert shares == sorted(shares)
     assert shares[0] == 0

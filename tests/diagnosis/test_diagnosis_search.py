@@ -112,6 +112,20 @@ def test_what_no_joint_shows_beside_the_others_ends_the_search(monkeypatch: pyte
     assert (last.steps, end) == ((), "none")
 
 
+def test_the_search_goes_on_where_the_last_name_of_a_set_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first of the set's names is in the model then, and the other step is found beside it."""
+    steps = (disturbances.JointZeroStep(2, 1.5e-4, 0.3), disturbances.JointZeroStep(3, 1.5e-4, 0.7))
+    r = robot("ur10e")
+    found = identify(r, simulated("ur10e", 5, *steps, n=80), loss="huber", priors=True)
+    both = make_case(found, candidates_of(r, ["joint_zero_step", "backlash"]))
+    sets, usual = [("joint_zero_step@3", "backlash")], State.most_probable_set
+    monkeypatch.setattr(State, "most_probable_set", lambda s: (sets.pop(), frozenset()) if sets else usual(s))
+    nexts, usually = [("unknown", ())], search.next_cause
+    monkeypatch.setattr(search, "next_cause", lambda *a: nexts.pop() if nexts else usually(*a))
+    last, _, _ = search.search(both, 0, 0, silent)
+    assert {s.labels[0] for s in last.steps} == {"joint_zero_step@2", "joint_zero_step@3"}
+
+
 def test_what_is_on_no_list_is_no_set_of_listed_causes() -> None:
     d = diagnose(robot("ur10e"), simulated("ur10e", 31, disturbances.HoseDrag(500e-6)))
     first = d.rankings[0]

@@ -16,6 +16,7 @@ from casadical.identification.accuracy import summarise
 from casadical.identification.figures import parameter_tables
 from casadical.identification.identifiability import analyse, drop_poor
 from casadical.identification.identification import prepare
+from casadical.identification.least_squares import LeastSquares
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against, least_margins
 from casadical.identification.prior import Prior
@@ -140,23 +141,45 @@ def test_a_step_without_some_poses_is_their_refit(result) -> None:
         np.testing.assert_allclose(alone.cost(v + step), alone.cost(alone.solve().v), rtol=1e-6)
 
 
-@pytest.mark.parametrize("end", [0, 1])
-def test_a_step_ends_at_the_bounds_where_scipy_does(result, end: int) -> None:
-    """Of a quadratic cost whose optimum is outside, the step is that of bounded least squares."""
+def test_a_step_is_that_of_bounded_least_squares(result) -> None:
+    """At points where several variables would leave their bounds, beside SciPy; what it gains is never negative."""
     problem, v = result.problem, result.solution.v
-    far, k = v + 1e-3 * np.random.default_rng(1).normal(size=v.size), problem.names.index("a2")
-    bounds = [b.copy() for b in problem.bounds]
-    bounds[end][k] = v[k] + (1e-4 if end == 0 else -1e-4)
-    far[k] = bounds[end][k] + (1e-3 if end == 0 else -1e-3)
-    narrow = replace(problem)
-    narrow.__dict__["bounds"] = tuple(bounds)
-    g, H = narrow.gradient(far)
-    L = np.linalg.cholesky(H)
-    within = [b - far for b in bounds]
-    expected = optimize.lsq_linear(L.T, -np.linalg.solve(L, g), within, tol=1e-14).x
-    step = narrow.step(far)
-    assert far[k] + step[k] == bounds[end][k]
-    np.testing.assert_allclose(step, expected, atol=1e-8)
+    rng, hits = np.random.default_rng(1), 0
+    for _ in range(40):
+        far = v + 1e-3 * rng.normal(size=v.size)
+        narrow = replace(problem)
+        # Nearer than 1e-5 counts as at a bound.
+        lower, upper = far - 2e-5 - 2e-3 * rng.random(v.size), far + 2e-5 + 2e-3 * rng.random(v.size)
+        narrow.__dict__["bounds"] = lower, upper
+        g, H = narrow.gradient(far)
+        L = np.linalg.cholesky(H)
+        expected = optimize.lsq_linear(L.T, -np.linalg.solve(L, g), (lower - far, upper - far), tol=1e-14).x
+        step = narrow.step(far)
+        gain, most = (-(g + 0.5 * H @ x) @ x for x in (step, expected))
+        assert gain == pytest.approx(most, rel=1e-6)
+        assert narrow.decrement(far) == pytest.approx(gain)
+        hits += int(((step == lower - far) | (step == upper - far)).sum())
+    assert hits > 80
+
+
+@pytest.mark.parametrize("loss", ["linear", "huber"])
+def test_steps_without_rows_are_those_of_problems_without_them(loss: str) -> None:
+    """Of positions, and of spheres at a known distance; what one group alone tells of, point A, stays."""
+    arm = arms.six_axis()
+    q = arms.readings(arm, 40, 1)
+    first = arms.positions(arms.planted_in(arm, ["a2"], 2), q, 3)
+    label = np.repeat(["A", "B"], 20)
+    touched = replace(first, kind="sphere", position=None, label=label, distance=np.full(40, 0.1))
+    sets = (first, touched.with_separations([("A", "B", 0.4)]))
+    problem = LeastSquares(arm, sets, ("a2", "theta2"), loss, True, ((2e-5, 1e-4), (2e-5, 1e-4)))
+    v = 0.1 * np.random.default_rng(0).normal(size=problem.size)
+    groups = [np.arange(40) % 3, np.where(label == "A", 2, np.arange(40) % 2)]
+    steps = problem.steps_without(v, groups)
+    for k, step in enumerate(steps[:2]):
+        weights = [np.where(own == k, 0.0, 1.0) for own in groups]
+        others = replace(problem, sets=tuple(replace(m, weight=w) for m, w in zip(sets, weights, strict=True)))
+        np.testing.assert_allclose(step, others.from_points(problem.points).step(v), rtol=1e-5, atol=1e-9)
+    assert np.isfinite(steps[2]).all()
 
 
 def test_progress_counts_the_iterations_from_zero() -> None:

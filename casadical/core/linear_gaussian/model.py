@@ -67,7 +67,10 @@ class LinearModel:
         )
 
     def as_base(self, columns: Array) -> tuple[Array, Array]:
-        """Some columns as those of the base, combined, shape (n, m, k), and their priors' widths, shape (k,)."""
+        """Some columns as those of the base, combined, shape (n, m, k), and their priors' widths, shape (k,).
+
+        columns : in rising order. Log likelihoods are less by what the directions left out would add, alike everywhere.
+        """
         every = self.combined(columns)
         return self.columns.take(columns, EVERY, every), every.one_of_each(self.held[columns])
 
