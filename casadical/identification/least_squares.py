@@ -466,7 +466,7 @@ class LeastSquares:
             wrong = beyond | drawn
             if not wrong.any():
                 break
-            if turn > ALL_AT_ONCE:  # one at a time never comes back to where it was (Murty 1974)
+            if turn > ALL_AT_ONCE:  # one at a time never returns to where it was (Murty 1974)
                 wrong &= np.arange(self.size) == wrong.argmax()
             step, held = np.where(held | beyond & wrong, inside, 0.0), held ^ wrong
         return best

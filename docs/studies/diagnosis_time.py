@@ -4,7 +4,7 @@ Wall time on one core of `diagnose`, calibration included, of synthetic campaign
 first of a robot builds its signatures, which later ones of the same process share. A minute.
 
 --commands : processor time and most memory of `casadical diagnose` in a process of its own, of the largest tables of
-    the problem folders (real, but for the hh800's), too; ten minutes
+    the problem folders (real, except the hh800's), too; ten minutes
 """
 
 import os
