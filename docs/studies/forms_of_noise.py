@@ -73,18 +73,18 @@ def table(rows: Sequence[Row]) -> None:
         one = [r for r in rows if r["form"] == form and r.get("hidden")]
         others = [{*r["causes"]} - {r["hidden"], "outliers"} for r in (*clean, *one)]
         false, named = [bool(o) for o in others], [r["hidden"] in r["causes"] for r in one]
-        wrong = sum(false[len(clean) :])
+        misled = sum(false[len(clean) :])
         right = sum(n and not f for n, f in zip(named, false[len(clean) :], strict=True))
         unknown = sum(r["verdict"] == "unknown" for r in clean)
         print(
             f"{form:10}{len(clean):9}{sum(false[: len(clean)]):7}{unknown:9}"
-            f"{len(one):13}{right:7}{sum(named):7}{wrong:7}"
+            f"{len(one):13}{right:7}{sum(named):7}{misled:7}"
         )
     for r in rows:
         if "refused" in r:
             print(f"left out: {r['name']}: {r['refused']}")
-        elif others := {*r["causes"]} - {r["hidden"], "outliers"}:
-            print(f"{r['name']}: {r['hidden'] or 'nothing'} is {', '.join(sorted(others))}")
+        elif wrong := {*r["causes"]} - {r["hidden"], "outliers"}:
+            print(f"{r['name']}: {r['hidden'] or 'nothing'} is {', '.join(sorted(wrong))}")
 
 
 def main() -> None:
