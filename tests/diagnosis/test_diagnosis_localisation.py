@@ -134,7 +134,9 @@ def test_rms_is_in_mm_however_much_the_joints_scatter(any_case: Case, named: boo
     assert sizes[1] == pytest.approx(sizes[0], rel=0.1)
 
 
-@pytest.mark.parametrize(("remains", "least", "most"), [(0.0, 0.0, 1e-12), (0.1, 1e-4, 0.1), (1.0, 0.01, 0.3)])
+@pytest.mark.parametrize(
+    ("remains", "least", "most"), [(0.0, 0.0, 1e-12), (0.02, 0.0, 1e-12), (0.1, 1e-4, 0.1), (1.0, 0.01, 0.3)]
+)
 def test_what_may_be_left_beside_a_cause_is_in_its_interval(
     any_case: Case, remains: float, least: float, most: float
 ) -> None:

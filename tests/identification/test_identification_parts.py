@@ -162,6 +162,14 @@ def test_a_step_is_that_of_bounded_least_squares(result) -> None:
     assert hits > 80
 
 
+def test_round_off_takes_no_value_beyond_its_bounds(result) -> None:
+    """A compliance of -2e-21 was refused by the robot that it was put into."""
+    problem = result.problem
+    for end, bound in zip(("lower", "upper"), problem.bounds, strict=True):
+        values = problem.values(bound * (1 + 1e-15) + np.where(end == "lower", -1e-15, 1e-15))
+        assert values == {n: getattr(problem.robot.parameters[n], end) for n in problem.names}
+
+
 @pytest.mark.parametrize("loss", ["linear", "huber"])
 def test_steps_without_rows_are_those_of_problems_without_them(loss: str) -> None:
     """Of positions, and of spheres at a known distance; what one group alone tells of, point A, stays."""
