@@ -276,7 +276,8 @@ class Robot(Shown, Arm):
         """Great gravity torques on each joint, shape (n,) [N m or N]: 95 % quantile over its range, full payload.
 
         At least a twentieth of the greatest of joints of the same kind, turning or sliding: a gear whose axis is
-        upright is made for the forces of motion.
+        upright is made for the forces of motion. Where all axes are, the greatest is a twentieth of the weight that they
+        turn, at the arm's reach: a base that leans a little loads them.
         """
         bare = self.with_only(())
         lower, upper = self.limits
@@ -285,9 +286,12 @@ class Robot(Shown, Arm):
         tau = np.abs(bare.model.evaluate(("tau",), q, w, bare.parameters.values)[0])
         great = np.nanquantile(tau, 0.95, axis=1)
         turning = np.array([j.kind == "revolute" for j in self.joints])
-        for kind in (turning, ~turning):  # N m and N are not compared
+        loads = [*(j.body for j in self.joints[turning.argmax() :]), self.payload]
+        weight = float(np.linalg.norm(self.gravity)) * sum(body.mass for body in loads if body)
+        for kind, least in ((turning, SMALLEST_GEAR * weight * self.reach), (~turning, 0.0)):  # N m and N
             if kind.any():
-                great[kind] = np.maximum(great[kind], SMALLEST_GEAR * max(1e-9, float(np.nanmax(great[kind]))))
+                most = max(1e-9, least, float(np.nanmax(great[kind])))
+                great[kind] = np.maximum(great[kind], SMALLEST_GEAR * most)
         return great
 
     @cached_property

@@ -111,6 +111,10 @@ def test_an_upright_joint_has_the_gear_of_a_twentieth() -> None:
     assert lifted[1] == pytest.approx(SMALLEST_GEAR * lifted[2])  # N m and N are not compared
     bare = Robot("arm", tuple(replace(j, body=None) for j in joints), tool=Placement(np.eye(4)))
     assert (bare.torque_scale > 0).all()  # something to divide by
+    upright = tuple(replace(j, alpha=0.0, a=0.5) for j in joints)
+    scara = Robot("scara", upright, tool=Placement(np.eye(4)))
+    # Torques of a base that leans by a degree were 1e9 times the great ones: 400 km of a friction's wind-up.
+    assert scara.torque_scale == pytest.approx([SMALLEST_GEAR**2 * 4 * 9.81 * 1.0] * 2, rel=0.01)
 
 
 def nested(theta: tuple[float, float] = (0.0, 0.0)) -> Robot:
