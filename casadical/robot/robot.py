@@ -276,7 +276,7 @@ class Robot(Shown, Arm):
         """Great gravity torques on each joint, shape (n,) [N m or N]: 95 % quantile over its range, full payload.
 
         At least a twentieth of the greatest of joints of the same kind, turning or sliding: a gear whose axis is
-        upright is made for the forces of motion. Where all axes are, the greatest is a twentieth of the weight that they
+        upright is made for the forces of motion. Where all axes are, the greatest is a twentieth of the weight they
         turn, at the arm's reach: a base that leans a little loads them.
         """
         bare = self.with_only(())
