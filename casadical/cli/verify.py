@@ -141,9 +141,9 @@ def verify(
 
     console = wrapped(quiet)
     if iso9283:
-        found = verification.iso9283(robot, tables)
-        console.print(terminal(found.blocks()))
-        keep(with_json({}, json_file, found.to_json()), console)
+        iso = verification.iso9283(robot, tables)
+        console.print(terminal(iso.blocks()))
+        keep(with_json({}, json_file, iso.to_json()), console)
         folder = robot if robot.is_dir() else robot.parent
         suggest(console, "to put it into a certificate", "certificate", folder, "--iso9283", tables[0])
         return

@@ -88,9 +88,9 @@ class FaultsError(InputError):
     """
 
     def __init__(self, faults: Sequence[Fault], others: Sequence[str] = ()) -> None:
-        told = [*map(str, faults), *others]
-        more = [f"and {len(told) - MOST_FAULTS} more"] if len(told) > MOST_FAULTS else []
-        super().__init__("\n".join([*told[:MOST_FAULTS], *more]))
+        texts = [*map(str, faults), *others]
+        more = [f"and {len(texts) - MOST_FAULTS} more"] if len(texts) > MOST_FAULTS else []
+        super().__init__("\n".join([*texts[:MOST_FAULTS], *more]))
         self.faults, self.others = tuple(faults), tuple(others)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -99,13 +99,13 @@ class FaultsError(InputError):
     @staticmethod
     def joined(errors: Iterable[InputError]) -> InputError:
         """Several errors as one, each fault once; of the same in fewer rows of the same column, that of most rows."""
-        told = list(errors)
-        faults = list(dict.fromkeys(f for e in told if isinstance(e, FaultsError) for f in e.faults))
+        every = list(errors)
+        faults = list(dict.fromkeys(f for e in every if isinstance(e, FaultsError) for f in e.faults))
         files = list(dict.fromkeys(f.source for f in faults))
         kept = sorted((f for f in faults if not any(map(f.within, faults))), key=lambda f: files.index(f.source))
-        others = [t for e in told for t in (e.others if isinstance(e, FaultsError) else [str(e)])]
+        others = [t for e in every for t in (e.others if isinstance(e, FaultsError) else [str(e)])]
         whole = FaultsError(kept, list(dict.fromkeys(others)))
-        return told[0] if len(told) == 1 or str(whole) == str(told[0]) else whole
+        return every[0] if len(every) == 1 or str(whole) == str(every[0]) else whole
 
 
 def all_faults(steps: Iterable[Callable[[], object]]) -> None:

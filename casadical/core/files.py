@@ -160,8 +160,8 @@ def _sort(path: Path, blob: bytes, files: dict[Path, bytes], streams: dict[Path,
 
 def own_stream(path: Path) -> int | None:
     """The descriptor that a name such as /dev/stdout stands for, which may be a file that a shell opened; else None."""
-    found = re.fullmatch(r"/dev/(std(?:in|out|err))|/(?:dev|proc/self)/fd/(\d+)", os.path.abspath(path))
-    return (int(found[2]) if found[2] else ("stdin", "stdout", "stderr").index(found[1])) if found else None
+    match = re.fullmatch(r"/dev/(std(?:in|out|err))|/(?:dev|proc/self)/fd/(\d+)", os.path.abspath(path))
+    return (int(match[2]) if match[2] else ("stdin", "stdout", "stderr").index(match[1])) if match else None
 
 
 def _into(path: Path, blob: bytes) -> None:

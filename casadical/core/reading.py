@@ -208,8 +208,8 @@ def _of_python(error: BaseException | None) -> bool:
     """Whether an error, or what it was raised from, speaks of code (types, indices) rather than of the file."""
     if error is None:
         return False
-    told = type(error) is ValueError or isinstance(error, OSError | EOFError)
-    code = type(error).__module__ in ("builtins", "struct") and not told
+    explained = type(error) is ValueError or isinstance(error, OSError | EOFError)
+    code = type(error).__module__ in ("builtins", "struct") and not explained
     return code or _of_python(error.__cause__ or error.__context__)
 
 

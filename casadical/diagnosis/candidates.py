@@ -57,16 +57,16 @@ def candidates_of(robot: Robot, effects: str | Sequence[str | Effect | type[Effe
     chosen = [effects] if isinstance(effects, str) else list(effects)
     own_ones = [_single(e) for e in chosen if isinstance(e, Effect)]
     own_ones += _of_kinds([e for e in chosen if isinstance(e, type)], robot)
-    found = named(robot, [e for e in chosen if isinstance(e, str)], own_ones)
+    standard = named(robot, [e for e in chosen if isinstance(e, str)], own_ones)
     if not robot.effects:
-        return found
+        return standard
     # What the robot has already is held at its value.
     own = set(robot.parameters.names)
-    new = {c.label: tuple(v for v in c.variants if own.isdisjoint(_parameters(v))) for c in found}
-    if not any(new[c.label] for c in found if c.listed):
+    new = {c.label: tuple(v for v in c.variants if own.isdisjoint(_parameters(v))) for c in standard}
+    if not any(new[c.label] for c in standard if c.listed):
         words = ", ".join(e if isinstance(e, str) else e.label if isinstance(e, Effect) else e.name for e in chosen)
         raise InputError(f"{words}: robot {robot.name!r} has it already, held at its value; name other effects")
-    return [replace(c, variants=new[c.label]) for c in found if new[c.label]]
+    return [replace(c, variants=new[c.label]) for c in standard if new[c.label]]
 
 
 def _parameters(variant: tuple[Effect, ...]) -> list[str]:
@@ -141,11 +141,11 @@ def _of_kinds(kinds: Iterable[type[Effect]], robot: Robot) -> list[Candidate]:
     return [
         Candidate(
             label,
-            found[0][0].answers_as or found[0][0].name,
-            found[0][0].joint if len(_joints(found[0])) == 1 else None,
-            tuple(found),
+            own[0][0].answers_as or own[0][0].name,
+            own[0][0].joint if len(_joints(own[0])) == 1 else None,
+            tuple(own),
         )
-        for label, found in by_label.items()
+        for label, own in by_label.items()
     ]
 
 
@@ -186,10 +186,10 @@ def columns_to_log(missing: Mapping[str, Sequence[str]], logged: Container[str])
 
 def gathered_by_columns(missing: Mapping[str, Sequence[str]]) -> dict[str, str]:
     """Columns to log, as one word group -> the effects that lack them."""
-    found: dict[str, list[str]] = {}
+    labels_of: dict[str, list[str]] = {}
     for label, columns in missing.items():
-        found.setdefault(" with ".join(columns), []).append(label)
-    return {columns: gathered(labels) for columns, labels in found.items()}
+        labels_of.setdefault(" with ".join(columns), []).append(label)
+    return {columns: gathered(labels) for columns, labels in labels_of.items()}
 
 
 def gathered(labels: Iterable[str]) -> str:

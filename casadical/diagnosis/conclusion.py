@@ -147,7 +147,7 @@ def parameter_values(
     None of an effect that has too many to be shown.
     """
     value, error = estimates(case.judged, columns, noise)
-    found = {}
+    parameters = {}
     for effect in (e for e in effects if not e.summary):
         places, sizes = np.searchsorted(columns, case.columns[effect]), case.sizes(case.columns[effect])
         seen = np.ones(len(sizes), dtype=bool)
@@ -155,8 +155,8 @@ def parameter_values(
             seen = np.any(case.whole.take(case.columns[effect]), axis=(0, 1))
         for place, size, there, (name, (_, unit)) in zip(places, sizes, seen, effect.sizes().items(), strict=True):
             if there:  # not of an instrument that is not there
-                found[effect, name] = float(value[place] * size), float(error[place] * size), unit
-    return found
+                parameters[effect, name] = float(value[place] * size), float(error[place] * size), unit
+    return parameters
 
 
 def _outliers(case: Case, left: Array, distance: Array) -> tuple[Outlier, ...]:

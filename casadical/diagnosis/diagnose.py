@@ -107,10 +107,12 @@ class _Question:
             return given.identification
         self.show("calibrating the base model")
         sets = tuple(m.positions_alone() if fault_of_orientations(given.robot, m) else m for m in given.sets)
-        found = base_calibrated(prepared := replace(given, sets=sets))
-        off = [m.orientation is not None and s[1] > NO_NOISE for m, s in zip(sets, found.problem.sigmas, strict=True)]
+        calibration = base_calibrated(prepared := replace(given, sets=sets))
+        off = [
+            m.orientation is not None and s[1] > NO_NOISE for m, s in zip(sets, calibration.problem.sigmas, strict=True)
+        ]
         if not any(off):
-            return found
+            return calibration
         alone = (m.positions_alone() if bad else m for m, bad in zip(sets, off, strict=True))
         return base_calibrated(replace(prepared, sets=tuple(alone)))
 
@@ -139,11 +141,11 @@ class _Question:
 
     def answer(self) -> Diagnosis:
         """The diagnosis; searched again where the noise turns out other than it was taken for."""
-        told = self.prepared.prior
-        case, known, changed = self.case(), told, tuple[Change, ...]()
-        if told.free:
+        prior = self.prepared.prior
+        case, known, changed = self.case(), prior, tuple[Change, ...]()
+        if prior.free:
             self.show("what changed since the campaign of the prior")
-            changed, known = changes(case, told)
+            changed, known = changes(case, prior)
         found = self.searched(case := self.with_known(case, known))
         for _ in range(MOST_RATIOS):
             ratios = better_ratios(found.case, found.columns, found.noise)
@@ -158,7 +160,7 @@ class _Question:
         if self.laws:
             self.show("laws in place of the causes")
             found = _held_against_laws(found)
-        return replace(found, prior=told if told.free or told.frozen else None, changes=changed)
+        return replace(found, prior=prior if prior.free or prior.frozen else None, changes=changed)
 
 
 def _prepared(

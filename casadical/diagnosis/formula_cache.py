@@ -125,7 +125,7 @@ def plan(s: Seams, effects: tuple[Effect, ...]) -> tuple[Part, ...]:
 def _templates(effects: Sequence[Effect]) -> dict[tuple[Effect, tuple[str, ...]], list[int]]:
     """Effects that differ only in settings which their conditions do not depend on, under their first one."""
     first: dict[Any, tuple[Effect, tuple[str, ...]]] = {}
-    found: dict[tuple[Effect, tuple[str, ...]], list[int]] = {}
+    templates: dict[tuple[Effect, tuple[str, ...]], list[int]] = {}
     for k, effect in enumerate(effects):
         values = {f.name: getattr(effect, f.name) for f in fields(effect)}
         names = tuple(n for n, v in values.items() if isinstance(v, float))
@@ -133,8 +133,8 @@ def _templates(effects: Sequence[Effect]) -> dict[tuple[Effect, tuple[str, ...]]
         key = (type(effect), rest, effect.conditions, tuple(effect.sizes()))
         ones: dict[str, Any] = dict.fromkeys(names, 1.0)
         template = first.setdefault(key, (replace(effect, **ones), names))
-        found.setdefault(template, []).append(k)
-    return found
+        templates.setdefault(template, []).append(k)
+    return templates
 
 
 PACKAGE = Path(__file__).parents[1]

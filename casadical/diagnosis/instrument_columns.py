@@ -76,10 +76,10 @@ def images_of(p: Array, R: Array) -> Mapping[str, Array]:
     measuring frame's origin. What a fault adds is moved in the measuring frame.
     """
     seen = {"fixed": (p, np.tile(np.eye(3), (len(p), 1, 1))), "carried": (-np.einsum("nji,nj->ni", R, p), -R)}
-    found: dict[str, Array] = {}
+    images: dict[str, Array] = {}
     for side, (c, turn) in seen.items():
         slope = np.minimum(np.hypot(c[:, 0], c[:, 1]) / np.maximum(np.abs(c[:, 2]), 1e-9), STEEPEST)
         parts = {"depth": c * [0, 0, 1], "radial": c * [1, 1, 0] * (slope**2)[:, None]}
         for what, part in parts.items():
-            found |= dict(zip(image_columns(side, what), np.einsum("nij,nj->in", turn, part), strict=True))
-    return found
+            images |= dict(zip(image_columns(side, what), np.einsum("nij,nj->in", turn, part), strict=True))
+    return images

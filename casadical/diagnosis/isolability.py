@@ -94,11 +94,11 @@ class Isolability(Result):
             rivals = [f"{k} {v:.2f}" for k, v in list(self.rivals(str(label)).items())[:SHOWN_RIVALS]]
             figures = (f"{row['size_mm']:.3f}", f"{100 * row['absorbed']:.0f} %", f"{row['visible_mm']:.4f}")
             times = row["findable_from"]  # of the realistic size
-            found = f"{times:.2g} x" if np.isfinite(times) and times < 100 else "never"
-            rows.append((str(label), *figures, f"{row['visible_to_noise']:.2f}", found, "\n".join(rivals)))
-        told: list[Words | Table] = [Table("", HEAD, rows, frozenset(range(1, 6))), Words(NOTES, "note")]
+            multiple = f"{times:.2g} x" if np.isfinite(times) and times < 100 else "never"
+            rows.append((str(label), *figures, f"{row['visible_to_noise']:.2f}", multiple, "\n".join(rivals)))
+        blocks: list[Words | Table] = [Table("", HEAD, rows, frozenset(range(1, 6))), Words(NOTES, "note")]
         gathered_columns = gathered_by_columns(columns_to_log(self.missing, ())).items()
-        return [*told, *(Words(f"not logged: {columns}; it would show {them}") for columns, them in gathered_columns)]
+        return [*blocks, *(Words(f"not logged: {columns}; it would show {them}") for columns, them in gathered_columns)]
 
     def to_json(self, campaign: str = "") -> dict[str, Any]:
         """As plain data; campaign : name of the poses. A share that is nothing, a size never found, are left out."""

@@ -252,7 +252,7 @@ class Search:
         own, k = self.beside(frequencies), len(self.curve.t)
         inverse, unit = np.linalg.inv(self.b.normal(own)), self.unit(own)
         alone = np.linalg.inv(self.b.products(waves := self.b.waves(frequencies), waves))
-        x, found = inverse @ own.t, []
+        x, chances = inverse @ own.t, []
         for i, f in enumerate(frequencies):
             c = np.array([i, i + len(frequencies)])
             part = inverse[np.ix_(k + c, k + c)]
@@ -260,8 +260,8 @@ class Search:
             band = self.bands[min(int(f / BAND), len(self.bands) - 1)]
             determined = max(float((1 - np.diag(inverse)[band] * own.weights[band]).sum()), 1.0)
             freedom = 1 / (of_noise**2 / self.b.rows + (1 - of_noise) ** 2 / determined)
-            found.append(float(self.chance(x[k + c] @ np.linalg.solve(part, x[k + c]) / unit, freedom)))
-        return np.array(found)
+            chances.append(float(self.chance(x[k + c] @ np.linalg.solve(part, x[k + c]) / unit, freedom)))
+        return np.array(chances)
 
     def scan(self) -> Scan:
         """What one sine alone explains."""
@@ -348,7 +348,7 @@ class Search:
         _, inverse = self.slid(own, np.array(frequencies), len(unnamed))
         x = np.linalg.solve(self.b.normal(own), own.t)
         covariance = inverse * self.unit(own)
-        found = []
+        lines = []
         for i, f in enumerate(frequencies):
             first = len(self.curve.t) + i
             c = np.array([first, first + len(p)])
@@ -358,17 +358,17 @@ class Search:
             error, aside = (float(np.sqrt(v @ part @ v)) for v in (along, across))
             slid = float(np.sqrt(covariance[len(x) + i, len(x) + i]))
             phase = float(np.arctan2(along[1], along[0]))
-            found.append(Line(self.joint, f, slid, size, error, phase, aside / size, float(p[i]), named[f]))
+            lines.append(Line(self.joint, f, slid, size, error, phase, aside / size, float(p[i]), named[f]))
         doubt = [
             max(
                 a.p / CHANCE,
                 a.amplitude_error * max(DETERMINED / a.amplitude, 1 / SEEN),
                 a.frequency_error * self.turns,
             )
-            for a in found
+            for a in lines
         ]
         if max(doubt) <= 1:
-            return tuple(found)
+            return tuple(lines)
         kept = [f for i, f in enumerate(frequencies) if i != first_of_best(doubt)]
         return self.final(dict(zip(self.refined(kept, unnamed), (named[f] for f in kept), strict=True)), unnamed)
 

@@ -96,7 +96,7 @@ class Linearisation:
 
     def factors(self, parts: Sequence[Part], sizes: Array | None = None) -> Factors:
         """The same columns as factors of the seams at which they act; parts : of `plan`; sizes : units, (columns,)."""
-        n, found = len(self.q), dict[int, list[tuple[Array, Array | float]]]()
+        n, by_seam = len(self.q), dict[int, list[tuple[Array, Array | float]]]()
         for numbers, first, least, turn in self._places():
             q, seen = ([c[None] for c in of.T] for of in numbers)
             for part in parts:
@@ -108,9 +108,9 @@ class Linearisation:
                 (factors,) = f.function.on_arrays(q, logged, list(self.phi), list(self.constants), seen, settings)
                 for seam, column, factor in zip(f.rows.tolist(), f.columns, factors, strict=True):
                     if seam >= least:
-                        found.setdefault(first + seam, []).append((part.starts + column, factor))
+                        by_seam.setdefault(first + seam, []).append((part.starts + column, factor))
         blocks = []
-        for seam, own in sorted(found.items()):
+        for seam, own in sorted(by_seam.items()):
             edges = np.cumsum([0, *(len(columns) for columns, _ in own)]).tolist()
             values = np.empty((edges[-1], n))
             for start, end, (_, factor) in zip(edges[:-1], edges[1:], own, strict=True):
@@ -152,8 +152,8 @@ def linearise(robot: Robot, m: Measurements, phi: Array) -> Linearisation:
     for first in range(0, len(m), BLOCK):
         some = slice(first, first + BLOCK)
         n = len(m.q[some])
-        found = call(s.mapped(n), m.q[some].T, w[some].T, phi, constants)
-        for part, value in zip(parts, found, strict=True):
+        values = call(s.mapped(n), m.q[some].T, w[some].T, phi, constants)
+        for part, value in zip(parts, values, strict=True):
             part.append(value.reshape(value.shape[0], n, -1).transpose(1, 0, 2))
     J, S, seen = (np.concatenate(part) for part in parts)
     return Linearisation(robot, s, phi, m.q, dict(m.conditions), J, S, seen[:, :, 0], constants)
@@ -165,8 +165,8 @@ def signatures(robot: Robot, effects: Sequence[Effect], m: Measurements, values:
     Shapes (n, 3, all effects' parameters), (n, 3, P), (n, 3, joints), at the parameter values given, shape (P,) [SI].
     m : with every condition that the effects need (see `casadical.measurements.derived_columns.derive`)
     """
-    found = linearise(robot, m, values)
-    return found.columns(effects), found.J, found.Jq
+    linear = linearise(robot, m, values)
+    return linear.columns(effects), linear.J, linear.Jq
 
 
 # Factors of up to so many bytes are kept once they were made.

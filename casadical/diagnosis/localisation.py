@@ -153,18 +153,18 @@ def _products(lever: Array, functions: Array) -> Array:
 def _levers(case: Case) -> dict[str, Array]:
     """What an error of one size in each part does to the point, shape (n, 3, ways in which the part can err) [m]."""
     names = case.given.parameters.names
-    found: dict[str, list[int]] = {}
+    columns: dict[str, list[int]] = {}
     for k, name in enumerate(names):
         if hit := _NUMBERED.fullmatch(name):
-            found.setdefault("base" if hit[2] == "0" else f"link {hit[2]}", []).append(k)
+            columns.setdefault("base" if hit[2] == "0" else f"link {hit[2]}", []).append(k)
         elif name.startswith(("base_", "tool_")):
-            found.setdefault(name[:4], []).append(k)
+            columns.setdefault(name[:4], []).append(k)
         elif name.startswith("L"):
-            found.setdefault("loop", []).append(k)
+            columns.setdefault("loop", []).append(k)
     n = case.robot.n
-    moved = [k for k in ("base", *(f"link {i}" for i in range(1, n)), "loop") if k in found]
-    links = {k: SIZE * case.whole.J[:, :, found[k]] for k in moved}
-    last = [*found.get(f"link {n}", []), *found.get("tool", [])]
+    moved = [k for k in ("base", *(f"link {i}" for i in range(1, n)), "loop") if k in columns]
+    links = {k: SIZE * case.whole.J[:, :, columns[k]] for k in moved}
+    last = [*columns.get(f"link {n}", []), *columns.get("tool", [])]
     tool = {"tool": SIZE * case.whole.J[:, :, last]} if last else {}
     joints = {f"joint {j + 1}": SIZE * case.whole.Jq[:, :, [j]] for j in range(n)}
     return {**joints, **links, **tool}
@@ -215,7 +215,7 @@ def _even_sizes(y: Array, K: Array) -> Array:
 
 def _drawn_sizes(y: Array, groups: list[Array], K: Array, size: Array, sigma: float, rng: np.random.Generator) -> Array:
     """Variances of the groups, each drawn from its likelihood beside the others' best, shape (SIZE_DRAWS, groups)."""
-    found = []
+    sizes = []
     for k, (g, even) in enumerate(zip(groups, _even_sizes(y, K), strict=True)):
         # Without the group: to take it away again would leave round-off alone where it explains much.
         root = root_of_inverse(_total(K, np.where(np.arange(len(size)) == k, 0.0, size), sigma**2))
@@ -227,8 +227,8 @@ def _drawn_sizes(y: Array, groups: list[Array], K: Array, size: Array, sigma: fl
         # Alike for all standard deviations (Gelman 2006).
         log += 0.5 * np.log(SIZES)
         share = np.cumsum(np.exp(log - log.max()))
-        found.append(even * np.exp(np.interp(rng.random(SIZE_DRAWS) * share[-1], share, np.log(SIZES))))
-    return np.stack(found, axis=1)
+        sizes.append(even * np.exp(np.interp(rng.random(SIZE_DRAWS) * share[-1], share, np.log(SIZES))))
+    return np.stack(sizes, axis=1)
 
 
 def products_of_rows(groups: list[Array]) -> Array:
@@ -250,15 +250,15 @@ def _draws(y: Array, groups: list[Array], sigma: float, axes: Array, rng: np.ran
     """
     K = products_of_rows(groups)
     size, sigma = sizes_of_groups(y, K, sigma)
-    found, each = [], PART_DRAWS // SIZE_DRAWS
+    draws, each = [], PART_DRAWS // SIZE_DRAWS
     for own in _drawn_sizes(y, groups, K, size, sigma, rng):
         prior = [np.sqrt(v) * rng.standard_normal((g.shape[1], each)) for v, g in zip(own, groups, strict=True)]
         known = sum(g @ f for f, g in zip(prior, groups, strict=True))
         of_poses = rng.standard_normal((len(y) - axes.shape[1], each))
         noise = sigma * np.concatenate([of_poses, axes.T @ rng.standard_normal((len(axes), each))])
         missed = np.linalg.solve(_total(K, own, sigma**2), y[:, None] - known - noise)
-        found.append([f + v * (g.T @ missed) for f, v, g in zip(prior, own, groups, strict=True)])
-    return [np.concatenate(values, axis=1) for values in zip(*found, strict=True)]
+        draws.append([f + v * (g.T @ missed) for f, v, g in zip(prior, own, groups, strict=True)])
+    return [np.concatenate(values, axis=1) for values in zip(*draws, strict=True)]
 
 
 DRAWS = 500
@@ -322,11 +322,11 @@ def localise_residual(case: Case, noise: Noise, causes: Array, seed: int = 0, *,
     remains : how probable it is that these leave more than noise
     """
     # Between two poses no one reading is where the gap lies.
-    found = components(case, noise, causes, seed, remains=remains) if case.one_end else None
+    parts = components(case, noise, causes, seed, remains=remains) if case.one_end else None
     split = _Split(case, seed)
     return Localisation(
-        joints=_parts(found, "joint"),
-        links=_parts(found, "link", "base", "loop", "tool", INSTRUMENT),
+        joints=_parts(parts, "joint"),
+        links=_parts(parts, "link", "base", "loop", "tool", INSTRUMENT),
         directions=_directions(case, split),
         regions=split.table(*_regions(case)),
         payload=split.table(*_payload(case)),

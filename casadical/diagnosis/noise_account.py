@@ -120,14 +120,14 @@ class NoiseAccount:
 
     def to_json(self) -> dict[str, Any]:
         """Keys of the answer's `noise`, lengths in mm."""
-        found: dict[str, Any] = {"taken_mm": round(1e3 * self.taken, 5), "rules": self.rules}
+        account: dict[str, Any] = {"taken_mm": round(1e3 * self.taken, 5), "rules": self.rules}
         if self.declared:
-            found["declared_mm"] = round(1e3 * self.declared, 5)
+            account["declared_mm"] = round(1e3 * self.declared, 5)
         if self.freedom:
-            found |= {"repeats_mm": round(1e3 * self.repeats, 5), "repeats_freedom": self.freedom}
-        found |= {"form": self.form} if self.form else {}
-        found |= {"excess_mm": round(1e3 * self.excess, 5), "like_noise": self.like_noise}
-        found["structure"] = [
+            account |= {"repeats_mm": round(1e3 * self.repeats, 5), "repeats_freedom": self.freedom}
+        account |= {"form": self.form} if self.form else {}
+        account |= {"excess_mm": round(1e3 * self.excess, 5), "like_noise": self.like_noise}
+        account["structure"] = [
             {
                 "over": s.over,
                 "along": s.along,
@@ -136,7 +136,7 @@ class NoiseAccount:
             }
             for s in self.structures
         ]
-        return found
+        return account
 
 
 def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates) -> NoiseAccount:

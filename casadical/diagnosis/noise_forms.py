@@ -93,7 +93,7 @@ def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Seq
         kinds += [(FOLLOWING, [following(stays, len(e.r), e.count / len(e.r)) for stays in FOLLOWS], 1)]
         kinds += [(TAILED, [tails], 1) for tails in (tailed(problem),) if tails]
     kinds += [(scatter_of(j + 1), [Form(joint=j, worse=SCATTERS)], len(joints)) for j in joints]
-    found = []
+    rivals = []
     for label, forms, alike in kinds:
         grids: list[Array] = []
         logs = np.zeros(0)
@@ -103,8 +103,8 @@ def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Seq
             if logs[-1] < max(plain, logs.max()) - REACH:  # what follows itself still more is less likely yet
                 break
         factor = float(log_sum(logs)) - np.log(len(forms) * alike * 3) - plain
-        found.append(Rival(label, float(factor), likely_noise(grids[first_of_best(logs, logs=True)], e.sigmas)))
-    return found
+        rivals.append(Rival(label, float(factor), likely_noise(grids[first_of_best(logs, logs=True)], e.sigmas)))
+    return rivals
 
 
 def following(stays: float, poses: int, numbers: float = 3.0) -> Form:

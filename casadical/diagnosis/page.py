@@ -149,8 +149,8 @@ def _next(said: Sequence[Statement], poses: pd.DataFrame | None) -> Iterator[Blo
         "before it. The option --next FILE.csv writes the poses.",
         "note",
     )
-    told = poses.dropna(axis="columns", how="all")
-    columns = [str(c) for c in told]
-    rows = [tuple(f"{v:.1f}" if isinstance(v, float) else str(v) for v in row) for row in told.itertuples(index=False)]
+    given = poses.dropna(axis="columns", how="all")
+    columns = [str(c) for c in given]
+    rows = [tuple(f"{v:.1f}" if isinstance(v, float) else str(v) for v in row) for row in given.itertuples(index=False)]
     numbers = frozenset(k for k, c in enumerate(columns) if c not in ("state", "repeats"))
     yield Table("Next poses", columns, rows, numbers)

@@ -56,13 +56,13 @@ def _priors_of_effects(case: Case, effects: Sequence[Effect]) -> dict[str, tuple
     """Mean and one sigma of the effects' parameters where these are larger than usual."""
     if case.growth == 1.0:
         return {}
-    found: dict[str, tuple[float, float]] = {}
+    priors: dict[str, tuple[float, float]] = {}
     for effect in (e for e in effects if e in case.columns):
         columns = case.columns[effect]
         sigma = case.sizes(columns) * case.whole.model.held[columns]
         names = (p.name for p in effect.parameters())
-        found |= {name: (0.0, float(s)) for name, s in zip(names, sigma, strict=True)}
-    return found
+        priors |= {name: (0.0, float(s)) for name, s in zip(names, sigma, strict=True)}
+    return priors
 
 
 def chosen_of(sets: Sequence[Measurements], use: Array) -> tuple[Measurements, ...]:
@@ -110,10 +110,10 @@ def _with_sigmas(case: Case, sets: Sequence[Measurements], noise: Noise) -> list
     """The sets with the noise that was found."""
     seen = case.observations
     square = np.diagonal(case.whole.covariance(noise), axis1=1, axis2=2) * seen.measured
-    found = []
+    given = []
     for k, m in enumerate(sets):
         at = seen.numbers_of(k)
         usual = float(np.sqrt(square[at].sum() / max(1, np.count_nonzero(seen.measured[at]))))
         length, angle = (usual / scale for scale in seen.ratios.of_set(k))
-        found.append(replace(m, sigma=length, sigma_angle=angle))
-    return found
+        given.append(replace(m, sigma=length, sigma_angle=angle))
+    return given

@@ -135,12 +135,12 @@ class State:
     def _gains(self, effects: Sequence[Effect], chosen: Array) -> list[float]:
         """Log evidence that each of some effects adds beside the others and chosen columns."""
         judged, every = self.case.judged, [self.case.group((e,)) for e in effects]
-        found = []
+        gains = []
         for own in every:
             beside = np.setdiff1d(np.union1d(chosen, np.concatenate(every)), own)
             grids = judged.log_grids([own], beside) + np.log(KAPPA_WEIGHTS)
-            found.append(float(log_sum(grids)) - float(log_sum(judged.log_base(beside))))
-        return found
+            gains.append(float(log_sum(grids)) - float(log_sum(judged.log_base(beside))))
+        return gains
 
     @property
     def log_gain(self) -> float:

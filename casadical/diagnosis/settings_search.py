@@ -38,7 +38,7 @@ LEAST_FACTOR, MOST_FACTOR = 0.05, 8.0
 
 def neighbours(effect: Effect, fineness: float) -> list[Effect]:
     """The effect with one setting moved by a fraction of the grid's spacing, each in turn (see `Effect`)."""
-    found = []
+    effects = []
     for f in fields(effect):
         value = getattr(effect, f.name)
         if not isinstance(value, float) or f.metadata.get("given"):
@@ -49,8 +49,8 @@ def neighbours(effect: Effect, fineness: float) -> list[Effect]:
         else:
             moved = [value * float(np.exp(step * fineness)) for step in (-0.5, -0.25, 0.25, 0.5)]
         settings: list[dict[str, Any]] = [{f.name: v} for v in moved if v > 0 or (v and f.metadata.get("signed"))]
-        found += [replace(effect, **s) for s in settings]
-    return found
+        effects += [replace(effect, **s) for s in settings]
+    return effects
 
 
 def refined(
@@ -63,8 +63,8 @@ def refined(
     if len(variant) != 1:
         return case, variant
     if variant[0].parts:
-        found = learnt_sizes(case.judged, case.group(variant), variant[0].parts, chosen, noise)
-        case, effect = case.with_sizes(variant[0], *found)
+        learnt = learnt_sizes(case.judged, case.group(variant), variant[0].parts, chosen, noise)
+        case, effect = case.with_sizes(variant[0], *learnt)
         return case, (effect,)
     halved = 0
     for _ in range(MOST_ROUNDS):

@@ -56,19 +56,19 @@ def _forms(
         return label, by_label[label].variants[ranking.variant[label]]
 
     while len(forms) < MOST_FORMS and ranking.none <= DETECT_FURTHER and ranking.probability[ranking.order[0]] > 0.5:
-        label, found = best(ranking)
-        forms[label] = found
+        label, variant = best(ranking)
+        forms[label] = variant
         ranking = ranked()
     for label in list(forms) if len(forms) > 1 else ():
         again = ranked(label)
         del forms[label]
-        better, found = best(again)
-        forms[better] = found
+        better, variant = best(again)
+        forms[better] = variant
     columns = np.unique(np.concatenate([named[0], *(case.group(e) for e in forms.values())]))
     before = partitioned_errors(case.evidence, named[0], noise, seed)
     last = ranked()
     after = partitioned_errors(case.evidence, columns, last.noise[""], seed)
     means = float(before.mean()), float(after.mean())
     interval = shrink_interval(before, after, seed)
-    effects = tuple(e for found in forms.values() for e in found)
+    effects = tuple(e for variant in forms.values() for e in variant)
     return Unlisted(tuple(forms), effects, *means, 1 - means[1] / means[0], interval, last)

@@ -199,18 +199,18 @@ def _evidence_lost(fit: Fit, own: Mapping[int, Array]) -> dict[int, float]:
 
 def with_multiples(lines: Sequence[Line]) -> tuple[Line, ...]:
     """Lines of one joint, the strongest first; those that are a harmonic or a fraction of a stronger one say so."""
-    found: list[Line] = []
+    stronger: list[Line] = []
     for line in sorted(lines, key=lambda line: -line.amplitude):
         factors = [
             (factor, strong.frequency)
-            for strong in found
+            for strong in stronger
             for factor in (*MULTIPLES, *(1 / k for k in MULTIPLES))
             if strong.multiple_of is None
             and min(line.frequency, strong.frequency) >= LEAST_FUNDAMENTAL
             and _same(line, strong, factor)
         ]
-        found.append(replace(line, factor=factors[0][0], multiple_of=factors[0][1]) if factors else line)
-    return tuple(found)
+        stronger.append(replace(line, factor=factors[0][0], multiple_of=factors[0][1]) if factors else line)
+    return tuple(stronger)
 
 
 def _same(a: Line, b: Line, factor: float = 1.0) -> bool:

@@ -71,6 +71,6 @@ def _counted(keys: Array) -> Array:
     number = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
     order = np.argsort(number, kind="stable")
     starts = np.searchsorted(number[order], number[order])
-    found = np.empty(len(number), dtype=np.int64)
-    found[order] = np.arange(len(number)) - starts
-    return found
+    places = np.empty(len(number), dtype=np.int64)
+    places[order] = np.arange(len(number)) - starts
+    return places

@@ -157,8 +157,8 @@ class _White:
     def judged(self) -> Remainder:
         if not self._is_left:
             return Remainder((), like_noise=True)
-        found = [*(s for group in self._groups() for s in self._followed(*group)), *self._close()]
-        sure = _sure(found, len(found))
+        tests = [*(s for group in self._groups() for s in self._followed(*group)), *self._close()]
+        sure = _sure(tests, len(tests))
         each = {s.line[0] if s.line else s.over: s for s in reversed(sure)}  # of a joint's lines the surest
         tails = self.freedom >= LIKE_NOISE * (self.e.count - self._taken)
         return Remainder(tuple([*reversed(each.values())][:MOST]), tails and self._isotropic())
@@ -341,11 +341,11 @@ def _of_poses(robot: Robot, m: Measurements, p: Array) -> Iterator[tuple[str, Ar
 
 def _by_width(functions: Iterable[tuple[str, Array]]) -> dict[int, tuple[tuple[str, Array], ...]]:
     """Drivers by their number of functions; without those that are alike at all poses."""
-    found: dict[int, list[tuple[str, Array]]] = {}
+    groups: dict[int, list[tuple[str, Array]]] = {}
     for name, g in functions:
         if len(g) and np.ptp(g, axis=0).max() > 0:
-            found.setdefault(g.shape[1], []).append((name, g))
-    return {width: tuple(some) for width, some in found.items()}
+            groups.setdefault(g.shape[1], []).append((name, g))
+    return {width: tuple(some) for width, some in groups.items()}
 
 
 def _lines(angle: Array, joint: int) -> tuple[tuple[tuple[str, Array], ...], dict[str, tuple[int, float]]]:

@@ -93,13 +93,13 @@ def _cause_lines(d: Diagnosis, more: Details | None) -> Iterator[str]:
 
 def brief(title: str, d: Diagnosis, more: Details | None = None) -> Sequence[Words | Table]:
     """Verdict, error before and after, causes, and three things to know: at most 25 lines of 100 columns."""
-    told = statements(d, more)
+    sentences = statements(d, more)
     return [
         Words(title, "title"),
-        Words(told[0].sentence, "verdict"),
+        Words(sentences[0].sentence, "verdict"),
         _errors(d, more),
         *_causes(d),
-        *(Words(_short(s.sentence), "warning" if s.doubtful else "note") for s in things_to_know(d, told)),
+        *(Words(_short(s.sentence), "warning" if s.doubtful else "note") for s in things_to_know(d, sentences)),
     ]
 
 

@@ -68,17 +68,17 @@ def compare_files(
     if robot and all(path.is_dir() or path.suffix in (".toml", ".urdf") for path in files):
         raise InputError("--robot is that by which tables are understood, and none is given; leave it out")
     estimates = estimates_of(files, robot or _understood_by(files), show)
-    found = [e for e in estimates if isinstance(e, Estimate)]
+    usable = [e for e in estimates if isinstance(e, Estimate)]
     errors = [(path, e) for path, e in zip(files, estimates, strict=True) if isinstance(e, CasadicalError)]
     if errors and len(files) == 2:
         raise errors[0][1]
     faults = [f"{shown(path)} is left out: {error}" for path, error in errors]
-    if len(found) < 2:
+    if len(usable) < 2:
         where = "; ".join(faults) or f"Give more, or a problem folder with later tables in its folder {CAMPAIGNS}."
-        raise InputError(f"{len(found)} of {len(files)} campaigns can be used; two are needed. {where}")
+        raise InputError(f"{len(usable)} of {len(files)} campaigns can be used; two are needed. {where}")
     if day is not None and isinstance(estimates[0], Estimate):
-        found[0] = replace(found[0], day=day)
-    ordered, said = in_order(found, begun=begun is not None)
+        usable[0] = replace(usable[0], day=day)
+    ordered, said = in_order(usable, begun=begun is not None)
     show("what changed")
     notes = (*faults, *said, *other_regions(ordered))
     compared = compare(ordered, same_tool=same_tool, same_frame=same_frame, notes=notes)
@@ -116,10 +116,10 @@ def estimates_of(
         show(f"campaign {k} of {len(paths)}")
         try:
             first = next((e.robot for e in estimates if isinstance(e, Estimate)), None)
-            told = campaign_estimate(path, robot, first)
+            estimate = campaign_estimate(path, robot, first)
             if first:
-                refuse_another(first, told.robot, "campaign")
-            estimates.append(told)
+                refuse_another(first, estimate.robot, "campaign")
+            estimates.append(estimate)
         except CasadicalError as error:
             estimates.append(error)
     return estimates
@@ -159,8 +159,8 @@ def campaign_estimate(path: Path, robot: str | Path | None = None, known: Robot 
     if known and known.targets:
         arm = replace(arm, tool=known.tool, tool_name=known.tool_name, targets=known.targets)
     m = read_campaign(robot, path, arm, later=True)
-    arm, told, notes = with_targets_of_rows(tool_as_measured(arm, Path(robot), [m]), [m])
-    estimated = estimate((arm, told), label, day)
+    arm, sets, notes = with_targets_of_rows(tool_as_measured(arm, Path(robot), [m]), [m])
+    estimated = estimate((arm, sets), label, day)
     return replace(estimated, notes=(*estimated.notes, *notes))
 
 

@@ -84,7 +84,7 @@ def shared_information(
     values = first.values[at]
     if same_frame:
         campaigns = [_in_frame_of(first, c) for c in campaigns]
-    H, b = (np.array(told) for told in zip(*(c.about(names, values) for c in campaigns), strict=True))
+    H, b = (np.array(parts) for parts in zip(*(c.about(names, values) for c in campaigns), strict=True))
     spread = np.sqrt(np.mean([c.spread[[c.names.index(n) for n in names]] ** 2 for c in campaigns], axis=0))
     spread[[n.startswith("joint_error_curve") for n in names]] *= WIDER
     candidates = evidence.candidates_of(first.robot, names)
@@ -307,7 +307,7 @@ def _amounts(candidate: Candidate, first: Estimate, a: Array, C: Array, waves: i
 
 def _course_of(model: evidence.Model, candidate: Candidate, a: Array) -> Array:
     """Size of the change in each campaign along its own direction, 1 where it is whole, with standard errors."""
-    n = len(model.told.score)
+    n = len(model.shared.score)
     E = (candidate.columns @ a)[:, None]
     one = np.eye(n)[:, 1:][None]
     H, b = evidence.visible(model, E, one)

@@ -197,7 +197,7 @@ class Model:
     root : R of the covariance R'R of u = (theta, known amplitudes); turned : R times the score of u
     """
 
-    told: SharedInformation
+    shared: SharedInformation
     known: Known
     root: Array = field(repr=False)
     turned: Array = field(repr=False)
@@ -213,7 +213,7 @@ class Model:
 
     @property
     def p(self) -> int:
-        return int(self.told.score.shape[1])
+        return int(self.shared.score.shape[1])
 
 
 def solve(told: SharedInformation, known: Known | None = None) -> Model:
@@ -233,7 +233,7 @@ def visible(model: Model, E: Array, courses: Array) -> tuple[Array, Array]:
 
     E : shape (p, m); courses : shape (c, n, k), of each campaign k factors. Returns shapes (c, km, km) and (c, km).
     """
-    information = model.told
+    information = model.shared
     (c, n, k), m = courses.shape, E.shape[1]
     HE = information.information @ E
     flat = courses.transpose(0, 2, 1).reshape(c * k, n)

@@ -34,7 +34,7 @@ def seen_from(
     for c in candidates:
         if c.columns.shape[1] == 1 and c.kind in ("joint_zero", "joint_stiffness"):
             model = beside(c)
-            H, _ = visible(model, c.columns, jumps(len(model.told.score))[-1:])
+            H, _ = visible(model, c.columns, jumps(len(model.shared.score))[-1:])
             p = first.robot.parameters[c.names[0]]
             size = SEEN / np.sqrt(max(float(H[0, 0, 0]), 1e-30))
             seen = size < FAR * float(c.sizes[0])

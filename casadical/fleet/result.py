@@ -85,8 +85,8 @@ class Fleet(Result):
     def grown(self) -> dict[str, str]:
         """In words, by robot: its last campaign leaves more than those before, and chance does not explain it."""
         some = self.good[self.good["campaigns"] > 1]
-        told = {r["robot"]: grown(r["left_mm"], r.get("left_free"), ALARMS / len(some)) for r in records(some)}
-        return {name: words for name, words in told.items() if words}
+        words_of = {r["robot"]: grown(r["left_mm"], r.get("left_free"), ALARMS / len(some)) for r in records(some)}
+        return {name: words for name, words in words_of.items() if words}
 
     def blocks(self) -> list[Words | Table]:
         good, bad = self.good, self.robots[self.robots["status"] != "ok"]

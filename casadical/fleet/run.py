@@ -137,12 +137,12 @@ def _compute(
     count, written = total - left, monotonic()
     again = f"robots are in {shown(place)}: run the same command again, it continues there"
     try:
-        for (folder, _), found in done:
-            if isinstance(found, Exception):
-                why = f"the processes that computed it ended: {type(found).__name__}: {str(found).splitlines()[0]}"
+        for (folder, _), record in done:
+            if isinstance(record, Exception):
+                why = f"the processes that computed it ended: {type(record).__name__}: {str(record).splitlines()[0]}"
                 place_of = {"robot": name_of(Path(folder)), "folder": name_of(Path(folder), whole=True)}
-                found = {**NOTHING, **place_of, "status": "lost", "error": why}
-            waiting.append(found)
+                record = {**NOTHING, **place_of, "status": "lost", "error": why}
+            waiting.append(record)
             count += 1
             show(f"robot {count} of {total}")
             if len(waiting) >= ROWS or monotonic() - written > SECONDS:

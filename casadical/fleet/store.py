@@ -95,12 +95,14 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
     last = calibration.identification
     later, day = later_tables(place)
     files = [place, *later]
-    told = estimates_of(files, place)
-    if isinstance(told[0], CasadicalError):
-        raise told[0]
-    first = told[0] if day is None else replace(told[0], day=day)
-    estimates = [first, *(e for e in told[1:] if isinstance(e, Estimate))]
-    notes = [f"{p.name} is left out: {e}" for p, e in zip(files, told, strict=True) if isinstance(e, CasadicalError)]
+    computed = estimates_of(files, place)
+    if isinstance(computed[0], CasadicalError):
+        raise computed[0]
+    first = computed[0] if day is None else replace(computed[0], day=day)
+    estimates = [first, *(e for e in computed[1:] if isinstance(e, Estimate))]
+    notes = [
+        f"{p.name} is left out: {e}" for p, e in zip(files, computed, strict=True) if isinstance(e, CasadicalError)
+    ]
     notes += [f"{e.label}: {note}" for e in estimates for note in e.notes]
     row: dict[str, Any] = {
         "type": type_of(problem),

@@ -165,7 +165,7 @@ class TouchModel:
         return same_readings(np.concatenate([m.q for m in self.days]), STANDS)
 
     @cached_property
-    def _told(self) -> tuple[Array, Array]:
+    def _evaluated(self) -> tuple[Array, Array]:
         """Measured less predicted, shape (rows,) [mm], and the Jacobian, shape (rows, p) [mm a unit of scale]."""
         r, J = evaluated(self.robot, self.days, self.names)
         return -r.reshape(-1), J.reshape(-1, J.shape[2])
@@ -173,7 +173,7 @@ class TouchModel:
     @property
     def left(self) -> Array:
         """Measured less predicted, shape (poses, 3) [mm]."""
-        return self._told[0].reshape(-1, 3)
+        return self._evaluated[0].reshape(-1, 3)
 
     @cached_property
     def temperatures(self) -> Array:
@@ -202,7 +202,7 @@ class TouchModel:
     @cached_property
     def _known(self) -> tuple[Array, Array, Array]:
         """y without the usual growth; covariance without what nothing explains; of that, the mask of equal poses."""
-        y, J = self._told
+        y, J = self._evaluated
         own = J @ self.factor
         S = own @ own.T
         usual = self.usual
@@ -252,7 +252,7 @@ class TouchModel:
     def _columns(self, candidate: Candidate) -> Array:
         """How a change moves the touched points, shape (rows, m) [mm]."""
         if candidate.kind != UNKNOWN:
-            return np.asarray(self._told[1] @ candidate.columns)
+            return np.asarray(self._evaluated[1] @ candidate.columns)
         at = 3 * np.repeat(self._poses, 3) + np.tile(np.arange(3), len(self._poses))
         return np.asarray(np.eye(len(candidate.sizes))[at])
 
@@ -308,7 +308,7 @@ class TouchModel:
 
     def _left(self, share: int, rng: np.random.Generator) -> Callable[[Array], Array]:
         """Draws what the calibration left and what today alone differs, from what changes moved, shape (n, rows)."""
-        y, J, P = self._known[0], self._told[1], self.noises[share][1]
+        y, J, P = self._known[0], self._evaluated[1], self.noises[share][1]
         columns, sizes = daily(self.usual)
         D, M = columns * sizes, self.factor @ self.factor.T
         today = self.day == len(self.days)

@@ -171,7 +171,7 @@ class Touches(Result):
         head = {"valid": "STILL VALID", "changed": "NO LONGER VALID", "open": "NOT CERTAIN"}[self.verdict]
         low, high = np.quantile(self.errors, [0.025, 0.975])
         known = float(np.quantile(self.errors, VALID))
-        told: list[Words | Table] = [
+        blocks: list[Words | Table] = [
             Words(
                 f"{head}: the rms error is within {mm(self.tolerance)} mm with a probability of {self.probability:.3f} "
                 f"({len(self.model.days[-1])} touches of {self.model.days[-1].source})",
@@ -185,16 +185,16 @@ class Touches(Result):
         ]
         if self.moved:
             rows = [(n, f"{v:+.4g}", f"{s:.2g}", unit) for n, v, s, unit in self.moved[:8]]
-            told.append(Table("What moved", ("parameter", "by", "std error", "unit"), rows, frozenset({1, 2})))
+            blocks.append(Table("What moved", ("parameter", "by", "std error", "unit"), rows, frozenset({1, 2})))
         before, after, sure = self.gain
         if self.better:
             text = f"Corrected, {mm(after)} mm of {mm(before)} mm of change would be left"
             hint = "" if self.update else ": --update"
-            told.append(Words(f"{text} (better with a probability of {sure:.3f}){hint}."))
+            blocks.append(Words(f"{text} (better with a probability of {sure:.3f}){hint}."))
         if self.more is not None:
-            told.append(self._more())
-        told += [Words(f"note: {note}.", "note") for note in self.notes]
-        return [*told, *self.next]
+            blocks.append(self._more())
+        blocks += [Words(f"note: {note}.", "note") for note in self.notes]
+        return [*blocks, *self.next]
 
     def _more(self) -> Table:
         assert self.more is not None

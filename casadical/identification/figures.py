@@ -239,8 +239,10 @@ def _stiffness(result: Identification) -> list[Words]:
     if result.robot.masses == "estimated":
         gives = any(result.start.parameters[name].group == "compliance" for name in result.names)
         return [Words(in_words(result).capitalize())] if gives else []
-    told = [r for r in _parameters(result) if r["status"] == "identified" and r["group"] == "compliance"]
-    text = ", ".join(f"joint {r['name'][1:]} {stiffness(r['value'], r['std_error'])}" for r in told if r["value"] > 0)
+    identified = [r for r in _parameters(result) if r["status"] == "identified" and r["group"] == "compliance"]
+    text = ", ".join(
+        f"joint {r['name'][1:]} {stiffness(r['value'], r['std_error'])}" for r in identified if r["value"] > 0
+    )
     return [Words(f"Joint stiffness [N m/rad]: {text}")] if text else []
 
 

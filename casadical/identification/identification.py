@@ -256,8 +256,8 @@ def judged(
     if loss == "auto":
         loss = "huber" if outliers else "linear"
     kept = replace(prepared, sets=without_poses(prepared.sets, outliers))
-    found = calibrated(kept, loss=loss, screen=False, **options)
-    return replace(found, measurements=prepared.sets, outliers=outliers)
+    result = calibrated(kept, loss=loss, screen=False, **options)
+    return replace(result, measurements=prepared.sets, outliers=outliers)
 
 
 def compliance_tried(prepared: Prepared, progress: Progress | None = None) -> Prepared:
@@ -284,9 +284,9 @@ def compliance_tried(prepared: Prepared, progress: Progress | None = None) -> Pr
     except (InputError, ConvergenceError):  # too few poses for one of them
         return prepared
     sigmas, squares, freedom = full.problem.sigmas, [], []
-    for found in (rigid, full):
-        problem, v = replace(found.problem, sigmas=sigmas), found.solution.v
-        squares.append(problem.square(v) + problem.prior_square(v, told=True))
+    for start in (rigid, full):
+        problem, v = replace(start.problem, sigmas=sigmas), start.solution.v
+        squares.append(problem.square(v) + problem.prior_square(v, counted=True))
         freedom.append(max(float(problem.redundancies(v).sum()), 1.0))
     more, ratio = max(freedom[0] - freedom[1], 1.0), max(squares[0], 1e-300) / max(squares[1], 1e-300)
     chance = exceeded_by_chance(max(ratio - 1, 0.0) * freedom[1] / more, more, freedom[1])
@@ -326,7 +326,7 @@ def calibrated(
     plain: Loss = "linear" if loss == "auto" else loss
     problem = LeastSquares(start, sets, names, plain, priors, first_sigmas(sets), known=prior.known)
     solve = solve_by_auto if loss == "auto" else solve_without_outliers
-    (reduced, solution, found), outliers = solve(problem, SCREENINGS if screen else 0, progress)
+    (reduced, solution, judged), outliers = solve(problem, SCREENINGS if screen else 0, progress)
     placed = start.effect_values != robot.effect_values  # base and tool of further sessions
     result = Identification(
         given=replace(robot, effect_values=start.effect_values) if placed else robot,
@@ -335,7 +335,7 @@ def calibrated(
         measurements=sets,
         method=prepared.method or "identify",
         loss=reduced.loss,
-        identifiability=found,
+        identifiability=judged,
         problem=reduced,
         solution=solution,
         variance=reduced.variance(solution.v, trimmed=True),

@@ -101,8 +101,8 @@ def _friction(v: Array) -> Array:
 def contradictions(robot: Robot, log: JointLog) -> tuple[str, ...]:
     """Sentences: what a robot file does not say that the log would need, and joints in another order or sign."""
     states = None if without_masses(robot) else states_of(log)
-    found = () if states is None else (*_side(robot, log, states), *_order(robot, log, states))
-    return (*_missing(robot, log), *found)
+    ends = () if states is None else (*_side(robot, log, states), *_order(robot, log, states))
+    return (*_missing(robot, log), *ends)
 
 
 def _missing(robot: Robot, log: JointLog) -> Iterator[str]:
@@ -178,8 +178,8 @@ def _order(robot: Robot, log: JointLog, states: States) -> Iterator[str]:
 def _driving(v: Array, tau: Array, model: Array) -> float:
     """Share of a joint's torque that goes with its speed and its sign where that is against friction, else 0."""
     A = np.column_stack([_friction(v), model])
-    found = np.linalg.lstsq(A / (size := np.linalg.norm(A, axis=0).clip(1e-12)), tau, rcond=None)[0] / size
-    friction = A[:, 1:3] @ found[1:3]
+    x = np.linalg.lstsq(A / (size := np.linalg.norm(A, axis=0).clip(1e-12)), tau, rcond=None)[0] / size
+    friction = A[:, 1:3] @ x[1:3]
     varying = float(np.var(tau))
     return float(np.var(friction)) / varying if varying > 0 and float(friction @ v) < 0 else 0.0
 

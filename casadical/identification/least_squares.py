@@ -116,16 +116,16 @@ class LeastSquares:
     @property
     def degrees_of_freedom(self) -> int:
         """Numbers that were measured or known before, less variables."""
-        return self.residual_count - self.size + int(np.count_nonzero(np.diag(self.prior_matrix)[self._told]))
+        return self.residual_count - self.size + int(np.count_nonzero(np.diag(self.prior_matrix)[self._informed]))
 
     @cached_property
-    def _told(self) -> Array:
+    def _informed(self) -> Array:
         """Mask of the variables whose priors tell something, shape (size,).
 
         The own priors of base and tool say where to look, not where they are: they count as nothing known.
         """
-        told = {*self.given, *(n for names, _ in self.known for n in names)}
-        own = [p.group not in FRAMES or p.name in told for p in self._own]
+        known_before = {*self.given, *(n for names, _ in self.known for n in names)}
+        own = [p.group not in FRAMES or p.name in known_before for p in self._own]
         return np.array([*own, *[False] * (self.size - len(own))], dtype=bool)
 
     @property
@@ -180,11 +180,11 @@ class LeastSquares:
         """Whether no prior holds any variable back."""
         return not (self.priors or self.known or self.guesses.any())
 
-    def prior_square(self, v: Array, *, told: bool = False) -> float:
-        """Squared distance of v from the priors' mean in units of their covariance; told : of those that count."""
+    def prior_square(self, v: Array, *, counted: bool = False) -> float:
+        """Squared distance of v from the priors' mean in units of their covariance; counted : of those that count."""
         if self._free:
             return 0.0
-        departure = np.where(self._told, v - self.prior_mean, 0.0) if told else v - self.prior_mean
+        departure = np.where(self._informed, v - self.prior_mean, 0.0) if counted else v - self.prior_mean
         return float(departure @ self.prior_matrix @ departure)
 
     @cached_property
@@ -289,7 +289,7 @@ class LeastSquares:
             if k < len(self.sets):  # not of separations
                 bad[k].append(~np.isfinite(np.column_stack([r, J.reshape(len(r), -1)])).all(axis=1))
         at = ((m, np.concatenate(some)) for m, some in zip(self.sets, bad, strict=True) if some)
-        return next((found for found in at if found[1].any()), None)
+        return next((each for each in at if each[1].any()), None)
 
     def information(self, v: Array) -> Array:
         """J'WJ at v without the priors, shape (size, size); W : the weights that the loss gives."""
@@ -441,8 +441,8 @@ class LeastSquares:
                 gradient += own.T @ y[at == group]
                 information += own.T @ own
         g, H = self.gradient(v)
-        told = [np.diag(H - information) > ALONE * np.diag(H) for _, information in lost]
-        return np.stack([self._step(v, g - of[0], H - of[1], some) for of, some in zip(lost, told, strict=True)])
+        alone = [np.diag(H - information) > ALONE * np.diag(H) for _, information in lost]
+        return np.stack([self._step(v, g - of[0], H - of[1], some) for of, some in zip(lost, alone, strict=True)])
 
     def _step(self, v: Array, g: Array, H: Array, moves: Array | None = None) -> Array:
         """The step to the least of a quadratic cost inside the bounds, by its gradient and Hessian at v.
@@ -499,7 +499,7 @@ class LeastSquares:
         if self.loss != "linear" and not trimmed:
             typical = float(np.median([robust_std(r) ** 2 for r in self.residuals(v)]))
             return max(least, typical * self.residual_count / freedom)
-        return max(least, (self.square(v) + self.prior_square(v, told=True)) / freedom)
+        return max(least, (self.square(v) + self.prior_square(v, counted=True)) / freedom)
 
     def redundancies(self, v: Array) -> Array:
         """Degrees of freedom of each observed number, one less its leverage; they sum to those of the fit."""

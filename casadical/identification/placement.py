@@ -245,10 +245,10 @@ def _by_unknown_places(robot: Robot, sets: Sequence[Measurements]) -> Robot:
     if not names or problem.residual_count <= problem.size:
         return robot
     try:
-        found = problem.values(problem.solve().v)
+        values = problem.values(problem.solve().v)
     except ConvergenceError:
         return robot
-    point = [found.get(name, value) for name, value in zip(TOOL, robot.tool.T[:3, 3], strict=True)]
+    point = [values.get(name, value) for name, value in zip(TOOL, robot.tool.T[:3, 3], strict=True)]
     return replace(robot, tool=replace(robot.tool, T=frame(robot.tool.T[:3, :3], np.array(point))))
 
 

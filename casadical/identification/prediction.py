@@ -77,7 +77,7 @@ def _sizes(whole: LeastSquares, v: Array, variance: float, given: Robot) -> Arra
     mean = whole.prior_mean / unit
     filed = dict(zip(whole.robot.parameters.names, whole.robot.values_of(given), strict=True))
     mean[frames] = [(filed[own[k].name] - own[k].value) / own[k].prior for k in frames]
-    M, c = _told(whole, v, max(variance, EXACT), unit)
+    M, c = _likelihood(whole, v, max(variance, EXACT), unit)
     grid = np.geomspace(1 / FARTHEST, FARTHEST, POINTS)
     likely = np.add.outer(*(-0.5 * (np.log(grid) / spread) ** 2 for spread in SPREADS[::-1]))
     rest = np.setdiff1d(np.arange(len(v)), arm)
@@ -98,7 +98,7 @@ def _sizes(whole: LeastSquares, v: Array, variance: float, given: Robot) -> Arra
     return sizes
 
 
-def _told(whole: LeastSquares, v: Array, variance: float, unit: Array) -> tuple[Array, Array]:
+def _likelihood(whole: LeastSquares, v: Array, variance: float, unit: Array) -> tuple[Array, Array]:
     """What the data alone tell of all variables, in these units: information and its product with their estimate."""
     g, H = whole.gradient(v)
     product = (H @ v - g - whole.prior_matrix @ whole.prior_mean) * unit / variance

@@ -156,7 +156,7 @@ class Block:
 
     def evaluate(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Residuals, shape (n, m), and Jacobians, shape (n, m, z); x : (p,), u : (K, 3) in solver units."""
-        parts = [found for _, *found in self.parts(x, u)]
+        parts = [part for _, *part in self.parts(x, u)]
         r, J = (np.concatenate(both) if len(parts) > 1 else both[0] for both in zip(*parts, strict=True))
         return r, J
 

@@ -314,8 +314,8 @@ class Columns:
         """
         columns = [self.si(f"q{i}", _UNITS[kind]) for i, kind in enumerate(kinds, 1)]
         for name in map(str, self.table):
-            found = _READING.fullmatch(name)
-            if found and not 1 <= int(found[1]) <= len(kinds):
+            match = _READING.fullmatch(name)
+            if match and not 1 <= int(match[1]) <= len(kinds):
                 raise InputError(f"{self.source}: column {name!r}: this robot has only {len(kinds)} joints")
         return np.stack(columns, axis=1)
 

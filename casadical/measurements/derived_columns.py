@@ -50,8 +50,8 @@ def _derived(m: Measurements, name: str) -> Array | None:
     if lag := re.fullmatch(r"warmth_(\d+)s", name):
         return _warmth(m, float(lag[1]), order)
     for pattern, of_joint in _OF_JOINT.items():
-        if found := re.fullmatch(pattern, name):
-            joint, *way = map(int, found.groups())
+        if match := re.fullmatch(pattern, name):
+            joint, *way = map(int, match.groups())
             known = 1 <= joint <= m.q.shape[1]
             return _back(of_joint(m.q[order, joint - 1], *(1e-3 * w for w in way)), order) if known else None
     return None

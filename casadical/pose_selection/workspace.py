@@ -175,9 +175,9 @@ def _places_function(robot: Robot) -> ca.Function:
     T_M0 = base_frame(rigid, values, ca.DM(rigid.base.T))
     frames = link_frames(rigid, ca.vertsplit(model.q), values)
     points = [(T_M0 @ T)[:3, 3] for T in frames[1:]]
-    told = [ca.densify(ca.horzcat(*points, model.p)), model.R, model.margin]
+    outputs = [ca.densify(ca.horzcat(*points, model.p)), model.R, model.margin]
     names = ["q", "w", "phi"], ["points", "R", "margin"]
-    return ca.Function("places", [model.q, model.w, model.phi], told, *names)
+    return ca.Function("places", [model.q, model.w, model.phi], outputs, *names)
 
 
 def places_about(robot: Robot, q: Array) -> tuple[Array, Array, Array]:

@@ -215,8 +215,8 @@ class Calibration(Result):
     def _method_json(self, method: str) -> dict[str, Any]:
         """A method with its errors on every set; where poses are far off, without these, too."""
         usual = outcome.usual_held_out(self.problem, self.identifications[method].robot)
-        told = self.written[method].to_json()
-        last = {key: told.pop(key) for key in ("parameters", "modified_dh")}
+        written = self.written[method].to_json()
+        last = {key: written.pop(key) for key in ("parameters", "modified_dh")}
         sets = {
             name: {
                 **states["calibrated"].to_json(),
@@ -226,7 +226,7 @@ class Calibration(Result):
             }
             for name, states in self.accuracies[method].items()
         }
-        return {**told, "sets": sets, **last}
+        return {**written, "sets": sets, **last}
 
     def files(self, folder: str | Path) -> dict[Path, str]:
         """What is kept, by file in a folder: all figures, of each method robot and parameters, or compensator."""
@@ -329,8 +329,8 @@ def calibrate(
 
         skcm, names = results["SKCM"], problem.networks
         trained = train_networks(problem, skcm, names, seed=problem.seed, show=progress, judged=used)
-    told = together(used).items()
-    accuracies = {k: {to: r.accuracy(*(used[n] for n in names)) for to, names in told} for k, r in results.items()}
+    sets = together(used).items()
+    accuracies = {k: {to: r.accuracy(*(used[n] for n in names)) for to, names in sets} for k, r in results.items()}
     alone = accuracy_without_prior(plain, results) if plain else None
     return Calibration(problem, results, accuracies, trained, alone, _refitted(problem, results, show))
 

@@ -90,7 +90,7 @@ def pose_errors(problem: Problem, results: Identifications, networks: Networks |
     Of the poses by which all methods are judged. Refused networks are there as they were trained, and say so.
     """
     order, robot = list(SETS), list(results.values())[-1].robot
-    told = {}
+    by_name = {}
     whole, used = dict(problem.parts()), used_poses(problem, results)
     for name in sorted(used, key=lambda name: order.index(name.split("/")[0])):
         m, every = used[name], whole[name]
@@ -98,8 +98,8 @@ def pose_errors(problem: Problem, results: Identifications, networks: Networks |
         rows = zip(every.row[out], errors(robot, every)[out], strict=True)
         left_out = tuple(LeftOut(every.source, int(row), float(e)) for row, e in rows)
         models = tuple(_models(m, problem, results, networks))
-        told[name] = PoseErrors(name, name.startswith("report"), m.row, m.q, m.position, models, m.source, left_out)
-    return told
+        by_name[name] = PoseErrors(name, name.startswith("report"), m.row, m.q, m.position, models, m.source, left_out)
+    return by_name
 
 
 def _models(

@@ -326,26 +326,26 @@ def certificate(
     if folder is None:
         raise InputError(f"{place}: the problem folder that was calibrated is not beside it; name it with --problem")
     stated = load_json(place.parent / "result.json")
-    found, robot, method = read_problem(folder), read_robot(place), place.name.removesuffix(".robot.toml")
-    sets = [m.positions_alone() for m in found.sets.get("report", ()) if m.position is not None]
+    calibrated, robot, method = read_problem(folder), read_robot(place), place.name.removesuffix(".robot.toml")
+    sets = [m.positions_alone() for m in calibrated.sets.get("report", ()) if m.position is not None]
     if not sets:
         raise InputError(f"{folder}: no measured positions were held out; a certificate needs [sets] report")
     refit = int(stated.get("refit_poses", 0))
     if refit:  # the file's robot has seen the held-out poses: that of the others is judged, as it was then
-        robot = with_knowledge(calibrate(replace(found, whole=()), method=method).identification)
+        robot = with_knowledge(calibrate(replace(calibrated, whole=()), method=method).identification)
     _refuse_others(stated, method, robot, sets, place)
     for m in sets:
-        check_against(found.robot, m)
-    every = [m for parts in found.sets.values() for m in parts]
+        check_against(calibrated.robot, m)
+    every = [m for parts in calibrated.sets.values() for m in parts]
     budget = partial(budget_of, held_out=sets, known=said.known, repeats=repeats_of(robot, every))
-    nominal = budget(found.robot, groups=("base", "tool"))
+    nominal = budget(calibrated.robot, groups=("base", "tool"))
     own = budget(robot)
     p = np.concatenate([m.position for m in sets if m.position is not None])
     T = robot.base.T
     iso = iso9283_test(place, [iso9283]) if iso9283 else None
-    tables = [path for t in found.tables if (path := folder / str(t["file"])).is_file()]
+    tables = [path for t in calibrated.tables if (path := folder / str(t["file"])).is_file()]
     files = (place, place.parent / "result.json", *tables, *(Path(p) for p in (details, iso9283) if p))
-    return Certificate(found, method, said, nominal, own, (p - T[:3, 3]) @ T[:3, :3], files, iso, refit)
+    return Certificate(calibrated, method, said, nominal, own, (p - T[:3, 3]) @ T[:3, :3], files, iso, refit)
 
 
 def _refuse_others(

@@ -34,26 +34,26 @@ def every_fault(error: InputError, paths: Iterable[Path], *, later: bool = False
     paths : problem folders, robot files and tables; not joint logs, nor tables that take long to read
     later : whether rows with a cell that is no number are left out of tables
     """
-    found, given = _Collected([error]), list(paths)
+    collected, given = _Collected([error]), list(paths)
     tables = [path for path in given if path.suffix.lower() in TABLES and not is_log(path)]
     robot: Robot | None = None
     joints: list[str] = []
     source = next((path for path in given if path.suffix.lower() not in TABLES), Path())
     for path in given:
         if (path / "problem.toml").is_file():
-            file = found.tried(_problem_file, path, found) or ProblemFile(casadical=1, title="")
+            file = collected.tried(_problem_file, path, collected) or ProblemFile(casadical=1, title="")
             place, urdf = path / file.robot, file.urdf or UrdfTable()
-            own = _robot(found, place, urdf)
+            own = _robot(collected, place, urdf)
             for data in () if tables and not later else file.measurements:  # others are given in their place
-                found.tried(_read, path / data.file, data, *own, False)
+                collected.tried(_read, path / data.file, data, *own, False)
         elif path.suffix.lower() not in TABLES and path.is_file() and _is_robot(path):
-            own = _robot(found, path, UrdfTable())
+            own = _robot(collected, path, UrdfTable())
         else:
             continue
         robot, joints = (robot, joints) if joints else own
     for path in tables:
-        found.tried(_beside, source, path, robot, joints, later)
-    return FaultsError.joined(found.errors)
+        collected.tried(_beside, source, path, robot, joints, later)
+    return FaultsError.joined(collected.errors)
 
 
 def each_of(steps: Iterable[Callable[[], Read]]) -> list[Read]:

@@ -188,13 +188,13 @@ class Iso9283(Result):
         said = f"ISO 9283 figures of {self.robot}: AP {mm(AP)} mm, RP {mm(RP)} mm (the greatest of the poses)"
         said += f", vAP {mm(max(self.directions.values()))} mm" if self.directions else ""
         said += f", dAP {mm(self.drift[0])} mm, dRP {mm(self.drift[1])} mm" if self.drift else ""
-        told: list[Words | Table] = [Words(f"{said}.", "verdict"), self.table()]
+        blocks: list[Words | Table] = [Words(f"{said}.", "verdict"), self.table()]
         if self.model is not None:
             text = f"The calibrated model leaves {mm(self.model)} mm rms at the mean places"
             if self.promised:
                 text += f"; its calibration stated {mm(self.promised)} mm for single held-out poses"
-            told.append(Words(f"{text}. AP is the error of the commands, RP that of the robot in itself."))
-        return [*told, *(Words(f"note: {note}.", "note") for note in self.notes)]
+            blocks.append(Words(f"{text}. AP is the error of the commands, RP that of the robot in itself."))
+        return [*blocks, *(Words(f"note: {note}.", "note") for note in self.notes)]
 
     def table(self) -> Table:
         """A row a pose."""

@@ -46,12 +46,12 @@ class NetworkResult:
         return f"{self.method}: {self.why if self.compensator is None else self.compensator.verdict}"
 
     def to_json(self) -> dict[str, Any]:
-        told: dict[str, Any] = {"verdict": self.verdict, "helps": self.helps}
+        answer: dict[str, Any] = {"verdict": self.verdict, "helps": self.helps}
         c = self.compensator
         if c is None:
-            return told
+            return answer
         parts = {"train": c.training, "choose": c.choice, "report": c.validation}
-        return told | {
+        return answer | {
             "trainer": c.trainer,
             "settings": c.settings,
             "seed": c.seed,

@@ -43,7 +43,7 @@ def left_out_table(identifications: Mapping[str, Identification]) -> list[Table]
     if not rows:
         return []
     methods = list(identifications)
-    cells = [(source, str(row), *(found.get(m, "used") for m in methods)) for (source, row), found in rows.items()]
+    cells = [(source, str(row), *(used.get(m, "used") for m in methods)) for (source, row), used in rows.items()]
     title = "Rows left out of the fit and of the figures as outliers: error [mm]"
     return [Table(title, ("file", "row", *methods), cells, frozenset(range(1, 2 + len(methods))))]
 
@@ -123,9 +123,9 @@ def _notes(problem: Problem, last: Identification, networks: Networks | None) ->
     held = len(last.identifiability.held)
     known, table = len(last.identified), last.parameters
     before = int((table["reason"] == AS_BEFORE)[table["name"].isin(last.identified)].sum())
-    told = f" ({before} as the prior has them)" if before else ""
+    knowledge = f" ({before} as the prior has them)" if before else ""
     poses = sum(len(m) for m in last.measurements) - len(last.outliers)
-    yield Words(f"{known} parameters identified from {poses} poses{told}, {held} are not identifiable.", "note")
+    yield Words(f"{known} parameters identified from {poses} poses{knowledge}, {held} are not identifiable.", "note")
     if problem.data is None:
         yield Words("It is not said whether the data are real or synthetic (data in problem.toml).", "note")
 

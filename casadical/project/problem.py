@@ -319,11 +319,11 @@ def _separations(data: DataTable) -> list[tuple[str, str, float]]:
 def _columns(raw: RawTable, data: DataTable, robot: Robot) -> Columns:
     meaning = understood(raw, robot, data.sources, data.kind)
     refuse_open(raw, meaning)
-    found = Columns.of_file(raw).mapped({**meaning.sources, **data.sources}, data.point_from)
-    found = found.with_tools(data.tools) if data.tools else found
+    columns = Columns.of_file(raw).mapped({**meaning.sources, **data.sources}, data.point_from)
+    columns = columns.with_tools(data.tools) if data.tools else columns
     if data.session:
-        found = replace(found, table=found.table.assign(session=data.session))
-    return with_coupled(found.without(data.leave_out, "leave_out"), robot)
+        columns = replace(columns, table=columns.table.assign(session=data.session))
+    return with_coupled(columns.without(data.leave_out, "leave_out"), robot)
 
 
 def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> tuple[Measurements, dict[str, Measurements]]:

@@ -74,8 +74,8 @@ def error_tables(problem: Problem, accuracies: Accuracies, networks: Networks | 
 
 def _error(problem: Problem, name: str) -> str:
     """What a set's figures are errors of; name : SET or SET/KIND, as in the accuracies."""
-    found = {m.kind for part, m in problem.parts() if f"{part}/".startswith(f"{name}/")}
-    kinds = {"position" if find_kind(kind).lengths == 3 else kind.replace("_", " ") for kind in found}
+    of_kind = {m.kind for part, m in problem.parts() if f"{part}/".startswith(f"{name}/")}
+    kinds = {"position" if find_kind(kind).lengths == 3 else kind.replace("_", " ") for kind in of_kind}
     return "position error" if kinds == {"position"} else f"error of {' and '.join(sorted(kinds))}"
 
 

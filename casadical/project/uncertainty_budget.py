@@ -109,8 +109,8 @@ class Budget:
     @property
     def freedom(self) -> float:
         """Effective degrees of freedom."""
-        told = sum(line.u**4 / line.freedom for line in self.lines)
-        return float(self.u_square**4 / told) if told else ENDLESS
+        weighted = sum(line.u**4 / line.freedom for line in self.lines)
+        return float(self.u_square**4 / weighted) if weighted else ENDLESS
 
     @property
     def factor(self) -> float:

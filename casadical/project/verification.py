@@ -83,7 +83,7 @@ class Verification(Result):
 
     def blocks(self) -> list[Words | Table]:
         text = f"{'STILL VALID' if self.valid else 'NO LONGER VALID'}: {mm(self.found)} mm rms on {self.n} poses"
-        told = [
+        blocks = [
             Words(f"{text}, promised {mm(self.promised)} mm ({self.found / self.promised:.2f} times)", "verdict"),
             Words(
                 f"Up to {mm(self.limit)} mm would be chance; {self.n} poses show an error of {mm(self.seen)} mm "
@@ -94,18 +94,18 @@ class Verification(Result):
         ]
         if self.gone:
             text = f"{', '.join(self.gone)}: what the instrument of the calibration did is left out of the model."
-            told.append(Words(text, "note"))
-        told += [Words(f"note: {note}.", "note") for note in self.notes]
+            blocks.append(Words(text, "note"))
+        blocks += [Words(f"note: {note}.", "note") for note in self.notes]
         if self.far:
             text = f"Far off: {rows_in_words(self.far, of=self.tables)}"
             if self.without is not None:
                 text += f"; without them it is {mm(self.without)} mm{', as promised' * (self.without <= self.limit)}"
-            told.append(Words(f"{text}.", "warning"))
+            blocks.append(Words(f"{text}.", "warning"))
         if self.lost:
             several = len(self.tables) > 1
             listed = ", ".join(f"{row} of {source}" if several else str(row) for source, row in self.lost)
-            told.append(Words(f"Left out, a cell is no number: row {listed}.", "warning"))
-        return [*told, *self.next]
+            blocks.append(Words(f"Left out, a cell is no number: row {listed}.", "warning"))
+        return [*blocks, *self.next]
 
     @property
     def next(self) -> tuple[Words, ...]:
@@ -168,8 +168,8 @@ def verify(
     refuse_shared_rows(sets)
     kind = _kind_of(sets)
     promised = promised_rms(place, kind) if promised_mm is None else _in_metres(promised_mm, "promised_mm")
-    arm, told, notes = with_targets_of_rows(arm, sets)
-    prepared = prepare(arm, [m.positions_alone() if m.position is not None else m for m in told])
+    arm, named, notes = with_targets_of_rows(arm, sets)
+    prepared = prepare(arm, [m.positions_alone() if m.position is not None else m for m in named])
     placing = _Placing.needed_by(prepared)
     placing.refuse_too_few(", ".join(map(str, given)))
     placed, k = prepared.robot, 0

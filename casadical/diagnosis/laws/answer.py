@@ -90,12 +90,12 @@ class Discovery(Result):
     def effects(self) -> tuple[Effect, ...]:
         """Effects of the model that is kept."""
         laws = tuple(s.law for s in self.laws)
-        found = {
+        effects = {
             "law": (*self.causes, *laws),
             "smooth": self.diagnosis.effects(unlisted=self.smooth),
             "causes": self.diagnosis.effects(),
         }
-        return found.get(self.kept, ())
+        return effects.get(self.kept, ())
 
     def refit(self) -> Identification:
         """Base model and the effects that are kept identified together.
@@ -131,31 +131,31 @@ class Discovery(Result):
 
     def blocks(self) -> list[Words | Table]:
         """What is claimed, what competes, and what each model leaves."""
-        told: list[Words | Table] = []
+        blocks: list[Words | Table] = []
         for s, line in zip(self.laws, self.lines, strict=True):
-            told.append(Words(f"LAW  {line}", "verdict"))
-            told.append(Words(f"{_factors(self, s)}{_settings(s)}"))
+            blocks.append(Words(f"LAW  {line}", "verdict"))
+            blocks.append(Words(f"{_factors(self, s)}{_settings(s)}"))
         if not self.laws:
-            told.append(Words(f"No law is claimed. {_why_not(self.rounds[0])}", "verdict"))
+            blocks.append(Words(f"No law is claimed. {_why_not(self.rounds[0])}", "verdict"))
         causes = ", ".join(e.label for e in (self.causes if self.laws else self.diagnosis.effects()))
         if causes:
-            told.append(Words(f"Listed effects in the model: {causes}."))
+            blocks.append(Words(f"Listed effects in the model: {causes}."))
         for number, r in enumerate(self.rounds, 1):
-            told.append(
+            blocks.append(
                 _table(r, "Laws that compete" if len(self.rounds) == 1 else f"Laws that compete, round {number}")
             )
         if self.thinned:
-            told.append(Words("Laws were searched on {} of {} poses.".format(*self.thinned), "note"))
-        told.append(Words(NATS, "note"))
-        told.append(_gaps(self))
+            blocks.append(Words("Laws were searched on {} of {} poses.".format(*self.thinned), "note"))
+        blocks.append(Words(NATS, "note"))
+        blocks.append(_gaps(self))
         if self.shrink:
             low, high = self.shrink[1]
             shares = f"{_share(self.shrink[0])} ({_share(low)} to {_share(high)})"
-            told.append(Words(f"Held out, settings chosen again in each fold, the error is {shares} smaller."))
-        told.append(
+            blocks.append(Words(f"Held out, settings chosen again in each fold, the error is {shares} smaller."))
+        blocks.append(
             Words(f"In the model that is kept: {_MODELS[self.kept]}, which predicts held-out poses best.", "note")
         )
-        return told
+        return blocks
 
     @cached_property
     def remainder(self) -> Array:

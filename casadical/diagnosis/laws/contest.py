@@ -171,12 +171,12 @@ def held_out(case: Case, columns: Array, laws: Sequence[Scored], noise: Noise, s
 
 def _columns(base: Evidence, laws: Sequence[Scored], train: Array) -> list[Array]:
     """Columns at all poses of the laws with the settings that are best for some of them, shape (n, 3, w) each."""
-    found: list[Array] = []
+    columns: list[Array] = []
     for law in laws:
-        known = np.concatenate([np.zeros((*base.r.shape, 0)), *found], axis=2)
+        known = np.concatenate([np.zeros((*base.r.shape, 0)), *columns], axis=2)
         e = replace(base.with_known(known, np.full(known.shape[2], CHOSEN)), E=np.zeros((*base.r.shape, 1)), held=None)
-        found.append(_best(Problem(e.at(train)), law, train))
-    return found
+        columns.append(_best(Problem(e.at(train)), law, train))
+    return columns
 
 
 def _best(problem: Problem, law: Scored, train: Array) -> Array:

@@ -47,32 +47,32 @@ class Driver:
 
 def drivers_of(arm: Arm) -> list[Driver]:
     """Every driver of a robot, whether its columns were logged or not."""
-    found = [Driver(f"q{i}", "angle", "angle") for i in arm.numbers]
+    drivers = [Driver(f"q{i}", "angle", "angle") for i in arm.numbers]
     for i in arm.numbers[:-1]:
-        found += [Driver(f"q{i} {sign} q{i + 1}", "angle", "angles") for sign in "+-"]
+        drivers += [Driver(f"q{i} {sign} q{i + 1}", "angle", "angles") for sign in "+-"]
         unequal = (f"{a}q{i} {sign} {b}q{i + 1}" for a, b in (("2*", ""), ("", "2*")) for sign in "+-")
-        found += [Driver(text, "weighted", "angles") for text in unequal]
-    found += [Driver(f"tau{i}", "signed", "load") for i in arm.numbers]
-    found += [Driver(f"m{i}{c}", "signed", "moment") for i in arm.numbers for c in "xy"]
-    found += [Driver(f"sqrt(m{i}x**2 + m{i}y**2 + m{i}z**2)", "positive", "moment") for i in arm.numbers]
-    found += [Driver(f"g{c}", "signed", "gravity") for c in "xyz"]
-    found += [Driver("sqrt(px**2 + py**2)", "positive", "place"), Driver("pz", "positive", "place")]
-    found += [Driver("t", "time", "time"), Driver("warmth", "positive", "warmth")]
-    found += [Driver(f"warmth_{lag}s", "positive", "warmth") for lag in LAGS]
-    found.append(Driver("payload", "linear", "payload"))
+        drivers += [Driver(text, "weighted", "angles") for text in unequal]
+    drivers += [Driver(f"tau{i}", "signed", "load") for i in arm.numbers]
+    drivers += [Driver(f"m{i}{c}", "signed", "moment") for i in arm.numbers for c in "xy"]
+    drivers += [Driver(f"sqrt(m{i}x**2 + m{i}y**2 + m{i}z**2)", "positive", "moment") for i in arm.numbers]
+    drivers += [Driver(f"g{c}", "signed", "gravity") for c in "xyz"]
+    drivers += [Driver("sqrt(px**2 + py**2)", "positive", "place"), Driver("pz", "positive", "place")]
+    drivers += [Driver("t", "time", "time"), Driver("warmth", "positive", "warmth")]
+    drivers += [Driver(f"warmth_{lag}s", "positive", "warmth") for lag in LAGS]
+    drivers.append(Driver("payload", "linear", "payload"))
     for i in arm.numbers:
-        found += [Driver(f"approach{i}", "linear", "approach"), Driver(f"move{i}", "signed", "move")]
-        found += [Driver(f"play{i}_{play}mrad", "play", "play") for play in PLAYS]
+        drivers += [Driver(f"approach{i}", "linear", "approach"), Driver(f"move{i}", "signed", "move")]
+        drivers += [Driver(f"play{i}_{play}mrad", "play", "play") for play in PLAYS]
         memories = [f"memory{i}_{way}mrad" for way in WAYS]
-        found += [Driver(f"{own}{m}", "linear", "memory") for m in memories for own in ("", f"tau{i}*")]
-        found += [Driver(f"approach{i}*{other}", "linear", "approach") for other in (f"tau{i}", f"abs(tau{i})", "t")]
+        drivers += [Driver(f"{own}{m}", "linear", "memory") for m in memories for own in ("", f"tau{i}*")]
+        drivers += [Driver(f"approach{i}*{other}", "linear", "approach") for other in (f"tau{i}", f"abs(tau{i})", "t")]
         parts = (f"q{i}", f"tau{i}", f"sin(q{i})", f"cos(q{i})")
-        found += [Driver(f"{own}*{other}", "linear", "product") for own in parts for other in ("t", WARM)]
-        found.append(Driver(f"tau{i}*payload", "linear", "product"))
+        drivers += [Driver(f"{own}*{other}", "linear", "product") for own in parts for other in ("t", WARM)]
+        drivers.append(Driver(f"tau{i}*payload", "linear", "product"))
     pairs = [(i, j) for i in arm.numbers for j in arm.numbers if i < j]
-    found += [Driver(f"tau{i}*tau{j}", "linear", "product") for i, j in pairs]
-    found += [Driver(f"approach{i}*approach{j}", "linear", "approach") for i, j in pairs]
-    return found
+    drivers += [Driver(f"tau{i}*tau{j}", "linear", "product") for i, j in pairs]
+    drivers += [Driver(f"approach{i}*approach{j}", "linear", "approach") for i, j in pairs]
+    return drivers
 
 
 WARM = "warmth_600s"
@@ -91,15 +91,15 @@ def values_of(linear: Linearisation, drivers: Sequence[Driver]) -> tuple[list[Dr
     at = variables(linear, names)
     values = [np.asarray(parse(d.text).values(at, NUMERIC)[0]) for d in drivers]
     kept = [k for k, v in enumerate(values) if np.ptp(v) > LEAST_SPREAD and np.abs(v).max() < LARGEST]
-    found = [replace(drivers[k], kind="linear") if len(np.unique(values[k])) < 3 else drivers[k] for k in kept]
-    return found, np.stack([values[k] for k in kept], axis=1)
+    varying = [replace(drivers[k], kind="linear") if len(np.unique(values[k])) < 3 else drivers[k] for k in kept]
+    return varying, np.stack([values[k] for k in kept], axis=1)
 
 
 def own_drivers() -> list[Driver]:
     """Drivers of every joint at once, each by its own: names without the joint's number."""
-    found = [Driver("q", "angle", "angle"), Driver("tau", "signed", "load"), Driver("move", "signed", "move")]
-    found += [Driver(text, "linear", "approach") for text in ("approach", "approach*tau", "approach*t")]
-    return [*found, *(Driver(f"{own}*{other}", "linear", "product") for own in ("q", "tau") for other in ("t", WARM))]
+    drivers = [Driver("q", "angle", "angle"), Driver("tau", "signed", "load"), Driver("move", "signed", "move")]
+    drivers += [Driver(text, "linear", "approach") for text in ("approach", "approach*tau", "approach*t")]
+    return [*drivers, *(Driver(f"{own}*{other}", "linear", "product") for own in ("q", "tau") for other in ("t", WARM))]
 
 
 def own_values(linear: Linearisation, known: Mapping[str, Array], driver: Driver) -> Array:
@@ -112,15 +112,15 @@ def own_values(linear: Linearisation, known: Mapping[str, Array], driver: Driver
 def variables(linear: Linearisation, names: Sequence[str]) -> dict[str, Array]:
     """Values of names of formulas at the poses, shape (n,) each, from what they do as a shift of the foot."""
     unit = linear.columns([Law(None, "base shift", "[a, 0, 0]")])[:, :, 0]
-    found: dict[str, Array] = {}
+    values: dict[str, Array] = {}
     for first in range(0, len(names), len(LETTERS)):
         some = dict(zip(LETTERS, names[first:], strict=False))
         terms = " + ".join(f"{letter}*{name}" for letter, name in some.items())
         law = Law(None, "base shift", f"[{terms}, 0, 0]", tuple((letter, 1e-5) for letter in some))
         columns = linear.columns([law])
         share = (columns * unit[:, :, None]).sum(axis=1) / (unit**2).sum(axis=1)[:, None]
-        found.update(zip(some.values(), share.T, strict=True))
-    return found
+        values.update(zip(some.values(), share.T, strict=True))
+    return values
 
 
 # Cycles per turn of an angle: of slow waves, and of fine ones, which need so many poses.
@@ -154,21 +154,21 @@ class Form:
         """
         names = {"x": x[..., None], **{n: settings[None, :, i] for i, n in enumerate(self.settings)}}
         names |= {n: value[:, None] for n, value in self.also.items()}
-        found = [parse(part).values(names, NUMERIC)[0] for part in self.parts]
-        return np.stack([np.broadcast_to(part, (*x.shape, len(settings))) for part in found])
+        parts = [parse(part).values(names, NUMERIC)[0] for part in self.parts]
+        return np.stack([np.broadcast_to(part, (*x.shape, len(settings))) for part in parts])
 
     def texts(self, driver: str, settings: Sequence[float]) -> tuple[str, ...]:
         """Its parts written out for a driver and settings."""
         given = dict(zip(self.settings, settings, strict=True))
-        found = []
+        texts = []
         for part in self.parts:
             text = part
             if given.get("k", 0.0) < 0:
                 text = text.replace("x - k", f"x + {number(-given['k'])}")
             for name, value in given.items():
                 text = re.sub(rf"\b{name}\b", number(value), text)
-            found.append(re.sub(r"\bx\b", _bracketed(driver), text))
-        return tuple(found)
+            texts.append(re.sub(r"\bx\b", _bracketed(driver), text))
+        return tuple(texts)
 
 
 def _bracketed(driver: str) -> str:

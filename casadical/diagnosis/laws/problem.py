@@ -104,9 +104,9 @@ class Screen:
         least : laws that cannot reach this are not judged, and have `NEVER`
         """
         if least > 0:
-            found, can = np.full(len(b), NEVER), self.reach(G, b) >= least
-            found[can] = self.gains(G[can], b[can])
-            return found
+            gains, can = np.full(len(b), NEVER), self.reach(G, b) >= least
+            gains[can] = self.gains(G[can], b[can])
+            return gains
         rows = self.rows
         least = float(SIGMAS[0]) ** 2
         before = max(self.square / rows, least)
@@ -178,22 +178,22 @@ class Seam:
 def seams_at(robot: Robot) -> list[Law]:
     """Laws with a constant formula at every place that all drivers may act at."""
     vector = (("a", 1e-5), ("b", 1e-5), ("c", 1e-5))
-    found = [Law(j, "joint", "a") for j in robot.numbers]
-    found += [Law(j, seam, "[a, b, c]", vector) for seam in ("tilt", "shift") for j in robot.numbers]
+    seams = [Law(j, "joint", "a") for j in robot.numbers]
+    seams += [Law(j, seam, "[a, b, c]", vector) for seam in ("tilt", "shift") for j in robot.numbers]
     # The last link's shift is the tool's, and the foot's is the measuring frame's.
-    found = [law for law in found if (law.seam, law.joint) != ("shift", robot.n)]
-    found += [Law(None, seam, "[a, b, c]", vector) for seam in ("base tilt", "base shift", "tool shift")]
-    return [*found, *([Law(None, "payload", "a", (("a", 0.01),))] if robot.payload else [])]
+    seams = [law for law in seams if (law.seam, law.joint) != ("shift", robot.n)]
+    seams += [Law(None, seam, "[a, b, c]", vector) for seam in ("base tilt", "base shift", "tool shift")]
+    return [*seams, *([Law(None, "payload", "a", (("a", 0.01),))] if robot.payload else [])]
 
 
 def stations(robot: Robot) -> list[Law]:
     """Constant laws along the beam of instruments that stand around the robot, and of one at the frame's origin."""
     middle, reach = robot.base.T[:3, 3], robot.reach
-    found = [np.zeros(3)]
+    places = [np.zeros(3)]
     for far in DISTANCES:
         for turn in 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS:
-            found.append(middle + reach * np.array([far * np.cos(turn), far * np.sin(turn), 0.5]))
-    return [Law(None, "beam", "a", station=_rounded(at)) for at in found]
+            places.append(middle + reach * np.array([far * np.cos(turn), far * np.sin(turn), 0.5]))
+    return [Law(None, "beam", "a", station=_rounded(at)) for at in places]
 
 
 def _rounded(at: Array) -> tuple[float, float, float]:
@@ -351,8 +351,8 @@ class Problem:
         edges = np.cumsum([0, *(c.shape[2] for c in columns)])
         judged = self.evidence.marginals.of_others(ArrayColumns(np.concatenate(columns, axis=2)), CHOSEN)
         groups = [np.arange(a, b) for a, b in itertools.pairwise(edges)]
-        found: Array = judged.log_grids(groups) + np.log(KAPPA_WEIGHTS)
-        return found
+        logs: Array = judged.log_grids(groups) + np.log(KAPPA_WEIGHTS)
+        return logs
 
     def evidences(self, columns: Sequence[Array]) -> Array:
         """Exact log evidence over none of each law, shape (laws,)."""
@@ -373,8 +373,8 @@ class Problem:
 
     def gains(self, seam: Seam, functions: Array) -> Array:
         """Log evidence of laws at a place, shape (K,); functions : in units of their scales, as of `Form.values`."""
-        found = []
+        gains = []
         for share, screen in self.screens:
             G, b = screen.products(seam.columns * seam.size, functions)
-            found.append(share + screen.gains(G, b, self.least - share))
-        return log_mean(np.stack(found))
+            gains.append(share + screen.gains(G, b, self.least - share))
+        return log_mean(np.stack(gains))

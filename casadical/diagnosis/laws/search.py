@@ -91,14 +91,14 @@ class _Rough:
 
 def _of_block(seam: Seam, block: _Block, gains: Array, keep: int) -> list[_Rough]:
     means = _means(gains, block.edges)
-    found = []
+    rough = []
     for k in ranked(means, logs=True)[:keep]:
         driver, form, x, settings = block.drivers[k]
         own = gains[block.edges[k] : block.edges[k + 1]]
         best = first_of_best(own, logs=True)
         tried = Tried((seam,), driver, form, (x,))
-        found.append(_Rough(tried, 0, settings[best], float(own[best]), float(means[k])))
-    return found
+        rough.append(_Rough(tried, 0, settings[best], float(own[best]), float(means[k])))
+    return rough
 
 
 def _everywhere(problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequence[Seam]) -> Iterator[_Rough]:
@@ -225,14 +225,14 @@ def search_laws(case: Case, chosen: Array, without: frozenset[str] = frozenset()
     grids = problem.grids([columns for _, columns in made])
     exact = problem.over_none(grids)
     scored = [float(e - r.best + r.mean - prices[k]) for e, r, k in zip(exact, some, order, strict=False)]
-    found = []
+    laws = []
     for rank, k in enumerate(ranked(scored, logs=True)):
         if made[k][0].label not in without:
             r, (law, columns) = some[k], made[k]
             errors, noise = np.full(len(r.settings), np.nan), likely_noise(grids[k])
             s = Scored(law, r.tried, r.seam, r.settings, scored[k], float(exact[k]), columns, noise, errors)
-            found.append(refined(problem, s) if rank < REFINED else s)
-    return [found[k] for k in ranked([s.score for s in found], logs=True)]
+            laws.append(refined(problem, s) if rank < REFINED else s)
+    return [laws[k] for k in ranked([s.score for s in laws], logs=True)]
 
 
 # Steps of a refinement, first as shares of the driver's range (of a width: factors), halved when none helps.
@@ -299,7 +299,7 @@ def refined_settings(
 
 def _sigmas(problem: Problem, tried: Tried, seam: int, settings: Array, evidence: float) -> Array:
     """One sigma of each setting alone: where the log evidence has fallen by a half, from steps of growing size."""
-    found = np.empty(len(settings))
+    sigmas = np.empty(len(settings))
     for k in range(len(settings)):
         steps = np.array([0.003, 0.006, 0.012, 0.025, 0.05, 0.1])
         moved = [_moved(tried, seam, settings, k, s) for s in (*steps, *-steps)]
@@ -307,5 +307,5 @@ def _sigmas(problem: Problem, tried: Tried, seam: int, settings: Array, evidence
         fallen = evidence - np.maximum(logs[: len(steps)], logs[len(steps) :])
         beyond = np.flatnonzero(fallen > 0.5)
         at = int(beyond[0]) if len(beyond) else len(steps) - 1
-        found[k] = abs(moved[at][k] - settings[k]) / np.sqrt(max(2 * float(fallen[at]), 1.0))
-    return found
+        sigmas[k] = abs(moved[at][k] - settings[k]) / np.sqrt(max(2 * float(fallen[at]), 1.0))
+    return sigmas

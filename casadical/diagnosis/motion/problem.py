@@ -270,7 +270,7 @@ def motion_case(
     noise = following(residual, first, floor, trust, of_log)
     case = MotionCase(
         (), (), (), residual, J, nothing, first, noise,
-        of_log, parts, floor, trust, *_told(log),
+        of_log, parts, floor, trust, *_reported(log),
     ).renewed()  # fmt: skip
     return case if chosen is None else with_candidates(case, log, chosen)
 
@@ -296,7 +296,7 @@ def _trust(one: Look, rows: int) -> Array:
     return trust
 
 
-def _told(log: Look) -> tuple[Array, str | None, tuple[Array, ...]]:
+def _reported(log: Look) -> tuple[Array, str | None, tuple[Array, ...]]:
     """What a report says of the log: scale and unit of its residual, and over what it is looked at."""
     arm, unit, scale = log.arm, None, log.great / log.gain
     if log.motion.torque is not None:
@@ -387,7 +387,7 @@ def columns_of(look: Look, effect: MotionEffect) -> list[Mapping[int, Array]]:
     for seam in MOTION_SEAMS:
         if seam not in effect.formulas:
             continue
-        numbered = {name: found for name in effect.drivers if (found := MOTION_OF.fullmatch(name))}
+        numbered = {name: match for name in effect.drivers if (match := MOTION_OF.fullmatch(name))}
         if not {numbered[k][1] if k in numbered else k for k in effect.drivers} <= known.keys():
             return []
         where = range(n) if seam.endswith("s") else [(effect.joint or 1) - 1]

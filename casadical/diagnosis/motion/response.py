@@ -136,11 +136,11 @@ class Response:
 
     def drive(self) -> Drive:
         """The table [drive] with what was found, and what was known beside."""
-        found = {
+        numbers = {
             "kp": self.gain, "bias": self.bias, "friction": self.friction, "damping": self.damping,
             "rotor_inertia_at_joint": self.armature, "delay": self.delay,
         }  # fmt: skip
-        rounded: dict[str, Any] = {name: [float(f"{v:.4g}") for v in each] for name, each in found.items()}
+        rounded: dict[str, Any] = {name: [float(f"{v:.4g}") for v in each] for name, each in numbers.items()}
         if self.floor:
             rounded["floor"] = round(self.floor.height, 4)
         return (self.dynamics.given.drive or Drive()).model_copy(update=rounded)

@@ -67,8 +67,8 @@ class LogDiagnosis(Result):
         """explained, by causes or the log's own faults, ambiguous, unknown (more than a usual arm has), or none."""
         if self.faults or self.claims:
             return "explained"
-        told = self.outcome.verdict
-        return told if told in ("none", "ambiguous") and not self.fitting else "unknown"
+        verdict = self.outcome.verdict
+        return verdict if verdict in ("none", "ambiguous") and not self.fitting else "unknown"
 
     @property
     def _line(self) -> str:
@@ -96,7 +96,7 @@ class LogDiagnosis(Result):
     def gap_unfitted(self) -> tuple[Array, Array]:
         """The same with the base, and with the causes too, of each run by a fit to the others (or parts of one run)."""
         case, n = self.outcome.case, self.arm.joints
-        rows = (unfitted(case, columns_of(case, found)) for found in ((), self.outcome.found))
+        rows = (unfitted(case, columns_of(case, causes)) for causes in ((), self.outcome.found))
         before, after = (np.sqrt((r[case.of_log, :n] ** 2).mean(axis=0)) * case.scale for r in rows)
         return before, after
 
@@ -116,14 +116,14 @@ class LogDiagnosis(Result):
         """What `casadical diagnose ARM LOG` prints."""
         remedies = (Words(f.remedy, "warning") for f in self.faults)
         laws = self.laws.blocks() if self.laws else ()
-        told = (self._gap_table(), *self._causes(), *laws, *self._notes())
-        return [Words(self._sentence(), "verdict"), *remedies, *told]
+        blocks = (self._gap_table(), *self._causes(), *laws, *self._notes())
+        return [Words(self._sentence(), "verdict"), *remedies, *blocks]
 
     def _sentence(self) -> str:
-        said = [f.sentence for f in self.faults] + [told(self.outcome.case, f.label) for f in self.claims]
+        said = [f.sentence for f in self.faults] + [in_words(self.outcome.case, f.label) for f in self.claims]
         if not self.claims and self.outcome.verdict != "none":
             best = self.fitting[0].label if self.fitting else self.outcome.rankings[0].order[0]
-            said.append(f"more is there than in a usual arm; what fits best: {told(self.outcome.case, best)}")
+            said.append(f"more is there than in a usual arm; what fits best: {in_words(self.outcome.case, best)}")
         return f"{self.log.source}: {'; '.join(said) or 'no more than a usual arm may have'}."
 
     def _gap_table(self) -> Table:
@@ -158,7 +158,7 @@ class LogDiagnosis(Result):
             return
         ranking, case = self.outcome.rankings[0], self.outcome.case
         rows = [
-            (label, f"{ranking.probability[label]:.2f}", f"{ranking.log_factor[label]:.0f}", told(case, label))
+            (label, f"{ranking.probability[label]:.2f}", f"{ranking.log_factor[label]:.0f}", in_words(case, label))
             for label in ranking.order[:SHOWN]
             if ranking.probability[label] > LEAST
         ]
@@ -212,7 +212,7 @@ class LogDiagnosis(Result):
                 {**_plain(k, ranking.probability[k]), "log_evidence": ranking.log_factor[k]} for k in ranking.order[:10]
             ],
             "none": ranking.none,
-            "payload_kg": dict(zip(("beyond", "sigma"), found, strict=True)) if (found := self.payload()) else None,
+            "payload_kg": dict(zip(("beyond", "sigma"), payload, strict=True)) if (payload := self.payload()) else None,
             "contradictions": list(self.contradictions),
             "findings": list(self.log.findings),
             "determined": list(self.determined),
@@ -231,7 +231,7 @@ def _plain(label: str, probability: float) -> dict[str, Any]:
     return {"effect": name, "joint": int(joint) if joint else None, "probability": float(probability)}
 
 
-def told(case: MotionCase, label: str) -> str:
+def in_words(case: MotionCase, label: str) -> str:
     """A cause in words."""
     candidate = case.by_label[label]
     if not candidate.listed:

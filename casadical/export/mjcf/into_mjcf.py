@@ -63,10 +63,10 @@ def into_mjcf(nominal: Robot, calibrated: Robot, path: Path, joints: Sequence[st
 
 
 def _element(document: minidom.Document, tag: str, name: str, source: str) -> minidom.Element:
-    found = [e for e in document.getElementsByTagName(tag) if e.getAttribute("name") == name]
-    if len(found) != 1:
+    elements = [e for e in document.getElementsByTagName(tag) if e.getAttribute("name") == name]
+    if len(elements) != 1:
         raise InputError(f"{source}: {tag} {name!r} is not in this file itself; is it in an <include>?")
-    return found[0]
+    return elements[0]
 
 
 def _write_pose(element: minidom.Element, T: Array) -> None:

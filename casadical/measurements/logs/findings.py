@@ -289,13 +289,13 @@ def refuse_frozen(log: JointLog) -> None:
             f"{log.source}: no joint moves, each reading is one number in all {len(log)} rows; log a motion"
         )
     for k in still:
-        told = np.zeros(0) if log.command is None else log.command[np.isfinite(log.command[:, k]), k]
-        if len(told) and np.ptp(told) > COMMANDED:
+        commands = np.zeros(0) if log.command is None else log.command[np.isfinite(log.command[:, k]), k]
+        if len(commands) and np.ptp(commands) > COMMANDED:
             unit, value = log.unit("position", int(k)), float(np.nanmax(log.position[:, k]))
             raise InputError(
                 f"{log.source}: position of {log.joints[k]}: {value:.6g} {unit} in all {len(log)} rows, though its "
-                f"commands move by {np.ptp(told):.3g} {unit}: it was not measured, or the joint is blocked. Log its "
-                "encoder"
+                f"commands move by {np.ptp(commands):.3g} {unit}: it was not measured, or the joint is blocked. Log "
+                "its encoder"
             )
 
 

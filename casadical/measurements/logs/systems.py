@@ -30,8 +30,8 @@ def sage(folder: Path) -> Logged:
     if not (folder / CONTROL).exists():
         return states
     control = logged(read_table(folder / CONTROL), listed=names)
-    told = replace(control, channels={"command": control.channels.get("position", {})})
-    return replace(joined([states, told]), source=folder.name)
+    commands = replace(control, channels={"command": control.channels.get("position", {})})
+    return replace(joined([states, commands]), source=folder.name)
 
 
 def lerobot(path: Path, table: RawTable, unit: str | None) -> Logged:
@@ -96,10 +96,10 @@ def bag(path: Path) -> Logged:
 
 
 def _states(topic: str, message: Any) -> Iterator[tuple[tuple[str, ...], str, Any]]:
-    told = any(word in topic.casefold() for word in _TOLD)
+    commanded = any(word in topic.casefold() for word in _TOLD)
     for field, channel in _FIELDS.items():
-        if not told or channel != "torque":
-            name = {"position": "command", "speed": "command_speed"}[channel] if told else channel
+        if not commanded or channel != "torque":
+            name = {"position": "command", "speed": "command_speed"}[channel] if commanded else channel
             yield tuple(message.name), name, getattr(message, field)
 
 

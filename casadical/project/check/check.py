@@ -166,10 +166,10 @@ def _plausible(
     robot: Robot, m: Measurements, others: Sequence[Robot], standard: bool
 ) -> tuple[list[Finding], Slips | None]:
     """Whether the nominal model explains a table, or would if one slip were undone."""
-    told = facts.plausible(robot, m, others) if len(m) >= facts.TELLING else None
-    if told is None:
+    judged = facts.plausible(robot, m, others) if len(m) >= facts.TELLING else None
+    if judged is None:
         return [], None
-    slips = Slips(*told, ())
+    slips = Slips(*judged, ())
     if slips.explains or slips.before.error > facts.GROSS * robot.reach:
         return [_slip_finding(slips, robot, standard, m)], slips
     text = f"{m.source}: the nominal model, base and tool fitted, is {1e3 * slips.before.error:.3g} mm (median) from"

@@ -254,7 +254,7 @@ def unknown_columns(robot: Robot, conditions: Sequence[str], source: str) -> lis
         findings.append(
             Finding("warning", "columns", f'{text}: write frame = "logged" in [gravity], or leave them out')
         )
-    beyond = [c for c in conditions if (found := re.fullmatch(r"approach(\d+)", c)) and int(found[1]) > robot.n]
+    beyond = [c for c in conditions if (match := re.fullmatch(r"approach(\d+)", c)) and int(match[1]) > robot.n]
     if beyond:
         text = f"{source}: column {beyond[0]!r} has no effect: this robot has {robot.n} joints"
         findings.append(Finding("warning", "columns", text))

@@ -58,28 +58,28 @@ class Precheck(Result):
 
     def blocks(self) -> list[Words | Table]:
         """What `casadical check --details` prints of one problem: verdict, findings, ranges, expected accuracy."""
-        told: list[Words | Table] = [*self._head(), Words("")]
-        told += _findings(f for level in LEVELS for f in self.of_level(level))
+        blocks: list[Words | Table] = [*self._head(), Words("")]
+        blocks += _findings(f for level in LEVELS for f in self.of_level(level))
         if self.joints:
-            told.append(self._ranges())
+            blocks.append(self._ranges())
         for view in self.outlooks:
-            told += [*([] if isinstance(told[-1], Table) else [Words("")]), *_outlook(view, self.noise_source)]
-        return [*told, *self.next]
+            blocks += [*([] if isinstance(blocks[-1], Table) else [Words("")]), *_outlook(view, self.noise_source)]
+        return [*blocks, *self.next]
 
     def brief(self) -> list[Words | Table]:
         """The same in few lines: verdict, errors and warnings, accuracy to expect."""
         findings = [f for level in LEVELS[:2] for f in self.of_level(level)]
         findings += [f for f in self.of_level("note") if f.topic == "units"]
-        told: list[Words | Table] = [*self._head(), *_findings(findings[:FINDINGS])]
+        blocks: list[Words | Table] = [*self._head(), *_findings(findings[:FINDINGS])]
         if len(findings) > FINDINGS:
-            told.append(Words(f"and {len(findings) - FINDINGS} more"))
+            blocks.append(Words(f"and {len(findings) - FINDINGS} more"))
         for view in self.outlooks:
-            told.append(Words(f"{view.method}: {len(view.names)} parameters identifiable, {len(view.held)} not."))
+            blocks.append(Words(f"{view.method}: {len(view.names)} parameters identifiable, {len(view.held)} not."))
             if view.held_out is not None:
-                told.append(Words(f"Expected mean error on other poses like these: {1e3 * view.held_out:.3g} mm."))
+                blocks.append(Words(f"Expected mean error on other poses like these: {1e3 * view.held_out:.3g} mm."))
         if self.joints:
-            told.append(Words("ranges of the joints, what is held and why: --details", "note"))
-        return [*told, *self.next]
+            blocks.append(Words("ranges of the joints, what is held and why: --details", "note"))
+        return [*blocks, *self.next]
 
     @property
     def next(self) -> tuple[Words, ...]:

@@ -317,30 +317,31 @@ def with_targets_of_rows(
     several, and the nominal model does not distinguish them.
     """
     known = {robot.tool_name: robot.tool.T[:3, 3], **{t.name: t.point for t in robot.targets}}
-    told, notes = [], []
+    placed_sets, notes = [], []
     for m in sets:
         points = {} if names_in(m) or m.position is None else _by_position(robot, m)
         if points:
             places = np.arange(len(m))
             logged = {f"tool_{name}": np.isin(places, own).astype(float) for name, (_, own) in points.items()}
-            told.append(replace(m, conditions={**m.conditions, **logged}))
+            placed_sets.append(replace(m, conditions={**m.conditions, **logged}))
             known |= {name: point for name, (point, _) in points.items()}
             rows = ", ".join(f"{name} {len(own)}" for name, (_, own) in points.items())
             notes.append(f"{m.source}: no column names the targets; as they lie, {rows} rows")
         else:
-            told.append(m)
-    names = [*dict.fromkeys(name for m in told for name in names_in(m))]
+            placed_sets.append(m)
+    names = [*dict.fromkeys(name for m in placed_sets for name in names_in(m))]
     one = names[0] if names else robot.tool_name
     if len(names) < 2:
-        told = [
-            replace(m, conditions={k: v for k, v in m.conditions.items() if not k.startswith("tool_")}) for m in told
+        placed_sets = [
+            replace(m, conditions={k: v for k, v in m.conditions.items() if not k.startswith("tool_")})
+            for m in placed_sets
         ]
     T = frame(robot.tool.T[:3, :3], known.get(one, robot.tool.T[:3, 3]))
     more = tuple(Target(name, known.get(name, T[:3, 3])) for name in names[1:])
     arm = replace(robot, tool=replace(robot.tool, T=T), tool_name=one if more else "", targets=more)
-    for m in told:
+    for m in placed_sets:
         refuse_nameless(m, arm)
-    return arm, tuple(told), tuple(notes)
+    return arm, tuple(placed_sets), tuple(notes)
 
 
 def _by_position(robot: Robot, m: Measurements) -> dict[str, tuple[Array, Array]]:

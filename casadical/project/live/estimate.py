@@ -117,18 +117,18 @@ class Estimate:
         """
         kind, labels = find_kind(m.kind), labels_of(m)
         off, square = np.zeros((len(m), kind.lengths)), np.zeros(len(m))
-        told = np.flatnonzero([name in self.points for name in labels] if labels else np.ones(len(m), dtype=bool))
-        if not len(told):
+        rows = np.flatnonzero([name in self.points for name in labels] if labels else np.ones(len(m), dtype=bool))
+        if not len(rows):
             return off, square
-        seen = observed(self.robot, self.names, replace(m[told], separations=()), self.ratio, self.points)
+        seen = observed(self.robot, self.names, replace(m[rows], separations=()), self.ratio, self.points)
         at, p = {name: k for k, name in enumerate(self.points)}, len(self.names)
         column = [p + 3 * at[name] + i for name in seen.points for i in range(3)]
         C = self.covariance[np.ix_([*range(p), *column], [*range(p), *column])]
-        off[told], square[told] = MM * seen.off[:, : kind.lengths], np.inf
+        off[rows], square[rows] = MM * seen.off[:, : kind.lengths], np.inf
         closed = np.isfinite(seen.off).all(axis=1) & np.isfinite(seen.J).all(axis=(1, 2))
         J, r = seen.J[closed], seen.off[closed]
         C = J @ C @ J.transpose(0, 2, 1) + (self.sigma / MM) ** 2 * np.eye(J.shape[1])
-        square[told[closed]] = np.einsum("ni,ni->n", r, np.linalg.solve(C, r[..., None])[..., 0])
+        square[rows[closed]] = np.einsum("ni,ni->n", r, np.linalg.solve(C, r[..., None])[..., 0])
         return off, square
 
     def expected(self, task: Measurements, more: int = 0) -> Array:
@@ -232,9 +232,9 @@ def estimate(robot: Robot, m: Measurements, placed: Robot | None = None) -> Esti
     r = observed(now, names, m, ratio, points).off
     J = seen.J * np.where(angles, 1 / ratio, 1.0)[:, None]
     redundant = np.eye(kind.numbers) - J @ C @ J.transpose(0, 2, 1) / sigma**2
-    told = np.linalg.eigvalsh(redundant)[:, 0] > (sigma / UNTOLD) ** 2
-    redundant[~told] = np.eye(kind.numbers)
-    off = np.where(told[:, None], np.linalg.solve(redundant, r[..., None])[..., 0], np.nan)
+    fixed = np.linalg.eigvalsh(redundant)[:, 0] > (sigma / UNTOLD) ** 2
+    redundant[~fixed] = np.eye(kind.numbers)
+    off = np.where(fixed[:, None], np.linalg.solve(redundant, r[..., None])[..., 0], np.nan)
     freedom = max(float(np.trace(redundant, axis1=1, axis2=2).sum()), 1.0)
     return Estimate(
         now, names, points, C, MM * sigma, ratio, m, MM * off[:, : kind.lengths],
@@ -251,7 +251,7 @@ def _by_evidence(
     weight : of the numbers of a reading, shape (numbers,); free : one sigma of what has no prior, else zero, shape (x,)
     apart : further y and J that are known with a sigma of one, shapes (s,) and (s, x)
     """
-    told = len(y) * float(np.log(weight).sum())
+    normal = len(y) * float(np.log(weight).sum())
     J, y = (J * weight[:, None]).reshape(-1, J.shape[2]), (y * weight).ravel()
     G, b, square = J.T @ J, J.T @ y, float(y @ y)
     known, of_known = apart[1].T @ apart[1], apart[1].T @ apart[0]
@@ -267,7 +267,7 @@ def _by_evidence(
         logs[i] = -0.5 * left / SIGMAS**2 - len(y) * np.log(SIGMAS)
         logs[i] += gain(SIGMAS**2, SIGMAS, np.maximum(values, 0.0)[None], along[None])[0]
     weights = np.exp(logs - logs.max())
-    evidence = told + float(logs.max() + np.log(weights.sum()))
+    evidence = normal + float(logs.max() + np.log(weights.sum()))
     weights /= weights.sum()
     sigma = float(np.sqrt((weights.sum(axis=0) * SIGMAS**2).sum()))
     variance = (weights.sum(axis=1)[:, None] / np.array(precisions)).sum(axis=0)
@@ -293,19 +293,19 @@ def counted(robot: Robot, m: Measurements, doubtful: Array) -> tuple[Estimate | 
     placed = place_sessions(robot, (m,)) if m.position is None and m.target is None else None
     for _ in range(3 + len(m) // 10):
         inside = np.flatnonzero(~out)
-        found = estimate(robot, m[inside], placed)
+        estimated = estimate(robot, m[inside], placed)
         surprise, off = np.zeros(len(m)), np.zeros((len(m), lengths))
-        off[inside], surprise[inside] = found.left_out, found.surprise
+        off[inside], surprise[inside] = estimated.left_out, estimated.surprise
         if FEWEST < len(inside) <= FEW:
             without = (estimate(robot, m[np.delete(inside, k)], placed) for k in range(len(inside)))
             surprise[inside] = [each.misses(m[inside[[k]]])[1][0] for k, each in enumerate(without)]
         if out.any():
-            off[out], surprise[out] = found.misses(m[np.flatnonzero(out)])
+            off[out], surprise[out] = estimated.misses(m[np.flatnonzero(out)])
         worst = int(inside[first_of_best(surprise[inside])])
-        if surprise[worst] > found.limit and len(inside) > FEWEST:
+        if surprise[worst] > estimated.limit and len(inside) > FEWEST:
             out[worst] = True
-        elif (back := out & (surprise <= found.limit)).any():
+        elif (back := out & (surprise <= estimated.limit)).any():
             out[back] = False
         else:
             break
-    return found, out, off
+    return estimated, out, off

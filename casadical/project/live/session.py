@@ -474,12 +474,12 @@ class LiveSession:
         with self.lock:
             lines = [f"   {text}" for text in self._of_table]
             if self.ahead is not None:
-                told = self._next_json(self.ahead)
-                pairs = zip(self.robot.reading_units, told["poses"][0], strict=True)
+                following = self._next_json(self.ahead)
+                pairs = zip(self.robot.reading_units, following["poses"][0], strict=True)
                 lines.append(f"   {self.ahead.words}")
-                touch = f"  touching {told['touch']}" if told["touch"] else ""
+                touch = f"  touching {following['touch']}" if following["touch"] else ""
                 lines.append("   next: " + "  ".join(f"{name} {value:.3f}" for name, value in pairs) + touch)
-                lines += [f"   {told['program']}"] if told["program"] else []
+                lines += [f"   {following['program']}"] if following["program"] else []
             return "\n".join(lines)
 
 

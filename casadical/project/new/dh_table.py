@@ -57,14 +57,14 @@ def robot_text(path: Path, name: str, convention: str) -> str:
 
 def _refuse_no_numbers(table: RawTable) -> None:
     """Raises InputError for a cell that says it is no number (nan, NA, inf); an empty one is left out."""
-    told = []
+    faults = []
     lost = table.frame.replace([math.inf, -math.inf], math.nan).isna().to_numpy()
     for k, (line, cells) in enumerate(zip(table.line, table.cells, strict=True)):
         for column, (name, cell) in enumerate(zip(table.header, cells, strict=False)):
             if cell.strip() and lost[k, column]:
-                told.append(f"{table.path.name}: row {line}, column {name!r}: {cell!r} is not a finite number")
-    if told:
-        raise FaultsError((), told)
+                faults.append(f"{table.path.name}: row {line}, column {name!r}: {cell!r} is not a finite number")
+    if faults:
+        raise FaultsError((), faults)
 
 
 def _row(row: Mapping[str, Any], where: str) -> str:

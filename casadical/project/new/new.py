@@ -130,18 +130,18 @@ def new_problem(
         lambda: read_table(data) if data else None,
     ]
     (texts, robot), given = each_of(steps)
-    found = _understood(given, robot, ask, show) if given else Given()
-    if len(found.tools) > 1 and show:
-        place, listed = "problem.toml" if urdf else "robot.toml", ", ".join(found.tools)
-        show(Words(f"Column 'tool' names {len(found.tools)} measured points, {listed}: {place} has each."))
+    understood = _understood(given, robot, ask, show) if given else Given()
+    if len(understood.tools) > 1 and show:
+        place, listed = "problem.toml" if urdf else "robot.toml", ", ".join(understood.tools)
+        show(Words(f"Column 'tool' names {len(understood.tools)} measured points, {listed}: {place} has each."))
     if "robot.toml" in texts:
-        texts["robot.toml"] = with_measured(str(texts["robot.toml"]), found)
+        texts["robot.toml"] = with_measured(str(texts["robot.toml"]), understood)
     file = f"poses{data.suffix.lower() if data and data.suffix else '.csv'}"
     texts |= {
         file: read_bytes(data) if data else synthetic_poses(robot, seed),
         "problem.toml": problem_text(
             robot,
-            found if data else None,
+            understood if data else None,
             links=(base_link, tip_link) if urdf else None,
             named_sets=given is not None and "set" in given.header,
             seed=seed,

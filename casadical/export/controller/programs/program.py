@@ -100,14 +100,14 @@ class CorrectedProgram(Result):
         fine, refused, language = self.fine, self.refused, self.program.language
         head = f"{language.name}: {len(fine)} of {len(self.results)} targets corrected"
         head += position_only(tuple(r.status for r in fine))
-        told = [Words(head + (f", {len(refused)} LEFT as they were:" if refused else ""), "verdict")]
+        blocks = [Words(head + (f", {len(refused)} LEFT as they were:" if refused else ""), "verdict")]
         for r in refused[:SHOWN]:
             named = ", ".join(filter(None, (f"{language.place} {r.target.line}", r.target.name)))
-            told.append(Words(f"  {named}: {r.status}, {r.why or _MEANINGS[r.status]}"))
+            blocks.append(Words(f"  {named}: {r.status}, {r.why or _MEANINGS[r.status]}"))
         if len(refused) > SHOWN:
             where = "report" if language.report_beside else "status column"
-            told.append(Words(f"  and {len(refused) - SHOWN} more; see the {where}"))
-        return [*told, *(_moved(fine, self.units) if fine else [Words("nothing moved")])]
+            blocks.append(Words(f"  and {len(refused) - SHOWN} more; see the {where}"))
+        return [*blocks, *(_moved(fine, self.units) if fine else [Words("nothing moved")])]
 
 
 def read_target_program(path: Path, given: Given, joints: int) -> TargetProgram:
@@ -248,8 +248,8 @@ class CorrectedFile(Result):
 
     def blocks(self) -> list[Words | Table]:
         """What became of the targets, and what was assumed."""
-        told = [*(Words(line, mark="ASSUMED") for line in self.assumed), *map(Words, self.said)]
-        return [*self.corrected.blocks(), *told]
+        blocks = [*(Words(line, mark="ASSUMED") for line in self.assumed), *map(Words, self.said)]
+        return [*self.corrected.blocks(), *blocks]
 
     def to_json(self) -> dict[str, Any]:
         return self.corrected.to_json()
