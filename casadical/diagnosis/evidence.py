@@ -38,6 +38,8 @@ REPEATABILITY = "repeatability"
 # A declared sigma is off by this in its logarithm, or by far more: Student's t with so many degrees of freedom, so that
 # one that is wrong by three costs 4 nats and is overruled by a few dozen numbers.
 DECLARED, DECLARED_TAIL = 0.2, 2.0
+# The same of half the largest error that a data sheet states: makers leave themselves room, each his own.
+SHEET = 0.5
 
 
 # The data determine a direction of the base where its prior tells less of it than one part in so many; the prior is
@@ -53,12 +55,19 @@ class KnownNoise:
     """What is known of the noise of a coordinate beside the fit.
 
     declared : sigma of the instrument [m], zero for none
+    sheet : largest error that its data sheet states [m], zero for none
     repeats : scatter over repeated poses [m]; freedom : its degrees of freedom, zero for none
     """
 
     declared: float = 0.0
+    sheet: float = 0.0
     repeats: float = 0.0
     freedom: int = 0
+
+    @property
+    def stated(self) -> float:
+        """Sigma of the instrument as it is declared, or as its data sheet has it: of a limit, half."""
+        return self.declared or self.sheet / 2
 
 
 @dataclass(eq=False)
@@ -260,14 +269,14 @@ def joint_noise(Jq: Array) -> NoiseModel:
 def log_known(e: Evidence, Jq: Array) -> Array:
     """What is known of the noise beside the residuals, as a logarithm, shape (rhos, sigmas).
 
-    A declared sigma is that of the instrument; repeated poses scatter by instrument and joints, which repeat as in Jq.
+    What is stated is the instrument's; repeated poses scatter by instrument and joints, which repeat as in Jq.
     """
-    scatter, freedom, declared = e.known.repeats, e.known.freedom, e.known.declared
+    scatter, freedom = e.known.repeats, e.known.freedom
     noise = joint_noise(Jq)
     mean = np.array([noise.mean_variance({REPEATABILITY: float(rho)}, max(e.count, 1)) for rho in RHOS])
     total = mean[:, None] * e.sigmas**2
     log = -0.5 * freedom * (np.log(total / e.sigmas[-1] ** 2) + scatter**2 / total)
-    if declared:
-        off = np.log(e.sigmas / declared) / DECLARED
+    if e.known.stated:
+        off = np.log(e.sigmas / e.known.stated) / (DECLARED if e.known.declared else SHEET)
         log = log - 0.5 * (DECLARED_TAIL + 1) * np.log1p(off**2 / DECLARED_TAIL)
     return np.asarray(log)

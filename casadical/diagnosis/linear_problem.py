@@ -334,7 +334,7 @@ def _problem(
         np.append(base_prior(robot, free), np.ones(len(seen.mean))),
         E,
         held=E.held,
-        known=KnownNoise(_declared(seen), again.sigma, min(again.freedom, MOST_FREEDOM)),
+        known=KnownNoise(_declared(seen), _sheet(seen), again.sigma, min(again.freedom, MOST_FREEDOM)),
         measured=seen.measured,
         size=seen.size,
         alike=seen.alike,
@@ -348,6 +348,12 @@ def _declared(seen: Observations) -> float:
     """What sets declare as the noise of a length, in units of the residuals [m]; zero where none does."""
     # A set that declares it has this in the ratios, which make its lengths as noisy as those of the first set.
     return seen.ratios.sigmas[0][0] if any(m.sigma for m in seen.sets) else 0.0
+
+
+def _sheet(seen: Observations) -> float:
+    """The largest error of a length by the data sheets of the sets, in units of the residuals [m]; zero without one."""
+    pairs = zip(seen.sets, seen.ratios.sigmas, strict=True)
+    return min((m.datasheet * seen.ratios.sigmas[0][0] / own for m, (own, _) in pairs if m.datasheet), default=0.0)
 
 
 def better_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:

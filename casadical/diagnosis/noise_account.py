@@ -30,6 +30,7 @@ class Rule(StrEnum):
 
     REPEATS = "repeats"
     DECLARED = "declared"
+    SHEET = "data sheet"
     FIT = "fit"
 
 
@@ -38,8 +39,8 @@ class NoiseAccount:
     """What was taken as noise, of a coordinate [m], instrument and joints together.
 
     taken : as the fit leaves it; sigma, repeatability : what it is made of [m, rad]
-    declared : sigma of the instrument, zero for none; repeats : scatter of repeated poses, and freedom, their degrees
-        of freedom, zero for none
+    declared : sigma of the instrument, zero for none; sheet : largest error by its data sheet, zero for none
+    repeats : scatter of repeated poses, and freedom, their degrees of freedom, zero for none
     rules : which of them says how large the noise is
     excess : of what was taken, beyond that [m]; zero where it agrees
     form : of the noise, where it is another than the usual
@@ -50,6 +51,7 @@ class NoiseAccount:
     sigma: float
     repeatability: float
     declared: float
+    sheet: float
     repeats: float
     freedom: int
     rules: Rule
@@ -86,7 +88,8 @@ class NoiseAccount:
         joints = f" and joints that repeat to {1e6 * self.repeatability:.3g} urad" if self.repeatability else ""
         said = [f"taken as noise: {mm(self.taken)} mm a coordinate (instrument {mm(self.sigma)}{joints})"]
         said += [self.form] * bool(self.form)
-        said.append(f"declared: {mm(self.declared)}" if self.declared else "nothing declared")
+        stated = f"declared: {mm(self.declared)}" if self.declared else "nothing declared"
+        said.append(f"data sheet: errors up to {mm(self.sheet)}" if self.sheet else stated)
         if self.freedom:
             said.append(f"repeated poses: {mm(self.repeats)} ({self.freedom} degrees of freedom)")
         else:
@@ -95,6 +98,10 @@ class NoiseAccount:
             said.append("the repeated poses rule")
         elif self.rules == Rule.DECLARED:
             said.append("the declared noise rules")
+        elif self.rules == Rule.SHEET:
+            said.append("the data sheet rules")
+        elif self.sheet:
+            said.append("the fit rules: more than the data sheet allows, and in every way like noise")
         elif self.declared:
             times = self.sigma / self.declared
             how = f"{times:.1f} times too small" if times > 1 else f"{1 / times:.1f} times too large"
@@ -109,7 +116,8 @@ class NoiseAccount:
         """What of it is structure, and what that follows; empty where nothing is."""
         said = []
         if self.excess:
-            anchor = "repeated poses say" if self.rules == Rule.REPEATS else "was declared"
+            anchors = {Rule.REPEATS: "repeated poses say", Rule.SHEET: "the data sheet allows"}
+            anchor = anchors.get(self.rules, "was declared")
             said.append(f"{mm(self.excess)} mm a coordinate more than {anchor}: structure without a form")
         said += [
             f"what is left follows {s.over} along {s.along} ({100 * s.share:.0f} % of its square; in noise with a "
@@ -123,6 +131,8 @@ class NoiseAccount:
         account: dict[str, Any] = {"taken_mm": round(1e3 * self.taken, 5), "rules": self.rules}
         if self.declared:
             account["declared_mm"] = round(1e3 * self.declared, 5)
+        if self.sheet:
+            account["datasheet_mm"] = round(1e3 * self.sheet, 5)
         if self.freedom:
             account |= {"repeats_mm": round(1e3 * self.repeats, 5), "repeats_freedom": self.freedom}
         account |= {"form": self.form} if self.form else {}
@@ -141,7 +151,7 @@ class NoiseAccount:
 
 def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates) -> NoiseAccount:
     """The account of a noise beside some causes, whose columns are given, shape (k,)."""
-    e, declared = case.evidence, case.evidence.known.declared
+    e, known = case.evidence, case.evidence.known
     taken, left, form = scatter_of_coordinate(e, noise), remainder_of(case, columns, noise), ""
     if any(s.over == BEFORE for s in left.structures):
         # Noise that follows itself is noise all the same, if this is all that it follows.
@@ -152,33 +162,35 @@ def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates) -
     if repeated.enough:
         rules, anchor = Rule.REPEATS, repeated.sigma
         far = _far(taken, anchor, freedom, repeated.freedom)
-    elif declared:
-        far, rules, anchor = _by_declared(case, columns, noise, left)
+    elif known.stated:
+        far, rules, anchor = _by_statement(case, columns, noise, left)
     excess = float(np.sqrt(taken**2 - anchor**2)) if far else 0.0
     scatter = repeated.sigma if repeated.freedom else 0.0
     return NoiseAccount(
-        taken, noise.sigma, noise.repeatability, declared, scatter, repeated.freedom, rules, excess, form,
-        left.structures, left.like_noise,
+        taken, noise.sigma, noise.repeatability, known.declared, known.sheet, scatter, repeated.freedom, rules, excess,
+        form, left.structures, left.like_noise,
     )  # fmt: skip
 
 
-def _by_declared(case: Case, columns: Array, noise: Noise, left: Remainder) -> tuple[bool, Rule, float]:
-    """Whether the noise is far above the declared one, which rules, and the noise that is allowed for [m].
+def _by_statement(case: Case, columns: Array, noise: Noise, left: Remainder) -> tuple[bool, Rule, float]:
+    """Whether the noise is far above what is stated of it, which rules, and the noise that is allowed for [m].
 
-    A declaration may be wrong by as much as what is left looks like noise in every other way: alike in all directions,
-    with the tails of noise, and following nothing. Otherwise it is the model that is wrong.
+    A statement may be wrong by as much as what is left looks like noise in every other way: alike in all directions,
+    with the tails of noise, and following nothing. Otherwise it is the model that is wrong. Less noise than a data
+    sheet states is as it says.
     """
-    e, declared = case.evidence, case.evidence.known.declared
-    joints = min(noise.repeatability, USUAL_REPEATABILITY)
-    taken, allowed = scatter_of_coordinate(e, noise), scatter_of_coordinate(e, Noise(declared, joints))
+    e, known = case.evidence, case.evidence.known
+    joints, rule = min(noise.repeatability, USUAL_REPEATABILITY), Rule.DECLARED if known.declared else Rule.SHEET
+    taken, allowed = scatter_of_coordinate(e, noise), scatter_of_coordinate(e, Noise(known.stated, joints))
     if _far(taken, allowed, max(e.count - e.model.absorbed_by_base, 1.0), np.inf) and not (
         left.like_noise and not left.structures
     ):
-        return True, Rule.DECLARED, allowed
-    known = e.log_base(columns)
-    share = np.exp(known - log_sum(known)).sum(axis=0)
-    wrong = max(share[e.sigmas > FAR * declared].sum(), share[e.sigmas < declared / FAR].sum())
-    return (False, Rule.FIT, taken) if wrong > SURELY else (False, Rule.DECLARED, allowed)
+        return True, rule, allowed
+    logs = e.log_base(columns)
+    share = np.exp(logs - log_sum(logs)).sum(axis=0)
+    below = share[e.sigmas < known.declared / FAR].sum()
+    wrong = max(share[e.sigmas > FAR * known.stated].sum(), below)
+    return (False, Rule.FIT, taken) if wrong > SURELY else (False, rule, allowed)
 
 
 def _far(larger: float, smaller: float, above: float, below: float) -> bool:

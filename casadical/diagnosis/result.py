@@ -270,7 +270,8 @@ class Diagnosis(Result):
     def to_json(self) -> dict[str, Any]:
         """Verdict, errors [mm] and causes, as they stand in the answer of `casadical diagnose --json`."""
         gap = {name: round(1e3 * getattr(self.gap, name), 5) for name in ("before", "after", "floor")}
-        return {"verdict": self.verdict, "gap_mm": gap, "causes": [c.to_json() for c in self.causes]}
+        part = {"in_part_only": True} if self.verdict == "explained" and self.has_rest else {}
+        return {"verdict": self.verdict, **part, "gap_mm": gap, "causes": [c.to_json() for c in self.causes]}
 
     @property
     def in_question(self) -> tuple[str, ...]:

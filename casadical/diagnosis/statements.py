@@ -110,7 +110,10 @@ def headline(d: Diagnosis, more: Details | None = None) -> str:
 
 def _noise(d: Diagnosis) -> str:
     """What the remainder of a campaign without causes is."""
-    known = {Rule.REPEATS: ", as large as repeated poses say", Rule.DECLARED: ", as large as declared"}
+    known = {
+        Rule.REPEATS: ", as large as repeated poses say", Rule.DECLARED: ", as large as declared",
+        Rule.SHEET: ", no larger than the data sheet allows",
+    }  # fmt: skip
     return (d.account.form or "noise") + known.get(d.account.rules, ", or a form that was not tried")
 
 

@@ -70,6 +70,7 @@ class Measurements(Shown):
         of `separation_sigma` [m]
     conditions : logged columns by name, each of shape (n,)
     sigma, sigma_angle : one sigma of a coordinate [m] and of an angle [rad]; None: estimated from the fit
+    datasheet : largest error of a point that the instrument's data sheet states [m]; None: not known
     weight : shape (n,): factor on each pose's residual
     row : shape (n,): line of the source at which each pose stands; source : file name or description
     unused : columns that were left out: of words, or without a cell
@@ -106,6 +107,7 @@ class Measurements(Shown):
     conditions: Mapping[str, Array] = field(default_factory=dict)
     sigma: float | None = None
     sigma_angle: float | None = None
+    datasheet: float | None = None
     weight: Array = field(default_factory=lambda: np.ones(0))
     row: Array = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     source: str = "table"
@@ -293,9 +295,10 @@ def _refuse_malformed(m: Measurements) -> None:
 
 
 def _refuse_weights(m: Measurements) -> None:
-    for name, sigma in (("sigma", m.sigma), ("sigma_angle", m.sigma_angle), ("separation_sigma", m.separation_sigma)):
-        if sigma is not None and not 0 < sigma < np.inf:
-            raise InputError(f"{m.source}: {name} is {sigma:.6g}; a standard deviation must be positive and finite")
+    for name in ("sigma", "sigma_angle", "separation_sigma", "datasheet"):
+        size = getattr(m, name)
+        if size is not None and not 0 < size < np.inf:
+            raise InputError(f"{m.source}: {name} is {size:.6g}; how large errors are must be positive and finite")
     if not (m.weight.min() >= 0 and m.weight.max() < np.inf):
         bad = ~(np.isfinite(m.weight) & (m.weight >= 0))
         k = int(np.argmax(bad))

@@ -307,9 +307,14 @@ def read_campaign(
 
 def _of_kind(columns: Columns, joints: Sequence[str], data: DataTable) -> Measurements:
     """A table as a problem's table says, with known distances between points."""
-    m = from_columns(columns, joints, data.kind, sigma_mm=data.sigma_mm, sigma_deg=data.sigma_deg)
+    m = _with_noise(columns, joints, data)
     touched = set() if m.label is None else set(m.label.tolist())
     return m.with_separations(s for s in _separations(data) if touched.issuperset(s[:2]))
+
+
+def _with_noise(columns: Columns, joints: Sequence[str], data: DataTable) -> Measurements:
+    m = from_columns(columns, joints, data.kind, sigma_mm=data.sigma_mm, sigma_deg=data.sigma_deg)
+    return replace(m, datasheet=None if data.datasheet_mm is None else data.datasheet_mm * 1e-3)
 
 
 def _separations(data: DataTable) -> list[tuple[str, str, float]]:
@@ -333,7 +338,7 @@ def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> tuple
         raise InputError(f"{path}: no such file; it is named in {folder / 'problem.toml'}")
     columns = _columns(read_columns(path), data, robot)
     joints = [j.kind for j in robot.joints]
-    m = from_columns(columns, joints, data.kind, sigma_mm=data.sigma_mm, sigma_deg=data.sigma_deg)
+    m = _with_noise(columns, joints, data)
     if data.point_from and m.label is None:
         raise InputError(f"{path}: point_from: has no effect on kind {m.kind!r}; take it out of problem.toml")
     refuse_nameless(m, robot)

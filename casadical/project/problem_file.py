@@ -75,6 +75,7 @@ class DataTable(_Strict):
     separation: list[_Separation] = []
     sigma_mm: float | None = Field(default=None, gt=0)
     sigma_deg: float | None = Field(default=None, gt=0)
+    datasheet_mm: float | None = Field(default=None, gt=0)
 
     @field_validator("kind")
     @classmethod
@@ -83,10 +84,21 @@ class DataTable(_Strict):
             raise ValueError(f"must be {', '.join(map(repr, kinds()))}")
         return kind
 
+    @model_validator(mode="after")
+    def _one_noise(self) -> DataTable:
+        if self.sigma_mm is not None and self.datasheet_mm is not None:
+            raise FaultError("datasheet_mm", "sigma_mm says more of the same; leave one of them out")
+        return self
+
     @property
     def sources(self) -> dict[str, Source]:
         given = self.model_dump(include={"columns"}, by_alias=True)["columns"]
         return {ours: Source.read(source) for ours, source in given.items()}
+
+    @property
+    def noise(self) -> dict[str, float]:
+        """What it says of the instrument's noise."""
+        return self.model_dump(include={"sigma_mm", "sigma_deg", "datasheet_mm"}, exclude_none=True)
 
     @property
     def understood(self) -> dict[str, Any]:
@@ -315,9 +327,9 @@ def table_like(folder: Path, raw: RawTable, tables: Sequence[DataTable]) -> Data
     shown = [k.name for k in kinds().values() if k.matches({*raw.header})]  # by our names; else by the headings
     if (kind or "position") not in (shown or ("position", "pose")):
         return DataTable(file=raw.path.name)
-    noises = {(data.sigma_mm, data.sigma_deg) for data in tables}
-    sigma_mm, sigma_deg = noises.pop() if len(noises) == 1 else (None, None)
-    return DataTable(file=raw.path.name, kind=kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
+    noises = [data.noise for data in tables]
+    noise = noises[0] if noises and all(own == noises[0] for own in noises) else {}
+    return DataTable.model_validate({"file": raw.path.name, "kind": kind, **noise})
 
 
 def result_in(folder: Path) -> Path:

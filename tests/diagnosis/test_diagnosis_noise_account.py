@@ -85,6 +85,30 @@ def test_a_declaration_that_is_wrong_by_three_is_overruled_and_said(wrong: float
     assert {1 / 3: "times too small", 1: "the declared noise rules", 3: "times too large"}[wrong] in words(d)
 
 
+def test_a_data_sheet_tells_structure_from_noise() -> None:
+    d = diagnose(robot("kr210"), replace(with_noise(clipped(clean(), 5e-4)), datasheet=2.5 * NOISE), laws=False)
+    assert (d.verdict, d.account.rules) == ("unknown", Rule.SHEET)
+    assert "more than the data sheet allows: structure without a form" in words(d)
+    answer = as_json(d, "clipped")["noise"]
+    assert (answer["datasheet_mm"], answer["rules"]) == (2.5e3 * NOISE, "data sheet")
+    assert "declared_mm" not in answer
+
+
+@pytest.mark.parametrize(
+    ("times", "rule", "said"),
+    [
+        (10, Rule.SHEET, "no larger than the data sheet allows"),
+        (2, Rule.SHEET, "no larger than the data sheet allows"),
+        (0.5, Rule.FIT, "more than the data sheet allows, and in every way like noise"),
+    ],
+)
+def test_a_data_sheet_is_an_upper_end_and_may_be_wrong(times: float, rule: Rule, said: str) -> None:
+    d = diagnose(robot("kr210"), replace(with_noise(clean(100)), datasheet=times * NOISE), laws=False)
+    assert d.noise.sigma == pytest.approx(NOISE, rel=0.3)
+    assert (d.verdict, d.account.rules, d.account.excess) == ("none", rule, 0.0)
+    assert said in words(d)
+
+
 def test_what_follows_the_sum_of_two_angles_is_structure() -> None:
     m = with_noise(simulated("hh800", 3, Bevels(), n=100, noise_mm=0.0))
     d = diagnose(robot("hh800"), m, ["backlash"], laws=False)

@@ -54,7 +54,7 @@ def fixed(true: Diagnosis) -> Diagnosis:
         ("+ thermal_zero_drift@3", 0.046, 0.041, 0.052, 0.045, 0.055, 0.038, 0.031, 0.044),
     ]
     noise = Noise(12e-6, 5e-6)
-    account = NoiseAccount(14e-6, 12e-6, 5e-6, 20e-6, 12e-6, 36, Rule.REPEATS, 0.0, "", (), like_noise=True)
+    account = NoiseAccount(14e-6, 12e-6, 5e-6, 20e-6, 0.0, 12e-6, 36, Rule.REPEATS, 0.0, "", (), like_noise=True)
     one = Ranking(1e-9, {label: 0.55, rival: 0.45}, {}, {}, {}, {"": noise})
     return replace(
         true,
@@ -164,6 +164,7 @@ def test_verdicts_without_a_cause(fixed: Diagnosis, seen: Details, verdict: str)
 def test_an_explained_gap_of_which_much_is_left_says_so_first(fixed: Diagnosis) -> None:
     def first(**changes: object) -> str:
         d = replace(fixed, verdict="explained", causes=fixed.causes[:2], outliers=(), cause_set=None, **changes)
+        assert as_json(d, "made-up").get("in_part_only", False) is (not changes)
         return " ".join(page_of(d).partition("\nGAP")[0].split())
 
     named = "backlash@2 and thermal_zero_drift@3"

@@ -204,6 +204,10 @@ PROBLEM_FAULTS = {
         ("\n\n[sets]", "\nsigma_mm = -1\n\n[sets]"),
         ["measurements[1].sigma_mm = -1", "greater than 0"],
     ),
+    "two statements of one noise": (
+        ("\n\n[sets]", "\nsigma_mm = 0.02\ndatasheet_mm = 0.05\n\n[sets]"),
+        ["measurements[1].datasheet_mm = 0.05", "sigma_mm says more of the same", "leave one of them out"],
+    ),
     "a slip of the pen": (("[sets]", "[sets]\nidentfy = 3"), ["sets.identfy", "is identify meant?"]),
     "a set that is not whole": (("identify = 0.5", "identify = 7.5"), ["sets.identify = 7.5", "whole number"]),
     "more poses than there are": (("identify = 0.5", "identify = 9"), ["table.csv", "cannot be taken from 12"]),

@@ -124,7 +124,8 @@ methods = [{methods}]{why}
 {urdf}
 [[measurements]]                   # several of these tables go into one fit
 file = "{file}"
-# sigma_mm = 0.02                  # of one coordinate; left out, it is estimated from the fit
+# datasheet_mm = 0.05              # largest error of a point that the instrument's data sheet states, at your distance
+# sigma_mm = 0.02                  # in its place, if you know it: of one coordinate; else it is estimated from the fit
 {columns}
 [sets]                             # no pose is in two sets
 {sets}

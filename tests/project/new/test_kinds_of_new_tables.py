@@ -168,22 +168,25 @@ def test_a_kind_that_a_problem_says_holds_for_other_tables() -> None:
     assert read_campaign(folder, path, read_campaign_robot(folder)).kind == "position"
 
 
-def test_a_noise_that_a_problem_declares_holds_for_its_table_and_another_of_its_instrument(tmp_path: Path) -> None:
+@pytest.mark.parametrize("key", ["sigma", "datasheet"])
+def test_a_noise_that_a_problem_declares_holds_for_its_table_and_another_of_its_instrument(
+    key: str, tmp_path: Path
+) -> None:
     new_problem(tmp_path / "arm")
     path, table = tmp_path / "arm" / "problem.toml", tmp_path / "arm" / "poses.csv"
-    declared = path.read_text().replace("# sigma_mm = 0.02", "sigma_mm = 0.04")
+    declared = path.read_text().replace("# sigma_mm = 0.02", f"{key}_mm = 0.04")
     path.write_text(declared)
     other = tmp_path / "other.csv"
     other.write_text(table.read_text().rsplit("\n", 2)[0])
 
-    def sigma(of: Path) -> float | None:
-        return read_campaign(path.parent, of, read_campaign_robot(path.parent)).sigma
+    def noise(of: Path) -> float | None:
+        return getattr(read_campaign(path.parent, of, read_campaign_robot(path.parent)), key)
 
-    assert sigma(table) == sigma(other) == 0.04e-3
-    second = '\n[[measurements]]\nfile = "more.csv"\nsigma_mm = 0.01\n\n[sets]'
+    assert noise(table) == noise(other) == 0.04e-3
+    second = f'\n[[measurements]]\nfile = "more.csv"\n{key}_mm = 0.01\n\n[sets]'
     path.write_text(declared.replace("\n[sets]", second))
     (path.parent / "more.csv").write_text(other.read_text().rsplit("\n", 2)[0])
-    assert (sigma(table), sigma(other)) == (0.04e-3, None)  # of two instruments another table may be of either
+    assert (noise(table), noise(other)) == (0.04e-3, None)  # of two instruments another table may be of either
 
 
 def test_stamps_and_dates_are_seconds_and_rounded_dates_no_time(tmp_path: Path) -> None:
