@@ -61,6 +61,6 @@ def with_columns(m: Measurements, effects: Sequence[Effect]) -> Measurements:
     names = [c for side in SIDES for what in ("depth", "radial") for c in image_columns(side, what)]
     images = dict(zip(names, np.random.default_rng(0).normal(size=(len(names), len(m))), strict=True))
     m = replace(m, conditions={**m.conditions, **far, **wires, **images})
-    found, missing = derive(m, [c for e in effects for c in e.conditions])
+    found, missing = derive(m, [c for e in effects for c in e.conditions], lambda q, _: np.sin(q))  # loads of no robot
     assert missing == ()
     return found

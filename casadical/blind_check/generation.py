@@ -33,7 +33,7 @@ from casadical.robot.robot_file import to_toml
 def base_jacobian(robot: Robot, clean: Measurements) -> Array:
     """Columns of the base model, shape (n, 3, P), calibrated on a campaign without effects."""
     fit = base_calibrated(prepare(robot, clean))
-    m, _ = derive(clean, robot.conditions)
+    m, _ = derive(clean, robot.conditions, robot.loads)
     return signatures(robot, (), m, robot.values_of(fit.robot))[1]
 
 

@@ -57,7 +57,7 @@ class Session:
 
     def _with_columns(self, robot: Robot) -> Measurements:
         """All poses with the columns that a robot's effects need; warmth is counted from the measured poses' mean."""
-        m, _ = derive(self.everything, robot.conditions)
+        m, _ = derive(self.everything, robot.conditions, robot.loads)
         columns = {k: c - c[self.seen].mean() if k.startswith("warmth") else c for k, c in m.conditions.items()}
         return replace(m, conditions=columns)
 

@@ -7,7 +7,7 @@ from itertools import groupby
 from casadical.core.basics import InputError
 from casadical.effects import Effect
 from casadical.effects.plugins import known_effects
-from casadical.measurements.derived_columns import derive
+from casadical.measurements.derived_columns import Loads, derive
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
@@ -74,13 +74,14 @@ def _parameters(variant: tuple[Effect, ...]) -> list[str]:
 
 
 def choose(
-    candidates: Sequence[Candidate], m: Measurements
+    candidates: Sequence[Candidate], m: Measurements, loads: Loads
 ) -> tuple[tuple[Candidate, ...], dict[str, tuple[str, ...]]]:
     """Those candidates (with those variants) whose columns were logged, and what is missing for the others.
 
+    loads : of the robot, see `derive`
     Variants that stand for others where a column is missing are left out where it was logged (`Effect.only_without`).
     """
-    _, missing = derive(m, [c for k in candidates for v in k.variants for e in v for c in e.conditions])
+    _, missing = derive(m, [c for k in candidates for v in k.variants for e in v for c in e.conditions], loads)
     possible, without = [], {}
     for candidate in candidates:
         lacking = [tuple(c for e in v for c in e.conditions if c in missing) for v in candidate.variants]

@@ -195,13 +195,14 @@ def _prepared(
 
 
 def _held_against_laws(found: Diagnosis) -> Diagnosis:
-    """The diagnosis, without its causes where a law explains better what is there.
+    """The diagnosis, without its causes where a law explains better what is there, or in place of noise of any size.
 
     An effect whose sizes are learnt has more freedom than any law and is not compared; nor are distances between poses,
     nor what was found under noise that follows itself, for laws are judged with noise that does not.
     """
-    effects = found.effects()
-    if not effects or not found.case.one_end or any(e.parts for e in effects) or found.case.form.stays:
+    effects, done = found.effects(), found.verdict in ("none", "explained")
+    noise = not effects and done and not found.account.anchored  # explained by outliers alone
+    if not (effects or noise) or not found.case.one_end or any(e.parts for e in effects) or found.case.form.stays:
         return found
     law = claimed_before_causes(found)
     if law and replaces_causes(found, law):

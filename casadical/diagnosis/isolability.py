@@ -135,9 +135,9 @@ def isolability(
     if m is None:
         raise InputError("poses are missing; give isolability(robot, measurements), or a diagnosis alone")
     candidates = [c for c in candidates_of(robot, effects) if c.listed]
-    possible, missing = choose(candidates, m)
+    possible, missing = choose(candidates, m, robot.loads)
     used = tuple(dict.fromkeys(e for c in possible for v in c.variants for e in v))
-    m, _ = derive(m, [c for e in used for c in e.conditions])
+    m, _ = derive(m, [c for e in used for c in e.conditions], robot.loads)
     values = robot.parameters.values
     E, J, Jq = signatures(robot, used, m, values)
     evidence = Evidence(np.zeros((len(m), 3)), J, Jq, 0 * values, base_prior(robot), E * widths(used), noise.sigma)

@@ -261,7 +261,7 @@ class Case:
         effects = tuple(dict.fromkeys(e for v in variants for e in v if e not in self.columns))
         if not effects:
             return replace(self, candidates=candidates)
-        m, _ = derive(self.m, [c for e in effects for c in e.conditions])
+        m, _ = derive(self.m, [c for e in effects for c in e.conditions], self.given.loads)
         columns = {**self.columns, **column_numbers(effects, self.whole.width)}
         assert isinstance(self.whole.E, EffectColumns)
         E = self.whole.E.plus(effects, m.conditions)
@@ -296,9 +296,9 @@ def make_case(
     m = joined(sets, robot, stops)
     m = with_images(with_far_ends(m, sets, identification.unknown_points, stops), sets, stops)
     m = _with_declared_payload(m, robot)
-    possible, missing = choose(candidates, m)
+    possible, missing = choose(candidates, m, robot.loads)
     effects = tuple(dict.fromkeys(e for c in possible for v in c.variants for e in v))
-    m, _ = derive(m, [c for e in effects for c in e.conditions])
+    m, _ = derive(m, [c for e in effects for c in e.conditions], robot.loads)
     values = robot.values_of(identification.robot)
     seen = observe(identification, m, sets, values, ratios or Ratios(identification.problem.sigmas), stops)
     kept, whole = _problem(identification, seen, effects, values, free)

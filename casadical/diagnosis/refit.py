@@ -77,7 +77,7 @@ def refit_measurements(case: Case, effects: Sequence[Effect], noise: Noise) -> t
     Instrument and joint repeatability together are a covariance at each pose of positions; of other kinds, the sigmas
     of the sets have the mean of both.
     """
-    m, _ = derive(case.m, [c for e in effects for c in e.conditions])
+    m, _ = derive(case.m, [c for e in effects for c in e.conditions], case.robot.loads)
     seen = case.observations
     if not seen.plain:
         return chosen_of(_with_sigmas(case, separated(seen.sets, m, seen.stops), noise), case.kept[seen.stops.of])

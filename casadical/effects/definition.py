@@ -25,7 +25,7 @@ from casadical.core.schema import FaultError, TomlTable, Triple, check
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Counterparts, Effect
 from casadical.effects.formula import Formula, parse
-from casadical.effects.formula_effect import SEAMS, FormulaEffect, check_formula, check_values, columns_of
+from casadical.effects.formula_effect import SEAMS, STATIONED, FormulaEffect, check_formula, check_values, columns_of
 from casadical.effects.settings import MOST_WHOLE, NEAR, setting
 
 # tanh(x) is nearest to SLOPE x that stops at STOP, off by OFF at most.
@@ -225,7 +225,7 @@ class DefinedEffect(FormulaEffect):
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        return self._texts.conditions
+        return (*self._texts.conditions, *self.of_head)
 
     @property
     def formulas(self) -> Mapping[str, Formula]:
@@ -334,8 +334,9 @@ def _refuse_names(d: Definition) -> None:
     for seam in d.formulas:
         if seam not in SEAMS or seam == "joints":
             raise InputError(f"formulas.{seam}: no seam; allowed: {', '.join(s for s in SEAMS if s != 'joints')}")
-        if seam == "beam" and not ("station" in d.settings and isinstance(d.settings["station"].default, list)):
-            raise InputError("formulas.beam: it needs a setting `station`, a point")
+        placed = "station" in d.settings and isinstance(d.settings["station"].default, list)
+        if seam in STATIONED and not placed:
+            raise InputError(f"formulas.{seam}: it needs a setting `station`, a point")
     if d.counterpart and d.counterpart not in COUNTERPARTS:
         raise InputError(f"counterpart = {d.counterpart!r}: allowed: {', '.join(COUNTERPARTS)}")
     if math.prod(s.points for s in d.settings.values()) > MOST_WHOLE:

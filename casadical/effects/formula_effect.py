@@ -37,6 +37,7 @@ SEAMS = {
     "base shift": Seam(3, "m"),
     "tool shift": Seam(3, "m"),
     "beam": Seam(1, "m"),
+    "across": Seam(1, "m"),
     "payload": Seam(1, "kg/kg"),
     "tool tilt": Seam(3, "rad"),
     "growth": Seam(1, "m/m"),
@@ -60,12 +61,18 @@ MOTION = frozenset({
 MOTION_OF = re.compile(r"(q|v|speed|slip|load|tau|heat|rest)(\d+)")
 # Columns by their name in a formula, where it is another one.
 COLUMNS = {"t": "progress", "payload": "payload_kg", "warmth": "warmth_0s"}
-COLUMN = re.compile(r"t|payload|warmth|warmth_\d+s|approach\d+|move\d+|(memory|play)\d+_\d+mrad")
+COLUMN = re.compile(r"t|payload|warmth|warmth_\d+s|heat\d+_\d+s|approach\d+|move\d+|(memory|play)\d+_\d+mrad")
 _OF_POSE = re.compile(r"(q|tau)(\d+)|m(\d+)[xyz]|[gp][xyz]")
 OF_JOINT = re.compile(r"q|tau|approach|move")
-_NUMBERED = re.compile(r"(?:q|tau|m|approach|move|memory|play|v|speed|slip|load|heat|rest)(\d+)(?:[xyz]|_\d+mrad)?")
-# Of a beam from an instrument: its length, its direction about the vertical, its cosine with the flange's third axis.
+_NUMBERED = re.compile(
+    r"(?:q|tau|m|approach|move|memory|play|v|speed|slip|load|heat|rest)(\d+)(?:[xyz]|_\d+(?:mrad|s))?"
+)
+# Of a beam from an instrument: its length, its direction about the vertical, its cosine with the flange's third axis;
+# and of its head the sense of the last turn about the vertical, a column of its station's.
 _BEAM = ("r", "azimuth", "incidence")
+HEAD = "head"
+# Seams at which an instrument stands at a station.
+STATIONED = ("beam", "across")
 # Of the measured point, at the seams behind it.
 _POINT = ("point_x", "point_y", "point_z")
 # Of instruments that read distances: where the far end is, and which one read a pose, numbered in the order of tables
@@ -79,7 +86,8 @@ ALLOWED = (
     "q1 (reading [rad or m]), tau1 (load, share of the joint's great torque), m1x (moment at a link, share), gx "
     "(gravity in the flange frame, 1 at most), px (flange [m]), t (time, 0 to 1), warmth, warmth_600s [K], payload "
     "[kg], approach1 (-1 or 1), move1 (from the pose before [rad or m]), memory1_300mrad (of motions "
-    "so far back, -1 to 1), play1_300mrad (reading of what follows joint 1 with so much play to each side)"
+    "so far back, -1 to 1), play1_300mrad (reading of what follows joint 1 with so much play to each side), heat1_600s "
+    "(square of tau1, lagged)"
 )
 
 
@@ -161,14 +169,21 @@ class FormulaEffect(Effect):
         moved, names = point, dict(zip(_POINT, ca.vertsplit(point), strict=True))
         if "point" in self.formulas:
             moved = moved + ca.vertcat(*self.values_at("point", context, names))
-        for seam in {"beam", "distance"} & self.formulas.keys():
-            far = self.station if seam == "beam" else [context.conditions[c] for c in FAR]  # type: ignore[attr-defined]
+        for seam in {*STATIONED, "distance"} & self.formulas.keys():
+            far = [context.conditions[c] for c in FAR] if seam == "distance" else self.station  # type: ignore[attr-defined]
             beam = point - ca.vertcat(*far)
             r = ca.sqrt(ca.sumsqr(beam) + 1e-12)
             turn = ca.atan2(beam[1], beam[0]), ca.dot(beam, context.frames[-1][:3, 2]) / r
             of_beam = dict(zip(_BEAM, (r, *turn), strict=True))
-            moved = moved + beam / r * self.values_at(seam, context, {**names, **of_beam})[0]
+            of_beam |= dict(zip([HEAD], (context.conditions[c] for c in self.of_head), strict=False))
+            way = ca.vertcat(-ca.sin(turn[0]), ca.cos(turn[0]), 0) if seam == "across" else beam / r
+            moved = moved + way * self.values_at(seam, context, {**names, **of_beam})[0]
         return moved
+
+    @property
+    def of_head(self) -> tuple[str, ...]:
+        """The column of the sense of the head's last turn, where a formula names it."""
+        return (head_column(self.station),) if HEAD in self.drivers else ()  # type: ignore[attr-defined]
 
 
 def check_formula(text: str, seam: str, own: Collection[str]) -> Formula:
@@ -179,8 +194,8 @@ def check_formula(text: str, seam: str, own: Collection[str]) -> Formula:
     formula = parse(text, frozenset(own))
     if formula.components != SEAMS[seam].components:
         raise InputError(f"formula {text!r}: seam {seam!r} needs {SEAMS[seam].components} of its components")
-    there = {*own, *(_BEAM if seam in ("beam", "distance") else ())}
-    there |= set(_POINT if seam in ("beam", "distance", "point") else ())
+    there = {*own, *(_BEAM if seam in (*STATIONED, "distance") else ()), *([HEAD] if seam in STATIONED else ())}
+    there |= set(_POINT if seam in (*STATIONED, "distance", "point") else ())
     if seam in MOTION_SEAMS:
         allowed = ", ".join([*own, *sorted(MOTION), "q1 (and v, speed, slip, load, tau, heat, rest) of joint 1"])
         refuse_unknown(formula, lambda name: name in there | MOTION or bool(MOTION_OF.fullmatch(name)), allowed)
@@ -212,7 +227,7 @@ def check_values(formula: Formula, parameters: Collection[str], settings: Mappin
 # Of names in formulas [SI]; of others, which are angles, lengths and parameters: _USUAL.
 _RANGES = {
     "t": (0.0, 1.0), "payload": (0.0, 100.0), "warmth": (-100.0, 100.0), "r": (0.1, 100.0), "g": (-1.0, 1.0),
-    "approach": (-1.0, 1.0), "memory": (-1.0, 1.0),
+    "approach": (-1.0, 1.0), "memory": (-1.0, 1.0), HEAD: (-1.0, 1.0),
 }  # fmt: skip
 _USUAL = (-4.0, 4.0)
 
@@ -233,6 +248,11 @@ def _known(name: str, seam: str) -> bool:
     if seam == "energy" and name.startswith("tau"):
         return False
     return bool(COLUMN.fullmatch(name) or _OF_POSE.fullmatch(name))
+
+
+def head_column(station: Iterable[float]) -> str:
+    """Name of the sense of the last turn of the head of an instrument that stands there [m]."""
+    return f"head_{'_'.join(f'{1e3 * v:.0f}' for v in station)}mm".replace("-", "m")
 
 
 def image_columns(side: str, what: str) -> tuple[str, str, str]:
@@ -300,7 +320,8 @@ class Law(FormulaEffect):
 
     formula : what is added there [rad, m or kg/kg]; of the seam `joints` with q, tau, approach, move of each joint
     factors : names of its parameters, single letters, and their realistic sizes; without them it must be zero
-    station : where the instrument stands, in the measuring frame [m], for the seam `beam`, there with r, the range [m]
+    station : where the instrument stands, in the measuring frame [m], for the seams `beam` and `across`, there with r,
+        the range [m]
     count : number of joints, for the seam `joints`
     """
 
@@ -338,7 +359,7 @@ class Law(FormulaEffect):
     @property
     def of_measurement(self) -> bool:  # type: ignore[override]
         """Whether it acts on what the instrument reports."""
-        return self.seam in ("beam", "distance", "point")
+        return self.seam in (*STATIONED, "distance", "point")
 
     @property
     def formulas(self) -> Mapping[str, Formula]:
@@ -348,7 +369,7 @@ class Law(FormulaEffect):
     def place(self) -> str:
         """Where it acts, in words."""
         words = {"joint": "joint {}", "joints": "every joint", "tilt": "tilt of link {}", "shift": "shift of link {}"}
-        words |= {"torque": "torque of joint {}", "response": "response of joint {}"}
+        words |= {"torque": "torque of joint {}", "response": "response of joint {}", "across": "across the beam"}
         return words.get(self.seam, self.seam).format(self.joint)
 
     @property
@@ -366,7 +387,7 @@ class Law(FormulaEffect):
         if self.seam == "joints":
             names += [f"{n}{j}" for n in self.drivers if n in ("approach", "move") for j in range(1, self.count + 1)]
         needed = ["payload_kg"] if self.seam.startswith("payload") else list(FAR) if self.seam == "distance" else []
-        return tuple(dict.fromkeys([*names, *needed]))
+        return tuple(dict.fromkeys([*names, *needed, *self.of_head]))
 
     def refuse_joints(self, arm: Arm) -> None:
         super().refuse_joints(arm)

@@ -1,7 +1,7 @@
-"""Columns that effects need and that follow from logged ones: progress, lagged warmth, approach directions."""
+"""Columns that effects need and that follow from logged ones: progress, lagged warmth, directions of motion."""
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,9 +12,11 @@ from casadical.measurements.measurements import Measurements
 COLUMN = "time_s"
 # Less is no motion but rounding of the same reading [rad or m].
 AT_REST = 1e-9
+# Loads of the joints, shape (n, joints), from readings and logged columns (see `Robot.loads`).
+Loads = Callable[[Array, Mapping[str, Array]], Array]
 
 
-def derive(m: Measurements, names: Iterable[str]) -> tuple[Measurements, tuple[str, ...]]:
+def derive(m: Measurements, names: Iterable[str], loads: Loads | None = None) -> tuple[Measurements, tuple[str, ...]]:
     """The measurements with the named columns added, and the names that do not follow from what was logged.
 
     Columns: progress, the place in the order of measuring, 0 to 1 (column pose or time_s; else the order of the rows);
@@ -22,10 +24,13 @@ def derive(m: Measurements, names: Iterable[str]) -> tuple[Measurements, tuple[s
     2's last motion, -1 or 1, from the order of the poses where it was not logged; move2, joint 2's way from the pose
     before, 0 for the first [rad or m]; memory2_300mrad, a state between -1 and 1 that goes to the direction of motion
     within 0.3 rad of it (Dahl 1968); play2_300mrad, joint 2's reading as what it takes along with a play of 0.3 rad to
-    each side has it (a relay with play is a step of it).
+    each side has it (a relay with play is a step of it); heat2_600s, the square of joint 2's load behind a first-order
+    lag of 600 s; head_1500_m200_0mm, the sense of the last turn, -1 or 1, of the head of an instrument that stands at
+    [1.5, -0.2, 0] m and follows the measured point.
 
     m : campaign with its logged columns
     names : columns to derive: progress, warmth_600s, approach2, move2, memory2_300mrad, play2_300mrad and their like
+    loads : of a robot, for heat2_600s
 
     Examples
     --------
@@ -35,7 +40,7 @@ def derive(m: Measurements, names: Iterable[str]) -> tuple[Measurements, tuple[s
     """
     columns, missing = dict(m.conditions), []
     for name in dict.fromkeys(names):
-        made = columns[name] if name in columns else _derived(m, name)
+        made = columns[name] if name in columns else _derived(m, name, loads)
         if made is None:
             missing.append(name)
         else:
@@ -43,18 +48,26 @@ def derive(m: Measurements, names: Iterable[str]) -> tuple[Measurements, tuple[s
     return replace(m, conditions=columns), tuple(missing)
 
 
-def _derived(m: Measurements, name: str) -> Array | None:
+def _derived(m: Measurements, name: str, loads: Loads | None) -> Array | None:
     order = np.argsort(next((m.conditions[c] for c in (COLUMN, "pose") if c in m.conditions), m.row), kind="stable")
     if name == "progress":
         return _back(np.arange(len(m)) / max(1, len(m) - 1), order)
     if lag := re.fullmatch(r"warmth_(\d+)s", name):
         return _warmth(m, float(lag[1]), order)
+    if heat := re.fullmatch(r"heat(\d+)_(\d+)s", name):
+        return _heat(m, int(heat[1]), float(heat[2]), order, loads)
+    if station := re.fullmatch(rf"head_{_MM}_{_MM}_{_MM}mm", name):
+        return _head(m, [1e-3 * float(mm.replace("m", "-")) for mm in station.groups()], order)
     for pattern, of_joint in _OF_JOINT.items():
         if match := re.fullmatch(pattern, name):
             joint, *way = map(int, match.groups())
             known = 1 <= joint <= m.q.shape[1]
             return _back(of_joint(m.q[order, joint - 1], *(1e-3 * w for w in way)), order) if known else None
     return None
+
+
+# A whole number in a name.
+_MM = r"(m?\d+)"
 
 
 def _back(values: Array, order: Array) -> Array:
@@ -70,17 +83,36 @@ def _warmth(m: Measurements, lag: float, order: Array) -> Array | None:
     sensor = m.conditions["temperature_degC"]
     if not lag:
         return np.asarray(sensor - sensor.mean())
-    time, felt = m.conditions[COLUMN][order], sensor[order]
-    behind = np.empty(len(m))
+    warmth = _back(_behind(sensor[order], m.conditions[COLUMN][order], lag), order)
+    return np.asarray(warmth - warmth.mean())
+
+
+def _behind(felt: Array, time: Array, lag: float) -> Array:
+    """Values in the order of measuring behind a first-order lag [s]; at rest before the first."""
+    behind = np.empty(len(felt))
     behind[0] = felt[0]
-    for k in range(1, len(m)):
-        # The sensor runs straight between two readings: the exact solution of the first-order lag.
+    for k in range(1, len(felt)):
+        # They run straight between two readings: the exact solution of the first-order lag.
         step = (time[k] - time[k - 1]) / lag
         decay = np.exp(-step)
         slope = (felt[k] - felt[k - 1]) / step if step > 0 else 0.0
         behind[k] = felt[k] - slope * (1 - decay) + (behind[k - 1] - felt[k - 1]) * decay
-    warmth = _back(behind, order)
-    return np.asarray(warmth - warmth.mean())
+    return behind
+
+
+def _heat(m: Measurements, joint: int, lag: float, order: Array, loads: Loads | None) -> Array | None:
+    """What a motor's current makes in its winding; of joints that take no load in any pose nothing."""
+    if loads is None or COLUMN not in m.conditions or not 1 <= joint <= m.q.shape[1] or not lag:
+        return None
+    square = np.nan_to_num(loads(m.q, m.conditions)[:, joint - 1]) ** 2
+    return _back(_behind(square[order], m.conditions[COLUMN][order], lag), order)
+
+
+def _head(m: Measurements, station: Sequence[float], order: Array) -> Array | None:
+    if m.position is None:
+        return None
+    beam = m.position[order] - np.array(station)
+    return _back(_approach(np.unwrap(np.arctan2(beam[:, 1], beam[:, 0]))), order)
 
 
 def _moves(q: Array) -> Array:

@@ -260,7 +260,7 @@ def _allowed(robot: Robot, q: Array, workspace: Workspace) -> Array:
 def _with_columns(robot: Robot, measured: Measurements) -> Measurements:
     if measured.position is None or measured.q.shape[1] != robot.n:
         raise InputError(f"{measured.source}: measured poses must be positions of {robot.name}'s {robot.n} joints")
-    derived, missing = derive(measured, robot.conditions)
+    derived, missing = derive(measured, robot.conditions, robot.loads)
     lost = [name for name in missing if name != "payload_kg"]
     if lost:
         raise InputError(f"{measured.source}: column {lost[0]!r} is missing, which {robot.name}'s effects need")

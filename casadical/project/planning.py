@@ -145,7 +145,7 @@ def continued(
     robot: Robot, m: Measurements, noise: Noise | None, free: Sequence[str], prior: Prior | None = None
 ) -> tuple[Robot, Measurements, Noise]:
     """The robot calibrated with m, m with derived columns, and the noise, estimated if not given. Raises InputError."""
-    m, missing = derive(m, robot.conditions)
+    m, missing = derive(m, robot.conditions, robot.loads)
     lost = [name for name in missing if name != "payload_kg"]
     if lost:
         raise InputError(f"{m.source}: column {lost[0]!r} is missing, which the effects to plan for need")

@@ -361,7 +361,7 @@ def _with_conditions(m: Measurements, robot: Robot) -> Measurements:
         )
     if not robot.effects:
         return m
-    derived, missing = derive(m, robot.conditions)
+    derived, missing = derive(m, robot.conditions, robot.loads)
     for effect in robot.effects:
         lost = [c for c in effect.conditions if c in missing and not (c == "payload_kg" and robot.payload)]
         if lost:

@@ -279,12 +279,9 @@ class Robot(Shown, Arm):
         upright is made for the forces of motion. Where all axes are, the greatest is a twentieth of the weight they
         turn, at the arm's reach: a base that leans a little loads them.
         """
-        bare = self.with_only(())
         lower, upper = self.limits
         q = np.random.default_rng(0).uniform(lower, upper, (512, self.n))
-        w = np.tile(bare.declared, (len(q), 1))
-        tau = np.abs(bare.model.evaluate(("tau",), q, w, bare.parameters.values)[0])
-        great = np.nanquantile(tau, 0.95, axis=1)
+        great = np.nanquantile(np.abs(self._bare_torques(q, {})), 0.95, axis=1)
         turning = np.array([j.kind == "revolute" for j in self.joints])
         loads = [*(j.body for j in self.joints[turning.argmax() :]), self.payload]
         weight = float(np.linalg.norm(self.gravity)) * sum(body.mass for body in loads if body)
@@ -293,6 +290,21 @@ class Robot(Shown, Arm):
                 most = max(1e-9, least, float(np.nanmax(great[kind])))
                 great[kind] = np.maximum(great[kind], SMALLEST_GEAR * most)
         return great
+
+    def loads(self, q: Array, conditions: Mapping[str, Array]) -> Array:
+        """Gravity torques without effects as shares of the great ones, shape (n, joints).
+
+        q : readings, shape (n, joints) [rad or m]; conditions : logged columns by name, else as declared
+        """
+        return np.asarray(self._bare_torques(q, conditions).T / self.torque_scale)
+
+    def _bare_torques(self, q: Array, conditions: Mapping[str, Array]) -> Array:
+        """Of the model without effects, shape (joints, n) [N m or N]."""
+        bare = self.with_only(())
+        w = np.tile(bare.declared, (len(q), 1))
+        for k, name in enumerate(bare.conditions):
+            w[:, k] = conditions.get(name, w[:, k])
+        return bare.model.evaluate(("tau",), q, w, bare.parameters.values)[0]
 
     @cached_property
     def model(self) -> Model:

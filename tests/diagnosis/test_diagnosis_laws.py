@@ -12,6 +12,7 @@ from numpy_physics import campaign
 from numpy_physics.disturbance import Disturbance
 from numpy_physics.disturbances_drive import GearEccentricity
 from numpy_physics.disturbances_rare import CableStop
+from scipy.integrate import solve_ivp
 
 from casadical import Discovery, diagnose, discover
 from casadical.blind_check.mujoco_physics import perturb
@@ -49,6 +50,7 @@ from casadical.effects import Law
 from casadical.effects.formula import NUMERIC, parse
 from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive
+from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import from_table
 from casadical.project.problem import read_problem
 from casadical.robot.effect_tables import read_effects
@@ -236,6 +238,46 @@ def test_a_cable_that_stops_a_joint_is_found() -> None:
     assert found.kept == "law"
     assert found.shrink is not None
     assert found.shrink[1][0] > 0.1
+
+
+def heated(m: Measurements) -> Measurements:
+    """Joint 3 errs as its motor warms up under load."""
+    square, time = robot(NAME).loads(m.q, m.conditions)[:, 2] ** 2, m.conditions["time_s"]
+    ends, start = (time[0], time[-1]), [square[0]]
+    heat = solve_ivp(lambda t, x: (np.interp(t, time, square) - x) / 280, ends, start, t_eval=time, max_step=20).y[0]
+    return replace(m, q=m.q + 4e-4 * heat[:, None] * (np.arange(6) == 2))
+
+
+STATION = np.array([4.2, -2.5, 0.6])
+
+
+def turned_head(m: Measurements, across: float, along: float) -> Measurements:
+    """A tracker whose head has play: its points lie to a side, or farther off, by the way it turned last."""
+    beam = m.position - STATION
+    turn = np.angle(beam @ [1, 1j, 0])
+    sense = np.sign(np.angle(np.exp(1j * np.diff(turn, prepend=turn[0]))))
+    aside = np.stack([-np.sin(turn), np.cos(turn), 0 * turn], axis=1) * np.linalg.norm(beam, axis=1, keepdims=True)
+    way = across * aside + along * beam / np.linalg.norm(beam, axis=1, keepdims=True)
+    return replace(m, position=m.position + sense[:, None] * way)
+
+
+@pytest.mark.parametrize(
+    ("changed", "places", "driver"),
+    [
+        (heated, {"joint 3", "tilt of link 3"}, "heat3_300s"),
+        (lambda m: turned_head(m, 2e-5, 0.0), {"across the beam"}, "head*r"),
+        (lambda m: turned_head(m, 0.0, 8e-5), {"beam"}, "head"),
+    ],
+    ids=["heat", "across", "along"],
+)
+def test_a_law_is_looked_for_where_all_would_be_noise_of_any_size(changed, places: set[str], driver: str) -> None:
+    m, arm = from_table(table(4), 6), robot(NAME)
+    there = changed(m)
+    there = replace(m, position=there.position + predicted(arm, there)[0] - predicted(arm, m)[0])
+    found = diagnose(arm, there)
+    best = laws_beside(found).rounds[0].best
+    assert (found.verdict, found.causes, found.law is None) == ("unknown", (), driver.startswith("heat"))
+    assert (best.law.place in places, best.tried.driver.text) == (True, driver)
 
 
 def test_what_predicts_best_goes_into_the_robot() -> None:

@@ -132,6 +132,7 @@ def test_the_list_of_the_package_is_a_file_like_any_other(tmp_path: Path) -> Non
         ("base tilt", "[a * m0x, 0, a * m2y]"),
         ("distance", "a * r**2"),
         ("beam", "a * r**2"),
+        ("across", "a * r * head"),
         ("payload shift", "[a, 0, a]"),
     ],
 )
@@ -144,7 +145,7 @@ signature = "an own effect"
 sizes = {{a = [{"10.0" if seam == "energy" else "0.03" if seam == "payload shift" else "1e-4"}, "-"]}}
 formulas."{seam}" = "{formula}"
 {'needs = ["far_x_m", "far_y_m", "far_z_m"]' if seam == "distance" else ""}
-{"settings.station = {default = [2.0, 1.0, 0.5]}" if seam == "beam" else ""}
+{"settings.station = {default = [2.0, 1.0, 0.5]}" if seam in ("beam", "across") else ""}
 {'needs = ["payload_kg"]' if seam == "payload shift" else ""}
 """
     effect = defined(tmp_path, text)()

@@ -86,6 +86,21 @@ def test_the_beam_moves_points_along_it() -> None:
     assert law.of_measurement
 
 
+def test_the_head_moves_points_across_the_beam_by_the_sense_of_its_last_turn() -> None:
+    station = (3.0, 1.0, 0.5)
+    law = Law(None, "across", "a * head * r", station=station)
+    assert law.conditions == ("head_3000_1000_500mm",)
+    assert law.of_measurement
+    p, seen = predicted(robot(NAME), campaign(NAME)[:30])[0], campaign(NAME).position[:30]
+    way, turn = p - station, np.angle((seen - station) @ [1, 1j, 0])
+    sense = np.sign(np.angle(np.exp(1j * np.diff(turn, prepend=turn[0]))))
+    aside = np.stack([-way[:, 1], way[:, 0], 0 * sense], axis=1) / np.hypot(way[:, 0], way[:, 1])[:, None]
+    expected = 2e-5 * (sense * np.linalg.norm(way, axis=1))[:, None] * aside
+    np.testing.assert_allclose(shift(law, 2e-5), expected, rtol=0, atol=1e-12)
+    with pytest.raises(InputError, match="unknown name 'head'"):
+        Law(None, "distance", "a * head")
+
+
 def test_a_payload_law_is_an_error_of_its_mass() -> None:
     poses = campaign(NAME)[:30]
     found = shift(Law(None, "payload", "a * payload"), 0.01)
@@ -104,6 +119,8 @@ LAWS = [
     Law(None, "base tilt", "[a, b, c] * m2x", VECTOR),
     Law(None, "joints", "a * approach * abs(tau) + b * tanh(move)", (("a", 3e-5), ("b", 3e-5))),
     Law(None, "beam", "a * r**2 * gz", (("a", 3e-5),), (1.0, 2.0, 0.5)),
+    Law(None, "across", "a * r * head", (("a", 3e-5),), (1.0, -2.0, 0.5)),
+    Law(4, "joint", "a * heat2_600s"),
     Law(None, "payload", "a * t", (("a", 0.05),)),
 ]
 

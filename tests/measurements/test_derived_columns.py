@@ -1,5 +1,6 @@
 """Columns that follow from logged ones; clocks that go back or jump are said, tables in another order are not."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -39,6 +40,33 @@ def test_lagged_warmth_solves_the_differential_equation() -> None:
     found = derive(m, ["warmth_600s", "warmth_0s"])[0].conditions
     np.testing.assert_allclose(found["warmth_600s"], (exact - exact.mean())[order], atol=2e-6)
     np.testing.assert_allclose(found["warmth_0s"], (felt - felt.mean())[order], atol=1e-12)
+
+
+def test_the_heat_of_a_load_is_its_square_behind_a_lag() -> None:
+    rng = np.random.default_rng(2)
+    time = np.sort(rng.uniform(0, 3000, 30))
+    m = poses(30, time_s=time)
+
+    def loads(q: np.ndarray, columns: Mapping[str, np.ndarray]) -> np.ndarray:
+        return q * [1, 3, 1] + columns["time_s"][:, None] / 3000
+
+    square = (3 * m.q[:, 1] + time / 3000) ** 2
+    exact = solve_ivp(
+        lambda t, x: (np.interp(t, time, square) - x) / 300, (time[0], time[-1]), [square[0]],
+        t_eval=time, rtol=1e-10, atol=1e-10, max_step=5.0,
+    ).y[0]  # fmt: skip
+    np.testing.assert_allclose(derive(m, ["heat2_300s"], loads)[0].conditions["heat2_300s"], exact, atol=2e-6)
+    for known, name, of in ((m, "heat2_300s", None), (m, "heat4_300s", loads), (poses(30), "heat2_300s", loads)):
+        assert derive(known, [name], of)[1] == (name,)
+
+
+def test_the_sense_of_a_heads_last_turn_is_seen_from_its_station() -> None:
+    seen = np.array([[0, 1, 0], [1, 1, 0], [1, 1, 5], [0, 1, 0], [-2, 0.1, 0], [-2, -0.1, 0]], float)
+    m = Measurements(q=np.zeros((6, 1)), kind="position", position=seen)
+    columns = derive(m, ["head_0_0_0mm", "head_m3000_0_m700mm"])[0].conditions
+    np.testing.assert_array_equal(columns["head_0_0_0mm"], [0, -1, -1, 1, 1, 1])  # across the seam at half a turn
+    np.testing.assert_array_equal(columns["head_m3000_0_m700mm"], [0, -1, -1, 1, -1, -1])
+    assert derive(replace(m, position=None, kind="distance", distance=np.ones(6)), ["head_0_0_0mm"])[1]
 
 
 def test_approach_follows_from_the_order_of_the_poses() -> None:

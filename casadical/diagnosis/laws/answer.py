@@ -22,7 +22,7 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.refit import refit
 from casadical.diagnosis.result import Diagnosis, Unlisted
 from casadical.effects import Effect
-from casadical.effects.formula_effect import SEAMS, Law
+from casadical.effects.formula_effect import SEAMS, STATIONED, Law
 from casadical.identification.result import Identification
 from casadical.measurements.measurements import Noise
 from casadical.robot.effect_tables import effects_toml
@@ -243,7 +243,7 @@ def line_of(law: Law, values: Mapping[str, float] | None = None) -> str:
     if SEAMS[law.seam][0] == 1:
         text = re.sub(r"(^| \+ )([a-z])\*", scalar, text)
     text = re.sub(r"abs\(([^()]*)\)", r"|\1|", text)
-    beam = f" (instrument at {', '.join(f'{v:g}' for v in law.station)} m)" if law.seam == "beam" else ""
+    beam = f" (instrument at {', '.join(f'{v:g}' for v in law.station)} m)" if law.seam in STATIONED else ""
     return f"{law.place} += {text}{beam}".replace("+ -", "- ")
 
 

@@ -16,11 +16,13 @@ from casadical.core.parts import Arm
 from casadical.diagnosis.linearisation import Linearisation
 from casadical.effects.formula import NUMERIC, names_in, parse
 from casadical.effects.formula_effect import COLUMN, Law, columns_of
-from casadical.measurements.derived_columns import derive
+from casadical.measurements.derived_columns import Loads, derive
 from casadical.measurements.measurements import Measurements
 
 LETTERS = "abcdefghijklmnopqs"
 LAGS = (300, 600, 1200, 2400)
+# Of the heat of a motor under load [s].
+HEATS = (300, 1200)
 # How far back motions are remembered [mrad or mm].
 WAYS = (100, 300, 1000, 3000)
 # Half of a play [mrad or mm].
@@ -63,6 +65,7 @@ def drivers_of(arm: Arm) -> list[Driver]:
     for i in arm.numbers:
         drivers += [Driver(f"approach{i}", "linear", "approach"), Driver(f"move{i}", "signed", "move")]
         drivers += [Driver(f"play{i}_{play}mrad", "play", "play") for play in PLAYS]
+        drivers += [Driver(f"heat{i}_{lag}s", "linear", "heat") for lag in HEATS]
         memories = [f"memory{i}_{way}mrad" for way in WAYS]
         drivers += [Driver(f"{own}{m}", "linear", "memory") for m in memories for own in ("", f"tau{i}*")]
         drivers += [Driver(f"approach{i}*{other}", "linear", "approach") for other in (f"tau{i}", f"abs(tau{i})", "t")]
@@ -78,10 +81,12 @@ def drivers_of(arm: Arm) -> list[Driver]:
 WARM = "warmth_600s"
 
 
-def with_columns(m: Measurements, drivers: Sequence[Driver]) -> tuple[Measurements, list[Driver]]:
+def with_columns(
+    m: Measurements, drivers: Sequence[Driver], loads: Loads | None = None
+) -> tuple[Measurements, list[Driver]]:
     """The measurements with the drivers' columns, and those drivers whose columns were logged or follow."""
     needed = {d: columns_of(parse(d.text).names) for d in drivers}
-    m, missing = derive(m, [c for columns in needed.values() for c in columns])
+    m, missing = derive(m, [c for columns in needed.values() for c in columns], loads)
     return m, [d for d in drivers if not set(needed[d]) & set(missing)]
 
 

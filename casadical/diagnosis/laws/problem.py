@@ -186,14 +186,14 @@ def seams_at(robot: Robot) -> list[Law]:
     return [*seams, *([Law(None, "payload", "a", (("a", 0.01),))] if robot.payload else [])]
 
 
-def stations(robot: Robot) -> list[Law]:
-    """Constant laws along the beam of instruments that stand around the robot, and of one at the frame's origin."""
+def stations(robot: Robot) -> list[tuple[float, float, float]]:
+    """Where instruments may stand around the robot, and the frame's origin [m]."""
     middle, reach = robot.base.T[:3, 3], robot.reach
     places = [np.zeros(3)]
     for far in DISTANCES:
         for turn in 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS:
             places.append(middle + reach * np.array([far * np.cos(turn), far * np.sin(turn), 0.5]))
-    return [Law(None, "beam", "a", station=_rounded(at)) for at in places]
+    return [_rounded(at) for at in places]
 
 
 def _rounded(at: Array) -> tuple[float, float, float]:

@@ -5,7 +5,7 @@ many places with drivers were tried. Evidence on all settings is that of `screen
 Settings of those that are kept are refined by steps of shrinking size.
 """
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,7 +37,9 @@ from casadical.diagnosis.laws.problem import with_columns as at_poses
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import EffectColumns, Linearisation
 from casadical.effects.formula import parse
-from casadical.effects.formula_effect import Law
+from casadical.effects.formula_effect import Law, head_column
+from casadical.measurements.derived_columns import derive
+from casadical.robot.robot import Robot
 
 # What a law pays that can follow anything that varied with time, where the driver itself may be there.
 TIME_PRICE = 5.0
@@ -163,29 +165,50 @@ def _every_joint(problem: Problem, linear: Linearisation, known: Collection[str]
         yield from _of_block(seam, block, problem.gains(seam, block.functions), EXACT)
 
 
-def _along_the_beam(problem: Problem, linear: Linearisation, beams: Sequence[Seam]) -> Iterator[_Rough]:
-    """Laws of the range, direction and incidence of the beam, whose station is a setting like others."""
-    for text, kind in (("r", "range"), ("azimuth", "azimuth"), ("incidence", "incidence")):
-        driver = Driver(text, kind, kind)
-        of_driver = linear.columns([replace(b.law, formula=f"a*{text}") for b in beams])
-        units = np.concatenate([b.columns for b in beams], axis=2)
-        x = list(((of_driver * units).sum(axis=1) / (units**2).sum(axis=1)).T)
-        for form in FORMS[kind]:
-            gains = []
-            for seam, values in zip(beams, x, strict=True):
-                (block,) = _blocks([(driver, values)], {kind: (form,)})
-                gains.append(problem.gains(seam, block.functions))
-            tried = Tried(tuple(beams), driver, form, tuple(x))
-            k = first_of_best([g.max() for g in gains], logs=True)
-            best, whole = first_of_best(gains[k], logs=True), np.concatenate(gains)
-            mean = float(log_mean(whole) - np.log(len(whole)))
-            yield _Rough(tried, k, tried.settings[k][best], float(gains[k][best]), mean)
+# Drivers of what an instrument measures along and across its beam, each with its kind.
+_OF_BEAM: Mapping[str, Mapping[str, str]] = {
+    "beam": {
+        "r": "range",
+        "azimuth": "azimuth",
+        "incidence": "incidence",
+        "head": "linear",
+        "head*incidence": "linear",
+    },
+    "across": {"head": "linear", "head*r": "linear"},
+}
+
+
+def _by_the_beam(problem: Problem, linear: Linearisation, robot: Robot) -> Iterator[_Rough]:
+    """Laws of the beam and of the head that turns it, of an instrument whose station is a setting like others."""
+    places = stations(robot)
+    for seam, drivers in _OF_BEAM.items():
+        beams = at_poses(linear, [Law(None, seam, "a", station=at) for at in places])
+        for text, kind in drivers.items():
+            yield from _at_stations(problem, linear, beams, Driver(text, kind, "head" if kind == "linear" else kind))
+
+
+def _at_stations(problem: Problem, linear: Linearisation, beams: Sequence[Seam], driver: Driver) -> Iterator[_Rough]:
+    """One driver's laws, each of all stations together."""
+    of_driver = linear.columns([replace(b.law, formula=f"a*{driver.text}") for b in beams])
+    units = np.concatenate([b.columns for b in beams], axis=2)
+    x = list(((of_driver * units).sum(axis=1) / (units**2).sum(axis=1)).T)
+    for form in FORMS[driver.kind]:
+        gains = []
+        for seam, values in zip(beams, x, strict=True):
+            (block,) = _blocks([(driver, values)], {driver.kind: (form,)})
+            gains.append(problem.gains(seam, block.functions))
+        tried = Tried(tuple(beams), driver, form, tuple(x))
+        k = first_of_best([g.max() for g in gains], logs=True)
+        best, whole = first_of_best(gains[k], logs=True), np.concatenate(gains)
+        mean = float(log_mean(whole) - np.log(len(whole)))
+        yield _Rough(tried, k, tried.settings[k][best], float(gains[k][best]), mean)
 
 
 def _linear(case: Case) -> tuple[Linearisation, list[Driver]]:
     """The robot at the kept poses with the columns of the drivers, and those drivers whose columns were logged."""
     assert isinstance(case.whole.E, EffectColumns)
-    m, known = with_columns(case.m, drivers_of(case.given))
+    m, known = with_columns(case.m, drivers_of(case.given), case.given.loads)
+    m, _ = derive(m, map(head_column, stations(case.given)))
     linear = replace(case.whole.E.linear, conditions=dict(m.conditions))
     return linear.at(np.flatnonzero(case.kept)), known
 
@@ -213,7 +236,7 @@ def search_laws(case: Case, chosen: Array, without: frozenset[str] = frozenset()
     rough += joined
     rough += _every_joint(problem, linear, {n for d in kept for n in parse(d.text).names}, every)
     if of_instrument:
-        rough += _along_the_beam(problem, linear, at_poses(linear, stations(case.given)))
+        rough += _by_the_beam(problem, linear, case.given)
     instances = len(seams) * len(drivers) + len(joined) + 1
     rough = [r for r in rough if r.mean > NEVER / 2]
     prices = [np.log(instances) + np.log(1 + len(FORMS[r.tried.driver.kind])) + _last(r.tried) for r in rough]

@@ -110,7 +110,7 @@ def replay(robot: Robot, m: Measurements, name: str = "model") -> ReplayedModel:
     """
     if m.position is None:
         raise InputError(f"{m.source}: of kind {m.kind}; positions are needed to replay")
-    m, _ = derive(m, [*robot.conditions, *(f"approach{i}" for i in range(1, robot.n + 1))])
+    m, _ = derive(m, [*robot.conditions, *(f"approach{i}" for i in range(1, robot.n + 1))], robot.loads)
     export = mjcf(robot)
     there = positions(export.text, m, counterparts(robot).payload_factor) + _of_the_measurement(robot, m)
     apart = np.linalg.norm(there - predicted(robot, m)[0], axis=1)
