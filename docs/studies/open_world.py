@@ -49,7 +49,8 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulato
 from numpy_physics import disturbances
 
 ROBOTS = ("hh800", "kr210", "ur10e")
-SEEDS = {"develop": 1501, "judge": 1502, "develop 2": 1503, "judge 2": 1504, "judge 3": 1505, "judge 4": 1506, "judge 5": 1507}
+NAMES = ("develop", "judge", "develop 2", "judge 2", "judge 3", "judge 4", "judge 5")
+SEEDS = dict(zip(NAMES, range(1501, 1508), strict=True))
 NOISE_MM = 0.02
 # Campaigns of each part.
 PARTS = {
