@@ -86,6 +86,7 @@ def measure(
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
     from casadical.core.reading import load_toml
+    from casadical.core.telling.result import terminal
     from casadical.project.live.session import TABLE, LiveSession, finished
     from casadical.project.live.sources import NAME, SimulatedSource, journal, source_of
 
@@ -124,6 +125,7 @@ def measure(
         console.print(finished(session))
         suggest(console, "to learn what is left", "diagnose", folder)
     else:
+        console.print(terminal(session.view().blocks()))
         suggest(console, "to look for slips before a calibration", "check", folder)
 
 
@@ -133,13 +135,13 @@ def _follow(session: LiveSession, source: Source, console: Console, pause: float
     while True:
         ended = getattr(source, "ended", False)
         numbers, said = session.feed(source)
-        for text in (*said, *map(session.answer, numbers)):
+        for text in (*said, *map(session.view().answer, numbers)):
             console.print(text)
         if numbers:
             if session.doubted():
                 session.check()
             session.look_ahead()
-            console.print(session.outlook())
+            console.print("\n".join(f"   {line}" for line in session.view().outlook()))
         if ended:
             return
         if numbers or pause > SILENT:

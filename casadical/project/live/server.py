@@ -172,7 +172,7 @@ class LivePage:
         session, do = self.session, asked.get("do")
         if do == "type":
             number = session.type_in({str(name): str(value) for name, value in asked["values"].items()})
-            return session.answer(number) if number else "this reading is there already"
+            return session.view().answer(number) if number else "this reading is there already"
         if do == "finish":
             self.finished = finished(session)
             return self.finished

@@ -32,9 +32,10 @@ from casadical.pose_selection.workspace import Workspace, read_workspace
 from casadical.project.calibration import calibrate
 from casadical.project.check.check import precheck
 from casadical.project.live.ahead import Ahead, arms, in_base, look_ahead, task_readings
-from casadical.project.live.estimate import FEW, FEWEST, Estimate, counted
+from casadical.project.live.estimate import FEW, Estimate, counted
 from casadical.project.live.reading_slips import slips_of
 from casadical.project.live.sources import Add, Course, Reading, Row, Source
+from casadical.project.live.view import FOR_QUANTILE, LiveView
 from casadical.project.problem import read_campaign, read_problem_robot
 from casadical.project.problem_file import DataTable, problem_file
 from casadical.project.robot_columns import refuse_nameless, understood, with_known_targets
@@ -47,8 +48,6 @@ WAITING = 10
 # Columns of names, and those that a table may have beside what its kind observes.
 NAMES = ("point", "plane", "sphere", "anchor", "dial", "tool", "session")
 FURTHER = ("to_x_mm", "to_y_mm", "to_z_mm", "along_x", "along_y", "along_z", "pose", "other_pose", *NAMES)
-# A share of readings of which 95 % lie below is stated from so many on.
-FOR_QUANTILE = 20
 # Positions so many times the reach apart are of another unit, or of nothing that the robot holds.
 BEYOND = 10.0
 
@@ -402,19 +401,24 @@ class LiveSession:
 
     def state(self) -> dict[str, Any]:
         """All that a page shows, as plain data; angles [deg], lengths [mm]."""
+        return self.view().to_json()
+
+    def view(self) -> LiveView:
+        """What is told by now."""
         with self.lock:
             read = self._read()
             places = arms(self._in_base, np.array([q for q, _ in read.values()]))[:, -1].tolist() if read else []
             points = dict(zip(read, places, strict=True))
             readings = [{**self._reading_json(r, read), "point": points.get(r.number)} for r in self.course.readings]
             estimate, ahead = self.estimate, self.ahead
-            return {
+            return LiveView({
                 "robot": self.robot.name, "folder": self.folder.resolve().name,
                 "data": self.course.data if readings else self._data, "fields": self.fields, "readings": readings,
                 "said": [*([self.unread] if self.unread else []), *self.said[-5:], *self._of_table],
+                "table": self._of_table,
                 "known": None if estimate is None else self._known_json(estimate),
                 "next": None if ahead is None else self._next_json(ahead),
-            }  # fmt: skip
+            })  # fmt: skip
 
     @property
     def _of_table(self) -> list[str]:
@@ -456,38 +460,6 @@ class LiveSession:
             "points": arms(self._in_base, ahead.q)[:, -1].tolist(),
             "arm_now": None if last is None or not len(last) else arms(self._in_base, last)[0].tolist(),
         }  # fmt: skip
-
-    def answer(self, number: int) -> str:
-        """What a reading told, in a line or two."""
-        with self.lock:
-            text = f"{number}: {_verdict(self._reading_json(self.course.reading(number), self._read()))}"
-            if self.unread:
-                return text
-            if self.estimate is None:
-                return f"{text}; judged from reading {FEWEST + 1} on"
-            if len(left := self.estimate.left_out_mm) < FEW:
-                return text
-            return f"{text}; {float(left.mean()):.3f} mm mean of readings left out one by one"
-
-    def outlook(self) -> str:
-        """What is wrong with the whole table, and the next pose, in some lines."""
-        with self.lock:
-            lines = [f"   {text}" for text in self._of_table]
-            if self.ahead is not None:
-                following = self._next_json(self.ahead)
-                pairs = zip(self.robot.reading_units, following["poses"][0], strict=True)
-                lines.append(f"   {self.ahead.words}")
-                touch = f"  touching {following['touch']}" if following["touch"] else ""
-                lines.append("   next: " + "  ".join(f"{name} {value:.3f}" for name, value in pairs) + touch)
-                lines += [f"   {following['program']}"] if following["program"] else []
-            return "\n".join(lines)
-
-
-def _verdict(told: dict[str, Any]) -> str:
-    off = "" if told["off_mm"] is None else f" ({told['off_mm']:.3f} mm off what the others predict)"
-    return {"good": f"plausible{off}", "doubtful": f"DOUBTFUL{off}: {told['why']}"}.get(
-        told["state"], f"{told['state']}: {told['why']}"
-    )
 
 
 def finished(session: LiveSession) -> str:

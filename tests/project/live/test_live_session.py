@@ -237,7 +237,7 @@ def test_rows_wait_for_those_without_which_they_tell_nothing(arm: Path) -> None:
         for count, cells in enumerate([[*row, "a"] for row in rows[1:12]] + turned, 1):
             number = session.take(Row((*rows[0], "session"), (), tuple(cells), "test"))
             if count == 13:
-                assert "session 'b' has 2 poses" in session.answer(number)
+                assert "session 'b' has 2 poses" in session.view().answer(number)
         session.look_ahead()
         assert {r["state"] for r in session.state()["readings"]} == {"good"}
 
@@ -427,13 +427,17 @@ def test_a_clock_that_goes_back_and_another_robots_table_are_said_in_the_termina
         session = LiveSession(arm, course, add)
         for k, cells in enumerate(rows[1:]):
             session.take(Row((*rows[0], "time_s"), (), (*cells, str(10 * k - 100 * (k == 4))), "test"))
-        assert "time_s goes back from 30 to -60 s" in session.outlook()
+        assert "time_s goes back from 30 to -60 s" in "\n".join(session.view().outlook())
         assert any("goes back" in text for text in session.state()["said"])
     (arm / "measured.jsonl").unlink()
     with journal(arm) as (course, add):
         session = LiveSession(arm, course, add)
         session.take(Row((*rows[0], "q7_rad"), (), (*rows[1], "0.1"), "test"))
-        assert session.answer(1).startswith("1: unread: measured.csv: column 'q7_rad': this robot has only 6 joints")
+        assert (
+            session.view()
+            .answer(1)
+            .startswith("1: unread: measured.csv: column 'q7_rad': this robot has only 6 joints")
+        )
 
 
 def test_the_journal_is_lines_of_json(arm: Path) -> None:
