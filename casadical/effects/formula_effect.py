@@ -8,6 +8,7 @@ A formula is data: it is parsed and never executed (see `formula`).
 import re
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple
 
 import casadi as ca
@@ -314,6 +315,15 @@ def grown_link(number: int, context: Context, growth: Symbolic) -> Symbolic:
 _FACTOR = re.compile(r"[a-z]")
 
 
+@lru_cache(maxsize=1024)
+def _refuse_formula(text: str, seam: str, factors: tuple[str, ...]) -> None:
+    """Raises InputError for a law that is none; once for all the stations where it is tried."""
+    formula = check_formula(text, seam, factors)
+    if unused := [name for name in factors if name not in formula.names]:
+        raise InputError(f"formula {text!r}: factor {unused[0]!r} is not in it")
+    check_values(formula, factors, {})
+
+
 @dataclass(frozen=True)
 class Law(FormulaEffect):
     """seam : where it acts, one of SEAMS; joint : number of the joint or link there
@@ -346,10 +356,7 @@ class Law(FormulaEffect):
             raise InputError(f"law: factors = {names}; allowed are different single letters, not t or r, one at least")
         if not all(0 < size <= 1e3 for _, size in self.factors):
             raise InputError(f"law: factors = {list(self.factors)}; their sizes must be above 0, and 1000 at most")
-        formula = check_formula(self.formula, self.seam, names)
-        if unused := [name for name in names if name not in formula.names]:
-            raise InputError(f"formula {self.formula!r}: factor {unused[0]!r} is not in it")
-        check_values(formula, names, {})
+        _refuse_formula(self.formula, self.seam, tuple(names))
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:

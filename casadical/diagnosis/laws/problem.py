@@ -10,7 +10,7 @@ the axes of the base model, shape (P, n). The rest is a product of matrices for 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import itemgetter
@@ -90,6 +90,13 @@ class Screen:
                         G[:, b * d + j, a * d + i] = G[:, a * d + i, b * d + j]
         right = np.einsum("nai,na->in", B, self.y)
         return G, np.stack([right[i] @ part[own_of[i]] for part in F for i in range(d)], axis=1)
+
+    def products_of(self, columns: Array) -> tuple[Array, Array]:
+        """The same of laws whose columns are given, shape (n, 3, w, K)."""
+        B = np.einsum("nab,nbwk->nawk", self.W, columns, optimize=True)
+        M = np.tensordot(self.Q, B, axes=((0, 1), (0, 1)))
+        G = np.einsum("naik,najk->kij", B, B, optimize=True) - np.einsum("pik,pjk->kij", M, M, optimize=True)
+        return G, np.einsum("naik,na->ki", B, self.y, optimize=True)
 
     def reach(self, G: Array, b: Array) -> Array:
         """What log evidence over none no law exceeds, whatever its size and the noise, shape (K,); see `gains`."""
@@ -373,8 +380,13 @@ class Problem:
 
     def gains(self, seam: Seam, functions: Array) -> Array:
         """Log evidence of laws at a place, shape (K,); functions : in units of their scales, as of `Form.values`."""
-        gains = []
-        for share, screen in self.screens:
-            G, b = screen.products(seam.columns * seam.size, functions)
-            gains.append(share + screen.gains(G, b, self.least - share))
-        return log_mean(np.stack(gains))
+        return self._gains(lambda screen: screen.products(seam.columns * seam.size, functions))
+
+    def gains_of(self, columns: Array) -> Array:
+        """Log evidence of laws whose columns are given, shape (K,); columns : in units of their sizes, (n, 3, w, K)."""
+        return self._gains(lambda screen: screen.products_of(columns))
+
+    def _gains(self, products: Callable[[Screen], tuple[Array, Array]]) -> Array:
+        return log_mean(
+            np.stack([share + screen.gains(*products(screen), self.least - share) for share, screen in self.screens])
+        )

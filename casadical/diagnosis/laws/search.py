@@ -190,18 +190,21 @@ def _by_the_beam(problem: Problem, linear: Linearisation, robot: Robot) -> Itera
 def _at_stations(problem: Problem, linear: Linearisation, beams: Sequence[Seam], driver: Driver) -> Iterator[_Rough]:
     """One driver's laws, each of all stations together."""
     of_driver = linear.columns([replace(b.law, formula=f"a*{driver.text}") for b in beams])
-    units = np.concatenate([b.columns for b in beams], axis=2)
-    x = list(((of_driver * units).sum(axis=1) / (units**2).sum(axis=1)).T)
+    units = [b.columns for b in beams]
+    x = [
+        (of_driver[:, :, k] * unit[:, :, 0]).sum(axis=1) / (unit[:, :, 0] ** 2).sum(axis=1)
+        for k, unit in enumerate(units)
+    ]
     for form in FORMS[driver.kind]:
-        gains = []
-        for seam, values in zip(beams, x, strict=True):
-            (block,) = _blocks([(driver, values)], {driver.kind: (form,)})
-            gains.append(problem.gains(seam, block.functions))
         tried = Tried(tuple(beams), driver, form, tuple(x))
-        k = first_of_best([g.max() for g in gains], logs=True)
-        best, whole = first_of_best(gains[k], logs=True), np.concatenate(gains)
-        mean = float(log_mean(whole) - np.log(len(whole)))
-        yield _Rough(tried, k, tried.settings[k][best], float(gains[k][best]), mean)
+        functions = [scaled(form.values(v, s)) for v, s in zip(x, tried.settings, strict=True)]
+        columns = [u[..., None] * f.transpose(1, 0, 2)[:, None] for u, f in zip(units, functions, strict=True)]
+        gains = problem.gains_of(beams[0].size * np.concatenate(columns, axis=3))
+        each = np.split(gains, np.cumsum([len(s) for s in tried.settings])[:-1])
+        k = first_of_best([g.max() for g in each], logs=True)
+        best = first_of_best(each[k], logs=True)
+        mean = float(log_mean(gains) - np.log(len(gains)))
+        yield _Rough(tried, k, tried.settings[k][best], float(each[k][best]), mean)
 
 
 def _linear(case: Case) -> tuple[Linearisation, list[Driver]]:
