@@ -37,6 +37,8 @@ ROUNDS, FARTHEST = 4, 0.25
 # The size of a joint's curve is learnt beside its lines in bands of so many harmonics, in so many rounds, within limits
 # in the size that it had.
 BAND, LEARNING, LEAST, MOST = 30, 8, 0.02, 8.0
+# Poses whose columns are looked at in one go.
+AT_ONCE = 512
 # A sine is not seen if its coefficients are not determined to this [rad].
 SEEN = 3e-4
 
@@ -111,15 +113,27 @@ class Whole:
     """
 
     def __init__(self, fit: Fit, arms: Mapping[int, Array], q: Array, lines: Sequence[Line]) -> None:
-        n = len(q)
-        waves = [arms[a.joint][:, :, None] * _waves(q[:, a.joint - 1], [a.frequency])[:, None] for a in lines]
-        A = np.concatenate([fit.A.reshape(n, fit.numbers, -1), *waves], axis=2)
-        self.A, flat = A, A.reshape(-1, A.shape[2])
-        self.y = fit.y - fit.A @ fit.mean
+        P = len(fit.prior)
+        self.A = np.empty((len(q), fit.numbers, P + 2 * len(lines)))  # much memory: there is no copy of it
+        for some, columns in fit.by_parts():
+            self.A[some, :, :P] = columns.reshape(-1, fit.numbers, P)
+        for k, a in enumerate(lines):
+            wave = _waves(q[:, a.joint - 1], [a.frequency])
+            self.A[:, :, P + 2 * k : P + 2 * k + 2] = arms[a.joint][:, :, None] * wave[:, None]
+        flat = self.A.reshape(-1, self.A.shape[2])
+        self.y = fit.y - flat[:, :P] @ fit.mean
         self.g = flat.T @ self.y
         self.of_lines = np.repeat([a.joint for a in lines], 2)
         normal = flat.T @ flat + np.diag(np.concatenate([fit.prior**-2.0, np.zeros(2 * len(lines))]))
         self.root = root_of_inverse(normal)
+
+    def across(self, arm: Array, B: Array) -> Array:
+        """Products of all columns, seen along an arm, with functions of the poses, shape (columns, k); B : (n, k)."""
+        total = np.zeros((self.A.shape[2], B.shape[1]))
+        for first in range(0, len(B), AT_ONCE):
+            some = slice(first, first + AT_ONCE)
+            total += np.einsum("ni,nip->pn", arm[some], self.A[some]) @ B[some]
+        return total
 
     def without(self, joint: int, own: Array) -> tuple[Array, Array]:
         """Columns that stay without a joint's curve and lines, and the root of their inverse normal matrix."""
@@ -144,11 +158,10 @@ class Background:
         fitted = root @ whole.g[rest]
         self.square = float(whole.y @ whole.y - fitted @ fitted)
         self.rows = len(whole.y) - int((whole.of_lines != joint).sum())
-        across = np.einsum("ni,nip->np", arm, whole.A)[:, rest]
         self.weight, toward = (arm**2).sum(axis=1), (arm * whole.y.reshape(arm.shape)).sum(axis=1)
         self.q = q
         self.nodes, B, self.to_basis = _basis(q, top)
-        U = root @ (across.T @ B)
+        U = root @ whole.across(arm, B)[rest]
         self.G = B.T @ (self.weight[:, None] * B) - U.T @ U
         self.t = B.T @ toward - U.T @ fitted
 

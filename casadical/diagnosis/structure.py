@@ -5,7 +5,8 @@ two, order in time, place, orientation, the sense of the last motion) along a di
 the base's vertical, the motion of a joint). No driver is a candidate cause, and no prior says how large an error is:
 each share is judged against what it is by chance among all that are tried (F test, Bonferroni), with the degrees of
 freedom that the scatter of the squares says (Satterthwaite 1946), so that heavy tails and a single noisy direction
-count for as much as they are. Close poses are compared, too: in joint space, and one after the other.
+count for as much as they are. Close poses are compared, too: in joint space, where they were measured, and one after
+the other.
 """
 
 import re
@@ -168,7 +169,7 @@ class _White:
         if not self._is_left:
             return ()
         groups = [*self._groups()]
-        tried = sum(len(some) for _, _, some, _ in groups) + 2  # with close poses, as where all is judged
+        tried = sum(len(some) for _, _, some, _ in groups) + 3  # with close poses, as where all is judged
         lines = [(a, v, tuple(f for f in some if f[0] in cycles), cycles) for a, v, some, cycles in groups]
         sure = _sure([s for group in lines if group[2] for s in self._followed(*group)], tried)
         return tuple({s.line[0]: s.line for s in reversed(sure) if s.line}.values())
@@ -217,19 +218,17 @@ class _White:
         yield from zip(part.tolist(), seen.sum(axis=1).tolist(), strict=True)
 
     def _close(self) -> Iterator[Structure]:
-        """Whether close poses err alike: in joint space, and one after the other."""
+        """Whether close poses err alike: in joint space, where they were measured, and one after the other."""
         y = self.y.reshape(len(self.squares), -1)
         q = np.concatenate([np.sin(self.case.m.q[self.at]), np.cos(self.case.m.q[self.at])], axis=1)
-        n = len(y)
         pairs = {
-            "poses that are near in joint space": np.unique(
-                np.sort(np.column_stack([np.arange(n), _nearest(q)]), axis=1), axis=0
-            ),
-            BEFORE: np.column_stack([np.arange(n - 1), np.arange(1, n)]),
+            "poses that are near in joint space": _pairs(_nearest(q)),
+            "poses whose points are near": _pairs(_nearest(self.case.positions[self.at])),
+            BEFORE: np.column_stack([np.arange(len(y) - 1), np.arange(1, len(y))]),
         }
         for over, both in pairs.items():
             alike = float((y[both[:, 0]] * y[both[:, 1]]).sum() / (y[both] ** 2).sum() * 2)
-            z = alike * np.sqrt(len(both) * self.freedom / n)
+            z = alike * np.sqrt(len(both) * self.freedom / len(y))
             yield Structure("any direction", over, max(alike, 0.0), _log_tail(z))
 
     def _directions(self) -> Iterator[tuple[str, Array]]:
@@ -279,6 +278,11 @@ def _nearest(q: Array) -> Array:
         apart[np.arange(len(apart)), first + np.arange(len(apart))] = np.inf
         nearest[some] = apart.round(SAME_PLACE).argmin(axis=1)
     return nearest
+
+
+def _pairs(nearest: Array) -> Array:
+    """Each row with the one nearest to it, each pair once, shape (pairs, 2)."""
+    return np.unique(np.sort(np.column_stack([np.arange(len(nearest)), nearest]), axis=1), axis=0)
 
 
 def _sure(found: Sequence[Structure], tried: int) -> list[Structure]:

@@ -117,6 +117,18 @@ def test_what_follows_the_sum_of_two_angles_is_structure() -> None:
     assert "follows q4 + q5 along joint 5" in words(d)
 
 
+def test_points_that_are_near_err_alike() -> None:
+    """What follows the place alone, each place by chance, as a scale with wrong marks has it."""
+    m, arm, rng = clean(60), robot("kr210"), np.random.default_rng(2)
+    twice = m[np.repeat(np.arange(len(m)), 2)]
+    q = np.where((np.arange(len(twice)) % 2 == 1)[:, None] & (np.arange(6) == 5), -0.8 * twice.q, twice.q)
+    again = replace(twice, q=q, conditions={}, row=rng.permutation(len(twice)))  # not one after the other
+    places = np.repeat(8e-5 * rng.standard_normal((len(m), 3)), 2, axis=0)
+    d = diagnose(arm, with_noise(replace(again, position=predicted(arm, again)[0] + places)), ["backlash"], laws=False)
+    assert d.verdict == "unknown"
+    assert "poses whose points are near" in [s.over for s in d.account.structures]
+
+
 def test_lines_looked_for_alone_are_those_among_all_structures() -> None:
     m, arm = clean(100), robot("kr210")
     rippled = replace(m, q=m.q + 2e-4 * np.sin(21 * m.q) * (np.arange(6) == 1))

@@ -245,7 +245,7 @@ def test_a_line_that_a_grid_of_readings_mirrors_has_a_rival() -> None:
     arm = np.tile([1e5, 5e4, 2e4], (72, 1))
     y = (arm * (2e-4 * np.sin(7 * q + 0.3))[:, None]).ravel() + np.random.default_rng(1).normal(size=216)
     A = (arm * np.cos(q)[:, None]).reshape(216, 1)
-    fit: Any = SimpleNamespace(A=A, mean=np.zeros(1), prior=np.ones(1), numbers=3, y=y)
+    fit: Any = SimpleNamespace(by_parts=lambda: [(slice(72), A)], mean=np.zeros(1), prior=np.ones(1), numbers=3, y=y)
     b = Background(Whole(fit, {1: arm}, q[:, None], []), 1, np.array([0]), q, arm, 33.0)
     curve = b.columns(np.stack([np.sin(b.nodes), np.cos(b.nodes)], axis=1), 1e10)
     (line,) = Search(b, 1, curve, 33.0, 6).lines()

@@ -1,12 +1,12 @@
 """Estimates at one noise: base and some columns fitted together to the blocks, and to all but some of them."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cached_property, reduce
 
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.columns import EVERY, Combined
+from casadical.core.linear_gaussian.columns import Combined
 from casadical.core.linear_gaussian.model import LinearModel, axes_of_base, beside_base
 from casadical.core.linear_gaussian.noise import Ratio
 from casadical.core.linear_gaussian.normal_equations import NormalSums, normal_sums, root_of_inverse
@@ -74,10 +74,9 @@ class Fit:
             return np.asarray(self._kept[self._rows_of(blocks)])
         return np.asarray(self._kept[self._rows(blocks)])
 
-    @property
-    def A(self) -> Array:
-        """The white columns of all blocks, shape (n m, p)."""
-        return self._white(EVERY) if self._kept is None else self._kept
+    def by_parts(self) -> Iterator[tuple[slice, Array]]:
+        """The white columns of some blocks after the other, shape (blocks m, p)."""
+        yield from ((some, self._columns_of(some)) for some in self._parts())
 
     def _sums_of(self, blocks: Array) -> NormalSums:
         """Sums of some blocks alone: theirs, or those of all less the others', whichever are fewer."""
