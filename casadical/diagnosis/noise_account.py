@@ -107,7 +107,8 @@ class NoiseAccount:
             how = f"{times:.1f} times too small" if times > 1 else f"{1 / times:.1f} times too large"
             said.append(f"the fit rules, by which the declared noise is {how}")
         else:
-            said.append("the fit rules: noise, or a form that was not tried")
+            tell = "datasheet_mm in problem.toml, or poses measured twice, would tell"
+            said.append(f"the fit rules: noise, or a form that was not tried ({tell})")
         if self.rules == Rule.FIT and not self.like_noise:
             said.append("it has heavier tails than noise has, or is larger in some directions than in others")
         return "; ".join(said)
