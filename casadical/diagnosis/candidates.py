@@ -1,5 +1,6 @@
 """The candidates: every listed effect, whole and per joint, with its settings on a grid; and the unknown."""
 
+import re
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import groupby
@@ -179,8 +180,11 @@ def columns_to_log(missing: Mapping[str, Sequence[str]], logged: Container[str])
     warmth = ("temperature_degC",) if "time_s" in logged else ("temperature_degC", "time_s")
     words = {"progress": ("time_s",)}
 
+    made_of = {"warmth": warmth, "heat": ("time_s",), "head": ("x_mm", "y_mm", "z_mm")}
+
     def named(condition: str) -> tuple[str, ...]:
-        return warmth if condition.startswith("warmth") else words.get(condition, (condition,))
+        made = re.match("(warmth|heat|head)[0-9]*_", condition)
+        return made_of[made[1]] if made else words.get(condition, (condition,))
 
     return {label: tuple(dict.fromkeys(n for c in lacking for n in named(c))) for label, lacking in missing.items()}
 

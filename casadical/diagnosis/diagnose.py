@@ -15,6 +15,7 @@ from casadical.diagnosis.conclusion import conclude
 from casadical.diagnosis.evidence import ALL_SIGMAS
 from casadical.diagnosis.laws.contest import claimed_before_causes, replaces_causes
 from casadical.diagnosis.linear_problem import Case, better_ratios, make_case
+from casadical.diagnosis.noise_account import Rule
 from casadical.diagnosis.observations import Ratios
 from casadical.diagnosis.result import Change, Diagnosis
 from casadical.diagnosis.search import State, search_with_forms
@@ -34,6 +35,8 @@ __all__ = ["Diagnosis", "Masses", "diagnose"]
 NO_NOISE = 0.05
 # Times that the ratios of several noises are estimated again with the causes in the model.
 MOST_RATIOS = 2
+# Laws are looked for in place of noise where so many numbers were measured beyond those that the base model takes.
+FEWEST = 24
 # How the reason begins for which a kind of measurement does not determine where the base is.
 WITHOUT = "nothing at rest"
 
@@ -200,8 +203,9 @@ def _held_against_laws(found: Diagnosis) -> Diagnosis:
     An effect whose sizes are learnt has more freedom than any law and is not compared; nor are distances between poses,
     nor what was found under noise that follows itself, for laws are judged with noise that does not.
     """
-    effects, done = found.effects(), found.verdict in ("none", "explained")
-    noise = not effects and done and not found.account.anchored  # explained by outliers alone
+    effects, e = found.effects(), found.case.evidence
+    done = not effects and found.verdict in ("none", "explained")  # by outliers alone
+    noise = done and found.account.rules in (Rule.FIT, Rule.SHEET) and e.count - e.absorbed >= FEWEST
     if not (effects or noise) or not found.case.one_end or any(e.parts for e in effects) or found.case.form.stays:
         return found
     law = claimed_before_causes(found)

@@ -326,6 +326,7 @@ def _problem(
     kept = seen.measured.any(axis=1) & (np.linalg.norm(r, axis=1) / np.sqrt(numbers) <= GROSS * left)
     E = EffectColumns(replace(seen.linear, J=seen.linear.J[:, :, :0]), effects).with_directions()
     again = replicates(seen.m, r, kept, seen.apart, seen.measured)
+    declared = _declared(seen)
     whole = Evidence(
         r,
         np.concatenate([seen.linear.J, seen.U], axis=2) if seen.U.size else seen.linear.J,
@@ -334,7 +335,7 @@ def _problem(
         np.append(base_prior(robot, free), np.ones(len(seen.mean))),
         E,
         held=E.held,
-        known=KnownNoise(_declared(seen), _sheet(seen), again.sigma, min(again.freedom, MOST_FREEDOM)),
+        known=KnownNoise(declared, 0.0 if declared else _sheet(seen), again.sigma, min(again.freedom, MOST_FREEDOM)),
         measured=seen.measured,
         size=seen.size,
         alike=seen.alike,

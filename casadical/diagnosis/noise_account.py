@@ -166,9 +166,11 @@ def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates) -
     elif known.stated:
         far, rules, anchor = _by_statement(case, columns, noise, left)
     excess = float(np.sqrt(taken**2 - anchor**2)) if far else 0.0
+    stated = [m.datasheet for m in case.observations.sets if m.datasheet]  # known.sheet is in units of the first table
+    sheet = min(stated) if known.sheet else 0.0
     scatter = repeated.sigma if repeated.freedom else 0.0
     return NoiseAccount(
-        taken, noise.sigma, noise.repeatability, known.declared, known.sheet, scatter, repeated.freedom, rules, excess,
+        taken, noise.sigma, noise.repeatability, known.declared, sheet, scatter, repeated.freedom, rules, excess,
         form, left.structures, left.like_noise,
     )  # fmt: skip
 

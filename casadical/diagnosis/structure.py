@@ -28,7 +28,7 @@ from casadical.diagnosis.evidence import REPEATABILITY, joint_noise
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_evidence import Form
 from casadical.identification.accuracy import predicted
-from casadical.measurements.derived_columns import derive
+from casadical.measurements.derived_columns import HELD_STILL, derive, last_sense
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
 
@@ -121,7 +121,7 @@ class _White:
         self.case = case
         m, _ = derive(case.m, ["progress", *(f"approach{j}" for j in case.robot.numbers)])
         kept = np.flatnonzero(case.kept)
-        order = np.argsort(m.conditions["progress"][kept], kind="stable")
+        self._order = order = np.argsort(m.conditions["progress"][kept], kind="stable")
         n, most = len(order), min(len(order), MOST_FOLLOWING if form.stays else MOST_POSES)
         # Noise that follows itself is white only where poses follow each other.
         self.pick = np.arange(most) if form.stays else np.linspace(0, n - 1, most).round().astype(int)
@@ -169,7 +169,7 @@ class _White:
         if not self._is_left:
             return ()
         groups = [*self._groups()]
-        tried = sum(len(some) for _, _, some, _ in groups) + 3  # with close poses, as where all is judged
+        tried = sum(len(some) for _, _, some, _ in groups) + len([*self._close()])  # as where all is judged
         lines = [(a, v, tuple(f for f in some if f[0] in cycles), cycles) for a, v, some, cycles in groups]
         sure = _sure([s for group in lines if group[2] for s in self._followed(*group)], tried)
         return tuple({s.line[0]: s.line for s in reversed(sure) if s.line}.values())
@@ -180,10 +180,20 @@ class _White:
         return self.e.count - self._taken >= 2 and bool(self.squares.sum() > 0)
 
     def _functions(self) -> Iterator[tuple[str, Array]]:
-        kept = np.flatnonzero(self.case.kept)
-        at = kept[np.argsort(derive(self.case.m, ["progress"])[0].conditions["progress"][kept], kind="stable")]
-        for name, g in _of_poses(self.case.robot, self._m, self.case.positions[at]):
+        for name, g in _of_poses(self.case.robot, self._m, self._places):
             yield name, g[self.pick]
+
+    @cached_property
+    def _places(self) -> Array:
+        """Where the points of all kept poses are, in the order of measuring, shape (kept, 3) [m].
+
+        As the model has them, and of what is touched several times the mean: neither order nor nearness is the noise's.
+        """
+        p, alike = predicted(self.case.robot, self._m)[0], self.case.evidence.alike
+        if alike is None or any(m.label is None for m in self.case.observations.sets):
+            return p
+        _, which = np.unique(alike[self._order], return_inverse=True)
+        return np.asarray(np.stack([np.bincount(which, c) for c in p.T], axis=1) / np.bincount(which)[:, None])[which]
 
     def _groups(self) -> Iterator[_Group]:
         """Drivers of as many functions each along every direction."""
@@ -223,9 +233,10 @@ class _White:
         q = np.concatenate([np.sin(self.case.m.q[self.at]), np.cos(self.case.m.q[self.at])], axis=1)
         pairs = {
             "poses that are near in joint space": _pairs(_nearest(q)),
-            "poses whose points are near": _pairs(_nearest(self.case.positions[self.at])),
             BEFORE: np.column_stack([np.arange(len(y) - 1), np.arange(1, len(y))]),
         }
+        if self.case.vectors is not None:
+            pairs["poses whose points are near"] = _pairs(_nearest(self._places[self.pick]))
         for over, both in pairs.items():
             alike = float((y[both[:, 0]] * y[both[:, 1]]).sum() / (y[both] ** 2).sum() * 2)
             z = alike * np.sqrt(len(both) * self.freedom / len(y))
@@ -329,11 +340,13 @@ def _of_poses(robot: Robot, m: Measurements, p: Array) -> Iterator[tuple[str, Ar
         yield f"q{i + 1} + q{j + 1}", _sines(q[:, i] + q[:, j], range(1, TOGETHER + 1))
         yield f"q{i + 1} - q{j + 1}", _sines(q[:, i] - q[:, j], range(1, TOGETHER + 1))
     R, about = predicted(robot, m)[1], about_vertical(p)
-    places = {"radius": np.hypot(p[:, 0], p[:, 1]), "azimuth": np.arctan2(p[:, 1], p[:, 0]), "height": p[:, 2]}
     yield "time", _cosines(m.conditions["progress"])
+    places = {"radius": np.hypot(p[:, 0], p[:, 1]), "azimuth": np.arctan2(p[:, 1], p[:, 0]), "height": p[:, 2]}
     for name, values in places.items():
+        way = np.diff(values, prepend=values[0])
+        way = ((way + np.pi) % (2 * np.pi) - np.pi) * places["radius"] if name == "azimuth" else way
         yield f"the {name}", _cosines(values)
-        yield f"the sense of the last change of {name}", np.sign(np.diff(values, prepend=values[0] - 1))[:, None]
+        yield f"the sense of the last change of {name}", last_sense(way, HELD_STILL)[:, None]
     for j in range(n):
         yield f"approach{j + 1}", m.conditions[f"approach{j + 1}"][:, None]
     for k, axis in enumerate("xyz"):

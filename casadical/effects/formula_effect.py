@@ -177,14 +177,16 @@ class FormulaEffect(Effect):
             turn = ca.atan2(beam[1], beam[0]), ca.dot(beam, context.frames[-1][:3, 2]) / r
             of_beam = dict(zip(_BEAM, (r, *turn), strict=True))
             of_beam |= dict(zip([HEAD], (context.conditions[c] for c in self.of_head), strict=False))
-            way = ca.vertcat(-ca.sin(turn[0]), ca.cos(turn[0]), 0) if seam == "across" else beam / r
+            aside = ca.vertcat(-beam[1], beam[0], 0) / ca.sqrt(beam[0] ** 2 + beam[1] ** 2 + 1e-12)
+            way = aside if seam == "across" else beam / r
             moved = moved + way * self.values_at(seam, context, {**names, **of_beam})[0]
         return moved
 
     @property
     def of_head(self) -> tuple[str, ...]:
         """The column of the sense of the head's last turn, where a formula names it."""
-        return (head_column(self.station),) if HEAD in self.drivers else ()  # type: ignore[attr-defined]
+        named = any(HEAD in f.names for seam, f in self.formulas.items() if seam in STATIONED)
+        return (head_column(self.station),) if named and HEAD not in self.needs else ()  # type: ignore[attr-defined]
 
 
 def check_formula(text: str, seam: str, own: Collection[str]) -> Formula:
@@ -236,6 +238,8 @@ _USUAL = (-4.0, 4.0)
 def _range_of(name: str) -> Interval:
     if name in MOTION and name not in _RANGES:
         return _USUAL
+    if re.fullmatch(r"heat\d+_\d+s", name):
+        return 0.0, _USUAL[1]
     return _RANGES.get("g" if re.fullmatch("g[xyz]", name) else re.sub(r"\d.*", "", name).rstrip("_"), _USUAL)
 
 
@@ -376,7 +380,7 @@ class Law(FormulaEffect):
     def place(self) -> str:
         """Where it acts, in words."""
         words = {"joint": "joint {}", "joints": "every joint", "tilt": "tilt of link {}", "shift": "shift of link {}"}
-        words |= {"torque": "torque of joint {}", "response": "response of joint {}", "across": "across the beam"}
+        words |= {"torque": "torque of joint {}", "response": "response of joint {}", "across": "the beam's side"}
         return words.get(self.seam, self.seam).format(self.joint)
 
     @property

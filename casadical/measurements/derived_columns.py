@@ -12,6 +12,8 @@ from casadical.measurements.measurements import Measurements
 COLUMN = "time_s"
 # Less is no motion but rounding of the same reading [rad or m].
 AT_REST = 1e-9
+# A shorter way between measured points would follow their noise [m].
+HELD_STILL = 0.01
 # Loads of the joints, shape (n, joints), from readings and logged columns (see `Robot.loads`).
 Loads = Callable[[Array, Mapping[str, Array]], Array]
 
@@ -26,7 +28,7 @@ def derive(m: Measurements, names: Iterable[str], loads: Loads | None = None) ->
     within 0.3 rad of it (Dahl 1968); play2_300mrad, joint 2's reading as what it takes along with a play of 0.3 rad to
     each side has it (a relay with play is a step of it); heat2_600s, the square of joint 2's load behind a first-order
     lag of 600 s; head_1500_m200_0mm, the sense of the last turn, -1 or 1, of the head of an instrument that stands at
-    [1.5, -0.2, 0] m and follows the measured point.
+    [1.5, -0.2, 0] m and follows the measured point, where that went 10 mm aside or more.
 
     m : campaign with its logged columns
     names : columns to derive: progress, warmth_600s, approach2, move2, memory2_300mrad, play2_300mrad and their like
@@ -109,10 +111,12 @@ def _heat(m: Measurements, joint: int, lag: float, order: Array, loads: Loads | 
 
 
 def _head(m: Measurements, station: Sequence[float], order: Array) -> Array | None:
-    if m.position is None:
+    if m.position is None or not m.position.any():  # of several tables together
         return None
     beam = m.position[order] - np.array(station)
-    return _back(_approach(np.unwrap(np.arctan2(beam[:, 1], beam[:, 0]))), order)
+    turns = np.diff(np.unwrap(np.arctan2(beam[:, 1], beam[:, 0])), prepend=0.0)
+    turns[0] = 0.0
+    return _back(last_sense(turns * np.hypot(beam[:, 0], beam[:, 1]), HELD_STILL), order)
 
 
 def _moves(q: Array) -> Array:
@@ -120,10 +124,15 @@ def _moves(q: Array) -> Array:
 
 
 def _approach(q: Array) -> Array:
-    motion = np.sign(np.where(np.abs(_moves(q)) > AT_REST, _moves(q), 0.0))
+    return last_sense(_moves(q), AT_REST)
+
+
+def last_sense(ways: Array, least: float) -> Array:
+    """Sense of the last way that was longer than the least one, -1, 0 or 1."""
+    motion = np.sign(np.where(np.abs(ways) > least, ways, 0.0))
     for k in range(1, len(motion)):
         motion[k] = motion[k] or motion[k - 1]
-    return motion
+    return np.asarray(motion)
 
 
 def _memory(q: Array, way: float) -> Array:

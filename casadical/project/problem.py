@@ -367,7 +367,7 @@ def _with_conditions(m: Measurements, robot: Robot) -> Measurements:
         if lost:
             raise InputError(
                 f"{m.source}: {effect.label} of robot {robot.name!r} follows {lost[0]}, which its columns do not tell "
-                f"({', '.join(effect.needs) or 'see docs/measurements.md'}); log it, or take the effect out of the "
+                f"({', '.join(effect.needs) or 'see docs/robot-file.md'}); log it, or take the effect out of the "
                 "robot file"
             )
     refuse_undefined(robot, derived)

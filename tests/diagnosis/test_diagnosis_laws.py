@@ -265,7 +265,7 @@ def turned_head(m: Measurements, across: float, along: float) -> Measurements:
     ("changed", "places", "driver"),
     [
         (heated, {"joint 3", "tilt of link 3"}, "heat3_300s"),
-        (lambda m: turned_head(m, 2e-5, 0.0), {"across the beam"}, "head*r"),
+        (lambda m: turned_head(m, 2e-5, 0.0), {"the beam's side"}, "head*r"),
         (lambda m: turned_head(m, 0.0, 8e-5), {"beam"}, "head"),
     ],
     ids=["heat", "across", "along"],
@@ -278,6 +278,17 @@ def test_a_law_is_looked_for_where_all_would_be_noise_of_any_size(changed, place
     best = laws_beside(found).rounds[0].best
     assert (found.verdict, found.causes, found.law is None) == ("unknown", (), driver.startswith("heat"))
     assert (best.law.place in places, best.tried.driver.text) == (True, driver)
+
+
+def test_a_data_sheet_of_much_room_stops_no_search_for_laws() -> None:
+    m = turned_head(from_table(table(4), 6), 2e-5, 0.0)
+    assert diagnose(robot(NAME), replace(m, datasheet=6e-4)).verdict == "unknown"
+
+
+def test_several_tables_have_no_head_of_one_instrument() -> None:
+    m = turned_head(from_table(table(4), 6), 2e-5, 0.0)
+    found = diagnose(robot(NAME), [m[:40], m[40:]], laws=False)
+    assert all("head" not in s.law.drivers for s in search_laws(found.case, NONE))
 
 
 def test_what_predicts_best_goes_into_the_robot() -> None:

@@ -12,6 +12,7 @@ from casadical import diagnose
 from casadical.core.basics import Array
 from casadical.diagnosis import page_of
 from casadical.diagnosis.json_answer import as_json
+from casadical.diagnosis.laws.discovery import laws_beside
 from casadical.diagnosis.noise_account import Rule
 from casadical.diagnosis.noise_evidence import Form
 from casadical.diagnosis.result import Diagnosis
@@ -127,6 +128,23 @@ def test_points_that_are_near_err_alike() -> None:
     d = diagnose(arm, with_noise(replace(again, position=predicted(arm, again)[0] + places)), ["backlash"], laws=False)
     assert d.verdict == "unknown"
     assert "poses whose points are near" in [s.over for s in d.account.structures]
+
+
+@pytest.mark.parametrize(("poses", "times"), [(60, 5), (12, 10)])
+def test_noise_of_repeated_poses_is_no_structure_and_no_law(poses: int, times: int) -> None:
+    """Where points lie as measured, and which way they went from one repeat to the next, is the noise's."""
+    arm, m = robot("kr210"), clean(poses)
+    again = replace(m[np.repeat(np.arange(poses), times)], conditions={}, row=np.arange(poses * times))
+    m = with_noise(replace(again, position=predicted(arm, again)[0]))
+    d = diagnose(arm, m, ["backlash"])
+    assert (d.verdict, d.account.structures) == ("none", ())
+    assert not laws_beside(d).laws
+
+
+@pytest.mark.parametrize("poses", [5, 8, 9])
+def test_few_poses_have_no_law(poses: int) -> None:
+    d = diagnose(robot("kr210"), clean(40)[:poses])
+    assert (d.verdict, d.law) == ("none", None)
 
 
 def test_lines_looked_for_alone_are_those_among_all_structures() -> None:

@@ -159,6 +159,23 @@ formulas."{seam}" = "{formula}"
     np.testing.assert_allclose(E[:, :, 0] * value, moved, rtol=0, atol=2e-4 * np.abs(moved).max())
 
 
+def test_a_logged_column_may_be_called_head(tmp_path: Path) -> None:
+    text = """
+casadical = 2
+[[definition]]
+name = "own"
+signature = "an own effect"
+sizes = {a = [1e-4, "rad"]}
+needs = ["head"]
+formulas.joint = "a * head"
+"""
+    effect = defined(tmp_path, text)(2)
+    assert effect.conditions == ("head",)
+    m = campaign(NAME)[:20]
+    m = replace(m, conditions={**m.conditions, "head": np.linspace(0, 1, 20)})
+    assert np.abs(signatures(robot(NAME), [effect], m, robot(NAME).parameters.values)[0]).max() > 0
+
+
 def test_a_counterpart_is_named(tmp_path: Path) -> None:
     text = SOFT_STOP.replace("give", "k").replace("formulas.", 'counterpart = "gear ratio"\nformulas.')
     stiff = robot(NAME).with_effect(defined(tmp_path, text)(3)).with_values({"soft_stop@3.k": 1e-4})

@@ -97,6 +97,7 @@ def test_the_head_moves_points_across_the_beam_by_the_sense_of_its_last_turn() -
     aside = np.stack([-way[:, 1], way[:, 0], 0 * sense], axis=1) / np.hypot(way[:, 0], way[:, 1])[:, None]
     expected = 2e-5 * (sense * np.linalg.norm(way, axis=1))[:, None] * aside
     np.testing.assert_allclose(shift(law, 2e-5), expected, rtol=0, atol=1e-12)
+    assert law.label == "law at the beam's side by head, r"
     with pytest.raises(InputError, match="unknown name 'head'"):
         Law(None, "distance", "a * head")
 

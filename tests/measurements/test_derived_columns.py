@@ -67,6 +67,9 @@ def test_the_sense_of_a_heads_last_turn_is_seen_from_its_station() -> None:
     np.testing.assert_array_equal(columns["head_0_0_0mm"], [0, -1, -1, 1, 1, 1])  # across the seam at half a turn
     np.testing.assert_array_equal(columns["head_m3000_0_m700mm"], [0, -1, -1, 1, -1, -1])
     assert derive(replace(m, position=None, kind="distance", distance=np.ones(6)), ["head_0_0_0mm"])[1]
+    assert derive(replace(m, position=0 * seen), ["head_0_0_0mm"])[1]  # of several tables together
+    still = replace(m, position=seen[[0, 1, 1, 1, 3, 3]] + 1e-3 * np.random.default_rng(0).uniform(-1, 1, (6, 3)))
+    np.testing.assert_array_equal(derive(still, ["head_0_0_0mm"])[0].conditions["head_0_0_0mm"], [0, -1, -1, -1, 1, 1])
 
 
 def test_approach_follows_from_the_order_of_the_poses() -> None:

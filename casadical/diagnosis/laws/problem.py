@@ -61,7 +61,7 @@ class Screen:
         rows, (scatter, freedom) = e.r.size, (e.known.repeats, e.known.freedom)
         again = freedom * scatter**2 / e.noise.mean_variance({REPEATABILITY: r}, rows)
         Q, left = projection.Q[:rows].reshape(*e.r.shape, -1), y[:rows].reshape(e.r.shape)
-        return cls(projection.whitening.W, Q, left, float(y @ y) + again, round(e.count - e.absorbed) + freedom)
+        return cls(projection.whitening.W, Q, left, float(y @ y) + again, max(round(e.count - e.absorbed) + freedom, 1))
 
     def products(self, columns: Array, functions: Array) -> tuple[Array, Array]:
         """Products of every law's columns, shape (K, w, w), and with the residual, shape (K, w); w = parts times d.

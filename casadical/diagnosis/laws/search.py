@@ -37,7 +37,7 @@ from casadical.diagnosis.laws.problem import with_columns as at_poses
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import EffectColumns, Linearisation
 from casadical.effects.formula import parse
-from casadical.effects.formula_effect import Law, head_column
+from casadical.effects.formula_effect import HEAD, Law, head_column
 from casadical.measurements.derived_columns import derive
 from casadical.robot.robot import Robot
 
@@ -181,9 +181,10 @@ _OF_BEAM: Mapping[str, Mapping[str, str]] = {
 def _by_the_beam(problem: Problem, linear: Linearisation, robot: Robot) -> Iterator[_Rough]:
     """Laws of the beam and of the head that turns it, of an instrument whose station is a setting like others."""
     places = stations(robot)
+    turns = all(head_column(at) in linear.conditions for at in places)
     for seam, drivers in _OF_BEAM.items():
         beams = at_poses(linear, [Law(None, seam, "a", station=at) for at in places])
-        for text, kind in drivers.items():
+        for text, kind in drivers.items() if turns else ((t, k) for t, k in drivers.items() if HEAD not in t):
             yield from _at_stations(problem, linear, beams, Driver(text, kind, "head" if kind == "linear" else kind))
 
 

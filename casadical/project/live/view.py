@@ -27,7 +27,7 @@ class LiveView(Result):
         return {
             **self.data,
             "about": self.about,
-            "readings": [{**r, "words": self.verdict(r)} for r in self.data["readings"]],
+            "readings": [{**r, "words": self.words(r)} for r in self.data["readings"]],
             "known": known and {**known, "figures": _figures(known)},
             "known_words": _known_words(known),
         }
@@ -37,7 +37,7 @@ class LiveView(Result):
         blocks: list[Words | Table] = [Words(f"{self.about}.", "verdict"), Words(f"{_known_words(known)}.")]
         blocks += [Table("", ("known by now", ""), _figures(known), frozenset({1}))] if known else []
         blocks += [Words(self.answer(r["number"]), "warning") for r in self.data["readings"] if r["state"] != "good"]
-        return [*blocks, *map(Words, self.outlook())]
+        return [*blocks, *(Words(text, "warning") for text in self.data["table"])]
 
     @property
     def about(self) -> str:
@@ -46,21 +46,23 @@ class LiveView(Result):
         origin = "measured" if self.data["data"] == "real" else "SYNTHETIC"
         return f"{self.data['folder']}, {origin}: {good} of {len(self.data['readings'])} readings count"
 
-    def verdict(self, reading: Mapping[str, Any]) -> str:
-        """Of a reading, a sentence without its end."""
-        off = "" if reading["off_mm"] is None else f" ({reading['off_mm']:.3f} mm off what the others predict)"
-        state, why = reading["state"], reading["why"]
-        if state == "good":
-            return f"plausible{off}{'' if self.data['known'] else f'; judged from reading {FEWEST + 1} on'}"
-        return f"DOUBTFUL{off}: {why}" if state == "doubtful" else f"{state}: {why}"
+    def words(self, reading: Mapping[str, Any]) -> str:
+        """What there is to say of a reading besides its state."""
+        return "; ".join(text for text in (_off(reading), reading["why"], self._soon(reading)) if text)
+
+    def _soon(self, reading: Mapping[str, Any]) -> str:
+        return "" if self.data["known"] or reading["state"] != "good" else f"judged from reading {FEWEST + 1} on"
 
     def answer(self, number: int) -> str:
         """What a reading told, in a line or two."""
         reading = next(r for r in self.data["readings"] if r["number"] == number)
         left = self.data["known"] and self.data["known"]["left_out_mean_mm"]
-        told = reading["state"] in ("good", "doubtful") and left is not None
-        end = f"; {left:.3f} mm mean of readings left out one by one" if told else ""
-        return f"{number}: {self.verdict(reading)}{end}"
+        judged = reading["state"] in ("good", "doubtful") and left is not None
+        state = {"good": "plausible", "doubtful": "DOUBTFUL"}.get(reading["state"], reading["state"])
+        text = f"{number}: {state}" + (f" ({off})" if (off := _off(reading)) else "")
+        text += "" if state == "plausible" else f": {reading['why']}"
+        means = f"{left:.3f} mm mean of readings left out one by one" if judged else ""
+        return "; ".join(part for part in (text, self._soon(reading), means) if part)
 
     def outlook(self) -> list[str]:
         """What is wrong with the whole table, and the next pose, in lines."""
@@ -71,6 +73,10 @@ class LiveView(Result):
             lines += [ahead["words"], "next: " + "  ".join(f"{name} {value:.3f}" for name, value in pairs) + touch]
             lines += [ahead["program"]] * bool(ahead["program"])
         return lines
+
+
+def _off(reading: Mapping[str, Any]) -> str:
+    return "" if reading["off_mm"] is None else f"{reading['off_mm']:.3f} mm off what the others predict"
 
 
 def _known_words(known: Mapping[str, Any] | None) -> str:
