@@ -75,7 +75,7 @@ def _parameters(variant: tuple[Effect, ...]) -> list[str]:
 
 
 def choose(
-    candidates: Sequence[Candidate], m: Measurements, loads: Loads
+    candidates: Sequence[Candidate], m: Measurements, loads: Loads | None = None
 ) -> tuple[tuple[Candidate, ...], dict[str, tuple[str, ...]]]:
     """Those candidates (with those variants) whose columns were logged, and what is missing for the others.
 
