@@ -14,6 +14,7 @@ from casadical.diagnosis.localisation import Localisation
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.spectrum import MOST_SHOWN as LINES_NAMED
 from casadical.diagnosis.spectrum import JointCurve, Spectrum, covered_parts, seen
+from casadical.diagnosis.statements import floor_of
 from casadical.diagnosis.thresholds import PARTITIONS
 from casadical.effects.plugins import signature_of
 from casadical.identification.figures import banded, fit_figures, intervals, parameter_figures
@@ -69,8 +70,9 @@ def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> Iterator[Fig
     fit/residuals, /coverage, /pairs. more : what `analyse` computed; of it also the networks beside the gap
     """
     more = more or Details()
-    yield gap_course(d, more.networks or ())
-    yield errors_by_pose(d.held_out, caption=_EACH, floor=d.gap.floor)
+    floor = floor_of(d, more)
+    yield gap_course(d, more.networks or (), floor)
+    yield errors_by_pose(d.held_out, caption=_EACH, floor=floor)
     yield workspace(d.fitted, d.identification.robot, _SPACE)
     if more.where:
         yield from where_figures(more.where)
@@ -154,10 +156,11 @@ def _probability(p: float) -> str:
     return f"{p:.3f}" if 0.001 <= p <= 0.999 else ("< 0.001" if p < 0.001 else "> 0.999")
 
 
-def gap_course(d: Diagnosis, networks: Sequence[NetworkGap] = ()) -> Figure:
+def gap_course(d: Diagnosis, networks: Sequence[NetworkGap] = (), floor: float | None = None) -> Figure:
     """Mean position error on held-out poses [mm] as causes are added, beside what noise alone leaves.
 
     The intervals are of 95 %, over poses; outliers are left out. networks : instead of the causes, and after them.
+    floor : what noise alone would leave [m], by default beside the causes
     """
     rows = [
         ("base model" if r.model == "base" else str(r.model), r.gap_mm, r.low_mm, r.high_mm, "blue" if k else "grey")
@@ -169,8 +172,8 @@ def gap_course(d: Diagnosis, networks: Sequence[NetworkGap] = ()) -> Figure:
         # Tried on one partition: drawn by its ratio there, beside the gap of all partitions.
         alone = 1e3 * (d.gap.after if name.endswith("rest") else d.gap.kept) * net.used / net.before
         rows.append((name + note, alone, alone, alone, "orange"))
-    floor = 1e3 * d.gap.floor
-    rows.append(("noise alone", floor, floor, floor, "green"))
+    alone = 1e3 * (d.gap.floor if floor is None else floor)
+    rows.append(("noise alone", alone, alone, alone, "green"))
     names, values, low, high, colours = zip(*rows, strict=True)
     bars = Series(
         "bars", values, range(len(rows)), colour=colours, width=0.6, less=np.subtract(values, low),

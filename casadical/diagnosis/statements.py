@@ -163,14 +163,16 @@ def _gap(d: Diagnosis, more: Details) -> Iterator[Statement]:
     r = d.replicates
     source = f"from {r.poses} repeated poses" if r.enough else "by the fit; too few poses are repeated"
     there = "nothing detected" if d.verdict == "none" else "detected"
+    if d.verdict == "unknown" and d.law and d.rankings[0].none > DETECT:
+        there = "detected by a law; without laws"
     p = d.p_nothing
     chance = "" if p is None else f", p < {p:.1g}" if p < 1e-3 else f", p = {p:.2g}"
     out = f", {len(d.outliers)} outliers left out" if d.outliers else ""
     yield Statement(
         "GAP",
         f"{mm(d.gap.kept)} mm mean on poses held out{readings_of(d)}{out}; noise floor "
-        f"{mm(floor_of(d, more))} ({source}); {int(d.case.kept.sum())} poses; {there}, "
-        f"P(nothing) = {d.rankings[0].none:.2g}{chance}",
+        f"{mm(floor_of(d, more))} ({source}); {int(d.case.kept.sum())} poses; "
+        f"{there}{' ' if there.endswith('laws') else ', '}P(nothing) = {d.rankings[0].none:.2g}{chance}",
     )
     rms, low, high = (d.course.iloc[0][name] for name in ("model_mm", "model_low_mm", "model_high_mm"))
     yield Statement("GAP", f"without the noise the model is wrong by {rms:.3f} mm rms ({low:.3f} to {high:.3f})")

@@ -22,6 +22,7 @@ from casadical.core.telling.blocks import Words
 from casadical.core.telling.result import plain_text
 from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.evidence import RHOS
+from casadical.diagnosis.figures import diagnosis_figures
 from casadical.diagnosis.json_answer import as_json as diagnosis_json
 from casadical.diagnosis.laws import contest, forms
 from casadical.diagnosis.laws.answer import line_of
@@ -46,6 +47,7 @@ from casadical.diagnosis.linearisation import linearise
 from casadical.diagnosis.posterior import rank
 from casadical.diagnosis.text import brief
 from casadical.diagnosis.text import page_of as diagnosis_page
+from casadical.diagnosis.thresholds import DETECT
 from casadical.effects import Law
 from casadical.effects.formula import NUMERIC, parse
 from casadical.identification.accuracy import predicted
@@ -439,3 +441,14 @@ def test_the_files_are_read_again(tmp_path: Path) -> None:
     (tmp_path / "bad.toml").write_text(bad)
     with pytest.raises(InputError, match=r"bad.toml: effect\[1\].*unknown function 'open'"):
         read_effects(tmp_path / "bad.toml")
+
+
+def test_what_a_law_alone_detects_is_said_as_such() -> None:
+    found = diagnose(robot(NAME), turned_head(from_table(table(4), 6), 0.0, 8e-5))
+    assert found.rankings[0].none > DETECT
+    more = analyse(found, poses=1)
+    assert "detected by a law; without laws P(nothing) = " in " ".join(diagnosis_page(found, more).split())
+    (bars,) = next(diagnosis_figures(found, more)).series
+    assert more.floor is not None
+    assert bars.x[-1] == pytest.approx(1e3 * more.floor)
+    assert bars.x[-1] < 0.9e3 * found.gap.floor
