@@ -160,9 +160,11 @@ class Counterparts:
     """A robot's compliances and effects as a simulator knows them.
 
     drives : of each joint; torque_scale, mean_load : great torque of each joint [N m or N], mean one as a share of it
-    great_moment : the greatest on a turning joint [N m]
+    moments : the great torques of the turning joints, zero elsewhere; of an arm that only slides, the forces [N m or N]
     base : stiffness about the base frame's x and y [N m/rad], infinite where it is rigid
-    flexures : of a link (1-based), stiffness [N m/rad] about its axes of the whole link as a beam
+    base_below : how far below the base's origin these axes are [m]
+    flexures : of a link (1-based), stiffness [N m/rad] about its axes of the whole link as a beam, and whether its
+        weight is spread along it
     balancers : springs between a link and the one before it
     bodies : of the links, the true ones; payload : the true one
     payload_factor : its mass as a multiple of the declared one
@@ -172,12 +174,13 @@ class Counterparts:
     drives: tuple[Drive, ...]
     torque_scale: Array
     mean_load: Array
-    great_moment: float
+    moments: Array
     bodies: tuple[Body | None, ...] = ()
     payload: Body | None = None
     payload_factor: float = 1.0
     base: tuple[float, float] = (np.inf, np.inf)
-    flexures: Mapping[int, tuple[float, float, float]] = field(default_factory=dict)
+    base_below: float = 0.0
+    flexures: Mapping[int, tuple[tuple[float, float, float], bool]] = field(default_factory=dict)
     balancers: tuple[Balancer, ...] = ()
     written: tuple[str, ...] = ()
     left_out: tuple[Omission, ...] = ()
@@ -189,7 +192,7 @@ class Counterparts:
 
     def great(self, joint: int | None) -> float:
         """The great torque on a joint (1-based) [N m or N]; of None the greatest moment."""
-        return float(self.torque_scale[joint - 1] if joint else self.great_moment)
+        return float(self.torque_scale[joint - 1] if joint else self.moments.max())
 
     def with_drive(self, effect: Effect, text: str, **change: object) -> Counterparts:
         """With the drive of an effect's joint changed, and a line on it."""
@@ -197,12 +200,13 @@ class Counterparts:
         drives[(effect.joint or 0) - 1] = replace(self.drive(effect.joint), **change)  # type: ignore[arg-type]
         return self.noted(f"{effect.label}: {text}", drives=tuple(drives))
 
-    def with_springs(self, label: str, sizes: Mapping[str, float], link: int) -> Counterparts:
+    def with_springs(self, label: str, sizes: Mapping[str, float], link: int, *, spread: bool = False) -> Counterparts:
         """With hinges of the foot (link 0) or of a link; an axis that came out negative stays rigid.
 
-        sizes : turn about each axis under the greatest torque [rad]
+        sizes : turn about each axis under the greatest torque, of a link of the joints at its ends [rad]
+        spread : whether a link's own weight is spread along it
         """
-        made, great = self, self.great(None)
+        made, great = self, float((self.moments[link - 1 : link + 1] if link else self.moments).max())
         k = tuple(great / size if size > 0 else np.inf for size in sizes.values())
         wrong = tuple(name for name, size in sizes.items() if size < 0)
         if wrong:
@@ -213,7 +217,7 @@ class Counterparts:
         if not link:
             return made.noted(f"{label}: hinges of the foot, {stiff} N m/rad", base=k)
         pieces = f"{label}: link {link} in three pieces between hinges, {stiff} N m/rad in all"
-        return made.noted(pieces, flexures={**made.flexures, link: k})
+        return made.noted(pieces, flexures={**made.flexures, link: (k, spread)})
 
     def noted(self, text: str, **change: object) -> Counterparts:
         """With what an effect became, and a line on it."""

@@ -1,7 +1,10 @@
 """Springs beside those of the joints (a balancer, a hose), wrong masses of the links, and links that bend."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import groupby
 
 import casadi as ca
 import numpy as np
@@ -181,9 +184,13 @@ BEAM = 0.3
 
 @dataclass(frozen=True)
 class LinkFlexure(Effect):
-    """member : the link (1-based) that bends."""
+    """A turn is that of the link's end about its axis, under the greatest torque of the joints at its two ends.
+
+    member : the link (1-based) that bends; spread : whether its own weight is spread along it, not at its mass centre
+    """
 
     member: int = setting(2, joint=True)
+    spread: bool = setting(False)
 
     name = "link_flexure"
     on_list = "standard"
@@ -195,16 +202,23 @@ class LinkFlexure(Effect):
     confused_with = "cross_coupling of torques; base_compliance for the first link"
 
     @classmethod
-    def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """The links long enough to bend: a beam's sag goes with the cube of its length; short links are castings."""
+    def candidates(cls, arm: Arm) -> Iterable[LinkFlexure]:
+        """The links long enough to bend: a beam's sag goes with the cube of its length; short links are castings.
+
+        Where a weight of theirs is declared, at its mass centre or spread.
+        """
         lengths = np.array([np.hypot(j.a, j.d) for j in arm.joints[1:]])
-        return (cls(None, k) for k, length in enumerate(lengths, 1) if length >= BEAM * lengths.max())
+        links = (np.flatnonzero(lengths >= BEAM * lengths.max(initial=0.0)) + 1).tolist()
+        bodies = (arm.joints[k - 1].body for k in links)
+        heavy = any(body.mass > 0 for body in bodies if body)
+        return (cls(None, k, spread) for spread in (False, True)[: 1 + heavy] for k in links)
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterable[tuple[Effect, ...]]:
         """Each beam alone, and all of them together."""
-        links = tuple(cls.candidates(arm))
-        return (*((e,) for e in links), links)
+        for _, beams in groupby(cls.candidates(arm), key=lambda e: e.spread):
+            links = tuple(beams)
+            yield from (*((e,) for e in links), links)
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return {f"{c}{self.member}": (60e-6, "rad") for c in ("rx", "ry", "rz")}
@@ -213,13 +227,20 @@ class LinkFlexure(Effect):
         if number != self.member:
             return ca.SX.eye(4)
         turn = context.frames[number - 1][:3, :3].T
-        root, end = (turn @ context.moment(k) / context.great_moment for k in (number, min(number + 1, context.arm.n)))
+        ends = number, min(number + 1, context.arm.n)
+        great = context.greatest(*ends)
+        root, end = (turn @ context.moment(k) / great for k in ends)
         k = ca.vertcat(*(self.value(context, f"{c}{self.member}") for c in ("rx", "ry", "rz")))
-        # End slope and deflection of a beam whose moment runs linearly from root to end.
-        slope, sag = k * (root + end) / 2, k * (2 * root + end) / 6
         far = ca.SX.zeros(3)
         if number < context.arm.n:
             far = turn @ (context.frames[number][:3, 3] - context.frames[number - 1][:3, 3])
+        body = context.arm.joints[number - 1].body
+        even: Symbolic = ca.SX.zeros(3)
+        if self.spread and body:
+            weight = body.mass * (turn @ context.gravity) / great
+            root, even = root - ca.cross(ca.DM(body.com), weight), ca.cross(far, weight)
+        # End slope and deflection of a beam whose moment runs linearly from root to end, and of its own even weight.
+        slope, sag = k * ((root + end) / 2 + even / 6), k * ((2 * root + end) / 6 + even / 8)
         shift = far + ca.cross(sag, far)
         return (
             translate(*ca.vertsplit(shift))
@@ -228,4 +249,4 @@ class LinkFlexure(Effect):
         )
 
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-        return simulator.with_springs(self.label, v, self.member)
+        return simulator.with_springs(self.label, v, self.member, spread=self.spread)

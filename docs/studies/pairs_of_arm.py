@@ -60,21 +60,40 @@ def pads(b: Bench) -> Pair:
 
 
 def beam(b: Bench) -> Pair:
-    """Turn of the whole link about each of its axes under the great moment."""
-    b, s, torsion = without_mass(b, 2), 60e-6, 0.8
-    bent = s / stretched_moments(b.plant, 2)[0] * float(b.great.max())
+    """Turn of the whole link, which weighs nothing, about each of its axes under the great torque at its ends."""
+    return _beam(without_mass(b, 2), LinkFlexure(None, 2))
+
+
+def heavy_beam(b: Bench) -> Pair:
+    """The same of a link whose weight is spread along it."""
+    return _beam(b, LinkFlexure(None, 2, spread=True))
+
+
+def _beam(b: Bench, effect: LinkFlexure) -> Pair:
+    s, torsion = 60e-6, 0.8
+    bent = s / stretched_moments(b.plant, 2)[0] * float(b.great[1:3].max())
     v = dict(zip(("rx2", "ry2", "rz2"), bent * (1 - b.along(2) + b.along(2) / torsion), strict=True))
     there = disturbances.LinkFlexure(2, s, torsion)
     engine = Hidden("link_flexure", None, {"link": 2, "size": s, "torsion": torsion})
-    return Pair(b, [LinkFlexure(None, 2)], named("link_flexure", v), numpy=[there], mujoco=[engine])
+    return Pair(b, [effect], named("link_flexure", v), numpy=[there], mujoco=[engine])
 
 
 def pedestal(b: Bench) -> Pair:
+    """A foot that turns about axes below the base."""
+    return _pedestal(b, 0.4)
+
+
+def flange(b: Bench) -> Pair:
+    """A foot that turns at the base."""
+    return _pedestal(b, 0.0)
+
+
+def _pedestal(b: Bench, below: float) -> Pair:
     s, across = 50e-6, 0.6
     rx = s * float(b.great.max()) / stretched_moments(b.plant, 0)[1]
     v, there = {"rx": rx, "ry": across * rx}, disturbances.PedestalTilt(s, across)
-    engine = Hidden("base_compliance", None, {"size": s, "across": across, "height_m": 0.0})
-    return Pair(b, [BaseCompliance()], named("base_compliance", v), numpy=[there], mujoco=[engine])
+    engine = Hidden("base_compliance", None, {"size": s, "across": across, "height_m": below})
+    return Pair(b, [BaseCompliance(None, below)], named("base_compliance", v), numpy=[there], mujoco=[engine])
 
 
 def sag(b: Bench) -> Pair:

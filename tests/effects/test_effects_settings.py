@@ -49,12 +49,13 @@ def test_links_of_any_length_but_castings_bend() -> None:
 
 
 def plain(joints: int = 3) -> Counterparts:
-    return Counterparts((Drive(),) * joints, np.array([100.0, 50.0, 20.0])[:joints], np.full(joints, 0.5), 100.0)
+    torques = np.array([100.0, 50.0, 20.0])[:joints]
+    return Counterparts((Drive(),) * joints, torques, np.full(joints, 0.5), torques)
 
 
 def test_an_axis_without_a_spring_stays_rigid_beside_those_that_have_one() -> None:
     found = plain().with_springs("link_flexure", {"rx": 1e-4, "ry": 0.0, "rz": -2e-4}, 2)
-    assert found.flexures[2] == pytest.approx((1e6, np.inf, np.inf))
+    assert found.flexures[2] == ((5e5, np.inf, np.inf), False)  # 50 N m of joint 2, the greater at its ends
     assert [(o.label, o.parts) for o in found.left_out] == [("link_flexure", ("rz",))]
     foot = plain().with_springs("base_compliance", {"rx": 2e-4, "ry": 1e-4}, 0)
     assert foot.base == pytest.approx((5e5, 1e6))

@@ -70,17 +70,19 @@ def inert(stiffness: float) -> dict[str, str]:
 
 
 def add_pieces(
-    body: ET.Element, name: str, mass: Body, end: Array, stiffness: tuple[float, float, float]
+    body: ET.Element, name: str, mass: Body, end: Array, stiffness: tuple[float, float, float], spread: bool
 ) -> tuple[ET.Element, Array]:
     """Pieces of a link, whose body is the first; the last piece, and the link's frame seen from it, shape (4, 4).
 
     end : where the next joint is, shape (3,) [m]; stiffness : of the whole link about its axes [N m/rad]
+    spread : whether the springs see its weight spread along it
     """
     s1, s2 = GAUSS
     com = np.asarray(mass.com)
-    # A third of the mass each; centres from the moments (1 - s) m com that the springs must see.
-    c2 = s2 * end + 3 * (1 - s2) * com
-    c1 = s1 * end + 3 * (1 - s1) * com - (c2 - s1 * end)
+    # A third of the mass each; centres from what the springs must see, moments (1 - s) m com or (1 - s)^2 m end / 2.
+    lever1, lever2 = ((1 - s) ** 2 * end / 2 if spread else (1 - s) * com for s in GAUSS)
+    c2 = s2 * end + 3 * lever2
+    c1 = s1 * end + 3 * lever1 - (c2 - s1 * end)
     c0 = 3 * com - c1 - c2
     third = mass.mass / 3
     add_mass(body, third, c0)

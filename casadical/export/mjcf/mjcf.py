@@ -111,8 +111,9 @@ def counterparts(robot: Robot) -> Counterparts:
     drives = tuple(Drive(compliance=j.compliance or 0.0) for j in robot.joints)
     scale = robot.torque_scale
     load = _mean_torque(robot) / scale if robot.effects else np.zeros(robot.n)
-    moment = float(max((scale[j - 1] for j in robot.revolute), default=scale.max()))
-    parts = Counterparts(drives, scale, load, moment, tuple(j.body for j in robot.joints), robot.payload)
+    moments = np.where([j in robot.revolute for j in robot.numbers], scale, 0.0)
+    moments = moments if robot.revolute else scale
+    parts = Counterparts(drives, scale, load, moments, tuple(j.body for j in robot.joints), robot.payload)
     # Linear springs first: others bend around them.
     for effect in sorted(robot.effects, key=lambda e: not e.simulated_first):
         parts = effect.counterpart(parts, effect.own_values(robot.effect_values))
@@ -135,7 +136,7 @@ def _bodies(world: ET.Element, robot: Robot, parts: Counterparts) -> ET.Element:
         add_mass(base, 0.0, np.zeros(3))
         for axis, words, k in zip("xy", ("1 0 0", "0 1 0"), parts.base, strict=True):
             if np.isfinite(k):
-                add_spring(base, f"base_{axis}", words, k)
+                add_spring(base, f"base_{axis}", words, k).set("pos", numbers(0.0, 0.0, -parts.base_below))
     driven = {loop.driven: loop for loop in robot.loops}
     parent, behind = base, np.eye(4)
     ends = [(parent, behind)]  # of each link: the piece on which the next joint stands, and the link's frame in it
@@ -156,7 +157,7 @@ def _bodies(world: ET.Element, robot: Robot, parts: Counterparts) -> ET.Element:
         parent, behind = body, np.eye(4)
         if i in parts.flexures and i < robot.n:
             end = row_matrix(robot.joints[i])[:3, 3]
-            parent, behind = add_pieces(body, f"link{i}", mass, end, parts.flexures[i])
+            parent, behind = add_pieces(body, f"link{i}", mass, end, *parts.flexures[i])
         else:
             add_mass(body, mass.mass, mass.com)
         ends.append((parent, behind))

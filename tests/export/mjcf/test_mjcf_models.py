@@ -95,9 +95,12 @@ def test_springs_give_way_as_the_robots_joints_do(name: str) -> None:
 COUNTERPARTS: list[tuple[Effect, dict[str, float], float]] = [
     (MissingCompliance(6), {"deflection": 2e-4}, 1e-6),
     (BaseCompliance(), {"rx": 6e-5, "ry": 9e-5}, 2e-6),
+    (BaseCompliance(None, 0.4), {"rx": 6e-5, "ry": 9e-5}, 2e-6),
     (LinkFlexure(None, 1), {"rx1": 6e-5, "ry1": 9e-5, "rz1": 3e-5}, 2e-6),
     (LinkFlexure(None, 2), {"rx2": 6e-5, "ry2": 9e-5, "rz2": 3e-5}, 1e-6),
     (LinkFlexure(None, 3), {"rx3": 6e-5, "ry3": 9e-5, "rz3": 3e-5}, 1e-6),
+    (LinkFlexure(None, 2, spread=True), {"rx2": 6e-5, "ry2": 9e-5, "rz2": 3e-5}, 1e-6),
+    (LinkFlexure(None, 3, spread=True), {"rx3": 6e-5, "ry3": 9e-5, "rz3": 3e-5}, 1e-6),
     (PayloadError(), {"mass": 0.06, "x": 0.02, "y": -0.01, "z": 0.03}, 1e-6),
     (JointScale(3), {"k": 1e-4}, 2e-6),
     (FrictionWindup(3), {"constant": 4e-5, "load": 0.0}, 1e-6),
