@@ -233,10 +233,7 @@ def _answered(
 
 def _printed(found: CampaignDiagnosis, details: bool, file: Path | None, console: Console) -> dict[Path, str]:
     """Print a diagnosis; the file of its next poses, where there are any to measure."""
-    if details:
-        console.print(found.titled_text(), soft_wrap=True)
-    else:
-        console.print(terminal(found.brief()))
+    console.print(terminal(found.detailed() if details else found.brief()))
     if found.searched:
         console.print(terminal(found.searched.blocks()))
     console.print()

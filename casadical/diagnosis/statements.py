@@ -23,8 +23,6 @@ from casadical.identification.gravity import in_words as gravity_in_words
 NEAR = 1.5
 # Poses that raise the probability of a right choice by less tell nothing.
 LITTLE = 0.1
-# Stands between words of an item that is not broken over two lines.
-TIED = "\u00a0"
 # Words before what is said about something, where it is a sentence of its own; the most important first.
 SUBJECTS = {
     "CHECK": "", "NOISE": "", "SET": "", "MORE": "", "PRIOR": "Prior: ", "CANNOT": "These data cannot ",
@@ -49,7 +47,7 @@ class Statement:
     @property
     def sentence(self) -> str:
         """It without its label, as pages and the short answer have it."""
-        text = SUBJECTS.get(self.about, "") + self.text.replace("   ", ", ").replace(TIED, " ")
+        text = SUBJECTS.get(self.about, "") + self.text.replace("   ", ", ")
         text = f"{text[0].upper()}{text[1:]}" if text.split()[0].strip(":,").isalpha() else text  # no column's name
         return text if text.endswith((".", ")")) else f"{text}."
 
@@ -239,8 +237,7 @@ def _where(d: Diagnosis, more: Details) -> Iterator[Statement]:
         f"{row['part']}: {100 * row['share']:.0f} % ({100 * row['low']:.0f}-{100 * row['high']:.0f})"
         for _, row in great.head(5).iterrows()
     ]
-    tied = (share.replace(" ", TIED) for share in shares)
-    yield Statement("WHERE", "   ".join(tied) or "spread over all parts")
+    yield Statement("WHERE", "   ".join(shares) or "spread over all parts")
     worst = more.where.worst.head(3)
     if len(worst):
         regions = [f"{row['by']} {row['part']} ({row['rms_mm']:.3f} mm rms)" for _, row in worst.iterrows()]

@@ -1,25 +1,18 @@
-"""A diagnosis in words, for a terminal: as a page of plain text, and in few lines, the answer first."""
+"""A diagnosis in words, for a terminal: all that was found, and in few lines, the answer first."""
 
-import textwrap
 from collections.abc import Iterator, Sequence
-from itertools import chain
-
-from rich.console import RenderableType
-from rich.text import Text
 
 from casadical.core.telling.blocks import Table, Words, mm
-from casadical.core.telling.result import table_lines
+from casadical.core.telling.result import plain_text
 from casadical.diagnosis.cause_table import LAYER_COLUMNS, cause_rows, layer_rows
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.spectrum import COLUMNS, MOST_SUGGESTED, curve_of, curve_rows
-from casadical.diagnosis.statements import SUBJECTS, TIED, Statement, floor_of, readings_of, statements
+from casadical.diagnosis.statements import SUBJECTS, Statement, floor_of, readings_of, statements
 
 WIDTH = 112
-LABEL = 8
-# The table of causes, and how wide its columns are.
+LABEL = 7
 CAUSE_COLUMNS = ("", "signature", "posterior", "gap if added", "shrinks by, 95 %")
-WIDTHS = (2, 62, 9, 16, 18)
 # Labels that stand before each of their statements, not only before the first.
 EACH = ("CANNOT", "MISSING")
 # Of the short answer: things to know, causes that are listed.
@@ -30,65 +23,57 @@ LONGEST = 290
 _DOUBTS = ("CANNOT", "AFTER", "SET")
 
 
-def titled(title: str, page: str) -> RenderableType:
-    """A page of plain text beneath its title, underlined; to be printed unwrapped."""
-    whole = Text(f"{title}\n", style="bold underline", no_wrap=True)
-    whole.append(Text(page, style="not bold not underline"))
-    return whole
-
-
 def page_of(d: Diagnosis, more: Details | None = None) -> str:
-    """The page as plain text, at most `WIDTH` characters wide.
-
-    more : what `analyse` computed; None: what the diagnosis alone tells
+    """All that was found as plain text, at most `WIDTH` characters wide (see `detailed`).
 
     Examples
     --------
     >>> print(casadical.diagnosis.page_of(diagnosis).splitlines()[0])
-    VERDICT explained: gear_eccentricity@2; 0.081 -> 0.037 mm, noise alone would leave 0.033
+    VERDICT  explained: gear_eccentricity@2; 0.081 -> 0.037 mm, noise alone would leave 0.033
     """
-    lines: list[str] = []
+    return "\n".join(line.rstrip() for line in plain_text(detailed(d, more), WIDTH).splitlines())
+
+
+def detailed(d: Diagnosis, more: Details | None = None) -> Sequence[Words | Table]:
+    """All that was found: statements beside what they are about, the tables behind those that introduce them.
+
+    more : what `analyse` computed; None: what the diagnosis alone tells
+    """
+    blocks: list[Words | Table] = []
+    rows: list[tuple[str, str]] = []
     last = ""
     for s in statements(d, more):
-        label = s.about if s.about != last or s.about in EACH else ""
-        lines += _wrapped(s.text, f"{label:<{LABEL}}", " " * LABEL)
+        rows.append((f"{s.about if s.about != last or s.about in EACH else '':<{LABEL}}", s.text))
+        tables: list[Table] = []
         if s.about == "WHICH" and d.causes:
-            lines += _cause_lines(d, more)
+            tables = [*_sized(d), *_lines(d, more)]
         if s.about == "LAYERS":
-            table = Table("", LAYER_COLUMNS, layer_rows(d, floor_of(d, more)), frozenset({1, 2, 3, 4}))
-            lines += chain.from_iterable(table_lines(table, indent=LABEL))
+            tables = [Table("", LAYER_COLUMNS, layer_rows(d, floor_of(d, more)), frozenset({1, 2, 3, 4}))]
+        if tables:
+            blocks, rows = [*blocks, Table("", ("", ""), rows), *tables], []
         last = s.about
-    return "\n".join(lines)
+    return [*blocks, Table("", ("", ""), rows)] if rows else blocks
 
 
-def _wrapped(text: str, first: str, further: str) -> list[str]:
-    lines = textwrap.wrap(text, WIDTH, initial_indent=first, subsequent_indent=further, break_on_hyphens=False)
-    return [line.replace(TIED, " ") for line in lines]
-
-
-def _cause_lines(d: Diagnosis, more: Details | None) -> Iterator[str]:
-    """The table of causes: a row for each, beneath it its name and its parameters."""
-    causes = cause_rows(d)
-    rows = [
-        (str(k), "\n".join(textwrap.wrap(r.shown, WIDTHS[1])), f"{r.cause.confidence:.2f}", r.gap, r.shrinks)
-        for k, r in enumerate(causes, 1)
-    ]
-    head, *lines = table_lines(Table("", CAUSE_COLUMNS, rows, frozenset({0, 2, 3, 4})), WIDTHS, gap=1)
-    yield from head
-    for row, own in zip(causes, lines, strict=True):
-        yield from own
-        yield from _wrapped(row.named, "     ", "     ")
-        values = (
-            (f"{name} {value} +- {error} {unit}" if error else f"{name} {value} {unit}").rstrip().replace(" ", TIED)
-            for name, value, error, unit in row.parameters
+def _sized(d: Diagnosis) -> Iterator[Table]:
+    """The causes: of each what the data show, its name and its parameters."""
+    rows = []
+    for k, r in enumerate(cause_rows(d), 1):
+        sizes = (
+            f"{name} {value} +- {error} {unit}" if error else f"{name} {value} {unit}"
+            for name, value, error, unit in r.parameters
         )
-        if row.parameters:
-            yield from _wrapped(", ".join(values), "     ", "     ")
-        if more and more.curves and curve_of([row.cause]):
-            curves = Table("", COLUMNS, curve_rows(more.curves), frozenset({0, 1, 2}))
-            yield from chain.from_iterable(table_lines(curves, indent=5, most=WIDTH))
-            for text in more.curves.suggestions[:MOST_SUGGESTED]:
-                yield from _wrapped(text, "     ", "     ")
+        words = [r.shown, r.named, ", ".join(size.rstrip() for size in sizes)]
+        rows.append((str(k), "\n".join(filter(None, words)), f"{r.cause.confidence:.2f}", r.gap, r.shrinks))
+    yield Table("", CAUSE_COLUMNS, rows, frozenset({0, 2, 3, 4}))
+
+
+def _lines(d: Diagnosis, more: Details | None) -> Iterator[Table]:
+    """The lines of joints' curves, and what they suggest."""
+    if more and more.curves and curve_of(d.causes):
+        yield Table("", COLUMNS, curve_rows(more.curves), frozenset({0, 1, 2}))
+        suggested = more.curves.suggestions[:MOST_SUGGESTED]
+        yield from [Table("", ("", ""), [("", text) for text in suggested])] if suggested else []
 
 
 def brief(title: str, d: Diagnosis, more: Details | None = None) -> Sequence[Words | Table]:

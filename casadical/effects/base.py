@@ -81,6 +81,13 @@ class Context:
             total = total + ca.cross(centre - origin, mass * self.gravity)
         return total
 
+    def turned(self, joint: int) -> Symbolic:
+        """By how much a link turns in its bearing on the one before [rad]: the reading, unless a four-bar drives it."""
+        if all(loop.driven != joint for loop in self.arm.loops):
+            return self.q[joint - 1]
+        row = self.frames[joint - 2][:3, 0].T @ self.frames[joint - 1][:3, :2]
+        return ca.atan2(-row[1], row[0])
+
     @property
     def great_moment(self) -> Symbolic:
         """The greatest of the turning joints' great torques [N m]; of an arm that only slides, of its forces [N]."""

@@ -108,7 +108,7 @@ class AxisWobble(Effect):
     def link(self, number: int, context: Context) -> Symbolic:
         if number != self.joint:
             return ca.SX.eye(4)
-        q = context.q[number - 1]
+        q = context.turned(number)
         rx, ry, x, y = (
             self.value(context, f"{c}_sin") * ca.sin(self.cycles * q)
             + self.value(context, f"{c}_cos") * ca.cos(self.cycles * q)

@@ -24,7 +24,8 @@ class GravityCompensator(Effect):
     phase : reading at which spring, joint and lever lie in line [rad]
     """
 
-    anchor: float = setting(2.0, (1.2, 2.0, 4.0))
+    # The nearer to 1, the sharper the torque where the spring is shortest.
+    anchor: float = setting(2.0, (1.6, 3.0, 1.15, 1.02))
     phase: float = setting(0.0, PHASES, steps=True, signed=True)
 
     name = "gravity_compensator"
@@ -205,7 +206,7 @@ class LinkFlexure(Effect):
     def candidates(cls, arm: Arm) -> Iterable[LinkFlexure]:
         """The links long enough to bend: a beam's sag goes with the cube of its length; short links are castings.
 
-        Where a weight of theirs is declared, at its mass centre or spread.
+        Where their weights are declared, with these at the mass centres or spread.
         """
         lengths = np.array([np.hypot(j.a, j.d) for j in arm.joints[1:]])
         links = (np.flatnonzero(lengths >= BEAM * lengths.max(initial=0.0)) + 1).tolist()

@@ -7,8 +7,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from rich.console import RenderableType
-
 from casadical.core.basics import InputError, Show, silent
 from casadical.core.drive import read_drive
 from casadical.core.telling.blocks import Block, Page, Section, Table, Words
@@ -26,7 +24,7 @@ from casadical.diagnosis.motion.result import LogDiagnosis as LogDiagnosis
 from casadical.diagnosis.motion.result import diagnose_log, looks_of
 from casadical.diagnosis.page import diagnosis_page
 from casadical.diagnosis.result import Diagnosis
-from casadical.diagnosis.text import brief, page_of, titled
+from casadical.diagnosis.text import brief, detailed
 from casadical.effects import Effect
 from casadical.effects.definition import DefinedEffect
 from casadical.effects.formula_effect import Law
@@ -168,8 +166,9 @@ class CampaignDiagnosis(Result):
     def blocks(self) -> list[Words | Table]:
         return [b for section in self.page().sections for b in section.blocks if not isinstance(b, Figure)]
 
-    def titled_text(self) -> RenderableType:
-        return titled(self.campaign.title, page_of(self.diagnosis, self._beside_laws))
+    def detailed(self) -> Sequence[Words | Table]:
+        """All that was found, without figures (see `casadical.diagnosis.page_of`)."""
+        return [Words(self.campaign.title, "title"), *detailed(self.diagnosis, self._beside_laws)]
 
     def figures(self) -> dict[str, Figure]:
         """Every figure, by name (see `diagnosis_figures`)."""

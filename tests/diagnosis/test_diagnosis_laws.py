@@ -338,7 +338,7 @@ def test_a_diagnosis_that_is_unknown_says_the_law() -> None:
     found = discovered(5, STOP)
     assert found.diagnosis.verdict == "unknown"
     more = Details(laws=found)
-    assert "LAW     joint 3 += " in diagnosis_page(found.diagnosis, more)
+    assert "LAW      joint 3 += " in diagnosis_page(found.diagnosis, more)
     assert any(
         b.text.startswith("Law: joint 3 += ") for b in brief("stop", found.diagnosis, more) if isinstance(b, Words)
     )

@@ -17,7 +17,7 @@ def test_backlash_is_in_question_without_the_approaches_and_they_are_said_to_be_
     d = diagnose(robot("kr210"), m)
     (cause,) = d.causes
     assert "backlash@2" in (cause.label, *cause.indistinguishable)
-    assert "ASSUMED approach1,2,3,4,5,6: the direction from the pose before" in page_of(d)
+    assert "ASSUMED  approach1,2,3,4,5,6: the direction from the pose before" in page_of(d)
     assert any(text.startswith("approach1,2,3,4,5,6") for text in as_json(d, "campaign")["assumed"])
 
 
@@ -37,4 +37,4 @@ def test_a_robot_that_warms_up_unmeasured_gets_no_cause_that_follows_something_e
     d = diagnose(robot("kr210"), simulated("kr210", 8, hidden, n=80, drop=("temperature",)))
     assert d.verdict != "explained"
     assert d.causes == ()
-    assert "ASSUMED temperature_degC: not known" in page_of(d)
+    assert "ASSUMED  temperature_degC: not known" in page_of(d)

@@ -8,11 +8,10 @@ import casadi as ca
 import numpy as np
 import pytest
 from cases import diagnose, robot, simulated
-from rich.console import Console
 
 from casadical import InputError, identify
 from casadical.diagnosis.json_answer import as_json
-from casadical.diagnosis.text import page_of, titled
+from casadical.diagnosis.text import page_of
 from casadical.effects import Context, Effect, Law
 
 
@@ -52,10 +51,7 @@ def test_own_effect_is_diagnosed_beside_the_listed() -> None:
     assert unit == "rad"
     assert abs(value - 50e-6) < 4 * error + 3e-6
     assert as_json(d, "own")["causes"][0]["effect"] == "sagging_cable"
-    console = Console(width=160)
-    with console.capture() as got:
-        console.print(titled("own", page_of(d)))
-    assert "A loop of cable is shortest" in got.get()
+    assert "A loop of cable is shortest" in " ".join(page_of(d).split())
 
 
 def test_own_effect_is_part_of_the_robot() -> None:

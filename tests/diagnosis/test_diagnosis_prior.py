@@ -57,7 +57,7 @@ def test_what_is_known_and_did_not_change_is_no_cause(built, first):
     assert max(c.probability for c in found.changes) < 0.1
     assert found.gap.before < 3 * NOISE
     page = page_of(found)
-    assert "PRIOR   from first.csv: joint_error_curve" in page
+    assert "PRIOR    from first.csv: joint_error_curve" in page
     assert "joint_error_curve, joint 3: changed since then with probability 0.0" in page
     answer = as_json(found, "second")["prior"]
     assert answer["campaign"] == "first.csv"

@@ -259,7 +259,7 @@ def test_layers_go_from_the_calibrated_robot_to_the_noise(both: Diagnosis) -> No
 
 
 def test_text_and_json_have_the_same_layers(both: Diagnosis) -> None:
-    table = page_of(both).split("LAYERS")[1].splitlines()[2:6]
+    table = page_of(both).split("LAYERS")[1].splitlines()[3:7]
     given = as_json(both, "x")["layers"]
     assert [float(re.split(r"\s{2,}", line.strip())[1]) for line in table] == [round(a["mean_mm"], 3) for a in given]
     assert set(given[-1]) == {"name", "mean_mm"}

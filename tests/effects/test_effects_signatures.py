@@ -4,14 +4,24 @@ The model takes gravity torques of the robot that has sunk once under its own, a
 the differences' own round-off, effects that load the joints included.
 """
 
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import casadi as ca
 import numpy as np
 import pytest
 from bench import FIRST, batches, campaign, moved_by, robot, with_columns
 
+from casadical.blind_check.mujoco_physics import Plant
+from casadical.blind_check.mujoco_physics.cause import link_angles
+from casadical.core.transforms import Symbolic, small_frame
 from casadical.diagnosis.linearisation import signatures
 from casadical.effects import AxisWobble, Effect
+from casadical.effects.base import Context
 from casadical.identification.accuracy import predicted
 
+ROBOTS = Path(__file__).parents[2] / "data" / "campaigns" / "robots"
 ROUND_OFF = 3e-16 * 5  # m, of a position some metres away
 
 
@@ -84,3 +94,30 @@ def test_a_wave_of_the_ring_that_stands_still_has_one_cycle_more_on_the_link() -
         moved.append(moved_by("ur10e", (effect,), np.array([[*robot("ur10e").parameters.values, *theta]]), poses)[0])
     assert np.ptp(moved[0] - predicted(robot("ur10e"), poses)[0], axis=0).min() > 1e-5
     np.testing.assert_allclose(moved[0], moved[1], atol=1e-12)
+
+
+@dataclass(frozen=True)
+class Twist(Effect):
+    """Turns link 3 about its own axis, by as much everywhere or as it turns in its bearing."""
+
+    growing: bool = False
+    name = "twist"
+    size = {"k": (1e-4, "rad")}  # noqa: RUF012 (as effects give it)
+
+    def link(self, number: int, context: Context) -> Symbolic:
+        turn = context.turned(3) if self.growing else 1.0
+        return small_frame(0, 0, 0, 0, 0, self.value(context, "k") * turn) if number == 3 else ca.SX.eye(4)
+
+
+@pytest.mark.parametrize("name", ["hh800", "ur10e"])
+def test_a_bearing_turns_with_its_link_where_a_four_bar_drives_it(name: str) -> None:
+    """The other physics close their loop by circles that meet."""
+    poses = campaign(name)[::2]
+    plant = Plant.from_dict(json.loads((ROBOTS / f"{name}.json").read_text()))
+    E = [signatures(robot(name), [Twist(None, g)], poses, robot(name).parameters.values)[0] for g in (True, False)]
+    moving = np.linalg.norm(E[1], axis=(1, 2)) > 1e-3
+    turned = ((E[0] * E[1]).sum(axis=(1, 2)) / (E[1] ** 2).sum(axis=(1, 2)))[moving]
+    off = np.exp(1j * (turned - link_angles(plant, poses.q)[moving, 2]))
+    assert len(off) > 10
+    assert np.ptp(turned) > 0.3
+    assert np.abs(off - off[0]).max() < 1e-9

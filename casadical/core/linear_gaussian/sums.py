@@ -18,7 +18,7 @@ from casadical.core.linear_gaussian.columns import EVERY, Columns, Factors, as_s
 from casadical.core.linear_gaussian.noise import Axes, NoiseModel
 
 # Columns that are in memory at a time, in bytes; at least so many blocks.
-BYTES, LEAST_BLOCKS = 32_000_000, 256
+BYTES, LEAST_BLOCKS = 128_000_000, 256
 # Groups of so many columns are added up one by one, at the points that are asked for.
 WIDE = 64
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping, Sequence
 from html import escape
-from itertools import pairwise, zip_longest
+from itertools import pairwise
 from pathlib import Path
 from textwrap import indent as indented
 from textwrap import wrap
@@ -56,12 +56,15 @@ def _rendered(block: Words | Table) -> RenderableType:
 
 
 def _rich_table(block: Table) -> RenderableType:
-    """Numbers stay on one line; where the terminal is narrow all else is broken, nothing is cut."""
+    """Numbers stay on one line; where the terminal is narrow all else is broken, nothing is cut; no names, no head."""
     from rich import table as rich
     from rich.text import Text
 
     title = Text(block.title, style="bold") if block.title else None
-    shown = rich.Table(title=title, title_justify="left", box=None, padding=(0, 2, 0, 0), pad_edge=False)
+    shown = rich.Table(
+        title=title, title_justify="left", box=None, padding=(0, 2, 0, 0), pad_edge=False,
+        show_header=any(block.columns),
+    )  # fmt: skip
     for k, name in enumerate(block.columns):
         number = k in block.numbers
         longest = max((len(row[k]) for row in block.rows), default=0)
@@ -72,33 +75,6 @@ def _rich_table(block: Table) -> RenderableType:
             *map(Text, map(visible, row)), style="bold" if k in block.strong else "dim" if k in block.faint else ""
         )
     return shown
-
-
-def table_lines(
-    table: Table, widths: Sequence[int] = (), *, gap: int = 2, indent: int = 0, most: int = 0
-) -> list[list[str]]:
-    """A table as lines of plain text: those of its head, then those of each row, for pages of a fixed width.
-
-    widths : of its columns, by default of the longest cell of each; gap : between them; indent : before the first
-    most : characters of a line, so that the last column is broken; cells may hold several lines, too
-    """
-    rows = [row for row in (table.columns, *table.rows) if row]
-    wide = widths or [max(len(line) for row in rows for line in row[k].split("\n")) for k in range(len(rows[0]))]
-    room = most - indent - sum(wide[:-1]) - gap * (len(wide) - 1)
-    texts = []
-    for row in rows:
-        cells = [cell.split("\n") for cell in row]
-        if most:
-            cells[-1] = wrap(row[-1], room, break_on_hyphens=False)
-        lines = []
-        for parts in zip_longest(*cells, fillvalue=""):
-            sides = (
-                part.rjust(width) if k in table.numbers else part.ljust(width)
-                for k, (part, width) in enumerate(zip(parts, wide, strict=True))
-            )
-            lines.append((" " * indent + (" " * gap).join(sides)).rstrip())
-        texts.append(lines)
-    return texts
 
 
 def plain_text(blocks: Sequence[Block], width: int = 80) -> str:

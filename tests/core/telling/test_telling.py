@@ -7,7 +7,7 @@ import pytest
 from casadical.core.telling.blocks import Page, Section, Table, Tile, Words, shown
 from casadical.core.telling.figure import Axis, Figure, Note, Rule, Series, Span, ticks_of_decades
 from casadical.core.telling.page import html_of
-from casadical.core.telling.result import html, plain_text, table_lines
+from casadical.core.telling.result import html, plain_text
 
 TABLE = Table("Errors [mm]", ("model", "mean"), [("before", "1.70"), ("after [KM]", "0.03")], frozenset({1}))
 BLOCKS = [
@@ -69,11 +69,14 @@ def test_a_page_has_tiles_and_no_empty_section() -> None:
     assert "casadical fleet &#39;a b&#39;" in text
 
 
-def test_columns_of_plain_text_are_as_wide_as_their_cells_or_as_said() -> None:
-    head, first, second = table_lines(TABLE, indent=2)
-    assert (head, first, second) == (["  model       mean"], ["  before      1.70"], ["  after [KM]  0.03"])
-    several = Table("", ("a", "what"), [("x\ny", "one two three four")])
-    assert table_lines(several, (1, 9), gap=1, most=11)[1] == ["x one two", "y three", "  four"]
+def test_a_table_without_names_has_no_head_and_its_words_hang_beneath_each_other() -> None:
+    told = Table("", ("", ""), [("a", "one two three four"), ("", "five")])
+    assert [line.rstrip() for line in plain_text([told], 12).splitlines()] == [
+        "a  one two",
+        "   three",
+        "   four",
+        "   five",
+    ]
 
 
 def test_a_figure_is_drawn_as_its_data_say() -> None:
