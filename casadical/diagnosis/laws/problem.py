@@ -218,6 +218,8 @@ def with_columns(linear: Linearisation, laws: Sequence[Law]) -> list[Seam]:
 LEAST_SCALE = 1e-3
 # Numbers of the rhos at which laws are screened: what is most probable without a law says little of that with it.
 SCREENED = (2, 4)
+# Nats by which a law at another rho does not exceed what it reaches at the most probable one.
+HOPELESS = 20.0
 # Nats of a claim: of the score, and above rivals; of laws that are not distinguished.
 CLAIMED, ABOVE, ALIKE = 12.0, 3.0, 5.0
 MOST_ALIKE = 6
@@ -376,17 +378,28 @@ class Problem:
         by_rho = dict(zip(near, log_sum(self.log_base[near], axis=1), strict=True))
         total = float(log_sum(self.log_base[near]))
         known = [k for k in SCREENED if k in by_rho] or [best_of(near, by_rho.__getitem__, logs=True)]
-        return [(float(by_rho[k]) - total, Screen.at_rho(self.evidence, k)) for k in known]
+        screens = [(float(by_rho[k]) - total, Screen.at_rho(self.evidence, k)) for k in known]
+        return sorted(screens, key=lambda s: -s[0])
 
     def gains(self, seam: Seam, functions: Array) -> Array:
         """Log evidence of laws at a place, shape (K,); functions : in units of their scales, as of `Form.values`."""
-        return self._gains(lambda screen: screen.products(seam.columns * seam.size, functions))
+        columns = seam.columns * seam.size
+        return self._gains(functions.shape[-1], lambda screen, some: screen.products(columns, functions[..., some]))
 
     def gains_of(self, columns: Array) -> Array:
         """Log evidence of laws whose columns are given, shape (K,); columns : in units of their sizes, (n, 3, w, K)."""
-        return self._gains(lambda screen: screen.products_of(columns))
+        return self._gains(columns.shape[-1], lambda screen, some: screen.products_of(columns[..., some]))
 
-    def _gains(self, products: Callable[[Screen], tuple[Array, Array]]) -> Array:
-        return log_mean(
-            np.stack([share + screen.gains(*products(screen), self.least - share) for share, screen in self.screens])
-        )
+    def _gains(self, count: int, products: Callable[[Screen, Array | slice], tuple[Array, Array]]) -> Array:
+        """Of so many laws, at the most probable rho, and where these are not hopeless at the others, too."""
+        some: Array | slice = slice(None)
+        gains = np.full((len(self.screens), count), NEVER)
+        for k, (share, screen) in enumerate(self.screens):
+            G, b = products(screen, some)
+            least = self.least - share
+            gains[k, some] = share + screen.gains(G, b, least)
+            if not k and least > HOPELESS:
+                some = np.flatnonzero(screen.reach(G, b) >= least - HOPELESS)
+                if not len(some):
+                    break
+        return log_mean(gains)
