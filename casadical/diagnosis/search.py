@@ -222,12 +222,13 @@ def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tupl
     if not case.observations.plain:
         return state, end, p_nothing
 
-    lines = set[tuple[int, float]]()  # that were seen so far
+    lines, lone = set[tuple[int, float]](), False  # that were seen so far; whether sets of causes were left for later
 
-    def where_noise_follows(beside: State, least: float = 0.0) -> tuple[State, End] | None:
+    def where_noise_follows(beside: State, least: float = 0.0, *, first: bool = False) -> tuple[State, End] | None:
         """Causes under the noise that follows itself best beside those of a state; None where it does not, or none.
 
         least : log evidence that both need, over plain noise without causes
+        first : whether these causes are searched once more, so that sets of them can wait
         """
         form, noise, gain = best_following(beside.case, beside.columns())
         if form.stays == beside.case.form.stays or gain < FORM_GAIN:
@@ -235,18 +236,21 @@ def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tupl
         show(f"causes where the noise follows itself, by {form.stays:g}")
         lines.update(lines_of(beside.case, beside.columns(), noise, form))
         beside.case.judged.forget()
-        other, other_end, _ = search(_with_lines(case.with_form(form), lines), seed, 0, show)
+        other, other_end, _ = search(_with_lines(case.with_form(form), lines), seed, 0, show, sets=not first)
         there = other.steps and other.rankings[0].none <= FORM_NONE and gain + other.log_gain > least
         return (other, other_end) if there else None
 
     # What has so many parameters follows such noise, too, if that had no turn before.
     if any(e.parts for s in state.steps for e in s.effects):
-        state, end = where_noise_follows(State(case), state.log_gain) or (state, end)
+        before, state, end = state, *(where_noise_follows(State(case), state.log_gain, first=True) or (state, end))
+        lone = before is not state
     for _ in range(MOST_FORMS):
         found = where_noise_follows(state)
         if not found:
             break
-        state, end = found
+        (state, end), lone = found, False
+    if lone:
+        state, end, _ = search(_with_lines(case.with_form(state.case.form), lines), seed, 0, show)
     return state, end, p_nothing
 
 
@@ -260,10 +264,11 @@ def _with_lines(case: Case, lines: Iterable[tuple[int, float]]) -> Case:
     return case
 
 
-def search(case: Case, seed: int, bootstrap: int, show: Show) -> tuple[State, End, float | None]:
+def search(case: Case, seed: int, bootstrap: int, show: Show, *, sets: bool = True) -> tuple[State, End, float | None]:
     """The last state, why it is the last, and the bootstrap's p-value of "nothing" (None without a bootstrap).
 
-    bootstrap : draws of noise alone, 0 for none; show : called with a line of progress
+    bootstrap : draws of noise alone, 0 for none; show : called with a line of progress; sets : whether causes that
+        explain only together are looked for
     """
     state, p_nothing = State(case), None
     end: End = "none"
@@ -274,7 +279,7 @@ def search(case: Case, seed: int, bootstrap: int, show: Show) -> tuple[State, En
         if bootstrap and not state.steps:
             p_nothing = p_value(case, ranking, bootstrap, seed, show)
         end, labels = next_cause(state, ranking, p_nothing)
-        if end in ("unknown", "ambiguous") or len(labels) > 1:  # several causes at once hide each other
+        if sets and (end in ("unknown", "ambiguous") or len(labels) > 1):  # several causes at once hide each other
             show("sets of causes")
             several, doubted = state.most_probable_set()
             state = replace(state, doubted=state.doubted | doubted)

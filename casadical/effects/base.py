@@ -9,7 +9,7 @@ What a simulator has in place of joint compliances and effects: springs, play, d
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import reduce
 from typing import Any, ClassVar, Self
@@ -67,9 +67,12 @@ class Context:
         assert joint is not None
         return self.torque[joint - 1] / self.torque_scale[joint - 1]
 
-    def moment(self, link: int) -> Symbolic:
-        """Moment [N m] of all weight from a link (1-based) on, about its origin; in the base frame, shape (3,)."""
-        origin = self.frames[link - 1][:3, 3]
+    def moment(self, link: int, about: Symbolic = None) -> Symbolic:
+        """Moment [N m] of all weight from a link (1-based) on, about its origin; in the base frame, shape (3,).
+
+        about : another point in the base frame, shape (3,) [m]
+        """
+        origin = self.frames[link - 1][:3, 3] if about is None else about
         joints = self.arm.joints
         loads = [(j.body.mass, apply(T, ca.DM(j.body.com))) for j, T in zip(joints, self.frames, strict=True) if j.body]
         loads = loads[sum(1 for j in joints[: link - 1] if j.body) :]
@@ -98,11 +101,17 @@ class Context:
 
         Where none of them turns, of all of them [N]: moments and forces are not compared.
         """
-        there = range(first, last + 1)
-        turning = [j for j in there if j in self.arm.revolute] or there
-        return reduce(ca.fmax, [self.torque_scale[j - 1] for j in turning])
+        return reduce(ca.fmax, [self.torque_scale[j - 1] for j in compared(self.arm.revolute, first, last)])
 
 
+def compared(turning: Collection[int], first: int, last: int) -> Sequence[int]:
+    """Joints (1-based) of which one has the greatest torque: those that turn, from the first to the last, if any do."""
+    there = range(first, last + 1)
+    return [j for j in there if j in turning] or there
+
+
+# A great torque that is none: of a robot without masses [N m or N].
+UNLOADED = 1e-6
 # Of a rigid joint [N m/rad or N/m]: 10 kN m turn it by 1e-8 rad.
 RIGID = 1e12
 
@@ -167,7 +176,7 @@ class Counterparts:
     """A robot's compliances and effects as a simulator knows them.
 
     drives : of each joint; torque_scale, mean_load : great torque of each joint [N m or N], mean one as a share of it
-    moments : the great torques of the turning joints, zero elsewhere; of an arm that only slides, the forces [N m or N]
+    revolute : the joints that turn
     base : stiffness about the base frame's x and y [N m/rad], infinite where it is rigid
     base_below : how far below the base's origin these axes are [m]
     flexures : of a link (1-based), stiffness [N m/rad] about its axes of the whole link as a beam, and whether its
@@ -181,7 +190,7 @@ class Counterparts:
     drives: tuple[Drive, ...]
     torque_scale: Array
     mean_load: Array
-    moments: Array
+    revolute: Collection[int]
     bodies: tuple[Body | None, ...] = ()
     payload: Body | None = None
     payload_factor: float = 1.0
@@ -199,7 +208,11 @@ class Counterparts:
 
     def great(self, joint: int | None) -> float:
         """The great torque on a joint (1-based) [N m or N]; of None the greatest moment."""
-        return float(self.torque_scale[joint - 1] if joint else self.moments.max())
+        return self.greatest(joint or 1, joint or len(self.torque_scale))
+
+    def greatest(self, first: int, last: int) -> float:
+        """As `Context.greatest`."""
+        return float(max(self.torque_scale[j - 1] for j in compared(self.revolute, first, last)))
 
     def with_drive(self, effect: Effect, text: str, **change: object) -> Counterparts:
         """With the drive of an effect's joint changed, and a line on it."""
@@ -213,7 +226,9 @@ class Counterparts:
         sizes : turn about each axis under the greatest torque, of a link of the joints at its ends [rad]
         spread : whether a link's own weight is spread along it
         """
-        made, great = self, float((self.moments[link - 1 : link + 1] if link else self.moments).max())
+        made, great = self, self.greatest(link, link + 1) if link else self.great(None)
+        if great < UNLOADED:
+            return made.without(label, "no weight loads it")
         k = tuple(great / size if size > 0 else np.inf for size in sizes.values())
         wrong = tuple(name for name, size in sizes.items() if size < 0)
         if wrong:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, fields, make_dataclass, replace
+from dataclasses import dataclass, fields, make_dataclass
 from functools import cache, lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
@@ -26,7 +26,7 @@ from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Counterparts, Effect
 from casadical.effects.formula import Formula, parse
 from casadical.effects.formula_effect import SEAMS, STATIONED, FormulaEffect, check_formula, check_values, columns_of
-from casadical.effects.settings import MOST_WHOLE, NEAR, setting, settings_of
+from casadical.effects.settings import MOST_WHOLE, NEAR, setting
 
 # tanh(x) is nearest to SLOPE x that stops at STOP, off by OFF at most.
 SLOPE, STOP, OFF = 0.76, 0.92, 0.083
@@ -38,8 +38,8 @@ def gear_ratio(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) 
 
 
 def foot_hinges(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-    """Of an effect with `rx` and `ry`, the tilt of the foot under the greatest moment [rad]; it turns `below` [m]."""
-    return replace(simulator.with_springs(effect.label, v, 0), base_below=settings_of(effect)["below"])
+    """Of an effect with `rx` and `ry`, the tilt of the foot under the greatest moment [rad]."""
+    return simulator.with_springs(effect.label, v, 0)
 
 
 def joint_spring(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:

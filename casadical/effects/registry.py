@@ -27,7 +27,7 @@ PayloadError = _defined["payload_error"]
 from casadical.effects.springs import LinkMasses as LinkMasses
 from casadical.effects.springs import GravityCompensator as GravityCompensator
 
-BaseCompliance = _defined["base_compliance"]
+from casadical.effects.springs import BaseCompliance as BaseCompliance
 from casadical.effects.instrument import FrameDrift as FrameDrift
 from casadical.effects.instrument import FrameSettling as FrameSettling
 from casadical.effects.joint_error_curve import JointErrorCurve as JointErrorCurve

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 
 import casadi as ca
 import numpy as np
 
+from casadical.core.basics import InputError
 from casadical.core.parts import Arm, Body
 from casadical.core.transforms import Symbolic, apply, small_frame, translate
 from casadical.effects.base import Balancer, Context, Counterparts, Effect, setting
@@ -179,6 +180,32 @@ def _undeclared(arm: Arm, row: int) -> float:
     return 0.5 * float(np.hypot(following.a, following.d))
 
 
+@dataclass(frozen=True)
+class BaseCompliance(Effect):
+    """below : how far below the base's origin the foot turns [m]"""
+
+    below: float = setting(0.0, (0.0, 0.25, 1.0))
+
+    name = "base_compliance"
+    on_list = "standard"
+    acts_at = "arm"
+    signature = "a foot that tilts under the overturning moment"
+    physics = (
+        "Foundation and pedestal are a rotary spring about two horizontal axes at some height below the base: tilt = "
+        "moment / stiffness, and the base moves with the tilt."
+    )
+    confused_with = "axis_wobble of joint 1; link_flexure of the first link"
+    size = {"rx": (60e-6, "rad"), "ry": (60e-6, "rad")}
+
+    def base(self, context: Context) -> Symbolic:
+        moment = context.moment(1, ca.vertcat(0, 0, -self.below)) / context.great_moment
+        rx, ry = (self.value(context, name) * moment[k] for k, name in enumerate(("rx", "ry")))
+        return translate(0, 0, -self.below) @ small_frame(0, 0, 0, rx, ry, 0) @ translate(0, 0, self.below)
+
+    def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
+        return replace(simulator.with_springs(self.label, v, 0), base_below=self.below)
+
+
 # A link shorter than this share of the longest bends a thirtieth of it.
 BEAM = 0.3
 
@@ -187,7 +214,8 @@ BEAM = 0.3
 class LinkFlexure(Effect):
     """A turn is that of the link's end about its axis, under the greatest torque of the joints at its two ends.
 
-    member : the link (1-based) that bends; spread : whether its own weight is spread along it, not at its mass centre
+    member : the link (1-based) that bends, not the last one
+    spread : whether its own weight is spread along it, not at its mass centre
     """
 
     member: int = setting(2, joint=True)
@@ -198,7 +226,8 @@ class LinkFlexure(Effect):
     signature = "a link that bends under the weight beyond it"
     physics = (
         "A beam under a moment turns its end by M l / (E I) about each axis; the part about the next joint's axis is "
-        "that joint's compliance (Klimchik, Pashkevich and Chablat 2013)."
+        "that joint's compliance (Klimchik, Pashkevich and Chablat 2013). Its own weight bends it less where it is "
+        "spread. Turns are those under the great torque of the joints at its ends."
     )
     confused_with = "cross_coupling of torques; base_compliance for the first link"
 
@@ -221,6 +250,11 @@ class LinkFlexure(Effect):
             links = tuple(beams)
             yield from (*((e,) for e in links), links)
 
+    def refuse_joints(self, arm: Arm) -> None:
+        super().refuse_joints(arm)
+        if self.member == arm.n:
+            raise InputError(f"{self.name}: member = {arm.n} is the last link; allowed: links between two joints")
+
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return {f"{c}{self.member}": (60e-6, "rad") for c in ("rx", "ry", "rz")}
 
@@ -228,13 +262,10 @@ class LinkFlexure(Effect):
         if number != self.member:
             return ca.SX.eye(4)
         turn = context.frames[number - 1][:3, :3].T
-        ends = number, min(number + 1, context.arm.n)
-        great = context.greatest(*ends)
-        root, end = (turn @ context.moment(k) / great for k in ends)
+        great = context.greatest(number, number + 1)
+        root, end = (turn @ context.moment(k) / great for k in (number, number + 1))
         k = ca.vertcat(*(self.value(context, f"{c}{self.member}") for c in ("rx", "ry", "rz")))
-        far = ca.SX.zeros(3)
-        if number < context.arm.n:
-            far = turn @ (context.frames[number][:3, 3] - context.frames[number - 1][:3, 3])
+        far = turn @ (context.frames[number][:3, 3] - context.frames[number - 1][:3, 3])
         body = context.arm.joints[number - 1].body
         even: Symbolic = ca.SX.zeros(3)
         if self.spread and body:

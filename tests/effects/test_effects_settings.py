@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from bench import campaign, robot
 
-from casadical import Joint, Placement, Robot
+from casadical import InputError, Joint, Placement, Robot
 from casadical.effects import FrictionWindup, LinkFlexure, MissingCompliance, NonlinearStiffness
 from casadical.effects.base import RIGID, Counterparts, Drive
 from casadical.effects.plugins import known_effects
@@ -50,7 +50,7 @@ def test_links_of_any_length_but_castings_bend() -> None:
 
 def plain(joints: int = 3) -> Counterparts:
     torques = np.array([100.0, 50.0, 20.0])[:joints]
-    return Counterparts((Drive(),) * joints, torques, np.full(joints, 0.5), torques)
+    return Counterparts((Drive(),) * joints, torques, np.full(joints, 0.5), range(1, joints + 1))
 
 
 def test_an_axis_without_a_spring_stays_rigid_beside_those_that_have_one() -> None:
@@ -60,6 +60,24 @@ def test_an_axis_without_a_spring_stays_rigid_beside_those_that_have_one() -> No
     foot = plain().with_springs("base_compliance", {"rx": 2e-4, "ry": 1e-4}, 0)
     assert foot.base == pytest.approx((5e5, 1e6))
     assert not plain().with_springs("base_compliance", {"rx": 0.0, "ry": 0.0}, 0).written
+
+
+def test_springs_of_links_are_of_the_joints_at_their_ends_and_none_where_nothing_weighs() -> None:
+    torques = np.array([900.0, 800.0, 50.0, 20.0])
+    gantry = Counterparts((Drive(),) * 4, torques, np.full(4, 0.5), (3, 4))  # two slides before two turning joints
+    sizes = {"rx": 1e-4, "ry": 1e-4, "rz": 1e-4}
+    stiffness = [gantry.with_springs("link_flexure", sizes, k).flexures[k][0][0] for k in (1, 2, 3)]
+    assert stiffness == pytest.approx([9e6, 5e5, 5e5])
+    light = replace(gantry, torque_scale=np.full(4, 5e-11))
+    assert [o.why for o in light.with_springs("base_compliance", {"rx": 1e-4, "ry": 1e-4}, 0).left_out] == [
+        "no weight loads it"
+    ]
+
+
+def test_the_last_link_does_not_bend() -> None:
+    arm = Robot("arm", (Joint(a=1.0), Joint(a=1.0)), tool=Placement(np.eye(4)))
+    with pytest.raises(InputError, match="member = 2 is the last link"):
+        arm.with_effect(LinkFlexure(None, 2))
 
 
 def test_dry_friction_of_a_rigid_joint_winds_nothing_up() -> None:

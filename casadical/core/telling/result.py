@@ -7,26 +7,27 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 from itertools import pairwise
 from pathlib import Path
 from textwrap import indent as indented
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from casadical.core.basics import visible
 from casadical.core.telling.blocks import Block, Table, Words, mm
 from casadical.core.telling.figure import Figure
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
+    from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 
 # How a terminal shows each kind of words.
 _STYLES = {
     "title": "bold underline", "text": "", "note": "dim", "warning": "yellow", "error": "bold red", "verdict": "bold",
 }  # fmt: skip
-# Characters of a line of a command.
-_WIDE = 72
+# Characters of a line of a command; of a column of words at least, beside numbers that are not broken.
+_WIDE, _LEAST = 72, 10
 
 
 def terminal(blocks: Sequence[Block]) -> RenderableType:
@@ -45,7 +46,7 @@ def _rendered(block: Words | Table) -> RenderableType:
     from rich.text import Text  # takes brackets as they are
 
     if isinstance(block, Table):
-        return _rich_table(block)
+        return _Fitted(block)
     if block.mark:
         return Text.assemble((block.mark, _STYLES[block.kind]), f" {visible(block.text)}")
     code = block.code
@@ -55,26 +56,35 @@ def _rendered(block: Words | Table) -> RenderableType:
     return Text(text, style=_STYLES[block.kind])
 
 
-def _rich_table(block: Table) -> RenderableType:
-    """Numbers stay on one line; where the terminal is narrow all else is broken, nothing is cut; no names, no head."""
-    from rich import table as rich
-    from rich.text import Text
+@dataclass(frozen=True)
+class _Fitted:
+    """A table: numbers stay on one line where there is room, all else is broken, nothing is cut; no names, no head."""
 
-    title = Text(block.title, style="bold") if block.title else None
-    shown = rich.Table(
-        title=title, title_justify="left", box=None, padding=(0, 2, 0, 0), pad_edge=False,
-        show_header=any(block.columns),
-    )  # fmt: skip
-    for k, name in enumerate(block.columns):
-        number = k in block.numbers
-        longest = max((len(row[k]) for row in block.rows), default=0)
-        least = longest if number else None
-        shown.add_column(Text(visible(name)), justify="right" if number else "left", overflow="fold", min_width=least)
-    for k, row in enumerate(block.rows):
-        shown.add_row(
-            *map(Text, map(visible, row)), style="bold" if k in block.strong else "dim" if k in block.faint else ""
-        )
-    return shown
+    block: Table
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        from rich import table as rich
+        from rich.text import Text
+
+        block = self.block
+        title = Text(block.title, style="bold") if block.title else None
+        shown = rich.Table(
+            title=title, title_justify="left", box=None, padding=(0, 2, 0, 0), pad_edge=False,
+            show_header=any(block.columns),
+        )  # fmt: skip
+        longest = [max((len(row[k]) for row in block.rows), default=0) for k in range(len(block.columns))]
+        least = [wide if k in block.numbers else min(wide, _LEAST) for k, wide in enumerate(longest)]
+        room = sum(least) + 2 * len(least) <= options.max_width
+        for k, name in enumerate(block.columns):
+            number = k in block.numbers
+            one_line = longest[k] if number and room else None
+            justify: Literal["left", "right"] = "right" if number else "left"
+            shown.add_column(Text(visible(name)), justify=justify, overflow="fold", min_width=one_line)
+        for k, row in enumerate(block.rows):
+            shown.add_row(
+                *map(Text, map(visible, row)), style="bold" if k in block.strong else "dim" if k in block.faint else ""
+            )
+        yield shown
 
 
 def plain_text(blocks: Sequence[Block], width: int = 80) -> str:

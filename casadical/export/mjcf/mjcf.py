@@ -111,9 +111,7 @@ def counterparts(robot: Robot) -> Counterparts:
     drives = tuple(Drive(compliance=j.compliance or 0.0) for j in robot.joints)
     scale = robot.torque_scale
     load = _mean_torque(robot) / scale if robot.effects else np.zeros(robot.n)
-    moments = np.where([j in robot.revolute for j in robot.numbers], scale, 0.0)
-    moments = moments if robot.revolute else scale
-    parts = Counterparts(drives, scale, load, moments, tuple(j.body for j in robot.joints), robot.payload)
+    parts = Counterparts(drives, scale, load, robot.revolute, tuple(j.body for j in robot.joints), robot.payload)
     # Linear springs first: others bend around them.
     for effect in sorted(robot.effects, key=lambda e: not e.simulated_first):
         parts = effect.counterpart(parts, effect.own_values(robot.effect_values))

@@ -69,6 +69,19 @@ def test_a_page_has_tiles_and_no_empty_section() -> None:
     assert "casadical fleet &#39;a b&#39;" in text
 
 
+@pytest.mark.parametrize("width", [24, 40, 60, 80])
+def test_a_narrow_terminal_breaks_a_table_and_cuts_nothing(width: int) -> None:
+    wide = Table(
+        "",
+        ("layer", "mean", "95 %", "without noise"),
+        [("as calibrated", "0.1270", "0.118 to 0.136", "0.124")],
+        frozenset({1, 2, 3}),
+    )
+    shown = plain_text([wide], width)
+    assert max(map(len, shown.splitlines())) <= width
+    assert sorted("".join(shown.split())) == sorted("".join(" ".join([*wide.columns, *wide.rows[0]]).split()))
+
+
 def test_a_table_without_names_has_no_head_and_its_words_hang_beneath_each_other() -> None:
     told = Table("", ("", ""), [("a", "one two three four"), ("", "five")])
     assert [line.rstrip() for line in plain_text([told], 12).splitlines()] == [

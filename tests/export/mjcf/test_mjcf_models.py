@@ -125,6 +125,20 @@ def test_an_effect_has_its_counterpart(name: str, effect: Effect, values: dict[s
     assert stage.apart.max() < 0.35 * without.max()
 
 
+@pytest.mark.parametrize("below", [0.0, 1.0])
+def test_a_foot_on_a_wall_is_turned_by_the_weight_about_its_own_axes(below: float) -> None:
+    plain = robot_of("ur10e")
+    T = np.eye(4)
+    T[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
+    wall = replace(plain, base=replace(plain.base, T=T))
+    robot = wall.with_effect(BaseCompliance(None, below)).with_values(
+        {"base_compliance.rx": 6e-5, "base_compliance.ry": 9e-5}
+    )
+    m = poses(robot)
+    moved = np.linalg.norm(predicted(robot, m)[0] - predicted(wall, m)[0], axis=1)
+    assert replay(robot, m).apart.max() < 0.02 * moved.max()
+
+
 def test_the_spring_of_a_cubic_stiffness_says_how_near_it_comes() -> None:
     """The true deflection, great (c load - bend load^3 / great), is far larger than what the spring misses of it."""
     robot = robot_of("kr210").with_effect(CubicStiffness(3)).with_values({"cubic_stiffness@3.bend": 2e-5})
