@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 _STYLES = {
     "title": "bold underline", "text": "", "note": "dim", "warning": "yellow", "error": "bold red", "verdict": "bold",
 }  # fmt: skip
-# Characters of a line of a command; of a column of words at least, beside numbers that are not broken.
-_WIDE, _LEAST = 72, 10
+# Characters of a line of a command.
+_WIDE = 72
 
 
 def terminal(blocks: Sequence[Block]) -> RenderableType:
@@ -63,6 +63,13 @@ class _Fitted:
     block: Table
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        whole = self._rich(one_line=True)
+        drawn = sum(_drawn(part.text) for line in console.render_lines(whole, options) for part in line)
+        block = self.block
+        cells = [block.title, *block.columns, *(cell for row in block.rows for cell in row)]
+        yield whole if drawn == sum(_drawn(visible(cell)) for cell in cells) else self._rich(one_line=False)
+
+    def _rich(self, *, one_line: bool) -> RenderableType:
         from rich import table as rich
         from rich.text import Text
 
@@ -72,19 +79,21 @@ class _Fitted:
             title=title, title_justify="left", box=None, padding=(0, 2, 0, 0), pad_edge=False,
             show_header=any(block.columns),
         )  # fmt: skip
-        longest = [max((len(row[k]) for row in block.rows), default=0) for k in range(len(block.columns))]
-        least = [wide if k in block.numbers else min(wide, _LEAST) for k, wide in enumerate(longest)]
-        room = sum(least) + 2 * len(least) <= options.max_width
         for k, name in enumerate(block.columns):
             number = k in block.numbers
-            one_line = longest[k] if number and room else None
+            least = max((len(row[k]) for row in block.rows), default=0) if number and one_line else None
             justify: Literal["left", "right"] = "right" if number else "left"
-            shown.add_column(Text(visible(name)), justify=justify, overflow="fold", min_width=one_line)
+            shown.add_column(Text(visible(name)), justify=justify, overflow="fold", min_width=least)
         for k, row in enumerate(block.rows):
             shown.add_row(
                 *map(Text, map(visible, row)), style="bold" if k in block.strong else "dim" if k in block.faint else ""
             )
-        yield shown
+        return shown
+
+
+def _drawn(text: str) -> int:
+    """How many characters are no spaces."""
+    return len("".join(text.split()))
 
 
 def plain_text(blocks: Sequence[Block], width: int = 80) -> str:

@@ -69,7 +69,7 @@ def test_a_page_has_tiles_and_no_empty_section() -> None:
     assert "casadical fleet &#39;a b&#39;" in text
 
 
-@pytest.mark.parametrize("width", [24, 40, 60, 80])
+@pytest.mark.parametrize("width", [24, 30, 40, 44, 50, 60, 80])
 def test_a_narrow_terminal_breaks_a_table_and_cuts_nothing(width: int) -> None:
     wide = Table(
         "",
