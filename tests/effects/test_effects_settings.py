@@ -18,12 +18,14 @@ from casadical.identification.accuracy import predicted
 # Files that give no settings are read with these: no version may change them.
 SETTINGS = {
     "axis_wobble": {"cycles": 1, "still": False},
+    "base_compliance": {"below": 0.0},
     "cross_coupling": {"source": 1},
     "frame_settling": {"shape": 1.0, "settles": 0.1},
     "frame_step": {"at": 0.5},
     "friction_windup": {},
     "joint_coupling": {"source": 1},
     "joint_zero_step": {"at": 0.5},
+    "link_flexure": {"member": 2, "spread": False},
     "load_hysteresis": {"power": 1},
     "nonlinear_stiffness": {"knee": 0.3},
     "transmission_ripple": {"cycles": 2.0, "load": 0.0},
