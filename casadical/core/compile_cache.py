@@ -185,12 +185,9 @@ def _right(function: ca.Function, library: Path) -> bool:
     shared = [0.1 + 0.07 * np.arange(size) for size in sizes[1:]]
     mapped = function.map("points", "serial", TRIAL_POINTS, list(range(1, len(sizes))), [])
     wanted = [out.full() for out in mapped.call([points, *shared])]
-    task = [
-        TRIAL_POINTS,
-        [points.ravel(order="F").tolist(), *(s.tolist() for s in shared)],
-        [out.size for out in wanted],
-    ]
-    printed = tried(_TRIAL, str(library), function.name(), json.dumps(task))
+    given = [points.ravel(order="F").tolist(), *(s.tolist() for s in shared)]
+    task = json.dumps([TRIAL_POINTS, given, [out.size for out in wanted]])
+    printed = tried(_TRIAL, str(library), function.name(), task)
     try:
         values = [np.array([float.fromhex(x) for x in out]) for out in json.loads(printed or "")]
         return len(values) == len(wanted) and all(

@@ -10,14 +10,10 @@ from casadical.core.basics import Array, InputError
 from casadical.core.reading import load_toml
 from casadical.core.schema import FORMS, FaultError, Quantity, TomlTable, check
 
-
-def _form(value: object) -> str:
-    return FORMS[2 + isinstance(value, list)]
-
-
 Least = Annotated[float, Field(ge=0)]
 Above = Annotated[float, Field(gt=0)]
-_ALL, _EACH, _EITHER = Tag(FORMS[2]), (Field(min_length=1), Tag(FORMS[3])), Discriminator(_form)
+_ALL, _EACH = Tag(FORMS[2]), (Field(min_length=1), Tag(FORMS[3]))
+_EITHER = Discriminator(lambda value: FORMS[2 + isinstance(value, list)])
 # One number for all joints, or one of each; above zero; of either sign.
 Each = Annotated[Annotated[Least, _ALL] | Annotated[list[Least], *_EACH], _EITHER] | None
 Positive = Annotated[Annotated[Above, _ALL] | Annotated[list[Above], *_EACH], _EITHER] | None
@@ -92,8 +88,8 @@ class Drive(TomlTable):
 
     def inertia_at_joint(self, joints: int) -> Array | None:
         """Rotor inertia as the joint feels it, shape (joints,) [kg m^2 or kg]; None where it is unknown."""
-        stated = self.of_joints("rotor_inertia_at_joint", joints)
-        ratio, rotor = (self.of_joints(name, joints) for name in ("gear_ratio", "rotor_inertia"))
+        fields = ("rotor_inertia_at_joint", "gear_ratio", "rotor_inertia")
+        stated, ratio, rotor = (self.of_joints(name, joints) for name in fields)
         return stated if stated is not None or ratio is None or rotor is None else ratio**2 * rotor
 
     def refuse_other(self, joints: int) -> None:
@@ -105,8 +101,7 @@ class Drive(TomlTable):
 
     def table(self) -> dict[str, object]:
         """As a file has it: what is known, by keys with units."""
-        named = zip(self, self.keys(), strict=True)
-        return {key: value for (_, value), key in named if value not in (None, "")}
+        return {key: value for (_, value), key in zip(self, self.keys(), strict=True) if value not in (None, "")}
 
 
 def read_drive(path: str | Path, joints: int) -> Drive:

@@ -11,7 +11,6 @@ import os
 import re
 import stat
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import platformdirs
@@ -34,7 +33,7 @@ class Lock:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         os.close(self._handle)
 
     @staticmethod

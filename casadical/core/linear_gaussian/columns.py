@@ -146,11 +146,6 @@ class SerialColumns:
         return here, np.maximum(here - 1, 0), own, self.noise.stays[here, None, None] * own
 
 
-def combined_of(columns: Columns, some: Array) -> Combined:
-    """Some columns, in rising order, with combinations for those of parts."""
-    return combined(some, columns.directions)
-
-
 @dataclass(frozen=True, eq=False)
 class Factors:
     """Columns as sums over variables in between: the rows' derivative by one times a factor at each block.

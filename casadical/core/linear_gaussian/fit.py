@@ -70,9 +70,7 @@ class Fit:
     def _columns_of(self, blocks: Array | slice) -> Array:
         if self._kept is None:
             return self._white(blocks)
-        if isinstance(blocks, slice):
-            return np.asarray(self._kept[self._rows_of(blocks)])
-        return np.asarray(self._kept[self._rows(blocks)])
+        return np.asarray(self._kept[self._rows_of(blocks) if isinstance(blocks, slice) else self._rows(blocks)])
 
     def by_parts(self) -> Iterator[tuple[slice, Array]]:
         """The white columns of some blocks after the other, shape (blocks m, p)."""
@@ -83,9 +81,8 @@ class Fit:
         out = np.setdiff1d(np.arange(len(self.W)), blocks)
         fewer = out if len(out) < len(blocks) else blocks
         parts = np.array_split(fewer, 1 + len(fewer) // len(self.prior))
-        total = reduce(
-            NormalSums.plus, (normal_sums(self.y[self._rows(some)], self._columns_of(some)) for some in parts)
-        )
+        sums = (normal_sums(self.y[self._rows(some)], self._columns_of(some)) for some in parts)
+        total = reduce(NormalSums.plus, sums)
         return self.sums.less(total) if fewer is out else total
 
     def _solution(self, sums: NormalSums) -> Array:

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.columns import EVERY, Columns, Combined, combined_of
+from casadical.core.linear_gaussian.columns import EVERY, Columns, Combined, combined
 from casadical.core.linear_gaussian.grid import Grid
 from casadical.core.linear_gaussian.noise import NoiseModel, Ratio, Whitening
 
@@ -48,7 +48,7 @@ class LinearModel:
 
     def combined(self, columns: Array) -> Combined:
         """Some of the columns, in rising order, those of parts as combinations."""
-        return combined_of(self.columns, columns)
+        return combined(columns, self.columns.directions)
 
     def take(self, columns: Array, blocks: Array | slice = EVERY) -> Array:
         """Some of the columns at some blocks, shape (blocks, m, len(columns))."""
@@ -59,12 +59,8 @@ class LinearModel:
         if not len(columns):
             return self
         new, prior = self.as_base(columns)
-        return replace(
-            self,
-            base=np.concatenate([self.base, new], axis=2),
-            mean=np.append(self.mean, np.zeros(len(prior))),
-            prior=np.append(self.prior, prior),
-        )
+        base, mean = np.concatenate([self.base, new], axis=2), np.append(self.mean, np.zeros(len(prior)))
+        return replace(self, base=base, mean=mean, prior=np.append(self.prior, prior))
 
     def as_base(self, columns: Array) -> tuple[Array, Array]:
         """Some columns as those of the base, combined, shape (n, m, k), and their priors' widths, shape (k,).

@@ -8,13 +8,13 @@ turn out to be outliers, or none.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import copy
 
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.columns import EVERY, Columns, Factors, as_slice, combined_of
+from casadical.core.linear_gaussian.columns import EVERY, Columns, Factors, as_slice, combined
 from casadical.core.linear_gaussian.noise import Axes, NoiseModel
 
 # Columns that are in memory at a time, in bytes; at least so many blocks.
@@ -36,7 +36,7 @@ class GridSums:
         base: Array,
         noise: NoiseModel,
         columns: Columns,
-        ratios: dict[str, Array],
+        ratios: Mapping[str, Array],
         near: Sequence[int],
     ) -> None:
         self.E, self._shape = columns, residual.shape
@@ -85,7 +85,7 @@ class GridSums:
 
     def together(self, columns: Array, points: Sequence[int]) -> Array:
         """Products of the base, some columns combined, and the residual, at some points, shape (points, p, p)."""
-        every = combined_of(self.E, columns)
+        every = combined(columns, self.E.directions)
         P, p = self.base.shape[1] - 1, self.base.shape[1] + every.width
         outer, inner = np.append(np.arange(P), p - 1), np.arange(P, p - 1)
         total = np.zeros((len(points), p, p))
@@ -168,7 +168,7 @@ class GridSums:
         """Products of a wide group's columns, combined, among themselves at one point, shape (width, width)."""
         key = group.tobytes(), k
         if key not in self._wide:
-            E, every = self.E.only(group), combined_of(self.E, group)
+            E, every = self.E.only(group), combined(group, self.E.directions)
             total = np.zeros((every.width, 1, every.width))
             for blocks in self._parts(E):
                 F = E.factors(blocks).combined(every)
@@ -201,7 +201,7 @@ class GridSums:
         for run in runs:
             for k in points:
                 if (key := _key(run, k)) not in self._cross:
-                    every = combined_of(self.E, run)
+                    every = combined(run, self.E.directions)
                     self._cross[key] = known = KnownRows(self.E.shape[2], every.width)
                     if len(run) > WIDE:
                         known.add(run, every.values(self.wide(run, k)))
@@ -214,8 +214,8 @@ class GridSums:
     def _add_crossed(self, runs: Sequence[Array], new: Array, points: Sequence[int]) -> None:
         """Add up products of new columns with runs, at some points, in one go."""
         columns = np.concatenate(runs)
-        E, R, every = self.E.only(new), self.E.only(columns), combined_of(self.E, columns)
-        edges = np.cumsum([0, *(combined_of(self.E, run).width for run in runs)])
+        E, R, every = self.E.only(new), self.E.only(columns), combined(columns, self.E.directions)
+        edges = np.cumsum([0, *(combined(run, self.E.directions).width for run in runs)])
         total = np.zeros((E.shape[2], len(points), every.width))
         for blocks in self._parts(E):
             G = R.factors(blocks).combined(every)
