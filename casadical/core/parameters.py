@@ -1,7 +1,5 @@
 """Parameters by name: value, unit, scale, bounds, prior; chosen by name or group, never by position."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase

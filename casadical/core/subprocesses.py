@@ -35,9 +35,9 @@ def finished(command: Sequence[str], seconds: float) -> subprocess.CompletedProc
     return subprocess.CompletedProcess(command, process.returncode, out, error)
 
 
-def tried(code: str, *arguments: str, modules: bool = False) -> str | None:
-    """What a line of Python prints in a process of its own, None where it fails; modules : beyond the library's."""
-    done = finished([sys.executable, *(["-P"] if modules else ["-I", "-S"]), "-c", code, *arguments], TRIAL_SECONDS)
+def tried(code: str, *arguments: str) -> str | None:
+    """What a line of Python prints in a process of its own, with the standard library alone; None where it fails."""
+    done = finished([sys.executable, "-I", "-S", "-c", code, *arguments], TRIAL_SECONDS)
     return done.stdout if done is not None and done.returncode == 0 else None
 
 

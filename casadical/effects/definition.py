@@ -344,12 +344,9 @@ def _refuse_names(d: Definition) -> None:
     for name, (size, _) in d.sizes.items():
         if not 0 < size <= 1e3:
             raise InputError(f"sizes.{name}: one sigma of {size!r}; must be above 0, and 1000 at most")
+    taken = {"t", "r", "joint", *(d.settings.keys() & d.sizes.keys())}
     for name in (*d.settings, *d.sizes):
-        if (
-            not _NAME.fullmatch(_PLACE.sub("1", name))
-            or name in ("t", "r", "joint")
-            or name in d.settings & d.sizes.keys()
-        ):
+        if name in taken or not _NAME.fullmatch(_PLACE.sub("1", name)):
             raise InputError(f"{name}: a name of small letters, digits and _ of its own is needed, not t, r or joint")
     for text in _templates(d):
         for place in _PLACE.findall(text):

@@ -195,7 +195,11 @@ def _refuse_large(text: str, tree: ast.expr) -> None:
 def _check(text: str, node: ast.expr, names: dict[str, None]) -> int:
     """Number of components of a node, 1 or 3; names are collected. Raises InputError."""
     if isinstance(node, ast.Constant):
-        _refuse_number(text, node)
+        value = node.value
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise _wrong(text, node, f"{value!r} is no number")
+        if value and not LEAST <= abs(value) <= GREATEST:  # also an integer that is no double
+            raise _wrong(text, node, f"number out of range; allowed are 0 and {LEAST:g} to {GREATEST:g}")
         return 1
     if isinstance(node, ast.Name):
         names[node.id] = None
@@ -212,14 +216,6 @@ def _check(text: str, node: ast.expr, names: dict[str, None]) -> int:
         return 3
     allowed = "numbers, names, + - * / **, (...), [x, y, z] and functions"
     raise _wrong(text, node, f"{type(node).__name__.lower()} is not allowed; allowed are {allowed}")
-
-
-def _refuse_number(text: str, node: ast.Constant) -> None:
-    value = node.value
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise _wrong(text, node, f"{value!r} is no number")
-    if value and not LEAST <= abs(value) <= GREATEST:  # also an integer that is no double
-        raise _wrong(text, node, f"number out of range; allowed are 0 and {LEAST:g} to {GREATEST:g}")
 
 
 def _checked_operation(text: str, node: ast.BinOp, names: dict[str, None]) -> int:

@@ -1,7 +1,5 @@
 """Each revolute joint's own error as a periodic curve of its own angle, of all joints at once."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -61,7 +59,7 @@ class JointErrorCurve(Effect):
             for wave in "sc"
         }
 
-    def for_poses(self, count: int) -> JointErrorCurve:
+    def for_poses(self, count: int) -> "JointErrorCurve":
         return replace(self, orders=DENSE) if count >= MANY and self.orders == ORDERS else self
 
     @property
@@ -75,7 +73,7 @@ class JointErrorCurve(Effect):
         sizes = ", ".join(f"{1e6 * spread:.0f}" for spread in self.spread)
         return ("harmonics of each joint", str(self.orders), ""), ("one sigma of each, joint by joint", sizes, "urad")
 
-    def with_sizes(self, factors: Mapping[int, float]) -> JointErrorCurve:
+    def with_sizes(self, factors: Mapping[int, float]) -> "JointErrorCurve":
         """The effect with the size of each joint's curve times a factor; factors : by joint."""
         return replace(self, spread=tuple(s * factors.get(j, 1.0) for j, s in enumerate(self.spread, 1)))
 

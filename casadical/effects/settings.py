@@ -50,16 +50,8 @@ def setting(
     >>> [effect.waves for effect in Ripple.candidates(robot)]
     [80.0, 100.0, 120.0, 80.0, 100.0, 120.0]
     """
-    how = {
-        "grid": grid if grid == NEAR else tuple(grid),
-        "steps": steps,
-        "signed": signed,
-        "given": given,
-        "joint": joint,
-        "whole": whole,
-        "tried": tuple(tried),
-    }
-    return field(default=default, metadata=how)
+    how = {"steps": steps, "signed": signed, "given": given, "joint": joint, "whole": whole, "tried": tuple(tried)}
+    return field(default=default, metadata={"grid": grid if grid == NEAR else tuple(grid), **how})
 
 
 def grid_points(kind: type, near: Sequence[int] = ()) -> Iterator[dict[str, Any]]:

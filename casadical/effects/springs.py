@@ -1,7 +1,5 @@
 """Springs beside those of the joints (a balancer, a hose), wrong masses of the links, and links that bend."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import groupby
@@ -232,7 +230,7 @@ class LinkFlexure(Effect):
     confused_with = "cross_coupling of torques; base_compliance for the first link"
 
     @classmethod
-    def candidates(cls, arm: Arm) -> Iterable[LinkFlexure]:
+    def candidates(cls, arm: Arm) -> Iterable["LinkFlexure"]:
         """The links long enough to bend: a beam's sag goes with the cube of its length; short links are castings.
 
         Where their weights are declared, with these at the mass centres or spread.

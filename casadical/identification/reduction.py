@@ -2,8 +2,6 @@
 and without outliers; parameters are left out where their prior knows better.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -27,6 +25,8 @@ from casadical.measurements.kinds.registry import find_kind
 from casadical.robot.parameter_list import SIX
 
 Solved = tuple[LeastSquares, Solution, Identifiability]
+# Optima of earlier problems, by the names of their variables: parameters and points.
+Optima = dict[tuple[tuple[str, ...], tuple[str, ...]], Array]
 
 # Quantiles of chi-squared at 1 - 1e-5, by degrees of freedom.
 OUTLIER_CHI2 = {1: 19.51, 2: 23.03, 3: 25.90, 4: 28.47, 5: 30.86, 6: 33.11}
@@ -207,10 +207,6 @@ def explained(problem: LeastSquares, solved: Solved) -> list[Array]:
 POOR_FIT = 0.005
 # Parameters that a message names.
 TOLD = 6
-
-
-# Optima of earlier problems, by the names of their variables: parameters and points.
-Optima = dict[tuple[tuple[str, ...], tuple[str, ...]], Array]
 
 
 def reduce_and_solve(

@@ -5,8 +5,6 @@ values in units of their scale (mm, mrad) and, where the kind has an unknown poi
 residual is in units of sigma.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -38,10 +36,6 @@ HELD = 100_000
 KNEE = {1: 3.84, 2: 5.99, 3: 7.81, 4: 9.49, 5: 11.07, 6: 12.59}
 
 
-def _linear(s: Array, _knee: float) -> tuple[Array, Array]:
-    return s, np.ones_like(s)
-
-
 def _huber(s: Array, knee: float) -> tuple[Array, Array]:
     root = np.sqrt(np.maximum(s, knee) * knee)
     return np.where(s <= knee, s, 2 * root - knee), knee / root
@@ -54,7 +48,7 @@ def _soft_l1(s: Array, knee: float) -> tuple[Array, Array]:
 
 # Cost rho(s) of a squared residual s, and its slope (Triggs et al. 2000; the second-order term is left out).
 _LOSS: dict[Loss, Callable[[Array, float], tuple[Array, Array]]] = {
-    "linear": _linear,
+    "linear": lambda s, _: (s, np.ones_like(s)),
     "huber": _huber,
     "soft_l1": _soft_l1,
 }
@@ -147,7 +141,7 @@ class Block:
     group: Array
     robot: Array
 
-    def with_names(self, robot: Robot, names: tuple[str, ...]) -> Block:
+    def with_names(self, robot: Robot, names: tuple[str, ...]) -> "Block":
         """The same measurements for other parameters of the robot."""
         k = self.kernel
         return replace(

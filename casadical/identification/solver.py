@@ -1,7 +1,5 @@
 """Bounded nonlinear least squares by Ipopt with the Gauss-Newton Hessian."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -253,7 +251,7 @@ class Sums:
     residuals: list[Array] | None
     triangle: Array | None = None
 
-    def for_variables(self, columns: Sequence[int]) -> Sums:
+    def for_variables(self, columns: Sequence[int]) -> "Sums":
         """The same poses for some of the variables alone."""
         at = np.array(columns, dtype=int)
         return Sums(self.cost, self.gradient[at], self.information[np.ix_(at, at)], self.square, self.residuals)

@@ -123,10 +123,6 @@ def _moves(q: Array) -> Array:
     return np.diff(q, prepend=q[0])
 
 
-def _approach(q: Array) -> Array:
-    return last_sense(_moves(q), AT_REST)
-
-
 def last_sense(ways: Array, least: float) -> Array:
     """Sense of the last way that was longer than the least one, -1, 0 or 1."""
     motion = np.sign(np.where(np.abs(ways) > least, ways, 0.0))
@@ -155,7 +151,7 @@ def _play(q: Array, half: float) -> Array:
 
 # Columns of a joint, in the order of measuring, from its readings and a way [rad].
 _OF_JOINT: Mapping[str, Callable[..., Array]] = {
-    r"approach(\d+)": _approach,
+    r"approach(\d+)": lambda q: last_sense(_moves(q), AT_REST),
     r"move(\d+)": _moves,
     r"memory(\d+)_(\d+)mrad": _memory,
     r"play(\d+)_(\d+)mrad": _play,

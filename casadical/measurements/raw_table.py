@@ -12,15 +12,7 @@ from typing import Any
 import pandas as pd
 
 from casadical.core.basics import Array, InputError, optional
-from casadical.core.reading import (
-    MOST_CELLS,
-    MOST_NUMBERS,
-    archive_of,
-    foreign,
-    read_bytes,
-    text_fault,
-    unpacked,
-)
+from casadical.core.reading import MOST_CELLS, MOST_NUMBERS, archive_of, foreign, read_bytes, text_fault, unpacked
 from casadical.measurements import table_form
 
 # Characters of a heading, columns, and numbers of a text that is split at once, which takes 200 bytes for each.

@@ -61,7 +61,9 @@ def read_measurements(
 
     measured = partial(_measured, joints=joints, kind=kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
     start = measured(named)
-    if _row_by_row(start, sources):
+    by_name = start.label is not None or any(name.startswith(("tool_", "session_")) for name in start.conditions)
+    moved = any(source.rows for source in sources.values())
+    if find_kind(start.kind).by_row and not by_name and not moved:
         others = (measured(Columns.of_file(part).mapped(sources)) for part in chain([further], parts))
         whole = joined(chain([start], others))
         if whole is not None:
@@ -69,12 +71,6 @@ def read_measurements(
             return _without_copies(whole)
     named = Columns.of_file(read_columns(path)).mapped(sources, point_from)
     return from_columns(named, joints, kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
-
-
-def _row_by_row(m: Measurements, sources: Mapping[str, Source]) -> bool:
-    """Whether every row of a table can be read without the others."""
-    named = m.label is not None or any(name.startswith(("tool_", "session_")) for name in m.conditions)
-    return find_kind(m.kind).by_row and not named and not any(source.rows for source in sources.values())
 
 
 def _sources(

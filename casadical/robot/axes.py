@@ -121,9 +121,7 @@ def _hayati(row: Joint, p: Array, z: Array) -> tuple[Joint, Joint]:
     """By the point where the line p + t z, nearly parallel to the z axis, meets the x-y plane."""
     foot = p - (p[2] / z[2]) * z
     a = np.hypot(foot[0], foot[1])
-    theta = 0.0
-    if a > COINCIDENT:
-        theta = np.arctan2(foot[1], foot[0])
+    theta = np.arctan2(foot[1], foot[0]) if a > COINCIDENT else 0.0
     c, s = np.cos(theta), np.sin(theta)
     beta = np.arcsin(c * z[0] + s * z[1])
     alpha = np.arctan2(s * z[0] - c * z[1], z[2])

@@ -270,6 +270,7 @@ def _text(value: Any) -> str:
     return str(tomlkit.item(value).as_string())
 
 
+# Of the newest files that are read; from 2 on with effects and what is known of their values.
 VERSION = 2
 
 

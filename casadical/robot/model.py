@@ -6,7 +6,7 @@ third order in the compliance.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
 import casadi as ca
@@ -19,6 +19,7 @@ from casadical.core.parts import GRAVITY, Arm
 from casadical.core.transforms import Symbolic, carry, product, rot_x, rot_y, rot_z, small_frame, translate
 from casadical.effects import Context, Effect
 from casadical.robot import kinematics
+from casadical.robot.parameter_list import SIX
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +39,7 @@ class Expressions:
     R: ca.SX
     tau: ca.SX
     margin: ca.SX
-    functions: dict[tuple[str, ...], ca.Function]
+    functions: dict[tuple[str, ...], ca.Function] = field(default_factory=dict)
 
     def function(self, *outputs: str) -> ca.Function:
         """model:(q, w, phi, constants, loaded)->outputs, made once."""
@@ -187,8 +188,7 @@ def expressions(structure: Structure, fixed_loads: bool = False) -> Expressions:
     for effect in effects:
         point = effect.measurement(point, context)
     margin = ca.vertcat(*kinematics.loop_margins(arm, ca.vertsplit(q), values)) if arm.loops else ca.SX.zeros(0)
-    outputs = (ca.SX(point), ca.SX(T_ME[:3, :3]), ca.SX(tau), ca.SX(margin))
-    return Expressions(q, w, phi, constants, loaded, *outputs, functions={})
+    return Expressions(q, w, phi, constants, loaded, ca.SX(point), ca.SX(T_ME[:3, :3]), ca.SX(tau), ca.SX(margin))
 
 
 def rigid_context(
@@ -221,7 +221,7 @@ def base_frame(arm: Arm, values: kinematics.Values, T: Symbolic) -> Symbolic:
     """T_M0, the robot's base in the measuring frame, from its nominal transform T; shapes (4, 4)."""
     if arm.base.unknown == "none":
         return T
-    return T @ small_frame(*(values.get(f"base_{c}", 0.0) for c in ("x", "y", "z", "rx", "ry", "rz")))
+    return T @ small_frame(*(values.get(name, 0.0) for name in SIX["base"]))
 
 
 def _to_tool(arm: Arm, effects: tuple[Effect, ...], nominal: Symbolic, context: Context) -> list[Symbolic]:

@@ -19,12 +19,9 @@ from casadical.core.statistics import known_digits
 from casadical.core.transforms import to_rpy
 from casadical.effects import Effect, Session
 from casadical.effects.plugins import defined_in_files, find_effect
-from casadical.robot.effect_tables import text_of
+from casadical.robot.effect_tables import VERSION, text_of
 from casadical.robot.robot import Robot, dh_row, in_file_units
 from casadical.robot.robot_schema import RobotFile, ToolTable
-
-# Of the newest files that are read; from 2 on with effects and what is known of their values.
-VERSION = 2
 
 
 def read_robot(path: str | Path, effects: Sequence[type[Effect]] = ()) -> Robot:

@@ -5,8 +5,6 @@ independent deviations of rho_k sigma reach the rows through A_k. Noise that fol
 before it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -59,7 +57,7 @@ class NoiseModel:
     shape: tuple[int, int]
     components: Mapping[str, Array]
 
-    def at(self, blocks: Array | slice) -> NoiseModel:
+    def at(self, blocks: Array | slice) -> "NoiseModel":
         components = {name: A[blocks] for name, A in self.components.items()}
         return NoiseModel((len(np.arange(self.shape[0])[blocks]), self.shape[1]), components)
 

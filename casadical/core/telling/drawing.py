@@ -3,8 +3,6 @@
 A figure is drawn in light colours; the dark ones stand for them one by one (`dark`, and the page's script).
 """
 
-from __future__ import annotations
-
 import html
 from collections.abc import Sequence
 from math import log10

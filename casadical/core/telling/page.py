@@ -26,7 +26,7 @@ def require() -> None:
     optional("jinja2", NEEDED)
 
 
-def html_of(pages: Sequence[Page], command: Sequence[str] = (), now: datetime | None = None) -> str:
+def html_of(pages: Sequence[Page], command: Sequence[str] = ()) -> str:
     """The whole file as text; command : as it was typed
 
     Raises InputError where plotly or jinja2 is not installed, or a file of a page is gone.
@@ -45,7 +45,7 @@ def html_of(pages: Sequence[Page], command: Sequence[str] = (), now: datetime | 
     text: str = environment.get_template("page.html").render(
         title=pages[0].kind,
         parts=pages,
-        provenance=provenance_of([path for page in pages for path in page.files], command, now),
+        provenance=provenance_of([path for page in pages for path in page.files], command),
         colours=COLOURS,
         dark=safe_json(DARK),
         style=_text("page.css"),

@@ -1,7 +1,5 @@
 """Pages as a PDF: words, tables and pictures of points, one page of paper for each; what a user wrote is only text."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from datetime import UTC, date, datetime
 from typing import TYPE_CHECKING, Any, TypeAlias
