@@ -46,7 +46,7 @@ class Drive(TomlTable):
     log_angles, log_effort : unit of angles, and what stands in the field effort, where a log does not say it
     """
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True, frozen=True)
+    model_config = ConfigDict(frozen=True)
 
     servo: str = ""
     kp: Annotated[Each, _STIFFNESS] = None

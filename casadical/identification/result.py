@@ -172,11 +172,8 @@ class Identification(Result):
 
     def bars(self) -> list[tuple[str, float]]:
         """Errors of what was used."""
-        bars = []
-        for m in self.used:
-            a = summarise(errors(self.robot, m))
-            bars += [(f"{m.kind}, mean", a.mean), (f"{m.kind}, 95 % below", a.p95)]
-        return bars
+        each = [(m.kind, summarise(errors(self.robot, m))) for m in self.used]
+        return [bar for kind, a in each for bar in ((f"{kind}, mean", a.mean), (f"{kind}, 95 % below", a.p95))]
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -1,5 +1,6 @@
 """What a kind of measurement is: how it is read, what its residual is in CasADi, and its error in numbers."""
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence, Set
 from typing import ClassVar
@@ -75,7 +76,7 @@ class MeasurementKind(ABC):
 
     name : as in problem.toml
     columns, unknown : its row of the table in docs/measurements.md
-    pattern : of the columns that it reads, which are no conditions
+    pattern : of the columns that it reads, which are no conditions; signs : patterns, each of a column of such a table
     fill : columns that a table of poses to be measured leaves empty for it
     arrays : names of the arrays that it needs: fields of `Measurements`, else entries of its `extra`
     lengths, angles : numbers that are observed at a pose [m] and [rad], at least one and at most six together
@@ -112,6 +113,7 @@ class MeasurementKind(ABC):
     columns: ClassVar[str]
     unknown: ClassVar[str] = ""
     pattern: ClassVar[str]
+    signs: ClassVar[tuple[str, ...]]
     fill: ClassVar[tuple[str, ...]] = ()
     arrays: ClassVar[tuple[str, ...]]
     lengths: ClassVar[int]
@@ -126,9 +128,9 @@ class MeasurementKind(ABC):
         """How many numbers are observed at a pose."""
         return self.lengths + self.angles
 
-    @abstractmethod
     def matches(self, names: Set[str]) -> bool:
-        """Whether a table with these columns is of this kind, where problem.toml does not say."""
+        """Whether a table with these columns is of this kind where problem.toml does not say, by default by `signs`."""
+        return all(any(re.fullmatch(sign, name) for name in names) for sign in self.signs)
 
     @abstractmethod
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:

@@ -1,6 +1,6 @@
 """Poses that hold the tool at one point, whose place is unknown; the base of all kinds with named unknown points."""
 
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Iterator, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -51,13 +51,11 @@ class Contact(OfPoints):
     unknown = "the points"
     fill = ("point",)
     pattern = "point"
+    signs = ("point",)
     arrays = ("label",)
     lengths = 3
     has_scale = False
     touches = True
-
-    def matches(self, names: Set[str]) -> bool:
-        return "point" in names
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
         """Labels of the points. Raises InputError: an empty label, or no point that is touched twice."""

@@ -1,6 +1,5 @@
 """Measured distances from the tool to a point at rest, or between its positions at two poses."""
 
-from collections.abc import Set
 from typing import ClassVar
 
 import casadi as ca
@@ -31,14 +30,12 @@ class Distance(OfPoints):
     unknown = "the point, or each of several"
     fill: ClassVar[tuple[str, ...]] = ("distance_mm",)
     pattern = "distance_mm?|to_[xyz]_mm?|anchor"
+    signs: ClassVar[tuple[str, ...]] = ("distance_mm?",)
     arrays: ClassVar[tuple[str, ...]] = ("distance",)
     lengths = 1
     by_row: ClassVar[bool] = True
     known = "target"
     alone = "far end"
-
-    def matches(self, names: Set[str]) -> bool:
-        return bool(names & {"distance_mm", "distance_m"})
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
         """Distances [m], their far ends where these are known, and the far ends' names where there are any."""
@@ -137,11 +134,9 @@ class PairDistance(MeasurementKind):
     columns = "`distance_mm` (or `_m`) to where the tool is at another pose: `pose` and `other_pose`"
     fill = ("other_pose", "distance_mm")
     pattern = "distance_mm?"
+    signs = ("distance_mm?", "other_pose")
     arrays = ("distance", "other")
     lengths = 1
-
-    def matches(self, names: Set[str]) -> bool:
-        return bool(names & {"distance_mm", "distance_m"}) and "other_pose" in names
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
         """Distances [m], and readings at their other ends. Raises InputError: a pose that is not in the table."""

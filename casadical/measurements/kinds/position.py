@@ -1,7 +1,5 @@
 """Measured positions of the tool, and orientations, in the measuring frame or from those of another pose."""
 
-import re
-from collections.abc import Set
 from itertools import pairwise
 from typing import ClassVar
 
@@ -23,12 +21,10 @@ class Position(MeasurementKind):
     columns = "`x_mm, y_mm, z_mm` (or `_m`)"
     fill: ClassVar[tuple[str, ...]] = ("x_mm", "y_mm", "z_mm")
     pattern = "[xyz]_mm?"
+    signs: ClassVar[tuple[str, ...]] = ("x_mm?",)
     arrays: ClassVar[tuple[str, ...]] = ("position",)
     lengths = 3
     by_row: ClassVar[bool] = True
-
-    def matches(self, names: Set[str]) -> bool:
-        return bool(names & {"x_mm", "x_m"})
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
         return {"position": columns.vector("")}
@@ -67,11 +63,9 @@ class PositionCovariance(Position):
     columns = "those of `position` and `cov_xx_mm2, cov_xy_mm2, cov_xz_mm2, cov_yy_mm2, cov_yz_mm2, cov_zz_mm2`"
     fill = ("x_mm", "y_mm", "z_mm")
     pattern = "[xyz]_mm?|cov_(xx|xy|xz|yy|yz|zz)_mm2"
+    signs = ("x_mm?", "cov_xx_mm2")
     arrays: ClassVar[tuple[str, ...]] = ("position", "whitening")
     by_row = False  # the typical sigma is that of all rows
-
-    def matches(self, names: Set[str]) -> bool:
-        return super().matches(names) and "cov_xx_mm2" in names
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
         xx, xy, xz, yy, yz, zz = (1e-6 * columns.column(f"cov_{entry}_mm2") for entry in _ENTRIES)
@@ -115,11 +109,9 @@ class Pose(Position):
     )
     fill = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
     pattern = f"{Position.pattern}|{ORIENTATION}"
+    signs = ("x_mm?", FIRST)
     arrays = ("position", "orientation")
     angles = 3
-
-    def matches(self, names: Set[str]) -> bool:
-        return super().matches(names) and any(re.fullmatch(FIRST, name) for name in names)
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
         return {**super().read(columns, q), "orientation": orientations(columns)}
@@ -189,13 +181,11 @@ class RelativePose(MeasurementKind):
         "row behind one that is left out does not count"
     )
     pattern = f"d[xyz]_mm?|{ORIENTATION}"
+    signs = ("dx_mm?",)
     arrays = ("shift", "turn", "other")
     fill = ("dx_mm", "dy_mm", "dz_mm", "qw", "qx", "qy", "qz")
     lengths = 3
     angles = 3
-
-    def matches(self, names: Set[str]) -> bool:
-        return bool(names & {"dx_mm", "dx_m"})
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
         """Shifts [m], turns, readings at the other end. Raises InputError: a first row that begins elsewhere."""

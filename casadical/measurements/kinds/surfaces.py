@@ -1,6 +1,5 @@
 """Poses that touch a surface whose place is unknown, a plane or a ball of known radius; readings along one axis."""
 
-from collections.abc import Set
 from typing import ClassVar
 
 import casadi as ca
@@ -31,15 +30,13 @@ class Plane(OfPoints):
     unknown = "the planes"
     fill: ClassVar[tuple[str, ...]] = ("plane",)
     pattern = "plane"
+    signs: ClassVar[tuple[str, ...]] = ("plane",)
     arrays: ClassVar[tuple[str, ...]] = ("label",)
     lengths = 1
     places = False
     has_scale = False
     touches = True
     lever = 1.0
-
-    def matches(self, names: Set[str]) -> bool:
-        return "plane" in names
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
         """Labels of the planes. Raises InputError: an empty label, or a plane that is touched too few times."""
@@ -93,12 +90,10 @@ class Sphere(Distance):
     unknown = "the centres"
     fill: ClassVar[tuple[str, ...]] = ("sphere", "radius_mm")
     pattern = "sphere|radius_mm?"
+    signs = ("sphere",)
     arrays: ClassVar[tuple[str, ...]] = ("distance", "label")
     by_row = False
     touches = True
-
-    def matches(self, names: Set[str]) -> bool:
-        return "sphere" in names
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
         """Radii as distances [m], labels. Raises InputError: no radius, or a ball that is touched too few times."""
@@ -142,15 +137,13 @@ class Dial(Plane):
     )
     unknown = "the axes and their zeros, or none"
     pattern = "reading_mm?|along_[xyz]|dial"
+    signs = ("reading_mm?",)
     arrays = ("reading",)
     fill = ("reading_mm",)
     has_scale = True
     lever = 10.0
     known = "axis"
     alone = "dial"
-
-    def matches(self, names: Set[str]) -> bool:
-        return bool(names & {"reading_mm", "reading_m"})
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
         """Readings [m], and their axes or the gauges' names. Raises InputError."""
