@@ -100,8 +100,7 @@ def _by_region(q: Array) -> list[Array]:
     directions = np.random.default_rng(0).normal(size=(_DIRECTIONS, q.shape[1]))
     along = (q - q.mean(axis=0)) / np.maximum(q.std(axis=0), 1e-9) @ directions.T
     low, high = np.quantile(along, [_END, 1 - _END], axis=0)
-    masks = [*(along <= low).T, *(along >= high).T]
-    return [mask for mask in masks if not mask.all()]
+    return [mask for mask in (*(along <= low).T, *(along >= high).T) if not mask.all()]
 
 
 def doubts_of(robot: Robot, solved: Sequence[str]) -> Doubts:

@@ -152,8 +152,7 @@ def carry_over(
     labels = tuple(e.label for e in effects)
     whole = "all" in parts
     knowledge = other.knowledge or Knowledge()
-    bare = robot.with_only(e for e in robot.effects if e.label not in labels)
-    model = bare.with_effect(*effects)
+    model = robot.with_only(e for e in robot.effects if e.label not in labels).with_effect(*effects)
     theirs = {p.name: p for p in other.parameters}
     taken = [p for p in model.parameters if p.group in labels or (whole and p.group not in FRAMES)]
     taken = [p for p in taken if p.name in theirs]

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import accumulate
 
 import numpy as np
 
@@ -142,11 +143,8 @@ def _memory(q: Array, way: float) -> Array:
 
 def _play(q: Array, half: float) -> Array:
     """What follows the joint with play stays where it is until it is taken along; it begins in the middle."""
-    state, states = float(q[0]), []
-    for reading in q:
-        state = float(np.clip(state, reading - half, reading + half))
-        states.append(state)
-    return np.array(states)
+    taken = accumulate(q, lambda state, reading: float(np.clip(state, reading - half, reading + half)))
+    return np.array([*taken])
 
 
 # Columns of a joint, in the order of measuring, from its readings and a way [rad].
