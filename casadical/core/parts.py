@@ -392,11 +392,6 @@ def with_estimated_masses(robot: A) -> A:
     return replace(robot, joints=joints, masses="estimated", body_width=width)
 
 
-def with_payload(robot: A, mass: float) -> A:
-    """The robot with a payload of this mass [kg] whose centre lies between flange and measured point."""
-    return replace(robot, payload=Body(mass, robot.tool.T[:3, 3] / 2))
-
-
 def _middle(robot: Arm, i: int) -> Array:
     """Half way from a link's frame to the next one's, or to the measured point, in the link's frame [m]."""
     if i + 1 == robot.n:

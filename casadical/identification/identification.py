@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from casadical.core.basics import ConvergenceError, InputError
-from casadical.core.parts import with_estimated_masses, with_payload, without_masses
+from casadical.core.parts import Body, with_estimated_masses, without_masses
 from casadical.core.statistics import exceeded_by_chance
 from casadical.core.telling.result import Shown
 from casadical.core.transforms import frame
@@ -165,7 +165,7 @@ def with_unknown_masses(robot: Robot, sets: Sequence[Measurements]) -> tuple[Rob
     effects = [*LinkMasses.candidates(robot)]
     logged = [m.conditions["payload_kg"] for m in sets if "payload_kg" in m.conditions]
     if robot.payload is None and (mass := max((float(kg.max()) for kg in logged), default=0.0)) > 0:
-        robot = with_payload(robot, mass)
+        robot = replace(robot, payload=Body(mass, robot.tool.T[:3, 3] / 2))  # between flange and measured point
         effects += PayloadError.candidates(robot)
     return robot.with_effect(*effects), tuple(e.label for e in effects)
 

@@ -62,7 +62,7 @@ def read_measurements(
     measured = partial(_measured, joints=joints, kind=kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
     start = measured(named)
     by_name = start.label is not None or any(name.startswith(("tool_", "session_")) for name in start.conditions)
-    moved = any(source.rows for source in sources.values())
+    moved = any(isinstance(source, Source) and source.rows for source in sources.values())
     if find_kind(start.kind).by_row and not by_name and not moved:
         others = (measured(Columns.of_file(part).mapped(sources)) for part in chain([further], parts))
         whole = joined(chain([start], others))
@@ -75,15 +75,14 @@ def read_measurements(
 
 def _sources(
     raw: RawTable, joints: int | Sequence[str], columns: Mapping[str, str | Source], kind: str | None
-) -> dict[str, Source]:
+) -> dict[str, str | Source]:
     """What each of our columns is made of: as `columns` says, and what it leaves open as the headings say.
 
     Raises InputError where the headings leave a question.
     """
     meaning = understand(raw, _kinds(joints, raw.path.name), columns, kind=kind)
     refuse_open(raw, meaning)
-    given = {ours: Source(name) if isinstance(name, str) else name for ours, name in columns.items()}
-    return {**meaning.sources, **given}
+    return {**meaning.sources, **columns}
 
 
 def refuse_open(raw: RawTable, meaning: Understanding) -> None:
