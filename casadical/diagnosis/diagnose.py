@@ -13,7 +13,7 @@ from casadical.diagnosis.candidates import Candidate, candidates_of
 from casadical.diagnosis.changes import changes
 from casadical.diagnosis.conclusion import conclude
 from casadical.diagnosis.evidence import ALL_SIGMAS
-from casadical.diagnosis.laws.contest import claimed_before_causes, replaces_causes
+from casadical.diagnosis.laws.contest import claimed_before_causes, replaces_causes, where_noise_follows
 from casadical.diagnosis.linear_problem import Case, better_ratios, make_case
 from casadical.diagnosis.noise_account import Rule
 from casadical.diagnosis.observations import Ratios
@@ -200,17 +200,19 @@ def _prepared(
 def _held_against_laws(found: Diagnosis) -> Diagnosis:
     """The diagnosis, without its causes where a law explains better what is there, or in place of noise of any size.
 
-    An effect whose sizes are learnt has more freedom than any law and is not compared; nor are distances between poses,
-    nor what was found under noise that follows itself, for laws are judged with noise that does not.
+    An effect whose sizes are learnt has more freedom than any law and is not compared; nor are distances between poses.
     """
     effects, e = found.effects(), found.case.evidence
     done = not effects and found.verdict in ("none", "explained")  # by outliers alone
     noise = done and found.account.rules in (Rule.FIT, Rule.SHEET) and e.count - e.absorbed >= FEWEST
-    if not (effects or noise) or not found.case.one_end or any(e.parts for e in effects) or found.case.form.stays:
+    if not (effects or noise) or not found.case.one_end or any(e.parts for e in effects):
         return found
     law = claimed_before_causes(found)
     if law and replaces_causes(found, law):
         state = State(found.case, rankings=found.rankings[:1])
+        follows = where_noise_follows(found.case, found.rankings[0]) if law.form.stays else None
+        if follows:
+            state = State(follows).ranked()
         found = conclude(found.identification, state, "unknown", found.seed, found.p_nothing)
     return replace(found, law=law)
 

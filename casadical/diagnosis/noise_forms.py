@@ -127,6 +127,12 @@ def best_following(case: Case, chosen: Array) -> tuple[Form, Noise, float]:
     return form, likely_noise(grid, e.sigmas), log - float(log_sum(e.log_base(chosen)))
 
 
+def gain_of(case: Case, form: Form, chosen: Array) -> float:
+    """Log evidence of a form over plain noise, beside causes."""
+    log = log_sum(Problem(case.evidence, chosen, case.order).log_likelihood(form))
+    return float(log) - float(log_sum(case.evidence.log_base(chosen)))
+
+
 def tailed(problem: Problem) -> Form | None:
     """The poses that are far out weighed down; None without any."""
     n, numbers = len(problem.e.r), problem.e.count / len(problem.e.r)

@@ -43,7 +43,9 @@ from casadical.diagnosis.laws.forms import (
 from casadical.diagnosis.laws.problem import NEVER, SCREENED, Problem, Screen, Tried, scale_of
 from casadical.diagnosis.laws.problem import with_columns as seams_with_columns
 from casadical.diagnosis.laws.search import search_laws
+from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import linearise
+from casadical.diagnosis.noise_forms import following
 from casadical.diagnosis.posterior import rank
 from casadical.diagnosis.text import brief
 from casadical.diagnosis.text import page_of as diagnosis_page
@@ -106,8 +108,14 @@ def test_drivers_are_what_the_robot_and_the_table_say() -> None:
     np.testing.assert_allclose(by["t"], np.arange(80) / 79, atol=1e-12)
 
 
-def test_screened_evidence_is_the_exact_one_at_each_rho() -> None:
-    c = case("kr210-P02")
+def where_noise_follows(name: str, stays: float) -> Case:
+    c = case(name)
+    return c.with_form(following(stays, int(c.kept.sum()))) if stays else c
+
+
+@pytest.mark.parametrize("stays", [0.0, 0.7])
+def test_screened_evidence_is_the_exact_one_at_each_rho(stays: float) -> None:
+    c = where_noise_follows("kr210-P02", stays)
     problem = Problem.beside(c, NONE)
     by_rho = log_sum(problem.log_base, axis=1)
     for s in search_laws(c, NONE)[:8]:
@@ -116,7 +124,7 @@ def test_screened_evidence_is_the_exact_one_at_each_rho() -> None:
         exact = log_sum(problem.grids([s.columns])[0], axis=(1, 2)) - by_rho
         for rho in SCREENED:
             screen = Screen.at_rho(problem.evidence, rho)
-            G, b = screen.products(seam.columns * seam.size, values / scale_of(values)[:, None, :])
+            G, b = screen.products(*problem.in_order(seam.columns * seam.size, values / scale_of(values)[:, None, :]))
             assert screen.gains(G, b) == pytest.approx(exact[rho], abs=1.0)
 
 
@@ -136,16 +144,17 @@ def test_laws_that_cannot_reach_what_is_needed_are_left_out_and_no_others() -> N
     assert not search_laws(c, NONE, least=best.score + 100)
 
 
-def test_products_of_functions_of_each_column_are_those_of_the_columns() -> None:
-    c, rng = case("kr210-P02"), np.random.default_rng(3)
+@pytest.mark.parametrize("stays", [0.0, 0.7])
+def test_products_of_functions_of_each_column_are_those_of_the_columns(stays: float) -> None:
+    c, rng = where_noise_follows("kr210-P02", stays), np.random.default_rng(3)
     problem, n = Problem.beside(c, NONE), int(c.kept.sum())
     places, functions = rng.standard_normal((n, 3, 4)), rng.standard_normal((2, n, 4, 3))
     screen = Screen.at_rho(problem.evidence, 2)
-    G, b = screen.products(places, functions)
+    G, b = screen.products(*problem.in_order(places, functions))
     for k in range(functions.shape[-1]):
         columns = np.concatenate([places * part[:, None, :, k] for part in functions], axis=2)
         projection = problem.evidence.projection(float(RHOS[2]))
-        white = projection.columns(columns)
+        white = projection.columns(problem.white(columns))
         np.testing.assert_allclose(G[k], white.T @ white, rtol=1e-6, atol=1e-6 * np.abs(G[k]).max())
         np.testing.assert_allclose(b[k], white.T @ projection.y, rtol=1e-6, atol=1e-6 * np.abs(b[k]).max())
 
@@ -315,6 +324,29 @@ def test_a_law_that_is_a_listed_effect_by_another_name_is_said_as_such() -> None
     assert "gear_eccentricity@2" in aliases(case, NONE, first, ranking.variant)
 
 
+def test_a_law_is_found_in_noise_that_follows_itself() -> None:
+    c, rng = discovered(6).diagnosis.case, np.random.default_rng(4)
+    law = Law(2, "joint", "a*tau2*tau3", (("a", 1e-4),))
+    planted = with_law(c, law)
+    shift = planted.whole.take(planted.group((law,)))[:, :, 0]
+    shift *= 20e-6 / shift.std()
+    noise = 40e-6 * rng.standard_normal(c.whole.r.shape)
+    for k in range(1, len(noise)):
+        noise[k] = 0.95 * noise[k - 1] + np.sqrt(1 - 0.95**2) * noise[k]
+    hidden = replace(c, whole=replace(c.whole, r=noise + shift))
+    follows = contest.where_noise_follows(hidden, rank(hidden, NONE))
+    assert follows is not None
+    assert follows.form.stays > 0.85
+    plain, first = (contest.round_of(case, NONE, rank(case, NONE)) for case in (hidden, follows))
+    assert not plain.claimed
+    assert plain.rival == plain.noise  # waves over time are what the noise is
+    assert first.claimed
+    assert first.form is follows.form
+    assert first.noise[1] < 3
+    assert (first.best.law.place, first.best.tried.driver.text) == ("joint 2", "tau2*tau3")
+    assert contest.where_noise_follows(c, rank(c, NONE)) is None
+
+
 def test_noise_is_a_rival_of_every_law() -> None:
     (first, *_) = discovered(5, STOP).rounds
     assert first.claimed
@@ -332,6 +364,8 @@ def test_laws_of_a_large_campaign_are_searched_on_some_of_its_poses(monkeypatch:
     assert "Laws were searched on 36 of 80 poses." in plain_text(found.blocks(), 100)
     assert found.to_json("stop")["poses"] == {"searched": 36, "all": 80}
     assert len(found.refit().measurements[0]) == 80
+    c = where_noise_follows("kr210-P02", 0.8)
+    assert contest.thinned(c).form.stays == pytest.approx(0.8 ** (c.kept.sum() / 36))  # less stays over longer ways
 
 
 def test_a_diagnosis_that_is_unknown_says_the_law() -> None:

@@ -146,6 +146,9 @@ class Discovery(Result):
             )
         if self.thinned:
             blocks.append(Words("Laws were searched on {} of {} poses.".format(*self.thinned), "note"))
+        stays = self.rounds[0].form.stays
+        if stays:
+            blocks.append(Words(f"All under noise of which {stays:g} stays from each pose to the next.", "note"))
         blocks.append(Words(NATS, "note"))
         blocks.append(_gaps(self))
         if self.shrink:

@@ -6,7 +6,7 @@ are those of a listed effect, it is that effect under another name. Laws that sc
 takes the place of causes only where it predicts poses held out better, too.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from operator import itemgetter
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.grid import log_sum
+from casadical.core.linear_gaussian.marginals import NONE
 from casadical.core.statistics import best_of, first_of_best, ranked
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import lengths, new_fit, random_folds
@@ -21,17 +22,18 @@ from casadical.diagnosis.evidence import KAPPA_WEIGHTS, RHOS, Evidence
 from casadical.diagnosis.laws.problem import ABOVE, ALIKE, CLAIMED, Problem, Round, Scored, scaled
 from casadical.diagnosis.laws.search import refined_settings, search_laws
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.noise_forms import noise_forms
+from casadical.diagnosis.noise_forms import FOLLOWING, best_following, following, gain_of, noise_forms
 from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, rank
 from casadical.diagnosis.result import Diagnosis
+from casadical.diagnosis.search import FORM_GAIN
 from casadical.diagnosis.settings_search import refined
 from casadical.effects.base import CHOSEN
 from casadical.measurements.measurements import Noise
 
 # Laws are searched on so many poses at most, spread over the campaign: its time grows with the poses.
 MOST_POSES = 600
-# Laws that compete at a ranking.
-MOST = 5
+# Candidates beside which the form of noise that follows itself is looked for.
+MOST_BESIDE = 3
 # A law is a listed effect by another name if their columns correlate by more.
 CORRELATION = 0.95
 
@@ -42,42 +44,78 @@ def replaces_causes(found: Diagnosis, first: Round) -> bool:
         return False
     if not found.columns.size:
         return True
-    case, none = thinned(found.case), np.zeros(0, dtype=np.int64)
-    by_law = held_out(case, none, [first.best], first.best.noise, found.seed)
+    case = thinned(found.case)
+    by_law = held_out(case, NONE, [first.best], first.best.noise, found.seed)
     by_causes = held_out(case, found.columns, (), found.noise, found.seed)
     return bool(by_law.mean() < by_causes.mean())
 
 
 def laws_before_causes(found: Diagnosis) -> Round:
-    """Laws compared with all else before any cause is in the model; of a large campaign, on some of its poses."""
-    return round_of(*_before_causes(found))
+    """Laws compared with all else before any cause is in the model; of a large campaign, on some of its poses.
+
+    Of the noise's forms that may be there, by the first under which one is claimed, else by the last.
+    """
+    for case, ranking in _before_causes(found):
+        first = round_of(case, NONE, ranking)
+        if first.claimed:
+            break
+    return first
 
 
 def claimed_before_causes(found: Diagnosis) -> Round | None:
     """The same where a law is claimed, else None; laws that rivals outdo for certain are not looked at closely."""
-    case, none, ranking = _before_causes(found)
-    # With their settings refined rivals have still more.
-    least = max(CLAIMED, max(ranking.log_factor.values()) + ABOVE)
-    laws = search_laws(case, none, least=least - ALIKE)
-    if not laws or laws[0].score < least:
+    for case, ranking in _before_causes(found):
+        # With their settings refined rivals have still more.
+        least = max(CLAIMED, max(ranking.log_factor.values()) + ABOVE)
+        laws = search_laws(case, NONE, least=least - ALIKE)
+        if laws and laws[0].score >= least:
+            first = _judged(laws, case, NONE, ranking)
+            if first.claimed:
+                return first
+    return None
+
+
+def _before_causes(found: Diagnosis) -> Iterator[tuple[Case, Ranking]]:
+    """The case and its ranking before any cause is in the model.
+
+    Where there is no cause and noise follows itself, first as if it did not: a law may be what follows. Then as it
+    does: a law may be hidden in it.
+    """
+    case, ranking = thinned(found.case), found.rankings[0]
+    yield case, ranking if case is found.case else rank(case, NONE)
+    follows = None if found.effects() else where_noise_follows(found.case, ranking)
+    if follows:
+        case = thinned(follows)
+        yield case, rank(case, NONE)
+
+
+def where_noise_follows(case: Case, ranking: Ranking) -> Case | None:
+    """The case as the noise that follows itself best moves it; None where it does not follow itself, or does so.
+
+    Its form is that beside a probable candidate of a ranking, for it would follow this, unless no cause and the noise
+    that follows itself are more probable together.
+    """
+    if case.form.stays or not case.observations.plain:
         return None
-    first = _judged(laws, case, none, ranking)
-    return first if first.claimed else None
-
-
-def _before_causes(found: Diagnosis) -> tuple[Case, Array, Ranking]:
-    """The case, no columns, and the ranking before any cause is in the model."""
-    case = thinned(found.case)
-    none = np.zeros(0, dtype=np.int64)
-    return case, none, found.rankings[0] if case is found.case else rank(case, none)
+    variants = {c.label: c.variants for c in case.candidates}
+    groups = [(0.0, NONE)]
+    for label in [label for label in ranking.order if label in variants][:MOST_BESIDE]:
+        groups.append((ranking.log_factor[label], case.group(variants[label][ranking.variant[label]])))
+    judged = [(log, best_following(case, group)) for log, group in groups]
+    _, (form, _, gain) = best_of(judged, lambda j: j[0] + j[1][2], logs=True)
+    return case.with_form(form) if gain >= FORM_GAIN else None
 
 
 def thinned(case: Case) -> Case:
-    """The case with at most so many of its poses, spread over the campaign."""
+    """The case with at most so many of its poses, spread over the campaign: of noise that follows itself less stays."""
     at = np.flatnonzero(case.kept)
     some = np.zeros_like(case.kept)
     some[at[np.linspace(0, len(at) - 1, min(len(at), MOST_POSES)).round().astype(int)]] = True
-    return case.with_kept(some)
+    fewer = case.with_kept(some)
+    if fewer is case or not case.form.stays:
+        return fewer
+    e, stays = fewer.evidence, case.form.stays ** (len(at) / MOST_POSES)
+    return fewer.with_form(following(stays, len(e.r), e.count / len(e.r)))
 
 
 def _set_mass(found: Diagnosis) -> float:
@@ -108,8 +146,11 @@ def _judged(laws: Sequence[Scored], case: Case, chosen: Array, ranking: Ranking)
     rivals = [_refined_rival(case, by_label[k], ranking, chosen) for k in listed[:2]]
     best = best_of(rivals, score, logs=True) if rivals else ("", -np.inf)
     other = best_of((_refined_rival(case, by_label[k], ranking, chosen) for k in smooth[:2]), score, logs=True)
-    noise = best_of(((f.label, f.log_factor) for f in noise_forms(case, chosen)), score, logs=True)
-    return Round(tuple(laws), best, other, noise, aliases(case, chosen, laws[0], ranking.variant))
+    if case.form.stays:
+        noise = FOLLOWING, best_following(case, chosen)[2] - gain_of(case, case.form, chosen)
+    else:
+        noise = best_of(((f.label, f.log_factor) for f in noise_forms(case, chosen)), score, logs=True)
+    return Round(tuple(laws), best, other, noise, aliases(case, chosen, laws[0], ranking.variant), case.form)
 
 
 def _refined_rival(case: Case, candidate: Candidate, ranking: Ranking, chosen: Array) -> tuple[str, float]:
@@ -121,7 +162,7 @@ def _refined_rival(case: Case, candidate: Candidate, ranking: Ranking, chosen: A
     more, better = refined(case, label, variant, chosen, ranking.noise[label])
     if better == variant:
         return label, score
-    grids = more.evidence.log_grids([more.group(variant), more.group(better)], chosen) + np.log(KAPPA_WEIGHTS)
+    grids = more.judged.log_grids([more.group(variant), more.group(better)], chosen) + np.log(KAPPA_WEIGHTS)
     before, after = log_sum(grids.reshape(2, -1), axis=1)
     return label, score + float(after - before)
 
@@ -131,14 +172,14 @@ def aliases(case: Case, chosen: Array, law: Scored, variant: Mapping[str, int]) 
 
     chosen : columns of what is in the model beside it; variant : settings of each candidate, by label
     """
-    base = case.evidence.with_base(chosen)
+    problem = Problem.beside(case, chosen)
     rho = float(RHOS[int(np.argmin(np.abs(RHOS - law.noise.repeatability / law.noise.sigma)))])
     listed = [c for c in case.candidates if c.listed and c.label in variant and not c.variants[0][0].parts]
     groups = [case.group(c.variants[variant[c.label]]) for c in listed]
     if not groups:
         return ()
-    projection = base.projection(rho)
-    E = projection.columns(np.concatenate([law.columns, case.evidence.take(np.concatenate(groups))], axis=2))
+    projection, listed_columns = problem.evidence.projection(rho), case.judged.take(np.concatenate(groups))
+    E = projection.columns(np.concatenate([problem.white(law.columns), listed_columns], axis=2))
     w = law.columns.shape[2]
     own = E[:, :w]
     fit = own @ np.linalg.lstsq(own, projection.y, rcond=None)[0]

@@ -59,6 +59,8 @@ def laws_beside(found: Diagnosis, show: Show = silent) -> Discovery:
     case = thinned(found.case)
     none = np.zeros(0, dtype=np.int64)
     first = found.law or laws_before_causes(found)
+    if first.form.stays and not case.form.stays:
+        case = case.with_form(first.form)
     rounds, laws, causes = [first], [], found.effects()
     columns = found.columns
     if replaces_causes(found, first):

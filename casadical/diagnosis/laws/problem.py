@@ -20,14 +20,14 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import ArrayColumns
 from casadical.core.linear_gaussian.grid import log_sum
+from casadical.core.linear_gaussian.noise import SerialNoise
 from casadical.core.statistics import best_of
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, REPEATABILITY, RHOS, SIGMAS, Evidence
-from casadical.diagnosis.laws.forms import (
-    Driver,
-    Form,
-)
+from casadical.diagnosis.laws.forms import Driver, Form
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import Linearisation
+from casadical.diagnosis.noise_evidence import PLAIN
+from casadical.diagnosis.noise_evidence import Form as NoiseForm
 from casadical.effects.base import CHOSEN
 from casadical.effects.formula_effect import SEAMS, Law
 from casadical.measurements.measurements import Noise
@@ -63,20 +63,28 @@ class Screen:
         Q, left = projection.Q[:rows].reshape(*e.r.shape, -1), y[:rows].reshape(e.r.shape)
         return cls(projection.whitening.W, Q, left, float(y @ y) + again, max(round(e.count - e.absorbed) + freedom, 1))
 
-    def products(self, columns: Array, functions: Array) -> tuple[Array, Array]:
+    def products(self, columns: Array, functions: Array, later: Array | None = None) -> tuple[Array, Array]:
         """Products of every law's columns, shape (K, w, w), and with the residual, shape (K, w); w = parts times d.
 
         columns : of the place, shape (n, 3, d); functions : parts of the forms at the poses, shape (parts, n, K), or of
             each column, shape (parts, n, d, K)
+        later : what a pose's columns do to the numbers of the next one, shape (n - 1, 3, d), where noise follows itself
         """
         B = self.W @ columns
         d, parts = B.shape[2], len(functions)
         M = np.einsum("nap,nad->dpn", self.Q, B)
+        own = np.einsum("nai,naj->ijn", B, B)
+        right = np.einsum("nai,na->in", B, self.y)
+        if later is not None:
+            A = self.W[1:] @ later
+            M[:, :, :-1] += np.einsum("nap,nad->dpn", self.Q[1:], A)
+            own[:, :, :-1] += np.einsum("nai,naj->ijn", A, A)
+            right[:, :-1] += np.einsum("nai,na->in", A, self.y[1:])
+            across = np.einsum("nai,naj->ijn", A, B[1:])
         each = functions[:, :, None] if functions.ndim == 3 else functions
         own_of = [0] * d if functions.ndim == 3 else range(d)
         F = [[np.ascontiguousarray(part[:, i]) for i in range(each.shape[2])] for part in each]
         seen = [[M[i] @ part[own_of[i]] for i in range(d)] for part in F]
-        own = np.einsum("nai,naj->ijn", B, B)
         K = functions.shape[-1]
         G = np.empty((K, parts * d, parts * d))
         for a in range(parts):
@@ -84,11 +92,13 @@ class Screen:
                 both = F[a][0] * F[b][0]
                 for i in range(d):
                     for j in range(i if a == b else 0, d):
+                        one, other = F[a][own_of[i]], F[b][own_of[j]]
                         if functions.ndim > 3:
-                            both = F[a][i] * F[b][j]
-                        G[:, a * d + i, b * d + j] = own[i, j] @ both - np.einsum("pk,pk->k", seen[a][i], seen[b][j])
-                        G[:, b * d + j, a * d + i] = G[:, a * d + i, b * d + j]
-        right = np.einsum("nai,na->in", B, self.y)
+                            both = one * other
+                        value = own[i, j] @ both - np.einsum("pk,pk->k", seen[a][i], seen[b][j])
+                        if later is not None:
+                            value += across[i, j] @ (one[:-1] * other[1:]) + across[j, i] @ (other[:-1] * one[1:])
+                        G[:, a * d + i, b * d + j] = G[:, b * d + j, a * d + i] = value
         return G, np.stack([right[i] @ part[own_of[i]] for part in F for i in range(d)], axis=1)
 
     def products_of(self, columns: Array) -> tuple[Array, Array]:
@@ -304,7 +314,7 @@ class Round:
 
     laws : the most probable, the best first; listed, smooth : label and score of the best rivals, refined
     noise : the same of the best form of noise; alias : labels of listed effects whose columns are the best law's
-    claimed : whether the best law is claimed
+    form : of the noise, by which all were judged
     """
 
     laws: tuple[Scored, ...]
@@ -312,6 +322,7 @@ class Round:
     smooth: tuple[str, float]
     noise: tuple[str, float]
     alias: tuple[str, ...]
+    form: NoiseForm = PLAIN
 
     @property
     def best(self) -> Scored:
@@ -339,16 +350,26 @@ class Problem:
     """What laws are judged on: poses that are no outliers, with what is in the model in the base.
 
     evidence : without candidates; least : log evidence over none that a law needs to be of interest
+    order, noise : of noise that follows itself, of whose numbers the evidence is: the poses in the order of measuring
     """
 
     evidence: Evidence
     least: float = 0.0
+    order: Array | None = None
+    noise: SerialNoise | None = None
 
     @classmethod
     def beside(cls, case: Case, chosen: Array, least: float = 0.0) -> Problem:
         """Of a case; chosen : columns of what is in the model already."""
-        base = case.evidence.with_base(chosen)
-        return cls(replace(base, E=np.zeros((*base.r.shape, 1)), held=None), least)
+        base = case.judged.with_base(chosen)
+        alone = replace(base, E=np.zeros((*base.r.shape, 1)), held=None)
+        if case.form is PLAIN:
+            return cls(alone, least)
+        return cls(alone, least, case.order, case.form.serial(len(case.order)))
+
+    def white(self, columns: Array) -> Array:
+        """Columns of laws as they are among the numbers of the evidence, shape (n, 3, ...)."""
+        return columns if self.noise is None else self.noise.white(columns[self.order])
 
     @cached_property
     def log_base(self) -> Array:
@@ -358,7 +379,8 @@ class Problem:
     def grids(self, columns: Sequence[Array]) -> Array:
         """Log likelihood with each law, shape (laws, rhos, sigmas, kappas), sizes weighted."""
         edges = np.cumsum([0, *(c.shape[2] for c in columns)])
-        judged = self.evidence.marginals.of_others(ArrayColumns(np.concatenate(columns, axis=2)), CHOSEN)
+        every = ArrayColumns(self.white(np.concatenate(columns, axis=2)))
+        judged = self.evidence.marginals.of_others(every, CHOSEN)
         groups = [np.arange(a, b) for a, b in itertools.pairwise(edges)]
         logs: Array = judged.log_grids(groups) + np.log(KAPPA_WEIGHTS)
         return logs
@@ -383,11 +405,22 @@ class Problem:
 
     def gains(self, seam: Seam, functions: Array) -> Array:
         """Log evidence of laws at a place, shape (K,); functions : in units of their scales, as of `Form.values`."""
-        columns = seam.columns * seam.size
-        return self._gains(functions.shape[-1], lambda screen, some: screen.products(columns, functions[..., some]))
+        columns, functions, later = self.in_order(seam.columns * seam.size, functions)
+        return self._gains(
+            functions.shape[-1], lambda screen, some: screen.products(columns, functions[..., some], later)
+        )
+
+    def in_order(self, columns: Array, functions: Array) -> tuple[Array, Array, Array | None]:
+        """A place's columns and functions as `Screen.products` takes them."""
+        if self.noise is None:
+            return columns, functions, None
+        own, stays = (a[:, None, None] for a in (self.noise.weight, self.noise.stays))
+        columns = columns[self.order]
+        return own * columns, functions[:, self.order], (-stays * own)[1:] * columns[:-1]
 
     def gains_of(self, columns: Array) -> Array:
         """Log evidence of laws whose columns are given, shape (K,); columns : in units of their sizes, (n, 3, w, K)."""
+        columns = self.white(columns)
         return self._gains(columns.shape[-1], lambda screen, some: screen.products_of(columns[..., some]))
 
     def _gains(self, count: int, products: Callable[[Screen, Array | slice], tuple[Array, Array]]) -> Array:
