@@ -67,10 +67,7 @@ def train(
 ) -> Training:
     """Train one network; see `train_all`.
 
-    task : the training problem
-    trainer : with its settings
-    seed : of everything random
-    checkpoint, every, progress : as of `train_all`
+    task : the training problem; trainer, seed, checkpoint, every, progress : as of `train_all`
 
     Examples
     --------
@@ -343,9 +340,7 @@ class Compensator:
         return np.zeros((len(rows), self.layout.outputs) if np.ndim(q) == 2 else self.layout.outputs)
 
     def inside(self, q: ArrayLike) -> Array:
-        """Tell for every row of q, shape (n, joints) [rad], whether training saw such angles: boolean, shape (n,
-        joints).
-        """
+        """Tell for every row of q, shape (n, joints) [rad], whether training saw such angles: boolean, shape (n,)."""
         return self.trained_box.contains(joint_angles(q, self.layout.joints))
 
     def function(self) -> "casadi.Function":
@@ -381,7 +376,5 @@ def _cross_validated(networks: list[Network], masks: Any, rows: Array, targets: 
 
 
 def _data_sha256(rows: Array, targets: Array) -> str:
-    sums = hashlib.sha256(f"{rows.shape} {targets.shape}".encode())
-    for array in (rows, targets):
-        sums.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
-    return sums.hexdigest()
+    blobs = (np.ascontiguousarray(array, dtype="<f8").tobytes() for array in (rows, targets))
+    return hashlib.sha256(f"{rows.shape} {targets.shape}".encode() + b"".join(blobs)).hexdigest()

@@ -8,7 +8,7 @@ matrix ``[W | b]`` of shape (m, k + 1), row by row. The paper's 6-5-3 network ha
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 import numpy as np
 
@@ -66,20 +66,19 @@ class Layout:
         return sum(m * k for m, k in self.shapes)
 
     def layers(self, weights: Array) -> list[Array]:
-        """Split weights, shape (..., count), into one array (..., m, k + 1) a layer: of each neuron input weights, then
-        bias.
+        """Split weights, shape (..., count), into one array (..., m, k + 1) a layer, a row of each neuron.
 
         Raises InputError: another number of weights.
         """
         weights = np.asarray(weights)
         if weights.shape[-1:] != (self.count,):
             raise InputError(f"{self} has {self.count} weights; the array's shape is {weights.shape}")
-        parts, start = [], 0
-        for shape in self.shapes:
-            stop = start + shape[0] * shape[1]
-            parts.append(weights[..., start:stop].reshape(*weights.shape[:-1], *shape))
-            start = stop
-        return parts
+        spans = pairwise(accumulate((m * k for m, k in self.shapes), initial=0))
+        leading = weights.shape[:-1]
+        return [
+            weights[..., start:stop].reshape(*leading, *shape)
+            for (start, stop), shape in zip(spans, self.shapes, strict=True)
+        ]
 
     def weights(self, layers: Sequence[Array]) -> Array:
         """Join layers, shape (..., m, k + 1) each, into weights, shape (..., count): the inverse of `layers`.
@@ -137,9 +136,7 @@ class JointBox:
         return np.where(half > 0, half, 1.0)
 
     def contains(self, q: Array) -> Array:
-        """Tell for every row of joint readings q, shape (n, joints) [rad], whether it lies in the box: boolean, shape
-        (n,).
-        """
+        """Tell for every row of q, shape (n, joints) [rad], whether it lies in the box: boolean, shape (n,)."""
         within: Array = (q >= self.lower) & (q <= self.upper)
         return np.asarray(within.all(axis=1), dtype=np.bool_)
 

@@ -65,10 +65,7 @@ def _activations(layout: Layout, weights: Array, inputs: Array) -> list[Array]:
 
 
 def gradient(layout: Layout, weights: Array, inputs: Array, sensitivity: Array) -> Array:
-    """Back-propagate: gradient of a scalar by the weights, shape (P, count).
-
-    sensitivity : array, shape (P, O, N), derivative of the scalar by every output.
-    """
+    """Back-propagate: gradient of a scalar by the weights, (P, count); sensitivity : by the outputs, (P, O, N)."""
     *enters, _ = _activations(layout, weights, inputs)
     layers = layout.layers(weights)
     parts: list[Array] = []
@@ -153,14 +150,7 @@ class Network:
         """Return the CasADi function ``network:(q[joints])->(dp[outputs])``: q in radians, dp in millimetres."""
         import casadi
 
-        q = casadi.SX.sym("q", self.layout.joints)
-        return casadi.Function("network", [q], [self._expression(q)], ["q"], ["dp"])
-
-    def _expression(self, q: Any) -> Any:
-        """Write the network as a CasADi expression in q."""
-        import casadi
-
-        centre, half = self.box.centre, self.box.half_width
+        q, centre, half = casadi.SX.sym("q", self.layout.joints), self.box.centre, self.box.half_width
         z: list[Any] = []
         for joint in range(self.layout.joints):
             periodic = joint in self.layout.periodic
@@ -170,7 +160,8 @@ class Network:
         column = casadi.vertcat(*z)
         for layer in hidden:
             column = casadi.tanh(casadi.DM(layer[:, :-1]) @ column + casadi.DM(layer[:, -1]))
-        return self.output_scale_mm * (casadi.DM(last[:, :-1]) @ column + casadi.DM(last[:, -1]))
+        out = self.output_scale_mm * (casadi.DM(last[:, :-1]) @ column + casadi.DM(last[:, -1]))
+        return casadi.Function("network", [q], [out], ["q"], ["dp"])
 
 
 def joint_angles(q: ArrayLike, joints: int | None) -> Array:
@@ -188,10 +179,7 @@ def joint_angles(q: ArrayLike, joints: int | None) -> Array:
 
 
 def residuals(residual_mm: ArrayLike, poses: int, outputs: int | None) -> Array:
-    """Return residuals as an array of shape (poses, outputs) [mm].
-
-    Raises InputError for another shape or values that are not finite.
-    """
+    """Residuals as an array (poses, outputs) [mm]. Raises InputError for another shape, or values not finite."""
     rows = _numbers(residual_mm, "residual_mm")
     if rows.ndim != 2 or rows.shape != (poses, outputs or rows.shape[1]):
         raise InputError(
@@ -319,10 +307,7 @@ def random_weights(layout: Layout, random: np.random.Generator, count: int) -> A
 
 
 def training_masks(samples: int, folds: int, seed: int) -> Array:
-    """Split samples at random into folds of sizes that differ by one at most.
-
-    Returns a boolean array of shape (folds, samples), true where a sample is trained on.
-    """
+    """Folds at random, of sizes that differ by one at most: shape (folds, samples), true where it is trained on."""
     order = np.random.default_rng(seed).permutation(samples)
     masks = np.ones((folds, samples), dtype=bool)
     for mask, held_out in zip(masks, np.array_split(order, folds), strict=True):

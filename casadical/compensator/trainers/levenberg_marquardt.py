@@ -37,7 +37,7 @@ class Batch:
     active: Array
 
     def state(self) -> dict[str, Any]:
-        return {name: pack(getattr(self, name)) for name in ("weights", "damping", "growth", "cost", "active")}
+        return {name: pack(value) for name, value in vars(self).items()}
 
     @classmethod
     def restore(cls, state: dict[str, Any]) -> Self:
@@ -61,7 +61,7 @@ def penalised_cost(task: Task, weights: Array, samples: Array, ridge: Array) -> 
 def advance(task: Task, batch: Batch, samples: Array, ridge: Array, tolerance: float = 1e-7) -> Batch:
     """Do one damped step of every active problem; one ends when a step gains less than ``tolerance`` of its cost."""
     at = np.flatnonzero(batch.active)
-    new = {name: getattr(batch, name).copy() for name in ("weights", "damping", "growth", "cost", "active")}
+    new = {name: value.copy() for name, value in vars(batch).items()}
     size = max(1, _CHUNK // (task.layout.count * task.targets.size))
     for part in (at[i : i + size] for i in range(0, len(at), size)):
         _advance_part(task, new, part, samples[part], ridge[part], tolerance)
@@ -150,7 +150,7 @@ class LevenbergMarquardt(Trainer):
         run = LmRun(self, task, seed, None if state["starts"] is None else unpack(state["starts"]))
         run.steps, run.level, run.inner, run.ridge = state["counts"]
         run.scores, run.batch = list(state["scores"]), Batch.restore(state["batch"])
-        run.set_problem()
+        run.set_problem(len(run.batch.weights))
         return run
 
 
@@ -208,19 +208,16 @@ class LmRun:
             "starts": None if self.starts is None else pack(self.starts),
         }
 
-    def set_problem(self) -> None:
-        """Set sample weights and ridges of the present batch: folds while choosing, then all poses."""
-        count, ridge = len(self.batch.weights), self.ridge
+    def set_problem(self, count: int) -> None:
+        """Set sample weights and ridges of a batch of so many: folds while choosing, then all poses."""
+        total, ridge = self.task.targets.shape[1], self.ridge
         if ridge is None:
             ridge = self._candidates[self.level]
-        self.samples, self.ridges = self._samples(count), np.full(count, ridge * self._unit)
-
-    def _samples(self, count: int) -> Array:
-        total = self.task.targets.shape[1]
-        if not self.choosing:
-            return np.full((count, total), 1.0 / total)
-        masks = np.repeat(training_masks(total, self.folds, self.seed), self.trainer.fold_starts, axis=0)
-        return np.asarray(masks / masks.sum(axis=1, keepdims=True), dtype=np.float64)
+            masks = np.repeat(training_masks(total, self.folds, self.seed), self.trainer.fold_starts, axis=0)
+        else:
+            masks = np.ones((count, total))
+        self.samples: Array = masks / masks.sum(axis=1, keepdims=True)
+        self.ridges = np.full(count, ridge * self._unit)
 
     def _begin(self, weights: Array | None = None) -> Batch:
         """Start the batch of the present level, from ``weights`` or else from new starts."""
@@ -230,9 +227,7 @@ class LmRun:
             weights = random_weights(self.task.layout, random, count)
             if not self.choosing and self.starts is not None:
                 weights = self.starts
-        nothing = np.zeros(len(weights))
-        self.batch = Batch(weights, nothing, nothing, nothing, nothing)
-        self.set_problem()
+        self.set_problem(len(weights))
         return begin_batch(self.task, weights, self.samples, self.ridges)
 
     def _next_ridge(self) -> None:
