@@ -38,12 +38,13 @@ def header(program: TapeProgram, label: Label) -> str:
 def source(program: TapeProgram, label: Label) -> str:
     """Text of NAME.c."""
     values = common_values(program, label)
-    parts = [template("network.c")] if program.network else []
-    texts = [filled(part, values) for part in parts]
+    texts = [filled(template("network.c"), values)] if program.network else []
     if program.command:
-        bounded = program.command.bound is not None
         values["within"] = filled(_WITHIN, values) if program.command.limit_mm is not None else ""
-        texts += [filled(template("network.c"), values | _bound_values(values))] if bounded else []
+        if program.command.bound is not None:
+            mine = {"function": "bound", "out": "bound_mm", "n_out": "1"}
+            mine["box_table:network"] = values["box_table:command"]
+            texts.append(filled(template("network.c"), values | mine))
         texts.append(filled(template("command.c"), values))
     values["functions"] = "".join(texts)
     values["elementary"] = elementary_functions(list(program.tapes.values()), label.name, program.real)
@@ -51,10 +52,6 @@ def source(program: TapeProgram, label: Label) -> str:
         kernel(tape, label.name, f"{name}_values", program.real) for name, tape in sorted(program.tapes.items())
     )
     return filled(template("source.c"), values)
-
-
-def _bound_values(values: dict[str, str]) -> dict[str, str]:
-    return {"function": "bound", "out": "bound_mm", "n_out": "1", "box_table:network": values["box_table:command"]}
 
 
 _COMMAND_DEFINES = """
@@ -211,11 +208,11 @@ def joint_units(product: Product) -> str:
 
 
 def _box_text(product: Product) -> str:
-    lines = []
+    text = ""
     for i, (low, high, unit) in enumerate(zip(product.lower, product.upper, product.units, strict=True)):
         degrees = f"  ({np.rad2deg(low):.6g} to {np.rad2deg(high):.6g} deg)" if unit == "rad" else " m"
-        lines.append(f" *   q[{i}]  {low:.9g} to {high:.9g}{degrees}\n")
-    return "".join(lines)
+        text += f" *   q[{i}]  {low:.9g} to {high:.9g}{degrees}\n"
+    return text
 
 
 def _notes(notes: Sequence[str]) -> str:

@@ -45,7 +45,7 @@ def _look(command: Command, q: SX, dq: SX) -> SX:
     """Where the calibrated robot is at q + dq, or with a difference the residual there."""
     if command.difference is None:
         return _flat(command.calibrated, q + dq)
-    change = casadi.vertcat(*[casadi.vec(part) for part in command.difference.call([q, dq])])
+    change = _flat(command.difference, q, dq)
     if residual_size(command) == 3:
         return -change
     target = _flat(command.nominal, q)
@@ -90,10 +90,14 @@ class _Step:
 
     def factored(self, J: SX) -> tuple[SX, SX]:
         """J (m, n) and what of it is the same in each step; weakness: of at least 1 / (least singular value)^2."""
-        L, inverse = _factored(_damped(casadi.mtimes(J, J.T), self.damping), self.damping / 2)
+        L, inverse = self._factors(J)
         lost = 3 - self.reached
         weakness = _weakness(L, inverse)
         return casadi.vertcat(casadi.vec(J), _packed(L, inverse)), weakness - lost / self.damping if lost else weakness
+
+    def _factors(self, J: SX) -> tuple[SX, SX]:
+        """Those of J J^T + lambda^2 I, see `_factored`."""
+        return _factored(casadi.mtimes(J, J.T) + self.damping * SX.eye(J.shape[0]), self.damping / 2)
 
     def solved(self, factors: SX, r: SX) -> tuple[SX, SX]:
         """Joint step (n,) for a residual r (m,), and the squared error."""
@@ -116,9 +120,9 @@ class _PositionFirst(_Step):
 
     def factored(self, J: SX) -> tuple[SX, SX]:
         Jp, Jo = J[:3, :], J[3:, :]
-        L, inverse = _factored(_damped(casadi.mtimes(Jp, Jp.T), self.damping), self.damping / 2)
+        L, inverse = self._factors(Jp)
         G = self._kept(Jp, L, inverse, Jo.T).T
-        M, inverse_o = _factored(_damped(casadi.mtimes(G, G.T), self.damping), self.damping / 2)
+        M, inverse_o = self._factors(G)
         back = self._kept(Jp, L, inverse, G.T)
         lost = 6 - self.reached - self.turned
         weakness = _weakness(L, inverse) + _weakness(M, inverse_o) - lost / self.damping
@@ -142,9 +146,8 @@ class _PositionFirst(_Step):
         return v - casadi.mtimes(Jp.T, y)
 
 
-def _flat(function: casadi.Function, q: SX) -> SX:
-    out = function.call([q])
-    return casadi.vertcat(*[casadi.vec(o) for o in out])
+def _flat(function: casadi.Function, *arguments: SX) -> SX:
+    return casadi.vertcat(*[casadi.vec(out) for out in function.call(arguments)])
 
 
 def _residual(target: SX, now: SX) -> SX:
@@ -172,10 +175,6 @@ def _slope(command: Command, function: casadi.Function, at: SX) -> SX:
     now = _flat(function, x)
     slope = casadi.jacobian(-_residual(fixed, now), x)
     return casadi.Function("slope", [x, fixed], [slope])(at, _flat(function, at))
-
-
-def _damped(A: SX, damping: float) -> SX:
-    return A + damping * SX.eye(A.shape[0])
 
 
 def _factored(A: SX, floor: float) -> tuple[SX, SX]:

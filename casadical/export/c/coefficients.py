@@ -130,14 +130,9 @@ def literal(value: float, real: Real) -> str:
     """A C99 constant with exactly the value that ``value`` has when rounded to the real type."""
     rounded = float(DTYPE[real](value))
     small_whole = rounded == int(rounded) and abs(rounded) < 1e6 if abs(rounded) < 1e9 else False
-    text = repr(rounded) if small_whole else _short_hex(rounded)
+    mantissa, exponent = rounded.hex().split("p")
+    text = repr(rounded) if small_whole else f"{mantissa.rstrip('0').rstrip('.')}p{exponent}"
     return text + ("F" if real == "float" else "")
-
-
-def _short_hex(value: float) -> str:
-    mantissa, exponent = value.hex().split("p")
-    mantissa = mantissa.rstrip("0") if "." in mantissa else mantissa
-    return f"{mantissa.rstrip('.')}p{exponent}"
 
 
 # Largest error of a table, in the unit of the function's outputs: of a joint angle 0.05 urad, a twentieth of a

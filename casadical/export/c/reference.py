@@ -61,8 +61,7 @@ class NumpyFunctions:
         ends, middle = c[i] + c[i + 2], c[i + 1] + c[i + 1]
         cubic = (c[i + 3] - c[i]) - T(3) * (c[i + 2] - c[i + 1])
         square, slope = T(3) * (ends - middle), T(3) * (c[i + 2] - c[i])
-        value: Array = (ends + (middle + middle)) + t * (slope + t * (square + t * cubic))
-        return value
+        return np.asarray((ends + (middle + middle)) + t * (slope + t * (square + t * cubic)))
 
     def _reduced(self, y: Array) -> tuple[Array, Array, Array]:
         """y >= 0 as n ln 2 + r: returns 2^n, r and r coth(r/2)."""
@@ -80,16 +79,14 @@ class NumpyFunctions:
         up, down = t + T(1), t - T(1)
         value = (down * R + up * r) / (up * R + down * r)
         value = np.where(value < T(1), value, T(1))
-        signed: Array = np.where(a < 0, -value, value)
-        return signed
+        return np.asarray(np.where(a < 0, -value, value))
 
     def exp(self, a: Array) -> Array:
         x = np.where(a < 0, -a, a)
         t, r, R = self._reduced(np.where(x < self.T(coefficients.EXP_LIMIT), x, self.T(coefficients.EXP_LIMIT)))
         up, down = t * (R + r), R - r
         negative = a < 0
-        quotient: Array = np.where(negative, down, up) / np.where(negative, up, down)
-        return quotient
+        return np.asarray(np.where(negative, down, up) / np.where(negative, up, down))
 
     def sqrt(self, x: Array) -> Array:
         T = self.T
@@ -101,8 +98,7 @@ class NumpyFunctions:
         y = T(coefficients.SQRT_GUESS[0]) + m * (T(coefficients.SQRT_GUESS[1]) + m * T(coefficients.SQRT_GUESS[2]))
         for _ in range(self.c.heron_steps):
             y = T(0.5) * (y + m / y)
-        root: Array = np.where(x < T(self.c.smallest), T(0), s * y)
-        return root
+        return np.asarray(np.where(x < T(self.c.smallest), T(0), s * y))
 
     def atan2(self, y: Array, x: Array) -> Array:
         T, c = self.T, self.c

@@ -8,7 +8,7 @@ times its input, else a table for each of them (see coefficients.py). The C emit
 this list only.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -19,10 +19,9 @@ from casadical.core.basics import Array, InputError
 from casadical.core.sx_instructions import SxInstructions
 from casadical.export.c.coefficients import ANGLE_LIMIT, EXP_LIMIT, TABLE_LIMIT, periodic_tables
 
-# Operations of CasADi that are operations of the tape, by the tape's name; what becomes several of the tape's.
-_PLAIN = {name: name for name in ("add", "sub", "mul", "div", "neg", "exp", "sqrt", "atan2", "fabs", "fmin", "fmax")}
-_PLAIN |= {name: name for name in ("lt", "le", "not", "sign")} | {"tanh": "tansig", "if_else_zero": "select"}
-_COMPOSED = ("sq", "twice", "inv", "sin", "cos", "tan", "atan", "asin", "acos", "hypot")
+# Operations of CasADi that are operations of the tape, by the tape's name.
+_PLAIN = {name: name for name in ("add", "sub", "mul", "div", "neg", "atan2", "fabs", "fmin", "fmax", "lt", "le")}
+_PLAIN |= {name: name for name in ("not", "sign")} | {"tanh": "tansig", "if_else_zero": "select"}
 COMMUTATIVE = {"add", "mul"}
 
 
@@ -92,56 +91,31 @@ class _Builder:
         node = Node("weighted_sum", tuple(args[k] for k in some), weights=tuple(float(weights[k]) for k in some))
         return self.stored(node)
 
-    def arc(self, op: str, x: int) -> int:
-        """asin, acos and atan are angles of a right-angled triangle: one atan2 serves all."""
+    def other_side(self, x: int) -> int:
+        """Of a right-angled triangle with the hypotenuse 1: one atan2 serves asin, acos and atan."""
         one = self.constant(1.0)
-        if op == "atan":
-            return self.add("atan2", x, one)
-        opposite = self.root(self.add("mul", self.add("sub", one, x), self.add("add", one, x)))
-        return self.add("atan2", x, opposite) if op == "asin" else self.add("atan2", opposite, x)
+        return self.root(self.add("mul", self.add("sub", one, x), self.add("add", one, x)))
 
     def operation(self, name: str, *args: int) -> int | None:
         """An operation of CasADi by its name; None where the generated C does not have it."""
-        if name not in _PLAIN:
-            return self.composed(name, *args)
-        op = _PLAIN[name]
-        known = self.tansig(op, args)
-        if known is not None:
-            return known
-        if op == "sqrt":
-            return self.root(args[0])
-        if op == "exp":
-            args = (self.add("guard_max", args[0], value=EXP_LIMIT),)
-        return self.add(op, *args)
-
-    def composed(self, name: str, x: int, y: int = 0) -> int | None:
         if name == "assign":
-            return x
-        if name == "sq":
-            return self.add("mul", x, x)
-        if name == "twice":
-            return self.add("add", x, x)
-        if name == "inv":
-            return self.add("div", self.constant(1.0), x)
-        if name in ("sin", "cos"):
-            return self.sincos(x, name)
-        if name == "tan":
-            return self.add("div", self.sincos(x, "sin"), self.sincos(x, "cos"))
-        if name == "hypot":
-            return self.root(self.add("add", self.add("mul", x, x), self.add("mul", y, y)))
-        return self.arc(name, x) if name in ("atan", "asin", "acos") else None
+            return args[0]
+        if name in _COMPOSED:
+            return _COMPOSED[name](self, *args)
+        if name not in _PLAIN:
+            return None
+        known = self.tansig(_PLAIN[name], args)
+        return self.add(_PLAIN[name], *args) if known is None else known
 
     def tansig(self, op: str, args: tuple[int, ...]) -> int | None:
         """Recognise 2/(1+exp(-2a))-1 and 1-2/(exp(2a)+1) when the last operation is about to be added."""
         if op not in ("sub", "add"):
             return None
+        unit = 1.0 if op == "sub" else -1.0
         for a, b, first in ((args[0], args[1], True), (args[1], args[0], False)):
             exponent = self._two_over_one_plus_exp(a)
-            unit = self._const(b)
-            minus = op == "sub"
-            if exponent is None or unit is None or unit != (1.0 if minus else -1.0):
-                continue
-            return self.add("tansig", self._half(exponent, negate=first or not minus))
+            if exponent is not None and self._const(b) == unit:
+                return self.add("tansig", self._half(exponent, negate=first or op == "add"))
         return None
 
     def _const(self, k: int) -> float | None:
@@ -169,6 +143,23 @@ class _Builder:
                     flip = negate != (self._const(i) == -2.0)
                     return self.add("neg", j) if flip else j
         return self.add("mul", self.constant(-0.5 if negate else 0.5), k)
+
+
+# Operations of CasADi that become others of the tape, with their guards.
+_COMPOSED: dict[str, Callable[..., int]] = {
+    "sq": lambda b, x: b.add("mul", x, x),
+    "twice": lambda b, x: b.add("add", x, x),
+    "inv": lambda b, x: b.add("div", b.constant(1.0), x),
+    "sqrt": lambda b, x: b.root(x),
+    "hypot": lambda b, x, y: b.root(b.add("add", b.add("mul", x, x), b.add("mul", y, y))),
+    "exp": lambda b, x: b.add("exp", b.add("guard_max", x, value=EXP_LIMIT)),
+    "sin": lambda b, x: b.sincos(x, "sin"),
+    "cos": lambda b, x: b.sincos(x, "cos"),
+    "tan": lambda b, x: b.add("div", b.sincos(x, "sin"), b.sincos(x, "cos")),
+    "asin": lambda b, x: b.add("atan2", x, b.other_side(x)),
+    "acos": lambda b, x: b.add("atan2", b.other_side(x), x),
+    "atan": lambda b, x: b.add("atan2", x, b.constant(1.0)),
+}
 
 
 def tape_of(function: casadi.Function) -> Tape:
@@ -207,9 +198,14 @@ def tape_of(function: casadi.Function) -> Tape:
 
 def _call(builder: _Builder, function: casadi.Function) -> Callable[[list[int]], list[int]]:
     """What becomes of the call of a function: weighted sums, or tables."""
-    called = _called(function)
-    matrix = None if called is None else _matrix(called)
-    tables = periodic_tables(called) if called is not None and matrix is None else []
+    called = function.find_functions()
+    if len(called) > 1:
+        raise InputError(
+            f"function {function.name()!r} calls {', '.join(f.name() for f in called)}; only one can become a table "
+            "or a weighted sum, and no derivative of it: give jacobian_of a function without it"
+        )
+    matrix = _matrix(called[0]) if called else None
+    tables = periodic_tables(called[0]) if called and matrix is None else []
 
     def nodes(args: list[int]) -> list[int]:
         if matrix is not None:
@@ -217,17 +213,6 @@ def _call(builder: _Builder, function: casadi.Function) -> Callable[[list[int]],
         return [builder.periodic(a, *table) for a, table in zip(args, tables, strict=True)]
 
     return nodes
-
-
-def _called(function: casadi.Function) -> casadi.Function | None:
-    called = function.find_functions()
-    if len(called) > 1:
-        raise InputError(
-            f"function {function.name()!r} calls {', '.join(f.name() for f in called)}; only one can become a table "
-            "or a weighted sum, "
-            "and no derivative of it: give jacobian_of a function without it"
-        )
-    return called[0] if called else None
 
 
 def _matrix(function: casadi.Function) -> Array | None:
@@ -266,8 +251,7 @@ def _refuse_sparse(function: casadi.Function) -> None:
             )
 
 
-def _live(nodes: Iterable[Node], n_in: int, outputs: list[int]) -> Tape:
-    nodes = list(nodes)
+def _live(nodes: list[Node], n_in: int, outputs: list[int]) -> Tape:
     needed = set(outputs)
     for k in reversed(range(len(nodes))):
         if k in needed:

@@ -133,15 +133,12 @@ def without_needless_guards(tape: Tape, lower: Array, upper: Array, real: Real) 
 
 @dataclass(frozen=True)
 class TapeProgram:
-    """A product ready to be written: its tapes by name.
-
-    network_bounds : least and greatest value of each of the network's outputs
-    """
+    """A product ready to be written: its tapes by name."""
 
     product: Product
     real: Real
     tapes: dict[str, Tape]
-    network_bounds: tuple[tuple[float, float], ...]  # of its unit, hold for every input
+    network_bounds: tuple[Interval, ...]  # of each of the network's outputs [its unit], for every input
 
     @property
     def n(self) -> int:
@@ -199,12 +196,10 @@ def operations(program: TapeProgram) -> Operations:
 
 
 def tape_program(product: Product, real: Real) -> TapeProgram:
-    """Tapes of a product: `network` or `curves`; of a command `forward`, `prepare`, `advance`, perhaps those and
-    `bound`.
-    """
+    """Tapes of a product: `network` or `curves`; of a command `forward`, `prepare`, `advance`, `apart`, `bound`."""
     tapes: dict[str, Tape] = {}
     network = product if isinstance(product, NetworkFunction) else product.network
-    network_bounds: list[tuple[float, float]] = []
+    network_bounds: list[Interval] = []
     if network is not None:
         lower, upper = _rounded(network.lower, real), _rounded(network.upper, real)
         tape = without_needless_guards(tape_of(network.function), lower, upper, real)
@@ -227,10 +222,8 @@ def _command_tapes(command: Command, real: Real) -> dict[str, Tape]:
     }
     tapes = {"forward": tape_of(command.calibrated), "prepare": tape_of(prepare(command))}
     if command.difference is not None:
-        ends = [
-            np.append(box, np.full(len(box), sign * reach)) for box, sign in zip(boxes["prepare"], (-1, 1), strict=True)
-        ]
-        boxes["apart"], tapes["apart"] = (ends[0], ends[1]), tape_of(apart(command))
+        (lower, upper), change = boxes["prepare"], np.full(len(command.lower), reach)
+        boxes["apart"], tapes["apart"] = (np.append(lower, -change), np.append(upper, change)), tape_of(apart(command))
     if command.bound is not None:
         boxes["bound"], tapes["bound"] = boxes["prepare"], tape_of(command.bound)
     tapes = {key: without_needless_guards(tape, *boxes[key], real) for key, tape in tapes.items()}
