@@ -122,12 +122,8 @@ def robot_model(
         return _mjcf(source, asked, nominal, leave_out, show)
     if form == "actuators":
         robot = robot_to_write(source)
-        return RobotModel(
-            json_text(actuators := actuators_of(robot)),
-            ("the drives alone",),
-            actuators,
-            f"drives of {robot.name}, by joint names",
-        )
+        drives = actuators_of(robot)
+        return RobotModel(json_text(drives), ("the drives alone",), drives, f"drives of {robot.name}, by joint names")
     if form == "urdf":
         return _urdf(source, nominal, leave_out, show)
     return _driver(source, form, nominal, checksum, show)
@@ -142,7 +138,7 @@ def calibrated(folder: Path) -> Calibration:
 def robot_to_write(
     source: Path, campaign: Path | None = None, effects: str | None = None, show: Show = silent
 ) -> Robot:
-    """The robot of a file as it is, of a problem calibrated, or of a campaign calibrated with its diagnosed causes.
+    """A file's robot, or one calibrated from a problem, or from a campaign with its diagnosed causes.
 
     Raises InputError, ConvergenceError.
     """

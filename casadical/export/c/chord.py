@@ -49,7 +49,7 @@ def _look(command: Command, q: SX, dq: SX) -> SX:
     if residual_size(command) == 3:
         return -change
     target = _flat(command.nominal, q)
-    return _residual(casadi.vertcat(SX.zeros(3), target[3:]), change)
+    return residual(casadi.vertcat(SX.zeros(3), target[3:]), change)
 
 
 def advance(command: Command) -> casadi.Function:
@@ -57,7 +57,7 @@ def advance(command: Command) -> casadi.Function:
     size, step = _pose_size(command), _step(command)
     prepared, now = SX.sym("prepared", prepared_size(command)), SX.sym("now", look_size(command))
     target, factors, _ = casadi.vertsplit(prepared, [0, size, size + step.size, size + step.size + 1])
-    moved, error = step.solved(factors, now if command.difference is not None else _residual(target, now))
+    moved, error = step.solved(factors, now if command.difference is not None else residual(target, now))
     return casadi.Function("advance", [prepared, now], [casadi.vertcat(moved, error)], ["prepared", "now"], ["moved"])
 
 
@@ -150,7 +150,7 @@ def _flat(function: casadi.Function, *arguments: SX) -> SX:
     return casadi.vertcat(*[casadi.vec(out) for out in function.call(arguments)])
 
 
-def _residual(target: SX, now: SX) -> SX:
+def residual(target: SX, now: SX) -> SX:
     """Position error [m], and for poses the rotation from now to target times `LENGTH`."""
     if target.numel() == 3:
         return target - now
@@ -160,10 +160,7 @@ def _residual(target: SX, now: SX) -> SX:
 
 
 def _jacobian(command: Command, q: SX) -> SX:
-    """The mean of the calibrated and the nominal robot's Jacobian at the commanded joints.
-
-    Nearly the trapezoidal rule along the step: it leaves about half of the calibrated Jacobian's error.
-    """
+    """The mean of both robots' Jacobians: nearly the trapezoidal rule along the step, with half of the error of one."""
     function = command.jacobian_of if command.jacobian_of is not None else command.calibrated
     at = q if command.jacobian_at is None else _flat(command.jacobian_at, q)
     return 0.5 * (_slope(command, function, at) + _slope(command, command.nominal, q))
@@ -173,7 +170,7 @@ def _slope(command: Command, function: casadi.Function, at: SX) -> SX:
     """Jacobian of minus the residual with respect to the function's joints."""
     x, fixed = SX.sym("x", len(command.lower)), SX.sym("fixed", _pose_size(command))
     now = _flat(function, x)
-    slope = casadi.jacobian(-_residual(fixed, now), x)
+    slope = casadi.jacobian(-residual(fixed, now), x)
     return casadi.Function("slope", [x, fixed], [slope])(at, _flat(function, at))
 
 

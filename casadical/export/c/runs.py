@@ -193,10 +193,7 @@ def _numbers(node: Node) -> tuple[float, ...]:
 
 
 def _runs(tape: Tape, placed: Collection[int]) -> Iterator[tuple[str, Iterator[list[int]]]]:
-    """Operations and their nodes; each time the operation that most nodes are ready for, as long as it goes on.
-
-    placed : nodes whose values are there
-    """
+    """Operations and nodes that are not `placed`; each time the operation most are ready for, as long as it goes on."""
     there = frozenset(placed)
     users: list[list[int]] = [[] for _ in tape.nodes]
     waiting = [len(set(node.args) - there) for node in tape.nodes]

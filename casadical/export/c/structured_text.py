@@ -8,6 +8,7 @@ import re
 import textwrap
 from collections.abc import Iterable
 from functools import partial
+from itertools import groupby
 
 from casadical.export.c.c_language import self_test_inputs
 from casadical.export.c.c_source import box_share, boxes, command_numbers, joint_units
@@ -111,12 +112,7 @@ def _common(program: TapeProgram, plan: Plan, label: Label) -> dict[str, str]:
 
 def _array(name: str, kind: str, entries: Iterable[str]) -> str:
     """A declaration with initial values; those that occur several times in a row are counted where that is shorter."""
-    counted: list[list[str]] = []
-    for entry in entries:
-        if counted and counted[-1][0] == entry:
-            counted[-1].append(entry)
-        else:
-            counted.append([entry])
+    counted = [list(same) for _, same in groupby(entries)]
     size = sum(map(len, counted))
     words = (min(f"{len(same)}({same[0]})", ",".join(same), key=len) for same in counted)
     return f"    {name} : ARRAY[0..{size - 1}] OF {kind} := [{','.join(words)}];\n"

@@ -130,8 +130,7 @@ def _standard_table(real: Robot, nominal: Robot, _: str) -> str:
 def _modified_table(real: Robot, _nominal: Robot, _: str) -> str:
     rows = modified_dh(real)
     texts = [["" if v is None else f"{v:.12f}" if isinstance(v, float) else str(v) for v in r.values()] for r in rows]
-    table = [list(rows[0]), *texts]
-    return csv_text(table)
+    return csv_text([list(rows[0]), *texts])
 
 
 def _xacro(real: Robot, _nominal: Robot, _: str) -> str:

@@ -16,12 +16,12 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.basics import Array, InputError
+from casadical.export.c.chord import LENGTH, residual
 from casadical.export.controller.functions import pose_of
 from casadical.export.controller.programs.target import Posture
 from casadical.robot.kinematics import link_frames
 from casadical.robot.robot import Robot
 
-LENGTH = 0.3  # m: by which an error of the orientation [rad] is weighted against one of the position
 REACHED_M, REACHED_RAD = 1e-6, 1e-6
 SINGULAR_POSE = 0.02  # m/rad: of six directions the weakest is weaker, in a pose that counts as singular
 _STEPS, _LARGEST_STEP, _DAMPING, _DONE = 60, 0.4, 0.1, 1e-13
@@ -141,15 +141,12 @@ def _residual_and_jacobian(pose: ca.Function, n: int, oriented: bool) -> ca.Func
     """newton:(q[n], target[12])->(r[6] m, J[6 x n]); the last three of r are zero where only the position counts."""
     q, target = ca.SX.sym("q", n), ca.SX.sym("target", 12)
     p, R = pose(q)
-    wanted = ca.reshape(target[3:], 3, 3)
     if oriented:
-        turn = 0.5 * LENGTH * sum((ca.cross(R[:, i], wanted[:, i]) for i in range(3)), ca.SX.zeros(3))
-        slope = [LENGTH * _turning(R, ca.jacobian(ca.vec(R), q), i) for i in range(n)]
-        lower = ca.horzcat(*slope)
+        r = residual(target, ca.vertcat(p, ca.vec(R)))
+        lower = ca.horzcat(*[LENGTH * _turning(R, ca.jacobian(ca.vec(R), q), i) for i in range(n)])
     else:
-        turn, lower = ca.SX.zeros(3), ca.SX.zeros(3, n)
-    J = ca.vertcat(ca.jacobian(p, q), lower)
-    return ca.Function("newton", [q, target], [ca.densify(ca.vertcat(target[:3] - p, turn)), ca.densify(J)])
+        r, lower = ca.vertcat(target[:3] - p, ca.SX.zeros(3)), ca.SX.zeros(3, n)
+    return ca.Function("newton", [q, target], [ca.densify(r), ca.densify(ca.vertcat(ca.jacobian(p, q), lower))])
 
 
 def _turning(R: ca.SX, slope: ca.SX, i: int) -> ca.SX:
@@ -269,9 +266,7 @@ class Postures:
         return result.q[result.reached]
 
     def nearest(self, T: Array, near: Array) -> list[Array | None]:
-        """The solutions nearest to joints (k, n) of flange poses (k, 4, 4), in their ranges, or None where there is
-        none.
-        """
+        """The solutions nearest to joints (k, n) of flange poses (k, 4, 4), in the ranges; None: there is none."""
         direct = self._newton.solved(T[:, :3, 3], T[:, :3, :3], near, self._box)
         nearest: list[Array | None] = []
         for pose, q, reached, wanted in zip(T, direct.q, direct.reached, near, strict=True):

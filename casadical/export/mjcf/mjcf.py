@@ -13,9 +13,10 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.parts import Body, Joint
-from casadical.core.transforms import frame, from_rpy
+from casadical.core.transforms import frame
 from casadical.effects.base import Counterparts, Drive, Omission
 from casadical.export.mjcf.elements import (
+    AXES,
     SLOW,
     add_body,
     add_loop,
@@ -132,7 +133,7 @@ def _bodies(world: ET.Element, robot: Robot, parts: Counterparts) -> ET.Element:
     base = add_body(world, "base", robot.base.T)
     if np.isfinite(parts.base).any():
         add_mass(base, 0.0, np.zeros(3))
-        for axis, words, k in zip("xy", ("1 0 0", "0 1 0"), parts.base, strict=True):
+        for axis, words, k in zip("xy", AXES[:2], parts.base, strict=True):
             if np.isfinite(k):
                 add_spring(base, f"base_{axis}", words, k).set("pos", numbers(0.0, 0.0, -parts.base_below))
     driven = {loop.driven: loop for loop in robot.loops}
@@ -185,7 +186,7 @@ def _drive_joints(body: ET.Element, name: str, row: Joint, drive: Drive) -> None
 def _tool(last: ET.Element, robot: Robot, payload: Body | None) -> None:
     ET.SubElement(last, "site", {"name": POINT, **place(robot.tool.T)})
     if payload is not None:
-        body = add_body(last, "payload", frame(from_rpy(np.zeros(3)), np.asarray(payload.com)))
+        body = add_body(last, "payload", frame(np.eye(3), np.asarray(payload.com)))
         add_mass(body, payload.mass, np.zeros(3))
 
 

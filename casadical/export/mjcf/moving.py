@@ -46,8 +46,7 @@ def moving_mjcf(robot: Robot) -> MjcfExport:
     (actuators,) = root.iter("actuator")
     for i in robot.numbers:
         place = next(k for k, node in enumerate(actuators) if node.get("name") == f"drive{i}")
-        actuators.remove(actuators[place])
-        actuators.insert(place, _actuator(robot, robot.drive, i))
+        actuators[place] = _actuator(robot, robot.drive, i)
     return MjcfExport(xml_text(root), still.written, still.omitted, (*still.notes, *_lost(robot)))
 
 
@@ -96,17 +95,17 @@ def _set_floor(root: ET.Element, height: float | None) -> None:
 
 def _actuator(robot: Robot, drive: Drive, i: int) -> ET.Element:
     """Force = kp (ctrl - q) less the constant torque, with ctrl held back by the delay."""
-    row, kp = robot.joints[i - 1], float(_each(drive, "kp", robot)[i - 1])
-    bias = float(_each(drive, "bias", robot)[i - 1])
+    row, names = robot.joints[i - 1], ("kp", "bias", "torque_limit", "command_filter", "delay")
+    kp, bias, limit, within, delay = (float(_each(drive, name, robot)[i - 1]) for name in names)
     servo = ET.Element("general", name=f"drive{i}", joint=f"joint{i}", biastype="affine", gainprm=numbers(kp))
     servo.set("biasprm", numbers(-bias, -kp, 0))
     servo.set("ctrlrange", numbers(row.lower, row.upper))
-    if limit := float(_each(drive, "torque_limit", robot)[i - 1]):
+    if limit:
         servo.set("forcerange", numbers(-limit, limit))
-    if within := float(_each(drive, "command_filter", robot)[i - 1]):
+    if within:
         servo.set("dyntype", "filterexact")
         servo.set("dynprm", numbers(within))
-    if (delay := float(_each(drive, "delay", robot)[i - 1])) > STEP / 2:
+    if delay > STEP / 2:
         servo.set("delay", numbers(delay))
         servo.set("nsample", str(int(np.ceil(delay / STEP)) + 2))
         servo.set("interp", "linear")

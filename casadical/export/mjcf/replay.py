@@ -112,17 +112,13 @@ def replay(robot: Robot, m: Measurements, name: str = "model") -> ReplayedModel:
         raise InputError(f"{m.source}: of kind {m.kind}; positions are needed to replay")
     m, _ = derive(m, [*robot.conditions, *(f"approach{i}" for i in range(1, robot.n + 1))], robot.loads)
     export = mjcf(robot)
-    there = positions(export.text, m, counterparts(robot).payload_factor) + _of_the_measurement(robot, m)
-    apart = np.linalg.norm(there - predicted(robot, m)[0], axis=1)
+    without = robot.with_only(e for e in robot.effects if not e.of_measurement)
+    own, of_robot = (predicted(r, m)[0] for r in (robot, without))
+    there = positions(export.text, m, counterparts(robot).payload_factor) + (own - of_robot)
+    apart = np.linalg.norm(there - own, axis=1)
     out = {omission.label for omission in export.omitted}
     lacking = tuple(e.label for e in robot.effects if e.label in out and not e.of_measurement)
     return ReplayedModel(name, export, np.linalg.norm(there - m.position, axis=1), apart, lacking)
-
-
-def _of_the_measurement(robot: Robot, m: Measurements) -> Array:
-    """What effects of the measurement add to each point, shape (n, 3) [m]."""
-    without = robot.with_only(e for e in robot.effects if not e.of_measurement)
-    return np.asarray(predicted(robot, m)[0] - predicted(without, m)[0])
 
 
 def replay_campaign(
@@ -183,10 +179,7 @@ def _stages(
     with_causes: Callable[[], Robot],
     show: Show = silent,
 ) -> tuple[ReplayedModel, ...]:
-    """Nominal robot, calibrated one, and that with the causes: identified from some poses, replayed at others.
-
-    with_causes : gives the robot with its causes, identified from `fitted`
-    """
+    """Nominal robot, calibrated one, and that `with_causes`: all identified from `fitted`, replayed at `held_out`."""
     show("calibrating")
     rigid = robot.with_values(dict.fromkeys(robot.parameters.select(["compliance"]), 0.0))
     placed = calibrated(prepare(rigid, fitted), ["placement"], loss="huber", screen=False)
@@ -264,10 +257,6 @@ def replay_figure(replayed: Replay, floor: float) -> Figure:
     )  # fmt: skip
 
 
-def _micrometres(metres: float) -> str:
-    return f"{1e6 * metres:.0f}" if metres > 1e-5 else f"{1e6 * metres:.2g}"
-
-
 def stage_names(replayed: Replay) -> list[str]:
     stages = _shown(replayed)[2:]
     without = (f", without {' and '.join(s.lacking)}" if s.lacking else "" for s in stages)
@@ -275,11 +264,11 @@ def stage_names(replayed: Replay) -> list[str]:
 
 
 def _table(replayed: Replay) -> Table:
-    rows = [
-        (name, str(s.accuracy.n), *(mm(v) for v in (s.accuracy.mean, s.accuracy.max, s.accuracy.rms, s.accuracy.p95)),
-         _micrometres(float(s.apart.max())))
-        for name, s in zip(stage_names(replayed), _shown(replayed), strict=True)
-    ]  # fmt: skip
+    rows = []
+    for name, s in zip(stage_names(replayed), _shown(replayed), strict=True):
+        lengths = (s.accuracy.mean, s.accuracy.max, s.accuracy.rms, s.accuracy.p95)
+        apart_um = 1e6 * float(s.apart.max())
+        rows.append((name, str(s.accuracy.n), *map(mm, lengths), f"{apart_um:{'.0f' if apart_um > 10 else '.2g'}}"))
     columns = ("model in MuJoCo", "n", "mean", "max", "rms", "95 %", "apart um")
     title = "Errors in mm; apart: largest distance between the engine's point and casadical's own"
     return Table(title, columns, rows, frozenset(range(1, 7)), frozenset({len(rows) - 1}))

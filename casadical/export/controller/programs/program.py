@@ -275,8 +275,8 @@ def correct_file(
         asked.steps,
         oriented,
         asked.limit_mm,
-        root=_frame(spoken, "--root", language.root),
-        flange=_frame(spoken, "--flange", language.flange),
+        root=np.eye(4) if language.root is None else spoken.transform("--root", language.root),
+        flange=np.eye(4) if language.flange is None else spoken.transform("--flange", language.flange),
         nearest=language.nearest,
         external_still=language.external_still,
         leave_unreached=language.leave_unreached,
@@ -307,10 +307,6 @@ def _transforms(language: ProgramLanguage, option: str, entries: Sequence[str] |
     if twice := next((text for name, (_, text) in zip(names, pairs, strict=True) if names.count(name) > 1), ""):
         raise InputError(f"{option} {twice}: one of this name is given twice; keep one")
     return {name: language.transform(option, numbers) for name, (_, numbers) in zip(names, pairs, strict=True)}
-
-
-def _frame(language: ProgramLanguage, option: str, text: str | None) -> Array:
-    return np.eye(4) if text is None else language.transform(option, text)
 
 
 def _stated(folder: Path) -> str:
