@@ -112,15 +112,11 @@ def unseen_errors(secret: Secret, answer: Answer, outliers_named: bool) -> tuple
     """
     measured, true = np.array(secret.measured_mm), np.array(secret.true_mm)
     base, better = np.array(answer.unseen.base_mm), np.array(answer.unseen.with_causes_mm)
-    used = ~outlying(measured - true) if outliers_named else np.ones(len(measured), dtype=bool)
-    after = np.linalg.norm(measured - better, axis=1)[used]
-    return 1e-3 * float(np.linalg.norm(measured - base, axis=1).mean()), 1e-3 * float(after.mean())
-
-
-def outlying(noise: Array) -> Array:
-    """Mask, shape (n,), of the poses whose noise, shape (n, 3), is far beyond its robust standard deviation."""
-    spread = 1.4826 * float(np.median(np.abs(noise)))
-    return np.asarray(np.abs(noise).max(axis=1) > FAR * spread)
+    before, after = np.linalg.norm(measured - base, axis=1), np.linalg.norm(measured - better, axis=1)
+    if outliers_named:
+        noise = np.abs(measured - true)
+        after = after[noise.max(axis=1) <= FAR * 1.4826 * float(np.median(noise))]
+    return 1e-3 * float(before.mean()), 1e-3 * float(after.mean())
 
 
 _Z = NormalDist().inv_cdf(0.975)
@@ -129,10 +125,7 @@ DRAWS = 2000
 
 @dataclass(frozen=True)
 class Estimate:
-    """An estimate and its interval; None where there is no data.
-
-    n : campaigns (or claims) that it rests on; hits : of a share
-    """
+    """An estimate and its interval, None where there is no data; n : campaigns (or claims); hits : of a share."""
 
     value: float | None
     low: float | None
@@ -279,11 +272,12 @@ def shrink_errors(outcomes: Sequence[Outcome]) -> list[float]:
 
 def breakdown(outcomes: Sequence[Outcome]) -> dict[str, dict[str, list[Outcome]]]:
     """Outcomes in parts: by poses, signal, column that was not logged, robot, and effect."""
-    edges = [(0.0, FAINT), (FAINT, DETECTABLE), (DETECTABLE, STRONG), (STRONG, 1.0), (1.0, float("inf"))]
+    bands = [(0.0, FAINT), (FAINT, DETECTABLE), (DETECTABLE, STRONG), (STRONG, 1.0), (1.0, float("inf"))]
+    words = [*(f"{low:g} .. {high:g}" for low, high in bands[:-1]), ">= 1"]
     hidden = [t for t in outcomes if t.kind != "none"]
     return {
         "poses": _parts(outcomes, lambda t: f"{t.poses:>3}"),
-        "signal": {_band(a, b): [t for t in hidden if a <= t.signal < b] for a, b in edges},
+        "signal": {w: [t for t in hidden if a <= t.signal < b] for w, (a, b) in zip(words, bands, strict=True)},
         "not logged": _parts(outcomes, lambda t: t.missing or "all logged"),
         "robot": _parts(outcomes, lambda t: t.robot),
         "effect (one hidden)": _parts(of_kind(outcomes, "one"), lambda t: t.effects[0]),
@@ -293,10 +287,6 @@ def breakdown(outcomes: Sequence[Outcome]) -> dict[str, dict[str, list[Outcome]]
 
 def _parts(outcomes: Sequence[Outcome], word: Callable[[Outcome], str]) -> dict[str, list[Outcome]]:
     return {w: [t for t in outcomes if word(t) == w] for w in sorted({word(t) for t in outcomes})}
-
-
-def _band(low: float, high: float) -> str:
-    return f">= {low:g}" if high == float("inf") else f"{low:g} .. {high:g}"
 
 
 def part_metrics(part: Sequence[Outcome]) -> dict[str, Estimate]:

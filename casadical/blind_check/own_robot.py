@@ -48,9 +48,9 @@ MASS_SPREAD = 0.3  # of the logarithm of masses that are estimated
 
 
 def subject_of(robot: Robot, poses: Measurements | None = None) -> tuple[Subject, tuple[str, ...]]:
-    """A robot as the check uses it, and what had to be assumed. Raises InputError: what cannot be simulated.
+    """A robot as the check uses it, and what had to be assumed; poses : to measure, as they were logged, None: drawn.
 
-    poses : to measure, with what was logged of them; None: drawn
+    Raises InputError: what cannot be simulated.
     """
     _refuse(robot)
     assumed = []
@@ -75,12 +75,9 @@ def subject_of(robot: Robot, poses: Measurements | None = None) -> tuple[Subject
     if weighed.masses == "estimated":
         building = replace(building, mass_spread=MASS_SPREAD)
         assumed.append(f"masses of the links are estimates from the reach, each off by some {MASS_SPREAD:.0%}")
-    if "payload" in taken:
-        pass
-    elif robot.payload is None:
-        assumed.append("no payload, for the file has none")
-    else:
-        assumed.append(f"no payload and {robot.payload.mass:g} kg in turns, or the latter alone where it is not logged")
+    if "payload" not in taken:
+        both = "no payload and {:g} kg in turns, or the latter alone where it is not logged"
+        assumed.append(both.format(robot.payload.mass) if robot.payload else "no payload, for the file has none")
     nominal = _drawing(weighed)
     stiffness, words = _stiffness(weighed, nominal)
     nominal = replace(nominal, stiffness=stiffness)

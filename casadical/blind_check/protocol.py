@@ -58,10 +58,7 @@ class Manifest(_Strict):
 
 
 class HiddenEffect(_Strict):
-    """One effect that was switched on.
-
-    visible : rms of a coordinate [m] that it alone adds and the base model cannot absorb
-    """
+    """One effect that was switched on; visible : rms [m] of a coordinate that the base model cannot absorb of it."""
 
     effect: str
     joint: int | None

@@ -18,10 +18,7 @@ from casadical.core.basics import InputError
 
 
 def campaign(plant: Plant, hidden: Sequence[Hidden], n: int, seed: int, **options: Unpack[Options]) -> pd.DataFrame:
-    """Measure ``n`` poses of the robot as built ``plant``; the same seed gives the same table.
-
-    Raises InputError for an argument that is not usable, and without MuJoCo.
-    """
+    """As `simulate` of the robot as built ``plant``. Raises InputError for unusable arguments, and without MuJoCo."""
     machine = Machine(plant, partial(positions, plant, hidden), causes(hidden, plant.n))
     return simulate(machine, n, seed, **options)
 

@@ -14,7 +14,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics.mechanism import Body, Joint, Mechanism, Shaft
+from casadical.blind_check.mujoco_physics.mechanism import Body, Joint, Mechanism
 from casadical.blind_check.mujoco_physics.plant import Array
 from casadical.core.basics import ConvergenceError, optional
 
@@ -110,19 +110,13 @@ def _tendons(parent: ET.Element, mechanism: Mechanism) -> None:
         for mark in (cord.first, cord.second):
             ET.SubElement(node, "site", site=mark)
     for shaft in mechanism.shafts:
-        node = ET.SubElement(parent, "fixed", {"name": shaft.name, **_shaft(shaft, mechanism)})
+        node = ET.SubElement(parent, "fixed", name=shaft.name, stiffness=numbers(shaft.stiffness))
+        rest = sum(share * mechanism.joint(j).ref for j, share in shaft.joints.items())
+        node.set("springlength", numbers(rest - shaft.slack, rest + shaft.slack))
+        node.set("frictionloss", numbers(shaft.friction))
+        node.set("damping", numbers(shaft.damping))
         for joint, share in shaft.joints.items():
             ET.SubElement(node, "joint", joint=joint, coef=numbers(share))
-
-
-def _shaft(shaft: Shaft, mechanism: Mechanism) -> dict[str, str]:
-    rest = sum(share * mechanism.joint(j).ref for j, share in shaft.joints.items())
-    return {
-        "stiffness": numbers(shaft.stiffness),
-        "springlength": numbers(rest - shaft.slack, rest + shaft.slack),
-        "frictionloss": numbers(shaft.friction),
-        "damping": numbers(shaft.damping),
-    }
 
 
 STILL = 2e-9  # rad/s or m/s; the way left to go is a tenth of it in rad or m
@@ -185,10 +179,7 @@ class Engine:
         self._built = {name: getattr(m, name).copy() for name in names}
 
     def rest(self, stop: Stop) -> Array:
-        """The reflector as the tracker sees it when all has come to rest.
-
-        Raises ConvergenceError where it does not come to rest within some thousand steps.
-        """
+        """The reflector as the tracker sees it at rest. Raises ConvergenceError: no rest within some thousand steps."""
         self._arrange(stop)
         if self.mechanism.travels:
             self._travel(stop)

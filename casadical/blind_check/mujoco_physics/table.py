@@ -31,11 +31,6 @@ def _per_joint(plant: Plant, turns: Array, slides: Array) -> Array:
     return np.where([j in plant.slides for j in range(1, plant.n + 1)], slides, turns)
 
 
-def in_columns(plant: Plant, q: Array) -> Array:
-    """Readings (n, joints) [rad or m] as the columns have them [deg or mm]."""
-    return _per_joint(plant, np.rad2deg(q), 1e3 * q)
-
-
 def in_si(plant: Plant, shown: Array) -> Array:
     """Readings (n, joints) [deg or mm] of the columns [rad or m]."""
     return _per_joint(plant, np.deg2rad(shown), 1e-3 * shown)
@@ -112,7 +107,8 @@ def simulate(machine: Machine, n: int, seed: int, **options: Unpack[Options]) ->
     if q_deg is None:
         ranges = plant.ranges if ranges_deg is None else in_si(plant, np.asarray(ranges_deg, float).T).T
         limits = options.get("crank_distance_m") or unfolded(plant)
-        q_deg = in_columns(plant, draw_poses(plant, n, poses, ranges, limits))
+        q = draw_poses(plant, n, poses, ranges, limits)
+        q_deg = _per_joint(plant, np.rad2deg(q), 1e3 * q)
     if np.shape(q_deg) != (n, plant.n):
         raise InputError(f"q_deg has shape {np.shape(q_deg)}; for n = {n} it must be ({n}, {plant.n})")
     q_deg = np.round(q_deg, 6)
