@@ -1,8 +1,7 @@
 """The compensator of the error left after calibration (paper, section 4); it is kept only if it helps.
 
 Sign: the residual is measured minus computed position (paper, eq. 9), and the correction is added to the computed one.
-
-Run trainings to their end, with progress, checkpoints and resume.
+Trainings are run to their end, with progress and checkpoints from which they resume.
 """
 
 import hashlib

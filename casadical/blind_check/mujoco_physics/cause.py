@@ -1,6 +1,4 @@
-"""Hidden causes: where in the engine one acts.
-
-Weights of a robot: where its bodies are, their torques on the joints, and the rest that follows without effects.
+"""Hidden causes: where in the engine one acts, and how large the loads are by which they are sized.
 
 The engine finds every measured equilibrium. These sums say beforehand how large a load is: the rated torque of a joint,
 by which hidden effects are sized, and the loads that a rubber coupling remembers. The bodies are followed as motions

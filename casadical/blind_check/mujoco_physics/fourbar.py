@@ -59,10 +59,7 @@ def unfolded(plant: Plant) -> tuple[float, float] | None:
 
 
 def close_loop(plant: Plant, crank: Array) -> ClosedLoop:
-    """Close the loop, not crossed, at the crank angles (n,) [rad] of `crank_angle`.
-
-    Raises InputError at the first pose where the bars do not reach each other.
-    """
+    """Close the loop, not crossed, at crank angles (n,) [rad]. Raises InputError at the first pose where it is open."""
     bar, P, C = _bar(plant), pivot(plant), crank_end(_bar(plant), crank)
     reach = C - P
     d = np.linalg.norm(reach, axis=-1)

@@ -4,9 +4,8 @@ The nominal robot comes from plain numbers (modified DH rows, masses, stiffness,
 there are no DH parameters, only frames at zero readings and the axes about which the bodies turn or along which they
 slide.
 
-Rigid motions as homogeneous matrices, for one pose or for n at once; the simulator's only geometry.
-
-A motion moves points from where they were to where they are, both seen from one frame: ``move(G, x)``.
+Motions are homogeneous matrices, for one pose or for n at once: they move points from where they were to where they
+are, both seen from one frame, ``move(G, x)``.
 """
 
 from collections.abc import Mapping, Sequence
@@ -141,10 +140,7 @@ class Plant(Shown):
 
     @classmethod
     def from_dict(cls, robot: Mapping[str, Any]) -> Self:
-        """The nominal robot, without errors, of a mapping as the files of data/campaigns/robots.
-
-        Raises InputError where a key is missing or a table has the wrong shape.
-        """
+        """The nominal robot of a mapping as in data/campaigns/robots. Raises InputError: a key or a shape is wrong."""
         for key in _KEYS:
             if key not in robot:
                 raise InputError(f"robot: key {key!r} is missing; needed are {', '.join(_KEYS)}")

@@ -1,13 +1,9 @@
 """A network distilled from a Gaussian process, which is fitted to the measured poses and predicts many others.
 
 Fifty poses do not tell a network with one ridge for all weights which joints matter; a process with a length for each
-joint they do (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, ch. 5). Its mean at poses drawn in
-the box of the measured ones is then what Levenberg-Marquardt fits.
-
-Gaussian process of small residuals, with a length scale for each input, which adapts to the joints that matter.
-
-Squared exponential kernel, noise, zero mean; all by the largest likelihood (Rasmussen and Williams 2006, chapter 5),
-climbed by sign steps (Rprop, Riedmiller and Braun 1993).
+joint they do (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, ch. 5): squared exponential
+kernel, noise, zero mean, by the largest likelihood, climbed by sign steps (Rprop, Riedmiller and Braun 1993). Its mean
+at poses drawn in the box of the measured ones is then what Levenberg-Marquardt fits.
 """
 
 from dataclasses import dataclass, field

@@ -6,11 +6,9 @@ ridge that is too strong would end the search: it sets all weights to zero, a st
 Then the network: restarts at that ridge on all poses, of which the one with the lowest cost is taken. The cost is the
 mean square error, without the paper's maximum term.
 
-Levenberg-Marquardt for many small networks at once, with a ridge on the weights.
-
-Problem p minimises  sum_n m[p, n] |outputs - targets|^2 + ridge[p] * sum of squared weights, biases of the output layer
-left out. The sample weights m of a problem sum to one, so that a large ridge leaves the mean residual only.
-Damping after Nielsen (1999), IMM-REP-1999-05.
+Many small networks are trained at once. Problem p minimises  sum_n m[p, n] |outputs - targets|^2 + ridge[p] * sum of
+squared weights, biases of the output layer left out. The sample weights m of a problem sum to one, so that a large
+ridge leaves the mean residual only. Damping after Nielsen (1999), IMM-REP-1999-05.
 """
 
 from dataclasses import dataclass, field

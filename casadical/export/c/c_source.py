@@ -1,7 +1,6 @@
 """The text of the exported header and source: templates filled with a program's tapes, box and limits."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from textwrap import wrap
 
 import numpy as np
@@ -125,35 +124,21 @@ def common_values(program: TapeProgram, label: Label) -> dict[str, str]:
     return values | (_command_values(command, program, real) if command else {})
 
 
-@dataclass(frozen=True)
 class CommandNumbers:
-    """The command's limits as the C compares with them."""
+    """A command's limits as the C compares with them: per call, squared where squares are compared."""
 
-    delta: float
-    step: float
-    change: float
-    ramp: float
-    tolerance2: float
-    weakness: float
-    bound_mm: float
-
-
-def command_numbers(command: Command) -> CommandNumbers:
-    """Limits in the units of the C: per call, squared where squares are compared."""
-    limits = command.limits
-    return CommandNumbers(
-        delta=limits.delta_rad,
-        step=limits.step_rad,
-        change=limits.rate_rad_s * limits.cycle_s,
-        ramp=min(limits.cycle_s / limits.ramp_s, 1.0),
-        tolerance2=(1e-3 * limits.tolerance_mm) ** 2,
-        weakness=1.0 / (limits.singular_m_per_rad**2 + limits.damping**2),
-        bound_mm=np.inf if command.limit_mm is None else command.limit_mm - limits.tolerance_mm,
-    )
+    def __init__(self, command: Command) -> None:
+        limits = command.limits
+        self.delta, self.step = limits.delta_rad, limits.step_rad
+        self.change = limits.rate_rad_s * limits.cycle_s
+        self.ramp = min(limits.cycle_s / limits.ramp_s, 1.0)
+        self.tolerance2 = (1e-3 * limits.tolerance_mm) ** 2
+        self.weakness = 1.0 / (limits.singular_m_per_rad**2 + limits.damping**2)
+        self.bound_mm = np.inf if command.limit_mm is None else command.limit_mm - limits.tolerance_mm
 
 
 def _command_values(command: Command, program: TapeProgram, real: Real) -> dict[str, str]:
-    numbers, n_p, n = command_numbers(command), len(program.tapes["forward"].outputs), program.n
+    numbers, n_p, n = CommandNumbers(command), len(program.tapes["forward"].outputs), program.n
     prepared = prepared_size(command)
     pose = "position p [m]" if n_p == 3 else "position p[0..2] [m], then the columns of the rotation matrix"
     integers = {

@@ -167,8 +167,8 @@ def constants(real: Real, write: Callable[[float, Real], str] = literal) -> dict
     numbers = {"tan_pi_8": TAN_PI_8, "exp_limit": EXP_LIMIT}
     for key, (high, low) in (("half_pi", c.half_pi), ("ln2", c.ln2)):
         numbers |= {f"{key}_high": high, f"{key}_low": low}
-    numbers |= {k: getattr(c, k) for k in ("two_over_pi", "one_over_ln2", "pi", "pi_2", "pi_4")}
-    numbers |= {k: getattr(c, k) for k in ("tansig_limit", "smallest", "largest")}
+    names = ("two_over_pi", "one_over_ln2", "pi", "pi_2", "pi_4", "tansig_limit", "smallest", "largest")
+    numbers |= {name: getattr(c, name) for name in names}
     numbers |= {f"guess_{i}": g for i, g in enumerate(SQRT_GUESS)}
     numbers |= {text: float(text) for text in ("0", "1", "2", "4", "0.5", "1024", "1024.5")}
     values = {key: write(value, real) for key, value in numbers.items()}

@@ -1,11 +1,7 @@
-"""Reference results of the exported functions, computed in NumPy on many inputs at once, bit for bit.
+"""The exported C's arithmetic in NumPy, on many inputs at once: the bits that the compiled C must give.
 
-Each function follows the C template of the same name, statuses included.
-
-The exported C's arithmetic in NumPy, operation for operation: the bits that the compiled C must give.
-
-Nothing here calls NumPy's own sin, exp or sqrt; every line has its counterpart in the templates and rounds where the C
-rounds.
+Each function follows the C template of the same name, statuses included, and rounds where the C rounds; nothing here
+calls NumPy's own sin, exp or sqrt.
 """
 
 from collections.abc import Callable
@@ -17,7 +13,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.export.c import coefficients
-from casadical.export.c.c_source import box_share, boxes, command_numbers
+from casadical.export.c.c_source import CommandNumbers, box_share, boxes
 from casadical.export.c.chord import prepared_size
 from casadical.export.c.coefficients import DTYPE
 from casadical.export.c.products import Command
@@ -255,7 +251,7 @@ def correct(program: TapeProgram, q: Array) -> tuple[Array, Array]:
     dq[bad] = 0
     status = np.where(bad, status, np.maximum(status, chord_status))
     if program.command.limit_mm is not None:
-        limit = DTYPE[program.real](command_numbers(program.command).bound_mm)
+        limit = DTYPE[program.real](CommandNumbers(program.command).bound_mm)
         mm, known = run(program.tapes["bound"], x, program.real)
         status = np.where((status == Status.OK) & ~(known & (mm[:, 0] <= limit)), Status.ABOVE_LIMIT, status)
     return dq, status
@@ -273,7 +269,7 @@ def _limited(v: Array, limit: Any) -> tuple[Array, Array]:
 
 
 def _chord(program: TapeProgram, command: Command, x: Array) -> tuple[Array, Array]:
-    T, real, numbers = DTYPE[program.real], program.real, command_numbers(command)
+    T, real, numbers = DTYPE[program.real], program.real, CommandNumbers(command)
     n, end = program.n, prepared_size(command)
     work, fine = run(program.tapes["prepare"], x, real)
     dq = np.zeros_like(x)
@@ -318,7 +314,7 @@ def started(program: TapeProgram) -> StepState:
 def step(program: TapeProgram, state: StepState, q: Array, enable: bool) -> tuple[Array, Status]:
     """One cycle: the correction for joints q of shape (n,); the state is changed as the C changes it."""
     assert program.command is not None
-    T, numbers = DTYPE[program.real], command_numbers(program.command)
+    T, numbers = DTYPE[program.real], CommandNumbers(program.command)
     delta, change_limit, ramp = T(numbers.delta), T(numbers.change), T(numbers.ramp)
     want, statuses = correct(program, q[None, :])
     status = Status(int(statuses[0]))

@@ -11,7 +11,7 @@ from functools import partial
 from itertools import groupby
 
 from casadical.export.c.c_language import self_test_inputs
-from casadical.export.c.c_source import box_share, boxes, command_numbers, joint_units
+from casadical.export.c.c_source import CommandNumbers, box_share, boxes, joint_units
 from casadical.export.c.chord import look_size, prepared_size
 from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, TURNS, Real, turn_parts
 from casadical.export.c.emit import constants, filled, template
@@ -236,7 +236,7 @@ def _within(program: TapeProgram, command: Command, plan: Plan) -> dict[str, str
     if command.limit_mm is None:
         return {"within": ""}
     mine = {"bound_out": str(plan.places["bound_out"]), "bound_values": _evaluated(program, plan, "bound")}
-    mine["bound_limit"] = number(command_numbers(command).bound_mm, program.real)
+    mine["bound_limit"] = number(CommandNumbers(command).bound_mm, program.real)
     return {"within": filled(_WITHIN, mine)}
 
 
@@ -250,7 +250,7 @@ def _evaluated(program: TapeProgram, plan: Plan, key: str) -> str:
 
 
 def _command(program: TapeProgram, command: Command, plan: Plan) -> dict[str, str]:
-    numbers, look, prepared = command_numbers(command), program.look, prepared_size(command)
+    numbers, look, prepared = CommandNumbers(command), program.look, prepared_size(command)
     joint = f"v[{plan.places['joints']} + i]"
     limits = ("delta", "step", "change", "ramp", "tolerance2", "weakness")
     places = {

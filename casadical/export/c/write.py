@@ -1,6 +1,6 @@
 """Write an export: every file is made in memory, compiled and compared before it is written to the folder.
 
-The exported C compiled and compared: with the NumPy reference bit for bit, with CasADi's doubles in micrometres.
+It is compared with the NumPy reference bit for bit, and with CasADi's doubles in micrometres.
 """
 
 import hashlib

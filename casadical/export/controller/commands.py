@@ -143,10 +143,7 @@ def command_of(
 
 
 def own_robots(sources: Sources) -> tuple[Robot, Robot, Array]:
-    """The real and the nominal robot in the robot's own base frame, and the rotation into it, shape (3, 3).
-
-    Raises InputError as of `command_of`.
-    """
+    """Real and nominal robot in their own base frame, and the rotation into it, (3, 3). Raises InputError."""
     if sources.nominal is None:
         raise InputError(
             "a command needs the controller's model of the robot: give --nominal NOMINAL.toml, "

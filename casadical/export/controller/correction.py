@@ -54,10 +54,7 @@ class Corrector:
 
 
 def kernel_corrector(folder: Path, *, trust: bool = False) -> Corrector:
-    """Correction by the C in an export folder, compiled here; trust : as of `casadical.export.c.kernel.load`.
-
-    Raises InputError: no such export, or there is no compiler.
-    """
+    """By the C in an export folder, compiled here; trust : as of `load`. Raises InputError: no export, no compiler."""
     try:
         kernel = load(folder, trust=trust)
     except InputError:

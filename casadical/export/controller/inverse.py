@@ -4,7 +4,7 @@ The step is J^T (J J^T + lambda^2 I)^-1 r with lambda proportional to the error 
 and Hanafusa 1986), so that it stays finite near singular poses and is Newton's at the end. With seven joints it is the
 one of least norm: the elbow stays where it was started.
 
-The arms that reach a pose: which posture joints are in, and the joints that have a posture and turns.
+Then the arms that reach a pose: which posture joints are in, and the joints that have a posture and turns.
 """
 
 from collections.abc import Callable
@@ -222,10 +222,8 @@ class Postures:
         """One turn of each joint within its range, all of a linear joint's."""
         lower, upper = self.nominal.limits
         middle = np.clip(0.0, lower, upper)
-        return (
-            np.where(self._turns, np.maximum(lower, middle - np.pi), lower),
-            np.where(self._turns, np.minimum(upper, middle + np.pi), upper),
-        )
+        half = np.where(self._turns, np.pi, np.inf)
+        return np.maximum(lower, middle - half), np.minimum(upper, middle + half)
 
     @property
     def _turns(self) -> Array:

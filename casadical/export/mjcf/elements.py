@@ -111,11 +111,8 @@ def add_tendons(balancer: Balancer, tendons: ET.Element, actuators: ET.Element) 
     """The spring and, where there is preload, the pull: an actuator whose command does nothing."""
     name, b = f"balancer{balancer.joint}", balancer.anchor * LEVER
     stiffness = balancer.swing / (LEVER * b)
-    for suffix in ("spring", "pull"):
-        node = ET.SubElement(tendons, "spatial", name=f"{name}_{suffix}")
-        if suffix == "spring":
-            node.set("stiffness", numbers(stiffness))
-            node.set("springlength", "0 0")
+    for suffix, spring in (("spring", {"stiffness": numbers(stiffness), "springlength": "0 0"}), ("pull", {})):
+        node = ET.SubElement(tendons, "spatial", {"name": f"{name}_{suffix}", **spring})
         for end in (f"{name}_{suffix}", f"{name}_lever"):
             ET.SubElement(node, "site", site=end)
     # l is measured in anchor lengths there: T P sin t / (length / b) = F a b sin t / length.

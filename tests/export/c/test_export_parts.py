@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from casadical.export.c.c_language import C99
-from casadical.export.c.c_source import command_numbers
+from casadical.export.c.c_source import CommandNumbers
 from casadical.export.c.chord import residual_size
 from casadical.export.c.coefficients import spline_errors, spline_table
 from casadical.export.c.kernel import compilers
@@ -93,7 +93,7 @@ def test_the_error_of_a_spline_is_that_of_its_worst_place(order: int) -> None:
 def test_limits_become_numbers_of_a_cycle(command: Command) -> None:
     limits = Limits(damping=0.02, singular_m_per_rad=0.03, cycle_s=0.002, rate_rad_s=0.4, ramp_s=0.5, tolerance_mm=0.1)
     product = Command(command.nominal, command.calibrated, command.lower, command.upper, limits=limits)
-    found = command_numbers(product)
+    found = CommandNumbers(product)
     assert found.weakness == pytest.approx(1 / (0.02**2 + 0.03**2))
     assert (found.change, found.ramp, found.tolerance2) == pytest.approx((8e-4, 0.004, 1e-8))
 

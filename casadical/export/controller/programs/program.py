@@ -1,7 +1,4 @@
-"""A program file: read, corrected, and written with a report of its targets beside it.
-
-A program corrected, file for file: a CSV of joint targets or one in a controller's language.
-"""
+"""A program, a CSV of joint targets or one in a controller's language: read, corrected, written with a report."""
 
 import csv
 import io
@@ -111,10 +108,7 @@ class CorrectedProgram(Result):
 
 
 def read_target_program(path: Path, given: Given, joints: int) -> TargetProgram:
-    """A program in the language of its suffix, for a robot with some joints.
-
-    Raises InputError that names the line: a program that cannot be corrected, or one that was corrected before.
-    """
+    """A program in the language of its suffix. Raises InputError, with the line: it cannot be corrected, or was."""
     language = language_of(path)
     text = language.decoded(str(path), read_bytes(path))
     try:
