@@ -101,72 +101,52 @@ def train_all(
     """
     if every < 1:
         raise InputError(f"every must be at least 1 step; got {every}")
-    job = _Job(list(tasks), trainer, seed, checkpoint, every)
-    while job.task is not None:
-        job.step()
-        if progress is not None:
-            progress(job.progress())
-    return job.done
-
-
-class _Job:
-    """Trainings in progress: those done, and the run of the current one with its history."""
-
-    def __init__(self, tasks: list[Task], trainer: Trainer, seed: int, path: str | os.PathLike[str] | None, every: int):
-        self.tasks, self.trainer, self.seed, self.path, self.every = tasks, trainer, seed, path, every
-        self.done: list[Training] = []
-        self.run: Run | None = None
-        self.history: list[tuple[int, float]] = []
-        self.mark = _fingerprint(tasks, trainer, seed, every)
-        if path is not None and Path(path).exists():
-            self._restore(read_checksummed(path, _KIND, _VERSION))
-
-    @property
-    def task(self) -> Task | None:
-        return self.tasks[len(self.done)] if len(self.done) < len(self.tasks) else None
-
-    def step(self) -> None:
-        """Do ``every`` steps, or those left of the current training, and write the checkpoint."""
-        task = self.task
-        assert task is not None
-        if self.run is None:
-            self.run, self.history = self.trainer.begin(task, self.seed), []
-        for _ in range(self.every):
-            if self.run.reasons():
+    tasks, mark = list(tasks), _fingerprint(tasks, trainer, seed, every)
+    done: list[Training] = []
+    history: list[tuple[int, float]] = []
+    run: Run | None = None
+    if checkpoint is not None and Path(checkpoint).exists():
+        done, history, state = _restored(checkpoint, mark)
+        if state is not None and len(done) < len(tasks):
+            run = trainer.resume(tasks[len(done)], seed, state)
+    while len(done) < len(tasks):
+        number, task = len(done) + 1, tasks[len(done)]
+        if run is None:
+            run, history = trainer.begin(task, seed), []
+        for _ in range(every):
+            if run.reasons():
                 break
-            self.run.step()
-        weights = self.run.best()
-        self.history.append((self.run.steps, float(task.losses(weights[None])[0])))
-        if reasons := self.run.reasons():
-            history = tuple(self.history)
-            self.done.append(Training(weights, history[-1][1], self.run.steps, reasons, self.run.note(), history))
-            self.run = None
-        if self.path is not None:
-            write_checksummed(self.path, _KIND, _VERSION, self._state())
+            run.step()
+        weights = run.best()
+        history.append((run.steps, float(task.losses(weights[None])[0])))
+        if reasons := run.reasons():
+            done.append(Training(weights, history[-1][1], run.steps, reasons, run.note(), tuple(history)))
+            run = None
+        if checkpoint is not None:
+            packed = [asdict(training) | {"weights": pack(training.weights)} for training in done]
+            state = {"fingerprint": mark, "done": packed, "run": None if run is None else run.state()}
+            write_checksummed(checkpoint, _KIND, _VERSION, state | {"history": history})
+        if progress is not None:
+            progress(Progress(number, len(tasks), *history[-1]))
+    return done
 
-    def progress(self) -> Progress:
-        step, loss = self.history[-1]
-        at = len(self.done) - (self.run is None)
-        return Progress(at + 1, len(self.tasks), step, loss)
 
-    def _state(self) -> dict[str, Any]:
-        done = [asdict(training) | {"weights": pack(training.weights)} for training in self.done]
-        run = None if self.run is None else self.run.state()
-        return {"fingerprint": self.mark, "done": done, "run": run, "history": self.history}
-
-    def _restore(self, state: dict[str, Any]) -> None:
-        if state["fingerprint"] != self.mark:
-            raise InputError(
-                f"checkpoint {self.path} belongs to another training: data, settings or seed differ; "
-                "name another file, or delete this one to start afresh"
-            )
-        for item in state["done"]:
-            history = tuple((int(step), float(loss)) for step, loss in item["history"])
-            rest = {"reasons": tuple(item["reasons"]), "history": history, "weights": unpack(item["weights"])}
-            self.done.append(Training(**(item | rest)))
-        self.history = [(int(step), float(loss)) for step, loss in state["history"]]
-        if state["run"] is not None and self.task is not None:
-            self.run = self.trainer.resume(self.task, self.seed, state["run"])
+def _restored(
+    path: str | os.PathLike[str], mark: str
+) -> tuple[list[Training], list[tuple[int, float]], dict[str, Any] | None]:
+    """Trainings that are done, history and state of the one in progress."""
+    state = read_checksummed(path, _KIND, _VERSION)
+    if state["fingerprint"] != mark:
+        raise InputError(
+            f"checkpoint {path} belongs to another training: data, settings or seed differ; "
+            "name another file, or delete this one to start afresh"
+        )
+    done = []
+    for item in state["done"]:
+        history = tuple((int(step), float(loss)) for step, loss in item["history"])
+        rest = {"reasons": tuple(item["reasons"]), "history": history, "weights": unpack(item["weights"])}
+        done.append(Training(**(item | rest)))
+    return done, [(int(step), float(loss)) for step, loss in state["history"]], state["run"]
 
 
 def _fingerprint(tasks: list[Task], trainer: Trainer, seed: int, every: int) -> str:
