@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
 from typing import Any, TypeVar
 
 import numpy as np
@@ -101,7 +100,7 @@ def distinct(pool: Iterator[Thing], count: int) -> tuple[Thing, ...]:
     """The next things of a pool that differ from each other."""
     things: dict[Thing, None] = {}
     while len(things) < count:
-        things.update(dict.fromkeys(islice(pool, 1)))
+        things[next(pool)] = None
     return tuple(things)
 
 

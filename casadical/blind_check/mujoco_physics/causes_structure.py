@@ -16,7 +16,7 @@ from casadical.blind_check.mujoco_physics.cause import (
 )
 from casadical.blind_check.mujoco_physics.equilibrium import Setting
 from casadical.blind_check.mujoco_physics.mechanism import Body, Mechanism, X, Y
-from casadical.blind_check.mujoco_physics.plant import Array, Plant
+from casadical.blind_check.mujoco_physics.plant import Array, Plant, slide
 from casadical.blind_check.mujoco_physics.robot import SLOW, spring, springs
 from casadical.blind_check.mujoco_physics.stops import Stops
 
@@ -35,11 +35,9 @@ def link_flexure(mechanism: Mechanism, plant: Plant, *, link: int, size: float, 
     hinges = [("up", across, bend), ("side", aside, bend), ("twist", e, torsion * bend)]
     for cut, at in (("b", 0.75), ("a", 0.25)):
         joints = tuple(spring(f"{name}{cut}_{n}", k, axis=triple(axis)) for n, axis, k in hinges)
-        place = np.eye(4)
-        place[:3, 3] = at * length
-        part = Body(f"{name}{cut}", name, place, joints)
+        part = Body(f"{name}{cut}", name, slide(at * length), joints)
         if cut == "a":  # the middle piece carries the link's weight
-            part = replace(part, mass=whole.mass, com=triple(np.array(whole.com) - place[:3, 3]))
+            part = replace(part, mass=whole.mass, com=triple(np.array(whole.com) - at * length))
         mechanism = mechanism.with_body_after(name, part)
     return mechanism.with_body(replace(mechanism.body(name), mass=0.0))
 
@@ -111,10 +109,8 @@ def thermal_growth(plant: Plant, stops: Stops, *, size: float, lag_minutes: floa
 def payload_error(mechanism: Mechanism, plant: Plant, *, size: float, shift_m: Vector) -> Mechanism:
     """The payload is heavier than declared by the share ``size``, its mass centre off by ``shift_m`` on the flange."""
     body = mechanism.body("payload")
-    place = body.place.copy()
-    place[:3, 3] += shift_m
-    factor = mechanism.payload_factor * (1 + size)
-    return replace(mechanism.with_body(replace(body, place=place)), payload_factor=factor)
+    shifted = replace(body, place=slide(np.array(shift_m)) @ body.place)
+    return replace(mechanism.with_body(shifted), payload_factor=mechanism.payload_factor * (1 + size))
 
 
 @acts("settings")
@@ -148,10 +144,8 @@ def cracked_link(mechanism: Mechanism, plant: Plant, *, link: int, size: float, 
     length = length_of(plant, link)
     _, across, aside = beam_axes(length)
     axis = np.cos(towards) * across + np.sin(towards) * aside
-    place = np.eye(4)
-    place[:3, 3] = 0.3 * length
     hinge = spring("crack", stretched_moments(plant, link)[1] / size, axis=triple(axis), limits=(0.0, 20 * size))
-    return mechanism.with_body_after(f"link{link}", Body("beyond_crack", "", place, (hinge,)))
+    return mechanism.with_body_after(f"link{link}", Body("beyond_crack", "", slide(0.3 * length), (hinge,)))
 
 
 @acts("built")
@@ -193,7 +187,7 @@ def loose_cargo(mechanism: Mechanism, plant: Plant, *, size: float) -> Mechanism
     stiffness over the payload's weight. A pad holds it in the middle until a tenth of its weight pushes.
     """
     weight = plant.weight * plant.payload_kg
-    slide = size * float(plant.stiffness[min(4, plant.n - 1)]) / weight
-    pad = 0.1 * weight / slide
-    slides = springs("cargo", pad, slide, "xyz", inertia_of=3 * pad, kind="slide")
+    way = size * float(plant.stiffness[min(4, plant.n - 1)]) / weight
+    pad = 0.1 * weight / way
+    slides = springs("cargo", pad, way, "xyz", inertia_of=3 * pad, kind="slide")
     return mechanism.with_body(replace(mechanism.body("payload"), joints=slides))

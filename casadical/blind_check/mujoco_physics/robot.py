@@ -37,9 +37,7 @@ def mechanism(plant: Plant) -> Mechanism:
         )
         parent, before = f"link{i + 1}", plant.home[i]
     bodies.append(Body("tool", f"link{plant.n}", np.eye(4), marks={"reflector": plant.reflector}))
-    held = np.eye(4)
-    held[:3, 3] = plant.payload_com
-    bodies.append(Body("payload", "tool", held, mass=plant.payload_kg))
+    bodies.append(Body("payload", "tool", slide(plant.payload_com), mass=plant.payload_kg))
     plain = Mechanism(tuple(bodies))
     return plain if plant.four_bar is None else _with_four_bar(plain, plant, plant.four_bar, middle)
 
@@ -82,12 +80,10 @@ def _with_four_bar(plain: Mechanism, plant: Plant, bar: FourBar, middle: Array) 
     crank = spring(f"joint{d}", k, motor=d, ref=float(middle[d - 1]))
     end = bar.crank_m * np.array([np.cos(bar.crank_zero_rad), np.sin(bar.crank_zero_rad), 0.0])
     hinge, tilt = free("coupler_turn", k, ref=_coupler(plant, middle)), free("coupler_tilt", k, axis=(0.0, 1.0, 0.0))
-    coupler = np.eye(4)
-    coupler[:3, 3] = end
     ends = {"coupler_end": np.array([bar.coupler_m, 0.0, 0.0])}
     bodies = (
         Body("crank", "pedestal" if d == 2 else f"link{d - 2}", _moved(axis, crank), (crank,), mass=1e-3),
-        Body("coupler", "crank", _moved(coupler, hinge), (hinge, tilt), mass=1e-3, marks=ends),
+        Body("coupler", "crank", _moved(slide(end), hinge), (hinge, tilt), mass=1e-3, marks=ends),
     )
     link = plain.body(f"link{d}")
     direction = np.array([np.cos(bar.passive_offset_rad), -np.sin(bar.passive_offset_rad)])

@@ -54,8 +54,8 @@ def fmu(program: TapeProgram, label: Label) -> bytes:
         f"sources/{name}.h": header(program, label),
         f"sources/{name}.c": source(program, label),
         f"sources/{name}_self_test.c": self_test_source(program, label),
+        f"sources/{name}_fmu.c": _source(program, label),
     }
-    files[f"sources/{name}_fmu.c"] = _source(program, label)
     digest = hashlib.sha256("".join(files[key] for key in sorted(files)).encode()).hexdigest()
     files["modelDescription.xml"] = _description(program, label, digest)
     buffer = io.BytesIO()
@@ -101,8 +101,6 @@ def _description(program: TapeProgram, label: Label, digest: str) -> str:
         f'variability="continuous" initial="calculated" description="{what}"><Real unit="{unit}"/></ScalarVariable>'
         for i, unit in enumerate(units)
     ]
-    first = program.n + 1
-    outputs = list(range(first, first + _output_count(program) + 1))
     variables.append(
         '    <ScalarVariable name="status" valueReference="0" causality="output" variability="discrete" '
         'initial="calculated" description="0 is OK, see the C header"><Integer/></ScalarVariable>'
@@ -112,6 +110,7 @@ def _description(program: TapeProgram, label: Label, digest: str) -> str:
             '    <ScalarVariable name="enable" valueReference="0" causality="input" variability="discrete" '
             'description="ramps the correction in and out"><Boolean start="true"/></ScalarVariable>'
         )
+    outputs = range(program.n + 1, program.n + _output_count(program) + 2)
     unknowns = "\n".join(f'      <Unknown index="{k}"/>' for k in outputs)
     sources = "\n".join(f'      <File name="{name}{end}.c"/>' for end in ("_fmu", "", "_self_test"))
     return filled(

@@ -174,21 +174,18 @@ class Export(Result):
 
     def blocks(self) -> list[Words]:
         """Whether it is verified, every comparison, the figures of this model, and the operations of a call."""
-        head = Words("verified: compiled, and the same bits as the reference", "verdict")
+        head = "verified: compiled, and the same bits as the reference"
         if not self.converges:
-            share = 100 * self.figures["share_converged"]
-            head = Words(
-                f"UNVERIFIED: the correction converges at {share:.3g} % of the poses in its box, "
-                f"{100 * LEAST_CONVERGED:g} % are needed; other poses are refused, with their status",
-                "verdict",
+            head = (
+                f"UNVERIFIED: the correction converges at {100 * self.figures['share_converged']:.3g} % of the poses "
+                f"in its box, {100 * LEAST_CONVERGED:g} % are needed; other poses are refused, with their status"
             )
         elif not self.comparisons:
-            wrong = "UNVERIFIED: no C compiler found (gcc, clang, cc); install one and export again"
-            head = Words(wrong, "verdict")
+            head = "UNVERIFIED: no C compiler found (gcc, clang, cc); install one and export again"
         lines = [*map(str, self.comparisons), *(f"{key}: {value:g}" for key, value in self.figures.items())]
         lines += [self.operations.text(), f"{len(self.written)} files in {self.folder}"]
         lines += ["precondition: the controller's own absolute-accuracy option is off"]
-        return [*map(Words, self.about), head, *map(Words, lines)]
+        return [*map(Words, self.about), Words(head, "verdict"), *map(Words, lines)]
 
     def to_json(self) -> dict[str, Any]:
         return {
