@@ -12,18 +12,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from casadical.blind_check import metrics
 from casadical.blind_check.generation import LEAST_POSES, campaign_of, engine_versions
-from casadical.blind_check.metrics import (
-    Estimate,
-    Outcome,
-    claims_made,
-    detectable,
-    detection,
-    false_alarms,
-    of_kind,
-    outcome,
-    share,
-)
+from casadical.blind_check.metrics import Estimate, Outcome, detectable, detection, of_kind, outcome, share
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, FourBar, Plant
 from casadical.blind_check.mujoco_physics.cause import rated_torque
 from casadical.blind_check.mujoco_physics.draw import SECONDS_A_POSE, impossible
@@ -150,22 +141,17 @@ def _drawing(robot: Robot) -> Plant:
 
 def _stiffness(robot: Robot, nominal: Plant) -> tuple[Array, list[str]]:
     """Of every joint [N m/rad or N/m], and what was assumed of it."""
-    rated = rated_torque(nominal)
-    values, soft, rigid = rated / SOFT, [], []
-    for i, joint in enumerate(robot.joints):
-        if joint.compliance:
-            values[i] = 1 / joint.compliance
-        elif joint.compliance is None:
-            values[i] = rated[i] / RIGID
-            rigid.append(str(i + 1))
-        else:
-            soft.append(str(i + 1))
-    groups = ((soft, "no stiffness", SOFT), (rigid, "rigid", RIGID))
-    return values, [
-        f"joint {', '.join(numbers)}: {word} in the file: {1e6 * size:.0f} urad (um) at the rated torque"
-        for numbers, word, size in groups
-        if numbers
+    given = [joint.compliance for joint in robot.joints]
+    values = [
+        1 / c if c else torque / (RIGID if c is None else SOFT)
+        for c, torque in zip(given, rated_torque(nominal), strict=True)
     ]
+    assumed = []
+    for compliance, word, size in ((0.0, "no stiffness", SOFT), (None, "rigid", RIGID)):
+        if numbers := [str(i) for i, c in enumerate(given, 1) if c == compliance]:
+            told = f"{word} in the file: {1e6 * size:.0f} urad (um) at the rated torque"
+            assumed.append(f"joint {', '.join(numbers)}: {told}")
+    return np.array(values), assumed
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,12 +181,12 @@ class RobotCheck(Result):
         claims = [t for t in self.outcomes if t.claimed]
         return {
             "claims that are right": share([not t.wrong_claims for t in claims]),
-            "false alarms where nothing is hidden": false_alarms(none),
+            "false alarms where nothing is hidden": metrics.false_alarms(none),
             "hidden effects noticed": detection(hidden, 0.0),
             "of those that stand out of the noise": detection(detectable(hidden), 0.0),
             "one effect: named first": share([t.first_right for t in one]),
             "one effect: claimed, and right": share([t.claimed and t.first_right for t in one]),
-            "effect on no list: claimed as a listed one": claims_made(off),
+            "effect on no list: claimed as a listed one": metrics.claims_made(off),
         }
 
     @property
@@ -341,9 +327,7 @@ def check_robot(
     not_drawn = impossible(subject.nominal)
     words = ([e for e in LISTED if e not in not_drawn], [e for e in UNLISTED if e not in not_drawn])
     plans = draw_plans(n, seed, words, (count,), robots=("campaign",), noises=(1e-6 * noise_um,), struck=0.0)
-    if not_logged:
-        plans = [replace(p, missing=",".join(not_logged)) for p in plans]
-    plans = [replace(p, repeatability=REPEATABILITY) for p in plans]
+    plans = [replace(p, missing=",".join(not_logged) or None, repeatability=REPEATABILITY) for p in plans]
     results: dict[str, Outcome | str] = {}
     with workers(executor) as pool:
         for done, (name, result) in enumerate(completed(pool, _checked, [(subject, p) for p in plans]), 1):

@@ -6,17 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from casadical.blind_check.metrics import (
-    Estimate,
-    Metric,
-    Outcome,
-    breakdown,
-    confusion,
-    metrics,
-    outcome,
-    part_metrics,
-    sign_tests,
-)
+from casadical.blind_check import metrics as counted
+from casadical.blind_check.metrics import Estimate, Metric, Outcome, outcome, part_metrics, sign_tests
 from casadical.blind_check.protocol import Header, Key, read_answers, read_key, read_manifest
 from casadical.core.basics import InputError, optional
 from casadical.core.files import write_together
@@ -44,16 +35,16 @@ class Score(Result):
 
     @property
     def metrics(self) -> list[Metric]:
-        return metrics(self.outcomes)
+        return counted.metrics(self.outcomes)
 
     @property
     def parts(self) -> dict[str, dict[str, list[Outcome]]]:
         """Outcomes by poses, signal, column that was not logged, robot, and effect."""
-        return breakdown(self.outcomes)
+        return counted.breakdown(self.outcomes)
 
     @property
     def confusion(self) -> dict[str, dict[str, int]]:
-        return confusion(self.outcomes)
+        return counted.confusion(self.outcomes)
 
     def blocks(self) -> list[Block]:
         """Metrics beside their targets, the same by parts, the confusion matrix, and every wrong claim."""

@@ -11,16 +11,8 @@ from collections.abc import Callable
 from functools import cache
 from importlib.resources import files
 
-from casadical.export.c.coefficients import (
-    COEFFICIENTS,
-    EXP_LIMIT,
-    SQRT_GUESS,
-    TAN_PI_8,
-    TURNS,
-    Real,
-    literal,
-    turn_parts,
-)
+from casadical.export.c import coefficients
+from casadical.export.c.coefficients import COEFFICIENTS, Real, literal, turn_parts
 from casadical.export.c.tape import Node, Tape
 
 _CALLS = ("sincos", "tansig", "exp", "sqrt", "atan2", "weighted_sum")
@@ -63,7 +55,7 @@ def table_name(table: tuple[float, ...]) -> str:
 def _periodic(table: tuple[float, ...], values: dict[str, str], real: Real) -> str:
     points = len(table) - 3
     numbers = dict(zip(("per_radian", "step_high", "step_low"), turn_parts(COEFFICIENTS[real], points), strict=True))
-    numbers |= {"offset": float(TURNS * points), "3": 3.0}
+    numbers |= {"offset": float(coefficients.TURNS * points), "3": 3.0}
     mine = {"table": table_name(table), "points": str(points), "size": str(len(table)), "mask": str(points - 1)}
     mine["numbers"] = _in_rows([literal(v, real) for v in table])
     return filled(template("periodic.c"), values | mine | {key: literal(v, real) for key, v in numbers.items()})
@@ -164,12 +156,12 @@ def _polynomial(terms: tuple[float, ...], real: Real, write: Callable[[float, Re
 def constants(real: Real, write: Callable[[float, Real], str] = literal) -> dict[str, str]:
     """Every number that the templates of elementary functions name, as a language writes it."""
     c = COEFFICIENTS[real]
-    numbers = {"tan_pi_8": TAN_PI_8, "exp_limit": EXP_LIMIT}
+    numbers = {"tan_pi_8": coefficients.TAN_PI_8, "exp_limit": coefficients.EXP_LIMIT}
     for key, (high, low) in (("half_pi", c.half_pi), ("ln2", c.ln2)):
         numbers |= {f"{key}_high": high, f"{key}_low": low}
     names = ("two_over_pi", "one_over_ln2", "pi", "pi_2", "pi_4", "tansig_limit", "smallest", "largest")
     numbers |= {name: getattr(c, name) for name in names}
-    numbers |= {f"guess_{i}": g for i, g in enumerate(SQRT_GUESS)}
+    numbers |= {f"guess_{i}": g for i, g in enumerate(coefficients.SQRT_GUESS)}
     numbers |= {text: float(text) for text in ("0", "1", "2", "4", "0.5", "1024", "1024.5")}
     values = {key: write(value, real) for key, value in numbers.items()}
     values |= {f"poly:{key}": _polynomial(getattr(c, key), real, write) for key in ("sin", "cos", "coth", "atan")}

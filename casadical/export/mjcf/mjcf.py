@@ -15,21 +15,8 @@ from casadical.core.basics import Array
 from casadical.core.parts import Body, Joint
 from casadical.core.transforms import frame
 from casadical.effects.base import Counterparts, Drive, Omission
-from casadical.export.mjcf.elements import (
-    AXES,
-    SLOW,
-    add_body,
-    add_loop,
-    add_mass,
-    add_pieces,
-    add_sites,
-    add_spring,
-    add_tendons,
-    closed,
-    inert,
-    numbers,
-    place,
-)
+from casadical.export.mjcf import elements
+from casadical.export.mjcf.elements import AXES, SLOW, add_body, add_mass, add_spring, inert, numbers, place
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Robot
 
@@ -83,14 +70,14 @@ def mjcf(robot: Robot) -> MjcfExport:
     if robot.loops:
         equality = ET.SubElement(root, "equality")
         for loop in robot.loops:
-            closed(equality, loop)
+            elements.closed(equality, loop)
     actuators = ET.SubElement(root, "actuator")
     for i, (joint, drive) in enumerate(zip(robot.joints, parts.drives, strict=True), 1):
         _actuator(actuators, i, joint, drive)
     if parts.balancers:
         tendons = ET.SubElement(root, "tendon")
         for balancer in parts.balancers:
-            add_tendons(balancer, tendons, actuators)
+            elements.add_tendons(balancer, tendons, actuators)
     sensor = ET.SubElement(root, "sensor")
     ET.SubElement(sensor, "framepos", name=POINT, objtype="site", objname=POINT)
     return MjcfExport(xml_text(root), parts.written, parts.left_out)
@@ -146,17 +133,17 @@ def _bodies(world: ET.Element, robot: Robot, parts: Counterparts) -> ET.Element:
         body = add_body(parent, f"link{i}", behind @ place)
         if loop is not None:
             links = {str(node.get("name")): node for node in world.iter("body")}
-            add_loop(robot, loop, ends, links, drive, _drive_joints)
+            elements.add_loop(robot, loop, ends, links, drive, _drive_joints)
         else:
             _drive_joints(body, f"joint{i}", row, drive)
         for balancer in parts.balancers:
             if balancer.joint == i:
-                add_sites(balancer, *ends[-1], body, row)
+                elements.add_sites(balancer, *ends[-1], body, row)
         mass = parts.bodies[i - 1] or Body(0.0, np.zeros(3))
         parent, behind = body, np.eye(4)
         if i in parts.flexures and i < robot.n:
             end = row_matrix(robot.joints[i])[:3, 3]
-            parent, behind = add_pieces(body, f"link{i}", mass, end, *parts.flexures[i])
+            parent, behind = elements.add_pieces(body, f"link{i}", mass, end, *parts.flexures[i])
         else:
             add_mass(body, mass.mass, mass.com)
         ends.append((parent, behind))
