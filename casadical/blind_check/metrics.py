@@ -360,9 +360,6 @@ def sign_tests(first: Sequence[Outcome], other: Sequence[Outcome]) -> list[SignT
         splits = ((True, False), (False, True), (True, True), (False, False))
         return SignTest(name, *(both.count(split) for split in splits))
 
-    def smaller(t: Outcome, o: Outcome) -> bool:
-        return t.share_left < o.share_left
-
     none, one, unlisted = (of_kind(first, kind) for kind in ("none", "one", "unlisted"))
     large = [t for t in detectable(first) if t.kind != "none"]
     listed = [t for t in large if t.kind != "unlisted"]
@@ -373,5 +370,7 @@ def sign_tests(first: Sequence[Outcome], other: Sequence[Outcome]) -> list[SignT
         test("one effect: claimed and right", one, lambda t, _: t.claimed and t.first_right),
         test("on no list, and not claimed", unlisted, lambda t, _: not t.claimed),
         test("all campaigns: no wrong claim", first, lambda t, _: not t.wrong_claims),
-        test("listed effects, signal >= .35: less of the gap is left", listed, smaller),
+        test(
+            "listed effects, signal >= .35: less of the gap is left", listed, lambda t, o: t.share_left < o.share_left
+        ),
     ]

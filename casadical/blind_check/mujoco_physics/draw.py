@@ -80,13 +80,10 @@ def _size(
     """Everything but the joint, ``usual`` times as large as it is on most robots."""
     sign, angle = float(rng.choice([-1.0, 1.0])), _between(rng, 0, 2 * np.pi)
     middle = float(np.round(rng.uniform(0.3, 0.7) * lasts_s))
-    inside, links = _between(rng, *plant.ranges[(joint or 1) - 1]), _links(plant) or [2]
+    own, links = (joint or 1) - 1, _links(plant) or [2]
+    inside = _between(rng, *plant.ranges[own])
     # A joint as good as rigid would hold its load by a small share of what winds it by the play.
-    given = (
-        float(rated_torque(plant)[(joint or 1) - 1] / plant.stiffness[(joint or 1) - 1])
-        if effect == "backlash"
-        else 1.0
-    )
+    given = float(rated_torque(plant)[own] / plant.stiffness[own]) if effect == "backlash" else 1.0
     rub = given / (60e-6 * usual) if given < NEARLY_RIGID else 1.0
     sizes: dict[str, dict[str, Any]] = {
         "gear_eccentricity": {

@@ -35,10 +35,9 @@ class Backprop(Trainer):
         return BackpropRun(self, task, weights, np.zeros_like(weights), self.rate, 0)
 
     def resume(self, task: Task, seed: int, state: dict[str, Any]) -> "BackpropRun":  # noqa: ARG002 (the state holds it)
-        run = BackpropRun(
-            self, task, unpack(state["weights"]), unpack(state["velocity"]), state["rate"], state["steps"]
-        )
-        run.kept, run.kept_loss = unpack(state["kept"]), state["kept_loss"]
+        weights, velocity, kept = (unpack(state[name]) for name in ("weights", "velocity", "kept"))
+        run = BackpropRun(self, task, weights, velocity, state["rate"], state["steps"])
+        run.kept, run.kept_loss = kept, state["kept_loss"]
         return run
 
 

@@ -70,13 +70,9 @@ def export_c(
     except OSError as error:
         raise InputError(f"{folder}: cannot be written: {error.strerror}") from error
     robot = commands.robot_of(sources.robot)
-    lines = [f"{what} of {sources.robot}, {real}"]
-    if wants_pose(asked.correct):
-        lines.append(poses_of(robot))
-    if what == "command" and (lost := unreached(robot)):
-        lines.append(lost)
-    lines += [*_sources_in_words(sources, what, product), *_command_in_words(sources, product, robot)]
-    return replace(written, about=tuple(lines))
+    reach = (poses_of(robot) if wants_pose(asked.correct) else "", unreached(robot) if what == "command" else "")
+    lines = [f"{what} of {sources.robot}, {real}", *filter(None, reach), *_sources_in_words(sources, what, product)]
+    return replace(written, about=(*lines, *_command_in_words(sources, product, robot)))
 
 
 def _sources_in_words(sources: commands.Sources, what: str, product: Product) -> list[str]:

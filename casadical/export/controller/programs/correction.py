@@ -316,9 +316,7 @@ def _written(
             yield Result(t, LEAVES_BOX if reached[k] else Status.NOT_CONVERGED.name)
         else:
             turned = language.turns_text(t, language.turns(new[k])) if t.turns is not None and t.turn_text else ()
-            known = {
-                name: (float(v[k]) if v.ndim == 1 else (float(v[k, 0]), float(v[k, 1]))) for name, v in off.items()
-            }
+            known = {name: v[k].tolist() if v.ndim == 1 else tuple(v[k].tolist()) for name, v in off.items()}
             yield Result(t, Status.OK.name, "", (*texts[k], *turned), q=(old[k], q[k]), **known)  # type: ignore[arg-type]
 
 
