@@ -345,9 +345,8 @@ class SignTest:
         return min(1.0, 2 * sum(comb(n, k) for k in range(least + 1)) / (1 << n))
 
     def __str__(self) -> str:
-        return (
-            f"{self.first} : {self.other} (of {self.first + self.other + self.both + self.neither}; p = {self.p:.2g})"
-        )
+        every = self.first + self.other + self.both + self.neither
+        return f"{self.first} : {self.other} (of {every}; p = {self.p:.2g})"
 
 
 def sign_tests(first: Sequence[Outcome], other: Sequence[Outcome]) -> list[SignTest]:

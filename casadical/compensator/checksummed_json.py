@@ -47,10 +47,9 @@ def read_checksummed(path: str | os.PathLike[str], kind: str, version: int) -> d
         raise InputError(f"{path} is truncated or not JSON ({error}); take an undamaged copy") from None
     if not isinstance(document, dict) or document.get("format") != kind:
         raise InputError(f"{path} is not a {kind} file")
-    if type(document.get("version")) is not int or document["version"] != version:
-        raise InputError(
-            f"{path} has version {document.get('version')!r} of {kind}; this casadical reads version {version}"
-        )
+    found = document.get("version")
+    if type(found) is not int or found != version:
+        raise InputError(f"{path} has version {found!r} of {kind}; this casadical reads version {version}")
     if not _intact(document, text):
         raise InputError(f"{path} was changed after it was written (its sha256 does not match); take an undamaged copy")
     return {name: value for name, value in document.items() if name != "sha256"}

@@ -59,7 +59,6 @@ def positions(plant: Plant, hidden: Sequence[Hidden], stops: Stops, jitter: Arra
     seen = np.empty((len(stops), 3))
     for k in range(len(stops)):
         now = [Setting(s.kind, s.name, s.value[k]) for s in changes]
-        seen[k] = engine.rest(
-            Stop(motors[k], stops.approach[k], start(plant, motors[k]), float(stops.payload_kg[k]), now)
-        )
+        stop = Stop(motors[k], stops.approach[k], start(plant, motors[k]), float(stops.payload_kg[k]), now)
+        seen[k] = engine.rest(stop)
     return seen

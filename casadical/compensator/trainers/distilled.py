@@ -125,6 +125,5 @@ class Taught(Trainer):
         taught = np.ascontiguousarray(process.mean(rows).T)
         lengths = ", ".join(f"{v:.2g}" for v in process.lengths)
         note = f"taught by a Gaussian process, lengths {lengths} half ranges"
-        return Task(
-            task.layout, np.vstack([rows.T, np.full(len(rows), ones[0])]), taught, task.scale_mm, task.loss
-        ), note
+        inputs = np.vstack([rows.T, np.full(len(rows), ones[0])])
+        return Task(task.layout, inputs, taught, task.scale_mm, task.loss), note

@@ -34,9 +34,7 @@ class C99(Language):
         }
 
 
-_FILLED_BY_CMAKE = {
-    key: f"@{key}@" for key in ("CMAKE_INSTALL_PREFIX", "CMAKE_INSTALL_LIBDIR", "CMAKE_INSTALL_INCLUDEDIR")
-}
+_FILLED_BY_CMAKE = {f"CMAKE_INSTALL_{key}": f"@CMAKE_INSTALL_{key}@" for key in ("PREFIX", "LIBDIR", "INCLUDEDIR")}
 
 
 def other_source(program: TapeProgram, label: Label) -> str:
@@ -79,9 +77,8 @@ def comparison_inputs(program: TapeProgram, count: int) -> Array:
     scales = T(10.0) ** rng.uniform(0, 6, len(odd)).astype(T)
     q[odd] *= scales[:, None]
     corner = odd[::4]
-    q[corner] = np.where(
-        rng.integers(0, 2, (len(corner), program.n)) == 1, program.product.lower, program.product.upper
-    )
+    low = rng.integers(0, 2, (len(corner), program.n)) == 1
+    q[corner] = np.where(low, program.product.lower, program.product.upper)
     special = odd[1::16]
     values = np.array([np.nan, np.inf, -np.inf, np.finfo(T).max, -np.finfo(T).max, np.finfo(T).tiny, -0.0], T)
     q[special, rng.integers(0, program.n, len(special))] = values[rng.integers(0, len(values), len(special))]

@@ -143,9 +143,8 @@ def build(shape: Shape, sources: list[Path], folder: Path, compiler: Compiler, f
     wrapper = library.with_suffix(".c")  # of its own: compilers may work at the same time
     wrapper.write_text(rows_source(shape), encoding="utf-8")
     usual = ["-std=c99", "-fPIC", "-shared", "-O2", f"-I{sources[0].parent}"]
-    run = finished(
-        [compiler.command, *usual, *flags, *map(str, (*sources, wrapper)), "-o", str(library)], COMPILE_SECONDS
-    )
+    files = map(str, (*sources, wrapper))
+    run = finished([compiler.command, *usual, *flags, *files, "-o", str(library)], COMPILE_SECONDS)
     if run is None:
         raise CasadicalError(f"{compiler.version} was stopped after {COMPILE_SECONDS:g} s with {sources[0].name}")
     if run.returncode != 0:

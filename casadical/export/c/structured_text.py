@@ -166,9 +166,8 @@ def _values_block(plan: Plan, values: dict[str, str], real: Real) -> str:
                     scalars.setdefault(of, {}).update(dict.fromkeys(names.split(", ")))
         mine = {"code": str(code), "op": op, "by": f" BY {WIDTH[op]}" if op in WIDTH else ""}
         body = body.strip()
-        body = (
-            f" {body} " if "\n" not in body and len(body) < _SHORT else "\n" + textwrap.indent(body, " " * 8) + "\n    "
-        )
+        short = "\n" not in body and len(body) < _SHORT
+        body = f" {body} " if short else "\n" + textwrap.indent(body, " " * 8) + "\n    "
         cases += filled(template("case.st"), mine | {"body": body})
     scalars.setdefault(values["kind"], {})["x"] = None
     variables = [*arrays, *(f"    {', '.join(names)} : {of};\n" for of, names in scalars.items())]

@@ -120,10 +120,8 @@ def without_needless_guards(tape: Tape, lower: Array, upper: Array, real: Real) 
     for node in tape.nodes:
         args = tuple(place[a] for a in node.args)
         low, high = intervals[node.args[0]] if node.args else _EVERYTHING
-        proven = math.isfinite(low) and math.isfinite(high)
-        if proven and (
-            (node.op == "guard_min" and low >= node.value) or (node.op == "guard_max" and high <= node.value)
-        ):
+        needless = (node.op == "guard_min" and low >= node.value) or (node.op == "guard_max" and high <= node.value)
+        if needless and math.isfinite(low) and math.isfinite(high):
             place.append(args[0])
         else:
             place.append(len(kept))

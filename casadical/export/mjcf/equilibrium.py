@@ -90,12 +90,11 @@ class EngineModel:
             d.qpos[:] += step
             if self.free:
                 self._close()
-            if np.abs(step).max() < STILL:
+            size = float(np.abs(step).max())
+            if size < STILL:
                 self.mujoco.mj_kinematics(m, d)
                 return np.array(d.site(POINT).xpos)
-        raise ConvergenceError(
-            f"no equilibrium after {AT_MOST} steps, the last one of {np.abs(step).max():.1e} rad or m"
-        )
+        raise ConvergenceError(f"no equilibrium after {AT_MOST} steps, the last one of {size:.1e} rad or m")
 
     def _force(self) -> Array:
         """Generalized forces, shape (nv,), including those that the loops transmit to the cranks."""

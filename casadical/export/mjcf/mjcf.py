@@ -57,9 +57,8 @@ def mjcf(robot: Robot) -> MjcfExport:
     describe(root, _ABOUT, parts.written, map(str, parts.left_out))
     ET.SubElement(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
     R = robot.base.T[:3, :3] if robot.gravity_frame != "measuring" else np.eye(3)
-    ET.SubElement(
-        root, "option", timestep=numbers(STEP), integrator="implicitfast", gravity=numbers(*(R @ robot.gravity))
-    )
+    gravity = numbers(*(R @ robot.gravity))
+    ET.SubElement(root, "option", timestep=numbers(STEP), integrator="implicitfast", gravity=gravity)
     default = ET.SubElement(root, "default")
     limits = {"solreflimit": HARD["solref"], "solimplimit": HARD["solimp"]}
     friction = {"solreffriction": HARD["solref"], "solimpfriction": HARD["solimp"]}

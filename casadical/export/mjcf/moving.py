@@ -140,9 +140,8 @@ def servos_of(robot: Robot) -> tuple[str, ...]:
     droop = 1e3 * float(np.max(robot.torque_scale / _each(robot.drive, "kp", robot)))
     late = 1e3 * float(np.max(_each(robot.drive, "delay", robot)))
     floor = "" if robot.drive.floor is None else f"; a surface where the tool is {1e3 * robot.drive.floor:.4g} mm high"
-    return (
-        f"gains, armature and delay of the drives: droop up to {droop:.3g} mrad under gravity, {late:.3g} ms{floor}",
-    )
+    lost = f"droop up to {droop:.3g} mrad under gravity, {late:.3g} ms{floor}"
+    return (f"gains, armature and delay of the drives: {lost}",)
 
 
 def actuators_of(robot: Robot) -> dict[str, Any]:

@@ -49,9 +49,7 @@ class Fanuc(AngleLanguage):
         if begin is None:
             return []
         parsed = ParsedText(GRAMMAR, re.sub(r"\S", " ", text[: begin.start()]) + text[begin.start() :])
-        positions: dict[int | None, Tree[Token]] = {
-            position.meta.start_pos: position for position in parsed.all("position")
-        }
+        positions: dict[int | None, Tree[Token]] = {p.meta.start_pos: p for p in parsed.all("position")}
         targets = []
         for point, opens, number in zip(parsed.tokens, parsed.tokens[1:], parsed.tokens[2:], strict=False):
             if point.value != "P" or opens.value != "[":
