@@ -90,11 +90,8 @@ def common_values(program: TapeProgram, label: Label) -> dict[str, str]:
     """Placeholders that every template may use."""
     real, command = program.real, program.command
     c = COEFFICIENTS[real]
-    values = {
-        "name": label.name,
+    values = vars(label) | {
         "NAME": label.name.upper(),
-        "model_sha256": label.model_sha256,
-        "data_sha256": label.data_sha256,
         "real": real,
         "schema": str(SCHEMA),
         "bits": "binary32" if real == "float" else "binary64",
@@ -150,16 +147,15 @@ def _command_values(command: Command, program: TapeProgram, real: Real) -> dict[
         "n_moved": n + 1,
         "i_error": n,
     }
-    return {key: str(value) for key, value in integers.items()} | {
+    values = {key: str(value) for key, value in integers.items()}
+    values |= {key: repr(getattr(command.limits, key)) for key in ("cycle_s", "ramp_s", "rate_rad_s")}
+    return values | {
         "pose_text": pose,
         "look": program.look,
         "look_text": "how far the robots are apart" if program.look == "apart" else "where the calibrated robot is",
         "at": _APART.format(n=n) if program.look == "apart" else _AT,
         "freedom": _freedom(command),
         "damping2": f"{command.limits.damping**2:.6g}",
-        "cycle_s": repr(command.limits.cycle_s),
-        "ramp_s": repr(command.limits.ramp_s),
-        "rate_rad_s": repr(command.limits.rate_rad_s),
         "step_limit": literal(numbers.step, real),
         "tolerance2": literal(numbers.tolerance2, real),
         "ramp": literal(numbers.ramp, real),

@@ -94,12 +94,10 @@ def _operand(value: float, real: Real) -> str:
 
 def _common(program: TapeProgram, plan: Plan, label: Label) -> dict[str, str]:
     kind = "REAL" if program.real == "float" else "LREAL"
-    return constants(program.real, _operand) | {
-        "name": label.name,
+    known = constants(program.real, _operand) | vars(label)
+    return known | {
         "kind": kind,
         "index": "INT" if plan.size < 2**15 else "DINT",
-        "model_sha256": label.model_sha256,
-        "data_sha256": label.data_sha256,
         "joint_units": joint_units(program.product),
         "cost": textwrap.fill(operations(program).text(), 116, initial_indent="   ", subsequent_indent="   "),
         "n": str(program.n),
