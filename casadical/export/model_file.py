@@ -199,9 +199,8 @@ def _urdf(source: Path, nominal: Path | None, leave_out: bool, show: Show) -> Ro
     soft = (*left_out(robot, omissions, "a URDF", leave_out), *rest_of_rigid(robot))
     lost = (*soft, *servos_of(robot))
     text = calibration.problem.calibrated_urdf(robot) if calibration and into else new_urdf(robot)
-    lines = [f"LEFT OUT {line}" for line in lost]
-    if not lost:
-        lines.append("nothing is left out: the robot is rigid and has no effects")
+    nothing = "nothing is left out: the robot is rigid and has no effects"
+    lines = [f"LEFT OUT {line}" for line in lost] or [nothing]
     if figures:
         poses = "held-out poses" if figures["set"] == "report" else "poses that were identified from"
         lines.append(

@@ -4,16 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics.cause import (
-    Vector,
-    acts,
-    beam_axes,
-    length_of,
-    link_angles,
-    stretched_moments,
-    triple,
-    warmth_inside,
-)
+from casadical.blind_check.mujoco_physics import cause
+from casadical.blind_check.mujoco_physics.cause import Vector, acts, length_of, stretched_moments, triple
 from casadical.blind_check.mujoco_physics.equilibrium import Setting
 from casadical.blind_check.mujoco_physics.mechanism import Body, Mechanism, X, Y
 from casadical.blind_check.mujoco_physics.plant import Array, Plant, slide
@@ -30,7 +22,7 @@ def link_flexure(mechanism: Mechanism, plant: Plant, *, link: int, size: float, 
     """
     name = f"link{link}"
     whole, length = mechanism.body(name), length_of(plant, link)
-    e, across, aside = beam_axes(length)
+    e, across, aside = cause.beam_axes(length)
     bend = 2 * stretched_moments(plant, link)[0] / size
     hinges = [("up", across, bend), ("side", aside, bend), ("twist", e, torsion * bend)]
     for cut, at in (("b", 0.75), ("a", 0.25)):
@@ -68,7 +60,7 @@ def axis_wobble(
     by up to ``shift_m`` sideways.
     """
     pads = np.array([0.0, 2.0, 4.2])
-    track = cycles * (link_angles(plant, stops.q)[:, [joint - 1]] - pads) + phase
+    track = cycles * (cause.link_angles(plant, stops.q)[:, [joint - 1]] - pads) + phase
     height = np.cos(track) * np.array([1.0, 1.0, 0.0])
     plane = height @ np.linalg.inv(np.column_stack([np.cos(pads), np.sin(pads), np.ones(3)])).T
     tilt = size * np.column_stack([plane[:, 1], -plane[:, 0], np.zeros(len(stops))])
@@ -86,7 +78,7 @@ def thermal_growth(plant: Plant, stops: Stops, *, size: float, lag_minutes: floa
     def longer(warmth: Array, length: Array) -> Array:
         return np.outer(size * warmth, length)
 
-    warm = [warmth_inside(stops, lag_minutes * max(1.6 - 0.2 * i, 0.2)) for i in range(n + 1)]
+    warm = [cause.warmth_inside(stops, lag_minutes * max(1.6 - 0.2 * i, 0.2)) for i in range(n + 1)]
     settings = [Setting("shift", "link1", longer(warm[0], plant.home[0, :3, 3]))]
     settings += [Setting("shift", f"link{i + 1}", longer(warm[i], length_of(plant, i))) for i in range(1, n)]
     settings.append(Setting("mark", "reflector", longer(0.3 * warm[n], plant.reflector)))
@@ -117,7 +109,7 @@ def payload_error(mechanism: Mechanism, plant: Plant, *, size: float, shift_m: V
 def thermal_bend(plant: Plant, stops: Stops, *, size: float, towards: float, lag_minutes: float) -> list[Setting]:
     """The column is warmed from one side: it leans by ``size`` [rad/K] towards ``towards``; on no list."""
     lean = np.array([np.cos(towards), np.sin(towards), 0.0])
-    difference = stops.warmth_K - warmth_inside(stops, lag_minutes)
+    difference = stops.warmth_K - cause.warmth_inside(stops, lag_minutes)
     turn = np.outer(size * difference, lean) @ plant.home[0, :3, :3]
     sideways = np.cross(turn, length_of(plant, 1)) / 2
     bar = plant.four_bar
@@ -142,7 +134,7 @@ def cracked_link(mechanism: Mechanism, plant: Plant, *, link: int, size: float, 
     ``size`` [rad] is how far it opens if all beyond hung at full stretch; ``towards`` is where around the beam it is.
     """
     length = length_of(plant, link)
-    _, across, aside = beam_axes(length)
+    _, across, aside = cause.beam_axes(length)
     axis = np.cos(towards) * across + np.sin(towards) * aside
     hinge = spring("crack", stretched_moments(plant, link)[1] / size, axis=triple(axis), limits=(0.0, 20 * size))
     return mechanism.with_body_after(f"link{link}", Body("beyond_crack", "", slide(0.3 * length), (hinge,)))
