@@ -2,12 +2,13 @@
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from datetime import date
 from itertools import pairwise
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -34,6 +35,7 @@ SHARED = 0.5
 # Folder of a problem's later campaigns.
 CAMPAIGNS = "campaigns"
 EPOCH = date(1970, 1, 1).toordinal()
+Item = TypeVar("Item")
 
 
 def compare_files(
@@ -239,14 +241,26 @@ def in_order(given: Sequence[Estimate], *, begun: bool = False) -> tuple[list[Es
 
 def _without_repeated(campaigns: Sequence[Estimate]) -> tuple[list[Estimate], list[str]]:
     """Without those that are the same measurements as an earlier one, to the last digit; and which these are."""
-    kept: list[Estimate] = []
-    said = []
-    for c in campaigns:
-        same = [k for k in kept if np.array_equal(k.values, c.values) and np.array_equal(k.information, c.information)]
-        if same:
-            said.append(f"{c.label} is left out: the same measurements as {same[0].label}, to the last digit")
-        else:
-            kept.append(c)
-    if said and len(kept) == 1:
+
+    def same(a: Estimate, b: Estimate) -> bool:
+        return np.array_equal(a.values, b.values) and np.array_equal(a.information, b.information)
+
+    kept, copies = without_copies(campaigns, same)
+    if copies and len(kept) == 1:
         return list(campaigns), ["all campaigns are the same measurements, to the last digit: no change can be seen"]
-    return kept, said
+    return kept, [f"{c.label} is left out: the same measurements as {k.label}, to the last digit" for c, k in copies]
+
+
+def without_copies(
+    items: Iterable[Item], same: Callable[[Item, Item], bool]
+) -> tuple[list[Item], list[tuple[Item, Item]]]:
+    """The first of all that are the same, and each further one with the one that it is a copy of."""
+    kept: list[Item] = []
+    copies: list[tuple[Item, Item]] = []
+    for item in items:
+        first = next((k for k in kept if same(k, item)), None)
+        if first is None:
+            kept.append(item)
+        else:
+            copies.append((item, first))
+    return kept, copies

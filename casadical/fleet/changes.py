@@ -48,7 +48,7 @@ FEWEST = 6
 SMALL = 0.005
 # Data are said to be so many times more probable, as a power of ten, at most.
 MOST = 100
-# See `casadical.fleet.placements.FAR`.
+# See `casadical.fleet.comparison.FAR`.
 NOT_SEEN = "not below 30 times its usual size"
 
 

@@ -1,6 +1,9 @@
-"""What changed in a robot between campaigns: which parameter or effect, when, by how much, and how sure that is."""
+"""What changed in a robot between campaigns: which parameter or effect, when, by how much, and how sure that is.
 
-from collections.abc import Iterable, Sequence
+Base and tool are fitted again in each campaign; how they differ, and how large a change must be to be seen.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,12 +11,14 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.statistics import first_of_best, ranked
+from casadical.core.transforms import small_frame, to_xyz
 from casadical.fleet import evidence
 from casadical.fleet.changes import SURE, Amount, Change, Comparison, Rival
 from casadical.fleet.estimates import Estimate, with_common_noise
 from casadical.fleet.evidence import ROBOT, Candidate, Course
-from casadical.fleet.placements import placements_of, seen_from
 from casadical.identification.prior import refuse_another
+from casadical.robot.axes import row_matrix
+from casadical.robot.parameter_list import SIX
 
 # Before the data: how the change goes on; how probable it begins at each campaign (see `_onsets`).
 COURSES: dict[Course, float] = {"jump": 0.6, "drift": 0.4, "season": 0.4, "once": 0.4}
@@ -25,6 +30,15 @@ MOST = 4
 WIDER = 100.0
 # A drift's unit of time: a year, or so many campaigns without a date.
 YEAR, CAMPAIGNS = 365.25, 12.0
+# Standard errors that a change must have to be seen, roughly: what one of a hundred candidates needs.
+SEEN = 5.0
+# A tool is another one from so many standard errors on, root mean square of a coordinate; beyond the smaller figure it,
+# or the base, moved further than noise makes it in one of a hundred pairs.
+OTHER_TOOL, MOVED_TOOL = 4.0, 2.0
+# A change that is seen only from so many times its usual size is not seen.
+FAR = 30.0
+# Within this [m, rad] a base did not move: readings that tell nothing of it leave it where the robot file has it.
+SAME = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +81,9 @@ def compare(
         others = [a for a in accepted if a.courses[:-1].any() or not {*a.candidate.names} & {*c.names}]
         return _beside(information, others)
 
-    seen, placements = seen_from(beside, candidates, first), placements_of(campaigns, names, model)
-    return Comparison(tuple(campaigns), names, changes, left, seen, placements, tuple(dict.fromkeys(notes)))
+    seen, placements = _seen_from(beside, candidates, first), _placements(campaigns, names, model)
+    noted = tuple(dict.fromkeys(notes))
+    return Comparison(tuple(campaigns), names, changes, left, tuple(seen), tuple(placements), noted)
 
 
 def shared_information(
@@ -193,18 +208,13 @@ def _best(
     """The most probable further change."""
     n, p = told.score.shape
     model = evidence.solve(told, _known(known, p, n))
-    kinds = [c.kind for c in candidates]
-    whole = sum(evidence.FREQUENCY[kind] for kind in set(kinds))
     hypotheses: list[_Hypotheses] = []
     prior = 0.0
-    for candidate in candidates:
-        share = evidence.FREQUENCY[candidate.kind] / whole / kinds.count(candidate.kind)
-        for course, weight, since, courses in courses_of(candidate.kind, times, dated):
-            H, b = evidence.visible(model, candidate.columns, courses)
-            m = courses.shape[2]
-            logs = evidence.log_evidence(H, b, np.tile(candidate.sizes, m)) + np.log(share * weight)[:, None]
-            prior += share * float(weight.sum())
-            hypotheses.append(_Hypotheses(candidate, course, since, courses, H, b, logs))
+    for candidate, course, weight, since, courses in weighed(candidates, evidence.FREQUENCY, times, dated=dated):
+        H, b = evidence.visible(model, candidate.columns, courses)
+        logs = evidence.log_evidence(H, b, np.tile(candidate.sizes, courses.shape[2])) + np.log(weight)[:, None]
+        prior += float(weight.sum())
+        hypotheses.append(_Hypotheses(candidate, course, since, courses, H, b, logs))
     total = float(log_sum(np.concatenate([evidence.averaged(h.logs) for h in hypotheses])))
     odds = float(np.logaddexp(total, np.log(max(1e-12, 1 - prior))))
     by_label: dict[str, list[float]] = {}
@@ -217,6 +227,18 @@ def _best(
     sizes = np.tile(top.candidate.sizes, top.courses.shape[2])
     _, _, kappa = evidence.amplitude(top.H[k], top.b[k], sizes, top.logs[k])
     return _Accepted(top.candidate, top.courses[k], kappa, top, odds, hypotheses)
+
+
+def weighed(
+    candidates: Sequence[Candidate], often: Mapping[str, float], times: Array, *, dated: bool
+) -> Iterator[tuple[Candidate, Course, Array, Array, Array]]:
+    """Each candidate with each of its courses, as of `courses_of`; weights : of all that may change, by how often."""
+    kinds = [c.kind for c in candidates]
+    whole = sum(often[kind] for kind in set(kinds))
+    for c in candidates:
+        share = often[c.kind] / whole / kinds.count(c.kind)
+        for course, weight, since, courses in courses_of(c.kind, times, dated):
+            yield c, course, share * weight, since, courses
 
 
 def courses_of(kind: str, times: Array, dated: bool) -> Iterable[tuple[Course, Array, Array, Array]]:
@@ -252,7 +274,7 @@ def _change(
     accepted: Sequence[_Accepted],
     k: int,
     first: Estimate,
-    swap: tuple[str, float] = ("", 0.0),
+    swap: tuple[str, float],
 ) -> Change:
     change = accepted[k]
     candidate, top = change.candidate, change.own
@@ -314,3 +336,98 @@ def _course_of(model: evidence.Model, candidate: Candidate, a: Array) -> Array:
     wide = np.diag(np.full(n - 1, 1e-4))
     C = np.linalg.inv(H[0] + wide)
     return np.vstack([[0.0, 0.0], np.column_stack([C @ b[0], np.sqrt(np.diag(C))])])
+
+
+# How far parameters are apart, and its covariance.
+Between = Callable[[Sequence[str]], tuple[Array, Array]]
+
+
+def _seen_from(
+    beside: Callable[[Candidate], evidence.Model], candidates: Sequence[Candidate], first: Estimate
+) -> Iterator[tuple[str, float, str]]:
+    """(cause, size, unit) of single parameters: the least change in the last campaign that would be seen."""
+    for c in candidates:
+        if c.columns.shape[1] == 1 and c.kind in ("joint_zero", "joint_stiffness"):
+            model = beside(c)
+            H, _ = evidence.visible(model, c.columns, evidence.jumps(len(model.shared.score))[-1:])
+            p = first.robot.parameters[c.names[0]]
+            size = SEEN / np.sqrt(max(float(H[0, 0, 0]), 1e-30))
+            seen = size < FAR * float(c.sizes[0])
+            yield c.label, p.readable(float(size) * p.scale) if seen else float("inf"), p.readable_unit
+
+
+def _placements(
+    campaigns: Sequence[Estimate], names: Sequence[str], model: evidence.Model
+) -> Iterator[tuple[str, str]]:
+    """How base and tool of the last campaign differ from those of the one before, where they were fitted again."""
+    first, (before, after) = campaigns[0], campaigns[-2:]
+
+    def between(own: Sequence[str]) -> tuple[Array, Array]:
+        # Parameters of a campaign as the solved ones make them: theta and the changes found by then.
+        X, Y = (np.hstack([np.eye(model.p), model.known.columns[k]]) for k in (-2, -1))
+        a, A, V = _given(before, own, names, first, X, model.mean)
+        b, B, W = _given(after, own, names, first, Y, model.mean)
+        return b - a, V + W + (B - A) @ model.inverse @ (B - A).T
+
+    yield from _tool(before, after, names, between)
+    yield from _base(before, after, names, between)
+
+
+def _tool(before: Estimate, after: Estimate, names: Sequence[str], between: Between) -> Iterator[tuple[str, str]]:
+    own = [n for n in SIX["tool"][:3] if n in before.names and n in after.names and n not in names]
+    if len(own) < 3 or before.robot.tool_name != after.robot.tool_name:
+        return
+    apart, cov = between(own)
+    scale = np.array([after.robot.parameters[n].scale for n in own])
+    size = float(np.linalg.norm(apart * scale))
+    error = float(np.sqrt(np.trace(cov * np.outer(scale, scale)) / 3))
+    distance = float(np.sqrt(apart @ np.linalg.solve(cov, apart) / 3))
+    if distance > OTHER_TOOL:
+        words = "another tool, or mounted again"
+    elif distance > MOVED_TOOL:
+        words = "more than noise alone, too little for another tool"
+    else:
+        words = "the same point, as far as these poses show"
+    yield "tool", f"{1e3 * size:.3g} mm from where it was, +/- {1e3 * error:.2g} mm a coordinate: {words}"
+
+
+def _given(
+    c: Estimate, own: Sequence[str], names: Sequence[str], first: Estimate, X: Array, u: Array
+) -> tuple[Array, Array, Array]:
+    """Of parameters that are fitted again: mean in units of scale given u, its slope by u, and covariance.
+
+    u : what is solved for; X u : the shared parameters of this campaign, about the values of the first one
+    """
+    shared, rest, V = c.fitted_beside(names)
+    G = -V @ c.information[np.ix_(rest, shared)]
+    from_first = np.array([first.values[first.names.index(n)] for n in names])
+    departure = (from_first - c.values[shared]) / c.scale[shared] + X @ u
+    mean = c.values[rest] / c.scale[rest] + V @ c.score[rest] + G @ departure
+    at = np.searchsorted(rest, [c.names.index(n) for n in own])
+    return mean[at], (G @ X)[at], V[np.ix_(at, at)]
+
+
+def _base(before: Estimate, after: Estimate, names: Sequence[str], between: Between) -> Iterator[tuple[str, str]]:
+    placing = {p.name for p in after.robot.parameters if p.group == "base"}
+    if not placing & set(after.names) or placing & set(names):
+        return
+    T = np.linalg.solve(_placed(before), _placed(after))
+    if np.allclose(T, np.eye(4), rtol=0, atol=SAME):
+        return  # no reading tells where it stands
+    turn = float(np.rad2deg(np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1, 1))))
+    words = "the instrument stands elsewhere, or the robot's foot moved"
+    if set(SIX["base"]) <= {*before.names} & {*after.names}:
+        _, cov = between(SIX["base"])
+        apart = np.concatenate([T[:3, 3], to_xyz(T[:3, :3])])
+        apart = apart / [after.robot.parameters[n].scale for n in SIX["base"]]
+        if apart @ np.linalg.solve(cov, apart) < len(apart) * MOVED_TOOL**2:
+            words = "the same place, as far as these poses show"
+    far = f"{1e3 * np.linalg.norm(T[:3, 3]):.3g} mm and {turn:.3g} deg"
+    yield "base", f"{far} from where it stood in the instrument's frame: {words}"
+
+
+def _placed(c: Estimate) -> Array:
+    if c.robot.base.unknown == "none":  # the first row of the table places the robot
+        return np.asarray(c.robot.base.T @ row_matrix(c.robot.joints[0]))
+    values = [c.values[c.names.index(n)] if n in c.names else 0.0 for n in SIX["base"]]
+    return np.asarray(c.robot.base.T @ np.array(small_frame(*values)))

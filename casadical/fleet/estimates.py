@@ -19,7 +19,7 @@ from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.normal_equations import without_others
 from casadical.core.statistics import best_of, exceeded_by_chance
 from casadical.core.telling.result import Shown
-from casadical.identification.error_bound import Doubts, doubts_of, evaluated
+from casadical.identification.error_bound import doubts_of, evaluated
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.identification import identify
 from casadical.identification.misfit import FURTHER, RHOS, WideFit, wide_fit
@@ -90,13 +90,16 @@ class Estimate(Shown):
 
     def about(self, names: tuple[str, ...], values: Array) -> tuple[Array, Array]:
         """Information, (p, p), and score, (p,), at other values [SI], units of scale; all others are fitted again."""
-        place = {name: k for k, name in enumerate(self.names)}
-        kept = np.array([place[n] for n in names])
-        rest = np.array([k for k in range(len(self.names)) if k not in set(kept.tolist())], dtype=int)
-        H = self.information
-        inverse = scaled_inverse(H[np.ix_(rest, rest)] + np.diag(self.spread[rest] ** -2.0))
-        own, score = without_others(H, self.score, kept, inverse)
+        kept, _, inverse = self.fitted_beside(names)
+        own, score = without_others(self.information, self.score, kept, inverse)
         return own, score + own @ ((self.values[kept] - values) / self.scale[kept])
+
+    def fitted_beside(self, names: Sequence[str]) -> tuple[Array, Array, Array]:
+        """Places of these parameters, of all others, and the covariance of the others given these, units of scale."""
+        kept = np.array([self.names.index(n) for n in names], dtype=int)
+        rest = np.setdiff1d(np.arange(len(self.names)), kept)
+        H = self.information[np.ix_(rest, rest)]
+        return kept, rest, scaled_inverse(H + np.diag(self.spread[rest] ** -2.0))
 
 
 def date_text(day: float | None) -> str:
@@ -124,7 +127,7 @@ def estimate(
     return Estimate(
         fit.robot,
         fit.doubts.names,
-        _values(fit.robot, fit.doubts),
+        np.array([fit.robot.parameters[n].value for n in fit.doubts.names]),
         fit.best.sums.H / unit,
         -fit.best.sums.g / unit,
         np.sqrt(fit.best.variance),
@@ -161,10 +164,6 @@ def _left_out(m: Measurements) -> Iterator[str]:
         yield m.copies_in_words
 
 
-def _values(robot: Robot, doubts: Doubts) -> Array:
-    return np.array([robot.parameters[n].value for n in doubts.names])
-
-
 def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) -> Estimate:
     """What a robot file with a covariance of its geometry, as `calibrate --out` writes it, tells of all parameters.
 
@@ -183,19 +182,13 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
             f"robot {robot.name!r}: its file has no covariance of the geometry; write it with `casadical calibrate "
             "--out`, or give the folder of the problem"
         )
-    if len(known.readings):
-        low, high = known.readings.T
-        drawn = "the learnt range of each joint"
-    else:
-        low, high = robot.limits
-        drawn = "the limits of each joint"
-    q = np.random.default_rng(0).uniform(low, high, (DRAWN, robot.n))
+    drawn = "the learnt range of each joint" if len(known.readings) else "the limits of each joint"
     wide = doubted(robot, FURTHER)
     solved = [n for n in robot.parameters.names if n in known.std_errors]
     doubts = doubts_of(wide, [n for n in solved if n in wide.parameters.names])
     turns = np.arange(DRAWN) % (1 + len(wide.targets))  # of several targets each pose tells one
     measured = {t.column: (turns == k).astype(float) for k, t in enumerate(wide.targets, 1)}
-    J = evaluated(wide, [unmeasured(q, measured)], doubts.names)[1]
+    J = evaluated(wide, [unmeasured(readings_of(robot, DRAWN), measured)], doubts.names)[1]
     J = J[np.isfinite(J).all(axis=(1, 2))].reshape(-1, J.shape[2])  # poses that the robot can take
     at, rest = doubts.solved, np.setdiff1d(np.arange(len(doubts.names)), doubts.solved)
     A = scaled_inverse(J[:, at].T @ J[:, at]) @ (J[:, at].T @ J[:, rest])
@@ -213,7 +206,7 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
     return Estimate(
         wide,
         doubts.names,
-        _values(wide, doubts),
+        np.array([wide.parameters[n].value for n in doubts.names]),
         (H + H.T) / 2,
         np.zeros(len(H)),
         doubts.sigma,
@@ -224,6 +217,13 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
         notes=(note,),
         readings=known.readings if len(known.readings) else None,
     )
+
+
+def readings_of(robot: Robot, n: int) -> Array:
+    """Readings over the ranges on which a robot was learnt, or its limits, shape (n, joints) [rad or m]."""
+    known = robot.knowledge
+    low, high = known.readings.T if known and len(known.readings) else robot.limits
+    return np.random.default_rng(0).uniform(low, high, (n, robot.n))
 
 
 # Instruments are others where what they leave differs more than so many times.

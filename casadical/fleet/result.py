@@ -175,22 +175,21 @@ class Fleet(Result):
         return self.drawings[common.type].correction(common, name, near(self.drawings, common.type))
 
     def _faults(self) -> Iterator[Words]:
+        remedies = {
+            False: "correct the drawing, or the set-up of the instrument",
+            True: "their joints yield otherwise than it says; correct the compliances in the robot file",
+        }
         for c in self.commons:
-            faults: dict[bool, list[str]] = {False: [], True: []}
-            places: dict[bool, list[str]] = {False: [], True: []}
-            for name, mean, error in c.faults:
-                size, sigma, unit = c.readable(name, mean, error)
-                soft = unit.startswith("urad")
-                places[soft].append(self._correction(c, name))
-                faults[soft].append(f"{name} {'' if faults[soft] else 'is '}{size:+.3g} {unit} +/- {sigma:.1g}")
-            remedies = {
-                False: "correct the drawing, or the set-up of the instrument",
-                True: "their joints yield otherwise than it says; correct the compliances in the robot file",
-            }
-            for soft, some in faults.items():
-                if some:
-                    words = f"all {c.count} robots of the type {c.name}: {', '.join(some)} from the drawing"
-                    yield Words(f"{words}: {remedies[soft]}.", "warning", "\n".join(filter(None, places[soft])))
+            faults = [(name, *c.readable(name, mean, error)) for name, mean, error in c.faults]
+            for soft, remedy in remedies.items():
+                own = [fault for fault in faults if fault[-1].startswith("urad") == soft]
+                if own:
+                    first, *more = (f"{size:+.3g} {unit} +/- {sigma:.1g}" for _, size, sigma, unit in own)
+                    names = [name for name, *_ in own]
+                    said = [f"{names[0]} is {first}", *map(" ".join, zip(names[1:], more, strict=True))]
+                    words = f"all {c.count} robots of the type {c.name}: {', '.join(said)} from the drawing: {remedy}."
+                    places = filter(None, (self._correction(c, name) for name in names))
+                    yield Words(words, "warning", "\n".join(places))
 
     def _types(self) -> Iterator[Table]:
         rows, types = [], self.good.groupby("type", sort=False)

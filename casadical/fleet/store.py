@@ -66,17 +66,13 @@ def name_of(folder: Path, *, whole: bool = False) -> str:
     return (str(path) if whole else path.name).encode(errors="backslashreplace").decode()
 
 
-def _refuse_bytes(folder: Path) -> None:
-    if (name := name_of(folder, whole=True)) != str(folder.resolve()):
-        raise InputError(f"{name}: a name that is not UTF-8; rename the folder")
-
-
 def one_robot(folder: str, with_diagnosis: bool) -> dict[str, Any]:
     """The row of one robot; what goes wrong is in it, nothing is raised."""
     start, place = time.perf_counter(), Path(folder)
     row = {**NOTHING, "robot": name_of(place), "folder": name_of(place, whole=True), "written_by": __version__}
     try:
-        _refuse_bytes(place)
+        if row["folder"] != str(place.resolve()):
+            raise InputError(f"{row['folder']}: a name that is not UTF-8; rename the folder")
         row["fingerprint"] = fingerprint(place)
         row |= _computed(place, with_diagnosis)
         row["status"] = "ok"
@@ -123,9 +119,8 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
         compared = compare(ordered, notes=notes)
         changes = "; ".join(in_words(compared, c) for c in compared.changes)
         row |= {"changes": changes, "details": json_text(compared.to_json())}
-    days = [float("nan") if e.day is None else e.day for e in estimates]
-    left = [float("nan") if e.sigma is None else 1e3 * e.sigma for e in estimates]
-    free = [float("nan") if e.freedom is None else e.freedom for e in estimates]
+    known = np.array([(e.day, e.sigma, e.freedom) for e in estimates], dtype=float)  # not a number for None
+    days, left, free = (known * (1.0, 1e3, 1.0)).T.tolist()
     own = {"campaigns": len(estimates), "notes": "; ".join(notes), "days": days, "left_mm": left, "left_free": free}
     return row | own | shared_columns(estimates[-1], read_campaign_robot(place))
 

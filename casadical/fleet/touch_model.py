@@ -23,10 +23,12 @@ from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.core.linear_gaussian.normal_equations import inverse_of
-from casadical.fleet.comparison import CAMPAIGNS, YEAR, courses_of
+from casadical.fleet.comparison import CAMPAIGNS, YEAR, weighed
+from casadical.fleet.estimates import readings_of
 from casadical.fleet.evidence import FREQUENCY, KAPPAS, Candidate, candidates_of, daily, log_evidence
 from casadical.identification.error_bound import evaluated
 from casadical.measurements.measurements import STANDS, Measurements, same_readings, unmeasured
+from casadical.project.uncertainty_budget import covariance_root
 from casadical.robot.error_bound import doubted
 from casadical.robot.robot import Robot
 
@@ -115,19 +117,13 @@ class TouchModel:
         """By the bound of a robot file, or its covariance and the noise [m]. Raises InputError: it has neither."""
         wide = doubted(robot)
         names = tuple(p.name for p in wide.parameters if p.prior > 0)
-        place = {n: k for k, n in enumerate(names)}
         scale = np.array([wide.parameters[n].scale for n in names])
         if robot.bound is not None:
             own = np.zeros((len(names), robot.bound.factor.shape[1]))
-            at = [place[n] for n in robot.bound.names]
-            own[at], rest = robot.bound.factor, robot.bound.rest
+            own[[names.index(n) for n in robot.bound.names]] = robot.bound.factor
+            rest = robot.bound.rest
         elif robot.knowledge is not None and robot.knowledge.covariance and noise:
-            own, rest = np.zeros((len(names), len(names))), noise * np.sqrt(3)
-            for block in robot.knowledge.covariance:
-                block = block.only(names)
-                at = [place[n] for n in block.names]
-                values, V = np.linalg.eigh(block.matrix)
-                own[np.ix_(at, at)] = V * np.sqrt(np.maximum(values, 0.0) * robot.knowledge.misfit)
+            own, rest = covariance_root(robot.knowledge, names), noise * np.sqrt(3)
         else:
             raise InputError(
                 f"{robot.name}: its file does not say how far it may be off ([bound], or a covariance beside "
@@ -259,20 +255,16 @@ class TouchModel:
     def _hypotheses(self) -> Iterator[_Hypotheses]:
         """Each candidate, course and share of noise."""
         y, (times, dated) = self._known[0], self._times
-        kinds = [c.kind for c in self.candidates]
-        whole = sum(self.weights[kind] for kind in set(kinds))
-        for c in self.candidates:
-            Z, share = self._columns(c), self.weights[c.kind] / whole / kinds.count(c.kind)
-            for course, weight, since, courses in courses_of(c.kind, times, dated):
-                if course == "season":
-                    continue
-                factors = courses[:, :, 0][:, self.day]
-                X = factors[:, :, None] * Z
-                for k, (base, P, *_) in enumerate(self.noises):
-                    PX = P @ X
-                    H, b = X.transpose(0, 2, 1) @ PX, PX.transpose(0, 2, 1) @ y
-                    logs = log_evidence(H, b, c.sizes) + base
-                    yield _Hypotheses(c, factors, Z, since, H, b, logs, share * weight, k)
+        for c, course, weight, since, courses in weighed(self.candidates, self.weights, times, dated=dated):
+            if course == "season":
+                continue
+            Z, factors = self._columns(c), courses[:, :, 0][:, self.day]
+            X = factors[:, :, None] * Z
+            for k, (base, P, *_) in enumerate(self.noises):
+                PX = P @ X
+                H, b = X.transpose(0, 2, 1) @ PX, PX.transpose(0, 2, 1) @ y
+                logs = log_evidence(H, b, c.sizes) + base
+                yield _Hypotheses(c, factors, Z, since, H, b, logs, weight, k)
 
     def drawn(self, seed: int = 0) -> Draws:
         """Changes as probable as they are."""
@@ -330,10 +322,7 @@ class TouchModel:
     @cached_property
     def task(self) -> Array:
         """Jacobian at poses over the readings on which the robot was learnt, shape (n, 3, p) [mm a unit of scale]."""
-        known = self.robot.knowledge
-        low, high = known.readings.T if known and len(known.readings) else self.robot.limits
-        q = np.random.default_rng(0).uniform(low, high, (TASK, self.robot.n))
-        J = evaluated(self.robot, [unmeasured(q)], self.names)[1]
+        J = evaluated(self.robot, [unmeasured(readings_of(self.robot, TASK))], self.names)[1]
         return np.asarray(J[np.isfinite(J).all(axis=(1, 2))])
 
     @cached_property

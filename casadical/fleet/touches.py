@@ -16,7 +16,7 @@ from casadical.core.statistics import best_of, first_of_best
 from casadical.core.telling.blocks import Page, Section, Table, Tile, Words, mm, next_step
 from casadical.core.telling.figure import Axis, Figure, Rule, Series
 from casadical.core.telling.result import Result
-from casadical.fleet.campaigns import day_of
+from casadical.fleet.campaigns import day_of, without_copies
 from casadical.fleet.estimates import date_text
 from casadical.fleet.touch_model import CRASH, GROWTH, MM, OFTEN, UNKNOWN, Draws, TouchModel, limit_of
 from casadical.identification.prior import Prior
@@ -389,14 +389,13 @@ def touched(
             raise InputError(f"{p}: {len(m)} touch; {FEWEST} or more are needed")
         if m.lost:
             notes.append(f"{m.source}: row {', '.join(map(str, m.lost))} left out, a cell is no number")
-    kept = _without_copies([(p, m.positions_alone()) for p, m in days], notes)
-    dates = [day_of(p) for p, _ in kept]
-    if all(d is not None for d in dates):
-        kept = [
-            pair
-            for _, _, pair in sorted((d or 0.0, k, pair) for k, (d, pair) in enumerate(zip(dates, kept, strict=True)))
-        ]
-        if [p for p, _ in kept][-1] != paths[-1]:
+    kept, copies = without_copies([(p, m.positions_alone()) for p, m in days], _same_readings)
+    notes += [
+        f"{p.name} is left out: the same readings as {first.name}, to the last digit" for (p, _), (first, _) in copies
+    ]
+    if all(day_of(p) is not None for p, _ in kept):
+        kept.sort(key=lambda day: day_of(day[0]) or 0.0)
+        if kept[-1][0] != paths[-1]:
             notes.append(f"by its date {kept[-1][0].name} is the last day, which is judged")
     else:
         notes.append("no date in every table's name: the days are in the order given")
@@ -424,14 +423,6 @@ def touched(
     return touches
 
 
-def _without_copies(days: list[tuple[Path, Measurements]], notes: list[str]) -> list[tuple[Path, Measurements]]:
-    """Without tables that are an earlier one to the last digit."""
-    kept: list[tuple[Path, Measurements]] = []
-    for path, m in days:
-        same = [p for p, o in kept if all(np.array_equal(a, o.arrays[k]) for k, a in m.arrays.items())
-                and np.array_equal(o.q, m.q)]  # fmt: skip
-        if same:
-            notes.append(f"{path.name} is left out: the same readings as {same[0].name}, to the last digit")
-        else:
-            kept.append((path, m))
-    return kept
+def _same_readings(first: tuple[Path, Measurements], other: tuple[Path, Measurements]) -> bool:
+    (_, a), (_, b) = first, other
+    return np.array_equal(a.q, b.q) and all(np.array_equal(values, a.arrays[name]) for name, values in b.arrays.items())

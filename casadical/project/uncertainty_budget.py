@@ -24,7 +24,7 @@ from casadical.identification.accuracy import errors, residual_mm
 from casadical.identification.error_bound import evaluated
 from casadical.identification.identification import calibrated, prepare
 from casadical.measurements.measurements import STANDS, Measurements, same_readings, unmeasured
-from casadical.robot.robot import Robot
+from casadical.robot.robot import Knowledge, Robot
 
 # Of 95.45 %, which is k = 2 with many degrees of freedom.
 QUANTILE = 0.97725
@@ -211,19 +211,23 @@ def budget_of(
     return Budget(e, lines)
 
 
+def covariance_root(known: Knowledge, names: Sequence[str]) -> Array:
+    """F of what a robot file tells of parameters in another campaign, F F' their covariance, shape (k, k) [SI]."""
+    root = np.zeros((len(names), len(names)))
+    for block in known.covariance:
+        own = block.only(names)
+        at = [names.index(n) for n in own.names]
+        values, V = np.linalg.eigh(own.matrix)
+        root[np.ix_(at, at)] = V * np.sqrt(np.maximum(values, 0.0) * known.misfit)
+    return root
+
+
 def _beyond(robot: Robot, sets: Sequence[Measurements]) -> float:
     """How much E^2 may differ between the poses, half an even width [m^2], by the covariance of the robot file."""
     if robot.knowledge is None or not (blocks := robot.knowledge.covariance):
         return 0.0
-    names = tuple(n for b in blocks for n in b.names)
-    factor = np.zeros((len(names), len(names)))
-    for block in blocks:
-        at = [names.index(n) for n in block.names]
-        values, V = np.linalg.eigh(block.matrix)
-        factor[np.ix_(at, at)] = V * np.sqrt(np.maximum(values, 0.0) * robot.knowledge.misfit)
-    placing = [k for k, n in enumerate(names) if robot.parameters[n].group == "base"]
-    factor = np.delete(factor, placing, axis=0)
-    names = tuple(n for k, n in enumerate(names) if k not in placing)
+    names = tuple(n for b in blocks for n in b.names if robot.parameters[n].group != "base")
+    factor = covariance_root(robot.knowledge, names)
     q = np.concatenate([m.q for m in sets])
     rng = np.random.default_rng(0)
     some = q[rng.permutation(len(q))[:SPACE]]
