@@ -9,49 +9,15 @@ from casadical.cli import options as o
 from casadical.cli.terminal import WORSE, html, keep, suggest, with_json, working, wrapped
 from casadical.core.telling.result import terminal
 
-Out = Annotated[
-    Path | None,
-    Option(
-        metavar="DIR",
-        help="Write the calibrated robots (METHOD.robot.toml), parameters (METHOD.parameters.csv), networks "
-        "(METHOD.compensator.json) and result.json here; with several problems, into one folder for each.",
-    ),
-]
-Method = Annotated[
-    str | None,
-    Option(
-        metavar="METHOD",
-        autocompletion=o.methods,
-        help="KM (kinematics only), SKCM (with joint compliance), or a network on what SKCM leaves, such as "
-        "IWO-NN-SKCM (the paper's) or GP-NN-SKCM; docs/compensator.md has them all. Default: the problem's.",
-    ),
-]
-Loss = Annotated[
-    str | None,
-    Option(
-        metavar="LOSS",
-        autocompletion=o.losses,
-        help="linear; huber or soft_l1, which leave outliers out and name them; auto: huber where it finds any. "
-        "Default: the problem's, which is auto unless it says otherwise.",
-    ),
-]
-Split = Annotated[
-    int | None,
-    Option(
-        min=0,
-        help="Seed of the random split into sets; default: the problem's. No effect where a column names the sets.",
-    ),
-]
-
 
 def calibrate(
     problems: o.Problems,
-    out: Out = None,
+    out: Annotated[Path | None, Option(metavar="DIR")] = None,
     json_file: o.Json = None,
     report_file: o.Report = None,
-    method: Method = None,
-    loss: Loss = None,
-    seed: Split = None,
+    method: Annotated[str | None, Option(metavar="METHOD", autocompletion=o.methods)] = None,
+    loss: Annotated[str | None, Option(metavar="LOSS", autocompletion=o.losses)] = None,
+    seed: Annotated[int | None, Option(min=0)] = None,
     prior: o.Prior = None,
     prior_effects: o.PriorEffects = None,
     frozen: o.Frozen = False,
@@ -68,6 +34,14 @@ def calibrate(
 
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 4 held-out poses are worse than before (nothing is written
     then), 70 a bug in casadical.
+
+    out : Write the calibrated robots (METHOD.robot.toml), parameters (METHOD.parameters.csv), networks
+        (METHOD.compensator.json) and result.json here; with several problems, into one folder for each.
+    method : KM (kinematics only), SKCM (with joint compliance), or a network on what SKCM leaves, such as IWO-NN-SKCM
+        (the paper's) or GP-NN-SKCM; docs/compensator.md has them all. Default: the problem's.
+    loss : linear; huber or soft_l1, which leave outliers out and name them; auto: huber where it finds any. Default:
+        the problem's, which is auto unless it says otherwise.
+    seed : Seed of the random split into sets; default: the problem's. No effect where a column names the sets.
     """
     from casadical.project import calibration as work
 

@@ -14,21 +14,11 @@ from casadical.core.telling.result import terminal
 
 
 def certificate(
-    results: Annotated[Path, Argument(metavar="RESULTS", help="Folder that `casadical calibrate --out` wrote.")],
-    details: Annotated[
-        Path | None,
-        Option(
-            metavar="FILE.toml",
-            help="Issuer, instrument, conditions, tolerance; default: nothing is stated, which the pages say.",
-        ),
-    ] = None,
-    out: Annotated[Path | None, Option(metavar="FILE.pdf", help="Two pages (needs fpdf2).")] = None,
-    problem: Annotated[
-        Path | None, Option(metavar="PROBLEM_DIR", help="What was calibrated; default: as result.json names it.")
-    ] = None,
-    iso9283: Annotated[
-        Path | None, Option("--iso9283", metavar="TABLE.csv", help="A test that `casadical plan --iso9283` planned.")
-    ] = None,
+    results: Annotated[Path, Argument(metavar="RESULTS")],
+    details: Annotated[Path | None, Option(metavar="FILE.toml")] = None,
+    out: Annotated[Path | None, Option(metavar="FILE.pdf")] = None,
+    problem: Annotated[Path | None, Option(metavar="PROBLEM_DIR")] = None,
+    iso9283: Annotated[Path | None, Option("--iso9283", metavar="TABLE.csv")] = None,
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -40,6 +30,12 @@ def certificate(
     Example: casadical certificate results --details certificate.toml --out cert.pdf
 
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug in casadical.
+
+    results : Folder that `casadical calibrate --out` wrote.
+    details : Issuer, instrument, conditions, tolerance; default: nothing is stated, which the pages say.
+    out : Two pages (needs fpdf2).
+    problem : What was calibrated; default: as result.json names it.
+    iso9283 : A test that `casadical plan --iso9283` planned.
     """
     from casadical.project.certificate import certificate as certified
 

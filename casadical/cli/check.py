@@ -12,25 +12,11 @@ from casadical.core.basics import InputError, shown
 REPAIRS = 3
 
 
-NoiseMm = Annotated[
-    float | None,
-    Option(
-        min=0,
-        metavar="MM",
-        help="Noise of a measured coordinate, one sigma, for the forecast; default: estimated from the data.",
-    ),
-]
-Strict = Annotated[bool, Option("--strict", help="Exit with code 2 on warnings too.")]
-Repair = Annotated[
-    bool, Option("--repair", help="Write the best repair of slips into problem.toml (columns) and the robot file.")
-]
-
-
 def check(
     problems: Problems,
-    noise_mm: NoiseMm = None,
-    strict: Strict = False,
-    repair: Repair = False,
+    noise_mm: Annotated[float | None, Option(min=0, metavar="MM")] = None,
+    strict: Annotated[bool, Option("--strict")] = False,
+    repair: Annotated[bool, Option("--repair")] = False,
     details: Details = False,
     json_file: Json = None,
     quiet: Quiet = False,
@@ -45,6 +31,10 @@ def check(
     Example: casadical check arm
 
     Exit codes: 0 ready, 2 something is wrong, 70 a bug in casadical.
+
+    noise_mm : Noise of a measured coordinate, one sigma, for the forecast; default: estimated from the data.
+    strict : Exit with code 2 on warnings too.
+    repair : Write the best repair of slips into problem.toml (columns) and the robot file.
     """
     from casadical.core.telling.result import terminal
     from casadical.project.check import precheck

@@ -12,29 +12,10 @@ from casadical.core.telling.result import terminal
 
 
 def compare(
-    campaigns: Annotated[
-        list[Path],
-        Argument(
-            metavar="OLD NEW...",
-            help="Two campaigns of one robot or more: robot files as `casadical calibrate --out` writes them, folders "
-            "of results, problem folders, or tables of measurements (with --robot). Or one problem folder whose later "
-            "tables lie in its folder campaigns.",
-        ),
-    ],
-    robot: Annotated[
-        Path | None,
-        Option(
-            metavar="PROBLEM_DIR",
-            help="Problem folder or robot file by which tables are understood; default: the first "
-            "campaign that is no table.",
-        ),
-    ] = None,
-    same_tool: Annotated[
-        bool, Option("--same-tool", help="The same point of the same tool was measured: one that moved is a change.")
-    ] = False,
-    same_frame: Annotated[
-        bool, Option("--same-frame", help="All positions are in one frame: a base that moved is a change of the foot.")
-    ] = False,
+    campaigns: Annotated[list[Path], Argument(metavar="OLD NEW...")],
+    robot: Annotated[Path | None, Option(metavar="PROBLEM_DIR")] = None,
+    same_tool: Annotated[bool, Option("--same-tool")] = False,
+    same_frame: Annotated[bool, Option("--same-frame")] = False,
     json_file: Json = None,
     report_file: Report = None,
     quiet: Quiet = False,
@@ -48,6 +29,13 @@ def compare(
 
     Exit codes: 0 nothing changed, 2 bad input, 3 no optimum found, 5 something changed, or a campaign leaves what
     nothing explains, 70 a bug in casadical.
+
+    campaigns : Two campaigns of one robot or more: robot files as `casadical calibrate --out` writes them, folders of
+        results, problem folders, or tables of measurements (with --robot). Or one problem folder whose later tables lie
+        in its folder campaigns.
+    robot : Problem folder or robot file by which tables are understood; default: the first campaign that is no table.
+    same_tool : The same point of the same tool was measured: one that moved is a change.
+    same_frame : All positions are in one frame: a base that moved is a change of the foot.
     """
     from casadical.fleet.campaigns import compare_files
 

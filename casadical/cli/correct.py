@@ -8,27 +8,6 @@ from typer import Argument, Context, Option
 from casadical.cli import options as o
 from casadical.cli.terminal import keep, plain, refuse_taken, suggest, suggest_later, with_json
 
-Model = Annotated[
-    Path,
-    Argument(
-        metavar="DIR_OR_MODEL",
-        callback=o.robot_of,
-        help="A folder that `casadical export c` wrote, a robot file, or a folder of results.",
-    ),
-]
-Program = Annotated[
-    Path,
-    Argument(
-        metavar="PROGRAM",
-        help="A CSV with joint targets q1_deg .. (or q1_rad ..; q1_mm or q1_m of a linear joint), or a program of "
-        "KUKA (.src, .dat), ABB (.mod), Universal Robots (.script) or FANUC (.ls).",
-    ),
-]
-Out = Annotated[Path, Option(metavar="FILE", help="Where the corrected program goes.")]
-Tool = Annotated[str | None, Option(metavar="shared|own", help="As in `casadical export c`; default: shared.")]
-Trust = Annotated[
-    bool, Option("--trust", help="Compile and run the C of a folder that you did not export on this machine.")
-]
 Frames = Annotated[
     list[str] | None,
     Option(
@@ -44,28 +23,6 @@ Pose = Annotated[
         help="The controller's root frame in the robot file's base frame, its flange in the last link's frame; "
         "default: the same.",
     ),
-]
-Data = Annotated[
-    list[Path] | None,
-    Option(metavar="FILE", help="Another file of the program, with tools and bases. Repeat it for others."),
-]
-Nearest = Annotated[
-    bool,
-    Option(
-        "--nearest",
-        help="A pose without a configuration is reached as near as possible to the target before it in the file.",
-    ),
-]
-Still = Annotated[bool, Option("--external-still", help="External axes carry neither the robot nor its bases.")]
-Unreached = Annotated[
-    bool,
-    Option(
-        "--leave-unreached",
-        help="Leave poses that the nominal robot does not reach, and correct the others; for right frames only.",
-    ),
-]
-AccuracyOff = Annotated[
-    bool, Option("--accuracy-off", help="The controller's own absolute accuracy has been switched off.")
 ]
 
 # What a folder or a file of the robot has, and a program of each kind.
@@ -86,28 +43,28 @@ PROGRAMS = {
 
 def correct(
     context: Context,
-    model: Model,
-    program: Program,
-    out: Out,
+    model: Annotated[Path, Argument(metavar="DIR_OR_MODEL", callback=o.robot_of)],
+    program: Annotated[Path, Argument(metavar="PROGRAM")],
+    out: Annotated[Path, Option(metavar="FILE")],
     nominal: o.Nominal = None,
     compensator: o.Compensator = None,
     steps: o.Steps = None,
     what: o.What = "position",
     limit: o.Limit = None,
     payload: o.Payload = None,
-    tool: Tool = None,
+    tool: Annotated[str | None, Option(metavar="shared|own")] = None,
     tcp_error: o.TcpError = None,
     leave_out: o.LeaveOut = False,
-    trust: Trust = False,
+    trust: Annotated[bool, Option("--trust")] = False,
     tcp: Frames = None,
     base: Frames = None,
     root: Pose = None,
     flange: Pose = None,
-    data: Data = None,
-    nearest: Nearest = False,
-    external_still: Still = False,
-    leave_unreached: Unreached = False,
-    accuracy_off: AccuracyOff = False,
+    data: Annotated[list[Path] | None, Option(metavar="FILE")] = None,
+    nearest: Annotated[bool, Option("--nearest")] = False,
+    external_still: Annotated[bool, Option("--external-still")] = False,
+    leave_unreached: Annotated[bool, Option("--leave-unreached")] = False,
+    accuracy_off: Annotated[bool, Option("--accuracy-off")] = False,
     overwrite: o.Overwrite = False,
     json_file: o.Json = None,
     quiet: o.Quiet = False,
@@ -123,6 +80,18 @@ def correct(
 
     Exit codes: 0 written, with or without refused targets; 2 bad input, or poses that are not reached; 70 a bug in
     casadical.
+
+    model : A folder that `casadical export c` wrote, a robot file, or a folder of results.
+    program : A CSV with joint targets q1_deg .. (or q1_rad ..; q1_mm or q1_m of a linear joint), or a program of KUKA
+        (.src, .dat), ABB (.mod), Universal Robots (.script) or FANUC (.ls).
+    out : Where the corrected program goes.
+    tool : As in `casadical export c`; default: shared.
+    trust : Compile and run the C of a folder that you did not export on this machine.
+    data : Another file of the program, with tools and bases. Repeat it for others.
+    nearest : A pose without a configuration is reached as near as possible to the target before it in the file.
+    external_still : External axes carry neither the robot nor its bases.
+    leave_unreached : Leave poses that the nominal robot does not reach, and correct the others; for right frames only.
+    accuracy_off : The controller's own absolute accuracy has been switched off.
     """
     from casadical.core.telling.result import terminal
     from casadical.export.controller.c_export import OfCommand

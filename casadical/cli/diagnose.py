@@ -21,66 +21,6 @@ if TYPE_CHECKING:
     from casadical.core.telling.blocks import Words
     from casadical.project.diagnosis import Campaign, CampaignDiagnosis, LogCampaign, LogDiagnosis, Options
 
-Out = Annotated[
-    Path | None,
-    Option(
-        metavar="DIR",
-        help="Write diagnosed.robot.toml, the robot with its causes, for every command that takes a robot file; "
-        "diagnosis.json and diagnosis.txt. With several campaigns, a folder for each.",
-    ),
-]
-Unlisted = Annotated[
-    bool, Option("--unlisted", help="With --out: also have the description of an unknown cause in the robot's model.")
-]
-Together = Annotated[
-    bool,
-    Option(
-        "--together",
-        help="The tables are of one robot as it stood, by one or several instruments, and are diagnosed as one; "
-        "each has noise of its own.",
-    ),
-]
-Laws = Annotated[
-    bool | None,
-    Option(
-        "--laws/--no-laws",
-        help="Search for the law of what no listed effect explains: where it acts, what it follows, in which form; "
-        "with --out also discovered.robot.toml, law.effect.toml (for --effects), discovery.json, discovery.txt. "
-        "Default: where the verdict is unknown, and as a rival of all causes that were found (of joint logs never); "
-        "--no-laws: never.",
-    ),
-]
-OfMasses = Annotated[
-    bool,
-    Option(
-        "--nuisance-masses",
-        help="Wrong declared masses of links are part of the base model, not a cause that may be named.",
-    ),
-]
-Next = Annotated[
-    Path | None, Option("--next", metavar="FILE", help="Write poses that distinguish the leading causes, as CSV.")
-]
-NextN = Annotated[int, Option(min=1, max=1000, help="How many of these poses.")]
-Network = Annotated[
-    bool, Option("--network", help="Also train a 6-5-3 network, instead of the causes and after them (slow).")
-]
-Line = Annotated[
-    float | None,
-    Option(
-        min=1,
-        max=2000,
-        metavar="CYCLES",
-        help="Where the joints' error curves are named: look for lines up to so many cycles a turn, beyond the "
-        "curves' harmonics, too (docs/diagnosis.md).",
-    ),
-]
-Bootstrap = Annotated[
-    int,
-    Option(
-        min=0, max=1_000_000, metavar="N", help="Draws of noise alone that calibrate whether something is there: 2000."
-    ),
-]
-
 
 # Options that only one kind of table has.
 MODES = {
@@ -98,22 +38,22 @@ def diagnose(
     campaigns: o.Campaigns = None,
     reference: o.Reference = None,
     drive: o.DriveFile = None,
-    together: Together = False,
+    together: Annotated[bool, Option("--together")] = False,
     effects: o.Effects = None,
-    laws: Laws = None,
-    nuisance_masses: OfMasses = False,
+    laws: Annotated[bool | None, Option("--laws/--no-laws")] = None,
+    nuisance_masses: Annotated[bool, Option("--nuisance-masses")] = False,
     prior: o.Prior = None,
     prior_effects: o.PriorEffects = None,
     frozen: o.Frozen = False,
-    measure_next: Next = None,
-    next_n: NextN = 15,
+    measure_next: Annotated[Path | None, Option("--next", metavar="FILE")] = None,
+    next_n: Annotated[int, Option(min=1, max=1000)] = 15,
     room: o.Room = None,
-    network: Network = False,
-    highest_line: Line = None,
-    bootstrap: Bootstrap = 0,
+    network: Annotated[bool, Option("--network")] = False,
+    highest_line: Annotated[float | None, Option(min=1, max=2000, metavar="CYCLES")] = None,
+    bootstrap: Annotated[int, Option(min=0, max=1_000_000, metavar="N")] = 0,
     seed: o.Seed = 0,
-    out: Out = None,
-    unlisted: Unlisted = False,
+    out: Annotated[Path | None, Option(metavar="DIR")] = None,
+    unlisted: Annotated[bool, Option("--unlisted")] = False,
     report_file: o.Report = None,
     json_file: o.Json = None,
     details: o.Details = False,
@@ -128,6 +68,22 @@ def diagnose(
     Example: casadical diagnose arm CAMPAIGN.csv --details --report report.html
 
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug in casadical.
+
+    together : The tables are of one robot as it stood, by one or several instruments, and are diagnosed as one; each
+        has noise of its own.
+    laws : Search for the law of what no listed effect explains: where it acts, what it follows, in which form; with
+        --out also discovered.robot.toml, law.effect.toml (for --effects), discovery.json, discovery.txt. Default: where
+        the verdict is unknown, and as a rival of all causes that were found (of joint logs never); --no-laws: never.
+    nuisance_masses : Wrong declared masses of links are part of the base model, not a cause that may be named.
+    measure_next : Write poses that distinguish the leading causes, as CSV.
+    next_n : How many of these poses.
+    network : Also train a 6-5-3 network, instead of the causes and after them (slow).
+    highest_line : Where the joints' error curves are named: look for lines up to so many cycles a turn, beyond the
+        curves' harmonics, too (docs/diagnosis.md).
+    bootstrap : Draws of noise alone that calibrate whether something is there: 2000.
+    out : Write diagnosed.robot.toml, the robot with its causes, for every command that takes a robot file;
+        diagnosis.json and diagnosis.txt. With several campaigns, a folder for each.
+    unlisted : With --out: also have the description of an unknown cause in the robot's model.
     """
     from casadical.project.diagnosis import Options, effects_named, read_campaigns, read_logs
 

@@ -8,98 +8,6 @@ from typer import Argument, Context, Option
 from casadical.cli import options as o
 from casadical.cli.terminal import keep, plain, print_written, refuse_taken, suggest, suggest_later, with_json, working
 
-Robot = Annotated[
-    Path, Argument(metavar="ROBOT.toml", callback=o.robot_of, help="A calibrated robot file, or a folder of results.")
-]
-Folder = Annotated[Path, Option("--out", metavar="DIR", help="Folder for the files; other files in it stay.")]
-Product = Annotated[
-    str,
-    Option(
-        "--what",
-        metavar="network|command|curves",
-        help="The network alone, the correction of joint commands, or the joints' error curves alone.",
-    ),
-]
-Real = Annotated[str, Option(metavar="float|double", help="Number type of the C.")]
-Cycle = Annotated[float | None, Option(metavar="MS", help="Time between two calls of NAME_step [ms]; default: 4.")]
-Rate = Annotated[
-    float | None, Option(metavar="RAD_PER_S", help="Rate at which a joint's correction may change; default: 0.5 rad/s.")
-]
-Ramp = Annotated[
-    float | None, Option(metavar="S", help="Time in which the correction is switched on and off [s]; default: 1.")
-]
-Precise = Annotated[
-    bool,
-    Option(
-        "--precise",
-        help="Compare nominal and real robot without rounding errors of their positions, at about twice the "
-        "operations: for --real float.",
-    ),
-]
-Prefix = Annotated[
-    str | None,
-    Option("--name", metavar="PREFIX", help="Prefix of C functions and files; default: from the robot's name."),
-]
-Languages = Annotated[
-    str | None,
-    Option(
-        "--language",
-        metavar="NAMES",
-        autocompletion=o.languages,
-        help="Languages to write besides the C, by commas; default: an FMU and structured text.",
-    ),
-]
-Replaced = Annotated[
-    bool, Option("--overwrite", help="Replace files that casadical did not write or that were changed.")
-]
-NoBound = Annotated[
-    bool, Option("--no-bound", help="Leave out the bound of the error that remains: less code and memory.")
-]
-Source = Annotated[
-    Path,
-    Argument(
-        metavar="PROBLEM_DIR_OR_ROBOT.toml",
-        callback=o.robot_of,
-        help="A problem folder, which is calibrated, a calibrated robot file, or a folder of results.",
-    ),
-]
-Out = Annotated[Path, Option(metavar="FILE", help="Where the model goes.")]
-Form = Annotated[
-    str | None,
-    Option(
-        "--to",
-        metavar="FORM",
-        autocompletion=o.forms,
-        help="mjcf (MuJoCo), urdf; actuators (JSON of the drives by joint names); kinematics of a driver: ur (YAML of "
-        "the UR ROS 2 description), standard_dh, modified_dh (CSV), xacro (properties of joint origins). Default: by "
-        "the ending of FILE.",
-    ),
-]
-Campaign = Annotated[
-    Path | None,
-    Option(
-        metavar="CAMPAIGN.csv",
-        help="For mjcf: measured positions, from which the robot is calibrated and diagnosed; the causes found go into "
-        "the model.",
-    ),
-]
-Into = Annotated[
-    Path | None,
-    Option(
-        metavar="YOURS.xml",
-        help="For mjcf: a MuJoCo model of the nominal robot: its bodies get the calibrated geometry, the rest stays. "
-        "Needs --joints.",
-    ),
-]
-Joints = Annotated[
-    str | None,
-    Option(metavar="NAMES", help="Names of the arm's joints in YOURS.xml, from the base to the tool, by commas."),
-]
-Springs = Annotated[bool, Option("--springs", help="With --into: a spring beside each compliant joint, NAME_spring.")]
-Checksum = Annotated[
-    str, Option("--hash", metavar="WORD", help="For ur: the hash of the controller's own calibration, calib_...")
-]
-
 # What each product has beside the options of all.
 PRODUCTS = {
     "--what command": (
@@ -113,27 +21,27 @@ PRODUCTS = {
 
 def export_c(
     context: Context,
-    robot: Robot,
-    out: Folder,
-    what: Product = "command",
+    robot: Annotated[Path, Argument(metavar="ROBOT.toml", callback=o.robot_of)],
+    out: Annotated[Path, Option("--out", metavar="DIR")],
+    what: Annotated[str, Option("--what", metavar="network|command|curves")] = "command",
     nominal: o.Nominal = None,
     compensator: o.Compensator = None,
-    real: Real = "double",
+    real: Annotated[str, Option(metavar="float|double")] = "double",
     steps: o.Steps = None,
     correct: o.What = "position",
-    cycle: Cycle = None,
-    rate: Rate = None,
-    ramp: Ramp = None,
-    precise: Precise = False,
+    cycle: Annotated[float | None, Option(metavar="MS")] = None,
+    rate: Annotated[float | None, Option(metavar="RAD_PER_S")] = None,
+    ramp: Annotated[float | None, Option(metavar="S")] = None,
+    precise: Annotated[bool, Option("--precise")] = False,
     limit: o.Limit = None,
     payload: o.Payload = None,
     tool: o.Tool = "shared",
     tcp_error: o.TcpError = None,
-    no_bound: NoBound = False,
+    no_bound: Annotated[bool, Option("--no-bound")] = False,
     leave_out: o.LeaveOut = False,
-    name: Prefix = None,
-    language: Languages = None,
-    overwrite: Replaced = False,
+    name: Annotated[str | None, Option("--name", metavar="PREFIX")] = None,
+    language: Annotated[str | None, Option("--language", metavar="NAMES", autocompletion=o.languages)] = None,
+    overwrite: Annotated[bool, Option("--overwrite")] = False,
     json_file: o.Json = None,
     quiet: o.Quiet = False,
 ) -> None:
@@ -144,6 +52,20 @@ def export_c(
     Example: casadical export c results/SKCM.robot.toml --nominal robot.toml --out c
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
+
+    robot : A calibrated robot file, or a folder of results.
+    out : Folder for the files; other files in it stay.
+    what : The network alone, the correction of joint commands, or the joints' error curves alone.
+    real : Number type of the C.
+    cycle : Time between two calls of NAME_step [ms]; default: 4.
+    rate : Rate at which a joint's correction may change; default: 0.5 rad/s.
+    ramp : Time in which the correction is switched on and off [s]; default: 1.
+    precise : Compare nominal and real robot without rounding errors of their positions, at about twice the operations:
+        for --real float.
+    no_bound : Leave out the bound of the error that remains: less code and memory.
+    name : Prefix of C functions and files; default: from the robot's name.
+    language : Languages to write besides the C, by commas; default: an FMU and structured text.
+    overwrite : Replace files that casadical did not write or that were changed.
     """
     from casadical.core.telling.result import terminal
     from casadical.export.controller import c_export
@@ -173,16 +95,16 @@ def export_c(
 
 
 def export_model(
-    source: Source,
-    out: Out,
-    form: Form = None,
+    source: Annotated[Path, Argument(metavar="PROBLEM_DIR_OR_ROBOT.toml", callback=o.robot_of)],
+    out: Annotated[Path, Option(metavar="FILE")],
+    form: Annotated[str | None, Option("--to", metavar="FORM", autocompletion=o.forms)] = None,
     nominal: o.Nominal = None,
-    campaign: Campaign = None,
+    campaign: Annotated[Path | None, Option(metavar="CAMPAIGN.csv")] = None,
     effects: o.Effects = None,
-    into: Into = None,
-    joints: Joints = None,
-    springs: Springs = False,
-    checksum: Checksum = "",
+    into: Annotated[Path | None, Option(metavar="YOURS.xml")] = None,
+    joints: Annotated[str | None, Option(metavar="NAMES")] = None,
+    springs: Annotated[bool, Option("--springs")] = False,
+    checksum: Annotated[str, Option("--hash", metavar="WORD")] = "",
     leave_out: o.LeaveOut = False,
     overwrite: o.Overwrite = False,
     json_file: o.Json = None,
@@ -197,6 +119,19 @@ def export_model(
     Example: casadical export model results/SKCM.robot.toml --out arm.urdf
 
     Exit codes: 0 written, 2 bad input, 3 no optimum found, 70 a bug in casadical.
+
+    source : A problem folder, which is calibrated, a calibrated robot file, or a folder of results.
+    out : Where the model goes.
+    form : mjcf (MuJoCo), urdf; actuators (JSON of the drives by joint names); kinematics of a driver: ur (YAML of the
+        UR ROS 2 description), standard_dh, modified_dh (CSV), xacro (properties of joint origins). Default: by the
+        ending of FILE.
+    campaign : For mjcf: measured positions, from which the robot is calibrated and diagnosed; the causes found go into
+        the model.
+    into : For mjcf: a MuJoCo model of the nominal robot: its bodies get the calibrated geometry, the rest stays. Needs
+        --joints.
+    joints : Names of the arm's joints in YOURS.xml, from the base to the tool, by commas.
+    springs : With --into: a spring beside each compliant joint, NAME_spring.
+    checksum : For ur: the hash of the controller's own calibration, calib_...
     """
     from casadical.core.telling.result import terminal
     from casadical.export.model_file import OfMjcf, form_of, robot_model

@@ -13,29 +13,12 @@ from casadical.core.telling.result import terminal
 
 
 def fleet(
-    folders: Annotated[
-        list[Path], Argument(metavar="FOLDER...", help="Problem folders, one a robot, or folders that hold them.")
-    ],
-    store: Annotated[
-        Path, Option(metavar="STORE.parquet", help="Folder of parquet files, a row of each robot; continued.")
-    ],
-    scheduler: Annotated[
-        str | None, Option(metavar="ADDRESS", help="Dask scheduler, as tcp://host:8786; default: this machine's cores.")
-    ] = None,
-    workers: Annotated[
-        int | None, Option(min=1, max=1024, metavar="N", help="Processes of this machine; default: one a core.")
-    ] = None,
-    diagnose: Annotated[
-        bool, Option("--diagnose/--no-diagnose", help="Diagnose every robot, which takes longest.")
-    ] = True,
-    priors: Annotated[
-        Path | None,
-        Option(
-            metavar="DIR",
-            help="Write what robots of one type have in common, TYPE.robot.toml, for calibrate --prior FILE "
-            "--prior-effects all.",
-        ),
-    ] = None,
+    folders: Annotated[list[Path], Argument(metavar="FOLDER...")],
+    store: Annotated[Path, Option(metavar="STORE.parquet")],
+    scheduler: Annotated[str | None, Option(metavar="ADDRESS")] = None,
+    workers: Annotated[int | None, Option(min=1, max=1024, metavar="N")] = None,
+    diagnose: Annotated[bool, Option("--diagnose/--no-diagnose")] = True,
+    priors: Annotated[Path | None, Option(metavar="DIR")] = None,
     json_file: Json = None,
     report_file: Report = None,
     quiet: Quiet = False,
@@ -49,6 +32,14 @@ def fleet(
     Example: casadical fleet plants/* --store fleet.parquet --report fleet.html
 
     Exit codes: 0 done, also where single robots failed, 2 bad input or no scheduler, 70 a bug in casadical.
+
+    folders : Problem folders, one a robot, or folders that hold them.
+    store : Folder of parquet files, a row of each robot; continued.
+    scheduler : Dask scheduler, as tcp://host:8786; default: this machine's cores.
+    workers : Processes of this machine; default: one a core.
+    diagnose : Diagnose every robot, which takes longest.
+    priors : Write what robots of one type have in common, TYPE.robot.toml, for calibrate --prior FILE --prior-effects
+        all.
     """
     from casadical.fleet.run import run_fleet
 

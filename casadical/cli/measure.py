@@ -20,37 +20,6 @@ if TYPE_CHECKING:
     from casadical.project.live.session import LiveSession
     from casadical.project.live.sources import Source
 
-Folder = Annotated[
-    Path, Argument(metavar="ARM", help="Problem folder, as casadical new makes it; the readings are kept there.")
-]
-Follow = Annotated[
-    str | None,
-    Option(
-        metavar="FILE|DIR|-",
-        help="Where readings come from: a table that the instrument's software appends to, a folder of tables, or - "
-        "for standard input. Any table that casadical new understands.",
-    ),
-]
-Simulate = Annotated[
-    int | None,
-    Option(
-        metavar="N",
-        min=1,
-        help="Play an instrument in place of --follow: N made-up readings of a robot that departs a little from its "
-        "file, each at the pose that is planned next. The folder is marked synthetic.",
-    ),
-]
-Target = Annotated[float | None, Option(min=0, metavar="MM", help="Wanted accuracy; says when it is reached.")]
-Program = Annotated[
-    str | None, Option(metavar="WORD", help="Give the next pose as a program line, too: krl, rapid, urscript or fanuc.")
-]
-NoPage = Annotated[bool, Option("--no-page", help="Print the answers; serve no page.")]
-Host = Annotated[
-    str, Option(metavar="ADDRESS", help="Where the page is served; another machine then needs the token it prints.")
-]
-Port = Annotated[int, Option(min=0, max=65535, metavar="N", help="Port of the page; default: a free one.")]
-Every = Annotated[float, Option(min=0, max=3600, metavar="S", help="Seconds between readings of --simulate.")]
-Finish = Annotated[bool, Option("--finish", help="Calibrate when the readings end, into the folder `results` in ARM.")]
 # How often a source is looked at, and after how long it is said that nothing comes [s].
 PAUSE, SILENT = 0.2, 180.0
 # Options of some modes alone.
@@ -60,17 +29,17 @@ SHOWN = {"the page": ("host", "port"), "--no-page": ()}
 
 def measure(
     context: Context,
-    folder: Folder,
-    follow: Follow = None,
-    simulate: Simulate = None,
-    target_mm: Target = None,
+    folder: Annotated[Path, Argument(metavar="ARM")],
+    follow: Annotated[str | None, Option(metavar="FILE|DIR|-")] = None,
+    simulate: Annotated[int | None, Option(metavar="N", min=1)] = None,
+    target_mm: Annotated[float | None, Option(min=0, metavar="MM")] = None,
     room: Room = None,
-    finish: Finish = False,
-    program: Program = None,
-    no_page: NoPage = False,
-    host: Host = "127.0.0.1",
-    port: Port = 0,
-    every: Every = 0.0,
+    finish: Annotated[bool, Option("--finish")] = False,
+    program: Annotated[str | None, Option(metavar="WORD")] = None,
+    no_page: Annotated[bool, Option("--no-page")] = False,
+    host: Annotated[str, Option(metavar="ADDRESS")] = "127.0.0.1",
+    port: Annotated[int, Option(min=0, max=65535, metavar="N")] = 0,
+    every: Annotated[float, Option(min=0, max=3600, metavar="S")] = 0.0,
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -84,6 +53,19 @@ def measure(
     Example: casadical measure arm --follow tracker.csv
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
+
+    folder : Problem folder, as casadical new makes it; the readings are kept there.
+    follow : Where readings come from: a table that the instrument's software appends to, a folder of tables, or - for
+        standard input. Any table that casadical new understands.
+    simulate : Play an instrument in place of --follow: N made-up readings of a robot that departs a little from its
+        file, each at the pose that is planned next. The folder is marked synthetic.
+    target_mm : Wanted accuracy; says when it is reached.
+    finish : Calibrate when the readings end, into the folder `results` in ARM.
+    program : Give the next pose as a program line, too: krl, rapid, urscript or fanuc.
+    no_page : Print the answers; serve no page.
+    host : Where the page is served; another machine then needs the token it prints.
+    port : Port of the page; default: a free one.
+    every : Seconds between readings of --simulate.
     """
     from casadical.core.reading import load_toml
     from casadical.core.telling.result import terminal

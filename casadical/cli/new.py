@@ -15,37 +15,6 @@ if TYPE_CHECKING:
     from casadical.project.problem import Problem
 
 
-Folder = Annotated[Path, Argument(metavar="DIR", help="The new folder; nothing is overwritten.")]
-Urdf = Annotated[Path | None, Option(metavar="FILE", help="Take the robot from this URDF.")]
-BaseLink = Annotated[str | None, Option(metavar="LINK", help="First link of the arm in the URDF; default: its root.")]
-TipLink = Annotated[
-    str | None,
-    Option(metavar="LINK", help="Last link of the arm; default: the only moving end, or where a gripper begins."),
-]
-Dh = Annotated[
-    Path | None,
-    Option(
-        metavar="FILE.csv",
-        help="Take the robot from this table, one row per joint: a_mm, alpha_deg, d_mm, theta_deg, ...",
-    ),
-]
-Convention = Annotated[
-    str | None, Option(metavar="WORD", help="Convention of the DH table: modified (Craig, the default) or standard.")
-]
-Data = Annotated[
-    Path | None,
-    Option(
-        metavar="FILE",
-        help="Measured poses: CSV or text in any usual form, or .xlsx, headings in five languages; default: "
-        "synthetic ones, marked as such.",
-    ),
-]
-Example = Annotated[
-    bool, Option("--example", help="An example arm with made-up poses: what is written without a robot, too.")
-]
-Yes = Annotated[bool, Option("--yes", "-y", help="Take the most probable answer to every question on the table.")]
-
-
 EXAMPLE = "an example (--example, or no robot)"
 # What each kind of robot has.
 ROBOTS = {
@@ -57,15 +26,15 @@ ROBOTS = {
 
 def new(
     context: Context,
-    folder: Folder,
-    urdf: Urdf = None,
-    base_link: BaseLink = None,
-    tip_link: TipLink = None,
-    dh: Dh = None,
-    convention: Convention = None,
-    data: Data = None,
-    example: Example = False,
-    yes: Yes = False,
+    folder: Annotated[Path, Argument(metavar="DIR")],
+    urdf: Annotated[Path | None, Option(metavar="FILE")] = None,
+    base_link: Annotated[str | None, Option(metavar="LINK")] = None,
+    tip_link: Annotated[str | None, Option(metavar="LINK")] = None,
+    dh: Annotated[Path | None, Option(metavar="FILE.csv")] = None,
+    convention: Annotated[str | None, Option(metavar="WORD")] = None,
+    data: Annotated[Path | None, Option(metavar="FILE")] = None,
+    example: Annotated[bool, Option("--example")] = False,
+    yes: Annotated[bool, Option("--yes", "-y")] = False,
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -77,6 +46,17 @@ def new(
     Example: casadical new arm --dh dh.csv --data messung.csv
 
     Exit codes: 0 written, 2 bad input (then nothing was written), 70 a bug in casadical.
+
+    folder : The new folder; nothing is overwritten.
+    urdf : Take the robot from this URDF.
+    base_link : First link of the arm in the URDF; default: its root.
+    tip_link : Last link of the arm; default: the only moving end, or where a gripper begins.
+    dh : Take the robot from this table, one row per joint: a_mm, alpha_deg, d_mm, theta_deg, ...
+    convention : Convention of the DH table: modified (Craig, the default) or standard.
+    data : Measured poses: CSV or text in any usual form, or .xlsx, headings in five languages; default: synthetic ones,
+        marked as such.
+    example : An example arm with made-up poses: what is written without a robot, too.
+    yes : Take the most probable answer to every question on the table.
     """
     from casadical.project.new import new_problem
 

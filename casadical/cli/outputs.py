@@ -2,6 +2,7 @@
 
 import inspect
 import json
+import re
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -34,10 +35,17 @@ _MEASURED = {"x_mm", "x_m", "y_mm", "y_m", "z_mm", "z_m"}
 
 
 def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[..., Any]:
-    """A command that checks and claims what it will write before it works; also : names of further outputs."""
+    """A command that checks and claims what it will write before it works; also : names of further outputs.
+
+    The last paragraph of its docstring, in lines `name : text`, is the help of its arguments and options.
+    """
     hints, outputs = get_type_hints(command, include_extras=True), {*_OUTPUTS, *also}
-    options = {name: getattr(hints[name], "__metadata__", (None,))[0] for name in inspect.signature(command).parameters}
+    signature = inspect.signature(command)
+    options: dict[str, Any] = {n: getattr(hints[n], "__metadata__", (None,))[0] for n in signature.parameters}
     folders = {name for name, option in options.items() if (getattr(option, "metavar", "") or "").startswith("DIR")}
+    told, *helps = re.split(r"\n+^(\w+) : ", inspect.getdoc(command) or "", flags=re.MULTILINE)
+    for name, words in zip(helps[::2], helps[1::2], strict=True):
+        options[name].help = " ".join(words.split())
 
     @wraps(command)
     def run(**given: Any) -> Any:
@@ -59,6 +67,10 @@ def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[.
                 judged = [path for path in inputs if path not in others and command.__name__ != "new"]
                 raise every_fault(error, judged, later=later) from None
 
+    run.__doc__ = told
+    run.__signature__ = signature.replace(  # type: ignore[attr-defined]  # with these options, not made again from text
+        parameters=[p.replace(annotation=hints[name]) for name, p in signature.parameters.items()]
+    )
     return run
 
 

@@ -17,100 +17,6 @@ from casadical.core.telling.result import terminal
 if TYPE_CHECKING:
     from casadical.project.planning import Places, Wanted
 
-Problem = Annotated[
-    Path, Argument(metavar="PROBLEM", help="Folder with the robot, or a robot file, such as calibrate writes.")
-]
-Poses = Annotated[
-    list[Path] | None,
-    Argument(
-        metavar="[POSES.csv...]", help="With --isolability: the poses in question; default: the tables of the folder."
-    ),
-]
-Number = Annotated[
-    int | None,
-    Option("-n", min=1, max=10_000, help="Number of joint readings to measure; without it, print how many are enough."),
-]
-Out = Annotated[
-    Path | None, Option(metavar="FILE.csv", help="The poses in order, expected figures beside it; default: plan.csv.")
-]
-For = Annotated[
-    str | None,
-    Option(
-        "--for",
-        metavar="NAMES",
-        autocompletion=o.effects,
-        help="Effects to identify as well: names or labels (backlash@5), by commas.",
-    ),
-]
-Isolability = Annotated[
-    bool,
-    Option(
-        "--isolability",
-        help="Choose no poses: say what POSES could show of each effect (of --for; default: all), and which look "
-        "alike. Measured positions are not needed.",
-    ),
-]
-Criterion = Annotated[
-    str, Option(metavar="WORD", autocompletion=o.criteria, help="V (accuracy over all poses), D, A, or O1 to O5.")
-]
-Measured = Annotated[Path | None, Option(metavar="FILE.csv", help="Poses already measured; the plan adds to them.")]
-Payloads = Annotated[str | None, Option(metavar="KG,KG", help="Payloads that can be mounted, by commas.")]
-EveryPayload = Annotated[bool, Option(help="Measure each reading with all payloads.")]
-BothApproaches = Annotated[bool, Option(help="Approach each reading from either side.")]
-Repeats = Annotated[int, Option(min=1, max=1000, help="Passes over all poses.")]
-NoiseMm = Annotated[
-    float | None,
-    Option(
-        min=0,
-        help="Noise of a coordinate or distance, one sigma; default: sigma_mm of problem.toml, or 0.02; "
-        "estimated from --measured.",
-    ),
-]
-JointNoise = Annotated[float, Option(min=0, help="Repeatability of a joint, one sigma.")]
-Distance = Annotated[
-    float,
-    Option(min=0, max=1, help="Least distance of two poses: in the joint that differs most, as a share of its range."),
-]
-Target = Annotated[float | None, Option(min=0, help="Wanted accuracy; prints how many poses are enough for it.")]
-Order = Annotated[bool, Option("--order/--no-order", help="Order the poses for short travel (needs networkx).")]
-Wires = Annotated[
-    int | None, Option(min=1, max=4, help="Plan for so many draw wires, and where they end, in place of positions.")
-]
-Sockets = Annotated[
-    int | None, Option(min=1, max=30, help="Plan for the tool's ball in so many sockets, in place of positions.")
-]
-PlacesFile = Annotated[
-    Path | None,
-    Option(
-        metavar="FILE.csv", help="Where wires or sockets may be: columns x_mm, y_mm, z_mm; default: about the robot."
-    ),
-]
-KnownPlaces = Annotated[bool, Option(help="The wires' ends will be measured, too.")]
-Iso9283 = Annotated[
-    bool,
-    Option(
-        "--iso9283",
-        help="Plan a test by ISO 9283 instead: five poses in the largest cube of the standard, 30 visits each, three "
-        "approach paths, drift over 8 hours; written to --out (default: iso9283.csv).",
-    ),
-]
-Touches = Annotated[
-    int | None,
-    Option(
-        min=2, max=50, metavar="N",
-        help="Plan N touches a day instead, that tell most about zeros, tool and foot of a calibrated robot; written "
-        "to --out (default: touches.csv).",
-    ),
-]  # fmt: skip
-Motion = Annotated[
-    Path | None,
-    Option(
-        metavar="LOG",
-        help="Propose a motion instead, by a joint log: what to log next to distinguish the causes that it leaves open "
-        "(or those of --for); commands are written to --out (default: motion.csv).",
-    ),
-]
-Cube = Annotated[float | None, Option(min=10, max=5000, help="With --iso9283: side of the cube.")]
 
 CALIBRATION = "poses to calibrate with (--measured: those that there are)"
 MODES = {
@@ -128,34 +34,34 @@ MODES = {
 
 def plan(
     context: Context,
-    problem: Problem,
-    poses: Poses = None,
-    n: Number = None,
-    out: Out = None,
-    effects: For = None,
-    isolability: Isolability = False,
-    criterion: Criterion = "V",
+    problem: Annotated[Path, Argument(metavar="PROBLEM")],
+    poses: Annotated[list[Path] | None, Argument(metavar="[POSES.csv...]")] = None,
+    n: Annotated[int | None, Option("-n", min=1, max=10_000)] = None,
+    out: Annotated[Path | None, Option(metavar="FILE.csv")] = None,
+    effects: Annotated[str | None, Option("--for", metavar="NAMES", autocompletion=o.effects)] = None,
+    isolability: Annotated[bool, Option("--isolability")] = False,
+    criterion: Annotated[str, Option(metavar="WORD", autocompletion=o.criteria)] = "V",
     room: o.Room = None,
-    measured: Measured = None,
-    payloads: Payloads = None,
-    every_payload: EveryPayload = False,
-    both_approaches: BothApproaches = False,
-    repeats: Repeats = 1,
-    noise_mm: NoiseMm = None,
-    joint_noise_urad: JointNoise = 0.0,
-    min_distance: Distance = 0.0,
-    target_mm: Target = None,
-    order: Order = True,
-    wires: Wires = None,
-    sockets: Sockets = None,
-    places: PlacesFile = None,
+    measured: Annotated[Path | None, Option(metavar="FILE.csv")] = None,
+    payloads: Annotated[str | None, Option(metavar="KG,KG")] = None,
+    every_payload: Annotated[bool, Option()] = False,
+    both_approaches: Annotated[bool, Option()] = False,
+    repeats: Annotated[int, Option(min=1, max=1000)] = 1,
+    noise_mm: Annotated[float | None, Option(min=0)] = None,
+    joint_noise_urad: Annotated[float, Option(min=0)] = 0.0,
+    min_distance: Annotated[float, Option(min=0, max=1)] = 0.0,
+    target_mm: Annotated[float | None, Option(min=0)] = None,
+    order: Annotated[bool, Option("--order/--no-order")] = True,
+    wires: Annotated[int | None, Option(min=1, max=4)] = None,
+    sockets: Annotated[int | None, Option(min=1, max=30)] = None,
+    places: Annotated[Path | None, Option(metavar="FILE.csv")] = None,
     prior: o.Prior = None,
     prior_effects: o.PriorEffects = None,
-    known_places: KnownPlaces = False,
-    iso9283: Iso9283 = False,
-    cube_mm: Cube = None,
-    touches: Touches = None,
-    motion: Motion = None,
+    known_places: Annotated[bool, Option()] = False,
+    iso9283: Annotated[bool, Option("--iso9283")] = False,
+    cube_mm: Annotated[float | None, Option(min=10, max=5000)] = None,
+    touches: Annotated[int | None, Option(min=2, max=50, metavar="N")] = None,
+    motion: Annotated[Path | None, Option(metavar="LOG")] = None,
     reference: o.Reference = None,
     drive: o.DriveFile = None,
     seed: o.Seed = 0,
@@ -170,6 +76,37 @@ def plan(
     Example: casadical plan arm -n 40 --target-mm 0.03 --out next.csv
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
+
+    problem : Folder with the robot, or a robot file, such as calibrate writes.
+    poses : With --isolability: the poses in question; default: the tables of the folder.
+    n : Number of joint readings to measure; without it, print how many are enough.
+    out : The poses in order, expected figures beside it; default: plan.csv.
+    effects : Effects to identify as well: names or labels (backlash@5), by commas.
+    isolability : Choose no poses: say what POSES could show of each effect (of --for; default: all), and which look
+        alike. Measured positions are not needed.
+    criterion : V (accuracy over all poses), D, A, or O1 to O5.
+    measured : Poses already measured; the plan adds to them.
+    payloads : Payloads that can be mounted, by commas.
+    every_payload : Measure each reading with all payloads.
+    both_approaches : Approach each reading from either side.
+    repeats : Passes over all poses.
+    noise_mm : Noise of a coordinate or distance, one sigma; default: sigma_mm of problem.toml, or 0.02; estimated from
+        --measured.
+    joint_noise_urad : Repeatability of a joint, one sigma.
+    min_distance : Least distance of two poses: in the joint that differs most, as a share of its range.
+    target_mm : Wanted accuracy; prints how many poses are enough for it.
+    order : Order the poses for short travel (needs networkx).
+    wires : Plan for so many draw wires, and where they end, in place of positions.
+    sockets : Plan for the tool's ball in so many sockets, in place of positions.
+    places : Where wires or sockets may be: columns x_mm, y_mm, z_mm; default: about the robot.
+    known_places : The wires' ends will be measured, too.
+    iso9283 : Plan a test by ISO 9283 instead: five poses in the largest cube of the standard, 30 visits each, three
+        approach paths, drift over 8 hours; written to --out (default: iso9283.csv).
+    cube_mm : With --iso9283: side of the cube.
+    touches : Plan N touches a day instead, that tell most about zeros, tool and foot of a calibrated robot; written to
+        --out (default: touches.csv).
+    motion : Propose a motion instead, by a joint log: what to log next to distinguish the causes that it leaves open
+        (or those of --for); commands are written to --out (default: motion.csv).
     """
     from casadical.project.planning import Wanted, circumstances_of
 

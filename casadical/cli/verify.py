@@ -11,75 +11,6 @@ from casadical.cli.terminal import DIAGNOSIS, NOT_VALID, html, keep, plain, sugg
 from casadical.core.basics import InputError
 from casadical.core.telling.result import terminal
 
-Robot = Annotated[
-    Path,
-    Argument(
-        metavar="ROBOT.toml",
-        help="A calibrated robot, as `casadical calibrate --out` writes it, or that folder (the method that counts); "
-        "with --mujoco a problem folder or the robot file of the drawing.",
-    ),
-]
-Tables = Annotated[
-    list[Path] | None,
-    Argument(
-        metavar="TEN.csv...",
-        help="Some ten poses measured later, in any usual form; several count together. With --mujoco campaigns, each "
-        "for itself; default: the tables of the problem folder.",
-    ),
-]
-Promised = Annotated[
-    float | None,
-    Option(
-        min=0.0,
-        metavar="MM",
-        help="Promised rms position error as the instrument reads it, its noise included; default: of the held-out "
-        "poses, from result.json or diagnosis.json beside the robot file.",
-    ),
-]
-Mujoco = Annotated[
-    bool,
-    Option(
-        "--mujoco",
-        help="Replay measured poses in MuJoCo instead: with the nominal robot, the calibrated one, and that with the "
-        "diagnosed causes. Two thirds of the poses are fitted, the others replayed.",
-    ),
-]
-Iso9283 = Annotated[
-    bool,
-    Option(
-        "--iso9283",
-        help="The table is a test by ISO 9283, as `casadical plan --iso9283` plans it: AP, RP, variation with the "
-        "approach, drift.",
-    ),
-]
-Out = Annotated[
-    Path | None,
-    Option(metavar="DIR", help="With --mujoco: write the models here, CAMPAIGN.STAGE.xml (0 is the nominal one)."),
-]
-Split = Annotated[
-    int | None, Option(min=0, help="Of the split of the poses with --mujoco, of the draws with --touches; default: 0.")
-]
-Touches = Annotated[
-    bool,
-    Option(
-        "--touches",
-        help="The tables are points touched in the frame of the calibration, one a day, as `plan --touches N` "
-        "plans them: say whether the robot is valid on the last day, and what moved.",
-    ),
-]
-Tolerance = Annotated[
-    float | None, Option(min=0, help="With --touches: rms error that is allowed; default: twice what the file states.")
-]
-NoiseMm = Annotated[float | None, Option(min=0, help="With --touches: noise of a coordinate, one sigma.")]
-Fleet = Annotated[
-    Path | None,
-    Option(metavar="FILE.json", help="With --touches: what `casadical fleet --json` wrote, whose changes count."),
-]
-Update = Annotated[
-    Path | None, Option(metavar="ROBOT.toml", help="With --touches: write the corrected robot where that is better.")
-]
-Chart = Annotated[Path | None, Option(metavar="FILE.csv", help="With --touches: a row a day, with control limits.")]
-
 # Each with what it has beside robot, tables and quiet; the first that is asked for counts.
 MODES = {
     "--mujoco": ("mujoco", "effects", "seed", "out", "json_file"),
@@ -93,21 +24,21 @@ MODES = {
 
 def verify(
     context: Context,
-    robot: Robot,
-    tables: Tables = None,
-    promised_mm: Promised = None,
-    mujoco: Mujoco = False,
-    iso9283: Iso9283 = False,
-    touches: Touches = False,
-    tolerance_mm: Tolerance = None,
-    noise_mm: NoiseMm = None,
-    fleet: Fleet = None,
-    update: Update = None,
-    chart: Chart = None,
+    robot: Annotated[Path, Argument(metavar="ROBOT.toml")],
+    tables: Annotated[list[Path] | None, Argument(metavar="TEN.csv...")] = None,
+    promised_mm: Annotated[float | None, Option(min=0.0, metavar="MM")] = None,
+    mujoco: Annotated[bool, Option("--mujoco")] = False,
+    iso9283: Annotated[bool, Option("--iso9283")] = False,
+    touches: Annotated[bool, Option("--touches")] = False,
+    tolerance_mm: Annotated[float | None, Option(min=0)] = None,
+    noise_mm: Annotated[float | None, Option(min=0)] = None,
+    fleet: Annotated[Path | None, Option(metavar="FILE.json")] = None,
+    update: Annotated[Path | None, Option(metavar="ROBOT.toml")] = None,
+    chart: Annotated[Path | None, Option(metavar="FILE.csv")] = None,
     report_file: Report = None,
     effects: Effects = None,
-    seed: Split = None,
-    out: Out = None,
+    seed: Annotated[int | None, Option(min=0)] = None,
+    out: Annotated[Path | None, Option(metavar="DIR")] = None,
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -121,6 +52,26 @@ def verify(
     Example: casadical verify results/KM.robot.toml ten.csv
 
     Exit codes: 0 still valid, or replayed, 2 bad input, 3 no optimum found, 5 no longer valid, 70 a bug in casadical.
+
+    robot : A calibrated robot, as `casadical calibrate --out` writes it, or that folder (the method that counts); with
+        --mujoco a problem folder or the robot file of the drawing.
+    tables : Some ten poses measured later, in any usual form; several count together. With --mujoco campaigns, each for
+        itself; default: the tables of the problem folder.
+    promised_mm : Promised rms position error as the instrument reads it, its noise included; default: of the held-out
+        poses, from result.json or diagnosis.json beside the robot file.
+    mujoco : Replay measured poses in MuJoCo instead: with the nominal robot, the calibrated one, and that with the
+        diagnosed causes. Two thirds of the poses are fitted, the others replayed.
+    iso9283 : The table is a test by ISO 9283, as `casadical plan --iso9283` plans it: AP, RP, variation with the
+        approach, drift.
+    touches : The tables are points touched in the frame of the calibration, one a day, as `plan --touches N` plans
+        them: say whether the robot is valid on the last day, and what moved.
+    tolerance_mm : With --touches: rms error that is allowed; default: twice what the file states.
+    noise_mm : With --touches: noise of a coordinate, one sigma.
+    fleet : With --touches: what `casadical fleet --json` wrote, whose changes count.
+    update : With --touches: write the corrected robot where that is better.
+    chart : With --touches: a row a day, with control limits.
+    seed : Of the split of the poses with --mujoco, of the draws with --touches; default: 0.
+    out : With --mujoco: write the models here, CAMPAIGN.STAGE.xml (0 is the nominal one).
     """
     given = (mujoco, touches, iso9283, True)
     refuse_of_others(context, next(mode for mode, own in zip(MODES, given, strict=True) if own), MODES)

@@ -25,22 +25,12 @@ def _counted(show: Show) -> Callable[[str, int, int], None]:
 
 
 def withheld_robot(
-    robot: Annotated[
-        Path, Argument(metavar="ROBOT.toml|FOLDER", help="Robot file (TOML or URDF), or a problem folder.")
-    ],
-    poses: Annotated[
-        str,
-        Option(
-            metavar="N|TABLE.csv",
-            help="Poses of a campaign: a number, or a table of them; what it logs is taken as it is.",
-        ),
-    ] = "60",
-    noise_um: Annotated[float, Option(min=0.01, max=1e5, help="Noise of a measured coordinate [um].")] = 20.0,
-    n: Annotated[int, Option("--n", "-n", min=4, max=10_000, help="Number of campaigns.")] = 40,
-    not_logged: Annotated[
-        str, Option(metavar="WORDS", help="Of temperature, payload, approach, time: what you do not log.")
-    ] = "",
-    seed: Annotated[int | None, Option(min=0, help="Of everything drawn; default: a random one.")] = None,
+    robot: Annotated[Path, Argument(metavar="ROBOT.toml|FOLDER")],
+    poses: Annotated[str, Option(metavar="N|TABLE.csv")] = "60",
+    noise_um: Annotated[float, Option(min=0.01, max=1e5)] = 20.0,
+    n: Annotated[int, Option("--n", "-n", min=4, max=10_000)] = 40,
+    not_logged: Annotated[str, Option(metavar="WORDS")] = "",
+    seed: Annotated[int | None, Option(min=0)] = None,
     workers: Workers = None,
     json_file: Json = None,
     quiet: Quiet = False,
@@ -53,6 +43,13 @@ def withheld_robot(
     Example: casadical withheld robot.toml --poses 60 --noise-um 20 --n 40
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
+
+    robot : Robot file (TOML or URDF), or a problem folder.
+    poses : Poses of a campaign: a number, or a table of them; what it logs is taken as it is.
+    noise_um : Noise of a measured coordinate [um].
+    n : Number of campaigns.
+    not_logged : Of temperature, payload, approach, time: what you do not log.
+    seed : Of everything drawn; default: a random one.
     """
     from casadical.blind_check.own_robot import check_robot
     from casadical.blind_check.worker_pool import workers as pool
@@ -83,16 +80,12 @@ def withheld_robot(
 
 
 def withheld_make(
-    out: Annotated[Path, Option("--out", metavar="DIR", help="Folder for the campaigns.")],
-    key: Annotated[
-        Path | None, Option(metavar="DIR", help="Folder for the key, apart; default: DIR with -key behind it.")
-    ] = None,
-    n: Annotated[int, Option("--n", "-n", min=4, max=10_000, help="Number of campaigns.")] = 60,
-    seed: Annotated[
-        int | None, Option(min=0, help="Of everything drawn; default: a random one, kept in the key.")
-    ] = None,
-    poses: Annotated[str, Option(metavar="N,N", help="Poses of a campaign, one of these.")] = "40,100,200",
-    project: Annotated[Path, Option(metavar="DIR", help="Folder with problems/ and data/.")] = Path(),
+    out: Annotated[Path, Option("--out", metavar="DIR")],
+    key: Annotated[Path | None, Option(metavar="DIR")] = None,
+    n: Annotated[int, Option("--n", "-n", min=4, max=10_000)] = 60,
+    seed: Annotated[int | None, Option(min=0)] = None,
+    poses: Annotated[str, Option(metavar="N,N")] = "40,100,200",
+    project: Annotated[Path, Option(metavar="DIR")] = Path(),
     workers: Workers = None,
     json_file: Json = None,
     quiet: Quiet = False,
@@ -105,6 +98,13 @@ def withheld_make(
     Example: casadical withheld make --n 60 --out check --key sealed
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
+
+    out : Folder for the campaigns.
+    key : Folder for the key, apart; default: DIR with -key behind it.
+    n : Number of campaigns.
+    seed : Of everything drawn; default: a random one, kept in the key.
+    poses : Poses of a campaign, one of these.
+    project : Folder with problems/ and data/.
     """
     from casadical.blind_check.generation import make
     from casadical.blind_check.worker_pool import workers as pool
@@ -131,13 +131,8 @@ def withheld_make(
 
 def withheld_predict(
     folder: Folder,
-    out: Annotated[
-        Path | None,
-        Option("--out", metavar="FILE", help="Answers, a line of JSON each; default: DIR/answers.METHOD.jsonl."),
-    ] = None,
-    by: Annotated[
-        str, Option(metavar="diagnosis|f-test", help="The diagnosis, or a method to compare it with.")
-    ] = "diagnosis",
+    out: Annotated[Path | None, Option("--out", metavar="FILE")] = None,
+    by: Annotated[str, Option(metavar="diagnosis|f-test")] = "diagnosis",
     workers: Workers = None,
     json_file: Json = None,
     quiet: Quiet = False,
@@ -149,6 +144,9 @@ def withheld_predict(
     Example: casadical withheld predict check
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
+
+    out : Answers, a line of JSON each; default: DIR/answers.METHOD.jsonl.
+    by : The diagnosis, or a method to compare it with.
     """
     from casadical.blind_check.prediction import predict
     from casadical.blind_check.worker_pool import workers as pool
@@ -169,12 +167,10 @@ def withheld_predict(
 
 def withheld_score(
     folder: Folder,
-    key: Annotated[Path, Argument(metavar="KEYDIR", help="Folder with the key.")],
-    answers: Annotated[list[Path], Argument(metavar="ANSWERS...", help="One or more files of answers.")],
+    key: Annotated[Path, Argument(metavar="KEYDIR")],
+    answers: Annotated[list[Path], Argument(metavar="ANSWERS...")],
     json_file: Json = None,
-    figure: Annotated[
-        Path | None, Option(metavar="FILE.png", help="Draw the confusion matrix of the first answers.")
-    ] = None,
+    figure: Annotated[Path | None, Option(metavar="FILE.png")] = None,
     quiet: Quiet = False,
 ) -> None:
     """Open the key, check that it is the one whose hash was published, and count: every figure with its interval.
@@ -184,6 +180,10 @@ def withheld_score(
     Example: casadical withheld score check sealed check/answers.diagnosis.jsonl
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
+
+    key : Folder with the key.
+    answers : One or more files of answers.
+    figure : Draw the confusion matrix of the first answers.
     """
     from casadical.blind_check.scoring import draw_confusion, in_common, score, side_by_side
     from casadical.core.telling.result import terminal
