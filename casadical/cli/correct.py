@@ -6,7 +6,7 @@ from typing import Annotated
 from typer import Argument, Context, Option
 
 from casadical.cli import options as o
-from casadical.cli.terminal import keep, plain, refuse_taken, suggest, suggest_later, with_json
+from casadical.cli.terminal import keep, plain, suggest, suggest_later, tell, with_json
 
 Frames = Annotated[
     list[str] | None,
@@ -93,21 +93,20 @@ def correct(
     leave_unreached : Leave poses that the nominal robot does not reach, and correct the others; for right frames only.
     accuracy_off : The controller's own absolute accuracy has been switched off.
     """
-    from casadical.core.telling.result import terminal
     from casadical.export.controller.c_export import OfCommand
     from casadical.export.controller.commands import Sources
     from casadical.export.controller.programs.csv_table import CsvTable
     from casadical.export.controller.programs.program import OfLanguage, correct_file
     from casadical.export.controller.programs.registry import language_of
 
-    refuse_taken(out, overwrite)
+    o.refuse_taken(out, overwrite)
     o.refuse_of_others(context, [*MODELS][model.is_dir()], MODELS)
     o.refuse_of_others(context, [*PROGRAMS][isinstance(language_of(program), CsvTable)], PROGRAMS)
     sources = Sources(model, nominal, compensator, payload, tool or "shared", leave_out, tcp_error)  # type: ignore[arg-type]
     language = OfLanguage(tcp, base, root, flange, data, nearest, external_still, leave_unreached, accuracy_off)
     made = correct_file(sources, program, out, OfCommand(steps or 2, what, limit), language, trust=trust)
     console = plain(quiet)
-    console.print(terminal(made.blocks()))
+    tell(console, *made.blocks())
     keep(with_json(made.texts, json_file, made.to_json()), console)
     if model.is_file():
         suggest_later(console, model)

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Context, Option
 
 from casadical.cli import options as o
-from casadical.cli.terminal import DIAGNOSIS, html, keep, suggest, with_json, working, wrapped
+from casadical.cli.terminal import DIAGNOSIS, html, keep, suggest, tell, with_json, working, wrapped
 from casadical.core.basics import shown
 from casadical.core.telling.blocks import next_step
-from casadical.core.telling.result import terminal
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -132,7 +131,7 @@ def _suggested(
         robot = next((path for path in written if path.name == "diagnosed.robot.toml"), None)
         suggest(console, "when it was measured again", "compare", robot or problem, "LATER.csv")
     else:
-        console.print(terminal([_next_command(answers[0], problem, campaigns)]))
+        tell(console, _next_command(answers[0], problem, campaigns))
     if not details:
         console.print("where it lies, how sure, what is left: --details, --out DIR or --report FILE.html", style="dim")
 
@@ -147,7 +146,7 @@ def _diagnose_logs(
     for path in campaign.logs:
         with working(quiet, "diagnosing", path.name) as show:
             answers.append(campaign.diagnosed(path, show, laws=laws))
-        console.print(terminal(answers[-1].blocks()))
+        tell(console, *answers[-1].blocks())
         if answers[-1].verdict in ("ambiguous", "unknown"):
             suggest(console, "for a motion that tells more", "plan", problem, "--motion", path)
         console.print()
@@ -156,7 +155,7 @@ def _diagnose_logs(
     with working(quiet, "replaying") as show:
         replay = campaign.replayed(show)
     if replay:
-        console.print(terminal(replay.blocks()))
+        tell(console, *replay.blocks())
         console.print()
         if out:
             texts |= replay.files(out)
@@ -189,9 +188,9 @@ def _answered(
 
 def _printed(found: CampaignDiagnosis, details: bool, file: Path | None, console: Console) -> dict[Path, str]:
     """Print a diagnosis; the file of its next poses, where there are any to measure."""
-    console.print(terminal(found.detailed() if details else found.brief()))
+    tell(console, *found.detailed() if details else found.brief())
     if found.searched:
-        console.print(terminal(found.searched.blocks()))
+        tell(console, *found.searched.blocks())
     console.print()
     if file is None or found.details.poses is None:
         return {}

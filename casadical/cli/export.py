@@ -6,7 +6,7 @@ from typing import Annotated
 from typer import Argument, Context, Option
 
 from casadical.cli import options as o
-from casadical.cli.terminal import keep, plain, print_written, refuse_taken, suggest, suggest_later, with_json, working
+from casadical.cli.terminal import keep, plain, print_written, suggest, suggest_later, tell, with_json, working
 
 # What each product has beside the options of all.
 PRODUCTS = {
@@ -67,7 +67,6 @@ def export_c(
     language : Languages to write besides the C, by commas; default: an FMU and structured text.
     overwrite : Replace files that casadical did not write or that were changed.
     """
-    from casadical.core.telling.result import terminal
     from casadical.export.controller import c_export
     from casadical.export.controller.commands import Sources
 
@@ -85,7 +84,7 @@ def export_c(
         also=lambda written: with_json({}, json_file, written.to_json()),
     )
     console = plain(quiet)
-    console.print(terminal(written.blocks()))
+    tell(console, *written.blocks())
     print_written(json_file, console)
     if what == "command":
         suggest(console, "to correct an offline program by it", "correct", out, "program.csv", "--out", "corrected.csv")
@@ -133,10 +132,9 @@ def export_model(
     springs : With --into: a spring beside each compliant joint, NAME_spring.
     checksum : For ur: the hash of the controller's own calibration, calib_...
     """
-    from casadical.core.telling.result import terminal
     from casadical.export.model_file import OfMjcf, form_of, robot_model
 
-    refuse_taken(out, overwrite)
+    o.refuse_taken(out, overwrite)
     of_mjcf = OfMjcf(campaign, effects, into, joints, springs)
     with working(quiet, "reading") as show:
         made = robot_model(
@@ -149,7 +147,7 @@ def export_model(
             show=show,
         )
     console = plain(quiet)
-    console.print(terminal(made.blocks()))
+    tell(console, *made.blocks())
     keep(with_json({out: made.text}, json_file, {"file": str(out), **made.to_json()}), console, {out: made.about})
     if source.is_dir():
         suggest(console, "to keep the robot file and its accuracy", "calibrate", source, "--out", "results")

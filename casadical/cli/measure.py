@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, Context, Option
 
 from casadical.cli.options import Json, Quiet, Room, refuse_of_others
-from casadical.cli.terminal import keep, plain, suggest, with_json
+from casadical.cli.terminal import keep, plain, suggest, tell, with_json
 from casadical.core.basics import InputError, shown
 
 if TYPE_CHECKING:
@@ -68,7 +68,6 @@ def measure(
     every : Seconds between readings of --simulate.
     """
     from casadical.core.reading import load_toml
-    from casadical.core.telling.result import terminal
     from casadical.project.live.session import TABLE, LiveSession, finished
     from casadical.project.live.sources import NAME, SimulatedSource, journal, source_of
 
@@ -107,7 +106,7 @@ def measure(
         console.print(finished(session))
         suggest(console, "to learn what is left", "diagnose", folder)
     else:
-        console.print(terminal(session.view().blocks()))
+        tell(console, *session.view().blocks())
         suggest(console, "to look for slips before a calibration", "check", folder)
 
 

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Abort, Argument, Context, Option, echo, prompt
 
 from casadical.cli.options import Json, Quiet, refuse_of_others
-from casadical.cli.terminal import print_written, suggest, with_json, wrapped
+from casadical.cli.terminal import print_written, suggest, tell, with_json, wrapped
 from casadical.core.basics import InputError
-from casadical.core.telling.result import terminal
 
 if TYPE_CHECKING:
     from casadical.project.new import Question
@@ -76,7 +75,7 @@ def new(
         convention=convention or "modified",
         data=data,
         ask=None if yes else _ask,
-        show=lambda block: console.print(terminal([block])),
+        show=lambda block: tell(console, block),
         also=answer,
     )
     files = sorted(str(p) for p in folder.iterdir() if p.is_file())

@@ -1,4 +1,41 @@
-"""Arguments and options that several commands have, in the same words."""
+"""Arguments and options that several commands have, in the same words.
+
+reference : With joint logs: a log of the same arm in health on another day; what differs from it by more than a day's
+    friction is a cause.
+drive : With joint logs: what is known of the drives, a table [drive]; default: that of the robot file, or drive.toml
+    beside it.
+nominal : The controller's model of the robot, taken as rigid: the robot file from before the calibration. What the
+    calibrated robot differs from it is corrected.
+compensator : A trained compensator, as `casadical calibrate --out` writes it.
+payload : Mass on the flange; default: as the robot file declares.
+leave_out : Leave out effects of the robot that cannot be written there; otherwise they are refused, with what would be
+    lost in millimetres.
+tool : shared: nominal and real robot have the calibrated file's tool. own: each has its own file's, for a measured
+    point that is the controller's tool centre point.
+limit : A correction is OK only where 95 % of the errors that remain are below so much, by the bound of the robot file;
+    default: any.
+tcp_error : How far the tool's centre may be from where the controller has it, the place of the flange included: the
+    bound is so much greater. Default: 1, and 0 where the measured point is the tool's centre (--tool own) or its place
+    on the flange was known.
+room : Where poses may lie: limits, floor, boxes, tracker; see docs/plan.md.
+seed : Seed of everything random.
+steps : Least-squares steps of the correction; default: 2.
+quiet : Print errors only.
+json_file : Write all figures as JSON; with several inputs, a list or a table of them.
+report_file : Write an HTML report in one file (needs plotly and jinja2).
+details : Print all figures, parameters and findings.
+problems : Problem folders. Tables after one (CSV) take the place of its own; a robot file needs them.
+problem : Folder with the robot, a robot file, or a folder of results.
+campaigns : Measured poses, of any kind; default: the tables of the problem folder.
+effects : standard (the default), extended, or only these, by commas: names (backlash), labels (backlash@5), effect
+    files (law.effect.toml, as diagnose --laws writes it, or one that defines effects).
+prior : This robot as another campaign found it, with effects and covariance: its effects are put into the model, with
+    their values and covariance as a prior; base and tool are fitted again.
+prior_effects : What of it is taken, by commas: effects (the default: those that do not follow the time of their
+    campaign), names or labels of single ones, all (geometry and compliance too).
+frozen : Hold the prior's effects at their values; refused for readings outside of the ranges that it covers.
+overwrite : Replace FILE if it is there.
+"""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import import_module
@@ -11,24 +48,9 @@ from casadical.core.basics import InputError, shown
 
 if TYPE_CHECKING:
     from casadical.project.problem import Carried
-Reference = Annotated[
-    Path | None,
-    Option(
-        "--reference",
-        metavar="LOG",
-        help="With joint logs: a log of the same arm in health on another day; what differs from it by more than a "
-        "day's friction is a cause.",
-    ),
-]
-DriveFile = Annotated[
-    Path | None,
-    Option(
-        "--drive",
-        metavar="FILE.toml",
-        help="With joint logs: what is known of the drives, a table [drive]; default: that of the robot file, or "
-        "drive.toml beside it.",
-    ),
-]
+
+Reference = Annotated[Path | None, Option("--reference", metavar="LOG")]
+DriveFile = Annotated[Path | None, Option("--drive", metavar="FILE.toml")]
 
 
 def _offered(module: str, name: str, *, listed: bool = False) -> Callable[[str], list[str]]:
@@ -50,36 +72,11 @@ languages = _offered("export.c.registry", "known_languages", listed=True)  # exp
 forms = _offered("export.model_file", "FORMS")  # export model --to
 effects = _offered("project.diagnosis", "all_effects", listed=True)  # --effects
 
-Nominal = Annotated[
-    Path | None,
-    Option(
-        metavar="NOMINAL.toml",
-        help="The controller's model of the robot, taken as rigid: the robot file from before the calibration. What "
-        "the calibrated robot differs from it is corrected.",
-    ),
-]
-Compensator = Annotated[
-    Path | None, Option(metavar="NET.json", help="A trained compensator, as `casadical calibrate --out` writes it.")
-]
-Payload = Annotated[
-    float | None, Option(metavar="KG", min=0, max=1e5, help="Mass on the flange; default: as the robot file declares.")
-]
-LeaveOut = Annotated[
-    bool,
-    Option(
-        "--leave-out",
-        help="Leave out effects of the robot that cannot be written there; otherwise they are refused, with what "
-        "would be lost in millimetres.",
-    ),
-]
-Tool = Annotated[
-    str,
-    Option(
-        metavar="shared|own",
-        help="shared: nominal and real robot have the calibrated file's tool. own: each has its own file's, for a "
-        "measured point that is the controller's tool centre point.",
-    ),
-]
+Nominal = Annotated[Path | None, Option(metavar="NOMINAL.toml")]
+Compensator = Annotated[Path | None, Option(metavar="NET.json")]
+Payload = Annotated[float | None, Option(metavar="KG", min=0, max=1e5)]
+LeaveOut = Annotated[bool, Option("--leave-out")]
+Tool = Annotated[str, Option(metavar="shared|own")]
 What = Annotated[
     str,
     Option(
@@ -89,37 +86,13 @@ What = Annotated[
         "orientation too, as far as the joints reach it.",
     ),
 ]
-Limit = Annotated[
-    float | None,
-    Option(
-        "--limit",
-        metavar="MM",
-        help="A correction is OK only where 95 % of the errors that remain are below so much, by the bound of the "
-        "robot file; default: any.",
-    ),
-]
-TcpError = Annotated[
-    float | None,
-    Option(
-        "--tcp-error",
-        metavar="MM",
-        min=0,
-        help="How far the tool's centre may be from where the controller has it, the place of the flange included: the "
-        "bound is so much greater. Default: 1, and 0 where the measured point is the tool's centre (--tool own) or its "
-        "place on the flange was known.",
-    ),
-]
-Room = Annotated[
-    Path | None,
-    Option(metavar="FILE.toml", help="Where poses may lie: limits, floor, boxes, tracker; see docs/plan.md."),
-]
-Seed = Annotated[int, Option(min=0, help="Seed of everything random.")]
-Steps = Annotated[int | None, Option(min=1, max=10, help="Least-squares steps of the correction; default: 2.")]
-Quiet = Annotated[bool, Option("--quiet", "-q", help="Print errors only.")]
-Json = Annotated[
-    Path | None,
-    Option("--json", metavar="FILE", help="Write all figures as JSON; with several inputs, a list or a table of them."),
-]
+Limit = Annotated[float | None, Option("--limit", metavar="MM")]
+TcpError = Annotated[float | None, Option("--tcp-error", metavar="MM", min=0)]
+Room = Annotated[Path | None, Option(metavar="FILE.toml")]
+Seed = Annotated[int, Option(min=0)]
+Steps = Annotated[int | None, Option(min=1, max=10)]
+Quiet = Annotated[bool, Option("--quiet", "-q")]
+Json = Annotated[Path | None, Option("--json", metavar="FILE")]
 
 
 def _with_report(path: Path | None) -> Path | None:
@@ -131,15 +104,7 @@ def _with_report(path: Path | None) -> Path | None:
     return path
 
 
-Report = Annotated[
-    Path | None,
-    Option(
-        "--report",
-        metavar="FILE.html",
-        callback=_with_report,
-        help="Write an HTML report in one file (needs plotly and jinja2).",
-    ),
-]
+Report = Annotated[Path | None, Option("--report", metavar="FILE.html", callback=_with_report)]
 
 
 def robot_of(path: Path) -> Path:
@@ -151,57 +116,15 @@ def robot_of(path: Path) -> Path:
     return path
 
 
-Details = Annotated[bool, Option("--details", help="Print all figures, parameters and findings.")]
-Problems = Annotated[
-    list[Path],
-    Argument(
-        metavar="PROBLEM_DIR...",
-        help="Problem folders. Tables after one (CSV) take the place of its own; a robot file needs them.",
-    ),
-]
-Problem = Annotated[
-    Path,
-    Argument(
-        metavar="PROBLEM_DIR", callback=robot_of, help="Folder with the robot, a robot file, or a folder of results."
-    ),
-]
-Campaigns = Annotated[
-    list[Path] | None,
-    Argument(metavar="CAMPAIGN.csv...", help="Measured poses, of any kind; default: the tables of the problem folder."),
-]
-Effects = Annotated[
-    str | None,
-    Option(
-        metavar="NAMES",
-        autocompletion=effects,
-        help="standard (the default), extended, or only these, by commas: names (backlash), labels "
-        "(backlash@5), effect files (law.effect.toml, as diagnose --laws writes it, or one that defines effects).",
-    ),
-]
-Prior = Annotated[
-    Path | None,
-    Option(
-        metavar="ROBOT.toml",
-        help="This robot as another campaign found it, with effects and covariance: its effects are put into the "
-        "model, with their values and covariance as a prior; base and tool are fitted again.",
-    ),
-]
-PriorEffects = Annotated[
-    str | None,
-    Option(
-        metavar="NAMES",
-        help="What of it is taken, by commas: effects (the default: those that do not follow the time of their "
-        "campaign), names or labels of single ones, all (geometry and compliance too).",
-    ),
-]
-Frozen = Annotated[
-    bool,
-    Option(
-        "--frozen",
-        help="Hold the prior's effects at their values; refused for readings outside of the ranges that it covers.",
-    ),
-]
-Overwrite = Annotated[bool, Option("--overwrite", help="Replace FILE if it is there.")]
+Details = Annotated[bool, Option("--details")]
+Problems = Annotated[list[Path], Argument(metavar="PROBLEM_DIR...")]
+Problem = Annotated[Path, Argument(metavar="PROBLEM_DIR", callback=robot_of)]
+Campaigns = Annotated[list[Path] | None, Argument(metavar="CAMPAIGN.csv...")]
+Effects = Annotated[str | None, Option(metavar="NAMES", autocompletion=effects)]
+Prior = Annotated[Path | None, Option(metavar="ROBOT.toml")]
+PriorEffects = Annotated[str | None, Option(metavar="NAMES")]
+Frozen = Annotated[bool, Option("--frozen")]
+Overwrite = Annotated[bool, Option("--overwrite")]
 
 
 def refuse_of_others(context: Context, mode: str, modes: Mapping[str, Sequence[str]]) -> None:
@@ -215,6 +138,11 @@ def refuse_of_others(context: Context, mode: str, modes: Mapping[str, Sequence[s
             if name in theirs:
                 raise InputError(f"{name}: not together with {mode}; leave one of the two out")
             raise InputError(f"{name}: is for {' or '.join(theirs)}, not for {mode}; leave it out")
+
+
+def refuse_taken(out: Path, overwrite: bool) -> None:
+    if out.exists() and not overwrite:
+        raise InputError(f"{out} is there already; give another file, or --overwrite")
 
 
 def need(given: object, other: object, words: str) -> None:

@@ -11,6 +11,7 @@ from functools import wraps
 from pathlib import Path
 from typing import Any, get_type_hints
 
+from casadical.cli.options import __doc__ as shared_options
 from casadical.core.basics import InputError, shown
 from casadical.core.files import claimed, own_stream, real_path
 from casadical.core.reading import load_toml, number_fault, read_bytes, text_fault
@@ -37,15 +38,17 @@ _MEASURED = {"x_mm", "x_m", "y_mm", "y_m", "z_mm", "z_m"}
 def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[..., Any]:
     """A command that checks and claims what it will write before it works; also : names of further outputs.
 
-    The last paragraph of its docstring, in lines `name : text`, is the help of its arguments and options.
+    The last paragraph of its docstring, in lines `name : text`, is the help of its arguments and options; that of
+    `casadical.cli.options` is the help of those that several commands have.
     """
     hints, outputs = get_type_hints(command, include_extras=True), {*_OUTPUTS, *also}
     signature = inspect.signature(command)
     options: dict[str, Any] = {n: getattr(hints[n], "__metadata__", (None,))[0] for n in signature.parameters}
     folders = {name for name, option in options.items() if (getattr(option, "metavar", "") or "").startswith("DIR")}
-    told, *helps = re.split(r"\n+^(\w+) : ", inspect.getdoc(command) or "", flags=re.MULTILINE)
-    for name, words in zip(helps[::2], helps[1::2], strict=True):
-        options[name].help = " ".join(words.split())
+    told, own = _told(inspect.getdoc(command) or "")
+    for name, words in (_told(shared_options or "")[1] | own).items():
+        if name in options and (name in own or not options[name].help):
+            options[name].help = words
 
     @wraps(command)
     def run(**given: Any) -> Any:
@@ -72,6 +75,12 @@ def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[.
         parameters=[p.replace(annotation=hints[name]) for name, p in signature.parameters.items()]
     )
     return run
+
+
+def _told(docstring: str) -> tuple[str, dict[str, str]]:
+    """A docstring without its last lines `name : text`, and the texts by name."""
+    text, *told = re.split(r"\n+^(\w+) : ", docstring, flags=re.MULTILINE)
+    return text, {name: " ".join(words.split()) for name, words in zip(told[::2], told[1::2], strict=True)}
 
 
 def _refuse_unusable(given: Mapping[str, Any], outputs: Collection[str]) -> None:

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, Context, Option
 
 from casadical.cli import options as o
-from casadical.cli.terminal import PLAN, WIDE, keep, suggest, with_json, working, wrapped
+from casadical.cli.terminal import PLAN, WIDE, keep, suggest, tell, with_json, working, wrapped
 from casadical.core.basics import InputError, shown
 from casadical.core.telling.blocks import Words
-from casadical.core.telling.result import terminal
 
 if TYPE_CHECKING:
     from casadical.project.planning import Places, Wanted
@@ -146,7 +145,7 @@ def _calibration(
         )
     place = out if n is None else out or Path("plan.csv")
     console = wrapped(quiet)
-    console.print(terminal(planned.blocks()))
+    tell(console, *planned.blocks())
     console.print(planned_with(problem, measured, prior))
     keep(with_json(planned.files(place) if place else {}, json_file, planned.to_json()), console)
     if place:
@@ -171,7 +170,7 @@ def _motion(
     console = wrapped(quiet)
     with working(quiet, "diagnosing", log.name) as show:
         proposal = campaign.proposed(effects.split(",") if effects else (), show)
-    console.print(terminal(proposal.blocks()))
+    tell(console, *proposal.blocks())
     keep(with_json(proposal.files(out), json_file, proposal.to_json()), console)
     suggest(console, "when it was logged", "diagnose", problem, log, "LOGGED.csv")
 
@@ -183,7 +182,7 @@ def _iso9283(problem: Path, out: Path, cube_mm: float | None, room: Path | None,
     console = wrapped(quiet)
     with working(quiet, "poses of the standard"):
         words, table = iso9283_plan(problem, cube_mm, room, seed)
-    console.print(terminal(words))
+    tell(console, *words)
     keep({out: table.to_csv(index=False)}, console)
     suggest(console, "when it was measured", "verify", "RESULTS", out, "--iso9283")
 
@@ -215,7 +214,7 @@ def _isolability(
         shows = isolability_of(campaign, effects_named(effects))
         answers.append(shows.to_json(campaign.name))
         title = Words(f"{campaign.title}, {sum(map(len, campaign.sets))} poses", "title")
-        console.print(terminal([title, *shows.blocks()]))
+        tell(console, title, *shows.blocks())
         console.print()
     keep(with_json({}, json_file, answers), console)
     suggest(console, "for poses that distinguish effects", "plan", problem, "-n", 60)

@@ -7,20 +7,17 @@ from typer import Exit, Option, Typer, echo
 from typer.core import TyperCommand, TyperGroup
 
 from casadical import __version__
-from casadical.cli.calibrate import calibrate
-from casadical.cli.certificate import certificate
-from casadical.cli.check import check
-from casadical.cli.compare import compare
+from casadical.cli.calibrate import calibrate, check
 from casadical.cli.correct import correct
 from casadical.cli.diagnose import diagnose
 from casadical.cli.export import export_c, export_model
-from casadical.cli.fleet import fleet
+from casadical.cli.fleet import compare, fleet
 from casadical.cli.measure import measure
 from casadical.cli.new import new
 from casadical.cli.outputs import guarded
 from casadical.cli.plan import plan
 from casadical.cli.terminal import BAD_INPUT
-from casadical.cli.verify import verify
+from casadical.cli.verify import certificate, verify
 from casadical.cli.withheld import withheld_make, withheld_predict, withheld_robot, withheld_score
 from casadical.core.basics import InputError
 

@@ -8,17 +8,16 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, Task, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from casadical.core.basics import MOST_FAULTS, FaultsError, InputError, Show, shown, visible
+from casadical.core.basics import MOST_FAULTS, FaultsError, Show, shown, visible
 from casadical.core.files import json_text, write_together
-
-if TYPE_CHECKING:
-    from casadical.core.telling.blocks import Page
+from casadical.core.telling.blocks import Block, Page, Table, next_step
+from casadical.core.telling.result import terminal
 
 # Rows that are named of a fault, and the width of a table that no terminal shows.
 NAMED, WIDE = 6, 120
@@ -28,9 +27,6 @@ BAD_INPUT, NO_CONVERGENCE, WORSE, NOT_VALID, OUR_BUG = 2, 3, 4, 5, 70
 def refusal(error: object) -> None:
     """Print why a command ends, to standard error: as wide as the terminal, several faults of tables as one table."""
     if isinstance(error, FaultsError) and len(error.faults) > 1:
-        from casadical.core.telling.blocks import Table
-        from casadical.core.telling.result import terminal
-
         rows = [
             (f.source, f"{', '.join(map(str, f.rows[:NAMED]))}{' ...' * (len(f.rows) > NAMED)}", f.column, f.value,
              f.allowed or f.wrong, f.remedy)
@@ -89,12 +85,14 @@ def keep(texts: Mapping[Path, Any], console: Console, about: Mapping[Path, str] 
         print_written(path, console, (about or {}).get(path, ""))
 
 
+def tell(console: Console, *blocks: Block) -> None:
+    """Print words and tables."""
+    console.print(terminal(blocks))
+
+
 def suggest(console: Console, purpose: str, command: str, *arguments: object) -> None:
     """Print the one command to go on with; see `next_step`."""
-    from casadical.core.telling.blocks import next_step
-    from casadical.core.telling.result import terminal
-
-    console.print(terminal([next_step(purpose, command, *arguments)]))
+    tell(console, next_step(purpose, command, *arguments))
 
 
 def suggest_later(console: Console, robot: Path) -> None:
@@ -112,12 +110,7 @@ def print_written(path: Path | None, console: Console, about: str = "") -> None:
         console.print(f"wrote {shown(path)}{more}", soft_wrap=True, markup=False, emoji=False)
 
 
-def refuse_taken(out: Path, overwrite: bool) -> None:
-    if out.exists() and not overwrite:
-        raise InputError(f"{out} is there already; give another file, or --overwrite")
-
-
-def html(pages: "Sequence[Page]") -> str:
+def html(pages: Sequence[Page]) -> str:
     """Pages of results as one HTML file, with the command as it was typed."""
     from casadical.core.telling.page import html_of
 

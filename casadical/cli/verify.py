@@ -1,5 +1,6 @@
-"""The command `casadical verify`."""
+"""The commands `casadical verify` and `casadical certificate`: what is known of a calibrated robot."""
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -7,9 +8,8 @@ from typing import Annotated, Any
 from typer import Argument, Context, Exit, Option
 
 from casadical.cli.options import Effects, Json, Quiet, Report, refuse_of_others
-from casadical.cli.terminal import DIAGNOSIS, NOT_VALID, html, keep, plain, suggest, with_json, working, wrapped
+from casadical.cli.terminal import DIAGNOSIS, NOT_VALID, html, keep, plain, suggest, tell, with_json, working, wrapped
 from casadical.core.basics import InputError
-from casadical.core.telling.result import terminal
 
 # Each with what it has beside robot, tables and quiet; the first that is asked for counts.
 MODES = {
@@ -85,43 +85,38 @@ def verify(
         count = str(tables[0])
         if count.isdecimal() and not tables[0].exists():
             raise InputError(f"--touches judges tables of days; casadical plan {robot} --touches {count} plans points")
-        asked = {"tolerance_mm": tolerance_mm, "noise_mm": noise_mm, "fleet": fleet}
-        _touched(robot, tables, asked, (update, chart, report_file, json_file), seed or 0, quiet)
+        asked = {"tolerance_mm": tolerance_mm, "noise_mm": noise_mm, "fleet": fleet, "seed": seed or 0}
+        _touched(robot, tables, asked, update, chart, report_file, json_file, quiet)
         return
     from casadical.project import verification
 
     console = wrapped(quiet)
     if iso9283:
         iso = verification.iso9283(robot, tables)
-        console.print(terminal(iso.blocks()))
+        tell(console, *iso.blocks())
         keep(with_json({}, json_file, iso.to_json()), console)
         folder = robot if robot.is_dir() else robot.parent
         suggest(console, "to put it into a certificate", "certificate", folder, "--iso9283", tables[0])
         return
     with working(quiet, "fitting base and tool", tables[0].name):
         checked = verification.verify(robot, tables, promised_mm)
-    console.print(terminal(checked.blocks()))
+    tell(console, *checked.blocks())
     keep(with_json({}, json_file, checked.to_json()), console)
     if not checked.valid:
         raise Exit(NOT_VALID)
 
 
 def _touched(
-    robot: Path,
-    tables: list[Path],
-    asked: dict[str, Any],
-    outputs: tuple[Path | None, Path | None, Path | None, Path | None],
-    seed: int,
-    quiet: bool,
-) -> None:
-    """Judge the last of several days."""
+    robot: Path, tables: list[Path], asked: dict[str, Any], update: Path | None, chart: Path | None,
+    report: Path | None, json_file: Path | None, quiet: bool,
+) -> None:  # fmt: skip
+    """Judge the last of several days; asked : as of `touched`."""
     from casadical.fleet.touches import touched
 
-    update, chart, report, json_file = outputs
     console = wrapped(quiet)
     with working(quiet, "what changed", tables[-1].name):
-        touches = replace(touched(robot, tables, **asked, seed=seed), update=update)
-    console.print(terminal(touches.blocks()))
+        touches = replace(touched(robot, tables, **asked), update=update)
+    tell(console, *touches.blocks())
     texts: dict[Path, str] = {chart: touches.chart_csv()} if chart else {}
     if update and touches.better:
         texts[update] = touches.updated_text()
@@ -135,14 +130,9 @@ def _touched(
 
 
 def _replay(
-    problem: Path,
-    tables: list[Path] | None,
-    effects: str | None,
-    seed: int,
-    out: Path | None,
-    json_file: Path | None,
-    quiet: bool,
-) -> None:
+    problem: Path, tables: list[Path] | None, effects: str | None, seed: int, out: Path | None,
+    json_file: Path | None, quiet: bool,
+) -> None:  # fmt: skip
     from casadical.export.mjcf.equilibrium import load_mujoco
     from casadical.export.mjcf.replay import replay_campaign
     from casadical.project.diagnosis import effects_named, read_campaigns
@@ -155,10 +145,48 @@ def _replay(
         with working(quiet, "diagnosing", campaign.name, DIAGNOSIS) as show:
             replayed = replay_campaign(campaign.robot, campaign.sets[0], effects_named(effects), seed=seed, show=show)
         console.print(f"{campaign.title}, held-out poses replayed in MuJoCo")
-        console.print(terminal(replayed.blocks()))
+        tell(console, *replayed.blocks())
         answers.append({"campaign": campaign.name, **replayed.to_json()})
         if out:
             texts |= {out / f"{campaign.name}.{k}.xml": s.export.text for k, s in enumerate(replayed.stages)}
     keep(with_json(texts, json_file, answers), console)
     of_campaign = ("--campaign", tables[0]) if tables else ()
     suggest(console, "to keep it as a model", "export", "model", problem, "--out", "arm.xml", *of_campaign)
+
+
+def certificate(
+    results: Annotated[Path, Argument(metavar="RESULTS")],
+    details: Annotated[Path | None, Option(metavar="FILE.toml")] = None,
+    out: Annotated[Path | None, Option(metavar="FILE.pdf")] = None,
+    problem: Annotated[Path | None, Option(metavar="PROBLEM_DIR")] = None,
+    iso9283: Annotated[Path | None, Option("--iso9283", metavar="TABLE.csv")] = None,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Print certificate data of a calibration: results with uncertainty, budget, decision; in English or German.
+
+    The uncertainty is that of the rms position error over the held-out poses, by a budget as the GUM asks for. These
+    are data for a certificate: no accreditation is stated.
+
+    Example: casadical certificate results --details certificate.toml --out cert.pdf
+
+    Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug in casadical.
+
+    results : Folder that `casadical calibrate --out` wrote.
+    details : Issuer, instrument, conditions, tolerance; default: nothing is stated, which the pages say.
+    out : Two pages (needs fpdf2).
+    problem : What was calibrated; default: as result.json names it.
+    iso9283 : A test that `casadical plan --iso9283` planned.
+    """
+    from casadical.project.certificate import certificate as certified
+
+    console = wrapped(quiet)
+    with working(quiet, "uncertainty"):
+        made = certified(results, details, problem=problem, iso9283=iso9283)
+    tell(console, *made.blocks())
+    texts: dict[Path, str | bytes] = {out: made.pdf()} if out else {}
+    keep(with_json(texts, json_file, made.to_json()), console)
+    if out is None:
+        suggest(console, "to have it as two pages", *sys.argv[1:], "--out", "certificate.pdf")
+    else:
+        suggest(console, "when some ten poses are measured again", "verify", results, "LATER.csv")

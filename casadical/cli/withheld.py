@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, Exit, Option, echo
 
 from casadical.cli.options import Json, Quiet
-from casadical.cli.terminal import keep, print_written, suggest, with_json, working, wrapped
+from casadical.cli.terminal import keep, print_written, suggest, tell, with_json, working, wrapped
 from casadical.core.basics import InputError, Show
 
 if TYPE_CHECKING:
@@ -53,7 +53,6 @@ def withheld_robot(
     """
     from casadical.blind_check.own_robot import check_robot
     from casadical.blind_check.worker_pool import workers as pool
-    from casadical.core.telling.result import terminal
     from casadical.project.problem import read_campaign, read_campaign_robot
 
     subject = read_campaign_robot(robot)
@@ -71,7 +70,7 @@ def withheld_robot(
             show=_counted(step),
         )
     console = wrapped(quiet)
-    console.print(terminal(checked.blocks()))
+    tell(console, *checked.blocks())
     keep(with_json({}, json_file, checked.to_json()), console)
     if poses.isdigit():
         suggest(console, "to choose these poses", "plan", robot, "-n", poses)
