@@ -31,9 +31,9 @@ from casadical.fleet.estimates import Estimate
 from casadical.measurements.table_parts import values_of
 from casadical.project.calibration import calibrate
 from casadical.project.diagnosis import CampaignDiagnosis, diagnose_campaign, read_campaigns
+from casadical.project.outcome import judged_on
 from casadical.project.problem import Problem, read_campaign_robot, read_problem
 from casadical.project.problem_file import own_tables, problem_file
-from casadical.project.tables import judged_on
 from casadical.robot.robot import Robot
 
 # A row of a store of which nothing is known.

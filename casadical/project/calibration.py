@@ -34,11 +34,11 @@ from casadical.project import outcome
 from casadical.project.calibration_page import calibration_figures, calibration_page, used_poses, where_left
 from casadical.project.check.targets import unnamed_targets
 from casadical.project.networks import Networks, train_networks
+from casadical.project.outcome import Accuracies, error_tables, judged_on, network_tables, paper_tables, verdict
 from casadical.project.planning import more_poses
 from casadical.project.problem import Carried, Problem, nothing_carried, read_problem, together
 from casadical.project.problem_file import BASE_METHODS, all_methods, base_methods
 from casadical.project.robot_columns import unfitted
-from casadical.project.tables import Accuracies, error_tables, judged_on, network_tables, paper_tables, verdict
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml
 
@@ -178,12 +178,11 @@ class Calibration(Result):
 
     def figures(self) -> dict[str, Figure]:
         """Every figure, by name: of errors, workspace, where the gap lies, parameters, fit and training."""
-        every = calibration_figures(self.problem, self.identifications, self.networks, self.where)
-        return {figure.name: figure for figure in every}
+        return {figure.name: figure for figure in calibration_figures(self)}
 
     def page(self) -> Page:
         """Words, tables and figures as `casadical calibrate --report` writes them."""
-        return calibration_page(self.problem, self.identifications, self.accuracies, self.networks, self.figures())
+        return calibration_page(self)
 
     def to_json(self) -> dict[str, Any]:
         """The same as plain data: per method and set the error figures, per parameter value, error, unit, status."""
@@ -254,11 +253,9 @@ class Calibration(Result):
 
 def with_knowledge(found: Identification) -> Robot:
     """The calibrated robot with its covariance, and the bound of the error that remains, where poses are enough."""
-    robot = (
-        found.robot
-        if found.robot.effects
-        else replace(found.robot, knowledge=replace(found.knowledge, misfit=misfit_of(found)))
-    )
+    robot = found.robot
+    if not robot.effects:
+        robot = replace(robot, knowledge=replace(found.knowledge, misfit=misfit_of(found)))
     with suppress(InputError):
         return replace(robot, bound=learn_bound(found))
     return robot
