@@ -14,7 +14,7 @@ from casadical.core.basics import InputError, shown
 from casadical.core.telling.blocks import Words
 
 if TYPE_CHECKING:
-    from casadical.project.planning import Places, Wanted
+    from casadical.project.planning import Places
 
 
 CALIBRATION = "poses to calibrate with (--measured: those that there are)"
@@ -107,7 +107,7 @@ def plan(
     motion : Propose a motion instead, by a joint log: what to log next to distinguish the causes that it leaves open
         (or those of --for); commands are written to --out (default: motion.csv).
     """
-    from casadical.project.planning import Wanted, circumstances_of
+    from casadical.project.planning import circumstances_of, iso9283_plan, plan_problem, planned_with
 
     given = {"--isolability": isolability, "--iso9283": iso9283, "--touches": touches, "--motion": motion}
     mode = next((mode for mode, asked in given.items() if asked), CALIBRATION)
@@ -115,41 +115,36 @@ def plan(
     if isolability:
         _isolability(problem, poses, effects, json_file, quiet)
         return
+    if motion:
+        _motion(problem, motion, reference, drive, effects, out or Path("motion.csv"), json_file, quiet)
+        return
+    console = wrapped(quiet)
     if iso9283:
-        _iso9283(problem, out or Path("iso9283.csv"), cube_mm, room, seed, quiet)
+        place = out or Path("iso9283.csv")
+        with working(quiet, "poses of the standard"):
+            words, table = iso9283_plan(problem, cube_mm, room, seed)
+        tell(console, *words)
+        keep({place: table.to_csv(index=False)}, console)
+        suggest(console, "when it was measured", "verify", "RESULTS", place, "--iso9283")
         return
     if touches:
         _touches(problem, touches, out or Path("touches.csv"), noise_mm, room, seed, quiet)
         return
-    if motion:
-        _motion(problem, motion, reference, drive, effects, out or Path("motion.csv"), json_file, quiet)
-        return
-    wanted = Wanted(
-        tuple(effects.split(",")) if effects else (), criterion, room,
-        circumstances_of(payloads, every_payload, both_approaches, repeats),
-        noise_mm, joint_noise_urad, min_distance, target_mm, order, _places(wires, sockets, places, known_places),
-    )  # fmt: skip
-    _calibration(problem, n, out, wanted, measured, prior, prior_effects, seed, json_file, quiet)
-
-
-def _calibration(
-    problem: Path, n: int | None, out: Path | None, wanted: Wanted, measured: Path | None, prior: Path | None,
-    prior_effects: str | None, seed: int, json_file: Path | None, quiet: bool,
-) -> None:  # fmt: skip
-    """Poses to calibrate with."""
-    from casadical.project.planning import plan_problem, planned_with
-
+    circumstances = circumstances_of(payloads, every_payload, both_approaches, repeats)
+    where = _places(wires, sockets, places, known_places)
     with working(quiet, "choosing poses", steps=PLAN) as show:
         planned = plan_problem(
-            problem, n, wanted, measured, o.carried(prior, prior_effects, frozen=False), seed=seed, show=show
-        )
-    place = out if n is None else out or Path("plan.csv")
-    console = wrapped(quiet)
+            problem, n, measured, o.carried(prior, prior_effects, frozen=False),
+            effects=effects.split(",") if effects else (), criterion=criterion, room=room, circumstances=circumstances,
+            noise_mm=noise_mm, joint_noise_urad=joint_noise_urad, min_distance=min_distance, target_mm=target_mm,
+            order=order, places=where, seed=seed, show=show,
+        )  # fmt: skip
+    to = out if n is None else out or Path("plan.csv")
     tell(console, *planned.blocks())
     console.print(planned_with(problem, measured, prior))
-    keep(with_json(planned.files(place) if place else {}, json_file, planned.to_json()), console)
-    if place:
-        tables = (*([measured] if measured else []), place)
+    keep(with_json(planned.files(to) if to else {}, json_file, planned.to_json()), console)
+    if to:
+        tables = (*([measured] if measured else []), to)
         suggest(console, "when what was measured stands beside these readings", "calibrate", problem, *tables)
     elif (enough := planned.forecast.stop()) is not None:
         suggest(console, "to choose so many", *sys.argv[1:], "-n", enough)
@@ -173,18 +168,6 @@ def _motion(
     tell(console, *proposal.blocks())
     keep(with_json(proposal.files(out), json_file, proposal.to_json()), console)
     suggest(console, "when it was logged", "diagnose", problem, log, "LOGGED.csv")
-
-
-def _iso9283(problem: Path, out: Path, cube_mm: float | None, room: Path | None, seed: int, quiet: bool) -> None:
-    """The table of a test by the standard."""
-    from casadical.project.planning import iso9283_plan
-
-    console = wrapped(quiet)
-    with working(quiet, "poses of the standard"):
-        words, table = iso9283_plan(problem, cube_mm, room, seed)
-    tell(console, *words)
-    keep({out: table.to_csv(index=False)}, console)
-    suggest(console, "when it was measured", "verify", "RESULTS", out, "--iso9283")
 
 
 def _touches(robot: Path, n: int, out: Path, noise_mm: float | None, room: Path | None, seed: int, quiet: bool) -> None:

@@ -95,11 +95,7 @@ def _problem_file(folder: Path, found: _Collected) -> ProblemFile:
 
 
 def _holds(some: Mapping[str, Any]) -> bool:
-    try:
-        check(ProblemFile, {"casadical": 1, "title": "", **some}, "")
-    except InputError:
-        return False
-    return True
+    return _Collected().tried(check, ProblemFile, {"casadical": 1, "title": "", **some}, "") is not None
 
 
 def _is_robot(path: Path) -> bool:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -29,7 +29,7 @@ from casadical.pose_selection.pose_search import forecast, place_instrument, sel
 from casadical.pose_selection.selection import Selection, tours
 from casadical.pose_selection.workspace import Workspace, read_workspace
 from casadical.project.iso9283 import planned_test, words_of_plan
-from casadical.project.problem import Carried, nothing_carried, read_campaign, read_campaign_robot
+from casadical.project.problem import Carried, read_campaign, read_campaign_robot
 from casadical.project.problem_file import tables_of
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
@@ -168,60 +168,30 @@ def _of_first_target(robot: Robot, measured: Measurements | None) -> tuple[Robot
     return replace(robot, targets=(), tool_name=""), measured
 
 
-@dataclass(frozen=True)
-class Wanted:
-    """What a plan of a problem is to be; as of `plan`, in the units of the command.
-
-    effects : names or labels; room : file of a workspace; noise_mm : None: as declared, or estimated
-    """
-
-    effects: tuple[str, ...] = ()
-    criterion: str = "V"
-    room: Path | None = None
-    circumstances: Circumstances = field(default_factory=Circumstances)
-    noise_mm: float | None = None
-    joint_noise_urad: float = 0.0
-    min_distance: float = 0.0
-    target_mm: float | None = None
-    order: bool = True
-    places: Places | None = None
-
-
 def plan_problem(
-    path: Path,
-    n: int | None,
-    wanted: Wanted,
-    measured: Path | None = None,
-    carried: Carried = nothing_carried,
-    *,
-    seed: int = 0,
-    show: Show = silent,
-) -> MeasurementPlan:
-    """The plan of a problem folder or robot file; measured : poses so far; carried : a prior. Raises InputError."""
+    path: Path, n: int | None, measured: Path | None, carried: Carried, *, effects: Sequence[str], criterion: str,
+    room: Path | None, noise_mm: float | None, joint_noise_urad: float, target_mm: float | None, places: Places | None,
+    **asked: Any,
+) -> MeasurementPlan:  # fmt: skip
+    """The plan of a problem folder or robot file, asked for in the units of the command.
+
+    measured : poses so far; carried : a prior; effects : names or labels; room : file of a workspace
+    noise_mm : None: as declared, or estimated; asked : more of what `plan` takes
+    Raises InputError.
+    """
     robot, prior = carried(robot_of(path))
     before = read_campaign(path, measured, robot) if measured else None
-    candidates = [c for c in named(robot, wanted.effects) if c.listed] if wanted.effects else []
-    noise_mm = wanted.noise_mm
+    candidates = [c for c in named(robot, effects) if c.listed] if effects else []
+    # An effect with a grid of settings is planned for with the middle one.
+    middle = [e for c in candidates for e in c.variants[len(c.variants) // 2]]
     if noise_mm is None and measured is None:
-        noise_mm = noise_declared(path, robot, wanted.places)
+        noise_mm = noise_declared(path, robot, places)
+    noise = None if noise_mm is None else Noise(1e-3 * noise_mm, 1e-6 * joint_noise_urad)
     return plan(
-        robot,
-        n,
-        # An effect with a grid of settings is planned for with the middle one.
-        [e for c in candidates for e in c.variants[len(c.variants) // 2]],
-        criterion=checked(wanted.criterion),
-        workspace=read_workspace(wanted.room, robot) if wanted.room else None,
-        circumstances=wanted.circumstances,
-        measured=before,
-        noise=None if noise_mm is None else Noise(1e-3 * noise_mm, 1e-6 * wanted.joint_noise_urad),
-        min_distance=wanted.min_distance,
-        order=wanted.order,
-        target=None if wanted.target_mm is None else 1e-3 * wanted.target_mm,
-        seed=seed,
-        places=wanted.places,
-        prior=prior,
-        show=show,
-    )
+        robot, n, middle, criterion=checked(criterion), workspace=read_workspace(room, robot) if room else None,
+        measured=before, noise=noise, target=None if target_mm is None else 1e-3 * target_mm, places=places,
+        prior=prior, **asked,
+    )  # fmt: skip
 
 
 def plan(

@@ -133,10 +133,6 @@ class Problem(Shown):
         return calibrated_urdf_text(self.robot, robot, *self.urdf, measured_link="casadical_measured_point")
 
 
-def _of_sessions(m: Measurements) -> bool:
-    return any(name.startswith("session_") for name in m.conditions)
-
-
 def _part_names(name: str, parts: Sequence[Measurements]) -> list[str]:
     if len(parts) == 1:
         return [name]
@@ -199,7 +195,8 @@ def _problem(folder: Path, seed: int | None, carried: Carried, tables: Sequence[
     measured = each_of(partial(_read, folder, data, robot, sets) for data in file.measurements)
     split: dict[str, list[Measurements]] = {}
     refuse_shared_rows([whole for whole, _ in measured])
-    if "sessions" in file.model_fields_set and not tables and not any(_of_sessions(whole) for whole, _ in measured):
+    named = any(name.startswith("session_") for whole, _ in measured for name in whole.conditions)
+    if "sessions" in file.model_fields_set and not tables and not named:
         raise InputError(
             f"{path}: sessions: has no effect, no table names a session; take it out, or name sessions in a column "
             "`session` or a key of [[measurements]]"

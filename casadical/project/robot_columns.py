@@ -45,10 +45,8 @@ def _without_other_frame(
     if not turned or found.questions:
         return found
     with suppress(InputError, np.linalg.LinAlgError):
-        columns = Columns.of_file(raw).mapped({**found.sources, **given})
-        m = from_columns(columns.without(columns.lost_rows, ""), [j.kind for j in robot.joints])
-        free = replace(robot, tool=replace(robot.tool, unknown="pose"))
-        if m.orientation is not None and (of_another_frame(robot, m) or turned_off(free, m) < COMPUTED_TURN):
+        m = _measured(raw, robot, {**found.sources, **given})
+        if m.orientation is not None and (of_another_frame(robot, m) or _turned_off(robot, m) < COMPUTED_TURN):
             return replace(found, columns=tuple(c for c in found.columns if c not in turned))
     return found
 
@@ -60,10 +58,9 @@ def _by_model(
     left: dict[str, float] = {}
     for choice in question.choices:
         with suppress(InputError, np.linalg.LinAlgError):
-            columns = Columns.of_file(raw).mapped({**found.answered(question, choice).sources, **given})
-            m = from_columns(columns.without(columns.lost_rows, ""), [j.kind for j in robot.joints])
+            m = _measured(raw, robot, {**found.answered(question, choice).sources, **given})
             if question.about == "orientation" and m.orientation is not None:
-                left[choice] = turned_off(replace(robot, tool=replace(robot.tool, unknown="pose")), m)
+                left[choice] = _turned_off(robot, m)
             if m.kind == "position" and computed(robot, m):
                 length = next(c for c in question.choices if len(question.choices[c]) == 1)
                 return found.answered(question, length, "the coordinates are computed, as the nominal robot has them")
@@ -78,6 +75,15 @@ def _by_model(
     choices = {c: question.choices[c] for c in (*order, *(c for c in question.choices if c not in left))}
     asked = tuple(replace(q, choices=choices) if q is question else q for q in found.questions)
     return replace(found, questions=asked)
+
+
+def _measured(raw: RawTable, robot: Robot, sources: Mapping[str, Source]) -> Measurements:
+    columns = Columns.of_file(raw).mapped(sources)
+    return from_columns(columns.without(columns.lost_rows, ""), [j.kind for j in robot.joints])
+
+
+def _turned_off(robot: Robot, m: Measurements) -> float:
+    return turned_off(replace(robot, tool=replace(robot.tool, unknown="pose")), m)
 
 
 def computed(robot: Robot, m: Measurements) -> bool:

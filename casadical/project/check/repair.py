@@ -166,19 +166,16 @@ def repaired_columns(fit: Fit, robot: Robot, known: Mapping[str, Source]) -> dic
             other = own(i - 1)
             add[other.name] = h.add[i] * other.times
             made = replace(made, plus=made.plus + h.add[i] * other.plus)
-        made = Source(made.name, _round(made.times), _round(made.plus), add, made.rows + h.shift)
-        if made != known[name]:
-            columns[name] = made
+        columns[name] = Source(made.name, _round(made.times), _round(made.plus), add, made.rows + h.shift)
     scales = (1.0, 1.0, 1.0) if other_lengths(fit, robot) else fit.scale
     for c, scale in zip("xyz", scales, strict=True):
         if scale == 1.0 and not (c == "y" and fit.mirrored):
             continue
         name = _present(known, c, ("_mm", "_m"))
         source, sign = _simple(known[name]), -1.0 if c == "y" and fit.mirrored else 1.0
-        made = Source(source.name, _round(sign * scale * source.times), sign * scale * source.plus, {}, source.rows)
-        if made != known[name]:
-            columns[name] = made
-    return columns
+        times = sign * scale * source.times
+        columns[name] = Source(source.name, _round(times), sign * scale * source.plus, {}, source.rows)
+    return {name: made for name, made in columns.items() if made != known[name]}
 
 
 def _round(value: float) -> float:
@@ -229,20 +226,14 @@ def _repaired_robot(path: Path, fit: Fit, times: float) -> str:
     return tomlkit.dumps(document)
 
 
-def difference(texts: Mapping[Path, str]) -> str:
-    """The files as they are and as they become, line by line."""
+def write_repair(texts: Mapping[Path, str]) -> str:
+    """Write repaired files; the difference that it makes, line by line. Raises InputError."""
     lines: list[str] = []
     for path, text in texts.items():
         before = read_text(path).splitlines()
         lines += difflib.unified_diff(before, text.splitlines(), str(path), f"{path} repaired", n=0, lineterm="")
-    return "\n".join(line for line in lines if not line.startswith("@@"))
-
-
-def write_repair(texts: Mapping[Path, str]) -> str:
-    """Write repaired files; the difference that it makes. Raises InputError."""
-    shown = difference(texts)
     write_together(texts)
-    return shown
+    return "\n".join(line for line in lines if not line.startswith("@@"))
 
 
 def repaired(found: Precheck) -> str:

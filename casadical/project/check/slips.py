@@ -113,7 +113,10 @@ def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int], show: Show) -> li
     """The states that were best on each level, with base and tool placed."""
     none = Hypothesis.none(robot.n)
     turning = [j.kind == "revolute" for j in robot.joints]
-    level = [none, *_in_radians(none, fit.q, turning)]
+    # A reading may be in radians whose column moves as little as that.
+    move = np.ptp(fit.q, axis=0)
+    little = (move > LEAST_MOVE) & (move < MOST_IN_RADIANS) & (np.median(move) > MOST_IN_RADIANS) & turning
+    level = [none, *(none.at("factor", int(i), 180 / np.pi) for i in np.flatnonzero(little))]
     seen, fits = set(level), {none: fit.placed(none)}
     share = fit.shares(level)
     for depth in range(MOST_SLIPS + 1):
@@ -126,26 +129,14 @@ def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int], show: Show) -> li
         if depth == MOST_SLIPS or least < 2 * OWN * robot.reach:
             break
         parents = [level[k] for k in kept]
-        level = []
-        for h in (
-            *([] if depth else _turned(parents, len(fit.rows))),
-            *_all_moves(fit, parents, robot, turning, shifts),
-        ):
-            if h not in seen and h.cost <= MOST_SLIPS:
-                seen.add(h)
-                level.append(h)
+        first = [] if depth else _turned(parents, len(fit.rows))
+        moves = dict.fromkeys((*first, *_all_moves(fit, parents, robot, turning, shifts)))
+        level = [h for h in moves if h not in seen and h.cost <= MOST_SLIPS]
+        seen.update(level)
         if not level:
             break
         share = fit.shares(level)
     return list(fits.values())
-
-
-def _in_radians(none: Hypothesis, q: Array, turning: Sequence[bool]) -> Iterator[Hypothesis]:
-    """With one reading in radians where its column moves as little as that; the search starts there, too."""
-    move = np.ptp(q, axis=0)
-    for i in range(len(turning)):
-        if turning[i] and LEAST_MOVE < move[i] < MOST_IN_RADIANS and np.median(move) > MOST_IN_RADIANS:
-            yield none.at("factor", i, 180 / np.pi)
 
 
 def _turned(starts: Sequence[Hypothesis], rows: int) -> Iterator[Hypothesis]:

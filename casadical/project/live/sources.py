@@ -22,7 +22,7 @@ from casadical.core.files import appending
 from casadical.core.reading import MOST_TEXT, json_of, read_bytes
 from casadical.measurements.raw_table import read_table
 from casadical.pose_selection.candidates import expected
-from casadical.project.new.new import NOISE, as_built
+from casadical.project.new.new import NOISE, as_built, reading_cells
 from casadical.robot.robot import Robot
 
 NAME = "measured.jsonl"
@@ -218,7 +218,7 @@ class SimulatedSource:
 
     def __init__(self, robot: Robot, pose: Callable[[], Array], count: int, seed: int = 0) -> None:
         self._pose, self.left, self._rng = pose, count, np.random.default_rng(seed)
-        self._units, self._robot = robot.reading_units, as_built(robot, self._rng)
+        self._robot = as_built(robot, self._rng)
 
     @property
     def ended(self) -> bool:
@@ -233,9 +233,8 @@ class SimulatedSource:
         q = self._pose()
         place = expected(self._robot, q[None], {}, self.words).position
         assert place is not None
-        position = place[0] + self._rng.normal(0.0, NOISE, 3)
-        cells = [f"{v:.6f}" for v in q / list(self._units.values())] + [f"{1e3 * v:.4f}" for v in position]
-        return News([Row((*self._units, "x_mm", "y_mm", "z_mm"), (), tuple(cells), self.words)])
+        cells = reading_cells(self._robot, q, place[0] + self._rng.normal(0.0, NOISE, 3))
+        return News([Row((*self._robot.reading_units, "x_mm", "y_mm", "z_mm"), (), tuple(cells), self.words)])
 
 
 Source = FileSource | FolderSource | StreamSource | SimulatedSource

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from casadical.core.basics import Array, InputError, shown
-from casadical.core.files import claimed, write_together
+from casadical.core.files import claimed, csv_text, write_together
 from casadical.core.parts import with_estimated_masses, without_masses
 from casadical.core.reading import read_bytes, read_text, text_fault
 from casadical.core.telling.blocks import Table, Words
@@ -21,7 +21,6 @@ from casadical.core.transforms import frame, from_rpy
 from casadical.measurements.columns import Columns, is_ours
 from casadical.measurements.headings import Question, Understanding
 from casadical.measurements.kinds.registry import kinds
-from casadical.measurements.measurements import Measurements
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.measurements.reading import from_columns
 from casadical.pose_selection import Workspace
@@ -50,7 +49,13 @@ def synthetic_poses(robot: Robot, seed: int = 0) -> str:
     q = draw(one_turn(robot), POSES, Workspace(), rng)
     m = expected(built, q, {}, "synthetic")
     assert m.position is not None
-    return _table(robot, m, m.position + rng.normal(0.0, NOISE, m.position.shape))
+    rows = zip(m.q, m.position + rng.normal(0.0, NOISE, m.position.shape), strict=True)
+    return csv_text([[*robot.reading_units, "x_mm", "y_mm", "z_mm"], *(reading_cells(robot, *row) for row in rows)])
+
+
+def reading_cells(robot: Robot, q: Array, position: Array) -> list[str]:
+    """A row of a table: joints, shape (joints,) [rad or m], in the units of their names; position, shape (3,) [m]."""
+    return [*(f"{v:.6f}" for v in q / list(robot.reading_units.values())), *(f"{v:.4f}" for v in 1e3 * position)]
 
 
 def one_turn(robot: Robot) -> Robot:
@@ -64,26 +69,16 @@ def one_turn(robot: Robot) -> Robot:
 
 def as_built(robot: Robot, rng: np.random.Generator) -> Robot:
     """A robot that departs a little from its drawing, somewhere in the measuring frame."""
-    values = {}
+    values, times = {}, {"geometry": 1, "loop": 1, "tool": 5}
     for p in robot.parameters:
-        if p.group in ("geometry", "loop"):
-            values[p.name] = p.value + rng.normal(0.0, DEPARTURE[p.unit])
-        elif p.group == "tool":
-            values[p.name] = p.value + 5 * rng.normal(0.0, DEPARTURE[p.unit])
+        if p.group in times:
+            values[p.name] = p.value + times[p.group] * rng.normal(0.0, DEPARTURE[p.unit])
         elif p.group == "compliance":
             values[p.name] = p.value + rng.uniform(0.2, 0.5) * p.prior
     built = robot.with_values(values)
     if robot.base.unknown == "none":
         return built
     return replace(built, base=replace(built.base, T=built.base.T @ STAND))
-
-
-def _table(robot: Robot, m: Measurements, position: Array) -> str:
-    units = robot.reading_units
-    lines = [",".join([*units, "x_mm", "y_mm", "z_mm"])]
-    for q, p in zip(m.q / list(units.values()), 1e3 * position, strict=True):
-        lines.append(",".join([*(f"{v:.6f}" for v in q), *(f"{v:.4f}" for v in p)]))
-    return "\n".join(lines) + "\n"
 
 
 # A target that is measured at fewer poses is left out.
@@ -150,7 +145,10 @@ def new_problem(
         ),
         "README.md": readme_text(name, robot.name, file, *(p.name if p else None for p in (data, urdf, dh))),
     }
-    _refuse_taken(folder, texts)
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is a file; name a folder")
+    if taken := [file for file in texts if (folder / file).exists()]:
+        raise InputError(f"{folder}: {', '.join(taken)} is there already; nothing was written: name another folder")
     with tempfile.TemporaryDirectory() as scratch:
         trial = Path(scratch) / name
         write_together({trial / name: text for name, text in texts.items()})
@@ -270,11 +268,3 @@ def _read_on_trial(folder: Path, data: Path | None, file: str) -> Problem:
     except InputError as error:
         text = str(error).replace(f"{folder}/", "")
         raise InputError(text.replace(file, str(data)) if data else text) from None
-
-
-def _refuse_taken(folder: Path, texts: Mapping[str, str | bytes]) -> None:
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: is a file; name a folder")
-    taken = [file for file in texts if (folder / file).exists()]
-    if taken:
-        raise InputError(f"{folder}: {', '.join(taken)} is there already; nothing was written: name another folder")
