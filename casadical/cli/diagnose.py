@@ -124,9 +124,8 @@ def _suggested(
 ) -> None:  # fmt: skip
     """The next command, and how to learn more; written : files of --out, none without it."""
     if len(answers) > 1:
-        suggest(
-            console, "to learn what changed between them", "compare", problem, *(a.campaign.tables[0] for a in answers)
-        )
+        tables = [a.campaign.tables[0] for a in answers]
+        suggest(console, "to learn what changed between them", "compare", problem, *tables)
     elif written is not None:
         robot = next((path for path in written if path.name == "diagnosed.robot.toml"), None)
         suggest(console, "when it was measured again", "compare", robot or problem, "LATER.csv")
@@ -162,9 +161,8 @@ def _diagnose_logs(
     if report_file:
         texts[report_file] = html([campaign.page(answers, replay)])
     more = {"replay": replay.to_json()} if replay else {}
-    keep(
-        with_json(texts, json_file, [{**answer.to_json(), **more} for answer in answers] if json_file else []), console
-    )
+    figures = [answer.to_json() | more for answer in answers] if json_file else []
+    keep(with_json(texts, json_file, figures), console)
     robot = next((path for path in texts if path.name == "diagnosed.robot.toml"), None)
     if robot:
         suggest(console, "to have it as a model that moves", "export", "model", robot, "--out", "arm.xml")

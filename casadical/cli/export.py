@@ -138,14 +138,9 @@ def export_model(
     of_mjcf = OfMjcf(campaign, effects, into, joints, springs)
     with working(quiet, "reading") as show:
         made = robot_model(
-            source,
-            form_of(form, out),
-            nominal=nominal,
-            of_mjcf=of_mjcf,
-            checksum=checksum,
-            leave_out=leave_out,
+            source, form_of(form, out), nominal=nominal, of_mjcf=of_mjcf, checksum=checksum, leave_out=leave_out,
             show=show,
-        )
+        )  # fmt: skip
     console = plain(quiet)
     tell(console, *made.blocks())
     keep(with_json({out: made.text}, json_file, {"file": str(out), **made.to_json()}), console, {out: made.about})

@@ -60,15 +60,9 @@ def withheld_robot(
     lacking = [word.strip() for word in not_logged.split(",") if word.strip()]
     with working(quiet, "drawing campaigns") as step, pool(None, workers) as executor:
         checked = check_robot(
-            subject,
-            poses=given,
-            noise_um=noise_um,
-            n=n,
-            seed=seed,
-            not_logged=lacking,
-            executor=executor,
+            subject, poses=given, noise_um=noise_um, n=n, seed=seed, not_logged=lacking, executor=executor,
             show=_counted(step),
-        )
+        )  # fmt: skip
     console = wrapped(quiet)
     tell(console, *checked.blocks())
     keep(with_json({}, json_file, checked.to_json()), console)

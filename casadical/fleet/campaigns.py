@@ -69,7 +69,8 @@ def compare_files(
         files = [begun, *later]
     if robot and all(path.is_dir() or path.suffix in (".toml", ".urdf") for path in files):
         raise InputError("--robot is that by which tables are understood, and none is given; leave it out")
-    estimates = estimates_of(files, robot or _understood_by(files), show)
+    known = robot or _understood_by(files)
+    estimates = estimates_of(files, known, show)
     usable = [e for e in estimates if isinstance(e, Estimate)]
     errors = [(path, e) for path, e in zip(files, estimates, strict=True) if isinstance(e, CasadicalError)]
     if errors and len(files) == 2:
@@ -84,7 +85,6 @@ def compare_files(
     show("what changed")
     notes = (*faults, *said, *other_regions(ordered))
     compared = compare(ordered, same_tool=same_tool, same_frame=same_frame, notes=notes)
-    known = robot or _understood_by(files)
     told_by = {e.label: path for path, e in zip(files, estimates, strict=True) if isinstance(e, Estimate)}
     last = told_by[ordered[-1].label]
     own = (Path(known), last) if known and last.is_file() and last.suffix != ".toml" else ()

@@ -167,7 +167,7 @@ def _chain(
     accepted: list[_Accepted] = []
     score = 0.0
     while True:
-        best = _best(told, _beyond(accepted, candidates), times, dated, accepted)
+        best = _best(told, candidates, times, dated, accepted)
         if best.odds < np.log(SURE) or len(accepted) == MOST:
             break
         accepted.append(best)
@@ -175,27 +175,18 @@ def _chain(
     if len(accepted) > 1:  # each again, beside the others
         for k in range(len(accepted)):
             others = [a for i, a in enumerate(accepted) if i != k]
-            accepted[k] = _best(told, _beyond(others, candidates), times, dated, others)
+            accepted[k] = _best(told, candidates, times, dated, others)
         accepted = [a for a in accepted if a.odds >= np.log(SURE)]
         accepted = list({a.candidate.label: a for a in accepted}.values())
     return accepted, best.odds, score
 
 
-def _beyond(accepted: Sequence[_Accepted], candidates: Sequence[Candidate]) -> list[Candidate]:
-    """What else may have changed: another robot comes once."""
-    swapped = any(a.candidate.kind == ROBOT for a in accepted)
-    return [c for c in candidates if not (swapped and c.kind == ROBOT)]
-
-
-def _known(changes: Sequence[_Accepted], p: int, n: int) -> evidence.Known:
-    columns = [np.einsum("nk,pm->npkm", a.courses, a.candidate.columns).reshape(n, p, -1) for a in changes]
-    sizes = [np.tile(a.kappa * a.candidate.sizes, a.courses.shape[1]) for a in changes]
-    whole = np.concatenate([np.zeros((n, p, 0)), *columns], axis=2)
-    return evidence.Known(whole, np.concatenate([np.zeros(0), *sizes]))
-
-
 def _beside(told: evidence.SharedInformation, accepted: Sequence[_Accepted]) -> evidence.Model:
-    return evidence.solve(told, _known(accepted, *told.score.shape[::-1]))
+    n, p = told.score.shape
+    columns = [np.einsum("nk,pm->npkm", a.courses, a.candidate.columns).reshape(n, p, -1) for a in accepted]
+    sizes = [np.tile(a.kappa * a.candidate.sizes, a.courses.shape[1]) for a in accepted]
+    whole = np.concatenate([np.zeros((n, p, 0)), *columns], axis=2)
+    return evidence.solve(told, whole, np.concatenate([np.zeros(0), *sizes]))
 
 
 def _best(
@@ -205,9 +196,10 @@ def _best(
     dated: bool,
     known: Sequence[_Accepted],
 ) -> _Accepted:
-    """The most probable further change."""
-    n, p = told.score.shape
-    model = evidence.solve(told, _known(known, p, n))
+    """The most probable further change; another robot comes once."""
+    model = _beside(told, known)
+    if any(a.candidate.kind == ROBOT for a in known):
+        candidates = [c for c in candidates if c.kind != ROBOT]
     hypotheses: list[_Hypotheses] = []
     prior = 0.0
     for candidate, course, weight, since, courses in weighed(candidates, evidence.FREQUENCY, times, dated=dated):
@@ -364,7 +356,7 @@ def _placements(
 
     def between(own: Sequence[str]) -> tuple[Array, Array]:
         # Parameters of a campaign as the solved ones make them: theta and the changes found by then.
-        X, Y = (np.hstack([np.eye(model.p), model.known.columns[k]]) for k in (-2, -1))
+        X, Y = (np.hstack([np.eye(model.p), model.columns[k]]) for k in (-2, -1))
         a, A, V = _given(before, own, names, first, X, model.mean)
         b, B, W = _given(after, own, names, first, Y, model.mean)
         return b - a, V + W + (B - A) @ model.inverse @ (B - A).T

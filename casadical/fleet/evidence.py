@@ -183,22 +183,15 @@ class SharedInformation:
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
-    """Changes that are in the model already: columns over all campaigns, shape (n, p, m), and sizes, shape (m,)."""
-
-    columns: Array
-    sizes: Array
-
-
-@dataclass(frozen=True, eq=False)
 class Model:
     """Theta and known changes, solved for: what is left for a further change.
 
+    columns : of the known changes over all campaigns, shape (n, p, m)
     root : R of the covariance R'R of u = (theta, known amplitudes); turned : R times the score of u
     """
 
     shared: SharedInformation
-    known: Known
+    columns: Array
     root: Array = field(repr=False)
     turned: Array = field(repr=False)
 
@@ -216,16 +209,15 @@ class Model:
         return int(self.shared.score.shape[1])
 
 
-def solve(told: SharedInformation, known: Known | None = None) -> Model:
-    """Theta and the known changes, given all campaigns."""
+def solve(told: SharedInformation, columns: Array, sizes: Array) -> Model:
+    """Theta and known changes, given all campaigns; columns : as of `Model`; sizes : of the changes, shape (m,)."""
     n, p = told.score.shape
-    known = known or Known(np.zeros((n, p, 0)), np.zeros(0))
-    X = np.concatenate([np.broadcast_to(np.eye(p), (n, p, p)), known.columns], axis=2)
+    X = np.concatenate([np.broadcast_to(np.eye(p), (n, p, p)), columns], axis=2)
     HX = told.information @ X
     Lambda = np.tensordot(X, HX, axes=([0, 1], [0, 1]))
-    Lambda += np.diag(np.concatenate([told.precision, known.sizes**-2.0]))
+    Lambda += np.diag(np.concatenate([told.precision, sizes**-2.0]))
     root = root_of_inverse(Lambda)
-    return Model(told, known, root, root @ np.einsum("npi,np->i", X, told.score))
+    return Model(told, columns, root, root @ np.einsum("npi,np->i", X, told.score))
 
 
 def visible(model: Model, E: Array, courses: Array) -> tuple[Array, Array]:
@@ -240,9 +232,7 @@ def visible(model: Model, E: Array, courses: Array) -> tuple[Array, Array]:
     squares = (courses[:, :, :, None] * courses[:, :, None, :]).transpose(0, 2, 3, 1).reshape(c * k * k, n)
     H = (squares @ (E.T @ HE).reshape(n, m * m)).reshape(c, k, k, m, m).transpose(0, 1, 3, 2, 4)
     H = H.reshape(c, k * m, k * m)
-    HEu = HE
-    if model.known.sizes.size:
-        HEu = np.concatenate([HE, model.known.columns.transpose(0, 2, 1) @ HE], axis=1)
+    HEu = np.concatenate([HE, model.columns.transpose(0, 2, 1) @ HE], axis=1)
     C = (flat @ HEu.reshape(n, -1)).reshape(c, k, -1, m).transpose(0, 2, 1, 3).reshape(c, -1, k * m)
     b = (flat @ (information.score @ E)).reshape(c, k * m)
     # A change along known ones is the small difference of large numbers: squares of the root keep twice the digits that

@@ -194,16 +194,9 @@ def diagnose_campaign(campaign: Campaign, options: Options | None = None, show: 
     """Diagnose a campaign, for all that ask: the command, a fleet, a replay, exports. Raises InputError."""
     asked = options or Options()
     diagnosis = diagnose(
-        campaign.robot,
-        campaign.sets,
-        asked.effects,
-        seed=asked.seed,
-        bootstrap=asked.bootstrap,
-        prior=campaign.prior,
-        masses=asked.masses,
-        laws=asked.laws is not False,
-        show=show,
-    )
+        campaign.robot, campaign.sets, asked.effects, seed=asked.seed, bootstrap=asked.bootstrap, prior=campaign.prior,
+        masses=asked.masses, laws=asked.laws is not False, show=show,
+    )  # fmt: skip
     return CampaignDiagnosis(campaign, asked, diagnosis)
 
 

@@ -248,8 +248,8 @@ def evaluated_table(path: Path, robot: Robot, promised: float | None = None) -> 
     drift = None
     if (test == "drift").any():
         group = columns.column("group")
-        first, *later = (_by_pose(pose, local, command, (test == "drift") & (group == g)) for g in np.unique(group)
-                         if ((test == "drift") & (group == g)).any())  # fmt: skip
+        groups = np.unique(group[test == "drift"])
+        first, *later = (_by_pose(pose, local, command, (test == "drift") & (group == g)) for g in groups)
         then = {f.pose: f for f in first}
         off = [(abs(then[f.pose].AP - f.AP), abs(then[f.pose].RP - f.RP)) for g in later for f in g if f.pose in then]
         drift = (max((AP for AP, _ in off), default=0.0), max((RP for _, RP in off), default=0.0))

@@ -126,6 +126,11 @@ def names_in(m: Measurements) -> list[str]:
     return [name.removeprefix("tool_") for name in m.conditions if name.startswith("tool_")]
 
 
+def some_rows(rows: Sequence[object]) -> str:
+    """The first eight rows by commas, with dots behind them where there are more."""
+    return ", ".join(map(str, rows[:8])) + (" ..." if len(rows) > 8 else "")
+
+
 def refuse_nameless(m: Measurements, robot: Robot) -> None:
     """Raises InputError where a robot has several targets and the table does not say which was measured."""
     if robot.targets and not names_in(m):
@@ -146,7 +151,7 @@ def unfitted(sets: Mapping[str, Sequence[Measurements]]) -> list[str]:
             for target in names_in(m):
                 rows = m.row[m.conditions[f"tool_{target}"] > 0]
                 if target not in fitted and len(rows):
-                    listed = ", ".join(map(str, rows[:8])) + (" ..." if len(rows) > 8 else "")
+                    listed = some_rows(rows.tolist())
                     faults.append(
                         f"{m.source}: target {target!r} was measured in row {listed} only, of the set {name!r}; no "
                         "pose that is fitted tells where it is: measure it at three poses or more, or leave the rows "

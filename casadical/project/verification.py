@@ -18,7 +18,6 @@ from casadical.identification.accuracy import errors
 from casadical.identification.identification import Prepared, calibrated, prepare
 from casadical.identification.result import LeftOut, rows_in_words
 from casadical.measurements.kinds.registry import find_kind
-from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import refuse_shared_rows
 from casadical.project.check.targets import with_targets_of_rows
 from casadical.project.iso9283 import Iso9283, evaluated_table
@@ -166,7 +165,10 @@ def verify(
     arm, gone = without_instrument(read_robot(place))
     sets = [read_campaign(place, table, arm, later=True, words=True) for table in given]
     refuse_shared_rows(sets)
-    kind = _kind_of(sets)
+    kind, *others = sorted({m.kind if m.position is None else POSITION for m in sets})  # full poses by their positions
+    if others:
+        kinds = ", ".join([kind, *others])
+        raise InputError(f"{', '.join(m.source for m in sets)}: tables of kinds {kinds}; check one at a time")
     promised = promised_rms(place, kind) if promised_mm is None else _in_metres(promised_mm, "promised_mm")
     arm, named, notes = with_targets_of_rows(arm, sets)
     prepared = prepare(arm, [m.positions_alone() if m.position is not None else m for m in named])
@@ -275,16 +277,6 @@ class _Placing:
         if self.base:
             return "Base and tool were"
         return "The tool was" if not self.points else "The tool and the unknown places were"
-
-
-def _kind_of(sets: Sequence[Measurements]) -> str:
-    """What all tables hold; full poses are judged by their positions. Raises InputError for several kinds."""
-    kinds = sorted({m.kind if m.position is None else POSITION for m in sets})
-    if len(kinds) > 1:
-        raise InputError(
-            f"{', '.join(m.source for m in sets)}: tables of kinds {', '.join(kinds)}; check one at a time"
-        )
-    return kinds[0]
 
 
 def _times(freedom: int, quantile: float) -> float:

@@ -26,6 +26,7 @@ from casadical.measurements.columns import RADIANS
 from casadical.measurements.measurements import Measurements, same_readings
 from casadical.project.check.slip_fit import Fit, Hypothesis
 from casadical.project.check.slips import WORTH, outside, single_slips, slip_fit
+from casadical.project.robot_columns import some_rows
 from casadical.robot.kinematics import LEAST_MARGIN
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
@@ -114,7 +115,7 @@ def far_rows(robot: Robot, m: Measurements) -> list[Finding]:
         return []
     gross = m.row[far & (e > IMPOSSIBLE * robot.reach)]
     order = [k for k in np.argsort(-e) if far[k]]
-    rows = ", ".join(f"{m.row[k]} ({1e3 * e[k]:.3g} mm)" for k in order[:8]) + (" ..." if len(order) > 8 else "")
+    rows = some_rows([f"{m.row[k]} ({1e3 * e[k]:.3g} mm)" for k in order])
     text = (
         f"{m.source}: rows {rows} are far off, where the median is {1e3 * float(np.median(e)):.3g} mm; calibrate "
         "leaves out those that its fit does not explain, and names them and those that are held out; the accuracy to "

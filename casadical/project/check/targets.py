@@ -20,7 +20,7 @@ from casadical.identification.plausibility import check_against
 from casadical.measurements.measurements import STANDS, Measurements, same_readings
 from casadical.project.check.plausible import median_error, rigid
 from casadical.project.problem import Problem
-from casadical.project.robot_columns import names_in, refuse_nameless
+from casadical.project.robot_columns import names_in, refuse_nameless, some_rows
 from casadical.robot.robot import Robot
 
 # Targets are at least so far apart [m].
@@ -246,7 +246,7 @@ class WrongNames:
         texts = []
         for a, b in sorted({(int(self.given[k]), int(self.meant[k])) for k in wrong}):
             rows = self.row[(self.given == a) & (self.meant == b)]
-            listed = ", ".join(map(str, rows[:8])) + (" ..." if len(rows) > 8 else "")
+            listed = some_rows(rows.tolist())
             texts.append(f"{self.names[b]}, not {self.names[a]}, was measured in {len(rows)} rows: {listed}")
         first, last = self.row[wrong[0]], self.row[wrong[-1]]
         return (
@@ -282,7 +282,7 @@ def _search(robot: Robot, m: Measurements, given: Array, rows: slice, nearer: fl
     """The target of each row; base and tools begin as these rows have them, another target is `nearer` by a factor."""
     names, placed = given, place_frames(robot, _named(m, robot, given)[rows])
     for _ in range(ROUNDS):
-        points = np.array([placed.tool.T[:3, 3], *(t.point for t in placed.targets)])
+        points = np.array([*_points_of(placed).values()])
         far = np.linalg.norm(_seen(placed, m)[:, None] - points, axis=2)
         nearest = np.argmin(far, axis=1)
         own = far[np.arange(len(m)), given if nearer > 1 else names]
@@ -292,6 +292,11 @@ def _search(robot: Robot, m: Measurements, given: Array, rows: slice, nearer: fl
         names = again
         placed = place_frames(robot, _named(m, robot, names))
     return names
+
+
+def _points_of(robot: Robot) -> dict[str, Array]:
+    """Targets of a robot in the last link's frame, by name, shape (3,) each [m]."""
+    return {robot.tool_name: robot.tool.T[:3, 3], **{t.name: t.point for t in robot.targets}}
 
 
 def _seen(placed: Robot, m: Measurements) -> Array:
@@ -316,7 +321,7 @@ def with_targets_of_rows(
     those targets that were measured: as they are known, or to be estimated. Raises InputError where repeats show
     several, and the nominal model does not distinguish them.
     """
-    known = {robot.tool_name: robot.tool.T[:3, 3], **{t.name: t.point for t in robot.targets}}
+    known = _points_of(robot)
     placed_sets, notes = [], []
     for m in sets:
         points = {} if names_in(m) or m.position is None else _by_position(robot, m)
@@ -371,7 +376,7 @@ def _starts(robot: Robot, free: Robot, m: Measurements) -> Iterator[Array]:
     """Which target each row may be, shape (n,), to begin with: by those of the robot, by rows that lie far apart."""
     placed = place_frames(free, m)
     if robot.targets:
-        yield _by_known(placed, np.array([robot.tool.T[:3, 3], *(t.point for t in robot.targets)]), m)
+        yield _by_known(placed, np.array([*_points_of(robot).values()]), m)
     seen = _seen(placed, m)
     points = seen[:1]
     for _ in range(1, MOST if len(m) >= BEGIN else 1):
@@ -406,7 +411,7 @@ def _scattered(free: Robot, m: Measurements, which: Array) -> tuple[Array, Array
     several = _several(free, which)
     named = _named(m, several, which)
     placed = place_frames(several, named)
-    points = np.array([placed.tool.T[:3, 3], *(t.point for t in placed.targets)])
+    points = np.array([*_points_of(placed).values()])
     apart = len(points) > 1 and _lengths(points).min() > APART
     e = errors(placed, named)
     return points, which, max(float(np.median(e[which == k])) for k in range(len(points))) if apart else np.inf
@@ -421,7 +426,7 @@ def _several(free: Robot, which: Array) -> Robot:
 
 def _names_of(points: Array, robot: Robot) -> list[str]:
     """Names of the robot's targets that lie to each other as these points do, shape (K, 3); else numbers."""
-    known = {robot.tool_name: robot.tool.T[:3, 3], **{t.name: t.point for t in robot.targets}}
+    known = _points_of(robot)
     for some in permutations(known, len(points)) if len(points) <= len(known) <= MOST else ():
         if np.abs(_lengths(np.array([known[name] for name in some])) - _lengths(points)).max() < ALIKE:
             return [*some]
