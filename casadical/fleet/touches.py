@@ -167,7 +167,6 @@ class Touches(Result):
         return f"{words} ({sure}, since {self.model.days[since - 1].source})"
 
     def blocks(self) -> list[Words | Table]:
-        """In words."""
         head = {"valid": "STILL VALID", "changed": "NO LONGER VALID", "open": "NOT CERTAIN"}[self.verdict]
         low, high = np.quantile(self.errors, [0.025, 0.975])
         known = float(np.quantile(self.errors, VALID))
@@ -205,7 +204,6 @@ class Touches(Result):
 
     @property
     def next(self) -> tuple[Words, ...]:
-        """What to do now."""
         if (self.verdict == "valid" and not self.better) or not self.sources:
             return ()
         robot, *tables = self.sources
