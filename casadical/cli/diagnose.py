@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Context, Option
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from casadical.core.telling.blocks import Words
-    from casadical.project.diagnosis import Campaign, CampaignDiagnosis, LogCampaign, LogDiagnosis, Options
+    from casadical.project.diagnosis import CampaignDiagnosis, LogCampaign, LogDiagnosis
 
 
 # Options that only one kind of table has.
@@ -84,7 +84,7 @@ def diagnose(
         diagnosis.json and diagnosis.txt. With several campaigns, a folder for each.
     unlisted : With --out: also have the description of an unknown cause in the robot's model.
     """
-    from casadical.project.diagnosis import Options, effects_named, read_campaigns, read_logs
+    from casadical.project.diagnosis import Options, diagnose_campaign, effects_named, read_campaigns, read_logs
 
     logs = read_logs(problem, campaigns, reference, drive, effects.split(",") if effects else ())
     o.refuse_of_others(context, "joint logs" if logs else "measured poses", MODES)
@@ -102,13 +102,17 @@ def diagnose(
     answers: list[CampaignDiagnosis] = []
     texts: dict[Path, str] = {}
     for campaign in given:
-        answer, files = _answered(
-            campaign, options, out and (out if len(given) == 1 else out / campaign.name), unlisted, quiet,
-            poses=next_n, workspace=campaign.workspace(room), networks=network, highest_line=highest_line,
-            file=file.name if file else "",
-        )  # fmt: skip
+        workspace = campaign.workspace(room)
+        with working(quiet, "diagnosing", campaign.name, DIAGNOSIS) as show:
+            answer = diagnose_campaign(campaign, options, show).analysed(
+                poses=next_n, workspace=workspace, networks=network, highest_line=highest_line,
+                file=file.name if file else "", show=show,
+            )  # fmt: skip
+            if out:
+                show("the robot with its causes")
+                texts |= answer.files(out if len(given) == 1 else out / campaign.name, unlisted=unlisted)
         answers.append(answer)
-        texts |= {**files, **_printed(answer, details, file, console)}
+        texts |= _printed(answer, details, file, console)
     if report_file:
         from casadical.export.mjcf.replay import replay_blocks
 
@@ -168,20 +172,6 @@ def _diagnose_logs(
         suggest(console, "to have it as a model that moves", "export", "model", robot, "--out", "arm.xml")
     elif out is None and answers[-1].verdict not in ("ambiguous", "unknown"):
         suggest(console, "to keep what was replayed", *sys.argv[1:], "--out", "diagnosed")
-
-
-def _answered(
-    campaign: Campaign, options: Options, out: Path | None, unlisted: bool, quiet: bool, **asked: Any
-) -> tuple[CampaignDiagnosis, Mapping[Path, str]]:
-    """A diagnosis with its details, and its files; asked : as of `CampaignDiagnosis.analysed`."""
-    from casadical.project.diagnosis import diagnose_campaign
-
-    with working(quiet, "diagnosing", campaign.name, DIAGNOSIS) as show:
-        answer = diagnose_campaign(campaign, options, show).analysed(**asked, show=show)
-        if out is None:
-            return answer, {}
-        show("the robot with its causes")
-        return answer, answer.files(out, unlisted=unlisted)
 
 
 def _printed(found: CampaignDiagnosis, details: bool, file: Path | None, console: Console) -> dict[Path, str]:

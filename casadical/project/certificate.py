@@ -218,6 +218,8 @@ class Certificate(Result):
         degrees = "" if c.temperature_degC is None else f"{c.temperature_degC:g} °C, +- {c.range_K:g} K"
         made_by = f"casadical {dict(provenance_of(()).versions).get('casadical', '')}"
         method = f"{self.method} ({w[self.method] if self.method in w else w['other']}), {made_by}"
+        low, high = 1e3 * self.places.min(axis=0), 1e3 * self.places.max(axis=0)
+        span = ", ".join(f"{c} {a + 0.0:.0f} .. {b:.0f}" for c, a, b in zip("xyz", low, high, strict=True))
         rows = [
             (w["number"], d.number), (w["issued"], d.issued), (w["issuer"], d.issuer), (w["customer"], d.customer),
             (w["robot"], f"{self.problem.robot.name}, {w['serial']} {d.robot_serial or '-'}"),
@@ -226,14 +228,9 @@ class Certificate(Result):
             (w["instrument"], f"{i.name or w['not_stated']}, {w['serial']} {i.serial or '-'}"),
             (w["calibrated"], i.calibrated), (w["traceability"], i.traceability),
             (w["place"], c.place), (w["temperature"], degrees), (w["method"], method),
-            (w["space"], self._space(w)), *((w["remark"], text) for text in d.remarks),
+            (w["space"], w["space_of"].format(n=self.after.n, span=span)), *((w["remark"], text) for text in d.remarks),
         ]  # fmt: skip
         return Table("", ("", ""), [(name, text or w["not_stated"]) for name, text in rows])
-
-    def _space(self, w: Mapping[str, str]) -> str:
-        low, high = 1e3 * self.places.min(axis=0), 1e3 * self.places.max(axis=0)
-        span = ", ".join(f"{c} {a + 0.0:.0f} .. {b:.0f}" for c, a, b in zip("xyz", low, high, strict=True))
-        return w["space_of"].format(n=self.after.n, span=span)
 
     def _results(self, w: Mapping[str, str]) -> Table:
         both = (("before", self.before), ("after", self.after))

@@ -296,17 +296,16 @@ def read_campaign(
     columns, joints = _columns(raw, data, robot), [j.kind for j in robot.joints]
     lost = (columns.lost_rows if words else columns.empty_rows) if later else ()
     columns = columns.without(lost, "the table")
-    m = replace(readings_alone(columns, joints) if readings_only else _of_kind(columns, joints, data), lost=lost)
+    if readings_only:
+        m = readings_alone(columns, joints)
+    else:
+        m = _with_noise(columns, joints, data)
+        touched = set() if m.label is None else set(m.label.tolist())
+        m = m.with_separations(s for s in _separations(data) if touched.issuperset(s[:2]))
+    m = replace(m, lost=lost)
     if not (readings_only or later):
         refuse_nameless(m, robot)
     return _with_conditions(m if later else with_known_targets(m, robot), robot)
-
-
-def _of_kind(columns: Columns, joints: Sequence[str], data: DataTable) -> Measurements:
-    """A table as a problem's table says, with known distances between points."""
-    m = _with_noise(columns, joints, data)
-    touched = set() if m.label is None else set(m.label.tolist())
-    return m.with_separations(s for s in _separations(data) if touched.issuperset(s[:2]))
 
 
 def _with_noise(columns: Columns, joints: Sequence[str], data: DataTable) -> Measurements:

@@ -18,7 +18,6 @@ from casadical.fleet.comparison import changes_in, compare, courses_of, shared_i
 from casadical.fleet.estimates import Estimate, estimate, estimate_of_file, repeatability, with_common_noise
 from casadical.fleet.evidence import (
     KAPPAS,
-    Known,
     SharedInformation,
     candidates_of,
     drifts,
@@ -56,7 +55,7 @@ def test_the_evidence_is_that_of_the_difference_of_two_estimates() -> None:
     E, sizes = rng.normal(size=(4, 2)), np.array([0.5, 2.0])
     H = np.linalg.inv([C1, C2])
     told = SharedInformation(H, np.array([H[0] @ x1, H[1] @ x2]), np.full(4, 1e-9))
-    logs = log_evidence(*visible(solve(told), E, jumps(2)), sizes)
+    logs = log_evidence(*visible(solve(told, np.zeros((2, 4, 0)), np.zeros(0)), E, jumps(2)), sizes)
     for kappa, found in zip(KAPPAS, logs[0], strict=True):
         wide = C1 + C2 + E @ np.diag((kappa * sizes) ** 2) @ E.T
         by_scipy = multivariate_normal(cov=wide).logpdf(x2 - x1) - multivariate_normal(cov=C1 + C2).logpdf(x2 - x1)
@@ -69,11 +68,9 @@ def test_a_change_along_a_known_one_keeps_its_digits() -> None:
     J = rng.integers(-9, 10, (2, 40, 5)).astype(float) * 8
     J[:, :, 4] = J[:, :, 3] + rng.integers(-1, 2, (2, 40)) / 16
     H, score = J.transpose(0, 2, 1) @ J, rng.integers(-99, 100, (2, 5)).astype(float)
-    known = Known(np.stack([np.zeros((5, 5)), np.eye(5)]), np.full(5, 0.5))
-    found, b = visible(solve(SharedInformation(H, score, np.full(5, 0.25)), known), np.eye(5)[:, 4:], jumps(2))
-    X = np.concatenate(
-        [np.stack([np.eye(5)] * 2), known.columns, np.stack([np.zeros((5, 1)), np.eye(5)[:, 4:]])], axis=2
-    )
+    known, told = np.stack([np.zeros((5, 5)), np.eye(5)]), SharedInformation(H, score, np.full(5, 0.25))
+    found, b = visible(solve(told, known, np.full(5, 0.5)), np.eye(5)[:, 4:], jumps(2))
+    X = np.concatenate([np.stack([np.eye(5)] * 2), known, np.stack([np.zeros((5, 1)), np.eye(5)[:, 4:]])], axis=2)
     whole = np.einsum("nai,nab,nbj->ij", X, H, X) + np.diag([0.25] * 5 + [4.0] * 5 + [0.0])
     rows = [[*map(Fraction, row), Fraction(s)] for row, s in zip(whole, np.einsum("nai,na->i", X, score), strict=True)]
     for k in range(10):

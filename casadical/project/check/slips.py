@@ -66,8 +66,10 @@ def search_slips(robot: Robot, m: Measurements, others: Sequence[Robot] = (), sh
     shifts = (0, 1, -1) if np.all(np.diff(m.row[order]) >= 1) and m.position is not None else (0,)
     fits = _search(fit, robot, shifts, show)
     before = fit.placed(Hypothesis.none(robot.n), as_given=True)
-    costs = [_cost(f, robot) + OUTSIDE * outside(f.hypothesis, robot, fit.q) for f in fits]
-    first, *behind = ranked(np.negative(costs))
+    errors = np.log([max(f.error, OWN * robot.reach) for f in fits])
+    slips = [f.cost + (f.turn > TURNED) for f in fits]
+    costs = errors + np.log(WORTH) * np.array(slips) + [OUTSIDE * outside(f.hypothesis, robot, fit.q) for f in fits]
+    first, *behind = ranked(-costs)
     best = fits[first]
     near = [fits[k] for k in behind if fits[k].slips and costs[k] < costs[first] + np.log(WORTH)]
     # What leaves the same is the same robot, or its mirror image: no pose would distinguish them.
@@ -97,10 +99,6 @@ def single_slips(robot: Robot, others: int) -> Iterator[Fit]:
     yield Fit(none, np.inf, mirrored=True)
     turning = [j.kind == "revolute" for j in robot.joints]
     yield from (Fit(h, np.inf) for h in set(_moves(none, turning, (0,), 1 + others)) if h.slips == 1)
-
-
-def _cost(f: Fit, robot: Robot) -> float:
-    return float(np.log(max(f.error, OWN * robot.reach)) + np.log(WORTH) * (f.cost + (f.turn > TURNED)))
 
 
 def outside(h: Hypothesis, robot: Robot, q: Array) -> bool:
