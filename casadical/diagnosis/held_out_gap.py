@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array, Show, silent
+from casadical.core.linear_gaussian.marginals import NONE
 from casadical.diagnosis.cross_validation import (
     FOLDS,
     fitted_without,
@@ -23,7 +24,6 @@ from casadical.diagnosis.observations import edges_of
 from casadical.diagnosis.refit import left_by, refit_measurements
 from casadical.diagnosis.result import Diagnosis
 from casadical.effects import Effect
-from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Noise
 
 if TYPE_CHECKING:
@@ -69,9 +69,7 @@ def course(case: Case, stages: Sequence[Stage], folds: Sequence[Array], noise: N
 
 def time_blocks(case: Case) -> Array:
     """Number of the contiguous fifth of the campaign in which each kept pose was measured, shape (kept,)."""
-    m, _ = derive(case.m, ["progress"])
-    progress, alike = m.conditions["progress"][case.kept], case.evidence.alike
-    order = np.argsort(np.argsort(progress, kind="stable"), kind="stable")
+    order, alike = np.argsort(case.order, kind="stable"), case.evidence.alike
     if alike is None:
         return np.asarray(FOLDS * order // len(order))
     # A point that is measured in one block alone could not be predicted: blocks of each point's own poses.
@@ -152,8 +150,8 @@ def network_gaps(found: Diagnosis, show: Show = silent) -> tuple[NetworkGap, Net
     found : a diagnosis
     show : called with a line of progress
     """
-    case, none = found.case, np.zeros(0, dtype=np.int64)
-    alone = network_gap(case, none, found.rankings[0].noise[""], found.seed, show=show)
+    case = found.case
+    alone = network_gap(case, NONE, found.rankings[0].noise[""], found.seed, show=show)
     return alone, network_gap(case, found.columns, found.noise, found.seed, show=show)
 
 

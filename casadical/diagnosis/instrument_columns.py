@@ -9,8 +9,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.diagnosis.linearisation import of_turn
-from casadical.diagnosis.observations import edges_of
-from casadical.diagnosis.stops import Stops
+from casadical.diagnosis.observations import Stops, edges_of
 from casadical.effects.formula_effect import FAR, FLAGS, WIRES, image_columns
 from casadical.measurements.kinds.distance import Distance
 from casadical.measurements.kinds.registry import find_kind

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.basics import Array, InputError
-from casadical.core.linear_gaussian.marginals import FEW
+from casadical.core.linear_gaussian.marginals import FEW, NONE
 from casadical.core.parameters import Parameter
 from casadical.core.statistics import robust_std
 from casadical.diagnosis.candidates import Candidate, choose
@@ -43,14 +43,6 @@ SAME_RATIO = 0.2
 HELD = 1e-3
 
 
-@dataclass(eq=False)
-class Selected:
-    """The problem of the poses that are no outliers, once it was made."""
-
-    evidence: Evidence | None = None
-    judged: Evidence | None = None
-
-
 @dataclass(frozen=True, eq=False)
 class Case:
     """Everything that the diagnosis computes with.
@@ -81,7 +73,6 @@ class Case:
     units: Array | None = None
     assumed: tuple[str, ...] = ()
     form: Form = PLAIN
-    selected: Selected = field(init=False, repr=False, default_factory=Selected)
 
     @property
     def one_end(self) -> bool:
@@ -112,33 +103,34 @@ class Case:
         e = self.evidence
         return e.r if e.size is None else e.r * e.size
 
-    @property
+    @cached_property
     def evidence(self) -> Evidence:
         """Residuals and columns of the poses that are no outliers."""
-        if self.selected.evidence is None:
-            self.selected.evidence = self.whole if self.kept.all() else self.whole.at(np.flatnonzero(self.kept))
-        return self.selected.evidence
+        return self.whole if self.kept.all() else self.whole.at(np.flatnonzero(self.kept))
+
+    @cached_property
+    def progress(self) -> Array:
+        """Of each pose its place in the order of measuring, from 0 to 1, shape (n,)."""
+        return derive(self.m, ["progress"])[0].conditions["progress"]
 
     @property
     def order(self) -> Array:
         """The kept poses in the order of measuring, shape (kept,)."""
-        progress = derive(self.m, ["progress"])[0].conditions["progress"][self.kept]
-        return np.argsort(progress, kind="stable")
+        return np.argsort(self.progress[self.kept], kind="stable")
 
-    @property
+    @cached_property
     def judged(self) -> Evidence:
         """The same as its form of noise moves it: by this causes are judged."""
-        if self.form is PLAIN:
-            return self.evidence
-        if self.selected.judged is None:
-            self.selected.judged = as_form_moves(self.evidence, self.form, self.order)
-        return self.selected.judged
+        return self.evidence if self.form is PLAIN else as_form_moves(self.evidence, self.form, self.order)
 
     def with_form(self, form: Form) -> Case:
         """The case with another form of noise."""
-        more = replace(self, form=form)
-        more.selected.evidence = self.evidence
-        return more
+        return replace(self, form=form)._with_evidence(self.evidence)
+
+    def _with_evidence(self, known: Evidence) -> Case:
+        """The case itself, whose problem without outliers is made already."""
+        vars(self)["evidence"] = known
+        return self
 
     def prior_parts(self, prior: Prior) -> tuple[Array, Array, list[tuple[Array, Array]]]:
         """Mean less present values and one sigma of the base model's parameters, shapes (P,) [SI], with a prior.
@@ -222,8 +214,8 @@ class Case:
         return tuple(self.group(self.candidates[c].variants[v]) for c, v in self.variants)
 
     def group(self, effects: Sequence[Effect]) -> Array:
-        """Columns of effects that act together."""
-        return np.concatenate([self.columns[e] for e in effects])
+        """Columns of effects that act together; none of no effects."""
+        return np.concatenate([NONE, *(self.columns[e] for e in effects)])
 
     def with_sizes(self, effect: Effect, factors: Mapping[int, float], noise: Noise) -> tuple[Case, Effect]:
         """The case with the prior size of an effect's parts learnt, and the effect with these sizes.
@@ -267,9 +259,9 @@ class Case:
         E = self.whole.E.plus(effects, m.conditions)
         # Sizes that were learnt stay.
         held = E.held if self.whole.held is None else np.append(self.whole.held, E.held[self.whole.width :])
-        more = replace(self, m=m, candidates=candidates, columns=columns, whole=replace(self.whole, E=E, held=held))
-        known = self.evidence
-        more.selected.evidence = replace(known, E=E.at(np.flatnonzero(self.kept)), held=held).extending(known)
+        more, known = replace(self, m=m, candidates=candidates, columns=columns), self.evidence
+        more = replace(more, whole=replace(self.whole, E=E, held=held))
+        more._with_evidence(replace(known, E=E.at(np.flatnonzero(self.kept)), held=held).extending(known))
         if self.form is not PLAIN:
             more.judged.extending(self.judged)
         return more
@@ -369,8 +361,8 @@ def better_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
     left, pull = fit.rest.reshape(case.evidence.r.shape) ** 2, fit.pull(np.arange(len(case.evidence.r)))
     freedom = seen.measured[case.kept] - np.diagonal(pull, axis1=1, axis2=2)
     place, sigmas = np.cumsum(case.kept) - 1, []
-    for k, (m, (length, angle)) in enumerate(zip(seen.sets, known.sigmas, strict=True)):
-        poses, places = seen.numbers_of(k)
+    each = zip(seen.sets, known.sigmas, seen.layout.poses, seen.layout.places, strict=True)
+    for m, (length, angle), poses, places in each:
         own, kind = case.kept[poses[:, 0]], find_kind(m.kind)
         poses, places = place[poses[own]], places[own]
         parts = (places[:, : kind.lengths], places[:, kind.lengths :])

@@ -16,16 +16,13 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import EVERY, Combined, Directions, Factors, directions_of
-from casadical.core.mapped_function import call
 from casadical.diagnosis.formula_cache import Part, plan
-from casadical.diagnosis.seams import Seams, seams_of
+from casadical.diagnosis.seams import BLOCK, Seams, over_poses, seams_of
 from casadical.effects import Effect
 from casadical.measurements.measurements import Measurements
 from casadical.robot.model import constants_of
 from casadical.robot.robot import Robot
 
-# Poses whose seams are evaluated in one call.
-BLOCK = 512
 # A direction of a part is left out if one size of it moves all poses together by less than this [m].
 NOTHING = 3e-9
 # Variables of the measured point, the last of the seams.
@@ -77,15 +74,8 @@ class Linearisation:
         """Some of the poses."""
         conditions = {name: values[poses] for name, values in self.conditions.items()}
         far = self.far and (self.far[0][poses], self.far[1][poses])
-        return replace(
-            self,
-            q=self.q[poses],
-            conditions=conditions,
-            J=self.J[poses],
-            S=self.S[poses],
-            seen=self.seen[poses],
-            far=far,
-        )
+        each = {name: getattr(self, name)[poses] for name in ("q", "J", "S", "seen")}
+        return replace(self, conditions=conditions, far=far, **each)
 
     def columns(self, effects: Sequence[Effect]) -> Array:
         """Columns of all parameters of the effects, shape (n, 3, parameters) [m per unit of parameter].
@@ -148,14 +138,7 @@ def linearise(robot: Robot, m: Measurements, phi: Array) -> Linearisation:
     """
     s, constants = seams_of(robot), constants_of(robot, robot.torque_scale)
     w = m.condition_matrix(robot.conditions, robot.declared)
-    parts: list[list[Array]] = [[], [], []]
-    for first in range(0, len(m), BLOCK):
-        some = slice(first, first + BLOCK)
-        n = len(m.q[some])
-        values = call(s.mapped(n), m.q[some].T, w[some].T, phi, constants)
-        for part, value in zip(parts, values, strict=True):
-            part.append(value.reshape(value.shape[0], n, -1).transpose(1, 0, 2))
-    J, S, seen = (np.concatenate(part) for part in parts)
+    J, S, seen = over_poses(s.function, m.q, w, (phi, constants))
     return Linearisation(robot, s, phi, m.q, dict(m.conditions), J, S, seen[:, :, 0], constants)
 
 

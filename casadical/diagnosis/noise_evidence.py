@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.columns import ArrayColumns, SerialColumns
+from casadical.core.linear_gaussian.columns import SerialColumns
 from casadical.core.linear_gaussian.model import axes_of_base, beside_base
 from casadical.core.linear_gaussian.noise import Axes, SerialNoise, serial_noise
 from casadical.core.linear_gaussian.normal_equations import Joined, joined
@@ -62,16 +62,9 @@ def as_form_moves(e: Evidence, form: Form, order: Array) -> Evidence:
 
     Its likelihoods are those of the problem with this noise, less the form's weight. order : of measuring, shape (n,)
     """
-    noise, columns = form.serial(len(order)), ArrayColumns(e.E) if isinstance(e.E, np.ndarray) else e.E
-    masks = {name: of[order] for name in ("measured", "size", "alike") if (of := getattr(e, name)) is not None}
-    return replace(
-        e,
-        r=noise.white(e.r[order]),
-        J=noise.white(e.J[order]),
-        Jq=form.repeatability(e.Jq[order]),
-        E=SerialColumns(columns, order, noise),
-        **masks,
-    )
+    own, noise = e.at(order), form.serial(len(order))
+    E = SerialColumns(e.model.columns, order, noise)
+    return replace(own, r=noise.white(own.r), J=noise.white(own.J), Jq=form.repeatability(own.Jq), E=E)
 
 
 class Problem:

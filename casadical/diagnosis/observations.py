@@ -1,6 +1,6 @@
 """The linear problem of any kinds of measurement, several sets together: by each kind's own residual.
 
-All that was read at one stop of the robot (see `stops`) is one pose with as many numbers: these share how the joints
+All that was read at one stop of the robot (see `Stops`) is one pose with as many numbers: these share how the joints
 repeat, as the coordinates of a position do, and the instruments' own noise they do not share. Every pose has as many
 numbers as the one with the most; what was not measured is zero. They are in units in which the noise of all sets is
 alike, that of a length of the first set: an angle of a full pose is multiplied by the ratio of the two sigmas, a set's
@@ -9,6 +9,7 @@ lengths by the ratio of the sets'. An unknown point, which poses share, is three
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -16,19 +17,41 @@ from itertools import pairwise
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.mapped_function import call
-from casadical.diagnosis.linearisation import BLOCK, POINT, TURN, Linearisation, of_turn
-from casadical.diagnosis.seams import observed_at_seams, seams_of
-from casadical.diagnosis.stops import Stops, stops_of
+from casadical.diagnosis.linearisation import POINT, TURN, Linearisation, of_turn
+from casadical.diagnosis.seams import observed_at_seams, over_poses, seams_of
 from casadical.identification.result import Identification
 from casadical.measurements.kinds.position import Position
 from casadical.measurements.kinds.registry import find_kind
-from casadical.measurements.measurements import Measurements
+from casadical.measurements.measurements import Measurements, same_readings
 from casadical.robot.model import constants_of
 from casadical.robot.robot import Robot
 
+# Logged columns that are of the stop and not of the reading.
+_OF_STOP = re.compile(r"payload_kg|approach\d+|(tool|session)_.*")
 # One sigma of an unknown point about where the base fit has it [m]: wide beside what a cause moves it.
 POINT_WIDTH = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Stops:
+    """Rows of several sets, by the stops at which they were read.
+
+    of : number of each row's stop, shape (rows,); turn : how many rows of its stop come before it, shape (rows,)
+    rows : that is the first of each stop, shape (stops,)
+    """
+
+    of: Array
+    turn: Array
+    rows: Array
+
+    @property
+    def most(self) -> int:
+        """Rows of the stop with the most."""
+        return int(self.turn.max()) + 1
+
+    def kept(self, mask: Array) -> Array:
+        """Of the rows at stops that a mask keeps, the number of the stop among those, shape (k,)."""
+        return np.asarray((np.cumsum(mask) - 1)[self.of[mask[self.of]]])
 
 
 @dataclass(frozen=True)
@@ -69,10 +92,6 @@ class Observations:
     apart: Array
     Jq: Array
 
-    def numbers_of(self, k: int) -> tuple[Array, Array]:
-        """Where a set's numbers stand among those of the poses: poses, shape (rows, 1), and places, (rows, numbers)."""
-        return self.layout.poses[k], self.layout.places[k]
-
     @property
     def plain(self) -> bool:
         """Whether they are one set of positions."""
@@ -97,24 +116,44 @@ def joined(sets: Sequence[Measurements], robot: Robot, stops: Stops) -> Measurem
     conditions = {
         n: np.concatenate([m.conditions.get(n, np.full(len(m), declared.get(n, 0.0))) for m in sets]) for n in names
     }
-    q = np.concatenate([m.q for m in sets])
-    row = np.concatenate([m.row for m in sets])
-    copies = tuple(c for m in sets for c in m.copies)
-    return Measurements(
-        q=q,
-        kind="position",
-        position=np.zeros((len(q), 3)),
-        conditions=conditions,
-        row=row,
-        source=", ".join(dict.fromkeys(m.source for m in sets)),
-        copies=copies,
-    )[stops.rows]
+    q, row = (np.concatenate([getattr(m, name) for m in sets]) for name in ("q", "row"))
+    source, copies = ", ".join(dict.fromkeys(m.source for m in sets)), tuple(c for m in sets for c in m.copies)
+    whole = Measurements(
+        q, "position", position=np.zeros((len(q), 3)), conditions=conditions, row=row, source=source, copies=copies
+    )
+    return whole[stops.rows]
 
 
 def stops_in(sets: Sequence[Measurements]) -> Stops:
-    """At which stops the rows of some sets were read."""
+    """At which stops the rows of some sets were read, in the order of their first rows.
+
+    Rows at equal readings and circumstances are of one stop, unless another reading lies between them by the logged
+    time, else by the number of the pose. What is read twice to the same end are two stops, and so is each distance
+    between two poses: each row of one set that is measured to one thing is a stop of its own.
+    """
     points = [m.label if m.label is not None else np.full(len(m), "") for m in sets]
-    return stops_of(sets, _measured_to(sets, np.unique(np.concatenate(points).astype(str), return_inverse=True)[1]))
+    measured_to = _measured_to(sets, np.unique(np.concatenate(points).astype(str), return_inverse=True)[1])
+    n = len(measured_to)
+    if len(sets) == 1 and sets[0].other is None and len(np.unique(measured_to)) == 1:
+        return Stops(np.arange(n), np.zeros(n, dtype=np.int64), np.arange(n))
+    shared = [c for c in sets[0].conditions if all(c in m.conditions for m in sets)]
+    logged = {c: np.concatenate([m.conditions[c] for m in sets]) for c in shared}
+    q = np.concatenate([m.q for m in sets])
+    own = (values for c, values in logged.items() if _OF_STOP.fullmatch(c))
+    key = _numbered(np.column_stack([same_readings(q), *own]))
+    clock = next((logged[c] for c in ("time_s", "pose") if c in logged), None)
+    if clock is not None:
+        order = np.lexsort((key, clock))
+        runs = np.empty(n, dtype=np.int64)
+        runs[order] = np.cumsum(np.diff(key[order], prepend=key[order[0]]) != 0)
+        key = runs
+    alone = np.concatenate([np.full(len(m), m.other is not None) for m in sets])
+    again = _counted(np.column_stack([key, measured_to]))
+    again[alone] = 1 + n + np.flatnonzero(alone)
+    _, first, stop = np.unique(np.column_stack([key, again]), axis=0, return_index=True, return_inverse=True)
+    rank = np.argsort(np.argsort(first))
+    of = rank[stop.ravel()]
+    return Stops(of, _counted(of[:, None]), np.sort(first))
 
 
 def edges_of(sets: Sequence[Measurements]) -> list[slice]:
@@ -275,6 +314,15 @@ def _numbered(keys: Array) -> Array:
     return np.asarray(np.unique(keys, axis=0, return_inverse=True)[1].ravel())
 
 
+def _counted(keys: Array) -> Array:
+    """How often each row's numbers occur before it, shape (n,)."""
+    number = _numbered(keys)
+    order = np.argsort(number, kind="stable")
+    places = np.empty(len(number), dtype=np.int64)
+    places[order] = np.arange(len(number)) - np.searchsorted(number[order], number[order])
+    return places
+
+
 def _first_numbers(stops: Stops, counts: Array) -> Array:
     """The place of each row's first number at its stop, shape (rows,); counts : of its numbers, shape (rows,)."""
     first = np.zeros(len(counts), dtype=np.int64)
@@ -308,14 +356,7 @@ def _of_set(robot: Robot, m: Measurements, k: int, values: Array, where: Mapping
     arrays = {**m.arrays, "point": np.array([where[name] for name in names])}
     data = np.concatenate([np.asarray(arrays[name], dtype=float).reshape(n, -1) for name in at.data], axis=1)
     w, constants = m.condition_matrix(robot.conditions, robot.declared), constants_of(robot, robot.torque_scale)
-    parts: list[list[Array]] = [[] for _ in range(6)]
-    for first in range(0, n, BLOCK):
-        some = slice(first, first + BLOCK)
-        outputs = call(at.mapped(len(m.q[some])), m.q[some].T, w[some].T, values, constants, data[some].T)
-        for part, value in zip(parts, outputs, strict=True):
-            here = len(m.q[some])
-            part.append(value.reshape(value.shape[0], here, value.shape[1] // here).transpose(1, 0, 2))
-    r, J, S, U, seen, q = (_together(parts.pop(0)) for _ in range(6))
+    r, J, S, U, seen, q = over_poses(at.function, m.q, w, (values, constants), data)
     length, angle = ratios.of_set(k)
     scale = np.concatenate([np.full(kind.lengths, length), np.full(kind.angles, angle)])
     rows = scale * np.sqrt(m.weight)[:, None]
@@ -334,11 +375,6 @@ def _of_set(robot: Robot, m: Measurements, k: int, values: Array, where: Mapping
         point=np.array([number[name] for name in names] or [-1] * n),
         ends=at.ends,
     )
-
-
-def _together(parts: Sequence[Array]) -> Array:
-    """Numbers of some poses after those of others, pose by pose in memory."""
-    return np.concatenate(parts, out=np.empty((sum(map(len, parts)), *parts[0].shape[1:])))
 
 
 def _known_points(identification: Identification, where: Mapping[str, Array]) -> tuple[Array, Array]:

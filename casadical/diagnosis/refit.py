@@ -111,9 +111,8 @@ def _with_sigmas(case: Case, sets: Sequence[Measurements], noise: Noise) -> list
     seen = case.observations
     square = np.diagonal(case.whole.covariance(noise), axis1=1, axis2=2) * seen.measured
     given = []
-    for k, m in enumerate(sets):
-        at = seen.numbers_of(k)
-        usual = float(np.sqrt(square[at].sum() / max(1, np.count_nonzero(seen.measured[at]))))
+    for k, (m, *at) in enumerate(zip(sets, seen.layout.poses, seen.layout.places, strict=True)):
+        usual = float(np.sqrt(square[*at].sum() / max(1, np.count_nonzero(seen.measured[*at]))))
         length, angle = (usual / scale for scale in seen.ratios.of_set(k))
         given.append(replace(m, sigma=length, sigma_angle=angle))
     return given

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array
+from casadical.core.linear_gaussian.marginals import NONE
 from casadical.core.statistics import ranked
 from casadical.core.telling.blocks import Table, Words, mm
 from casadical.core.telling.result import Result
@@ -312,8 +313,7 @@ class Diagnosis(Result):
     @property
     def columns(self) -> Array:
         """Columns of all causes in the case's evidence, shape (k,), as whole numbers without unit; see `case`."""
-        effects = self.effects()
-        return np.unique(self.case.group(effects)) if effects else np.zeros(0, dtype=np.int64)
+        return np.unique(self.case.group(self.effects()))
 
     @property
     def remains(self) -> float:
@@ -335,8 +335,8 @@ class Diagnosis(Result):
     @cached_property
     def held_out(self) -> PoseErrors:
         """Held-out error of every pose that is no outlier: base model, and with the causes in it."""
-        e, none = self.case.evidence, np.zeros(0, dtype=np.int64)
-        lengths = [partitioned_errors(e, none, self.rankings[0].noise[""], self.seed)]
+        e = self.case.evidence
+        lengths = [partitioned_errors(e, NONE, self.rankings[0].noise[""], self.seed)]
         if self.columns.size:
             lengths.append(partitioned_errors(e, self.columns, self.noise, self.seed))
         models = map(ModelErrors, ("base model", "with causes"), lengths)
@@ -346,11 +346,9 @@ class Diagnosis(Result):
     def left(self) -> Array:
         """What a fit of base model and causes to all poses leaves at each, shape (kept, numbers) [m]."""
         kept = self.case.kept
-        return (
-            fitted_without(self.case.whole, self.columns, self.noise, ~kept)[kept]
-            if self.columns.size
-            else self.case.evidence.r
-        )
+        if not self.columns.size:
+            return self.case.evidence.r
+        return fitted_without(self.case.whole, self.columns, self.noise, ~kept)[kept]
 
     @cached_property
     def fitted(self) -> PoseErrors:

@@ -3,12 +3,16 @@
 They are those of the position, or of what another kind of measurement observes, by that kind's own residual.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import ClassVar
 
 import casadi as ca
+import numpy as np
 
+from casadical.core.basics import Array
+from casadical.core.mapped_function import call
 from casadical.core.transforms import Symbolic, small_frame
 from casadical.effects import Context, Effect
 from casadical.measurements.kinds.base import MeasurementKind, PoseExpression
@@ -16,6 +20,8 @@ from casadical.robot.kinematics import gravity_torques
 from casadical.robot.model import Structure, expressions, rigid_context
 from casadical.robot.robot import Robot
 
+# Poses that are evaluated in one call.
+BLOCK = 512
 _TWIST = ("x", "y", "z", "rx", "ry", "rz")
 
 
@@ -70,11 +76,6 @@ class Seams:
     seen: ca.SX
     point: ca.SX
 
-    @lru_cache(maxsize=64)  # noqa: B019 - seams live in a cache themselves
-    def mapped(self, n: int) -> ca.Function:
-        """The function over n poses, parameters and constants shared."""
-        return self.function.map("poses", "serial", n, [2, 3], [])
-
 
 def seams_of(robot: Robot) -> Seams:
     """The seams of a robot, composed once for all robots of its structure."""
@@ -94,15 +95,30 @@ class Observed:
     data: tuple[str, ...]
     ends: int
 
-    @lru_cache(maxsize=64)  # noqa: B019 - it lives in a cache itself
-    def mapped(self, n: int) -> ca.Function:
-        """The function over n poses, parameters and constants shared."""
-        return self.function.map("poses", "serial", n, [2, 3], [])
-
 
 def observed_at_seams(robot: Robot, kind: MeasurementKind, point: bool) -> Observed:
     """A kind of measurement at the seams of a robot; point : whether its far end is an unknown point."""
     return _observed(robot.with_effect(_Probe(robot)).structure, len(robot.parameters), kind, point)
+
+
+def over_poses(f: ca.Function, q: Array, w: Array, shared: Sequence[Array], *data: Array) -> list[Array]:
+    """Outputs of a function of seams at poses, shape (n, rows, columns) each, some poses at a time.
+
+    q, w, data : shape (n, numbers) each; shared : parameters and constants, alike at all poses
+    """
+    parts = []
+    for first in range(0, len(q), BLOCK):
+        own, conditions, *rest = (values[first : first + BLOCK].T for values in (q, w, *data))
+        outputs, n = call(_mapped(f, own.shape[1]), own, conditions, *shared, *rest), own.shape[1]
+        parts.append([out.reshape(len(out), n, out.shape[1] // n).transpose(1, 0, 2) for out in outputs])
+    # Pose by pose in memory.
+    return [np.concatenate(some, out=np.empty((len(q), *some[0].shape[1:]))) for some in zip(*parts, strict=True)]
+
+
+@lru_cache(maxsize=128)
+def _mapped(f: ca.Function, n: int) -> ca.Function:
+    """A function of seams over n poses, parameters and constants shared."""
+    return f.map("poses", "serial", n, [2, 3], [])
 
 
 @lru_cache(maxsize=16)

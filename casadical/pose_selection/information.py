@@ -27,10 +27,6 @@ from casadical.robot.robot import Robot
 Criterion = Literal["O1", "O2", "O3", "O4", "O5", "D", "A", "V"]
 CRITERIA: tuple[Criterion, ...] = ("O1", "O2", "O3", "O4", "O5", "D", "A", "V")
 
-# Logarithm of the index, without the number of poses, of ascending eigenvalues of J'J, shape (..., p); and its
-# derivative by each of them.
-_Spectral = tuple[Callable[[Array], Array], Callable[[Array], Array]]
-
 
 def observability(J: Array, n: int) -> dict[str, float]:
     """Indices of observability of J, shape (rows, p) [sigma per scaled unit], a scaled Jacobian of n poses.
@@ -40,14 +36,9 @@ def observability(J: Array, n: int) -> dict[str, float]:
     """
     s = np.linalg.svd(J, compute_uv=False)
     if len(J) < J.shape[1] or s[-1] <= 1e-14 * s[0]:
-        return dict.fromkeys(("O1", "O2", "O3", "O4", "O5"), 0.0)
-    return {
-        "O1": float(np.exp(np.mean(np.log(s))) / np.sqrt(n)),
-        "O2": float(s[-1] / s[0]),
-        "O3": float(s[-1]),
-        "O4": float(s[-1] ** 2 / s[0]),
-        "O5": float(1 / np.sum(1 / s)),
-    }
+        return dict.fromkeys(("O1", *SPECTRAL), 0.0)
+    spectral = {name: float(np.exp(log(s[::-1] ** 2))) for name, (log, _) in SPECTRAL.items()}
+    return {"O1": float(np.exp(np.mean(np.log(s))) / np.sqrt(n)), **spectral}
 
 
 def _ends(low: float, high: float) -> Callable[[Array], Array]:
@@ -62,7 +53,9 @@ def _ends(low: float, high: float) -> Callable[[Array], Array]:
     return slope
 
 
-SPECTRAL: dict[str, _Spectral] = {
+# Logarithm of the index, without the number of poses, of ascending eigenvalues of J'J, shape (..., p); and its
+# derivative by each of them.
+SPECTRAL: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] = {
     "O2": (lambda w: 0.5 * np.log(w[..., 0] / w[..., -1]), _ends(0.5, 0.5)),
     "O3": (lambda w: 0.5 * np.log(w[..., 0]), _ends(0.5, 0.0)),
     "O4": (lambda w: np.log(w[..., 0]) - 0.5 * np.log(w[..., -1]), _ends(1.0, 0.5)),

@@ -129,8 +129,8 @@ class Workspace:
 
         Raises InputError: limits of another number of joints, or a lower one that is not below the upper.
         """
-        lower = np.array([j.lower for j in robot.joints]) if self.lower is None else np.asarray(self.lower, float)
-        upper = np.array([j.upper for j in robot.joints]) if self.upper is None else np.asarray(self.upper, float)
+        given = zip((self.lower, self.upper), robot.limits, strict=True)
+        lower, upper = (own if side is None else np.asarray(side, float) for side, own in given)
         if lower.shape != (robot.n,) or upper.shape != (robot.n,) or not (lower < upper).all():
             raise InputError(
                 f"workspace: ranges {lower} to {upper}; {robot.name} needs {robot.n} readings each, lower below upper"

@@ -6,7 +6,6 @@ from typing import Literal
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.grid import log_sum
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.motion.problem import NONE, WHITE, MotionCase
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, rank
@@ -215,14 +214,9 @@ def _sharper(case: MotionCase, found: tuple[Found, ...], ranking: Ranking) -> tu
     few = case.among(near)
     again = rank(few, columns_of(few, found), frozenset(f.label for f in found))
     mass = {k: ranking.log_mass[k] + again.log_factor.get(k, f) - f for k, f in ranking.log_factor.items()}
-    factor = {**ranking.log_factor, **again.log_factor}
-    logs = np.array([np.log((PRIOR_FURTHER if found else PRIOR_FIRST)["none"]), *mass.values()])
-    share = np.exp(logs - log_sum(logs))
-    probability = dict(zip(mass, share[1:].tolist(), strict=True))
-    variant = {**ranking.variant, **again.variant}
-    return replace(
-        ranking, none=float(share[0]), probability=probability, log_factor=factor, log_mass=mass, variant=variant
-    ), case
+    factor, variant = {**ranking.log_factor, **again.log_factor}, {**ranking.variant, **again.variant}
+    none = float(np.log((PRIOR_FURTHER if found else PRIOR_FIRST)["none"]))
+    return replace(ranking, log_factor=factor, log_mass=mass, variant=variant).weighed(none), case
 
 
 def twins(case: MotionCase, one: str, other: str) -> bool:
