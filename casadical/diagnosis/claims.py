@@ -8,7 +8,6 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.statistics import TIE, best_of, first_of_best, ranked
 from casadical.diagnosis.cross_validation import partitioned_errors, shrink_interval
-from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.result import CauseSet
 from casadical.diagnosis.search import End, State, Step, indistinguishable, next_cause
 from casadical.diagnosis.thresholds import CLAIM, DETECT_FURTHER, LEAST_ALIKE, SET_SIZE
@@ -112,22 +111,18 @@ def _evidence(step: Step) -> float:
 
 def _shrinks(state: State, k: int, seed: int) -> bool:
     """Whether the gap shrinks with a cause, alone beside the base model or beside all others."""
-    e, steps = state.case.judged, state.steps
-    noises = [state.rankings[0].noise[""], steps[k].ranking.noise[steps[k].labels[0]]]
-    models = [(), steps[k : k + 1]]
-    if _lower(e, [state.columns(m) for m in models], noises, seed) > 0:
+    steps, own = state.steps, state.steps[k]
+
+    def errors(model: Sequence[Step], noise: Noise) -> Array:
+        return partitioned_errors(state.case.judged, state.columns(model), noise, seed)
+
+    def shrinks(before: Array, after: Array) -> bool:
+        return shrink_interval(before, after, seed)[0] > 0
+
+    if shrinks(errors((), state.rankings[0].noise[""]), errors((own,), own.ranking.noise[own.labels[0]])):
         return True
-    if len(steps) == 1:
-        return False
     last = state.rankings[-1].noise[""]
-    models = [(*steps[:k], *steps[k + 1 :]), steps]
-    return _lower(e, [state.columns(m) for m in models], [last, last], seed) > 0
-
-
-def _lower(e: Evidence, columns: Sequence[Array], noises: Sequence[Noise], seed: int) -> float:
-    """Lower end of the interval of the shrink from one model to another."""
-    before, after = (partitioned_errors(e, c, noise, seed) for c, noise in zip(columns, noises, strict=True))
-    return shrink_interval(before, after, seed)[0]
+    return len(steps) > 1 and shrinks(errors((*steps[:k], *steps[k + 1 :]), last), errors(steps, last))
 
 
 def with_further(found: CauseSet | None, state: State, seed: int) -> CauseSet | None:

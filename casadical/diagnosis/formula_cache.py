@@ -31,11 +31,7 @@ from casadical.robot.kinematics import deflections, gravity_torques
 def formula_of(s: Seams, template: Effect, settings: tuple[str, ...]) -> Formula | None:
     """As `composed`; kept for other processes."""
     kept = kept_formulas(s)
-    if not kept.keeps(template):
-        return composed(s, template, settings)
-    if (template, settings) not in kept:
-        kept.add(template, settings, composed(s, template, settings))
-    return kept[template, settings]
+    return kept.formula(template, settings) if kept.keeps(template) else composed(s, template, settings)
 
 
 def composed(s: Seams, template: Effect, settings: tuple[str, ...]) -> Formula | None:
@@ -157,12 +153,8 @@ class Formula:
     def as_data(self) -> list[Any]:
         """Plain data."""
         f = self.function
-        return [
-            [f.name, f.instructions, f.places, f.nonzeros],
-            self.conditions,
-            self.rows.tolist(),
-            self.columns.tolist(),
-        ]
+        function = [f.name, f.instructions, f.places, f.nonzeros]
+        return [function, self.conditions, self.rows.tolist(), self.columns.tolist()]
 
     @classmethod
     def from_data(cls, data: list[Any]) -> Formula:
@@ -179,7 +171,7 @@ class KeptFormulas:
     """
 
     def __init__(self, s: Seams) -> None:
-        self._arm = s.exact.arm
+        self._seams = s
         name = hashlib.sha256(f"{ca.CasadiMeta.version()} {code_hash()} {s.key}".encode()).hexdigest()[:32]
         folder = private_folder()
         self.path = None if folder is None else folder / f"formulas-{name}.json"
@@ -195,20 +187,19 @@ class KeptFormulas:
         """Whether formulas of an effect are kept: of those on a list, of the package's own code, with usual sizes."""
         own = all(kind.__module__.startswith("casadical.") for kind in type(template).__mro__[:-1])
         return (
-            own and bool(template.on_list) and (not template.parts or template in type(template).candidates(self._arm))
+            own
+            and bool(template.on_list)
+            and (not template.parts or template in type(template).candidates(self._seams.exact.arm))
         )
 
-    def __contains__(self, key: tuple[Effect, tuple[str, ...]]) -> bool:
-        return repr(key) in self._known
-
-    def __getitem__(self, key: tuple[Effect, tuple[str, ...]]) -> Formula | None:
-        data = self._known[repr(key)]
-        return None if data is None else Formula.from_data(data)
-
-    def add(self, template: Effect, settings: tuple[str, ...], formula: Formula | None) -> None:
-        """Keep one more."""
-        self._known[repr((template, settings))] = None if formula is None else formula.as_data()
-        self._new = True
+    def formula(self, template: Effect, settings: tuple[str, ...]) -> Formula | None:
+        """As `composed`, from what is kept where it is."""
+        key = repr((template, settings))
+        if key not in self._known:
+            made = composed(self._seams, template, settings)
+            self._known[key], self._new = made and made.as_data(), True
+        data = self._known[key]
+        return data and Formula.from_data(data)
 
     def write(self) -> None:
         """Write the file if there are new ones; it appears whole or not at all."""
@@ -220,10 +211,8 @@ class KeptFormulas:
             write_whole(self.path, f"{hashlib.sha256(text.encode()).hexdigest()}\n{text}")
 
 
-@lru_cache(maxsize=16)
-def kept_formulas(s: Seams) -> KeptFormulas:
-    """Formulas of one structure."""
-    return KeptFormulas(s)
+# Formulas of one structure.
+kept_formulas = lru_cache(maxsize=16)(KeptFormulas)
 
 
 @lru_cache(maxsize=1)

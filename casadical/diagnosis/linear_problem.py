@@ -123,6 +123,12 @@ class Case:
         """The same as its form of noise moves it: by this causes are judged."""
         return self.evidence if self.form is PLAIN else as_form_moves(self.evidence, self.form, self.order)
 
+    def torques(self, m: Measurements) -> Array:
+        """Gravity torque of the base model at each joint at some poses, shape (len(m), joints) [N m]."""
+        w = m.condition_matrix(self.given.conditions, self.given.declared)
+        tau = self.given.model.function("torque", ("tau",)).map(len(m))(m.q.T, w.T, self.values)
+        return np.asarray(tau.full().T)
+
     def with_form(self, form: Form) -> Case:
         """The case with another form of noise."""
         return replace(self, form=form)._with_evidence(self.evidence)

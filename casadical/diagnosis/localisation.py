@@ -31,6 +31,7 @@ from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import EffectColumns
 from casadical.diagnosis.result import Diagnosis
+from casadical.diagnosis.structure import about_vertical
 from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Noise
@@ -54,16 +55,8 @@ TWIST = 6
 _NUMBERED = re.compile(r"(alpha|a|beta|b|d)(\d+)")
 
 
-@dataclass(frozen=True, eq=False)
-class Components:
-    """Visible signal of each part: draws of its mean square, shape (draws, parts) [m^2] a coordinate."""
-
-    parts: tuple[str, ...]
-    energy: Array
-
-
-def components(case: Case, noise: Noise, columns: Array, seed: int = 0, *, remains: float = 1.0) -> Components:
-    """The parts' shares of what the base model leaves, at a known noise.
+def components(case: Case, noise: Noise, columns: Array, seed: int, remains: float) -> dict[str, Array]:
+    """Visible signal of each part: draws of its mean square in what the base model leaves, shape (draws,) [m^2].
 
     columns : of the named causes; remains : how probable it is that these leave more than noise
     """
@@ -76,7 +69,7 @@ def components(case: Case, noise: Noise, columns: Array, seed: int = 0, *, remai
         there = rng.permutation(PART_DRAWS) < round(remains * PART_DRAWS)
         for part, drawn in smooth.items():
             energy[part] = energy[part] + there * drawn
-    return Components(tuple(energy), np.stack([*energy.values()], axis=1))
+    return energy
 
 
 def _of_smooth_errors(case: Case, noise: Noise, left: Evidence, rng: np.random.Generator) -> dict[str, Array]:
@@ -180,9 +173,7 @@ def _functions(case: Case) -> Array:
         else:
             parts += [(q[:, j] - q[:, j].mean()) / max(float(q[:, j].std()), 1e-9)]
     m, _ = derive(case.m, ["progress", "warmth_0s", *(f"approach{i}" for i in range(1, robot.n + 1))])
-    w = m.condition_matrix(robot.conditions, robot.declared)
-    tau = robot.model.function("torque", ("tau",)).map(len(m))(q.T, w.T, case.values).full().T
-    parts += [*np.tanh(2 * tau / robot.torque_scale).T]
+    parts += [*np.tanh(2 * case.torques(m) / robot.torque_scale).T]
     parts += [np.cos(h * np.pi * m.conditions["progress"]) / h for h in (1, 2, 3)]
     parts += [m.conditions[c] for c in m.conditions if re.fullmatch(r"approach\d", c)]
     for name in ("warmth_0s", "payload_kg"):
@@ -322,7 +313,7 @@ def localise_residual(case: Case, noise: Noise, causes: Array, seed: int = 0, *,
     remains : how probable it is that these leave more than noise
     """
     # Between two poses no one reading is where the gap lies.
-    parts = components(case, noise, causes, seed, remains=remains) if case.one_end else None
+    parts = components(case, noise, causes, seed, remains) if case.one_end else {}
     split = _Split(case, seed)
     return Localisation(
         joints=_parts(parts, "joint"),
@@ -336,17 +327,16 @@ def localise_residual(case: Case, noise: Noise, causes: Array, seed: int = 0, *,
     )
 
 
-def _parts(found: Components | None, *kinds: str) -> pd.DataFrame:
-    """Shares of the parts of some kinds, with the others summed up as elsewhere."""
-    if found is None:
-        return pd.DataFrame(columns=list(PARTS))
-    share = found.energy / np.maximum(found.energy.sum(axis=1, keepdims=True), 1e-30)
-    mine = [k for k, part in enumerate(found.parts) if part.startswith(kinds)]
-    other = [k for k in range(len(found.parts)) if k not in mine]
-    rows = []
-    for name, which in [*((found.parts[k], [k]) for k in mine), (ELSEWHERE, other)]:
-        s, size = share[:, which].sum(axis=1), found.energy[:, which].sum(axis=1)
-        rows.append((name, s.mean(), *np.quantile(s, [0.025, 0.975]), 1e3 * np.sqrt(size.mean())))
+def _parts(energy: dict[str, Array], *kinds: str) -> pd.DataFrame:
+    """Shares of the parts of some kinds, with the others summed up as elsewhere; energy : of `components`."""
+    mine = {part: drawn for part, drawn in energy.items() if part.startswith(kinds)}
+    if energy:
+        others = (drawn for part, drawn in energy.items() if part not in mine)
+        mine[ELSEWHERE] = sum(others, np.zeros(PART_DRAWS))
+    whole, rows = np.maximum(np.sum([*energy.values()], axis=0), 1e-30), []
+    for part, drawn in mine.items():
+        share = drawn / whole
+        rows.append((part, share.mean(), *np.quantile(share, [0.025, 0.975]), 1e3 * np.sqrt(drawn.mean())))
     return pd.DataFrame(rows, columns=list(PARTS))
 
 
@@ -391,19 +381,13 @@ def _directions(case: Case, split: _Split) -> pd.DataFrame:
     r = case.vectors
     if r is None:
         return pd.DataFrame(columns=list(DIRECTIONS))
-    T = case.robot.base.T
-    p = (case.positions[case.kept] - T[:3, 3]) @ T[:3, :3]
-    in_base = r @ T[:3, :3]
-    out = p[:, :2] / np.maximum(np.linalg.norm(p[:, :2], axis=1, keepdims=True), 1e-9)
-    radial = (in_base[:, :2] * out).sum(axis=1)
-    tangential = in_base[:, 1] * out[:, 0] - in_base[:, 0] * out[:, 1]
-    _, R = predicted(case.robot, case.m)
-    in_tool = np.einsum("ni,nij->nj", r, R[case.kept])
+    in_base, about = r @ case.robot.base.T[:3, :3], about_vertical(_in_base(case)[case.kept])
+    R = predicted(case.robot, case.m)[1][case.kept]
     rows = []
     for frame, names, parts in (
         ("base", ("x", "y", "z"), in_base),
-        ("axis", ("radial", "tangential", "vertical"), np.column_stack([radial, tangential, in_base[:, 2]])),
-        ("tool", ("x", "y", "z"), in_tool),
+        ("axis", ("radial", "tangential", "vertical"), np.einsum("ni,nij->nj", in_base, about)),
+        ("tool", ("x", "y", "z"), np.einsum("ni,nij->nj", r, R)),
     ):
         share, low, high = split.shares(parts**2)
         rms = 1e3 * np.sqrt((parts**2).mean(axis=0))
@@ -420,13 +404,18 @@ def _in_thirds(by: str, values: Array, unit: str, digits: int) -> Masks:
     return [(by, f"{a} .. {b} {unit}", which == k) for k, (a, b) in enumerate(itertools.pairwise(shown))]
 
 
+def _in_base(case: Case) -> Array:
+    """Where the measured point was in the base frame, shape (n, 3) [m]."""
+    T = case.robot.base.T
+    return np.asarray((case.positions - T[:3, 3]) @ T[:3, :3])
+
+
 def _regions(case: Case) -> Masks:
     masks: Masks = []
-    for j, joint in enumerate(case.robot.joints):
-        unit, factor = ("deg", 180 / np.pi) if joint.kind == "revolute" else ("mm", 1e3)
-        masks += _in_thirds(f"q{j + 1}", factor * case.m.q[:, j], unit, 0)
-    T = case.robot.base.T
-    p = (case.positions - T[:3, 3]) @ T[:3, :3]
+    for (column, factor), q in zip(case.robot.reading_units.items(), case.m.q.T, strict=True):
+        name, unit = column.split("_")
+        masks += _in_thirds(name, q / factor, unit, 0)
+    p = _in_base(case)
     masks += _in_thirds("radius", np.hypot(p[:, 0], p[:, 1]), "m", 2)
     return masks + _in_thirds("height", p[:, 2], "m", 2)
 
@@ -436,11 +425,9 @@ def _payload(case: Case) -> Masks:
     if mass is None or np.ptp(mass) == 0:
         return []
     values = np.unique(mass)
-    return (
-        [("payload", f"{v:g} kg", mass == v) for v in values]
-        if len(values) <= 6
-        else _in_thirds("payload", mass, "kg", 1)
-    )
+    if len(values) > 6:
+        return _in_thirds("payload", mass, "kg", 1)
+    return [("payload", f"{v:g} kg", mass == v) for v in values]
 
 
 def thirds_of(case: Case, by: str, column: str, unit: str) -> Masks:
@@ -449,8 +436,7 @@ def thirds_of(case: Case, by: str, column: str, unit: str) -> Masks:
 
 
 def _time(case: Case) -> Masks:
-    m, _ = derive(case.m, ["progress"])
-    quarter = np.minimum((4 * m.conditions["progress"]).astype(int), 3)
+    quarter = np.minimum((4 * case.progress).astype(int), 3)
     return [("time", f"quarter {k + 1} of 4", quarter == k) for k in range(4)]
 
 

@@ -56,9 +56,8 @@ def predict_cause(case: Case, variant: tuple[Effect, ...], noise: Noise, poses: 
     J = np.concatenate([poses.J, points], axis=2)
     for units in (case.units, old.turn):
         J = J if units is None else J @ units
-    columns = case.group(variant) if variant else np.zeros(0, dtype=np.int64)
     new = np.concatenate([J, E * widths(variant)], axis=2)
-    fit = new_fit(replace(old, held=np.full(old.width, WIDE)), columns, noise, combined=False)
+    fit = new_fit(replace(old, held=np.full(old.width, WIDE)), case.group(variant), noise, combined=False)
     return Prediction(new @ fit.x, new @ fit.root.T)
 
 
@@ -249,9 +248,8 @@ def table_of(
 ) -> pd.DataFrame:
     rows = drawn.m[np.array(picked, dtype=np.int64)]
     table = pd.DataFrame({"order": np.arange(1, len(picked) + 1)})
-    for j, joint in enumerate(case.robot.joints, 1):
-        unit, factor = ("deg", 180 / np.pi) if joint.kind == "revolute" else ("mm", 1e3)
-        table[f"q{j}_{unit}"] = np.round(factor * rows.q[:, j - 1], 4)
+    for (name, unit), q in zip(case.robot.reading_units.items(), rows.q.T, strict=True):
+        table[name] = np.round(q / unit, 4)
     needed = {c for e in effects for c in e.conditions}
     if "payload_kg" in rows.conditions:
         table["payload_kg"] = rows.conditions["payload_kg"]
@@ -332,15 +330,9 @@ def kinds_of_poses(case: Case, poses: pd.DataFrame) -> str:
 
 def _idle(case: Case, poses: pd.DataFrame) -> list[str]:
     """Joints whose gravity torque is near zero in more of the poses than of the campaign's."""
-    robot = case.given
-    units = [("deg", np.pi / 180) if j.kind == "revolute" else ("mm", 1e-3) for j in robot.joints]
-    q = np.stack([poses[f"q{k}_{u}"].to_numpy() * f for k, (u, f) in enumerate(units, 1)], axis=1)
-    conditions = {"payload_kg": poses["payload_kg"].to_numpy()} if "payload_kg" in poses else {}
-    new = unmeasured(q, conditions)
-    idle = []
-    for m in (new, case.m):
-        w = m.condition_matrix(robot.conditions, robot.declared)
-        tau = robot.model.function("torque", ("tau",)).map(len(m))(m.q.T, w.T, case.values).full()
-        idle.append((np.abs(tau) < IDLE * robot.torque_scale[:, None]).mean(axis=1))
-    more = np.flatnonzero(idle[0] > np.minimum(2 * idle[1], idle[1] + 0.3))
-    return [f"{round(idle[0][j] * len(q))} with joint {j + 1} near zero torque" for j in more[:2]]
+    units = case.given.reading_units
+    q = poses[[*units]].to_numpy() * [*units.values()]
+    new = unmeasured(q, {"payload_kg": poses["payload_kg"].to_numpy()} if "payload_kg" in poses else {})
+    idle, usual = ((np.abs(case.torques(m)) < IDLE * case.given.torque_scale).mean(axis=0) for m in (new, case.m))
+    more = np.flatnonzero(idle > np.minimum(2 * usual, usual + 0.3))
+    return [f"{round(idle[j] * len(q))} with joint {j + 1} near zero torque" for j in more[:2]]

@@ -1,19 +1,25 @@
 """Which cause: posteriors over none, every listed cause and the unknown, step by step while the gap shrinks."""
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.statistics import first_of_best, ranked
-from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import likely_noise
-from casadical.diagnosis.evidence import KAPPA_WEIGHTS, Evidence
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.measurements.measurements import Noise
+
+if TYPE_CHECKING:
+    from casadical.diagnosis.linear_problem import Case
+    from casadical.diagnosis.motion.problem import MotionCase
+
+    # What a ranking is of.
+    Judged: TypeAlias = Case | MotionCase
 
 # Before any data: nothing, one of the listed effects, something on no list; and the same once causes were found.
 PRIOR_FIRST = {"none": 0.25, "listed": 0.60, "unknown": 0.15}
@@ -77,35 +83,12 @@ class Rival:
     noise: Noise
 
 
-class Judged(Protocol):
-    """What a ranking is of: candidates, the place of each variant's candidate and its own there, columns of each."""
-
-    @property
-    def judged(self) -> Evidence:
-        """The linear problem."""
-
-    @property
-    def candidates(self) -> tuple[Candidate, ...]:
-        """Possible causes."""
-
-    @property
-    def variants(self) -> Sequence[tuple[int, int]]:
-        """Number of the candidate, and of its variant."""
-
-    @property
-    def groups(self) -> Sequence[Array]:
-        """Columns of each variant."""
-
-
 # A further cause at a joint that has one already is more likely a flaw of the first one's equation.
 SAME_JOINT = 0.05
 
 
 def rank(
-    case: Judged,
-    chosen: Array,
-    skip: frozenset[str] = frozenset(),
-    covered: frozenset[str] = frozenset(),
+    case: "Judged", chosen: Array, skip: frozenset[str] = frozenset(), covered: frozenset[str] = frozenset()
 ) -> Ranking:
     """Posterior over the next cause.
 
@@ -133,7 +116,7 @@ def rank(
 
 
 def prior_weights(
-    case: Judged, prior: Mapping[str, float], skip: frozenset[str], covered: frozenset[str] = frozenset()
+    case: "Judged", prior: Mapping[str, float], skip: frozenset[str], covered: frozenset[str] = frozenset()
 ) -> dict[str, float]:
     """Listed effects share alike, then each its joints; so do the rarer ones, and all smooth forms have as much."""
     open_ = [c for c in case.candidates if c.label not in skip | covered]

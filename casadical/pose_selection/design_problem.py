@@ -57,19 +57,14 @@ class DesignProblem:
     instrument: Instrument | None = None
     prior: Prior | None = None
 
-    @property
-    def numbers(self) -> int:
-        return self.instrument.numbers if self.instrument else 3
-
     def design(self, pool: Candidates, criterion: Criterion, min_distance: float | None) -> Design:
         """The search's state over a pool; see `experimental_design.Design`."""
         lower, upper = self.workspace.ranges(self.robot)
         span = upper - lower
         occupied = np.empty((0, self.robot.n)) if self.measured is None else self.measured.q
         plain = criterion in ("O1", "O2", "O3", "O4", "O5")
-        rows = _rows(
-            self.robot, self.names, pool.measurements(self.robot), None if plain else self.noise, self.instrument
-        )
+        m, noise = pool.measurements(self.robot), None if plain else self.noise
+        rows = _rows(self.robot, self.names, m, noise, self.instrument)
         # Passes repeat the same rows: n passes are the rows once, times the root of n.
         once = rows.reshape(len(pool), pool.size, *rows.shape[1:])[:, pool.turn == 0]
         rows = np.sqrt(self.circumstances.repeats) * once.reshape(len(pool), -1, rows.shape[2])
@@ -134,14 +129,19 @@ def prepare(
         known = known_before(robot, kept, prior, size)
         return known + (instrument.before(size, noise) if instrument else 0.0)
 
-    def information(kept: Sequence[str], share: float = total / len(m)) -> Array:
+    def information(kept: Sequence[str]) -> Array:
         A = _rows(robot, kept, m, noise, instrument)
         A = A.reshape(-1, A.shape[2])
-        return A.T @ A * share + before(kept)
+        return A.T @ A * (total / len(m)) + before(kept)
 
     names, held = independent(robot, wanted, instrument.sets(some) if instrument else (some,), information, prior)
-    if prior is None:
-        _refuse_few(total, numbers, len(names), extra)
+    unknowns = len(names) + extra
+    if prior is None and numbers * total < unknowns:
+        raise InputError(
+            f"{total} poses give {numbers * total} numbers, but {len(names)} parameters are to be identified"
+            f"{f' and {extra} coordinates of places' if extra else ''}; "
+            f"at least {-(-unknowns // numbers)} poses are needed, and some more to estimate their accuracy"
+        )
     task_q = draw(robot, TASK_POSES, workspace, rng) if task is None else np.atleast_2d(task)
     one = replace(circumstances, every_payload=False, both_approaches=False, repeats=1)
     goal = candidates_at(robot, task_q, one, n, rng).measurements(robot, "task")
@@ -156,17 +156,6 @@ def prepare(
         robot, workspace, circumstances, noise, names, held, measured, goal, ready,
         candidates is None and SOCKET not in ready.conditions, fixed, weight, instrument, prior,
     )  # fmt: skip
-
-
-def _refuse_few(poses: int, numbers: int, parameters: int, places: int) -> None:
-    """Refuse fewer numbers than unknowns. numbers : of a pose; places : coordinates that are unknown, too."""
-    unknowns = parameters + places
-    if numbers * poses < unknowns:
-        raise InputError(
-            f"{poses} poses give {numbers * poses} numbers, but {parameters} parameters are to be identified"
-            f"{f' and {places} coordinates of places' if places else ''}; "
-            f"at least {-(-unknowns // numbers)} poses are needed, and some more to estimate their accuracy"
-        )
 
 
 def jacobian_of(robot: Robot, names: Sequence[str], m: Measurements, instrument: Instrument | None) -> Array:

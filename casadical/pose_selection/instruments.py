@@ -131,41 +131,41 @@ def without_base(robot: Robot, J: Array, m: Measurements) -> Array:
 
 
 def best_places(
-    robot: Robot,
-    kind: Literal["wires", "sockets"],
-    places: Array,
-    count: int,
-    known: bool,
-    names: Sequence[str],
-    m: Measurements,
-    noise: Noise,
-    weight: Array,
+    robot: Robot, every: Instrument, count: int, names: Sequence[str], m: Measurements, noise: Noise, weight: Array
 ) -> Array:
-    """Indices of those of the places, shape (K, 3) [m], that give the least mean variance, shape (count,).
+    """Indices of those of an instrument's places that give the least mean variance, shape (count,).
 
     All sets are tried up to MOST_SETS, else exchanges. names, weight : as of `DesignProblem`, shape (p, p)
     m : poses, of sockets those in each of the places. Raises InputError where there are too few places.
-    """  # fmt: skip
-    if count > len(places):
-        raise InputError(f"{count} places are wanted of {len(places)}; give more candidates, or ask for fewer")
+    """
+    number = len(every.places)
+    if count > number:
+        raise InputError(f"{count} places are wanted of {number}; give more candidates, or ask for fewer")
     each = []
-    for k, place in enumerate(places):
+    for k, place in enumerate(every.places):
         some = m
-        if kind == "sockets":
+        if every.kind == "sockets":
             some = m[np.flatnonzero(m.conditions[SOCKET] == k)]
             some = replace(some, conditions={**some.conditions, SOCKET: np.zeros(len(some))})
-        rows = Instrument(kind, place[None], known).rows(robot, names, some, noise)
+        rows = replace(every, places=place[None]).rows(robot, names, some, noise)
         rows = rows.reshape(-1, rows.shape[2])
         each.append(rows.T @ rows)
 
     def variance(which: Iterable[int]) -> float:
-        some = list(which)
-        return _variance([each[k] for k in some], Instrument(kind, places[some], known), noise, weight)
+        """Mean variance by the information of each place alone, of p parameters and that place's own coordinates."""
+        chosen, p = list(which), len(weight)
+        some = replace(every, places=every.places[chosen])
+        M = np.zeros((p + some.extra,) * 2)
+        for k, one in enumerate(each[place] for place in chosen):
+            at = np.r_[:p, p + 3 * k : p + 3 * k + len(one) - p]
+            M[np.ix_(at, at)] += one
+        M += some.before(len(M), noise) + 1e-9 * np.diag(np.diag(M))
+        return float(np.sum(weight * inverse(M)[:p, :p]))
 
-    if comb(len(places), count) <= MOST_SETS:
-        every = list(combinations(range(len(places)), count))
-        return np.array(every[first_of_best([-variance(some) for some in every])])
-    return np.array(sorted(_exchanged(len(places), count, variance)))
+    if comb(number, count) <= MOST_SETS:
+        sets = list(combinations(range(number), count))
+        return np.array(sets[first_of_best([-variance(some) for some in sets])])
+    return np.array(sorted(_exchanged(number, count, variance)))
 
 
 def _exchanged(K: int, count: int, variance: Callable[[Iterable[int]], float]) -> list[int]:
@@ -183,17 +183,6 @@ def _exchanged(K: int, count: int, variance: Callable[[Iterable[int]], float]) -
         if variances[best] > 0.999 * value:
             return chosen
         chosen, value = others[best], variances[best]
-
-
-def _variance(each: Sequence[Array], instrument: Instrument, noise: Noise, weight: Array) -> float:
-    """Mean variance by the information of each place alone, of p parameters and that place's own coordinates."""
-    p = len(weight)
-    M = np.zeros((p + instrument.extra,) * 2)
-    for k, one in enumerate(each):
-        at = np.r_[:p, p + 3 * k : p + 3 * k + len(one) - p]
-        M[np.ix_(at, at)] += one
-    M += instrument.before(len(M), noise) + 1e-9 * np.diag(np.diag(M))
-    return float(np.sum(weight * inverse(M)[:p, :p]))
 
 
 def usual_places(robot: Robot, kind: Literal["wires", "sockets"]) -> Array:

@@ -201,7 +201,7 @@ def forecast(
         prior=prior,
     )  # fmt: skip
     design = problem.design(problem.pool, "V", 0.0)
-    each, numbers = problem.pool.size, problem.numbers
+    each, numbers = problem.pool.size, instrument.numbers if instrument else 3
     known = {*prior.means, *(name for names, _ in prior.known for name in names)} if prior else set()
     p = len(problem.weight) - sum(name in known for name in problem.names)
     # Measurements at one reading hold nearly the same information: only the first of them counts here.
@@ -266,11 +266,8 @@ def place_instrument(
         robot, size, pool=size, rng=rng, candidates=q, workspace=room, free=free, task=task, noise=noise,
         instrument=every,
     )  # fmt: skip
-    p = len(problem.names)
-    best = best_places(
-        robot, kind, places, count, known, problem.names, problem.pool.measurements(robot), noise,
-        problem.weight[:p, :p],
-    )  # fmt: skip
+    p, m = len(problem.names), problem.pool.measurements(robot)
+    best = best_places(robot, every, count, problem.names, m, noise, problem.weight[:p, :p])
     return Instrument(kind, places[best], known)
 
 

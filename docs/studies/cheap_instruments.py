@@ -165,7 +165,7 @@ def pick(robot: Robot, fit: Measurements, groups: list[Array], places: Array, co
     names = tuple(n for n in problem.names if not n.startswith("base_"))
     J = without_base(robot, scaled_jacobian(robot, names, problem.task), problem.task)
     weight = np.einsum("kip,kiq->pq", J, J) / len(J)
-    return best_places(robot, "sockets", places, count, False, names, m, expected, weight)
+    return best_places(robot, Instrument("sockets", places), count, names, m, expected, weight)
 
 
 def todo(splits: int) -> list[tuple[str, tuple]]:

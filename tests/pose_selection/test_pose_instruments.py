@@ -88,7 +88,7 @@ def test_of_many_places_no_exchange_of_one_makes_the_set_better() -> None:
         rows = Instrument("wires", places[list(which)], known=True).rows(arm, names, m, noise).reshape(-1, 3)
         return float(np.trace(np.linalg.inv(rows.T @ rows)))
 
-    best = best_places(arm, "wires", places, 3, True, names, m, noise, np.eye(3))
+    best = best_places(arm, Instrument("wires", places, known=True), 3, names, m, noise, np.eye(3))
     others = [{*best} - {i} | {k} for i in best for k in range(60)]
     assert variance(best) <= 1.002 * min(variance(other) for other in others if len(other) == 3)
 
