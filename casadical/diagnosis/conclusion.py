@@ -9,16 +9,10 @@ from casadical.core.basics import Array
 from casadical.core.statistics import ranked
 from casadical.diagnosis import thresholds
 from casadical.diagnosis.claims import cause_set, named, with_further
-from casadical.diagnosis.cross_validation import (
-    estimates,
-    partitioned_errors,
-    partitions,
-    remainders,
-    shrink_interval,
-)
+from casadical.diagnosis.cross_validation import fit_of, partitioned_errors, partitions, remainders, shrink_interval
 from casadical.diagnosis.held_out_gap import Stage, course
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.noise_account import account_of
+from casadical.diagnosis.noise_account import NoiseAccount, account_of
 from casadical.diagnosis.noise_floor import noise_floor, outlier_probability, replicates
 from casadical.diagnosis.result import Cause, Diagnosis, Gap, Outlier, Verdict
 from casadical.diagnosis.search import End, State, Step
@@ -36,14 +30,19 @@ def conclude(
     case, columns = state.case, state.columns()
     before = partitioned_errors(case.evidence, columns[:0], state.rankings[0].noise[""], seed)
     repeated = replicates(case.m, case.whole.r, case.kept, case.observations.apart, case.whole.measured)
-    noise = _final_noise(state, end)
-    account = account_of(case, columns, noise, repeated)
-    floor = noise_floor(case.evidence, noise, account.anchor, seed)
+
+    def noise_of(state: State, end: End) -> tuple[Noise, NoiseAccount, float]:
+        """What the best model found leaves as noise, the unknown included; its account, and what it alone leaves."""
+        last = state.rankings[-1]
+        noise = last.noise["" if end == "none" else last.order[0]]
+        account = account_of(case, columns, noise, repeated)
+        return noise, account, noise_floor(case.evidence, noise, account.anchor, seed)
+
+    noise, account, floor = noise_of(state, end)
     richer = None if repeated.enough or end != "claimed" else _with_richer_form(state, floor, seed)
     if richer:
-        state, end, noise = richer, "unknown", _final_noise(richer, "unknown")
-        account = account_of(case, columns, noise, repeated)
-        floor = noise_floor(case.evidence, noise, account.anchor, seed)
+        state, end = richer, "unknown"
+        noise, account, floor = noise_of(state, end)
     after = partitioned_errors(case.evidence, columns, noise, seed) if state.steps else before
     left, distance = remainders(case.whole, columns, noise, case.kept)
     causes = [_cause(state, step, before, seed) for step in state.steps]
@@ -53,17 +52,12 @@ def conclude(
     causes += outliers
     causes = [causes[k] for k in ranked([c.shrink for c in causes])]
     shrinks = course(case, _stages(state, noise), partitions(case.evidence, seed), noise, seed)
-    verdict, rest = _verdict(state, end, gap, bool(causes), shrinks)
+    rest = max(0.0, (gap.after - gap.floor) / gap.before)
+    verdict = _verdict(state, end, gap, rest, bool(causes), shrinks)
     exactly = with_further(cause_set(state), state, seed)
-    if (
-        verdict == "explained"
-        and exactly
-        and exactly.probability < thresholds.SET_CLAIM
-        and _remainder(state) > thresholds.MISMATCH
-    ):
-        verdict = "ambiguous"
-    if verdict == "explained" and richer:
-        verdict = "unknown"
+    if verdict == "explained":
+        doubted = exactly and exactly.probability < thresholds.SET_CLAIM and _remainder(state) > thresholds.MISMATCH
+        verdict = "ambiguous" if doubted else "unknown" if richer else "explained"
     if (account.is_structure or joint) and not state.steps and verdict in ("none", "explained"):
         verdict = "unknown"
     return Diagnosis(
@@ -85,12 +79,6 @@ def conclude(
         p_nothing=p_nothing,
         cause_set=exactly,
     )
-
-
-def _final_noise(state: State, end: End) -> Noise:
-    """The noise that the best model found leaves, the unknown included."""
-    last = state.rankings[-1]
-    return last.noise["" if end == "none" else last.order[0]]
 
 
 def _with_richer_form(state: State, floor: float, seed: int) -> State | None:
@@ -146,7 +134,7 @@ def parameter_values(
 
     None of an effect that has too many to be shown.
     """
-    value, error = estimates(case.judged, columns, noise)
+    value, error = fit_of(case.judged, columns, noise).causes
     parameters = {}
     for effect in (e for e in effects if not e.summary):
         places, sizes = np.searchsorted(columns, case.columns[effect]), case.sizes(case.columns[effect])
@@ -179,24 +167,21 @@ def _outliers_as_cause(
     return whole, (Cause("outliers", None, outlier_probability(distance[out]), shrink, interval, ()),)
 
 
-def _verdict(state: State, end: End, gap: Gap, found: bool, shrinks: pd.DataFrame) -> tuple[Verdict, float]:
-    """The verdict, and the share of the gap that no named cause explains."""
-    rest = max(0.0, (gap.after - gap.floor) / gap.before)
+def _verdict(state: State, end: End, gap: Gap, rest: float, found: bool, shrinks: pd.DataFrame) -> Verdict:
+    """The verdict; rest : share of the gap that no named cause explains; found : whether any cause is named."""
     if not state.steps and end in ("unknown", "ambiguous"):
-        return ("unknown" if end == "unknown" else "ambiguous"), rest
+        return "unknown" if end == "unknown" else "ambiguous"
     if not found:
-        return "none", rest
+        return "none"
     share = (gap.before - gap.after) / max(gap.before - gap.floor, 1e-9)
     if share < thresholds.LEAST_SHARE and (end == "unknown" or rest > thresholds.MUCH):
-        return "unknown", rest
+        return "unknown"
     if end == "unknown" and _remainder(state) > thresholds.MISMATCH:
-        return "unknown", rest
+        return "unknown"
     if any(len(step.labels) > 1 for step in state.steps):
-        return "ambiguous", rest
-    blocks = shrinks["blocks_mm"].to_numpy()
-    if blocks[-1] > thresholds.WORSE * blocks[0]:  # what does not hold over time explains nothing
-        return "unknown", rest
-    return "explained", rest
+        return "ambiguous"
+    blocks = shrinks["blocks_mm"].to_numpy()  # what does not hold over time explains nothing
+    return "unknown" if blocks[-1] > thresholds.WORSE * blocks[0] else "explained"
 
 
 def _remainder(state: State) -> float:

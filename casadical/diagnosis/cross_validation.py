@@ -108,21 +108,16 @@ def remainders(e: Evidence, columns: Array, noise: Noise, kept: Array) -> tuple[
     return lengths(e, fit.left(x)), fit.distance(x, spread)
 
 
-def estimates(e: Evidence, columns: Array, noise: Noise) -> tuple[Array, Array]:
-    """Values and standard errors of the causes' parameters, in sizes, shapes (len(columns),)."""
-    return fit_of(e, columns, noise).causes
-
-
-def random_folds(n: int, seed: int, count: int = FOLDS, alike: Array | None = None) -> Array:
+def random_folds(n: int, seed: int, alike: Array | None = None) -> Array:
     """A fold number for each pose; sizes differ by one at most.
 
     alike : number of the unknown that each pose shares with others, shape (n,): its poses are spread over the folds
     """
-    folds = np.random.default_rng(seed).permutation(np.arange(n) % count)
+    folds = np.random.default_rng(seed).permutation(np.arange(n) % FOLDS)
     if alike is None:
         return folds
     spread = np.empty(n, dtype=folds.dtype)
-    spread[np.lexsort((folds, alike))] = np.arange(n) % count
+    spread[np.lexsort((folds, alike))] = np.arange(n) % FOLDS
     return spread
 
 

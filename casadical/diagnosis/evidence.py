@@ -142,21 +142,13 @@ class Evidence:
             prior = np.ones(self.turn.shape[1])
             units = self.turn / self.prior[:, None]  # these are orthogonal
             mean = units.T @ (self.delta0 / self.prior) / (units**2).sum(axis=0)
+        columns = ArrayColumns(self.E) if isinstance(self.E, np.ndarray) else self.E
+        held = np.full(self.width, CHOSEN) if self.held is None else self.held
+        grid, known = Grid(self.sigmas, {REPEATABILITY: RHOS}, KAPPAS), log_known(self, self.Jq)
         return LinearModel(
-            self.r,
-            base,
-            mean,
-            prior,
-            ArrayColumns(self.E) if isinstance(self.E, np.ndarray) else self.E,
-            np.full(self.width, CHOSEN) if self.held is None else self.held,
-            self.noise,
-            Grid(self.sigmas, {REPEATABILITY: RHOS}, KAPPAS),
-            self.reference,
-            self.count,
-            self.absorbed,
-            self.near,
-            log_known(self, self.Jq),
-        )
+            self.r, base, mean, prior, columns, held, self.noise, grid, self.reference, self.count, self.absorbed,
+            self.near, known,
+        )  # fmt: skip
 
     @property
     def noise(self) -> NoiseModel:

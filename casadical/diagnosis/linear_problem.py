@@ -293,7 +293,8 @@ def make_case(
     stops = stops_in(sets)
     m = joined(sets, robot, stops)
     m = with_images(with_far_ends(m, sets, identification.unknown_points, stops), sets, stops)
-    m = _with_declared_payload(m, robot)
+    if robot.payload and "payload_kg" not in m.conditions:  # it is the declared one throughout, as in the model
+        m = replace(m, conditions={**m.conditions, "payload_kg": np.full(len(m), robot.payload.mass)})
     possible, missing = choose(candidates, m, robot.loads)
     effects = tuple(dict.fromkeys(e for c in possible for v in c.variants for e in v))
     m, _ = derive(m, [c for e in effects for c in e.conditions], robot.loads)
@@ -324,7 +325,12 @@ def _problem(
     kept = seen.measured.any(axis=1) & (np.linalg.norm(r, axis=1) / np.sqrt(numbers) <= GROSS * left)
     E = EffectColumns(replace(seen.linear, J=seen.linear.J[:, :, :0]), effects).with_directions()
     again = replicates(seen.m, r, kept, seen.apart, seen.measured)
-    declared = _declared(seen)
+    lengths = [length for length, _ in seen.ratios.sigmas]
+    # In units of the residuals [m]; a set that declares it has this in the ratios, which make its lengths as noisy as
+    # those of the first set.
+    declared = lengths[0] if any(m.sigma for m in seen.sets) else 0.0
+    each = zip(seen.sets, lengths, strict=True)
+    sheet = 0.0 if declared else min((m.datasheet * lengths[0] / own for m, own in each if m.datasheet), default=0.0)
     whole = Evidence(
         r,
         np.concatenate([seen.linear.J, seen.U], axis=2) if seen.U.size else seen.linear.J,
@@ -333,7 +339,7 @@ def _problem(
         np.append(base_prior(robot, free), np.ones(len(seen.mean))),
         E,
         held=E.held,
-        known=KnownNoise(declared, 0.0 if declared else _sheet(seen), again.sigma, min(again.freedom, MOST_FREEDOM)),
+        known=KnownNoise(declared, sheet, again.sigma, min(again.freedom, MOST_FREEDOM)),
         measured=seen.measured,
         size=seen.size,
         alike=seen.alike,
@@ -341,18 +347,6 @@ def _problem(
     if not seen.plain:
         whole = replace(whole, reference=max(left, float(SIGMAS[0])))
     return kept, whole.restricted()
-
-
-def _declared(seen: Observations) -> float:
-    """What sets declare as the noise of a length, in units of the residuals [m]; zero where none does."""
-    # A set that declares it has this in the ratios, which make its lengths as noisy as those of the first set.
-    return seen.ratios.sigmas[0][0] if any(m.sigma for m in seen.sets) else 0.0
-
-
-def _sheet(seen: Observations) -> float:
-    """The largest error of a length by the data sheets of the sets, in units of the residuals [m]; zero without one."""
-    pairs = zip(seen.sets, seen.ratios.sigmas, strict=True)
-    return min((m.datasheet * seen.ratios.sigmas[0][0] / own for m, (own, _) in pairs if m.datasheet), default=0.0)
 
 
 def better_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
@@ -381,13 +375,6 @@ def better_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
     change = np.log([a for k in range(len(sigmas)) for a in np.divide(more.of_set(k), known.of_set(k))])
     counts = [bool(n) for m in seen.sets for n in (find_kind(m.kind).lengths, find_kind(m.kind).angles)]
     return more if np.abs(change[counts]).max() > SAME_RATIO else None
-
-
-def _with_declared_payload(m: Measurements, robot: Robot) -> Measurements:
-    """A payload that was not logged is the declared one throughout, as it is in the model."""
-    if robot.payload is None or "payload_kg" in m.conditions:
-        return m
-    return replace(m, conditions={**m.conditions, "payload_kg": np.full(len(m), robot.payload.mass)})
 
 
 def widths(effects: Sequence[Effect]) -> Array:

@@ -264,14 +264,13 @@ class EffectColumns:
         """The columns of those effects that have some columns, and the places of these among them."""
         owners = np.searchsorted(self._edges, columns, side="right") - 1
         used = np.unique(owners)
-        some = EffectColumns(self.linear, tuple(self.effects[k] for k in used), self.growth)
+        some = EffectColumns(self.linear, tuple(self.effects[k] for k in used), self.growth, poses=self.poses)
         starts = self._edges[used] - some._edges[:-1]
         return some, columns - starts[np.searchsorted(used, owners)]
 
     def only(self, columns: Array) -> EffectColumns:
         """Some of the columns, in rising order, all those of an effect or none."""
-        used = np.unique(np.searchsorted(self._edges, columns, side="right") - 1)
-        some = EffectColumns(self.linear, tuple(self.effects[k] for k in used), self.growth, poses=self.poses)
+        some, _ = self._owning(columns)
         some.made.sizes = self.sizes[columns]
         some.made.factors = self._all.only(columns) if self._few else None
         return some

@@ -94,12 +94,13 @@ class NoiseAccount:
             said.append(f"repeated poses: {mm(self.repeats)} ({self.freedom} degrees of freedom)")
         else:
             said.append("no repeated poses")
-        if self.rules == Rule.REPEATS:
-            said.append("the repeated poses rule")
-        elif self.rules == Rule.DECLARED:
-            said.append("the declared noise rules")
-        elif self.rules == Rule.SHEET:
-            said.append("the data sheet rules")
+        ruling = {
+            Rule.REPEATS: "repeated poses rule",
+            Rule.DECLARED: "declared noise rules",
+            Rule.SHEET: "data sheet rules",
+        }
+        if self.anchored:
+            said.append(f"the {ruling[self.rules]}")
         elif self.sheet:
             said.append("the fit rules: more than the data sheet allows, and in every way like noise")
         elif self.declared:
@@ -138,7 +139,7 @@ class NoiseAccount:
             account |= {"repeats_mm": round(1e3 * self.repeats, 5), "repeats_freedom": self.freedom}
         account |= {"form": self.form} if self.form else {}
         account |= {"excess_mm": round(1e3 * self.excess, 5), "like_noise": self.like_noise}
-        account["structure"] = [
+        structure = [
             {
                 "over": s.over,
                 "along": s.along,
@@ -147,7 +148,7 @@ class NoiseAccount:
             }
             for s in self.structures
         ]
-        return account
+        return {**account, "structure": structure}
 
 
 def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates) -> NoiseAccount:

@@ -230,19 +230,12 @@ def observe(
     layout, ends = _layout(stops, sets), max(part.ends for part in parts)
     S = _by_seams(parts, layout, ends)
     seen, q = (np.concatenate([np.asarray(getattr(part, name)) for part in parts], axis=1) for name in ("seen", "q"))
+    J, constants = layout.together([part.J for part in parts]), constants_of(robot, robot.torque_scale)
+    far = (q[1, stops.rows], seen[1, stops.rows]) if ends > 1 else None
     linear = Linearisation(
-        robot,
-        seams_of(robot),
-        values,
-        m.q,
-        dict(m.conditions),
-        layout.together([part.J for part in parts]),
-        S,
-        seen[0, stops.rows],
-        constants_of(robot, robot.torque_scale),
-        (q[1, stops.rows], seen[1, stops.rows]) if ends > 1 else None,
+        robot, seams_of(robot), values, m.q, dict(m.conditions), J, S, seen[0, stops.rows], constants, far,
         stops.most - 1,
-    )
+    )  # fmt: skip
     U, mean = _by_points(identification, parts, layout)
     return Observations(
         m=m,

@@ -277,13 +277,14 @@ def _near_threshold(d: Diagnosis) -> Iterator[Statement]:
         if (side := _beside(p, CLAIM)) and (label in judged or side == "below"):
             text = f"{label} is just {side} what is claimed: probability {p:.3f}, claimed from {CLAIM:g} on"
             yield Statement("SET", text, doubtful=True)
-    if d.p_nothing is None and (side := _beside(1 - d.rankings[0].none, 1 - DETECT)):
-        there = f"P(nothing) = {d.rankings[0].none:.3f}, something from {DETECT:g} down"
-        yield Statement("SET", f"that anything is there is just {side} what is said: {there}", doubtful=True)
-    last = d.rankings[-1].none
-    if d.effects() and (side := _beside(1 - last, 1 - DETECT_FURTHER)):
-        there = f"P(no further one) = {last:.3f}, something from {DETECT_FURTHER:g} down"
-        yield Statement("SET", f"that something further is there is just {side} what is said: {there}", doubtful=True)
+    detected = (
+        (d.p_nothing is None, "anything", "nothing", d.rankings[0].none, DETECT),
+        (bool(d.effects()), "something further", "no further one", d.rankings[-1].none, DETECT_FURTHER),
+    )
+    for asked, what, name, none, least in detected:
+        if asked and (side := _beside(1 - none, 1 - least)):
+            there = f"P({name}) = {none:.3f}, something from {least:g} down"
+            yield Statement("SET", f"that {what} is there is just {side} what is said: {there}", doubtful=True)
 
 
 def _beside(probability: float, threshold: float) -> str:

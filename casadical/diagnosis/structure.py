@@ -179,10 +179,6 @@ class _White:
         """Whether anything is left to be judged."""
         return self.e.count - self._taken >= 2 and bool(self.squares.sum() > 0)
 
-    def _functions(self) -> Iterator[tuple[str, Array]]:
-        for name, g in _of_poses(self.case.robot, self._m, self._places):
-            yield name, g[self.pick]
-
     @cached_property
     def _places(self) -> Array:
         """Where the points of all kept poses are, in the order of measuring, shape (kept, 3) [m].
@@ -197,7 +193,7 @@ class _White:
 
     def _groups(self) -> Iterator[_Group]:
         """Drivers of as many functions each along every direction."""
-        functions = _by_width(self._functions())
+        functions = _by_width((name, g[self.pick]) for name, g in _of_poses(self.case.robot, self._m, self._places))
         for along, v in self._directions():
             own, cycles = dict(functions), dict[str, tuple[int, float]]()
             if hit := re.fullmatch(r"joint (\d+)", along):
@@ -225,7 +221,7 @@ class _White:
         turned = np.einsum("gij,gi->gj", vector, right / scale)
         seen = value > RANK
         part = np.where(seen, turned**2 / np.where(seen, value, 1.0), 0.0).sum(axis=1) / float(self.squares.sum())
-        yield from zip(part.tolist(), seen.sum(axis=1).tolist(), strict=True)
+        return zip(part.tolist(), seen.sum(axis=1).tolist(), strict=True)
 
     def _close(self) -> Iterator[Structure]:
         """Whether close poses err alike: in joint space, where they were measured, and one after the other."""

@@ -75,14 +75,14 @@ class Design(ABC):
 
     def best_to_add(self) -> int | None:
         """The candidate that gains most; None where none is open."""
-        gain = np.where(self.closed > 0, -np.inf, self.gains(np.flatnonzero(self.closed == 0), 1))
-        k = first_of_best(gain)
-        return k if np.isfinite(gain[k]) else None
+        candidates = np.flatnonzero(self.closed == 0)
+        gains = self.gains(candidates, 1)
+        best = first_of_best(gains) if len(gains) else 0
+        return int(candidates[best]) if np.isfinite(gains[best : best + 1]).any() else None
 
     def worst(self) -> int:
         """Position in `chosen` of the candidate whose removal costs least."""
-        gain = self.gains(np.array(self.chosen), -1)
-        return first_of_best(gain[self.chosen])
+        return first_of_best(self.gains(np.array(self.chosen), -1))
 
     def snapshot(self) -> dict[str, Any]:
         """All that it has; arrays are replaced, never changed."""
@@ -99,12 +99,10 @@ class Design(ABC):
         least = np.linalg.eigvalsh(self.M[np.ix_(determined, determined)] / np.outer(root, root))[0]
         return bool(least > REGULAR)
 
-    def _volumes(self, D: Array, which: Array, sign: int) -> Array:
-        """Change of the logarithm of the determinant of M, shape (N,); D : A_k C A_k' of these, (len(which), m, m)."""
-        gains = np.full(self.N, -np.inf)
+    def _volumes(self, D: Array, sign: int) -> Array:
+        """Change of the logarithm of the determinant of M, shape (k,); D : A_k C A_k' of each, shape (k, m, m)."""
         signs, logs = np.linalg.slogdet(np.eye(self.m) + sign * D)
-        gains[which] = np.where((signs > 0) & (logs > np.log(INDISPENSABLE)), logs, -np.inf)
-        return gains
+        return np.where((signs > 0) & (logs > np.log(INDISPENSABLE)), logs, -np.inf)
 
     @property
     @abstractmethod
@@ -121,7 +119,7 @@ class Design(ABC):
 
     @abstractmethod
     def gains(self, which: Array, sign: int) -> Array:
-        """What adding (1) or removing (-1) each of these gains, in any unit, shape (N,); -inf for others."""
+        """What adding (1) or removing (-1) each of these gains, in any unit, shape (len(which),)."""
 
 
 class _Inverse(Design):
@@ -154,7 +152,7 @@ class _Inverse(Design):
         """Called before C and D change."""
 
     def gains(self, which: Array, sign: int) -> Array:
-        return self._volumes(self.D[which], which, sign)
+        return self._volumes(self.D[which], sign)
 
 
 class Determinant(_Inverse):
@@ -193,13 +191,11 @@ class Linear(_Inverse):
     def gains(self, which: Array, sign: int) -> Array:
         if not self.regular:
             return super().gains(which, sign)
-        gains = np.full(self.N, -np.inf)
         small = np.eye(self.m) + sign * self.D[which]
         regular = np.linalg.det(small) > INDISPENSABLE
         small[~regular] = np.eye(self.m)
         change = sign * np.trace(np.linalg.solve(small, self.L[which]), axis1=1, axis2=2)
-        gains[which] = np.where(regular, change, -np.inf)
-        return gains
+        return np.where(regular, change, -np.inf)
 
 
 class Spectral(Design):
@@ -224,15 +220,14 @@ class Spectral(Design):
         self._refresh()
 
     def gains(self, which: Array, sign: int) -> Array:
+        A, gains = self.rows[which], np.full(len(which), -np.inf)
         if not self.regular:
-            A = self.rows[which]
-            return self._volumes(A @ inverse(self.M) @ A.transpose(0, 2, 1), which, sign)
-        gains = np.full(self.N, -np.inf)
-        along = self.rows[which].reshape(-1, self.p) @ self.V
-        first_order = sign * (along**2 @ self._slope(self.w)).reshape(len(which), self.m).sum(axis=1)
-        short = which[ranked(first_order)[:SHORTLIST]]
-        A = self.rows[short]
-        w = np.linalg.eigvalsh(self.M + sign * A.transpose(0, 2, 1) @ A)
+            return self._volumes(A @ inverse(self.M) @ A.transpose(0, 2, 1), sign)
+        first_order = sign * ((A.reshape(-1, self.p) @ self.V) ** 2 @ self._slope(self.w)).reshape(-1, self.m).sum(
+            axis=1
+        )
+        short = ranked(first_order)[:SHORTLIST]
+        w = np.linalg.eigvalsh(self.M + sign * A[short].transpose(0, 2, 1) @ A[short])
         gains[short] = self._log(np.maximum(w, 1e-300)) - self.value
         return gains
 

@@ -9,7 +9,7 @@ from cases import case, diagnose, robot, simulated
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import Factors, combined, directions_of
 from casadical.core.parts import Placement
-from casadical.diagnosis.cross_validation import estimates, fold_errors, new_fit, random_folds
+from casadical.diagnosis.cross_validation import fit_of, fold_errors, new_fit, random_folds
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import EffectColumns
@@ -103,7 +103,8 @@ def test_fits_predict_and_estimate_alike(known: Case, curve: Array, backlash: li
     few, all_ = (new_fit(e, chosen, NOISE) for e in (known.evidence, apart))
     assert len(few.x) < len(all_.x) == len(few.mean) - len(few.x) + len(all_.mean)
     assert fold_errors(apart, few, folds) == pytest.approx(fold_errors(apart, all_, folds), abs=1e-10)
-    for one, other in zip(estimates(known.evidence, chosen, NOISE), estimates(apart, chosen, NOISE), strict=True):
+    fits = (fit_of(e, chosen, NOISE).causes for e in (known.evidence, apart))
+    for one, other in zip(*fits, strict=True):
         assert one == pytest.approx(other, abs=1e-5)
 
 

@@ -7,7 +7,7 @@ from scipy.optimize import lsq_linear
 
 from casadical.core.linear_gaussian import fit as fits
 from casadical.diagnosis.cross_validation import (
-    estimates,
+    fit_of,
     fold_errors,
     held_out_errors,
     likely_noise,
@@ -52,7 +52,7 @@ def test_held_out_errors_are_those_of_refits() -> None:
 def test_estimates_and_remainders_are_those_of_a_refit() -> None:
     e, columns = small_problem(n=14), np.array([0, 2])
     x, cov = refit(e, columns, np.ones(14, dtype=bool))
-    value, error = estimates(e, columns, NOISE)
+    value, error = fit_of(e, columns, NOISE).causes
     np.testing.assert_allclose(value, x[5:], rtol=1e-7)
     np.testing.assert_allclose(error, np.sqrt(np.diag(cov))[5:], rtol=1e-7)
     kept = np.arange(14) != 4

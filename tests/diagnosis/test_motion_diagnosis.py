@@ -19,10 +19,9 @@ from casadical.cli.root import app
 from casadical.core.drive import Drive
 from casadical.core.telling.blocks import Table
 from casadical.core.telling.result import plain_text
-from casadical.diagnosis.motion.arm import arm_of
 from casadical.diagnosis.motion.proposal import proposed
 from casadical.diagnosis.motion.result import diagnose_log, looks_of
-from casadical.diagnosis.motion.signals import motion_of
+from casadical.diagnosis.motion.signals import arm_of, motion_of
 from casadical.effects.motion import motion_effects
 from casadical.effects.plugins import known_effects
 from casadical.measurements.logs.findings import with_signs

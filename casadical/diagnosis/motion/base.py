@@ -11,8 +11,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.statistics import best_of
-from casadical.diagnosis.motion.arm import Arm
-from casadical.diagnosis.motion.signals import Motion, lagged, servo_error
+from casadical.diagnosis.motion.signals import Arm, Motion, lagged, servo_error
 
 # Widths of the friction's memory: over the measured angle, and over the command of a servo that yields [rad].
 MEASURED, COMMANDED = (3e-4, 3e-3, 2e-2), (4e-3, 1.2e-2, 3e-2, 6e-2, 1e-1)

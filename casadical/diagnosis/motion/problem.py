@@ -205,6 +205,10 @@ class MotionCase:
         out = self.r - self.base @ x
         return np.asarray(out - self.E.take(columns) @ theta if len(columns) else out)
 
+    def rms(self, left: Array) -> Array:
+        """Of the log's windows, of each joint's first row, shape (joints,), in the unit of `scale`."""
+        return np.asarray(np.sqrt((left[self.of_log, : self.joints] ** 2).mean(axis=0)) * self.scale)
+
     def renewed(self, columns: Array = NONE) -> MotionCase:
         """The case with its noise as it is in what some causes and a base much freer than its priors leave."""
         few, every, P = self.only(columns), np.arange(len(columns)), self.base.shape[2]

@@ -17,9 +17,8 @@ from casadical.core.statistics import best_of
 from casadical.core.telling.blocks import Block, Table, Words
 from casadical.core.telling.figure import Axis, Figure, Panel, Series
 from casadical.core.telling.result import Result
-from casadical.diagnosis.motion.arm import arm_of
 from casadical.diagnosis.motion.response import Response, fitted
-from casadical.diagnosis.motion.signals import torque_of
+from casadical.diagnosis.motion.signals import arm_of, torque_of
 from casadical.identification.figures import banded
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.robot import Robot
@@ -206,12 +205,15 @@ def replayed(robot: Robot, logs: Sequence[JointLog], withheld: Sequence[JointLog
 def replay_figures(replay: Replay) -> Iterator[Figure]:
     """Of the run whose readings were farthest from their commands, and the map of all runs."""
     run = best_of(range(len(replay.runs)), lambda k: float(np.nanmean(replay.left(k, before=True) ** 2)))
-    command, source = replay.runs[run].command, replay.runs[run].source
+    log, command, source = replay.runs[run], replay.runs[run].command, replay.runs[run].source
     assert command is not None
     there = replay.moves & (np.ptp(command, axis=0) > MOVED)
+    before, after = (1e3 * replay.left(run, before=b) for b in (True, False))
+    errors = {"before: less command": before, "after: less prediction": after}
+    loops = {"reading": before, "prediction": 1e3 * (replay.predicted[run] - command)}
     yield _panels(
         replay, there, "replay/errors", f"{source}: reading less command, and less prediction", "time [s]",
-        "mrad", lambda j, panel: _errors(replay, run, j, panel),
+        "mrad", lambda j, panel: _lines(log.time - log.time[0], errors, j, panel),
     )  # fmt: skip
     yield from _maps(replay)
     yield _panels(
@@ -220,7 +222,7 @@ def replay_figures(replay: Replay) -> Iterator[Figure]:
     )  # fmt: skip
     yield _panels(
         replay, there, "replay/hysteresis", f"{source}: hysteresis, reading less command over the command",
-        "command [rad]", "mrad", lambda j, panel: _loop(replay, run, j, panel),
+        "command [rad]", "mrad", lambda j, panel: _lines(command[:, j], loops, j, panel),
     )  # fmt: skip
 
 
@@ -237,28 +239,17 @@ def _panels(
     return Figure(name, title, series, height=180 + PANEL * ((len(joints) + 1) // 2), panels=panels)
 
 
-def _lines(x: Array, lines: Mapping[str, Array], panel: int) -> list[Series]:
-    """Two lines of a panel, thinned: what is read in grey, what is predicted in blue; lines : by name, shape (n,)."""
+def _lines(x: Array, lines: Mapping[str, Array], joint: int, panel: int) -> list[Series]:
+    """Two lines of a panel, thinned: what is read in grey, what is predicted in blue.
+
+    x : shape (n,); lines : by name, shape (n, joints)
+    """
     some = slice(None, None, max(1, len(x) // POINTS))
     styles: tuple[dict[str, Any], ...] = ({"colour": "grey", "width": 1}, {"colour": "blue", "width": 1.4})
     return [
-        Series("line", x[some].round(4), y[some].round(4), name=name, listed=not panel, panel=panel, **style)
+        Series("line", x[some].round(4), y[some, joint].round(4), name=name, listed=not panel, panel=panel, **style)
         for (name, y), style in zip(lines.items(), styles, strict=True)
     ]
-
-
-def _errors(replay: Replay, run: int, j: int, panel: int) -> list[Series]:
-    before, after = (1e3 * replay.left(run, before=b)[:, j] for b in (True, False))
-    lines = {"before: less command": before, "after: less prediction": after}
-    return _lines(replay.runs[run].time - replay.runs[run].time[0], lines, panel)
-
-
-def _loop(replay: Replay, run: int, j: int, panel: int) -> list[Series]:
-    log = replay.runs[run]
-    assert log.command is not None
-    own = log.command[:, j]
-    lines = {"reading": 1e3 * (log.position[:, j] - own), "prediction": 1e3 * (replay.predicted[run][:, j] - own)}
-    return _lines(own, lines, panel)
 
 
 def _friction(replay: Replay, j: int, panel: int) -> list[Series]:

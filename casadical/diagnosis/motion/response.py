@@ -16,9 +16,8 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.drive import Drive
-from casadical.diagnosis.motion.arm import Arm, arm_of
 from casadical.diagnosis.motion.floor import AT, Floor, floor_of
-from casadical.diagnosis.motion.signals import RATE, even, kernel_of, smoothed, torque_of
+from casadical.diagnosis.motion.signals import RATE, Arm, arm_of, even, kernel_of, smoothed, torque_of
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.dynamics import Dynamics
 from casadical.robot.robot import Robot

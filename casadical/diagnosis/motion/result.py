@@ -12,12 +12,11 @@ from casadical.core.statistics import first_of_best, known_digits
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import Result
 from casadical.diagnosis.cross_validation import new_fit
-from casadical.diagnosis.motion.arm import Arm, arm_of
 from casadical.diagnosis.motion.base import COMMANDED, LOAD, MEASURED, Look, look
 from casadical.diagnosis.motion.laws import LogLaws, laws_of
-from casadical.diagnosis.motion.problem import WHITE, MotionCase, coefficients, motion_case
+from casadical.diagnosis.motion.problem import NONE, WHITE, MotionCase, coefficients, motion_case
 from casadical.diagnosis.motion.search import Found, Outcome, columns_of, search, unfitted
-from casadical.diagnosis.motion.signals import Fault, faults_of, motion_of
+from casadical.diagnosis.motion.signals import Arm, Fault, arm_of, faults_of, motion_of
 from casadical.effects.motion import Cause, motion_effects
 from casadical.identification.inertial import contradictions, determined
 from casadical.measurements.logs.log import JointLog
@@ -85,19 +84,15 @@ class LogDiagnosis(Result):
 
         Of torques where they were logged, else of the position error.
         """
-        case, o = self.outcome.case, self.outcome
-        n, scale = self.arm.joints, o.case.scale
-        base = case.fitted(columns_of(case, ()))
-        columns = columns_of(case, o.found)
-        rows = (case.r, case.left(columns_of(case, ()), *base), case.left(columns, *case.fitted(columns)))
-        nominal, before, after = (np.sqrt((r[case.of_log, :n] ** 2).mean(axis=0)) * scale for r in rows)
+        case, columns = self.outcome.case, columns_of(self.outcome.case, self.outcome.found)
+        left = (case.left(own, *case.fitted(own)) for own in (NONE, columns))
+        nominal, before, after = map(case.rms, (case.r, *left))
         return nominal, before, after
 
     def gap_unfitted(self) -> tuple[Array, Array]:
         """The same with the base, and with the causes too, of each run by a fit to the others (or parts of one run)."""
-        case, n = self.outcome.case, self.arm.joints
-        rows = (unfitted(case, columns_of(case, causes)) for causes in ((), self.outcome.found))
-        before, after = (np.sqrt((r[case.of_log, :n] ** 2).mean(axis=0)) * case.scale for r in rows)
+        case = self.outcome.case
+        before, after = (case.rms(unfitted(case, own)) for own in (NONE, columns_of(case, self.outcome.found)))
         return before, after
 
     def payload(self) -> tuple[float, float] | None:
@@ -141,8 +136,7 @@ class LogDiagnosis(Result):
     def _where(self, j: int) -> str:
         """Where what the base leaves of a joint is greatest, over angle, speed, load and time."""
         case = self.outcome.case
-        none = columns_of(case, ())
-        left = case.left(none, *case.fitted(none))[case.of_log, j] ** 2
+        left = case.left(NONE, *case.fitted(NONE))[case.of_log, j] ** 2
         parts = []
         for name, values in zip(OVER, case.over, strict=True):
             edges = np.quantile(values[:, j], np.linspace(0, 1, PARTS + 1))

@@ -1,18 +1,22 @@
 """A joint log as smooth signals on a uniform time, with their derivatives, and averages over short windows; and faults
-of the instrument that wrote it: its clock, lost or repeated samples, a current without sign.
+of the instrument that wrote it: its clock, lost or repeated samples, a current without sign. And what is known of the
+arm that moved: its bodies and its drives, one number a joint, None where nothing is known.
 
 Everything is smoothed alike, by one symmetric kernel, so that no signal is late against another.
 """
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
 
 from casadical.core.basics import Array, InputError
-from casadical.diagnosis.motion.arm import Arm
+from casadical.core.drive import Drive
 from casadical.measurements.logs.log import JointLog
+from casadical.robot.dynamics import Dynamics
+from casadical.robot.robot import Robot
 
 # Width of the smoothing kernel, of a window, and of what is left out at the ends of a run [s].
 SMOOTHED, WINDOW, EDGE = 0.08, 0.1, 0.15
@@ -22,14 +26,71 @@ RATE, MOST_WINDOWS, PAUSE = 62.5, 1500, 10.0
 STANDS, SLOW = 0.02, 2e-3
 # A joint has not moved in a run while it is within this of where it began [rad].
 UNMOVED = 5e-3
-# Samples that a filter takes at a time.
-AT_ONCE = 64
+# Samples that a filter takes at a time, and states of which the regressor is made.
+AT_ONCE, STATES = 64, 4000
 # No reading is finer than this [rad].
 LEAST_QUANTUM = 1e-6
 # A rate that is off by this share; shares of samples that are lost or repeated which every log has.
 CLOCK, USUAL_LOST, USUAL_REPEATED = 0.01, 0.01, 0.02
 # A gap is longer than so many steps; a joint moves by more than so many quanta a step.
 GAP, MOVES = 1.6, 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """An arm as the diagnosis of its logs sees it.
+
+    inertial : ten numbers a link by the file, the declared payload with the last, shape (10 n,) [SI]
+    spread : what one sigma of each coordinate of the bodies does to them, shape (10 n, k)
+    rotor : inertia at the joint [kg m^2], estimated where `rotor_known` is False
+    per_ampere : torque at the joint by current; delay : from the logged command to the servo, filters included [s]
+    """
+
+    dynamics: Dynamics
+    inertial: Array
+    spread: Array
+    rotor: Array
+    rotor_known: bool
+    per_ampere: Array | None = None
+    delay: Array | None = None
+    kp: Array | None = None
+    kd: Array | None = None
+    ki: Array | None = None
+    joint_stiffness: Array | None = None
+    gear_ratio: Array | None = None
+    log_rate: float | None = None
+
+    @property
+    def joints(self) -> int:
+        """How many."""
+        return len(self.rotor)
+
+    def regressor(self, q: Array, v: Array, a: Array) -> Array:
+        """Of the bodies, shape (n, joints, 10 joints); q, v, a : shape (n, joints)."""
+        out = np.empty((*q.shape, 10 * self.joints))
+        for k in range(0, len(q), STATES):
+            s = slice(k, k + STATES)
+            out[s] = self.dynamics.regressor(q[s], v[s], a[s])[:, :, : 10 * self.joints]
+        return out
+
+
+@lru_cache(maxsize=4)
+def arm_of(robot: Robot) -> Arm:
+    """What a robot file says of an arm that moves."""
+    dynamics, drive, n = Dynamics(robot), robot.drive or Drive(), robot.n
+    own = slice(0, 10 * n)
+    times = [t for t in (drive.of_joints(k, n) for k in ("delay", "command_filter")) if t is not None]
+    return Arm(
+        dynamics,
+        dynamics.values[own],
+        (dynamics.tangent * dynamics.sigma)[own, own],
+        np.asarray(dynamics.rotors),
+        drive.inertia_at_joint(n) is not None,
+        drive.torque_per_ampere(n),
+        sum(times[1:], times[0]) if times else None,
+        log_rate=drive.log_rate_Hz,
+        **{name: drive.of_joints(name, n) for name in ("kp", "kd", "ki", "joint_stiffness", "gear_ratio")},
+    )
 
 
 @dataclass(frozen=True, eq=False)

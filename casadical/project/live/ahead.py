@@ -83,7 +83,7 @@ def look_ahead(
     design = problem.design(problem.pool, "V", 0.0)
     chosen = search(design, min(BATCH, len(among)), 1, 0)
     design.start([])
-    q, gain = problem.pool.q[chosen], design.gains(chosen, 1)[chosen]
+    q, gain = problem.pool.q[chosen], design.gains(chosen, 1)
     to_go, words = None, f"at least {max(1, FIRST - len(before))} more"
     if found:
         if found.m.position is None and found.m.target is None:
