@@ -203,20 +203,14 @@ class Evidence:
 
     def with_known(self, columns: Array, prior: Array) -> Evidence:
         """The problem with further columns in the base model, shape (n, 3, k), of zero mean; prior : shape (k,)."""
-        turn, still, none = self.turn, self.still, np.zeros((len(prior), len(self.prior)))
+        turn, still, more = self.turn, self.still, len(prior)
         if turn is not None:
-            known = np.concatenate([np.zeros((len(turn), len(prior))), np.diag(prior)])
-            turn = np.concatenate([np.concatenate([turn, none[:, : turn.shape[1]]]), known], axis=1)
+            turn = np.pad(turn, (0, more))
+            turn[-more:, -more:] = np.diag(prior)
         if still is not None:
-            still = np.concatenate([still, none[:, : still.shape[1]]])
-        return replace(
-            self,
-            J=np.concatenate([self.J, columns], axis=2),
-            delta0=np.append(self.delta0, np.zeros(len(prior))),
-            prior=np.append(self.prior, prior),
-            turn=turn,
-            still=still,
-        )
+            still = np.pad(still, ((0, more), (0, 0)))
+        J, delta0 = np.concatenate([self.J, columns], axis=2), np.pad(self.delta0, (0, more))
+        return replace(self, J=J, delta0=delta0, prior=np.append(self.prior, prior), turn=turn, still=still)
 
     @property
     def marginals(self) -> Marginals:

@@ -102,11 +102,8 @@ def check_refit(found: Diagnosis, show: Show = silent) -> Check:
     """Held-out gap of the nonlinear refit beside that of the linearised model.
 
     Ipopt refits all poses once; each fifth is then left out by a Gauss-Newton step from that optimum: it moves the
-    parameters by a few standard errors at most, within which the model is linear.
-
-    found : a diagnosis
-    show : called with a line of progress
-    Raises ConvergenceError: Ipopt finds no optimum.
+    parameters by a few standard errors at most, within which the model is linear. Raises ConvergenceError: Ipopt finds
+    no optimum.
     """
     case, effects = found.case, found.effects()
     folds = random_folds(int(case.kept.sum()), found.seed, alike=case.evidence.alike)
@@ -132,10 +129,8 @@ def check_refit(found: Diagnosis, show: Show = silent) -> Check:
 class NetworkGap:
     """Mean held-out error [m] of a model, and of the model with a network trained on what it leaves of the same poses.
 
-    before : of the model alone, on the same fifths, mean [m]
-    used : with the network where the training poses said that it helps, mean [m]
-    forced : with the network in any case, mean [m]
-    refused : in how many of the five trainings it was refused
+    before : of the model alone, on the same fifths; used : with the network where the training poses said that it helps
+    forced : with the network in any case; refused : in how many of the five trainings it was refused
     """
 
     before: float
@@ -145,14 +140,9 @@ class NetworkGap:
 
 
 def network_gaps(found: Diagnosis, show: Show = silent) -> tuple[NetworkGap, NetworkGap]:
-    """The gap when the paper's network is used instead of the causes, and on what the causes leave.
-
-    found : a diagnosis
-    show : called with a line of progress
-    """
-    case = found.case
-    alone = network_gap(case, NONE, found.rankings[0].noise[""], found.seed, show=show)
-    return alone, network_gap(case, found.columns, found.noise, found.seed, show=show)
+    """The gap when the paper's network is used instead of the causes, and on what the causes leave."""
+    alone = network_gap(found.case, NONE, found.rankings[0].noise[""], found.seed, show=show)
+    return alone, network_gap(found.case, found.columns, found.noise, found.seed, show=show)
 
 
 def network_gap(

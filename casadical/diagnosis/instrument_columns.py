@@ -41,18 +41,18 @@ def with_far_ends(
     if not 0 < count <= WIRES:
         return m
     of_row = {f: (wire == k).astype(float) for k, f in enumerate(FLAGS, 1)} | dict(zip(FAR, far.T, strict=True))
-    return replace(m, conditions={**m.conditions, **by_turn(of_row, stops, len(m))})
+    return _by_turn(m, of_row, stops)
 
 
-def by_turn(of_row: Mapping[str, Array], stops: Stops, poses: int) -> dict[str, Array]:
-    """Columns of rows, shape (rows,), as those of poses, of further rows at a stop with names of their own."""
-    columns: dict[str, Array] = {}
+def _by_turn(m: Measurements, of_row: Mapping[str, Array], stops: Stops) -> Measurements:
+    """The table with columns of rows, shape (rows,), those of further rows at a stop with names of their own."""
+    columns = dict(m.conditions)
     for turn in range(stops.most):
         own = np.flatnonzero(stops.turn == turn)
         for name, values in of_row.items():
-            columns[of_turn(name, turn)] = column = np.zeros(poses)
+            columns[of_turn(name, turn)] = column = np.zeros(len(m))
             column[stops.of[own]] = values[own]
-    return columns
+    return replace(m, conditions=columns)
 
 
 def with_images(m: Measurements, sets: Sequence[Measurements], stops: Stops) -> Measurements:
@@ -65,7 +65,7 @@ def with_images(m: Measurements, sets: Sequence[Measurements], stops: Stops) -> 
         if part.orientation is not None and part.position is not None:
             for name, values in images_of(part.position, part.orientation).items():
                 of_row[name][at] = values
-    return replace(m, conditions={**m.conditions, **by_turn(of_row, stops, len(m))})
+    return _by_turn(m, of_row, stops)
 
 
 def images_of(p: Array, R: Array) -> Mapping[str, Array]:

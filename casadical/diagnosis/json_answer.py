@@ -23,9 +23,7 @@ from casadical.robot.robot_file import to_toml
 def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[str, Any]:
     """The answer in the campaigns' format; lengths in mm, readable by any tool.
 
-    d : a diagnosis
-    campaign : its name
-    more : what `analyse` computed; what was not computed is left out
+    campaign : its name; more : of `analyse`; what was not computed is left out
     """
     more = more or Details()
     poses = pd.DataFrame() if more.poses is None else more.poses
@@ -73,10 +71,7 @@ def diagnosis_files(
 ) -> dict[Path, str]:
     """What `casadical diagnose --out` writes, by file: the robot with its causes, all figures, and the page.
 
-    folder : where they are to be
-    found : a diagnosis
-    more : what `analyse` computed
-    name : of the campaign
+    more : of `analyse`; name : of the campaign
     unlisted : whether the description of the unknown, where there is one, is in the robot's model, too
     Raises ConvergenceError: Ipopt finds no optimum of the refit.
     """
@@ -102,13 +97,8 @@ def _network(n: NetworkGap) -> dict[str, Any]:
 
 def _set(s: CauseSet) -> dict[str, Any]:
     others = [{"causes": labels, "probability": p} for labels, p in s.others]
-    known: dict[str, Any] = {
-        "probability": s.probability,
-        "one_more": s.one_more,
-        "members": s.members,
-        "others": others,
-    }
-    known |= {name: value for name, value in (("names", s.names), ("further", s.further)) if value}
+    known: dict[str, Any] = {name: getattr(s, name) for name in ("probability", "one_more", "members")}
+    known |= {"others": others, **{name: value for name in ("names", "further") if (value := getattr(s, name))}}
     return {**rounded(known), **({"further_gap_mm": _mm(s.further_gap)} if s.further else {})}
 
 

@@ -163,13 +163,9 @@ class Change:
 class Unlisted:
     """Forms that describe the unknown (see `describe_unlisted`); they name no cause.
 
-    labels : what the forms are, of listed effects too
-    effects : the same as effects of the model
-    before : mean held-out gap with the named causes [m]
-    after : the same with these forms too [m]
-    shrink : share by which it falls
-    shrink_interval : of `shrink`, 95 %
-    beside : what is most probable beside these forms
+    labels, effects : what the forms are, of listed effects too, and the same as effects of the model
+    before, after : mean held-out gap with the named causes, and with these forms too [m]
+    shrink, shrink_interval : share by which it falls, and 95 % of it; beside : what is most probable beside these forms
     """
 
     labels: tuple[str, ...]

@@ -5,7 +5,7 @@ A part's variance is set to the mean square of its parameters over the share of 
 variance too. A part that the data do not determine keeps its size. (MacKay 1992, Bayesian interpolation, sec. 4.)
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
@@ -48,9 +48,13 @@ def neighbours(effect: Effect, fineness: float) -> list[Effect]:
             moved = [value + step * fineness * (second - first) for step in (-0.67, -0.33, 0.33, 0.67)]
         else:
             moved = [value * float(np.exp(step * fineness)) for step in (-0.5, -0.25, 0.25, 0.5)]
-        settings: list[dict[str, Any]] = [{f.name: v} for v in moved if v > 0 or (v and f.metadata.get("signed"))]
-        effects += [replace(effect, **s) for s in settings]
+        effects += [_with(effect, **{f.name: v}) for v in moved if v > 0 or (v and f.metadata.get("signed"))]
     return effects
+
+
+def _with(effect: Effect, **settings: Any) -> Effect:
+    """The effect with other settings."""
+    return replace(effect, **settings)
 
 
 def refined(
@@ -68,12 +72,11 @@ def refined(
         return case, (effect,)
     halved = 0
     for _ in range(MOST_ROUNDS):
-        near: list[tuple[Effect, ...]] = [(e,) for e in neighbours(variant[0], 0.5**halved)]
-        if not near:
+        trial: list[tuple[Effect, ...]] = [variant, *((e,) for e in neighbours(variant[0], 0.5**halved))]
+        if len(trial) == 1:
             break
-        case = case.with_variants(label, near)
-        trial: list[tuple[Effect, ...]] = [variant, *near]
-        log = _log_evidence(case, [case.group(v) for v in trial], chosen)
+        case = case.with_variants(label, trial[1:])
+        log = _log_evidence(case, trial, chosen)
         best = _best(case, trial, log, chosen)
         if log[best] - log[0] < GAIN:
             halved += 1
@@ -110,15 +113,12 @@ def _with_probable_settings(case: Case, label: str, effect: Effect, chosen: Arra
     (name,) = whole
     read = float(getattr(effect, name))
 
-    def moved(e: Effect, **settings: Any) -> Effect:
-        return replace(e, **settings)
-
     near = [float(k) for k in range(1, int(2 * read)) if abs(k - read) <= max(AROUND * read, 1.0)]
-    plain = [moved(effect, **{name: k}) for k in near]
-    joined = [moved(e, **{other: v}) for e in plain for other, v in tried]
+    plain = [_with(effect, **{name: k}) for k in near]
+    joined = [_with(e, **{other: v}) for e in plain for other, v in tried]
     every = [(e,) for e in dict.fromkeys((effect, *plain, *joined))]
     case = case.with_variants(label, every[1:])
-    log = _log_evidence(case, [case.group(v) for v in every], chosen)
+    log = _log_evidence(case, every, chosen)
     price = {(e,): PRICE for e in joined} | {(e,): -WHOLE for e in plain}
     log = log - np.array([price.get(v, 0.0) for v in every])
     best = every[first_of_best(log, logs=True)][0]
@@ -126,9 +126,9 @@ def _with_probable_settings(case: Case, label: str, effect: Effect, chosen: Arra
         return case, (best,)
     (other,) = {other for other, _ in tried}
     value = float(getattr(best, other))
-    fine: list[tuple[Effect, ...]] = [(moved(best, **{other: value + step}),) for step in FINE_STEPS]
+    fine: list[tuple[Effect, ...]] = [(_with(best, **{other: value + step}),) for step in FINE_STEPS]
     case = case.with_variants(label, fine)
-    return case, fine[first_of_best(_log_evidence(case, [case.group(v) for v in fine], chosen), logs=True)]
+    return case, fine[first_of_best(_log_evidence(case, fine, chosen), logs=True)]
 
 
 def _best(case: Case, trial: list[tuple[Effect, ...]], log: Array, chosen: Array) -> int:
@@ -136,15 +136,15 @@ def _best(case: Case, trial: list[tuple[Effect, ...]], log: Array, chosen: Array
     equal = np.flatnonzero(log >= log.max() - TIE)
     if len(equal) > 1 and not case.kept.all():
         every = case.with_kept(np.ones_like(case.kept))
-        of_all = _log_evidence(every, [case.group(trial[k]) for k in equal.tolist()], chosen)
+        of_all = _log_evidence(every, [trial[k] for k in equal.tolist()], chosen)
         equal = equal[of_all >= of_all.max() - TIE]
     return int(equal[0])
 
 
-def _log_evidence(case: Case, groups: list[Array], chosen: Array) -> Array:
-    """Of each group of columns, shape (groups,)."""
-    grids = case.judged.log_grids(groups, chosen)
-    return log_sum((grids + np.log(KAPPA_WEIGHTS)).reshape(len(groups), -1), axis=1)
+def _log_evidence(case: Case, variants: Sequence[tuple[Effect, ...]], chosen: Array) -> Array:
+    """Of each variant, shape (len(variants),)."""
+    grids = case.judged.log_grids([case.group(v) for v in variants], chosen)
+    return log_sum((grids + np.log(KAPPA_WEIGHTS)).reshape(len(variants), -1), axis=1)
 
 
 def learnt_sizes(

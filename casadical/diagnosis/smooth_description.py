@@ -22,9 +22,6 @@ def describe_unlisted(found: Diagnosis) -> Unlisted | None:
     """What the rest is most like, and the gap with that in the model; None unless the verdict is unknown.
 
     Forms are added one by one, the first of them on no list, each compared again with the others; None without one.
-
-    found : a diagnosis
-    Returns forms, with the gap before and after; None where there is nothing to describe
     """
     if found.verdict != "unknown":
         return None
@@ -37,10 +34,7 @@ def describe_unlisted(found: Diagnosis) -> Unlisted | None:
 def _forms(
     case: Case, ranking: Ranking, named: tuple[Array, frozenset[str]], noise: Noise, seed: int
 ) -> Unlisted | None:
-    """The description of a case.
-
-    ranking : the last one; named : columns and labels of the named causes; noise : that these leave
-    """
+    """The same of a case, by its last ranking; named : columns and labels of the named causes; noise : these leave."""
     by_label = {c.label: c for c in case.candidates}
     ranking = ranking.among(by_label)
     if ranking.none > DETECT_FURTHER or by_label[ranking.order[0]].listed:
