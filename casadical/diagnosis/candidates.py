@@ -56,7 +56,7 @@ def candidates_of(robot: Robot, effects: str | Sequence[str | Effect | type[Effe
     Raises InputError for a name that is no effect, and where the robot has all of them already.
     """
     chosen = [effects] if isinstance(effects, str) else list(effects)
-    own_ones = [_single(e) for e in chosen if isinstance(e, Effect)]
+    own_ones = [Candidate(e.label, e.name, e.joint, ((e,),)) for e in chosen if isinstance(e, Effect)]
     own_ones += _of_kinds([e for e in chosen if isinstance(e, type)], robot)
     standard = named(robot, [e for e in chosen if isinstance(e, str)], own_ones)
     if not robot.effects:
@@ -122,10 +122,6 @@ def named(robot: Robot, names: Iterable[str], extra: Iterable[Candidate] = ()) -
     return [*unique.values()][::-1] + rivals + _smooth(robot)
 
 
-def _single(effect: Effect) -> Candidate:
-    return Candidate(effect.label, effect.name, effect.joint, ((effect,),))
-
-
 def _of_list(which: str, robot: Robot) -> list[Candidate]:
     """Candidates of the effects on a list, in the order of the registry: those of neighbours there joint by joint."""
     return _of_kinds([kind for kind in known_effects().values() if kind.on_list == which], robot)
@@ -140,14 +136,11 @@ def _of_kinds(kinds: Iterable[type[Effect]], robot: Robot) -> list[Candidate]:
         name = first.answers_as or first.name
         label = name if len(_joints(variant)) > 1 else first.label.replace(first.name, name)
         by_label.setdefault(label, []).append(variant)
+    firsts = {label: own[0][0] for label, own in by_label.items()}
+    alone = {label: len(_joints(own[0])) == 1 for label, own in by_label.items()}
     return [
-        Candidate(
-            label,
-            own[0][0].answers_as or own[0][0].name,
-            own[0][0].joint if len(_joints(own[0])) == 1 else None,
-            tuple(own),
-        )
-        for label, own in by_label.items()
+        Candidate(label, e.answers_as or e.name, e.joint if alone[label] else None, tuple(by_label[label]))
+        for label, e in firsts.items()
     ]
 
 
@@ -178,13 +171,11 @@ def columns_to_log(missing: Mapping[str, Sequence[str]], logged: Container[str])
     missing : label -> conditions that are lacking, some of which are derived (see `derived_columns.derive`)
     """
     warmth = ("temperature_degC",) if "time_s" in logged else ("temperature_degC", "time_s")
-    words = {"progress": ("time_s",)}
-
-    made_of = {"warmth": warmth, "heat": ("time_s",), "head": ("x_mm", "y_mm", "z_mm")}
+    made_of = {"progress": ("time_s",), "warmth": warmth, "heat": ("time_s",), "head": ("x_mm", "y_mm", "z_mm")}
 
     def named(condition: str) -> tuple[str, ...]:
-        made = re.match("(warmth|heat|head)[0-9]*_", condition)
-        return made_of[made[1]] if made else words.get(condition, (condition,))
+        made = re.fullmatch("progress|(warmth|heat|head)[0-9]*_.*", condition)
+        return made_of[made[1] or "progress"] if made else (condition,)
 
     return {label: tuple(dict.fromkeys(n for c in lacking for n in named(c))) for label, lacking in missing.items()}
 

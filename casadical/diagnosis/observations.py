@@ -210,7 +210,10 @@ class Layout:
 
 def _layout(stops: Stops, sets: Sequence[Measurements]) -> Layout:
     rows, numbers = edges_of(sets), [find_kind(m.kind).numbers for m in sets]
-    first = _first_numbers(stops, np.repeat(numbers, [len(m) for m in sets]))
+    counts = np.repeat(numbers, [len(m) for m in sets])
+    order, first = np.lexsort((stops.turn, stops.of)), np.zeros(len(counts), dtype=np.int64)
+    before = np.cumsum(counts[order]) - counts[order]  # numbers of all rows up to each
+    first[order] = before - before[np.searchsorted(stops.of[order], stops.of[order])]
     places = [first[at, None] + np.arange(k) for at, k in zip(rows, numbers, strict=True)]
     return Layout(stops, rows, [stops.of[at, None] for at in rows], places)
 
@@ -314,15 +317,6 @@ def _counted(keys: Array) -> Array:
     places = np.empty(len(number), dtype=np.int64)
     places[order] = np.arange(len(number)) - np.searchsorted(number[order], number[order])
     return places
-
-
-def _first_numbers(stops: Stops, counts: Array) -> Array:
-    """The place of each row's first number at its stop, shape (rows,); counts : of its numbers, shape (rows,)."""
-    first = np.zeros(len(counts), dtype=np.int64)
-    order = np.lexsort((stops.turn, stops.of))
-    before = np.cumsum(counts[order]) - counts[order]
-    first[order] = before - before[np.searchsorted(stops.of[order], stops.of[order])]
-    return first
 
 
 @dataclass(frozen=True, eq=False)

@@ -115,8 +115,11 @@ def prepare(
     criterion = checked(criterion)
     words = ("kinematic", "compliance", *(e.label for e in robot.effects)) if free is None else tuple(free)
     wanted = robot.parameters.select(words)
-    _refuse(criterion, prior, instrument, measured, candidates)
-    ready = _candidates(robot, candidates, workspace, circumstances, n, pool, rng, instrument)
+    _refuse(criterion, instrument, prior=bool(prior), measured=measured is not None, given=candidates is not None)
+    q, held_at = _readings(robot, candidates, workspace, pool, rng, instrument)
+    ready = candidates_at(robot, q, circumstances, n, rng)
+    held_at = {name: which[:, None] * np.ones(ready.size) for name, which in held_at.items()}
+    ready = replace(ready, conditions={**ready.conditions, **held_at})
     m = ready.measurements(robot)
     if measured is not None:
         measured = _with_columns(robot, measured)
@@ -164,50 +167,40 @@ def jacobian_of(robot: Robot, names: Sequence[str], m: Measurements, instrument:
     return J if instrument is None or instrument.known else without_base(robot, J, m)
 
 
-def _refuse(
-    criterion: Criterion,
-    prior: Prior | None,
-    instrument: Instrument | None,
-    measured: Measurements | None,
-    candidates: Array | None,
-) -> None:
+def _refuse(criterion: Criterion, instrument: Instrument | None, *, prior: bool, measured: bool, given: bool) -> None:
     of_positions = criterion not in ("V", "A", "D")
-    if of_positions and prior is not None:
+    if of_positions and prior:
         raise InputError(f"criterion {criterion} does not count what is known before; allowed with a prior: V, A, D")
     if instrument is None:
         return
     if of_positions:
         raise InputError(f"criterion {criterion} is one of positions; allowed with {instrument.kind}: V, A, D")
-    if measured is not None:
+    if measured:
         raise InputError(
             f"poses measured before are counted with positions alone, not with {instrument.kind}: plan with the robot "
             "file that calibrate --out wrote"
         )
-    if candidates is not None and instrument.kind == "sockets":
+    if given and instrument.kind == "sockets":
         raise InputError("sockets: poses that hold the tool in them are computed, and are no candidates to be given")
     if instrument.known and instrument.kind == "sockets":
         raise InputError("sockets are identified together with the robot; known places are those of wires")
 
 
-def _candidates(
+def _readings(
     robot: Robot,
     given: Array | None,
     workspace: Workspace,
-    circumstances: Circumstances,
-    n: int,
     pool: int,
     rng: np.random.Generator,
     instrument: Instrument | None,
-) -> Candidates:
-    """What may be chosen: drawn, given, or poses that hold the tool in sockets."""
+) -> tuple[Array, dict[str, Array]]:
+    """What may be chosen: drawn, given, or poses that hold the tool in sockets, and in which of them each does."""
     if instrument is not None and instrument.kind == "sockets":
         q, which = held_in(robot, instrument.places, pool, workspace, rng)
         if len(np.unique(which)) < len(instrument.places):
             reached(robot, instrument.places, len(instrument.places), workspace, rng)
-        ready = candidates_at(robot, q, circumstances, n, rng)
-        return replace(ready, conditions={**ready.conditions, SOCKET: which[:, None] * np.ones(ready.size)})
-    q = draw(robot, pool, workspace, rng, to_ends=True) if given is None else _allowed(robot, given, workspace)
-    return candidates_at(robot, q, circumstances, n, rng)
+        return q, {SOCKET: which}
+    return draw(robot, pool, workspace, rng, to_ends=True) if given is None else _allowed(robot, given, workspace), {}
 
 
 def _weight(criterion: Criterion, J: Array, chosen: Array, C: Array) -> Array:
