@@ -31,7 +31,7 @@ from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import EffectColumns
 from casadical.diagnosis.result import Diagnosis
-from casadical.diagnosis.structure import about_vertical
+from casadical.diagnosis.structure import about_vertical, sines
 from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Noise
@@ -79,7 +79,7 @@ def _of_smooth_errors(case: Case, noise: Noise, left: Evidence, rng: np.random.G
     E = [(part, _products(lever[kept], functions)) for part, lever in _levers(case).items()]
     for j, joint in enumerate(case.given.joints, 1):
         if joint.kind == "revolute":
-            own = np.stack([f(h * case.m.q[kept, j - 1]) for h in FAST for f in (np.sin, np.cos)], axis=1)
+            own = sines(case.m.q[kept, j - 1], FAST)
             E.append((f"joint {j}", SIZE * case.whole.Jq[kept][:, :, [j - 1]] * own[:, None]))
     some = left.at(np.searchsorted(np.flatnonzero(case.kept), kept))
     projection = some.projection(noise.repeatability / noise.sigma)
@@ -270,10 +270,7 @@ class Localisation:
         y, z); each frame sums to one, noise included; intervals by bootstrap over poses, as in all that follow
     regions : columns by, part, poses, share (of the squared error), low, high, rms_mm (of the distance), rms_low_mm,
         rms_high_mm, of the poses that fall in each part of the ranges
-    payload : the same by payload
-    temperature : the same by temperature
-    time : the same by time
-    approach : the same by the direction from which a joint came
+    payload, temperature, time : the same by these; approach : by the direction from which a joint came
     """
 
     joints: pd.DataFrame

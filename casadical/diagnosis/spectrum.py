@@ -12,6 +12,7 @@ from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.line_search import Background, Line, Scan, Search, Whole
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.result import Cause, Diagnosis
+from casadical.diagnosis.structure import sines
 from casadical.effects.joint_error_curve import JointErrorCurve
 from casadical.measurements.measurements import Noise
 
@@ -109,12 +110,12 @@ def spectrum_of(
     lost = _evidence_lost(fit, own)
     lines, scans = _lines(fit, effect, own, q, e.Jq, highest, lost)
     total = sum(max(v, 0.0) for v in lost.values()) or 1.0
-    angle = np.linspace(-np.pi, np.pi, POINTS)
+    angle, orders = np.linspace(-np.pi, np.pi, POINTS), range(1, effect.orders + 1)
     joints = []
     for j, places in own.items():
         x, cov = fit.x[places], fit.covariance[np.ix_(places, places)]
-        value, error = _valued(_harmonics(angle, effect.orders) * units[j], x, cov)
-        there, band = _valued(_harmonics(q[:, j - 1], effect.orders) * units[j], x, cov)
+        value, error = _valued(sines(angle, orders) * units[j], x, cov)
+        there, band = _valued(sines(q[:, j - 1], orders) * units[j], x, cov)
         square = ((x * units[j]) ** 2).reshape(-1, 2).sum(axis=1).cumsum()
         low, high = (float(1 + np.searchsorted(square, part * square[-1])) for part in (0.25, 0.75))
         joints.append(
@@ -160,16 +161,11 @@ def _lines(
             if sweep and all(line.joint == j for line in known):
                 continue
             background = Background(whole, j, own[j], q[:, j - 1], arms[j], max(top, effect.orders))
-            curve = background.columns(_harmonics(background.nodes, effect.orders) * sizes[effect.parts[j]], 1.0)
+            harmonics = sines(background.nodes, range(1, effect.orders + 1))
+            curve = background.columns(harmonics * sizes[effect.parts[j]], 1.0)
             search = Search(background, j, curve, top, len(own))
             lines[j], scans[j] = search.lines(), search.scan()
     return lines, scans
-
-
-def _harmonics(angle: Array, orders: int) -> Array:
-    """Sine and cosine of each order in turn, shape (k, 2 orders)."""
-    turned = np.outer(angle, np.arange(1, orders + 1))
-    return np.stack([np.sin(turned), np.cos(turned)], axis=2).reshape(len(angle), -1)
 
 
 def _valued(shapes: Array, x: Array, covariance: Array) -> tuple[Array, Array]:

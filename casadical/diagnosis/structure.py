@@ -331,10 +331,10 @@ def _of_poses(robot: Robot, m: Measurements, p: Array) -> Iterator[tuple[str, Ar
     """
     q, n = m.q, m.q.shape[1]
     for j in range(n):
-        yield f"q{j + 1}", _sines(q[:, j], range(1, TOGETHER + 1))
+        yield f"q{j + 1}", sines(q[:, j], range(1, TOGETHER + 1))
     for i, j in combinations(range(n), 2):
-        yield f"q{i + 1} + q{j + 1}", _sines(q[:, i] + q[:, j], range(1, TOGETHER + 1))
-        yield f"q{i + 1} - q{j + 1}", _sines(q[:, i] - q[:, j], range(1, TOGETHER + 1))
+        yield f"q{i + 1} + q{j + 1}", sines(q[:, i] + q[:, j], range(1, TOGETHER + 1))
+        yield f"q{i + 1} - q{j + 1}", sines(q[:, i] - q[:, j], range(1, TOGETHER + 1))
     R, about = predicted(robot, m)[1], about_vertical(p)
     yield "time", _cosines(m.conditions["progress"])
     places = {"radius": np.hypot(p[:, 0], p[:, 1]), "azimuth": np.arctan2(p[:, 1], p[:, 0]), "height": p[:, 2]}
@@ -366,10 +366,11 @@ def _lines(angle: Array, joint: int) -> tuple[tuple[tuple[str, Array], ...], dic
     step = max(0.5, np.pi / max(float(np.ptp(angle)), 1e-3))
     cycles = np.arange(TOGETHER + step, LAST_LINE, step)
     names = {f"q{joint} at {f:.4g} cycles a turn": (joint, float(f)) for f in cycles}
-    return tuple((name, _sines(angle, [f])) for name, (_, f) in names.items()), names
+    return tuple((name, sines(angle, [f])) for name, (_, f) in names.items()), names
 
 
-def _sines(angle: Array, cycles: range | list[float]) -> Array:
+def sines(angle: Array, cycles: range | list[float]) -> Array:
+    """Sine and cosine of each number of cycles a turn in turn, shape (n, 2 cycles)."""
     return np.stack([f(h * angle) for h in cycles for f in (np.sin, np.cos)], axis=1)
 
 

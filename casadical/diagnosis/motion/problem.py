@@ -21,7 +21,7 @@ from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.motion.base import Look, Part, base_of, bodies_of
-from casadical.diagnosis.motion.signals import behind, lagged
+from casadical.diagnosis.motion.signals import lagged, late
 from casadical.effects.formula_effect import MOTION_OF, Law
 from casadical.effects.motion import MOTION_SEAMS, Cause, MotionEffect, motion_columns
 from casadical.effects.settings import grid_points
@@ -420,7 +420,7 @@ def arm_names(look: Look, effect: MotionEffect) -> dict[str, Array]:
     if isinstance(effect, Law):
         return names
     if "delayed" in effect.drivers and m.command is not None:
-        names["delayed"] = m.by_run(lambda c: c - behind(c, effect.late, m.step), m.command)
+        names["delayed"] = m.by_run(lambda c: c - late(c, effect.late / m.step), m.command)
     if "filtered" in effect.drivers and m.command is not None:
         names["filtered"] = m.by_run(lambda c: c - lagged(c, effect.within, m.step), m.command)
     return names | {k: v for k, v in look.frictions.items() if k in effect.drivers}

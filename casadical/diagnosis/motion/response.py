@@ -17,7 +17,7 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.drive import Drive
 from casadical.diagnosis.motion.floor import AT, Floor, floor_of
-from casadical.diagnosis.motion.signals import RATE, Arm, arm_of, even, kernel_of, smoothed, torque_of
+from casadical.diagnosis.motion.signals import RATE, Arm, arm_of, even, kernel_of, late, smoothed, torque_of
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.dynamics import Dynamics
 from casadical.robot.robot import Robot
@@ -161,12 +161,6 @@ def pieces_of(run: JointLog, length: float = PIECE) -> list[Piece]:
     count = max(1, round(seconds / length)) if length < np.inf else 1
     ends = np.linspace(0, len(t), count + 1).astype(int)
     return [Piece(command[a:b], position[a:b], step) for a, b in pairwise(ends.tolist())]
-
-
-def late(values: Array, samples: Array) -> Array:
-    """Columns that come so many samples later, shape (n, columns); samples : shape (columns,)."""
-    at = np.arange(len(values))
-    return np.column_stack([np.interp(at - d, at, v) for v, d in zip(values.T, np.atleast_1d(samples), strict=True)])
 
 
 def _middles(values: Array) -> Array:
@@ -364,7 +358,7 @@ def _gains_by_torque(runs: Sequence[JointLog], arm: Arm) -> Array:
     torques = [None if r.torque is None and arm.per_ampere is None else torque_of(r, arm) for r in runs]
     best, gains = np.full(arm.joints, SERVED), np.full(arm.joints, np.nan)
     for delay in LATES if all(t is not None for t in torques) else ():
-        errors = [late(np.asarray(r.command), np.full(arm.joints, delay / r.step)) - r.position for r in runs]
+        errors = [late(np.asarray(r.command), delay / r.step) - r.position for r in runs]
         e, torque = (np.concatenate([np.asarray(v) for v in each]) for each in (errors, torques))
         e, torque = (v - np.nansum(v, axis=0) / np.maximum(np.isfinite(v).sum(axis=0), 1) for v in (e, torque))
         both, ee, tt = (np.nansum(v, axis=0) + 1e-30 for v in (e * torque, e * e, torque * torque))

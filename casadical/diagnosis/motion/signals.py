@@ -283,10 +283,10 @@ def lagged(values: Array, within: float, step: float) -> Array:
     return out
 
 
-def behind(values: Array, late: float, step: float) -> Array:
-    """Values of some time ago, of a run."""
-    time = step * np.arange(len(values))
-    return np.column_stack([np.interp(time - late, time, column) for column in values.T])
+def late(values: Array, samples: Array | float) -> Array:
+    """Columns of a run that come so many samples later, shape (n, columns); samples : of all, or shape (columns,)."""
+    at, each = np.arange(len(values)), np.broadcast_to(samples, values.shape[1])
+    return np.column_stack([np.interp(at - d, at, v) for v, d in zip(values.T, each, strict=True)])
 
 
 def servo_error(torque: Array, arm: Arm, step: float, start: Array) -> Array:
