@@ -13,6 +13,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -319,8 +320,7 @@ def _counted(keys: Array) -> Array:
     return places
 
 
-@dataclass(frozen=True, eq=False)
-class _OfSet:
+class _OfSet(NamedTuple):
     """One set, row by row; of q and seen, one for each end."""
 
     r: Array
@@ -345,23 +345,14 @@ def _of_set(robot: Robot, m: Measurements, k: int, values: Array, where: Mapping
     w, constants = m.condition_matrix(robot.conditions, robot.declared), constants_of(robot, robot.torque_scale)
     r, J, S, U, seen, q = over_poses(at.function, m.q, w, (values, constants), data)
     length, angle = ratios.of_set(k)
-    scale = np.concatenate([np.full(kind.lengths, length), np.full(kind.angles, angle)])
-    rows = scale * np.sqrt(m.weight)[:, None]
-    size = np.concatenate([np.full(kind.lengths, 1 / length), np.zeros(kind.angles)])
+    scale = np.repeat([length, angle], [kind.lengths, kind.angles])
+    rows, size = scale * np.sqrt(m.weight)[:, None], np.repeat([1 / length, 0.0], [kind.lengths, kind.angles])
     for each in (J, S, U):
         each *= rows[:, :, None]
-    return _OfSet(
-        r=-r[:, :, 0] * rows,
-        J=J,
-        S=S,
-        U=U,
-        seen=tuple(seen[:, :, i] for i in (0, at.ends - 1)),
-        q=tuple(q[:, :, i] for i in (0, at.ends - 1)),
-        measured=np.broadcast_to((m.weight > 0)[:, None], (n, kind.numbers)),
-        size=np.broadcast_to(size, (n, kind.numbers)),
-        point=np.array([number[name] for name in names] or [-1] * n),
-        ends=at.ends,
-    )
+    there, sizes = (np.broadcast_to(a, (n, kind.numbers)) for a in ((m.weight > 0)[:, None], size))
+    points = np.array([number[name] for name in names] or [-1] * n)
+    seen_at, q_at = ((a[:, :, 0], a[:, :, at.ends - 1]) for a in (seen, q))
+    return _OfSet(-r[:, :, 0] * rows, J, S, U, seen_at, q_at, there, sizes, points, at.ends)
 
 
 def _known_points(identification: Identification, where: Mapping[str, Array]) -> tuple[Array, Array]:

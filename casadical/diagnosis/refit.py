@@ -18,12 +18,7 @@ from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements, Noise
 
 
-def refit(
-    case: Case,
-    effects: Sequence[Effect],
-    noise: Noise,
-    use: Array | None = None,
-) -> Identification:
+def refit(case: Case, effects: Sequence[Effect], noise: Noise, use: Array | None = None) -> Identification:
     """Base model and effects identified together: the evidence's model without its linearisation.
 
     The data, their noise and the priors are the evidence's: positions of the poses that are no outliers, the sigma

@@ -108,12 +108,7 @@ class Replay(Result):
 
     def blocks(self) -> Sequence[Block]:
         """As `casadical diagnose ARM LOG` prints it."""
-        return [
-            Words(self._sentence(), "verdict"),
-            *self._tables(),
-            *self._notes(),
-            *replay_figures(self),
-        ]
+        return [Words(self._sentence(), "verdict"), *self._tables(), *self._notes(), *replay_figures(self)]
 
     def _notes(self) -> Iterator[Words]:
         joints = self.runs[0].joints
