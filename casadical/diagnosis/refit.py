@@ -31,32 +31,25 @@ def refit(case: Case, effects: Sequence[Effect], noise: Noise, use: Array | None
     sets = refit_measurements(case, effects, noise)
     sets = sets if use is None else chosen_of(sets, use[case.rows])
     free = ("kinematic", "compliance", *case.free, *dict.fromkeys(e.label for e in effects))
-    priors = _priors(case) | _priors_of_effects(case, effects)
-    return calibrated(prepare(case.robot.with_effect(*effects), sets, case.prior), free, priors=priors)
+    return calibrated(prepare(case.robot.with_effect(*effects), sets, case.prior), free, priors=_priors(case, effects))
 
 
-def _priors(case: Case) -> dict[str, tuple[float, float]]:
-    """Mean and one sigma of the evidence's prior of each base parameter.
+def _priors(case: Case, effects: Sequence[Effect]) -> dict[str, tuple[float, float]]:
+    """Mean and one sigma of the evidence's prior of each base parameter, and of effects that are larger than usual.
 
     The base frame stays where it was placed, and the tool as it was turned.
     """
-    names = case.given.parameters.names
-    values = zip(case.given.parameters.values.tolist(), case.whole.prior[: len(names)].tolist(), strict=True)
-    priors = zip(names, values, strict=True)
-    own = {name: prior for name, prior in priors if not name.startswith(("base_", "tool_r"))}
-    return {name: prior for name, prior in own.items() if name not in case.prior.means}
-
-
-def _priors_of_effects(case: Case, effects: Sequence[Effect]) -> dict[str, tuple[float, float]]:
-    """Mean and one sigma of the effects' parameters where these are larger than usual."""
-    if case.growth == 1.0:
-        return {}
-    priors: dict[str, tuple[float, float]] = {}
-    for effect in (e for e in effects if e in case.columns):
+    base = case.given.parameters
+    each = zip(base.names, base.values.tolist(), case.whole.prior[: len(base.names)].tolist(), strict=True)
+    priors = {
+        name: (mean, sigma)
+        for name, mean, sigma in each
+        if not name.startswith(("base_", "tool_r")) and name not in case.prior.means
+    }
+    for effect in (e for e in effects if e in case.columns and case.growth != 1.0):
         columns = case.columns[effect]
-        sigma = case.sizes(columns) * case.whole.model.held[columns]
-        names = (p.name for p in effect.parameters())
-        priors |= {name: (0.0, float(s)) for name, s in zip(names, sigma, strict=True)}
+        sigmas = (case.sizes(columns) * case.whole.model.held[columns]).tolist()
+        priors |= {p.name: (0.0, sigma) for p, sigma in zip(effect.parameters(), sigmas, strict=True)}
     return priors
 
 

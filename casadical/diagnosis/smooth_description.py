@@ -6,14 +6,11 @@ beside it. Together they are a description all the same, and where it predicts p
 
 import numpy as np
 
-from casadical.core.basics import Array
 from casadical.diagnosis.cross_validation import partitioned_errors, shrink_interval
-from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.posterior import Ranking, rank
 from casadical.diagnosis.result import Diagnosis, Unlisted
 from casadical.diagnosis.thresholds import DETECT_FURTHER
 from casadical.effects import Effect
-from casadical.measurements.measurements import Noise
 
 MOST_FORMS = 4
 
@@ -25,25 +22,18 @@ def describe_unlisted(found: Diagnosis) -> Unlisted | None:
     """
     if found.verdict != "unknown":
         return None
+    case, seed = found.case, found.seed
     # Of a cause at several joints each joint's effect is in the model, too.
-    named = found.columns, frozenset((*(c.label for c in found.causes), *(e.label for e in found.effects())))
-    noise = found.noise if found.effects() else found.rankings[0].noise[""]
-    return _forms(found.case, found.rankings[-1], named, noise, found.seed)
-
-
-def _forms(
-    case: Case, ranking: Ranking, named: tuple[Array, frozenset[str]], noise: Noise, seed: int
-) -> Unlisted | None:
-    """The same of a case, by its last ranking; named : columns and labels of the named causes; noise : these leave."""
+    named = frozenset((*(c.label for c in found.causes), *(e.label for e in found.effects())))
     by_label = {c.label: c for c in case.candidates}
-    ranking = ranking.among(by_label)
+    ranking = found.rankings[-1].among(by_label)
     if ranking.none > DETECT_FURTHER or by_label[ranking.order[0]].listed:
         return None
     forms: dict[str, tuple[Effect, ...]] = {}
 
     def ranked(without: str = "") -> Ranking:
         others = [case.group(e) for label, e in forms.items() if label != without]
-        return rank(case, np.unique(np.concatenate([named[0], *others])), named[1] | forms.keys() - {without})
+        return rank(case, np.unique(np.concatenate([found.columns, *others])), named | forms.keys() - {without})
 
     def best(ranking: Ranking) -> tuple[str, tuple[Effect, ...]]:
         label = ranking.order[0]
@@ -58,8 +48,9 @@ def _forms(
         del forms[label]
         better, variant = best(again)
         forms[better] = variant
-    columns = np.unique(np.concatenate([named[0], *(case.group(e) for e in forms.values())]))
-    before = partitioned_errors(case.evidence, named[0], noise, seed)
+    columns = np.unique(np.concatenate([found.columns, *(case.group(e) for e in forms.values())]))
+    noise = found.noise if found.effects() else found.rankings[0].noise[""]
+    before = partitioned_errors(case.evidence, found.columns, noise, seed)
     last = ranked()
     after = partitioned_errors(case.evidence, columns, last.noise[""], seed)
     means = float(before.mean()), float(after.mean())
