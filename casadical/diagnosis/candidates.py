@@ -136,12 +136,12 @@ def _of_kinds(kinds: Iterable[type[Effect]], robot: Robot) -> list[Candidate]:
         name = first.answers_as or first.name
         label = name if len(_joints(variant)) > 1 else first.label.replace(first.name, name)
         by_label.setdefault(label, []).append(variant)
-    firsts = {label: own[0][0] for label, own in by_label.items()}
-    alone = {label: len(_joints(own[0])) == 1 for label, own in by_label.items()}
-    return [
-        Candidate(label, e.answers_as or e.name, e.joint if alone[label] else None, tuple(by_label[label]))
-        for label, e in firsts.items()
-    ]
+
+    def candidate(label: str, own: list[tuple[Effect, ...]]) -> Candidate:
+        first, alone = own[0][0], len(_joints(own[0])) == 1
+        return Candidate(label, first.answers_as or first.name, first.joint if alone else None, tuple(own))
+
+    return [candidate(label, own) for label, own in by_label.items()]
 
 
 def _joints(variant: tuple[Effect, ...]) -> set[int | None]:

@@ -34,8 +34,7 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
     steps = [_beside_others(state, k) for k in range(len(state.steps))]
     if listed := _without_rare(state, steps):
         return named(listed, "ambiguous", seed)
-    there = [s for k, s in enumerate(steps) if _shrinks(state, k, seed)]
-    there = [s for s in there if s.labels[0] not in state.doubted]
+    there = [s for k, s in enumerate(steps) if s.labels[0] not in state.doubted and _shrinks(state, k, seed)]
     alone = len(state.steps) == 1
     certain = [s for s in there if _is_certain(state, s) and (alone or s.ranking.none <= DETECT_FURTHER)]
     doubtful = [s for s in there if s not in certain and _is_listed(state, s)]

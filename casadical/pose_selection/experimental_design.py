@@ -76,9 +76,11 @@ class Design(ABC):
     def best_to_add(self) -> int | None:
         """The candidate that gains most; None where none is open."""
         candidates = np.flatnonzero(self.closed == 0)
+        if not len(candidates):
+            return None
         gains = self.gains(candidates, 1)
-        best = first_of_best(gains) if len(gains) else 0
-        return int(candidates[best]) if np.isfinite(gains[best : best + 1]).any() else None
+        best = first_of_best(gains)
+        return int(candidates[best]) if np.isfinite(gains[best]) else None
 
     def worst(self) -> int:
         """Position in `chosen` of the candidate whose removal costs least."""
