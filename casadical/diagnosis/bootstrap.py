@@ -22,18 +22,6 @@ LEAST = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
-    """At one rho: columns of all candidates, white and orthogonal to the base model, shape (rows, columns).
-
-    log_norm : what does not depend on sigma or cause; numbers : that tell of the noise
-    """
-
-    E: Array
-    log_norm: float
-    numbers: float
-
-
-@dataclass(frozen=True, eq=False)
 class Group:
     """Columns of one setting of a cause: weight of its cause, eigenvalues and vectors of its columns at one rho."""
 
@@ -68,13 +56,13 @@ def noise_odds(case: Case, draws: int, rng: np.random.Generator) -> Iterator[Arr
     sigmas = np.arange(max(sigmas[0] - 1, 0), min(sigmas[-1] + 2, len(e.sigmas)))
     E = e.take(np.arange(e.width))
     projections = [e.projection(float(RHOS[k])) for k in rhos]
-    problems = [_Problem(p.columns(E), p.log_norm, e.count - e.absorbed) for p in projections]
-    groups = [_groups(case, problem.E) for problem in problems]
+    white = [p.columns(E) for p in projections]
+    groups = [_groups(case, columns) for columns in white]
     for first in range(0, draws, BATCH):
         noise = noise_alone(e, share, min(BATCH, draws - first), rng)
         total = [
-            log_likelihoods(problem, projection.columns(noise), own, e.sigmas[sigmas])
-            for problem, projection, own in zip(problems, projections, groups, strict=True)
+            log_likelihoods(columns, p.columns(noise), own, e.sigmas[sigmas], p.log_norm, e.count - e.absorbed)
+            for columns, p, own in zip(white, projections, groups, strict=True)
         ]
         nothing, something = (np.logaddexp.reduce([t[s] for t in total], axis=0) for s in (0, 1))
         yield something - nothing - np.log(PRIOR_FIRST["none"])
@@ -103,10 +91,16 @@ def _groups(case: Case, white: Array) -> list[Group]:
     return groups
 
 
-def log_likelihoods(w: _Problem, Y: Array, groups: list[Group], sigma: Array) -> tuple[Array, Array]:
-    """Of each column of Y, shape (rows, draws): without any cause, and with some cause, shapes (draws,)."""
-    base = w.log_norm - w.numbers * np.log(sigma)[:, None] - 0.5 * (Y**2).sum(axis=0) / sigma[:, None] ** 2
-    b = w.E.T @ Y
+def log_likelihoods(
+    E: Array, Y: Array, groups: list[Group], sigma: Array, log_norm: float, numbers: float
+) -> tuple[Array, Array]:
+    """Of each column of Y, shape (rows, draws): without any cause, and with some cause, shapes (draws,).
+
+    E : columns of all candidates, white and orthogonal to the base model, shape (rows, columns)
+    log_norm : what does not depend on sigma or cause; numbers : how many tell of the noise
+    """
+    base = log_norm - numbers * np.log(sigma)[:, None] - 0.5 * (Y**2).sum(axis=0) / sigma[:, None] ** 2
+    b = E.T @ Y
     something = np.full(Y.shape[1], -np.inf)
     signal = ((KAPPAS[None, :] / sigma[:, None]) ** 2).ravel()
     own = np.repeat(sigma, len(KAPPAS))

@@ -121,10 +121,9 @@ def test_odds_of_a_draw_are_those_of_its_density() -> None:
     """One rho, without a base: independent normal coordinates, and one column of random size."""
     rng = np.random.default_rng(0)
     column, Y, sigma = 4e-5 * rng.normal(size=(12, 1)), 3e-5 * rng.normal(size=(12, 3)), np.array([2e-5, 3e-5])
-    white: Any = SimpleNamespace(log_norm=0.0, numbers=12, E=column)
     value, vector = np.linalg.eigh(column.T @ column)
     group = bootstrap.Group(np.array([0]), np.log(0.3), value, vector)
-    nothing, something = bootstrap.log_likelihoods(white, Y, [group], sigma)
+    nothing, something = bootstrap.log_likelihoods(column, Y, [group], sigma, 0.0, 12)
     for k, y in enumerate(Y.T):
         parts = [[multivariate_normal(cov=s**2 * np.eye(12) + kappa**2 * column @ column.T).logpdf(y)
                   for kappa in (0.0, *KAPPAS)] for s in sigma]  # fmt: skip
