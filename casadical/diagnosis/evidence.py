@@ -205,8 +205,9 @@ class Evidence:
         """The problem with further columns in the base model, shape (n, 3, k), of zero mean; prior : shape (k,)."""
         turn, still, more = self.turn, self.still, len(prior)
         if turn is not None:
+            rows, axes = turn.shape
             turn = np.pad(turn, (0, more))
-            turn[-more:, -more:] = np.diag(prior)
+            turn[rows:, axes:] = np.diag(prior)
         if still is not None:
             still = np.pad(still, ((0, more), (0, 0)))
         J, delta0 = np.concatenate([self.J, columns], axis=2), np.pad(self.delta0, (0, more))

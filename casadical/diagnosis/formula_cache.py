@@ -179,11 +179,9 @@ class KeptFormulas:
     def keeps(self, template: Effect) -> bool:
         """Whether formulas of an effect are kept: of those on a list, of the package's own code, with usual sizes."""
         own = all(kind.__module__.startswith("casadical.") for kind in type(template).__mro__[:-1])
-        return (
-            own
-            and bool(template.on_list)
-            and (not template.parts or template in type(template).candidates(self._seams.exact.arm))
-        )
+        if not (own and template.on_list):
+            return False
+        return not template.parts or template in type(template).candidates(self._seams.exact.arm)
 
     def formula(self, template: Effect, settings: tuple[str, ...]) -> Formula | None:
         """As `composed`, from what is kept where it is."""

@@ -225,10 +225,8 @@ class Spectral(Design):
         A, gains = self.rows[which], np.full(len(which), -np.inf)
         if not self.regular:
             return self._volumes(A @ inverse(self.M) @ A.transpose(0, 2, 1), sign)
-        first_order = sign * ((A.reshape(-1, self.p) @ self.V) ** 2 @ self._slope(self.w)).reshape(-1, self.m).sum(
-            axis=1
-        )
-        short = ranked(first_order)[:SHORTLIST]
+        first_order = (A.reshape(-1, self.p) @ self.V) ** 2 @ self._slope(self.w)
+        short = ranked(sign * first_order.reshape(-1, self.m).sum(axis=1))[:SHORTLIST]
         w = np.linalg.eigvalsh(self.M + sign * A[short].transpose(0, 2, 1) @ A[short])
         gains[short] = self._log(np.maximum(w, 1e-300)) - self.value
         return gains
