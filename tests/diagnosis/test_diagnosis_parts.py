@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose
 from scipy.special import logsumexp
 from scipy.stats import chi2, multivariate_normal
 
-from casadical import InputError, Joint, Measurements, diagnose
+from casadical import InputError, Joint, Measurements, Robot, diagnose
 from casadical.core import file_locks
 from casadical.core.linear_gaussian.grid import NEGLIGIBLE, log_gain
 from casadical.core.transforms import frame, from_rpy
@@ -297,7 +297,7 @@ def test_next_poses_have_the_unit_of_their_joint() -> None:
     q = np.array([[np.pi / 6, 0.25], [0.1, 0.2]])
     m = Measurements(q=q, kind="position", position=np.zeros((2, 3)))
     plain = SimpleNamespace(plain=True)
-    case: Any = SimpleNamespace(robot=SimpleNamespace(joints=joints, payload=None), m=m, observations=plain)
+    case: Any = SimpleNamespace(robot=Robot("two joints", joints), m=m, observations=plain)
     drawn: Any = SimpleNamespace(m=m, warm=None, repeated=np.array([-1, -1]), q=q)
     table = table_of(case, (), drawn, [0], [0.5])
     assert table.loc[0, ["q1_deg", "q2_mm"]].tolist() == [30.0, 250.0]
