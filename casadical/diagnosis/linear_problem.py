@@ -43,6 +43,13 @@ SAME_RATIO = 0.2
 HELD = 1e-3
 
 
+@dataclass(eq=False)
+class Selected:
+    """The problem of the poses that are no outliers, once it was made."""
+
+    evidence: Evidence | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Case:
     """Everything that the diagnosis computes with.
@@ -73,6 +80,7 @@ class Case:
     units: Array | None = None
     assumed: tuple[str, ...] = ()
     form: Form = PLAIN
+    selected: Selected = field(init=False, repr=False, default_factory=Selected)
 
     @property
     def one_end(self) -> bool:
@@ -103,10 +111,12 @@ class Case:
         e = self.evidence
         return e.r if e.size is None else e.r * e.size
 
-    @cached_property
+    @property
     def evidence(self) -> Evidence:
         """Residuals and columns of the poses that are no outliers."""
-        return self.whole if self.kept.all() else self.whole.at(np.flatnonzero(self.kept))
+        if self.selected.evidence is None:
+            self.selected.evidence = self.whole if self.kept.all() else self.whole.at(np.flatnonzero(self.kept))
+        return self.selected.evidence
 
     @cached_property
     def progress(self) -> Array:
@@ -135,7 +145,7 @@ class Case:
 
     def _with_evidence(self, known: Evidence) -> Case:
         """The case itself, whose problem without outliers is made already."""
-        vars(self)["evidence"] = known
+        self.selected.evidence = known
         return self
 
     def prior_parts(self, prior: Prior) -> tuple[Array, Array, list[tuple[Array, Array]]]:
