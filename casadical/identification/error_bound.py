@@ -91,8 +91,7 @@ def _scores(r: Array, J: Array, out: Array, whole: NormalSums, doubts: Doubts) -
     others = whole.less(normal_sums(r[out], J[out]))
     d = _refitted(others, doubts)
     s2, M = _moment(others.moved(d), doubts)
-    spread = np.einsum("nip,pq,niq->n", J[out], M, J[out], optimize=True)  # tr(J M J') of each pose
-    return np.asarray(np.linalg.norm(r[out] + J[out] @ d, axis=1) / np.sqrt(3 * s2 + spread))
+    return np.asarray(np.linalg.norm(r[out] + J[out] @ d, axis=1) / np.sqrt(3 * s2 + _spread(J[out], M)))
 
 
 def _by_region(q: Array) -> list[Array]:
@@ -167,6 +166,11 @@ def posterior_of(sums: NormalSums, doubts: Doubts, rounds: int = ROUNDS) -> tupl
         for joint in doubts.joints:
             variance[joint] = np.mean(mean[joint] ** 2 + np.diag(S)[joint])
     return s2, mean, S, variance
+
+
+def _spread(J: Array, M: Array) -> Array:
+    """tr(J M J') of each pose."""
+    return np.asarray(np.einsum("nip,pq,niq->n", J, M, J, optimize=True))
 
 
 def _cut(M: Array, rest: float, J: Array) -> Array:

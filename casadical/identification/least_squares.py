@@ -45,8 +45,6 @@ FRAMES = ("base", "tool")
 KEPT = 2_000_000
 
 _Part = tuple[int, Array, Array]
-# What a problem has computed once and for all that another loss leaves as it is.
-_OF_ANY_LOSS = {"labels", "points", "blocks"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,18 +67,24 @@ class LeastSquares:
     known: tuple[tuple[tuple[str, ...], Array], ...] = ()
     kept: Kept = field(default_factory=Kept, init=False, repr=False)
 
-    @cached_property
+    @property
     def labels(self) -> tuple[str, ...]:
         """Names of all unknown points."""
+        return self.kept.once("labels", self._labels)
+
+    def _labels(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(name for k in range(len(self.sets)) for name in self.pose_labels(k)))
 
     def pose_labels(self, k: int) -> list[str]:
         m = self.sets[k]
         return [f"{k}/{name}" for name in find_kind(m.kind).point_names(m.arrays)]
 
-    @cached_property
+    @property
     def points(self) -> Array:
         """Start of every unknown point, shape (K, 3) [m]."""
+        return self.kept.once("points", self._points)
+
+    def _points(self) -> Array:
         start: dict[str, Array] = {}
         for k, m in enumerate(self.sets):
             if labels := self.pose_labels(k):
@@ -88,8 +92,11 @@ class LeastSquares:
                 start |= dict(zip(labels, find_kind(m.kind).point_starts(m.arrays, p), strict=True))
         return np.array([start[name] for name in self.labels]).reshape(-1, 3)
 
-    @cached_property
+    @property
     def blocks(self) -> tuple[Block, ...]:
+        return self.kept.once("blocks", self._blocks)
+
+    def _blocks(self) -> tuple[Block, ...]:
         index = {name: k for k, name in enumerate(self.labels)}
         made = []
         for k, (m, (sigma, sigma_angle)) in enumerate(zip(self.sets, self.sigmas, strict=True)):
@@ -211,8 +218,8 @@ class LeastSquares:
         scale = 0.5 * self.residual_count
         if start is None and self.priors and len(self.names) > WIDE:
             start = self._approached()
-        creeps = bool(self.guesses.any() or self.known)  # along what priors hold, where little is left to gain
-        settled = (lambda v: self.decrement(v) < SETTLED) if creeps else None
+        creeps = bool(self.guesses.any() or self.known)
+        settled = self._settled if creeps else None
         solution = minimise(
             self.cost, self.gradient, *self.bounds, scale=scale, start=start, progress=progress, settled=settled
         )
@@ -233,6 +240,10 @@ class LeastSquares:
             v, cost = closer, then
         return v
 
+    def _settled(self, v: Array) -> bool:
+        """Whether little is left to gain, where what priors hold makes the search creep."""
+        return self.decrement(v) < SETTLED
+
     def cost(self, v: Array) -> float:
         """Half the sum of squares at v, through the robust loss, with the priors.
 
@@ -242,11 +253,12 @@ class LeastSquares:
         last = self.kept.sums
         if last.point is None or last.holds(v) or self.kept.gradient.holds(last.point):
             return self._sums(v).cost + 0.5 * self.prior_square(v)
-        return self.kept.cost(v, self._cost)
+        return float(self.kept.cost(v, self._cost))
 
     def gradient(self, v: Array) -> tuple[Array, Array]:
         """Gradient and Gauss-Newton Hessian of the cost at v, shapes (size,) and (size, size)."""
-        return self.kept.gradient(v, self._gradient)
+        both: tuple[Array, Array] = self.kept.gradient(v, self._gradient)
+        return both
 
     def _gradient(self, v: Array) -> tuple[Array, Array]:
         sums = self._sums(v)
@@ -264,7 +276,7 @@ class LeastSquares:
         if of is not None:
             return reduce(_with_rows, (J[:, of] for _, _, J in self._parts(v)), np.zeros((0, len(of))))
         last = self.kept.sums
-        known = last.answer if last.holds(v) else None
+        known: Sums | None = last.answer if last.holds(v) else None
         if known is None or known.triangle is None:
             known = last.keep(v, self._summed(v, triangle=True))
         assert known.triangle is not None
@@ -301,7 +313,8 @@ class LeastSquares:
         return [np.concatenate(some) if len(some) > 1 else some[0] for some in of_set.values()]
 
     def _sums(self, v: Array) -> Sums:
-        return self.kept.sums(v, self._summed)
+        sums: Sums = self.kept.sums(v, self._summed)
+        return sums
 
     def _summed(self, v: Array, *, triangle: bool = False) -> Sums:
         cost = square = 0.0
@@ -348,7 +361,8 @@ class LeastSquares:
         """
         if self.residual_count * self.size > KEPT:
             return self._evaluated(v)
-        return self.kept.parts(v, lambda v: tuple(self._evaluated(v)))
+        parts: tuple[_Part, ...] = self.kept.parts(v, lambda v: tuple(self._evaluated(v)))
+        return parts
 
     def _evaluated(self, v: Array) -> Iterator[_Part]:
         x, u = self.separate(v)
@@ -489,7 +503,8 @@ class LeastSquares:
 
     def redundancies(self, v: Array) -> Array:
         """Degrees of freedom of each observed number, one less its leverage; they sum to those of the fit."""
-        return self.kept.redundancies(v, self._redundancies)
+        shares: Array = self.kept.redundancies(v, self._redundancies)
+        return shares
 
     def _redundancies(self, v: Array) -> Array:
         inverse = scaled_inverse(self.gradient(v)[1])
@@ -503,14 +518,13 @@ class LeastSquares:
     def from_points(self, points: Array) -> LeastSquares:
         """With other starts of the unknown points, shape (K, 3) [m]."""
         other = replace(self)
-        vars(other)["points"] = points
+        other.kept.made.update(points=points)
         return other
 
     def with_loss(self, loss: Loss) -> LeastSquares:
         """With another loss: data, points, which parameters are independent, and residuals at the start stay."""
         other = replace(self, loss=loss)
-        vars(other).update({name: vars(self)[name] for name in _OF_ANY_LOSS & vars(self).keys()})
-        other.kept.independent = self.kept.independent
+        other.kept.made.update(self.kept.made)
         if parts := self.kept.parts.at_zero:
             zero = np.zeros(self.size)
             other.kept.parts.keep(zero, parts)
@@ -520,13 +534,13 @@ class LeastSquares:
     def with_names(self, names: Sequence[str]) -> LeastSquares:
         """With others of the robot's parameters: data and, of some of the same, the sums at the start stay."""
         other = replace(self, names=tuple(names))
-        if "blocks" in vars(self):
+        if "blocks" in self.kept.made:
             blocks = tuple(block.with_names(self.robot, other.names) for block in self.blocks)
-            vars(other).update(labels=self.labels, points=self.points, blocks=blocks)
+            other.kept.made.update(labels=self.labels, points=self.points, blocks=blocks)
         place_of = {name: k for k, name in enumerate(self.names)}
         if (sums := self.kept.sums.at_zero) and place_of.keys() >= set(other.names):
             columns = [*(place_of[n] for n in other.names), *range(len(self.names), self.size)]
-            other.kept.sums.keep(np.zeros(other.size), sums.for_variables(columns))
+            other.kept.sums(np.zeros(other.size), lambda _: sums.for_variables(columns))
             other.gradient(np.zeros(other.size))
         return other
 
@@ -550,13 +564,13 @@ class Linearised(LeastSquares):
         """A problem about the point v, with another loss."""
         own = {f.name: getattr(problem, f.name) for f in fields(LeastSquares) if f.init}
         made = cls(**own | {"loss": loss}, of=problem, at=v)
-        vars(made).update(labels=problem.labels, points=problem.points)
+        made.kept.made.update(labels=problem.labels, points=problem.points)
         return made
 
     def with_sigmas(self, sigmas: tuple[tuple[float, float], ...]) -> Linearised:
         """The same with other sigmas, one of a coordinate [m] and of an angle [rad] for each set."""
         other = replace(self, sigmas=sigmas)
-        vars(other).update(labels=self.labels, points=self.points)
+        other.kept.made.update(labels=self.labels, points=self.points)
         return other
 
     def settled(self, v: Array) -> Array:

@@ -17,7 +17,6 @@ from casadical.core.transforms import frame, from_xyz, nearest_rotation, to_xyz
 from casadical.identification.accuracy import predicted
 from casadical.identification.least_squares import LeastSquares, first_sigmas
 from casadical.measurements.measurements import Measurements
-from casadical.robot.parameter_list import SIX
 from casadical.robot.robot import Robot
 
 OWN_TOOL, TURN, SHIFT = 0.1, 0.3, 100.0
@@ -157,7 +156,7 @@ ROUNDS = 3
 FEWEST = 6
 # Weight [m^2] of the rotation before, where the points determine none.
 TIE = 1e-9
-TOOL = SIX["tool"][:3]
+TOOL = ("tool_x", "tool_y", "tool_z")
 
 
 def place_frames(robot: Robot, m: Measurements | Sequence[Measurements]) -> Robot:
@@ -224,8 +223,11 @@ def _by_distances(robot: Robot, sets: Sequence[Measurements]) -> Robot:
         return _by_unknown_places(robot, sets)
     step = max(1, sum(len(m) for m in known) // START_POSES)
     T, tool = robot.base.T, robot.tool.T[:3, 3]
-    some = [m[::step] for m in known]
-    readings = [Readings(*_flange(robot, m, T), m.arrays["distance"], m.target) for m in some]
+    readings = []
+    for m in known:
+        some = m[::step]
+        assert some.distance is not None
+        readings.append(Readings(*_flange(robot, some, T), some.distance, some.target))
     held = Held(readings, T, tool, tool_known=robot.tool.unknown == "none")
     best = held.best(held.starts())
     T_E = frame(robot.tool.T[:3, :3], best.t)
@@ -280,7 +282,8 @@ def _point_at(placed: Robot, m: Measurements) -> Array:
 def _flange(robot: Robot, m: Measurements, T_M0: Array) -> tuple[Array, Array]:
     """Flange positions, shape (n, 3), and orientations, shape (n, 3, 3), in the base frame, with the base at T_M0."""
     turn = np.linalg.inv(robot.base.T) @ T_M0
-    values = dict(zip(SIX["base"], (*turn[:3, 3], *to_xyz(turn[:3, :3])), strict=True))
+    values = dict(zip(("base_x", "base_y", "base_z"), turn[:3, 3], strict=True))
+    values |= dict(zip(("base_rx", "base_ry", "base_rz"), to_xyz(turn[:3, :3]), strict=True))
     p, R = predicted(robot, m, values)
     R = T_M0[:3, :3].T @ R @ robot.tool.T[:3, :3].T
     return (p - T_M0[:3, 3]) @ T_M0[:3, :3] - R @ robot.tool.T[:3, 3], R

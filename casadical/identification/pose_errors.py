@@ -144,8 +144,7 @@ def errors_by_pose(poses: PoseErrors, name: str = "errors", caption: str = "", f
     beyond = sorted({int(row) for left in drawn for row in some.row[left.length > top]})
     marks = []
     if beyond:
-        more = f" and {len(beyond) - 4} more" if len(beyond) > 4 else ""
-        text = f"triangles: beyond the axis, row{'s' if beyond[1:] else ''} {', '.join(map(str, beyond[:4]))}{more}"
+        text = f"triangles: beyond the axis, row{'s' if beyond[1:] else ''} {_few(beyond)}"
         marks.append(Note(text, 0, 1, "xy", "above", colour="muted", size=11))
     title = f"row, {len(some)} of {len(poses)} drawn" if len(some) < len(poses) else f"row of {_short(poses.source)}"
     x, y = Axis(title, ends, count=8, whole=True, grid=False), Axis("error [mm]", (0, 1.06e3 * top))
@@ -164,6 +163,10 @@ def _points(some: PoseErrors, left: ModelErrors, low: float, top: float, size: f
         shown=left.shown, facts=1e3 * left.length.round(8),
         tip=f"<b>{left.words}</b>, row %{{x}}: %{{customdata:.3f}} mm",
     )  # fmt: skip
+
+
+def _few(rows: Sequence[int], most: int = 4) -> str:
+    return ", ".join(map(str, rows[:most])) + (f" and {len(rows) - most} more" if len(rows) > most else "")
 
 
 def _short(source: str) -> str:

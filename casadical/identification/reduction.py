@@ -22,7 +22,6 @@ from casadical.identification.plausibility import undefined
 from casadical.identification.residuals import POINT_SCALE
 from casadical.identification.solver import Progress, Solution
 from casadical.measurements.kinds.registry import find_kind
-from casadical.robot.parameter_list import SIX
 
 Solved = tuple[LeastSquares, Solution, Identifiability]
 # Optima of earlier problems, by the names of their variables: parameters and points.
@@ -220,7 +219,7 @@ def reduce_and_solve(
     solve ends, is added: the compliance of an upright first axis, once the base is found to be tilted. Raises
     InputError where the data determine no parameter at all, or are no more numbers than there are unknowns.
     """
-    analysis = problem.kept.independent = problem.kept.independent or independent_parameters(problem)
+    analysis = problem.kept.once("independent", lambda: independent_parameters(problem))
     reduced = problem.with_names(analysis.independent)
     if not problem.priors and reduced.degrees_of_freedom <= 0:
         raise InputError(
@@ -320,7 +319,15 @@ def _poor_at_start(problem: LeastSquares) -> list[Unidentifiable]:
 
 
 # They move the robot as a whole.
-_WHOLE_ROBOT = ("alpha0", "a0", "beta0", "b0", "d1", "theta1", *SIX["base"])
+_WHOLE_ROBOT = (
+    "alpha0",
+    "a0",
+    "beta0",
+    "b0",
+    "d1",
+    "theta1",
+    *(f"base_{c}" for c in ("x", "y", "z", "rx", "ry", "rz")),
+)
 
 
 def independent_parameters(problem: LeastSquares) -> Identifiability:

@@ -3,7 +3,7 @@
 The first session has the robot's own base and tool; each further one is an effect (`effects.Session`): its departures.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -82,7 +82,8 @@ def place_sessions(robot: Robot, sets: Sequence[Measurements]) -> Robot:
             continue
         there = place_frames(placed, own)
         moved = np.linalg.solve(placed.base.T, there.base.T)
-        values |= _named(effect, ("x", "y", "z", "rx", "ry", "rz"), [*moved[:3, 3], *to_xyz(moved[:3, :3])])
+        values |= _named(effect, ("x", "y", "z"), moved[:3, 3])
+        values |= _named(effect, ("rx", "ry", "rz"), to_xyz(moved[:3, :3]))
         if effect.tool_too:
             values |= _named(effect, ("tool_x", "tool_y", "tool_z"), there.tool.T[:3, 3] - placed.tool.T[:3, 3])
     return replace(robot, base=placed.base, tool=placed.tool, targets=placed.targets, effect_values=values)
@@ -118,5 +119,5 @@ def _first(sets: Sequence[Measurements], sessions: Sequence[Session], inside: bo
     return None
 
 
-def _named(effect: Session, names: Sequence[str], values: Iterable[float]) -> dict[str, float]:
+def _named(effect: Session, names: Sequence[str], values: Array) -> dict[str, float]:
     return {f"{effect.label}.{name}": float(v) for name, v in zip(names, values, strict=True)}

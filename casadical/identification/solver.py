@@ -4,13 +4,12 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
 
 from casadical.core.basics import Array, ConvergenceError
-from casadical.identification.identifiability import Identifiability
 
 Progress = Callable[[int, float], None]
 
@@ -131,7 +130,7 @@ class _Solver:
         point = {name: sizes.get(name, ca.Sparsity(0, 1)) for name in ca.nlpsol_out()}
         watch = _Evaluation("watch", point, {"stop": number}, self._stop)
         options: dict[str, Any] = {
-            **({"iteration_callback": watch} if watched else {}),
+            "iteration_callback": watch,
             "grad_f": g,
             "hess_lag": h,
             "calc_lam_p": False,
@@ -156,6 +155,8 @@ class _Solver:
                 "acceptable_obj_change_tol": 1e-9,
             },
         }
+        if not watched:
+            del options["iteration_callback"]
         self._keep = f, g, h, watch
         self._solve = ca.nlpsol("identify", "ipopt", {"x": v, "f": f(v)}, options)
         # Numbers go in and out through memory of its own, without CasADi's conversions.
@@ -257,35 +258,42 @@ class Sums:
         return Sums(self.cost, self.gradient[at], self.information[np.ix_(at, at)], self.square, self.residuals)
 
 
-class Last(Generic[T]):
+class Last:
     """The last answer of a function of a point, shape (size,), and that point."""
 
     point: Array | None = None
-    answer: T | None = None
+    answer: Any = None
 
     def holds(self, v: Array) -> bool:
         """Whether v is that point, to the bit."""
         return self.point is not None and self.point.tobytes() == v.tobytes()
 
     @property
-    def at_zero(self) -> T | None:
+    def at_zero(self) -> Any:
         """The answer, if it is that at zero; else None."""
         return None if self.point is None or self.point.any() else self.answer
 
-    def __call__(self, v: Array, compute: Callable[[Array], T]) -> T:
+    def __call__(self, v: Array, compute: Callable[[Array], Any]) -> Any:
         """Its answer at v, computed where v is another point."""
-        return self.answer if self.answer is not None and self.holds(v) else self.keep(v, compute(v))
+        return self.answer if self.holds(v) else self.keep(v, compute(v))
 
-    def keep(self, v: Array, answer: T) -> T:
+    def keep(self, v: Array, answer: Any) -> Any:
         """An answer at v that was computed elsewhere."""
         self.point, self.answer = v.copy(), answer
         return answer
 
 
 class Kept:
-    """What a problem has computed: last, at one point each, and once for all which parameters are independent."""
+    """What a problem has computed: once and for all, by name, and last at one point."""
 
     def __init__(self) -> None:
-        self.sums, self.parts = Last[Sums](), Last[tuple[tuple[int, Array, Array], ...]]()
-        self.gradient, self.cost, self.redundancies = Last[tuple[Array, Array]](), Last[float](), Last[Array]()
-        self.independent: Identifiability | None = None
+        self.made: dict[str, Any] = {}
+        self.sums, self.parts, self.gradient, self.cost = Last(), Last(), Last(), Last()
+        self.redundancies = Last()
+
+    def once(self, name: str, compute: Callable[[], T]) -> T:
+        """What was computed under this name, or now."""
+        if name not in self.made:
+            self.made[name] = compute()
+        answer: T = self.made[name]
+        return answer
