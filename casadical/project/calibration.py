@@ -178,11 +178,12 @@ class Calibration(Result):
 
     def figures(self) -> dict[str, Figure]:
         """Every figure, by name: of errors, workspace, where the gap lies, parameters, fit and training."""
-        return {figure.name: figure for figure in calibration_figures(self)}
+        every = calibration_figures(self.problem, self.identifications, self.networks, self.where)
+        return {figure.name: figure for figure in every}
 
     def page(self) -> Page:
         """Words, tables and figures as `casadical calibrate --report` writes them."""
-        return calibration_page(self)
+        return calibration_page(self.problem, self.identifications, self.accuracies, self.networks, self.figures())
 
     def to_json(self) -> dict[str, Any]:
         """The same as plain data: per method and set the error figures, per parameter value, error, unit, status."""
@@ -253,9 +254,11 @@ class Calibration(Result):
 
 def with_knowledge(found: Identification) -> Robot:
     """The calibrated robot with its covariance, and the bound of the error that remains, where poses are enough."""
-    robot = found.robot
-    if not robot.effects:
-        robot = replace(robot, knowledge=replace(found.knowledge, misfit=misfit_of(found)))
+    robot = (
+        found.robot
+        if found.robot.effects
+        else replace(found.robot, knowledge=replace(found.knowledge, misfit=misfit_of(found)))
+    )
     with suppress(InputError):
         return replace(robot, bound=learn_bound(found))
     return robot

@@ -1,10 +1,7 @@
 """A calibration as a page: its words, tables and figures in the order in which a reader asks."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -36,13 +33,18 @@ from casadical.identification.result import Identification, LeftOut, without_pos
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.project.networks import Networks
-from casadical.project.outcome import error_tables, judged_on, left_out_table, network_tables, paper_tables, verdict
+from casadical.project.outcome import (
+    Accuracies,
+    error_tables,
+    judged_on,
+    left_out_table,
+    network_tables,
+    paper_tables,
+    verdict,
+)
 from casadical.project.problem import Problem
 from casadical.project.telling import problem_files
 from casadical.robot.robot import Robot
-
-if TYPE_CHECKING:
-    from casadical.project.calibration import Calibration
 
 BEFORE = "before"
 # Of more poses than this, drawn at random, where the gap lies is told.
@@ -80,41 +82,45 @@ _CAUSES = (
     "the order of measuring, with payload and temperature where they were logged:"
 )
 _CAMPAIGN = "CAMPAIGN.csv --report diagnosis.html"
+Identifications = Mapping[str, Identification]
 
 
-def used_poses(problem: Problem, results: Mapping[str, Identification]) -> dict[str, Measurements]:
+def used_poses(problem: Problem, results: Identifications) -> dict[str, Measurements]:
     """Every set by name, without the poses that any method left out: all methods are judged on the same poses."""
     kept = iter(without_poses(problem.sets["identify"], {p for r in results.values() for p in r.outliers}))
     return {name: next(kept) if name.split("/")[0] == "identify" else m for name, m in problem.parts()}
 
 
-def pose_errors(c: Calibration) -> dict[str, PoseErrors]:
+def pose_errors(problem: Problem, results: Identifications, networks: Networks | None = None) -> dict[str, PoseErrors]:
     """For every set of a problem, report first: what placement, each method and each network leave at its poses.
 
     Of the poses by which all methods are judged. Refused networks are there as they were trained, and say so.
     """
-    order, by_name = list(SETS), {}
-    whole, used = dict(c.problem.parts()), used_poses(c.problem, c.identifications)
+    order, robot = list(SETS), list(results.values())[-1].robot
+    by_name = {}
+    whole, used = dict(problem.parts()), used_poses(problem, results)
     for name in sorted(used, key=lambda name: order.index(name.split("/")[0])):
         m, every = used[name], whole[name]
         out = ~np.isin(every.row, m.row)
-        rows = zip(every.row[out], errors(c.robot, every)[out], strict=True)
+        rows = zip(every.row[out], errors(robot, every)[out], strict=True)
         left_out = tuple(LeftOut(every.source, int(row), float(e)) for row, e in rows)
-        models = tuple(_models(c, m))
+        models = tuple(_models(m, problem, results, networks))
         by_name[name] = PoseErrors(name, name.startswith("report"), m.row, m.q, m.position, models, m.source, left_out)
     return by_name
 
 
-def _models(c: Calibration, m: Measurements) -> Iterator[ModelErrors]:
-    yield _errors_of(BEFORE, c.identification.placed, m)
-    for method, result in c.identifications.items():
+def _models(
+    m: Measurements, problem: Problem, results: Identifications, networks: Networks | None
+) -> Iterator[ModelErrors]:
+    yield _errors_of(BEFORE, list(results.values())[-1].placed, m)
+    for method, result in results.items():
         yield _errors_of(method, result.robot, m)
-    paper = c.problem.paper
+    paper = problem.paper
     published = {*paper.calibration, *paper.validation} if paper else set()
-    for trained in c.networks.results.values() if c.networks else ():
+    for trained in networks.results.values() if networks else ():
         network = trained.compensator.trained if trained.compensator else None
         if network and m.position is not None:
-            rest = 1e-3 * (residual_mm(c.identifications["SKCM"].robot, m) - network.output_mm(m.q))
+            rest = 1e-3 * (residual_mm(results["SKCM"].robot, m) - network.output_mm(m.q))
             note, name = "" if trained.helps else "refused", trained.method
             length, shown = np.linalg.norm(rest, axis=1), trained.helps or trained.method in published
             yield ModelErrors(name, length, rest, note, shown, network_style(name))
@@ -142,14 +148,16 @@ def where_left(result: Identification) -> Localisation | None:
     return localise_residual(make_case(result, ()), Noise(result.sigmas[0][0], 0.0), np.zeros(0, dtype=np.int64))
 
 
-def calibration_figures(c: Calibration) -> Iterator[Figure]:
-    """Every figure of a calibration: what the data do not hold is not there.
+def calibration_figures(
+    problem: Problem, results: Identifications, networks: Networks | None, where: Localisation | None
+) -> Iterator[Figure]:
+    """Every figure of a calibration: what the data do not hold is not there; where : as of `where_left`.
 
     errors/SET and distribution/SET for each set of poses; workspace; where/TABLE as `Diagnosis.where` names them (of
     measured positions); parameters/lengths, /angles, /compliance; fit/residuals, /coverage, /pairs; training.
     """
-    last, poses = c.identification, pose_errors(c)
-    trained = c.networks.results.values() if c.networks else ()
+    last, poses = list(results.values())[-1], pose_errors(problem, results, networks)
+    trained = networks.results.values() if networks else ()
     more = _EACH + (_OUT if any(p.left_out for p in poses.values()) else "")
     more += _REFUSED if any(r.compensator and not r.helps for r in trained) else ""
     for name, of_set in poses.items():
@@ -159,12 +167,12 @@ def calibration_figures(c: Calibration) -> Iterator[Figure]:
     spatial = next((p for p in poses.values() if p.position is not None), None)
     if spatial is not None:
         yield workspace(spatial, last.robot, _SPACE)
-    if c.where:
-        yield from where_figures(c.where)
+    if where:
+        yield from where_figures(where)
     yield from parameter_figures(last)
-    yield from fit_figures(last, {SETS.get(name, name): parts for name, parts in c.problem.sets.items()})
-    if c.networks and any(r.compensator for r in trained):
-        yield training_history(c.networks)
+    yield from fit_figures(last, {SETS.get(name, name): parts for name, parts in problem.sets.items()})
+    if networks and any(r.compensator for r in trained):
+        yield training_history(networks)
 
 
 def training_history(networks: Networks) -> Figure:
@@ -189,57 +197,70 @@ def training_history(networks: Networks) -> Figure:
     return Figure("training", "Training history", series, x, y, 380, _TRAINING)
 
 
-def calibration_page(c: Calibration) -> Page:
-    """One problem's page."""
-    problem, last, networks, figures = c.problem, c.identification, c.networks, c.figures()
-    errors = [*left_out_table(c.identifications), *error_tables(problem, c.accuracies, networks)]
+def calibration_page(
+    problem: Problem,
+    results: Identifications,
+    accuracies: Accuracies,
+    networks: Networks | None,
+    figures: Mapping[str, Figure],
+) -> Page:
+    """One problem's page; results, accuracies : by method; figures : by name."""
+    last = list(results.values())[-1]
+    errors = [*left_out_table(results), *error_tables(problem, accuracies, networks)]
     each = [figure for name, figure in figures.items() if name.startswith(("errors/", "distribution/report"))]
     kinds = ", ".join(sorted({m.kind for parts in problem.sets.values() for m in parts}))
     no_map = f"The data are of the kind {kinds}: they do not say where each point is, so there is no map."
-    trained = network_tables(networks) if networks else []
     sections = [
-        Section("Verdict", [*_verdict(c)]),
-        Section("Errors before and after", [*errors, *paper_tables(problem.paper, c.accuracies, networks)]),
+        Section("Verdict", [*_verdict(problem, results, accuracies, networks)]),
+        Section("Errors before and after", [*errors, *paper_tables(problem.paper, accuracies, networks)]),
         Section("Error of each pose", each),
         Section("In the workspace", shown(figures, "workspace") or [Words(no_map, "note")]),
         Section("Where the gap lies", [*_where(shown(figures, "where"), last)]),
         Section("Which causes", [Words(_CAUSES, code=f"casadical diagnose {problem.folder} {_CAMPAIGN}")]),
         Section("Parameters", [*_parameters(shown(figures, "parameters"), last)]),
         Section("Can the fit be trusted", shown(figures, "fit")),
-        Section("Training of the networks", [*trained, *shown(figures, "training")]),
+        Section(
+            "Training of the networks",
+            [*network_tables(networks), *shown(figures, "training")] if networks else [],
+        ),
         Section("What to measure next", [*_next(problem, last)]),
     ]
     badges = ["synthetic data"] if problem.data == "synthetic" else []
     subtitle = f"{problem.robot.name}, {problem.origin}"
-    method, before, after, held = judged_on(c.accuracies)
-    poses = f"{after.n} held-out poses" if held else f"{after.n} poses, not held out"
-    tiles = (
-        Tile("Mean error before", mm(before.mean), "mm", "base and tool fitted"),
-        Tile(f"Mean error after {method}", mm(after.mean), "mm", poses),
-        Tile("95 % of the poses below", mm(after.p95), "mm", f"{method}; before {mm(before.p95)} mm"),
-        Tile("Largest error", mm(after.max), "mm", f"{method}; before {mm(before.max)} mm"),
-    )
+    tiles = [*_tiles(accuracies)]
     return Page("Calibration", problem.title, subtitle, sections, tiles, badges, problem_files(problem))
 
 
-def _verdict(c: Calibration) -> Iterator[Words]:
-    yield from verdict(c.problem, c.accuracies)
-    for result in c.identifications.values():
+def _tiles(accuracies: Accuracies) -> Iterator[Tile]:
+    method, before, after, held = judged_on(accuracies)
+    poses = f"{after.n} held-out poses" if held else f"{after.n} poses, not held out"
+    yield Tile("Mean error before", mm(before.mean), "mm", "base and tool fitted")
+    yield Tile(f"Mean error after {method}", mm(after.mean), "mm", poses)
+    yield Tile("95 % of the poses below", mm(after.p95), "mm", f"{method}; before {mm(before.p95)} mm")
+    yield Tile("Largest error", mm(after.max), "mm", f"{method}; before {mm(before.max)} mm")
+
+
+def _verdict(
+    problem: Problem, results: Identifications, accuracies: Accuracies, networks: Networks | None
+) -> Iterator[Words]:
+    yield from verdict(problem, accuracies)
+    for result in results.values():
         bad = result.at_bounds or "DOES NOT FIT" in result.verdict
         yield Words(result.verdict, "warning" if bad else "text")
-    yield how_sure(c.identification)
-    trained = [r for r in c.networks.results.values() if r.compensator] if c.networks else []
+    yield how_sure(list(results.values())[-1])
+    trained = [r for r in networks.results.values() if r.compensator] if networks else []
     yield from (Words(r.verdict) for r in trained if r.helps)
     if refused := [r.method for r in trained if not r.helps]:
         yield Words(f"Networks that make other poses worse or no better, and were refused: {', '.join(refused)}.")
-    yield from (Words(note, "note") for note in c.problem.robot.notes)
+    yield from (Words(note, "note") for note in problem.robot.notes)
 
 
 def _where(figures: Iterable[Figure], result: Identification) -> Iterator[Block]:
     if not figures:
         yield Words("Localising the gap needs exactly one set of measured positions.", "note")
         return
-    poses = "the poses" if len(result.measurements[0]) <= MOST_LOCATED else f"{MOST_LOCATED} of the poses"
+    most = MOST_LOCATED
+    poses = "the poses" if len(result.measurements[0]) <= most else f"{most} of the poses"
     yield Words(f"Of what {result.method} leaves at {poses} it was identified from. Bars are 95 % intervals.", "note")
     yield from figures
 
