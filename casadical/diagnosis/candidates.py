@@ -189,9 +189,9 @@ def gathered_by_columns(missing: Mapping[str, Sequence[str]]) -> dict[str, str]:
 
 
 def gathered(labels: Iterable[str]) -> str:
-    """Labels with the joints of each effect side by side: backlash@2,3, frame_drift."""
-    joints: dict[str, list[str]] = {}
+    """Labels with the joints of each effect side by side: backlash@2,3, backlash, frame_drift."""
+    joints: dict[tuple[str, str], list[str]] = {}
     for label in map(str, labels):
-        name, _, joint = label.partition("@")
-        joints.setdefault(name, []).append(joint)
-    return ", ".join(f"{name}@{','.join(js)}" if js[0] else name for name, js in joints.items())
+        name, at, joint = label.partition("@")
+        joints.setdefault((name, at), []).append(joint)
+    return ", ".join(f"{name}{at}{','.join(js)}" for (name, at), js in joints.items())

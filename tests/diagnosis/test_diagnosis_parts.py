@@ -20,7 +20,7 @@ from casadical.core import file_locks
 from casadical.core.linear_gaussian.grid import NEGLIGIBLE, log_gain
 from casadical.core.transforms import frame, from_rpy
 from casadical.diagnosis import bootstrap
-from casadical.diagnosis.candidates import Candidate, candidates_of, standard_candidates
+from casadical.diagnosis.candidates import Candidate, candidates_of, gathered, standard_candidates
 from casadical.diagnosis.conclusion import rivals_of
 from casadical.diagnosis.details import analyse
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, SIGMAS, KnownNoise, log_known
@@ -374,3 +374,8 @@ def test_a_prior_of_correlated_parameters_is_one_of_independent_units() -> None:
     expected[np.ix_([1, 3], [1, 3])] = C
     assert_allclose(spread, expected, rtol=1e-9, atol=1e-25)
     assert_allclose(found.whole.J, case.whole.J @ found.units, rtol=1e-12)
+
+
+def test_joints_of_an_effect_are_side_by_side_and_several_at_once_apart() -> None:
+    labels = ["backlash@1", "base_compliance", "backlash@3", "backlash"]
+    assert gathered(labels) == "backlash@1,3, base_compliance, backlash"
