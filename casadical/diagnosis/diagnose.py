@@ -13,7 +13,7 @@ from casadical.diagnosis.candidates import Candidate, candidates_of
 from casadical.diagnosis.changes import changes
 from casadical.diagnosis.conclusion import conclude
 from casadical.diagnosis.evidence import ALL_SIGMAS
-from casadical.diagnosis.laws.contest import claimed_before_causes, replaces_causes, where_noise_follows
+from casadical.diagnosis.laws.contest import claimed_before_causes, replaces_causes
 from casadical.diagnosis.linear_problem import Case, better_ratios, make_case
 from casadical.diagnosis.noise_account import Rule
 from casadical.diagnosis.observations import Ratios
@@ -207,12 +207,9 @@ def _held_against_laws(found: Diagnosis) -> Diagnosis:
     noise = done and found.account.rules in (Rule.FIT, Rule.SHEET) and e.count - e.absorbed >= FEWEST
     if not (effects or noise) or not found.case.one_end or any(e.parts for e in effects):
         return found
-    law = claimed_before_causes(found)
+    law, case = claimed_before_causes(found) or (None, found.case)
     if law and replaces_causes(found, law):
-        state = State(found.case, rankings=found.rankings[:1])
-        follows = where_noise_follows(found.case, found.rankings[0]) if law.form.stays else None
-        if follows:
-            state = State(follows).ranked()
+        state = State(case, rankings=found.rankings[:1]) if case is found.case else State(case).ranked()
         found = conclude(found.identification, state, "unknown", found.seed, found.p_nothing)
     return replace(found, law=law)
 

@@ -102,8 +102,9 @@ def check_refit(found: Diagnosis, show: Show = silent) -> Check:
     """Held-out gap of the nonlinear refit beside that of the linearised model.
 
     Ipopt refits all poses once; each fifth is then left out by a Gauss-Newton step from that optimum: it moves the
-    parameters by a few standard errors at most, within which the model is linear. Raises ConvergenceError: Ipopt finds
-    no optimum.
+    parameters by a few standard errors at most, within which the model is linear.
+
+    Raises ConvergenceError: Ipopt finds no optimum.
     """
     case, effects = found.case, found.effects()
     folds = random_folds(int(case.kept.sum()), found.seed, alike=case.evidence.alike)

@@ -8,6 +8,7 @@ Where an effect leads whose sizes are learnt once it is in the model, its joints
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from operator import itemgetter
 
 import numpy as np
 
@@ -127,18 +128,29 @@ def best_following(case: Case, chosen: Array) -> tuple[Form, Noise, float]:
     return form, likely_noise(grid, e.sigmas), log - float(log_sum(e.log_base(chosen)))
 
 
-def gain_of(case: Case, form: Form, chosen: Array) -> float:
-    """Log evidence of a form over plain noise, beside causes."""
-    log = log_sum(Problem(case.evidence, chosen, case.order).log_likelihood(form))
-    return float(log) - float(log_sum(case.evidence.log_base(chosen)))
+def best_beside_following(case: Case, chosen: Array) -> tuple[str, float]:
+    """The most probable other form of noise where noise follows itself, beside causes, and its log evidence over this.
+
+    Another share, heavy tails beside the same share, or any form without one.
+    """
+    e, problem = case.evidence, Problem(case.evidence, chosen, case.order)
+    own = following(case.form.stays, len(e.r), e.count / len(e.r))  # poses may have been left out since it was found
+    plain, log = float(log_sum(e.log_base(chosen))), float(log_sum(problem.log_likelihood(own)))
+    rivals = [(FOLLOWING, best_following(case, chosen)[2])]
+    rivals += [(f.label, f.log_factor) for f in noise_forms(case, chosen)]
+    if tails := tailed(problem, own):
+        rivals.append((TAILED, float(log_sum(problem.log_likelihood(tails))) - plain))
+    label, gain = best_of(rivals, itemgetter(1), logs=True)
+    return label, gain + plain - log
 
 
-def tailed(problem: Problem) -> Form | None:
-    """The poses that are far out weighed down; None without any."""
+def tailed(problem: Problem, usual: Form | None = None) -> Form | None:
+    """A form, by default the plain one, with the poses that are far out weighed down; None without any."""
+    usual = usual or Form()
     n, numbers = len(problem.e.r), problem.e.count / len(problem.e.r)
     log_odds = np.log(SHARE / (1 - SHARE)) - numbers * np.log(TIMES)
-    times, form = np.ones(n), Form()
-    grid = problem.e.log_base(problem.chosen)
+    times, form = np.ones(n), usual
+    grid = problem.log_likelihood(usual) if usual.stays else problem.e.log_base(problem.chosen)
     for _ in range(FOUND_IN):
         noise = likely_noise(grid, problem.e.sigmas)
         rho = int(np.argmin(np.abs(RHOS - noise.repeatability / noise.sigma)))
@@ -148,6 +160,6 @@ def tailed(problem: Problem) -> Form | None:
             break
         out = int((times > 1).sum())
         weight = out * np.log(SHARE) + (n - out) * np.log(1 - SHARE) - numbers * out * np.log(TIMES)
-        form = Form(times=times, log_weight=float(weight))
+        form = replace(usual, times=times, log_weight=usual.log_weight + float(weight))
         grid = problem.log_likelihood(form)
     return form if (times > 1).any() else None

@@ -99,8 +99,9 @@ def _with_sigmas(case: Case, sets: Sequence[Measurements], noise: Noise) -> list
     seen = case.observations
     square = np.diagonal(case.whole.covariance(noise), axis1=1, axis2=2) * seen.measured
     given = []
-    for k, (m, *at) in enumerate(zip(sets, seen.layout.poses, seen.layout.places, strict=True)):
-        usual = float(np.sqrt(square[*at].sum() / max(1, np.count_nonzero(seen.measured[*at]))))
+    for k, (m, poses, places) in enumerate(zip(sets, seen.layout.poses, seen.layout.places, strict=True)):
+        count = np.count_nonzero(seen.measured[poses, places])
+        usual = float(np.sqrt(square[poses, places].sum() / max(1, count)))
         length, angle = (usual / scale for scale in seen.ratios.of_set(k))
         given.append(replace(m, sigma=length, sigma_angle=angle))
     return given

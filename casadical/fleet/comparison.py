@@ -395,7 +395,7 @@ def _given(
     from_first = np.array([first.values[first.names.index(n)] for n in names])
     departure = (from_first - c.values[shared]) / c.scale[shared] + X @ u
     mean = c.values[rest] / c.scale[rest] + V @ c.score[rest] + G @ departure
-    at = np.searchsorted(rest, [c.names.index(n) for n in own])
+    at = [list(rest).index(c.names.index(n)) for n in own]
     return mean[at], (G @ X)[at], V[np.ix_(at, at)]
 
 

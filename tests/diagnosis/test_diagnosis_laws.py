@@ -45,7 +45,7 @@ from casadical.diagnosis.laws.problem import with_columns as seams_with_columns
 from casadical.diagnosis.laws.search import search_laws
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import linearise
-from casadical.diagnosis.noise_forms import following
+from casadical.diagnosis.noise_forms import TAILED, best_beside_following, following
 from casadical.diagnosis.posterior import rank
 from casadical.diagnosis.text import brief
 from casadical.diagnosis.text import page_of as diagnosis_page
@@ -334,7 +334,7 @@ def test_a_law_is_found_in_noise_that_follows_itself() -> None:
     for k in range(1, len(noise)):
         noise[k] = 0.95 * noise[k - 1] + np.sqrt(1 - 0.95**2) * noise[k]
     hidden = replace(c, whole=replace(c.whole, r=noise + shift))
-    follows = contest.where_noise_follows(hidden, rank(hidden, NONE))
+    follows = contest.as_noise_follows(hidden, rank(hidden, NONE))
     assert follows is not None
     assert follows.form.stays > 0.85
     plain, first = (contest.round_of(case, NONE, rank(case, NONE)) for case in (hidden, follows))
@@ -344,7 +344,25 @@ def test_a_law_is_found_in_noise_that_follows_itself() -> None:
     assert first.form is follows.form
     assert first.noise[1] < 3
     assert (first.best.law.place, first.best.tried.driver.text) == ("joint 2", "tau2*tau3")
-    assert contest.where_noise_follows(c, rank(c, NONE)) is None
+    assert contest.as_noise_follows(c, rank(c, NONE)) is None
+
+
+def test_noise_that_follows_itself_has_rivals_of_its_own() -> None:
+    c, rng = where_noise_follows("kr210-P02", 0.6), np.random.default_rng(7)
+    noise = 20e-6 * rng.standard_normal(c.whole.r.shape)
+    for k in range(1, len(noise)):
+        noise[k] = 0.6 * noise[k - 1] + 0.8 * noise[k]
+    usual = replace(c, whole=replace(c.whole, r=noise.copy()))
+    assert best_beside_following(usual, NONE)[1] < 3
+    noise[rng.choice(len(noise), 6, replace=False)] *= 5
+    label, gain = best_beside_following(replace(c, whole=replace(c.whole, r=noise)), NONE)
+    assert label == TAILED
+    assert gain > 10
+    # Poses that are left out later have no part in how likely this noise is.
+    kept = usual.kept & (np.arange(len(usual.kept)) > 5)
+    fewer = usual.with_kept(kept)
+    anew = fewer.with_form(following(0.6, int(kept.sum())))
+    assert best_beside_following(fewer, NONE)[1] == pytest.approx(best_beside_following(anew, NONE)[1], abs=1e-6)
 
 
 def test_noise_is_a_rival_of_every_law() -> None:

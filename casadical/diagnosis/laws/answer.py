@@ -148,7 +148,8 @@ class Discovery(Result):
             blocks.append(Words("Laws were searched on {} of {} poses.".format(*self.thinned), "note"))
         stays = self.rounds[0].form.stays
         if stays:
-            blocks.append(Words(f"All under noise of which {stays:g} stays from each pose to the next.", "note"))
+            said = f"Nats and factors are under noise of which {stays:.2g} stays from one of these poses to the next."
+            blocks.append(Words(said, "note"))
         blocks.append(Words(NATS, "note"))
         blocks.append(_gaps(self))
         if self.shrink:
@@ -324,6 +325,7 @@ def _round(r: Round) -> dict[str, Any]:
         "within": ALIKE,
         **{kind: {"label": label, "score": round(score, 2)} for kind, (label, score) in rivals.items()},
         "alias_of": list(r.alias),
+        **({"noise_stays": round(r.form.stays, 4)} if r.form.stays else {}),
     }
 
 

@@ -22,7 +22,7 @@ from casadical.diagnosis.evidence import KAPPA_WEIGHTS, RHOS, Evidence
 from casadical.diagnosis.laws.problem import ABOVE, ALIKE, CLAIMED, Problem, Round, Scored, scaled
 from casadical.diagnosis.laws.search import refined_settings, search_laws
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.noise_forms import FOLLOWING, best_following, following, gain_of, noise_forms
+from casadical.diagnosis.noise_forms import best_beside_following, best_following, following, noise_forms
 from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, rank
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.search import FORM_GAIN
@@ -55,45 +55,48 @@ def laws_before_causes(found: Diagnosis) -> Round:
 
     Of the noise's forms that may be there, by the first under which one is claimed, else by the last.
     """
-    for case, ranking in _before_causes(found):
+    for _, case, ranking in _before_causes(found):
         first = round_of(case, NONE, ranking)
         if first.claimed:
             break
     return first
 
 
-def claimed_before_causes(found: Diagnosis) -> Round | None:
-    """The same where a law is claimed, else None; laws that rivals outdo for certain are not looked at closely."""
-    for case, ranking in _before_causes(found):
+def claimed_before_causes(found: Diagnosis) -> tuple[Round, Case] | None:
+    """The same where a law is claimed, and the case as its noise moves it, else None.
+
+    Laws that rivals outdo for certain are not looked at closely.
+    """
+    for whole, case, ranking in _before_causes(found):
         # With their settings refined rivals have still more.
         least = max(CLAIMED, max(ranking.log_factor.values()) + ABOVE)
         laws = search_laws(case, NONE, least=least - ALIKE)
         if laws and laws[0].score >= least:
             first = _judged(laws, case, NONE, ranking)
             if first.claimed:
-                return first
+                return first, whole
     return None
 
 
-def _before_causes(found: Diagnosis) -> Iterator[tuple[Case, Ranking]]:
-    """The case and its ranking before any cause is in the model.
+def _before_causes(found: Diagnosis) -> Iterator[tuple[Case, Case, Ranking]]:
+    """The case, the same of some of its poses, and their ranking before any cause is in the model.
 
     Where there is no cause and noise follows itself, first as if it did not: a law may be what follows. Then as it
     does: a law may be hidden in it.
     """
     case, ranking = thinned(found.case), found.rankings[0]
-    yield case, ranking if case is found.case else rank(case, NONE)
-    follows = None if found.effects() else where_noise_follows(found.case, ranking)
+    yield found.case, case, ranking if case is found.case else rank(case, NONE)
+    follows = None if found.effects() else as_noise_follows(found.case, ranking)
     if follows:
         case = thinned(follows)
-        yield case, rank(case, NONE)
+        yield follows, case, rank(case, NONE)
 
 
-def where_noise_follows(case: Case, ranking: Ranking) -> Case | None:
+def as_noise_follows(case: Case, ranking: Ranking) -> Case | None:
     """The case as the noise that follows itself best moves it; None where it does not follow itself, or does so.
 
-    Its form is that beside a probable candidate of a ranking, for it would follow this, unless no cause and the noise
-    that follows itself are more probable together.
+    Beside which the noise is found, no cause or one of the most probable candidates of a ranking, is what has most
+    evidence together with it; None, too, where this has no use of noise that follows itself.
     """
     if case.form.stays or not case.observations.plain:
         return None
@@ -108,7 +111,7 @@ def where_noise_follows(case: Case, ranking: Ranking) -> Case | None:
 
 def thinned(case: Case) -> Case:
     """The case with at most so many of its poses, spread over the campaign: of noise that follows itself less stays."""
-    at = np.flatnonzero(case.kept)
+    at = np.flatnonzero(case.kept)[case.order]
     some = np.zeros_like(case.kept)
     some[at[np.linspace(0, len(at) - 1, min(len(at), MOST_POSES)).round().astype(int)]] = True
     fewer = case.with_kept(some)
@@ -147,7 +150,7 @@ def _judged(laws: Sequence[Scored], case: Case, chosen: Array, ranking: Ranking)
     best = best_of(rivals, score, logs=True) if rivals else ("", -np.inf)
     other = best_of((_refined_rival(case, by_label[k], ranking, chosen) for k in smooth[:2]), score, logs=True)
     if case.form.stays:
-        noise = FOLLOWING, best_following(case, chosen)[2] - gain_of(case, case.form, chosen)
+        noise = best_beside_following(case, chosen)
     else:
         noise = best_of(((f.label, f.log_factor) for f in noise_forms(case, chosen)), score, logs=True)
     return Round(tuple(laws), best, other, noise, aliases(case, chosen, laws[0], ranking.variant), case.form)

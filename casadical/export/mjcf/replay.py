@@ -268,7 +268,8 @@ def _table(replayed: Replay) -> Table:
     for name, s in zip(stage_names(replayed), _shown(replayed), strict=True):
         lengths = (s.accuracy.mean, s.accuracy.max, s.accuracy.rms, s.accuracy.p95)
         apart_um = 1e6 * float(s.apart.max())
-        rows.append((name, str(s.accuracy.n), *map(mm, lengths), f"{apart_um:{'.0f' if apart_um > 10 else '.2g'}}"))
+        apart = f"{apart_um:.0f}" if apart_um > 10 else f"{apart_um:.2g}"
+        rows.append((name, str(s.accuracy.n), *map(mm, lengths), apart))
     columns = ("model in MuJoCo", "n", "mean", "max", "rms", "95 %", "apart um")
     title = "Errors in mm; apart: largest distance between the engine's point and casadical's own"
     return Table(title, columns, rows, frozenset(range(1, 7)), frozenset({len(rows) - 1}))

@@ -113,7 +113,7 @@ class MeasurementKind(ABC):
     columns: ClassVar[str]
     unknown: ClassVar[str] = ""
     pattern: ClassVar[str]
-    signs: ClassVar[tuple[str, ...]]
+    signs: ClassVar[tuple[str, ...]] = ()
     fill: ClassVar[tuple[str, ...]] = ()
     arrays: ClassVar[tuple[str, ...]]
     lengths: ClassVar[int]
@@ -129,8 +129,8 @@ class MeasurementKind(ABC):
         return self.lengths + self.angles
 
     def matches(self, names: Set[str]) -> bool:
-        """Whether a table with these columns is of this kind where problem.toml does not say, by default by `signs`."""
-        return all(any(re.fullmatch(sign, name) for name in names) for sign in self.signs)
+        """Whether a table with these columns is of this kind where problem.toml does not say: by `signs`, if any."""
+        return bool(self.signs) and all(any(re.fullmatch(sign, name) for name in names) for sign in self.signs)
 
     @abstractmethod
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
