@@ -149,8 +149,8 @@ def _stiffness(robot: Robot, nominal: Plant) -> tuple[Array, list[str]]:
     assumed = []
     for compliance, word, size in ((0.0, "no stiffness", SOFT), (None, "rigid", RIGID)):
         if numbers := [str(i) for i, c in enumerate(given, 1) if c == compliance]:
-            told = f"{word} in the file: {1e6 * size:.0f} urad (um) at the rated torque"
-            assumed.append(f"joint {', '.join(numbers)}: {told}")
+            words = f"{word} in the file: {1e6 * size:.0f} urad (um) at the rated torque"
+            assumed.append(f"joint {', '.join(numbers)}: {words}")
     return np.array(values), assumed
 
 

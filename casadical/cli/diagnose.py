@@ -114,12 +114,17 @@ def diagnose(
         answers.append(answer)
         texts |= _printed(answer, details, file, console)
     if report_file:
-        from casadical.export.mjcf.replay import replay_blocks
-
-        with working(quiet, "writing the report"):  # each with what a simulator says of its poses
-            texts[report_file] = html([found.page([*replay_blocks(found.diagnosis)]) for found in answers])
+        texts[report_file] = _report(answers, quiet)
     keep(with_json(texts, json_file, [answer.to_json() for answer in answers] if json_file else []), console)
     _suggested(answers, problem, campaigns or (), list(texts) if out else None, details, console)
+
+
+def _report(answers: Sequence[CampaignDiagnosis], quiet: bool) -> str:
+    """The pages of all campaigns, each with what a simulator says of its poses."""
+    from casadical.export.mjcf.replay import replay_blocks
+
+    with working(quiet, "writing the report"):
+        return html([answer.page([*replay_blocks(answer.diagnosis)]) for answer in answers])
 
 
 def _suggested(

@@ -45,8 +45,8 @@ def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[.
     signature = inspect.signature(command)
     options: dict[str, Any] = {n: getattr(hints[n], "__metadata__", (None,))[0] for n in signature.parameters}
     folders = {name for name, option in options.items() if (getattr(option, "metavar", "") or "").startswith("DIR")}
-    told, own = _told(inspect.getdoc(command) or "")
-    for name, words in (_told(shared_options or "")[1] | own).items():
+    text, own = _with_helps(inspect.getdoc(command) or "")
+    for name, words in (_with_helps(shared_options or "")[1] | own).items():
         if name in options and (name in own or not options[name].help):
             options[name].help = words
 
@@ -70,17 +70,17 @@ def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[.
                 judged = [path for path in inputs if path not in others and command.__name__ != "new"]
                 raise every_fault(error, judged, later=later) from None
 
-    run.__doc__ = told
+    run.__doc__ = text
     run.__signature__ = signature.replace(  # type: ignore[attr-defined]  # with these options, not made again from text
         parameters=[p.replace(annotation=hints[name]) for name, p in signature.parameters.items()]
     )
     return run
 
 
-def _told(docstring: str) -> tuple[str, dict[str, str]]:
+def _with_helps(docstring: str) -> tuple[str, dict[str, str]]:
     """A docstring without its last lines `name : text`, and the texts by name."""
-    text, *told = re.split(r"\n+^(\w+) : ", docstring, flags=re.MULTILINE)
-    return text, {name: " ".join(words.split()) for name, words in zip(told[::2], told[1::2], strict=True)}
+    text, *helps = re.split(r"\n+^(\w+) : ", docstring, flags=re.MULTILINE)
+    return text, {name: " ".join(words.split()) for name, words in zip(helps[::2], helps[1::2], strict=True)}
 
 
 def _refuse_unusable(given: Mapping[str, Any], outputs: Collection[str]) -> None:

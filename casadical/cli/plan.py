@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Context, Option
 
@@ -107,49 +109,63 @@ def plan(
     motion : Propose a motion instead, by a joint log: what to log next to distinguish the causes that it leaves open
         (or those of --for); commands are written to --out (default: motion.csv).
     """
-    from casadical.project.planning import circumstances_of, iso9283_plan, plan_problem, planned_with
+    from casadical.project.planning import circumstances_of, plan_problem
 
     given = {"--isolability": isolability, "--iso9283": iso9283, "--touches": touches, "--motion": motion}
-    mode = next((mode for mode, asked in given.items() if asked), CALIBRATION)
-    o.refuse_of_others(context, mode, MODES)
+    o.refuse_of_others(context, next((mode for mode, asked in given.items() if asked), CALIBRATION), MODES)
     if isolability:
         _isolability(problem, poses, effects, json_file, quiet)
         return
     if motion:
         _motion(problem, motion, reference, drive, effects, out or Path("motion.csv"), json_file, quiet)
         return
-    console = wrapped(quiet)
     if iso9283:
-        place = out or Path("iso9283.csv")
-        with working(quiet, "poses of the standard"):
-            words, table = iso9283_plan(problem, cube_mm, room, seed)
-        tell(console, *words)
-        keep({place: table.to_csv(index=False)}, console)
-        suggest(console, "when it was measured", "verify", "RESULTS", place, "--iso9283")
+        _iso9283(problem, cube_mm, out or Path("iso9283.csv"), room, seed, quiet)
         return
     if touches:
         _touches(problem, touches, out or Path("touches.csv"), noise_mm, room, seed, quiet)
         return
-    circumstances = circumstances_of(payloads, every_payload, both_approaches, repeats)
-    where = _places(wires, sockets, places, known_places)
+    chosen = partial(
+        plan_problem, problem, n, measured, o.carried(prior, prior_effects, frozen=False),
+        effects=effects.split(",") if effects else (), criterion=criterion, room=room,
+        circumstances=circumstances_of(payloads, every_payload, both_approaches, repeats), noise_mm=noise_mm,
+        joint_noise_urad=joint_noise_urad, min_distance=min_distance, target_mm=target_mm, order=order,
+        places=_places(wires, sockets, places, known_places), seed=seed,
+    )  # fmt: skip
+    _poses(chosen, problem, out if n is None else out or Path("plan.csv"), measured, prior, json_file, quiet)
+
+
+def _poses(
+    chosen: Callable[..., Any], problem: Path, to: Path | None, measured: Path | None, prior: Path | None,
+    json_file: Path | None, quiet: bool,
+) -> None:  # fmt: skip
+    """What poses to measure, or how many are enough; chosen : makes the plan, called with progress."""
+    from casadical.project.planning import planned_with
+
+    console = wrapped(quiet)
     with working(quiet, "choosing poses", steps=PLAN) as show:
-        planned = plan_problem(
-            problem, n, measured, o.carried(prior, prior_effects, frozen=False),
-            effects=effects.split(",") if effects else (), criterion=criterion, room=room, circumstances=circumstances,
-            noise_mm=noise_mm, joint_noise_urad=joint_noise_urad, min_distance=min_distance, target_mm=target_mm,
-            order=order, places=where, seed=seed, show=show,
-        )  # fmt: skip
-    to = out if n is None else out or Path("plan.csv")
+        planned = chosen(show=show)
     tell(console, *planned.blocks())
     console.print(planned_with(problem, measured, prior))
     keep(with_json(planned.files(to) if to else {}, json_file, planned.to_json()), console)
     if to:
         tables = (*([measured] if measured else []), to)
         suggest(console, "when what was measured stands beside these readings", "calibrate", problem, *tables)
-    elif (enough := planned.forecast.stop()) is not None:
-        suggest(console, "to choose so many", *sys.argv[1:], "-n", enough)
     else:
-        suggest(console, "to choose as many as you can measure", *sys.argv[1:], "-n", 100)
+        enough = planned.forecast.stop()
+        what = "as many as you can measure" if enough is None else "so many"
+        suggest(console, f"to choose {what}", *sys.argv[1:], "-n", enough or 100)
+
+
+def _iso9283(problem: Path, cube_mm: float | None, out: Path, room: Path | None, seed: int, quiet: bool) -> None:
+    from casadical.project.planning import iso9283_plan
+
+    console = wrapped(quiet)
+    with working(quiet, "poses of the standard"):
+        words, table = iso9283_plan(problem, cube_mm, room, seed)
+    tell(console, *words)
+    keep({out: table.to_csv(index=False)}, console)
+    suggest(console, "when it was measured", "verify", "RESULTS", out, "--iso9283")
 
 
 def _motion(

@@ -5,7 +5,7 @@ Poses for a first run are simulated with the robot's own model, and marked as sy
 
 import tempfile
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -145,10 +145,7 @@ def new_problem(
         ),
         "README.md": readme_text(name, robot.name, file, *(p.name if p else None for p in (data, urdf, dh))),
     }
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: is a file; name a folder")
-    if taken := [file for file in texts if (folder / file).exists()]:
-        raise InputError(f"{folder}: {', '.join(taken)} is there already; nothing was written: name another folder")
+    _refuse_taken(folder, texts)
     with tempfile.TemporaryDirectory() as scratch:
         trial = Path(scratch) / name
         write_together({trial / name: text for name, text in texts.items()})
@@ -268,3 +265,10 @@ def _read_on_trial(folder: Path, data: Path | None, file: str) -> Problem:
     except InputError as error:
         text = str(error).replace(f"{folder}/", "")
         raise InputError(text.replace(file, str(data)) if data else text) from None
+
+
+def _refuse_taken(folder: Path, texts: Iterable[str]) -> None:
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is a file; name a folder")
+    if taken := [file for file in texts if (folder / file).exists()]:
+        raise InputError(f"{folder}: {', '.join(taken)} is there already; nothing was written: name another folder")
