@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 
 from casadical import Discovery, diagnose, discover
 from casadical.blind_check.mujoco_physics import perturb
-from casadical.core.basics import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.telling.blocks import Words
 from casadical.core.telling.result import plain_text
@@ -324,16 +324,27 @@ def test_a_law_that_is_a_listed_effect_by_another_name_is_said_as_such() -> None
     assert "gear_eccentricity@2" in aliases(case, NONE, first, ranking.variant)
 
 
-def test_a_law_is_found_in_noise_that_follows_itself() -> None:
-    c, rng = discovered(6).diagnosis.case, np.random.default_rng(4)
-    law = Law(2, "joint", "a*tau2*tau3", (("a", 1e-4),))
+PRODUCT = Law(2, "joint", "a*tau2*tau3", (("a", 1e-4),))
+
+
+def shift_of(c: Case, law: Law, rms: float) -> Array:
+    """What a law of one factor does to the positions, of this rms [m], shape (n, 3)."""
     planted = with_law(c, law)
-    shift = planted.whole.take(planted.group((law,)))[:, :, 0]
-    shift *= 20e-6 / shift.std()
-    noise = 40e-6 * rng.standard_normal(c.whole.r.shape)
+    unit = planted.whole.take(planted.group((law,)))[:, :, 0]
+    return rms * unit / unit.std()
+
+
+def following_noise(shape: tuple[int, ...], stays: float, sigma: float, seed: int) -> Array:
+    noise = sigma * np.random.default_rng(seed).standard_normal(shape)
     for k in range(1, len(noise)):
-        noise[k] = 0.95 * noise[k - 1] + np.sqrt(1 - 0.95**2) * noise[k]
-    hidden = replace(c, whole=replace(c.whole, r=noise + shift))
+        noise[k] = stays * noise[k - 1] + np.sqrt(1 - stays**2) * noise[k]
+    return noise
+
+
+def test_a_law_is_found_in_noise_that_follows_itself() -> None:
+    c = discovered(6).diagnosis.case
+    r = following_noise(c.whole.r.shape, 0.95, 40e-6, 4) + shift_of(c, PRODUCT, 20e-6)
+    hidden = replace(c, whole=replace(c.whole, r=r))
     follows = contest.as_noise_follows(hidden, rank(hidden, NONE))
     assert follows is not None
     assert follows.form.stays > 0.85
@@ -347,11 +358,26 @@ def test_a_law_is_found_in_noise_that_follows_itself() -> None:
     assert contest.as_noise_follows(c, rank(c, NONE)) is None
 
 
+def test_a_law_takes_the_place_of_a_cause_that_was_found_under_noise_that_follows_itself() -> None:
+    quiet = campaign(perturb(plant(robot(NAME)), 6), 80, 6, noise_mm=0.004, approach="motion")
+    m = from_table(quiet, 6)
+    c = diagnose(robot(NAME), m, ["backlash@1"], laws=False).case
+    noise = following_noise(m.position.shape, 0.75, 20e-6, 5)
+    m = replace(m, position=m.position + noise + shift_of(c, PRODUCT, 42e-6))
+    cause = diagnose(robot(NAME), m, laws=False)
+    assert [c.label for c in cause.causes] == ["nonlinear_stiffness@2"]
+    found = diagnose(robot(NAME), m)
+    assert (found.verdict, found.causes) == ("unknown", ())
+    assert found.law.form.stays == found.case.form.stays > 0
+    assert found.law.best.tried.driver.text == "tau2*tau3"
+    said = laws_beside(found)
+    assert "Nats and factors are under noise of which" in plain_text(said.blocks(), 200)
+    assert said.to_json()["rounds"][0]["noise_stays"] == pytest.approx(found.case.form.stays, abs=1e-4)
+
+
 def test_noise_that_follows_itself_has_rivals_of_its_own() -> None:
     c, rng = where_noise_follows("kr210-P02", 0.6), np.random.default_rng(7)
-    noise = 20e-6 * rng.standard_normal(c.whole.r.shape)
-    for k in range(1, len(noise)):
-        noise[k] = 0.6 * noise[k - 1] + 0.8 * noise[k]
+    noise = following_noise(c.whole.r.shape, 0.6, 20e-6, 7)
     usual = replace(c, whole=replace(c.whole, r=noise.copy()))
     assert best_beside_following(usual, NONE)[1] < 3
     noise[rng.choice(len(noise), 6, replace=False)] *= 5
