@@ -46,9 +46,10 @@ def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[.
     options: dict[str, Any] = {n: getattr(hints[n], "__metadata__", (None,))[0] for n in signature.parameters}
     folders = {name for name, option in options.items() if (getattr(option, "metavar", "") or "").startswith("DIR")}
     text, own = _with_helps(inspect.getdoc(command) or "")
-    for name, words in (_with_helps(shared_options or "")[1] | own).items():
-        if name in options and (name in own or not options[name].help):
-            options[name].help = words
+    shared = _with_helps(shared_options or "")[1]
+    helps = {name: words for name, words in shared.items() if name in options and not options[name].help}
+    for name, words in (helps | own).items():  # one that is no option's name is a mistake, and an error
+        options[name].help = words
 
     @wraps(command)
     def run(**given: Any) -> Any:

@@ -93,10 +93,10 @@ def _before_causes(found: Diagnosis) -> Iterator[tuple[Case, Case, Ranking]]:
 
 
 def as_noise_follows(case: Case, ranking: Ranking) -> Case | None:
-    """The case as the noise that follows itself best moves it; None where it does not follow itself, or does so.
+    """The case under the noise that follows itself best; None where none does, or the case has such a noise already.
 
-    Beside which the noise is found, no cause or one of the most probable candidates of a ranking, is what has most
-    evidence together with it; None, too, where this has no use of noise that follows itself.
+    The noise is fitted beside no cause and beside each of the most probable candidates of a ranking; the pair with most
+    evidence counts.
     """
     if case.form.stays or not case.observations.plain:
         return None

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from casadical.core.basics import Array, Show, silent
+from casadical.core.linear_gaussian.marginals import NONE
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.conclusion import parameter_values
 from casadical.diagnosis.cross_validation import shrink_interval
@@ -57,7 +58,6 @@ def laws_beside(found: Diagnosis, show: Show = silent) -> Discovery:
     """
     show("laws beside nothing")
     case = thinned(found.case)
-    none = np.zeros(0, dtype=np.int64)
     first = found.law or laws_before_causes(found)
     if first.form.stays and not case.form.stays:
         case = case.with_form(first.form)
@@ -68,7 +68,7 @@ def laws_beside(found: Diagnosis, show: Show = silent) -> Discovery:
         case = with_law(case, first.best.law)
         columns = case.group((first.best.law,))
     elif not causes:
-        return _concluded(found, rounds, case, [], (), none)
+        return _concluded(found, rounds, case, [], (), NONE)
     for _ in range(MOST_ROUNDS):
         show("laws beside what was found")
         labels = frozenset(
@@ -110,8 +110,8 @@ def _concluded(
     noise = laws[-1].noise if laws else found.noise
     found_values = parameter_values(case, columns, [s.law for s in laws], noise) if laws else {}
     values = {f"{law.label}.{name}": value for (law, name), value in found_values.items()}
-    named, none = found.columns, np.zeros(0, dtype=np.int64)
-    before = held_out(case, none, (), found.rankings[0].noise[""], found.seed)
+    named = found.columns
+    before = held_out(case, NONE, (), found.rankings[0].noise[""], found.seed)
     errors: dict[Kept, Array] = {"base": before}
     if found.effects():
         errors["causes"] = held_out(case, named, (), found.noise, found.seed)
@@ -120,7 +120,7 @@ def _concluded(
         errors["smooth"] = held_out(case, forms, (), found.noise, found.seed)
     shrink = None
     if laws:
-        beside = np.unique(np.concatenate([none, *(case.columns[e] for e in causes)])).astype(np.int64)
+        beside = np.unique(np.concatenate([NONE, *(case.columns[e] for e in causes)])).astype(np.int64)
         errors["law"] = held_out(case, beside, laws, noise, found.seed)
         interval = shrink_interval(before, errors["law"], found.seed)
         shrink = float(1 - errors["law"].mean() / before.mean()), interval
