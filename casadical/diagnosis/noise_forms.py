@@ -36,6 +36,8 @@ SHARE, TIMES, FOUND_IN = 0.05, 4.0, 3
 SCATTERS = 8.0
 # Beside causes, other forms are not asked for where plain noise alone has more probability.
 PLAIN = 0.9
+# Log evidence over plain noise from which causes and laws are judged anew by noise that follows itself.
+FORM_GAIN = 10.0
 
 
 def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collection[int | None] = ()) -> Ranking:
@@ -126,6 +128,12 @@ def best_following(case: Case, chosen: Array) -> tuple[Form, Noise, float]:
     best = best_of(known, lambda k: k[0], logs=True)[1].stays
     log, form, grid = best_of((*known, *judged([best - BETWEEN, best + BETWEEN])), lambda k: k[0], logs=True)
     return form, likely_noise(grid, e.sigmas), log - float(log_sum(e.log_base(chosen)))
+
+
+def following_anew(case: Case, chosen: Array) -> tuple[Form, Noise, float] | None:
+    """The same where causes and laws are judged anew by it; None by the noise that the case has already, or by none."""
+    form, noise, gain = best_following(case, chosen)
+    return (form, noise, gain) if form.stays != case.form.stays and gain >= FORM_GAIN else None
 
 
 def best_beside_following(case: Case, chosen: Array) -> tuple[str, float]:

@@ -18,7 +18,7 @@ from casadical.diagnosis.cause_sets import most_probable_set
 from casadical.diagnosis.cross_validation import remainders
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.noise_forms import best_following, with_noise_forms
+from casadical.diagnosis.noise_forms import following_anew, with_noise_forms
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, rank
 from casadical.diagnosis.settings_search import refined
 from casadical.diagnosis.structure import lines_of
@@ -41,9 +41,9 @@ from casadical.measurements.measurements import Noise
 # An effect of several joints at once is one where so many show it, each by so much log evidence beside the others; the
 # joints that do not are left out.
 SEVERAL, SHOWN = 3, 3.0
-# Times that causes are searched again under another form of noise; log evidence over plain noise from which it is one.
-# Under it something is there if "nothing" is less probable than the third: what such noise is for sure is not known.
-MOST_FORMS, FORM_GAIN, FORM_NONE = 3, 10.0, 1e-3
+# Times that causes are searched again under another form of noise. Under it something is there if "nothing" is less
+# probable than the second: what such noise is for sure is not known.
+MOST_FORMS, FORM_NONE = 3, 1e-3
 
 # Why no further cause was taken, or that the last one was.
 End = Literal["none", "ambiguous", "unknown", "claimed"]
@@ -230,9 +230,10 @@ def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tupl
         least : log evidence that both need, over plain noise without causes
         first : whether these causes are searched once more, so that sets of them can wait
         """
-        form, noise, gain = best_following(beside.case, beside.columns())
-        if form.stays == beside.case.form.stays or gain < FORM_GAIN:
+        anew = following_anew(beside.case, beside.columns())
+        if not anew:
             return None
+        form, noise, gain = anew
         show(f"causes where the noise follows itself, by {form.stays:g}")
         lines.update(lines_of(beside.case, beside.columns(), noise, form))
         beside.case.judged.forget()

@@ -146,7 +146,7 @@ class Discovery(Result):
             )
         if self.thinned:
             blocks.append(Words("Laws were searched on {} of {} poses.".format(*self.thinned), "note"))
-        stays = self.rounds[0].form.stays
+        stays = self.case.form.stays if self.laws else self.rounds[0].form.stays
         if stays:
             said = f"Nats and factors are under noise of which {stays:.2g} stays from one of these poses to the next."
             blocks.append(Words(said, "note"))

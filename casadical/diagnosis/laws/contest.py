@@ -22,12 +22,20 @@ from casadical.diagnosis.evidence import KAPPA_WEIGHTS, RHOS, Evidence
 from casadical.diagnosis.laws.problem import ABOVE, ALIKE, CLAIMED, Problem, Round, Scored, scaled
 from casadical.diagnosis.laws.search import refined_settings, search_laws
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.noise_forms import best_beside_following, best_following, following, noise_forms
+from casadical.diagnosis.noise_forms import (
+    FORM_GAIN,
+    best_beside_following,
+    best_following,
+    following,
+    following_anew,
+    noise_forms,
+)
 from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, rank
 from casadical.diagnosis.result import Diagnosis
-from casadical.diagnosis.search import FORM_GAIN
+from casadical.diagnosis.search import MOST_FORMS
 from casadical.diagnosis.settings_search import refined
 from casadical.effects.base import CHOSEN
+from casadical.effects.formula_effect import Law
 from casadical.measurements.measurements import Noise
 
 # Laws are searched on so many poses at most, spread over the campaign: its time grows with the poses.
@@ -55,8 +63,8 @@ def laws_before_causes(found: Diagnosis) -> Round:
 
     Of the noise's forms that may be there, by the first under which one is claimed, else by the last.
     """
-    for _, case, ranking in _before_causes(found):
-        first = round_of(case, NONE, ranking)
+    for whole, case, ranking in _before_causes(found):
+        first, _ = _beside_its_noise(whole, round_of(case, NONE, ranking))
         if first.claimed:
             break
     return first
@@ -72,10 +80,32 @@ def claimed_before_causes(found: Diagnosis) -> tuple[Round, Case] | None:
         least = max(CLAIMED, max(ranking.log_factor.values()) + ABOVE)
         laws = search_laws(case, NONE, least=least - ALIKE)
         if laws and laws[0].score >= least:
-            first = _judged(laws, case, NONE, ranking)
+            first, moved = _beside_its_noise(whole, _judged(laws, case, NONE, ranking))
             if first.claimed:
-                return first, whole
+                return first, moved
     return None
+
+
+def _beside_its_noise(case: Case, first: Round) -> tuple[Round, Case]:
+    """A comparison and the case of all poses that it is of; where it claims a law, by the noise that is best beside it.
+
+    All are compared anew where the noise beside the law follows itself by another share, until it does not.
+    """
+    for _ in range(MOST_FORMS if case.observations.plain else 0):
+        own = with_law(case, first.best.law) if first.claimed else None
+        anew = own and following_anew(own, own.group((first.best.law,)))
+        if not anew:
+            break
+        case = case.with_form(anew[0])
+        fewer = thinned(case)
+        first = round_of(fewer, NONE, rank(fewer, NONE))
+    return first, case
+
+
+def with_law(case: Case, law: Law) -> Case:
+    """The case with a law among its candidates."""
+    named = Candidate(law.label, law.name, law.joint, (), listed=False)
+    return replace(case, candidates=(*case.candidates, named)).with_variants(law.label, [(law,)])
 
 
 def _before_causes(found: Diagnosis) -> Iterator[tuple[Case, Case, Ranking]]:

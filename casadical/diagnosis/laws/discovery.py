@@ -7,21 +7,20 @@ import numpy as np
 
 from casadical.core.basics import Array, Show, silent
 from casadical.core.linear_gaussian.marginals import NONE
-from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.conclusion import parameter_values
 from casadical.diagnosis.cross_validation import shrink_interval
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.laws.answer import Discovery, Kept
-from casadical.diagnosis.laws.contest import held_out, laws_before_causes, replaces_causes, round_of, thinned
+from casadical.diagnosis.laws.contest import held_out, laws_before_causes, replaces_causes, round_of, thinned, with_law
 from casadical.diagnosis.laws.problem import Round, Scored
 from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.noise_forms import following_anew
 from casadical.diagnosis.posterior import rank
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.settings_search import refined
 from casadical.diagnosis.smooth_description import describe_unlisted
 from casadical.diagnosis.thresholds import CLAIM, DETECT_FURTHER
 from casadical.effects import Effect
-from casadical.effects.formula_effect import Law
 from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
@@ -59,18 +58,19 @@ def laws_beside(found: Diagnosis, show: Show = silent) -> Discovery:
     show("laws beside nothing")
     case = thinned(found.case)
     first = found.law or laws_before_causes(found)
-    if first.form.stays and not case.form.stays:
-        case = case.with_form(first.form)
     rounds, laws, causes = [first], [], found.effects()
     columns = found.columns
     if replaces_causes(found, first):
         laws, causes = [first.best], ()
-        case = with_law(case, first.best.law)
+        case = with_law(case if first.form.stays == case.form.stays else case.with_form(first.form), first.best.law)
         columns = case.group((first.best.law,))
     elif not causes:
         return _concluded(found, rounds, case, [], (), NONE)
     for _ in range(MOST_ROUNDS):
         show("laws beside what was found")
+        anew = following_anew(case, columns) if case.observations.plain else None
+        if anew:
+            case = case.with_form(anew[0])
         labels = frozenset(
             [*(s.law.label for s in laws), *(c.label for c in found.causes if c.effects in _sets_of(causes))]
         )
@@ -94,12 +94,6 @@ def laws_beside(found: Diagnosis, show: Show = silent) -> Discovery:
 
 def _sets_of(causes: tuple[Effect, ...]) -> set[tuple[Effect, ...]]:
     return {(e,) for e in causes} | {causes}
-
-
-def with_law(case: Case, law: Law) -> Case:
-    """The case with a law among its candidates."""
-    named = Candidate(law.label, law.name, law.joint, (), listed=False)
-    return replace(case, candidates=(*case.candidates, named)).with_variants(law.label, [(law,)])
 
 
 def _concluded(
