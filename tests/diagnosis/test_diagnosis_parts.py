@@ -192,7 +192,7 @@ def test_candidates_of_one_setting_and_of_several_are_named_by_their_effect() ->
 
 
 def test_kept_formulas_are_known_to_who_clears_the_folder() -> None:
-    path = KeptFormulas(seams_of(robot("ur10e"))).path
+    path = KeptFormulas(seams_of(robot("ur10e")), "code").path
     assert path is None or file_locks._KEPT.fullmatch(path.name)
 
 

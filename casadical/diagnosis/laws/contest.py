@@ -38,24 +38,24 @@ MOST_BESIDE = 3
 CORRELATION = 0.95
 
 
-def replaces_causes(found: Diagnosis, first: Round) -> bool:
+def replaces_causes(found: Diagnosis, first: Round, poses: int = MOST_POSES) -> bool:
     """Whether the best law beside nothing is claimed in place of all causes of a diagnosis together."""
     if not first.claimed or first.best.score + np.log(PRIOR_FIRST["unknown"]) < _set_mass(found) + ABOVE:
         return False
     if not found.columns.size:
         return True
-    case = thinned(found.case)
+    case = thinned(found.case, poses)
     by_law = held_out(case, NONE, [first.best], first.best.noise, found.seed)
     by_causes = held_out(case, found.columns, (), found.noise, found.seed)
     return bool(by_law.mean() < by_causes.mean())
 
 
-def laws_before_causes(found: Diagnosis) -> Round:
-    """Laws compared with all else before any cause is in the model; of a large campaign, on some of its poses.
+def laws_before_causes(found: Diagnosis, poses: int = MOST_POSES) -> Round:
+    """Laws compared with all else before any cause is in the model, on so many poses at most.
 
     Of the noise's forms that may be there, by the first under which one is claimed, else by the last.
     """
-    for _, case, ranking in _before_causes(found):
+    for _, case, ranking in _before_causes(found, poses):
         first = round_of(case, NONE, ranking)
         if first.claimed:
             break
@@ -67,7 +67,7 @@ def claimed_before_causes(found: Diagnosis) -> tuple[Round, Case] | None:
 
     Laws that rivals outdo for certain are not looked at closely.
     """
-    for whole, case, ranking in _before_causes(found):
+    for whole, case, ranking in _before_causes(found, MOST_POSES):
         # With their settings refined rivals have still more.
         least = max(CLAIMED, max(ranking.log_factor.values()) + ABOVE)
         laws = search_laws(case, NONE, least=least - ALIKE)
@@ -78,17 +78,17 @@ def claimed_before_causes(found: Diagnosis) -> tuple[Round, Case] | None:
     return None
 
 
-def _before_causes(found: Diagnosis) -> Iterator[tuple[Case, Case, Ranking]]:
+def _before_causes(found: Diagnosis, poses: int) -> Iterator[tuple[Case, Case, Ranking]]:
     """The case, the same of some of its poses, and their ranking before any cause is in the model.
 
     Where there is no cause and noise follows itself, first as if it did not: a law may be what follows. Then as it
     does: a law may be hidden in it.
     """
-    case, ranking = thinned(found.case), found.rankings[0]
+    case, ranking = thinned(found.case, poses), found.rankings[0]
     yield found.case, case, ranking if case is found.case else rank(case, NONE)
     follows = None if found.effects() else as_noise_follows(found.case, ranking)
     if follows:
-        case = thinned(follows)
+        case = thinned(follows, poses)
         yield follows, case, rank(case, NONE)
 
 
@@ -109,15 +109,15 @@ def as_noise_follows(case: Case, ranking: Ranking) -> Case | None:
     return case.with_form(form) if gain >= FORM_GAIN else None
 
 
-def thinned(case: Case) -> Case:
+def thinned(case: Case, poses: int) -> Case:
     """The case with at most so many of its poses, spread over the campaign: of noise that follows itself less stays."""
     at = np.flatnonzero(case.kept)[case.order]
     some = np.zeros_like(case.kept)
-    some[at[np.linspace(0, len(at) - 1, min(len(at), MOST_POSES)).round().astype(int)]] = True
+    some[at[np.linspace(0, len(at) - 1, min(len(at), poses)).round().astype(int)]] = True
     fewer = case.with_kept(some)
     if fewer is case or not case.form.stays:
         return fewer
-    e, stays = fewer.evidence, case.form.stays ** (len(at) / MOST_POSES)
+    e, stays = fewer.evidence, case.form.stays ** (len(at) / poses)
     return fewer.with_form(following(stays, len(e.r), e.count / len(e.r)))
 
 
