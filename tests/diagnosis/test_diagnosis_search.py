@@ -272,11 +272,12 @@ def test_a_clean_campaign_has_no_layers() -> None:
     assert "layers" not in as_json(clean, "x")
 
 
-def test_a_floor_that_a_further_form_goes_below_explains_nothing(both, monkeypatch):
-    """The second cause is there, but one cause is all that the search may take."""
+def test_a_floor_that_a_further_form_goes_below_explains_nothing(both: Diagnosis) -> None:
+    """The second cause is there, but the search ended with the first one claimed, as it does after its most causes."""
     assert both.verdict == "explained"
-    monkeypatch.setattr(search, "MOST_CAUSES", 1)
-    cut = diagnose(robot("ur10e"), simulated("ur10e", 12, *TWO), LABELS)
+    state, *_ = search.search(both.case, 0, 0, silent)
+    first = replace(state, steps=state.steps[:1], rankings=state.rankings[:1])
+    cut = conclude(both.identification, first, "claimed", 0)
     assert len(cut.causes) == 1
     assert cut.verdict == "unknown"
     assert cut.unknown_rest > 0.1
