@@ -127,16 +127,3 @@ def test_without_a_compiler_the_function_itself_is_used(monkeypatch, tmp_path):
     f = ca.Function("f", [ca.SX.sym("x")], [ca.SX(1)])
     assert compiled.compiler() is None
     assert compiled.compiled(f) is None
-
-
-def test_a_compiler_that_fails_leaves_nothing_behind(monkeypatch, tmp_path):
-    broken = tmp_path / "bin" / "gcc"
-    broken.parent.mkdir()
-    broken.write_text("#!/bin/sh\nexit 1\n")
-    broken.chmod(0o755)
-    cache = tmp_path / "cache"
-    monkeypatch.setenv("CC", str(broken))
-    monkeypatch.setenv("CASADICAL_CACHE", str(cache))
-    f = ca.Function("f", [ca.SX.sym("x")], [ca.SX(1)])
-    assert compiled.compiled(f) is None
-    assert list(cache.iterdir()) == []
