@@ -2,11 +2,15 @@
 
 import json
 import os
+import shutil
+import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import casadical.compensator as package
 from casadical.compensator import (
     Backprop,
     Compensator,
@@ -300,12 +304,6 @@ def test_wrong_input_is_named(change, message):
 
 def test_trained_copy_needs_only_its_own_files(tmp_path):
     """Copied out with the lowest room alone (errors, files, arrays), it still trains."""
-    import shutil
-    import subprocess
-    from pathlib import Path
-
-    import casadical.compensator as package
-
     source = Path(package.__file__).parent
     (tmp_path / "casadical").mkdir()
     (tmp_path / "casadical" / "__init__.py").touch()

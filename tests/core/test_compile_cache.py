@@ -103,7 +103,7 @@ def test_libraries_in_a_folder_that_others_could_write_to_are_not_used(cache: Pa
         'GCC -shared -fPIC -x c -o "$OUT" - <<< "int nothing;"',  # a library without the function
         'sed "s/(sin,/(cos,/g" "$SRC" > "$OUT.c"; GCC -O1 -shared -fPIC -o "$OUT" "$OUT.c" -lm',  # computes wrong
         f'GCC -shared -fPIC -x c -o "$OUT" - <<< "{CRASH}"',
-        "exit 1",
+        'GCC -O1 -shared -fPIC -o "$OUT" "$SRC" -lm; exit 1',
     ],
 )
 def test_what_a_bad_compiler_makes_is_neither_kept_nor_used(cache: Path, monkeypatch, tmp_path, script: str) -> None:

@@ -10,7 +10,7 @@ from scipy.stats import f
 from scipy.stats import t as student
 
 from casadical import identify
-from casadical.core.statistics import exceeded_by_chance, student_t
+from casadical.core.statistics import exceeded_by_chance
 from casadical.identification.least_squares import LeastSquares
 from casadical.identification.residuals import KNEE
 
@@ -166,11 +166,6 @@ def test_a_search_along_a_step_evaluates_no_derivatives_and_has_the_same_costs(k
     evaluated = alone.evaluated
     assert here.cost(first) == expected[-1]  # after a gradient both are wanted again
     assert alone.evaluated == evaluated
-
-
-@pytest.mark.parametrize("freedom", [3, 5, 15, 60, 1000])
-def test_quantile_of_student_t(freedom):
-    assert student_t(0.975, freedom) == pytest.approx(student.ppf(0.975, freedom), rel=5e-3 if freedom < 15 else 1e-5)
 
 
 @pytest.mark.parametrize(("above", "below", "most"), [(5, 5, 4), (10, 10, 1.6), (5, 40, 1.2), (75, 75, 1.05)])
