@@ -43,10 +43,10 @@ def test_p_value_counts_draws_beyond_the_data() -> None:
 
 
 def test_diagnosis_with_a_bootstrap() -> None:
-    d = diagnose(robot("ur10e"), practice("ur10e-P06"), ["friction_windup", "backlash"], bootstrap=200, laws=False)
+    d = diagnose(robot("ur10e"), practice("ur10e-P06"), ["friction_windup", "backlash"], bootstrap=200)
     assert d.p_nothing == pytest.approx(1 / 201)
     assert d.verdict == "explained"
-    d = diagnose(robot("kr210"), practice("kr210-P08"), list(FEW), bootstrap=200, laws=False)
+    d = diagnose(robot("kr210"), practice("kr210-P08"), list(FEW), bootstrap=200)
     assert d.p_nothing > 0.01
     assert d.verdict == "none"
 

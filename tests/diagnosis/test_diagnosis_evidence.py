@@ -8,48 +8,9 @@ from cases import small_problem
 from scipy.stats import multivariate_normal
 
 from casadical.core.linear_gaussian.grid import log_sum
-from casadical.diagnosis.evidence import ALL_SIGMAS, KAPPAS, RHOS, SIGMAS, Evidence
+from casadical.diagnosis.evidence import ALL_SIGMAS, SIGMAS, Evidence
 from casadical.diagnosis.noise_floor import noise_floor, outlier_probability, scatter_of_coordinate
-from casadical.effects.base import CHOSEN
 from casadical.measurements.measurements import Noise
-
-
-def direct(e: Evidence, rho: float, sigma: float, kappa: float, group: np.ndarray, chosen: np.ndarray) -> float:
-    """log p(r): base and chosen causes have priors in units of sigma over the reference, the new cause its size."""
-    rows = e.r.size
-    C = np.zeros((rows, rows))
-    for k, Jq in enumerate(e.Jq):
-        C[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = sigma**2 * (np.eye(3) + rho**2 * Jq @ Jq.T)
-    J = e.J.reshape(rows, -1)
-    C += J @ np.diag((sigma / e.reference * e.prior) ** 2) @ J.T
-    E = e.E.reshape(rows, -1)
-    C += (sigma / e.reference * CHOSEN) ** 2 * E[:, chosen] @ E[:, chosen].T
-    C += kappa**2 * E[:, group] @ E[:, group].T
-    return float(multivariate_normal(J @ e.delta0, C).logpdf(e.r.ravel()))
-
-
-def constant(e: Evidence, chosen: np.ndarray) -> float:
-    """What the package leaves out, the same for every cause and noise."""
-    priors = np.concatenate([e.prior, np.full(len(chosen), CHOSEN)])
-    return -0.5 * e.r.size * np.log(2 * np.pi) + float(np.log(e.reference / priors).sum())
-
-
-@pytest.mark.parametrize("chosen", [[], [3]], ids=["first", "after one"])
-def test_log_evidence_is_the_normal_density(chosen: list[int]) -> None:
-    e, also = small_problem(), np.array(chosen, dtype=np.int64)
-    groups = [np.array([0]), np.array([1, 2]), np.array([2]), np.array([0, 1, 2])]
-    grids = e.log_grids(groups, also=also)
-    assert grids.shape == (4, len(RHOS), len(SIGMAS), len(KAPPAS))
-    base = (e.with_base(also) if chosen else e).log_base()
-    for rho in (0, 3, 5):
-        for sigma in (12, 17, 23):
-            at = (float(RHOS[rho]), float(SIGMAS[sigma]))
-            nothing = direct(e, *at, 0.0, np.zeros(0, dtype=int), also)
-            assert base[rho, sigma] + constant(e, also) == pytest.approx(nothing, abs=1e-6)
-            for g, group in enumerate(groups):
-                for kappa in (0, 4):
-                    expected = direct(e, *at, float(KAPPAS[kappa]), group, also)
-                    assert grids[g, rho, sigma, kappa] + constant(e, also) == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.parametrize("off", [0.0, 1.0, 6.0])

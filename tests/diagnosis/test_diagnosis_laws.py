@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import case, plant, robot
+from cases import case, following_noise, plant, robot
 from numpy_physics import campaign
 from numpy_physics.disturbance import Disturbance
 from numpy_physics.disturbances_drive import GearEccentricity
@@ -336,13 +336,6 @@ def shift_of(c: Case, law: Law, rms: float) -> Array:
     planted = with_law(c, law)
     unit = planted.whole.take(planted.group((law,)))[:, :, 0]
     return rms * unit / unit.std()
-
-
-def following_noise(shape: tuple[int, ...], stays: float, sigma: float, seed: int) -> Array:
-    noise = sigma * np.random.default_rng(seed).standard_normal(shape)
-    for k in range(1, len(noise)):
-        noise[k] = stays * noise[k - 1] + np.sqrt(1 - stays**2) * noise[k]
-    return noise
 
 
 def test_a_law_is_found_in_noise_that_follows_itself() -> None:

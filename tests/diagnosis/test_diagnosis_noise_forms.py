@@ -183,6 +183,6 @@ def test_a_line_is_found_beneath_noise_that_follows_itself() -> None:
 
 def test_a_curve_of_many_harmonics_does_not_take_what_is_a_line_and_such_noise() -> None:
     """The curve follows both; the noise has its turn before it."""
-    d = diagnose(robot("ur10e"), path(1e-4), ["transmission_ripple", "joint_error_curve"], laws=False)
+    d = diagnose(robot("ur10e"), path(1e-4), ["transmission_ripple", "joint_error_curve"])
     assert [c.label for c in d.causes] == ["transmission_ripple@2"]
     assert d.case.form.stays == pytest.approx(0.75, abs=0.2)

@@ -10,12 +10,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from cases import ROOT, planar, robot, small_problem
+from cases import ROOT, diagnose, planar, robot, small_problem
 from numpy.testing import assert_allclose
 from scipy.special import logsumexp
 from scipy.stats import chi2, multivariate_normal
 
-from casadical import InputError, Joint, Measurements, Robot, diagnose
+from casadical import InputError, Joint, Measurements, Robot
 from casadical.core import file_locks
 from casadical.core.linear_gaussian.grid import NEGLIGIBLE, log_gain
 from casadical.core.transforms import frame, from_rpy
