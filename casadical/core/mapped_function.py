@@ -78,6 +78,7 @@ class MappedFunction:
     so is what derivatives would compute again. The operations that are left are the same, and so is every bit.
 
     point : symbols that differ between the points, shape (a,); shared : symbols that do not, shape (b,)
+    evaluated : points so far
     """
 
     def __init__(self, name: str, point: ca.SX, shared: ca.SX, outputs: Sequence[ca.SX]) -> None:
@@ -88,7 +89,7 @@ class MappedFunction:
         outputs_of_each = sum(self._each.nnz_out(k) for k in range(self._each.n_out()))
         self._chunk = min(CHUNK, max(LEAST, NUMBERS // max(outputs_of_each, 1)))
         self._mapped: dict[int, Buffered] = {}
-        self._evaluated = self._tried = 0
+        self.evaluated = self._tried = 0
         self._machine_code: MachineCode | None = None
 
     @property
@@ -123,8 +124,12 @@ class MappedFunction:
 
     def _compile(self, n: int) -> None:
         """Go over to machine code where the points evaluated before and these n pay for it."""
-        self._evaluated += n
+        self.evaluated += n
         for make, least in ((False, LOOK_FROM), (True, COMPILE_FROM))[self._tried :]:
-            if self._machine_code is None and self._evaluated >= least:
-                self._machine_code = compiled(self._each, make=make)
+            if self._machine_code is None and self.evaluated >= least:
+                self.compile(make=make)
                 self._tried += 1
+
+    def compile(self, *, make: bool = True) -> None:
+        """Go over to machine code if there is a library; make : else one is made."""
+        self._machine_code = compiled(self._each, make=make)

@@ -19,7 +19,7 @@ from casadical.core.linear_gaussian.columns import EVERY, ArrayColumns, Columns
 from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.linear_gaussian.grid import Grid
 from casadical.core.linear_gaussian.marginals import NONE, Marginals
-from casadical.core.linear_gaussian.model import LinearModel, Projection
+from casadical.core.linear_gaussian.model import LinearModel, Memory, Projection
 from casadical.core.linear_gaussian.noise import NoiseModel
 from casadical.effects.base import CHOSEN
 from casadical.measurements.measurements import Noise
@@ -101,6 +101,7 @@ class Evidence:
     turn : of the base parameters, shape (P, k): parameters = turn @ (those of the model, each of one sigma one)
     still : directions of the base parameters that move nothing at these poses, which are not in the model, shape
         (P, P - k): they are their priors, before and after the data
+    memory : how much is held at a time
     """
 
     r: Array
@@ -120,6 +121,7 @@ class Evidence:
     absorbed: float = 0.0
     turn: Array | None = None
     still: Array | None = None
+    memory: Memory = field(default_factory=Memory)
     cache: Cache = field(init=False, repr=False, default_factory=Cache)
 
     @property
@@ -147,7 +149,7 @@ class Evidence:
         grid, known = Grid(self.sigmas, {REPEATABILITY: RHOS}, KAPPAS), log_known(self, self.Jq)
         return LinearModel(
             self.r, base, mean, prior, columns, held, self.noise, grid, self.reference, self.count, self.absorbed,
-            self.near, known,
+            self.near, known, self.memory,
         )  # fmt: skip
 
     @property

@@ -170,9 +170,9 @@ class KeptFormulas:
     The file's name holds the hash of the structure and of the code that composes formulas, so that it is never stale.
     """
 
-    def __init__(self, s: Seams) -> None:
+    def __init__(self, s: Seams, code: str) -> None:
         self._seams = s
-        name = hashlib.sha256(f"{ca.CasadiMeta.version()} {code_hash()} {s.key}".encode()).hexdigest()[:32]
+        name = hashlib.sha256(f"{ca.CasadiMeta.version()} {code} {s.key}".encode()).hexdigest()[:32]
         folder = private_folder()
         self.path = None if folder is None else folder / f"formulas-{name}.json"
         self._known: dict[str, Any] = {}
@@ -209,12 +209,14 @@ class KeptFormulas:
             write_whole(self.path, f"{hashlib.sha256(text.encode()).hexdigest()}\n{text}")
 
 
-# Formulas of one structure.
-kept_formulas = lru_cache(maxsize=16)(KeptFormulas)
+@lru_cache(maxsize=16)
+def kept_formulas(s: Seams) -> KeptFormulas:
+    """Those of one structure, by the code that runs."""
+    return KeptFormulas(s, code_hash(PACKAGE))
 
 
 @lru_cache(maxsize=1)
-def code_hash() -> str:
-    """Hash of the code that composes formulas."""
-    files = sorted(path for room in ROOMS for kind in ("*.py", "*.toml") for path in (PACKAGE / room).rglob(kind))
+def code_hash(package: Path) -> str:
+    """Hash of a package's code that composes formulas."""
+    files = sorted(path for room in ROOMS for kind in ("*.py", "*.toml") for path in (package / room).rglob(kind))
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()

@@ -18,8 +18,6 @@ from casadical.core.linear_gaussian.noise import Axes, SerialNoise, serial_noise
 from casadical.core.linear_gaussian.normal_equations import Joined, joined
 from casadical.diagnosis.evidence import REPEATABILITY, RHOS, Evidence, joint_noise, log_known
 
-# Columns that are kept, in bytes; else they are made again, so many at a time.
-MOST_BYTES, PART_BYTES = 64_000_000, 32_000_000
 # A parameter that its prior holds to less than so many sigmas of the noise, all rows together.
 HELD = 100.0
 
@@ -206,13 +204,13 @@ class Problem:
     def _parts(self) -> Iterator[tuple[Array, slice]]:
         """Columns, then what is left, at some poses and the one before them; and which these are."""
         n, width = len(self._order), len(self._weights)
-        step = n if self._by_rows else max(64, PART_BYTES // (24 * width))
+        step = n if self._by_rows else max(64, self.e.memory.part // (24 * width))
         for start in range(0, n, step):
             X = self._kept.get(start)
             if X is None:
                 poses = self._order[max(start - 1, 0) : start + step]
                 columns = self.e.model.columns.take(self.chosen, poses, self._combined)
                 X = np.concatenate([self.e.model.base[poses], columns, self.e.r[poses, :, None]], axis=2)
-                if 24 * n * width <= MOST_BYTES:
+                if 24 * n * width <= self.e.memory.kept:
                     self._kept[start] = X
             yield X, slice(start, min(start + step, n))

@@ -51,9 +51,10 @@ class Doubts:
     joints: tuple[Array, ...]
 
 
-def learn_bound(found: Identification) -> ErrorBound:
-    """The bound of the error that remains, from the poses with a measured position that were used, `MOST` at most.
+def learn_bound(found: Identification, most: int = MOST) -> ErrorBound:
+    """The bound of the error that remains, from the poses with a measured position that were used.
 
+    most : poses, drawn at random from more
     Raises InputError where they are too few, nothing measured a position, or error curves were identified.
     """
     sets = [m.positions_alone() for m in found.used if m.position is not None]
@@ -62,8 +63,8 @@ def learn_bound(found: Identification) -> ErrorBound:
         raise InputError(
             f"a bound of the remaining error needs {LEAST} poses with a measured position; there are {poses}"
         )
-    if poses > MOST:
-        share = MOST / poses
+    if poses > most:
+        share = most / poses
         sets = [m.split({"some": share})["some"] for m in sets if share * len(m) >= 1]
         poses = sum(map(len, sets))
     robot = doubted(found.robot)

@@ -62,12 +62,12 @@ class _Poses:
     count : of numbers measured beside those that determine the unknown points
     """
 
-    def __init__(self, found: Identification, robot: Robot, names: tuple[str, ...]) -> None:
+    def __init__(self, found: Identification, robot: Robot, names: tuple[str, ...], kept: int) -> None:
         self.q = np.concatenate([m.q for m in found.used])
         self.joints = sum(name.startswith("theta") for name in names)
         self.count = sum(m.q.shape[0] * find_kind(m.kind).numbers for m in found.used) - 3 * len(found.unknown_points)
         self._made = partial(_rows, found, robot, names)
-        self._kept = list(self._made()) if len(self) <= KEPT else []
+        self._kept = list(self._made()) if len(self) <= kept else []
 
     def __len__(self) -> int:
         return len(self.q)
@@ -130,13 +130,16 @@ class WideFit:
         return self._tried[rhos]
 
 
-def wide_fit(found: Identification) -> WideFit:
-    """The fit of all that an identification used. Raises InputError for known distances between touched points."""
+def wide_fit(found: Identification, kept: int = KEPT) -> WideFit:
+    """The fit of all that an identification used. Raises InputError for known distances between touched points.
+
+    kept : poses whose rows are kept; those of more are evaluated each time that they are needed
+    """
     robot = doubted(found.robot, FURTHER)
     doubts = doubts_of(robot, found.names)
     low = [joint[: 2 * ORDERS] for joint in doubts.joints]
     doubts = replace(doubts, joints=(*low, *(joint[2 * ORDERS :] for joint in doubts.joints)))
-    poses = _Poses(found, robot, doubts.names)
+    poses = _Poses(found, robot, doubts.names, kept)
     rhos, best, mean = _most_probable(poses, doubts)
     n = len(poses)
     parts = [_sums(rhos, poses, part)[0] for part in (np.arange(n) * min(PARTS, n) // n, _by_region(poses.q))]

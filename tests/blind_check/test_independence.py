@@ -64,11 +64,7 @@ def of_the_room(loaded: set[str]) -> list[str]:
 
 @pytest.mark.parametrize(
     ("program", "needs"),
-    [
-        ("import casadical.blind_check.mujoco_physics", "numpy"),
-        (NUMPY_AT_WORK, "numpy"),
-        (MUJOCO_AT_WORK, "mujoco"),
-    ],
+    [("import casadical.blind_check.mujoco_physics", "numpy"), (NUMPY_AT_WORK, "numpy"), (MUJOCO_AT_WORK, "mujoco")],
     ids=["import", "numpy at work", "mujoco at work"],
 )
 def test_the_physics_load_nothing_of_what_they_judge(program: str, needs: str) -> None:

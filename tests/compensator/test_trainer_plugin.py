@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from plugin_site import ROOT, installed, run, run_here
 
-from casadical.compensator import load_compensator
+from casadical.compensator import JointBox, Layout, load_compensator, make_task
 from casadical.compensator.trainers.known import known_trainers
 
 # The trainer of the page, as a user would copy it.
@@ -99,8 +99,6 @@ def test_the_page_draws_what_it_says() -> None:
     """The toy's output layer is the ridge solution: its residual is orthogonal to the features but for the ridge."""
     space: dict[str, object] = {}
     exec(MODULE, space)
-    from casadical.compensator import JointBox, Layout, make_task
-
     rng = np.random.default_rng(1)
     q = rng.uniform(-1, 1, (40, 6))
     task = make_task(Layout(), JointBox((-1,) * 6, (1,) * 6), q, np.sin(q[:, :3]))

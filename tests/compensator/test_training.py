@@ -1,6 +1,7 @@
 """Loss, trainers and resume against hand numbers, finite differences and scipy."""
 
 import dataclasses
+from functools import cache
 
 import numpy as np
 import pytest
@@ -19,8 +20,7 @@ QUICK = {
     "backprop": Backprop(steps=120),
     "lm": LevenbergMarquardt(restarts=2, iterations=30, ridges=(0.1, 0.01, 0.001), folds=3, fold_starts=2),
     "iwo-lm": IwoThenLm(
-        Iwo(IwoSettings(iterations=25)),
-        LevenbergMarquardt(iterations=20, ridges=(0.1, 0.01), folds=3, fold_starts=1),
+        Iwo(IwoSettings(iterations=25)), LevenbergMarquardt(iterations=20, ridges=(0.1, 0.01), folds=3, fold_starts=1)
     ),
 }
 
@@ -162,11 +162,17 @@ class CutError(Exception):
     pass
 
 
+TASKS = [small_task(), small_task(poses=30, seed=1)]
+
+
+@cache
+def trained(name):
+    return train_all(TASKS, QUICK[name], seed=3, every=10)
+
+
 @pytest.mark.parametrize("calls", [1, 3, 5, 9])
 @pytest.mark.parametrize("name", QUICK)
 def test_cut_training_resumes_to_the_same_bits(name, calls, tmp_path):
-    tasks = [small_task(), small_task(poses=30, seed=1)]
-    whole = train_all(tasks, QUICK[name], seed=3, every=10)
     seen = []
 
     def cut(progress):
@@ -175,18 +181,13 @@ def test_cut_training_resumes_to_the_same_bits(name, calls, tmp_path):
             raise CutError
 
     with pytest.raises(CutError):
-        train_all(tasks, QUICK[name], seed=3, every=10, checkpoint=tmp_path / "run.json", progress=cut)
+        train_all(TASKS, QUICK[name], seed=3, every=10, checkpoint=tmp_path / "run.json", progress=cut)
     steps = []
-    resumed = train_all(tasks, QUICK[name], seed=3, every=10, checkpoint=tmp_path / "run.json", progress=steps.append)
-    for one, other in zip(whole, resumed, strict=True):
+    resumed = train_all(TASKS, QUICK[name], seed=3, every=10, checkpoint=tmp_path / "run.json", progress=steps.append)
+    for one, other in zip(trained(name), resumed, strict=True):
         assert one.weights.tobytes() == other.weights.tobytes()
-        assert (one.loss_mm2, one.steps, one.reasons, one.note) == (
-            other.loss_mm2,
-            other.steps,
-            other.reasons,
-            other.note,
-        )
-        assert one.history == other.history
+        for what in ("loss_mm2", "steps", "reasons", "note", "history"):
+            assert getattr(one, what) == getattr(other, what)
     # it really went on from the cut: the first report after it is not one already seen
     assert (steps[0].training, steps[0].step) > (seen[-1].training, seen[-1].step)
 

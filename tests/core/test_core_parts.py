@@ -47,6 +47,7 @@ def test_the_third_term_of_students_series() -> None:
 def test_arrays_through_a_casadi_function_are_casadis_numbers() -> None:
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     operations = [1 / x, 2 * x, -x, ca.sqrt(x), ca.log1p(x), ca.atan2(x, y), ca.fmax(x, y), x**y, ca.fmod(y, x)]
+    operations += [ca.exp(x), ca.tanh(y), ca.sin(x) * ca.cos(y), ca.fabs(x - y), ca.sign(x - y), ca.SX(3.5)]
     f = ca.Function("f", [x, y], [ca.vertcat(*operations, ca.if_else(x < y, x, 0), ca.logic_not(x))])
     points = np.random.default_rng(0).uniform(0.2, 3, (2, 7))
     (found,) = SxInstructions.read(f).on_arrays([points[0]], [points[1]])

@@ -4,12 +4,13 @@ import json
 import sys
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from bench import robot
 from numpy_physics import Disturbance, campaign
 
-from casadical import diagnose
+import casadical
 from casadical.blind_check.mujoco_physics import perturb
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.evidence import Evidence
@@ -35,9 +36,14 @@ def practice(name: str) -> Measurements:
     return read_measurements(PRACTICE / f"{name}.csv", 6)
 
 
+def diagnose(*what: Any, **more: Any) -> Diagnosis:
+    """A diagnosis without laws, unless they are asked for: most tests are of causes."""
+    return casadical.diagnose(*what, **({"laws": False} | more))
+
+
 @cache
 def diagnosed(name: str) -> Diagnosis:
-    return diagnose(robot(name.split("-")[0]), practice(name))
+    return diagnose(robot(name.split("-")[0]), practice(name), laws=True)
 
 
 @cache
@@ -64,6 +70,14 @@ def simulated(
     """A campaign of a serial robot from the simulator, as measurements; drop : columns that were not logged."""
     table = campaign(perturb(plant(robot(name)), seed), n, seed, disturbances=disturbances, noise_mm=noise_mm)
     return from_table(table.drop(columns=[c for c in table if c.startswith(drop)] if drop else []), 6)
+
+
+def following_noise(shape: tuple[int, ...], stays: float, sigma: float, seed: int) -> np.ndarray:
+    """Noise of which a share stays from each pose to the next."""
+    noise = sigma * np.random.default_rng(seed).standard_normal(shape)
+    for k in range(1, len(noise)):
+        noise[k] = stays * noise[k - 1] + np.sqrt(1 - stays**2) * noise[k]
+    return noise
 
 
 def small_problem(seed: int = 0, n: int = 9) -> Evidence:

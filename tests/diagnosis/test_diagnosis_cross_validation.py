@@ -1,11 +1,13 @@
 """Held-out errors, estimates and intervals against naive refits and known cases."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from cases import small_problem
 from scipy.optimize import lsq_linear
 
-from casadical.core.linear_gaussian import fit as fits
+from casadical.core.linear_gaussian.model import Memory
 from casadical.diagnosis.cross_validation import (
     fit_of,
     fold_errors,
@@ -38,11 +40,11 @@ def refit(e: Evidence, columns: np.ndarray, use: np.ndarray) -> tuple[np.ndarray
     return x, np.linalg.inv((A / scale).T @ (A / scale)) / np.outer(scale, scale)
 
 
-def test_held_out_errors_are_those_of_refits() -> None:
+@pytest.mark.parametrize("folds", [random_folds(14, 3), np.arange(14)], ids=["fifths", "each pose"])
+def test_held_out_errors_are_those_of_refits(folds: np.ndarray) -> None:
     e, columns = small_problem(n=14), np.array([0, 2])
-    folds = random_folds(14, 3)
     expected = np.empty(14)
-    for fold in range(5):
+    for fold in np.unique(folds):
         x, _ = refit(e, columns, folds != fold)
         for k in np.flatnonzero(folds == fold):
             expected[k] = np.linalg.norm(e.r[k] - np.hstack([e.J[k], e.E[k][:, columns]]) @ x)
@@ -66,15 +68,13 @@ def test_estimates_and_remainders_are_those_of_a_refit() -> None:
         assert distance[k] == pytest.approx(left @ np.linalg.solve(spread, left))
 
 
-def test_many_poses_and_few_are_left_out_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_poses_and_few_are_left_out_alike() -> None:
     """The three ways of leaving poses out, among observations, in a second form, by refitting, agree."""
     e, columns = small_problem(n=40), np.array([0, 2])
     folds, alone = random_folds(40, 3), np.arange(40)
     expected = held_out_errors(e, columns, NOISE, folds), held_out_errors(e, columns, NOISE, alone)
-    monkeypatch.setattr(fits, "MOST_ROWS", 0)
-    for most in (fits.MOST_BYTES, 0):
-        monkeypatch.setattr(fits, "MOST_BYTES", most)
-        fit = new_fit(e, columns, NOISE)
+    for memory in (Memory(rows=0), Memory(kept=0)):
+        fit = new_fit(replace(e, memory=memory), columns, NOISE)
         np.testing.assert_allclose(fold_errors(e, fit, folds), expected[0], rtol=1e-7)
         np.testing.assert_allclose(fold_errors(e, fit, alone), expected[1], rtol=1e-7)
 

@@ -7,51 +7,10 @@ import pytest
 from cases import small_problem
 from scipy.stats import multivariate_normal
 
-from casadical.core.linear_gaussian import grid
 from casadical.core.linear_gaussian.grid import log_sum
-from casadical.diagnosis.evidence import ALL_SIGMAS, KAPPAS, RHOS, SIGMAS, Evidence
+from casadical.diagnosis.evidence import ALL_SIGMAS, SIGMAS, Evidence
 from casadical.diagnosis.noise_floor import noise_floor, outlier_probability, scatter_of_coordinate
-from casadical.effects.base import CHOSEN
 from casadical.measurements.measurements import Noise
-
-
-def direct(e: Evidence, rho: float, sigma: float, kappa: float, group: np.ndarray, chosen: np.ndarray) -> float:
-    """log p(r): base and chosen causes have priors in units of sigma over the reference, the new cause its size."""
-    rows = e.r.size
-    C = np.zeros((rows, rows))
-    for k, Jq in enumerate(e.Jq):
-        C[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = sigma**2 * (np.eye(3) + rho**2 * Jq @ Jq.T)
-    J = e.J.reshape(rows, -1)
-    C += J @ np.diag((sigma / e.reference * e.prior) ** 2) @ J.T
-    E = e.E.reshape(rows, -1)
-    C += (sigma / e.reference * CHOSEN) ** 2 * E[:, chosen] @ E[:, chosen].T
-    C += kappa**2 * E[:, group] @ E[:, group].T
-    return float(multivariate_normal(J @ e.delta0, C).logpdf(e.r.ravel()))
-
-
-def constant(e: Evidence, chosen: np.ndarray) -> float:
-    """What the package leaves out, the same for every cause and noise."""
-    priors = np.concatenate([e.prior, np.full(len(chosen), CHOSEN)])
-    return -0.5 * e.r.size * np.log(2 * np.pi) + float(np.log(e.reference / priors).sum())
-
-
-@pytest.mark.parametrize("chosen", [[], [3]], ids=["first", "after one"])
-def test_log_evidence_is_the_normal_density(monkeypatch: pytest.MonkeyPatch, chosen: list[int]) -> None:
-    monkeypatch.setattr(grid, "NEGLIGIBLE", np.inf)
-    e, also = small_problem(), np.array(chosen, dtype=np.int64)
-    groups = [np.array([0]), np.array([1, 2]), np.array([2]), np.array([0, 1, 2])]
-    grids = e.log_grids(groups, also=also)
-    assert grids.shape == (4, len(RHOS), len(SIGMAS), len(KAPPAS))
-    base = (e.with_base(also) if chosen else e).log_base()
-    for rho in (0, 3, 5):
-        for sigma in (9, 17, 25):
-            at = (float(RHOS[rho]), float(SIGMAS[sigma]))
-            nothing = direct(e, *at, 0.0, np.zeros(0, dtype=int), also)
-            assert base[rho, sigma] + constant(e, also) == pytest.approx(nothing, abs=1e-6)
-            for g, group in enumerate(groups):
-                for kappa in (0, 4):
-                    expected = direct(e, *at, float(KAPPAS[kappa]), group, also)
-                    assert grids[g, rho, sigma, kappa] + constant(e, also) == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.parametrize("off", [0.0, 1.0, 6.0])
@@ -86,8 +45,7 @@ def test_what_moves_nothing_is_not_in_the_model_and_changes_no_evidence() -> Non
     np.testing.assert_allclose(more.log_base(), own.with_base(np.array([3])).log_base(), rtol=1e-7, atol=1e-6)
 
 
-def test_wider_noise_grid_holds_the_usual_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grid, "NEGLIGIBLE", np.inf)
+def test_wider_noise_grid_holds_the_usual_one() -> None:
     e = small_problem()
     wide, groups = replace(e, sigmas=ALL_SIGMAS), [np.array([0]), np.array([1, 2])]
     usual = slice(8, 8 + len(SIGMAS))
@@ -96,25 +54,14 @@ def test_wider_noise_grid_holds_the_usual_one(monkeypatch: pytest.MonkeyPatch) -
     np.testing.assert_allclose(wide.log_grids(groups)[:, :, usual], e.log_grids(groups), rtol=1e-9)
 
 
-def test_sigmas_left_out_do_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The evidence over the whole grid is that over the sigmas that are judged, which are fewer."""
-    groups = [np.array([0]), np.array([1, 2]), np.array([0, 1, 2])]
-    few = small_problem().log_grids(groups)
-    monkeypatch.setattr(grid, "NEGLIGIBLE", np.inf)
-    whole = small_problem().log_grids(groups)
-    assert np.isfinite(whole).all()
-    assert np.isfinite(few).mean() < 0.8
-    np.testing.assert_allclose(log_sum(few, axis=(1, 2, 3)), log_sum(whole, axis=(1, 2, 3)), rtol=1e-14)
-
-
-def test_column_inside_the_base_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_column_inside_the_base_says_nothing() -> None:
     """A cause that a freely known base parameter reproduces gains no evidence, however large its columns."""
-    monkeypatch.setattr(grid, "NEGLIGIBLE", np.inf)
     e = small_problem()
     E = np.concatenate([e.E, 1e-2 * e.J[:, :, [3]]], axis=2)
     known = Evidence(e.r, e.J, e.Jq, e.delta0, np.full(5, 1e3), E)
     grids = known.log_grids([np.array([4])])
-    assert np.abs(grids[0] - known.log_base()[:, :, None]).max() < 1e-3
+    gain = grids[0] - known.log_base()[:, :, None]
+    assert np.abs(gain[np.isfinite(gain)]).max() < 1e-3
 
 
 def test_log_sum() -> None:

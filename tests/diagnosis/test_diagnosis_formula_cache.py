@@ -9,7 +9,9 @@ from cases import practice, robot
 
 from casadical.core.basics import Array
 from casadical.diagnosis import formula_cache
+from casadical.diagnosis.formula_cache import PACKAGE, KeptFormulas, code_hash
 from casadical.diagnosis.linearisation import signatures
+from casadical.diagnosis.seams import seams_of
 from casadical.effects import Effect, TransmissionRipple
 from casadical.effects.joint_error_curve import JointErrorCurve
 from casadical.effects.play import Backlash
@@ -48,11 +50,21 @@ def test_kept_formulas_give_the_same_bits_and_are_not_composed_again(columns, mo
     np.testing.assert_array_equal(columns(), first)
 
 
-def test_other_code_composes_anew(columns: Columns, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_other_code_has_a_file_of_its_own(columns: Columns, tmp_path: Path) -> None:
     columns()
-    monkeypatch.setattr(formula_cache, "ROOMS", ("core",))
-    columns()
-    assert len(list(tmp_path.glob("formulas-*.json"))) == 2
+    s = seams_of(robot("kr210"))
+    assert [*tmp_path.glob("formulas-*.json")] == [KeptFormulas(s, code_hash(PACKAGE)).path]
+    assert KeptFormulas(s, "other").path != KeptFormulas(s, code_hash(PACKAGE)).path
+
+
+def test_the_code_is_that_of_all_rooms_on_which_a_formula_depends(tmp_path: Path) -> None:
+    hashes = {code_hash(tmp_path)}
+    for k, room in enumerate(("core", "effects", "robot", "diagnosis/motion"), 1):
+        (tmp_path / room).mkdir(parents=True)
+        (tmp_path / room / "code.py").write_text("x = 1")
+        code_hash.cache_clear()
+        hashes.add(code_hash(tmp_path))
+        assert len(hashes) == k + 1
 
 
 def test_a_damaged_file_is_replaced(columns: Columns, tmp_path: Path) -> None:

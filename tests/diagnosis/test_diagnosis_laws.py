@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import case, plant, robot
+from cases import case, following_noise, plant, robot
 from numpy_physics import campaign
 from numpy_physics.disturbance import Disturbance
 from numpy_physics.disturbances_drive import GearEccentricity
@@ -24,7 +24,7 @@ from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.evidence import RHOS
 from casadical.diagnosis.figures import diagnosis_figures
 from casadical.diagnosis.json_answer import as_json as diagnosis_json
-from casadical.diagnosis.laws import contest, forms
+from casadical.diagnosis.laws import contest
 from casadical.diagnosis.laws.answer import line_of
 from casadical.diagnosis.laws.contest import aliases, held_out, with_law
 from casadical.diagnosis.laws.discovery import laws_beside
@@ -33,6 +33,7 @@ from casadical.diagnosis.laws.forms import (
     FORMS,
     LINEAR,
     WAVE,
+    Driver,
     drivers_of,
     values_of,
     variables,
@@ -68,6 +69,9 @@ STOP = CableStop(3, -360e-6, share=0.9)
 def table(seed: int, *disturbances: Disturbance):
     p = perturb(plant(robot(NAME)), seed)
     return campaign(p, 80, seed, disturbances=disturbances, noise_mm=0.02, approach="motion")
+
+
+laws_alone = cache(lambda c: search_laws(c, NONE))
 
 
 @cache
@@ -118,7 +122,7 @@ def test_screened_evidence_is_the_exact_one_at_each_rho(stays: float) -> None:
     c = where_noise_follows("kr210-P02", stays)
     problem = Problem.beside(c, NONE)
     by_rho = log_sum(problem.log_base, axis=1)
-    for s in search_laws(c, NONE)[:8]:
+    for s in laws_alone(c)[:8]:
         seam, x = s.tried.seams[s.seam], s.tried.x[s.seam]
         values = s.tried.form.values(x, s.settings[None])
         exact = log_sum(problem.grids([s.columns])[0], axis=(1, 2)) - by_rho
@@ -139,7 +143,7 @@ def test_laws_that_cannot_reach_what_is_needed_are_left_out_and_no_others() -> N
     some = screen.gains(G, b, least)
     np.testing.assert_array_equal(some == NEVER, reach < least)
     np.testing.assert_allclose(some[reach >= least], gains[reach >= least], rtol=1e-12)
-    best = search_laws(c, NONE)[0]
+    best = laws_alone(c)[0]
     assert search_laws(c, NONE, least=best.score - 1)[0].law == best.law
     assert not search_laws(c, NONE, least=best.score + 100)
 
@@ -229,7 +233,7 @@ def test_laws_are_screened_where_few_ratios_of_noise_are_looked_at() -> None:
 
 def test_the_columns_of_a_law_are_those_of_its_effect() -> None:
     c = case("kr210-P02")
-    for s in search_laws(c, NONE)[:6]:
+    for s in laws_alone(c)[:6]:
         more = with_law(c, s.law)
         found = more.whole.take(more.group((s.law,)))[c.kept]
         np.testing.assert_allclose(found, s.columns, rtol=0, atol=1e-6 * np.abs(s.columns).max())
@@ -334,13 +338,6 @@ def shift_of(c: Case, law: Law, rms: float) -> Array:
     return rms * unit / unit.std()
 
 
-def following_noise(shape: tuple[int, ...], stays: float, sigma: float, seed: int) -> Array:
-    noise = sigma * np.random.default_rng(seed).standard_normal(shape)
-    for k in range(1, len(noise)):
-        noise[k] = stays * noise[k - 1] + np.sqrt(1 - stays**2) * noise[k]
-    return noise
-
-
 def test_a_law_is_found_in_noise_that_follows_itself() -> None:
     c = discovered(6).diagnosis.case
     r = following_noise(c.whole.r.shape, 0.95, 40e-6, 4) + shift_of(c, PRODUCT, 20e-6)
@@ -400,10 +397,8 @@ def test_noise_is_a_rival_of_every_law() -> None:
     assert not replace(first, noise=("noise that follows itself", first.best.score)).claimed
 
 
-def test_laws_of_a_large_campaign_are_searched_on_some_of_its_poses(monkeypatch: pytest.MonkeyPatch) -> None:
-    diagnosis = discovered(5, STOP).diagnosis
-    monkeypatch.setattr(contest, "MOST_POSES", 36)
-    found = laws_beside(replace(diagnosis, law=None))
+def test_laws_of_a_large_campaign_are_searched_on_some_of_its_poses() -> None:
+    found = laws_beside(replace(discovered(5, STOP).diagnosis, law=None), poses=36)
     assert found.thinned == (36, 80)
     assert found.case.kept.sum() == 36
     assert [s.law.place for s in found.laws] == ["joint 3"]
@@ -411,7 +406,7 @@ def test_laws_of_a_large_campaign_are_searched_on_some_of_its_poses(monkeypatch:
     assert found.to_json("stop")["poses"] == {"searched": 36, "all": 80}
     assert len(found.refit().measurements[0]) == 80
     c = where_noise_follows("kr210-P02", 0.8)
-    assert contest.thinned(c).form.stays == pytest.approx(0.8 ** (c.kept.sum() / 36))  # less stays over longer ways
+    assert contest.thinned(c, 36).form.stays == pytest.approx(0.8 ** (c.kept.sum() / 36))  # less stays over longer ways
 
 
 def test_a_diagnosis_that_is_unknown_says_the_law() -> None:
@@ -469,15 +464,12 @@ def test_noise_alone_is_that_beside_the_best_model_that_is_told() -> None:
     assert diagnosis_json(found.diagnosis, "stop", more)["gap_mm"]["floor"] < 1e3 * found.gap["law"]
 
 
-def test_a_driver_beyond_all_measure_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_driver_beyond_all_measure_is_none() -> None:
     """A load over a rated torque of zero; a sealed robot of four axes was refused for it."""
     r, m = robot(NAME), from_table(table(1), 6)
-    m, some = with_columns(m, drivers_of(r))
-    linear = linearise(r, m, r.parameters.values)
-    monkeypatch.setattr(forms, "LARGEST", 0.5)
-    kept, values = values_of(linear, some)
-    assert 0 < len(kept) < len(some)
-    assert np.abs(values).max() < 0.5
+    usual, great = (Driver(text, "signed", "load") for text in ("tau2", "1e7*tau2"))
+    kept, values = values_of(linearise(r, m, r.parameters.values), [great, usual])
+    assert (kept, values.shape) == ([usual], (80, 1))
 
 
 def test_nothing_is_claimed_where_there_is_nothing() -> None:

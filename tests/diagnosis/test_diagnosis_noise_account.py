@@ -4,11 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from cases import practice, robot, simulated
+from cases import diagnose, following_noise, practice, robot, simulated
 from numpy_physics import Disturbance
 from scipy import stats
 
-from casadical import diagnose
 from casadical.core.basics import Array
 from casadical.diagnosis import page_of
 from casadical.diagnosis.json_answer import as_json
@@ -25,12 +24,8 @@ STATION = np.array([3.0, -1.0, 0.8])
 
 
 def with_noise(m: Measurements, sigma: float = NOISE, follows: float = 0.0, seed: int = 1) -> Measurements:
-    """With noise of which a share stays from each pose to the next."""
-    noise = np.random.default_rng(seed).standard_normal((len(m), 3))
-    for k in range(1, len(noise)):
-        noise[k] = follows * noise[k - 1] + np.sqrt(1 - follows**2) * noise[k]
     assert m.position is not None
-    return replace(m, position=m.position + sigma * noise)
+    return replace(m, position=m.position + following_noise(m.position.shape, follows, sigma, seed))
 
 
 def clean(poses: int = 60, seed: int = 1) -> Measurements:
@@ -48,7 +43,7 @@ def clipped(m: Measurements, size: float) -> Measurements:
 
 
 def found(m: Measurements, declared: float | None = None, name: str = "kr210") -> Diagnosis:
-    return diagnose(robot(name), replace(m, sigma=declared), laws=False)
+    return diagnose(robot(name), replace(m, sigma=declared))
 
 
 def words(d: Diagnosis) -> str:
@@ -87,7 +82,7 @@ def test_a_declaration_that_is_wrong_by_three_is_overruled_and_said(wrong: float
 
 
 def test_a_data_sheet_tells_structure_from_noise() -> None:
-    d = diagnose(robot("kr210"), replace(with_noise(clipped(clean(), 5e-4)), datasheet=2.5 * NOISE), laws=False)
+    d = diagnose(robot("kr210"), replace(with_noise(clipped(clean(), 5e-4)), datasheet=2.5 * NOISE))
     assert (d.verdict, d.account.rules) == ("unknown", Rule.SHEET)
     assert "more than the data sheet allows: structure without a form" in words(d)
     answer = as_json(d, "clipped")["noise"]
@@ -104,7 +99,7 @@ def test_a_data_sheet_tells_structure_from_noise() -> None:
     ],
 )
 def test_a_data_sheet_is_an_upper_end_and_may_be_wrong(times: float, rule: Rule, said: str) -> None:
-    d = diagnose(robot("kr210"), replace(with_noise(clean(100)), datasheet=times * NOISE), laws=False)
+    d = diagnose(robot("kr210"), replace(with_noise(clean(100)), datasheet=times * NOISE))
     assert d.noise.sigma == pytest.approx(NOISE, rel=0.3)
     assert (d.verdict, d.account.rules, d.account.excess) == ("none", rule, 0.0)
     assert said in words(d)
@@ -112,7 +107,7 @@ def test_a_data_sheet_is_an_upper_end_and_may_be_wrong(times: float, rule: Rule,
 
 def test_what_follows_the_sum_of_two_angles_is_structure() -> None:
     m = with_noise(simulated("hh800", 3, Bevels(), n=100, noise_mm=0.0))
-    d = diagnose(robot("hh800"), m, ["backlash"], laws=False)
+    d = diagnose(robot("hh800"), m, ["backlash"])
     assert d.verdict == "unknown"
     assert (d.account.structures[0].over, d.account.structures[0].along) == ("q4 + q5", "joint 5")
     assert "follows q4 + q5 along joint 5" in words(d)
@@ -125,7 +120,7 @@ def test_points_that_are_near_err_alike() -> None:
     q = np.where((np.arange(len(twice)) % 2 == 1)[:, None] & (np.arange(6) == 5), -0.8 * twice.q, twice.q)
     again = replace(twice, q=q, conditions={}, row=rng.permutation(len(twice)))  # not one after the other
     places = np.repeat(8e-5 * rng.standard_normal((len(m), 3)), 2, axis=0)
-    d = diagnose(arm, with_noise(replace(again, position=predicted(arm, again)[0] + places)), ["backlash"], laws=False)
+    d = diagnose(arm, with_noise(replace(again, position=predicted(arm, again)[0] + places)), ["backlash"])
     assert d.verdict == "unknown"
     assert "poses whose points are near" in [s.over for s in d.account.structures]
 
@@ -136,14 +131,14 @@ def test_noise_of_repeated_poses_is_no_structure_and_no_law(poses: int, times: i
     arm, m = robot("kr210"), clean(poses)
     again = replace(m[np.repeat(np.arange(poses), times)], conditions={}, row=np.arange(poses * times))
     m = with_noise(replace(again, position=predicted(arm, again)[0]))
-    d = diagnose(arm, m, ["backlash"])
+    d = diagnose(arm, m, ["backlash"], laws=True)
     assert (d.verdict, d.account.structures) == ("none", ())
     assert not laws_beside(d).laws
 
 
 @pytest.mark.parametrize("poses", [5, 8, 9])
 def test_few_poses_have_no_law(poses: int) -> None:
-    d = diagnose(robot("kr210"), clean(40)[:poses])
+    d = diagnose(robot("kr210"), clean(40)[:poses], laws=True)
     assert (d.verdict, d.law) == ("none", None)
 
 
@@ -152,7 +147,7 @@ def test_lines_looked_for_alone_are_those_among_all_structures() -> None:
     rippled = replace(m, q=m.q + 2e-4 * np.sin(21 * m.q) * (np.arange(6) == 1))
     assert m.position is not None
     m = replace(m, position=m.position + predicted(arm, rippled)[0] - predicted(arm, m)[0])
-    d = diagnose(arm, with_noise(m), ["backlash"], laws=False)
+    d = diagnose(arm, with_noise(m), ["backlash"])
     lines = [s.line for s in d.account.structures if s.line]
     assert lines == [*lines_of(d.case, d.columns, d.noise, Form())] == [(2, pytest.approx(21, abs=1.0))]
 
@@ -186,7 +181,7 @@ def test_chances_are_those_of_the_beta_distribution(share: float, width: int, fr
 def test_round_off_of_readings_changes_no_verdict_and_no_cause(name: str) -> None:
     m, arm, effects = practice(name), robot(name.split("-")[0]), ["gear_eccentricity", "backlash", "frame_drift"]
     moved = with_noise(m, 1e-15)
-    first, second = (diagnose(arm, each, effects, laws=False) for each in (m, moved))
+    first, second = (diagnose(arm, each, effects) for each in (m, moved))
     assert (first.verdict, [c.label for c in first.causes]) == (second.verdict, [c.label for c in second.causes])
     assert first.rankings[0].none == pytest.approx(second.rankings[0].none, rel=1e-3)
     assert first.unknown_rest == pytest.approx(second.unknown_rest, abs=1e-6)

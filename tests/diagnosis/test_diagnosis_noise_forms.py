@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 
 from casadical.blind_check.mujoco_physics.stops import Stops, only
 from casadical.core.basics import Array
+from casadical.core.linear_gaussian.model import Memory
 from casadical.diagnosis.evidence import RHOS, SIGMAS, Evidence, KnownNoise
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.noise_evidence import Form, Problem
@@ -103,14 +104,11 @@ def test_poses_far_out_are_weighed_down_and_paid_for(columns: int) -> None:
     assert p.log_likelihood(found)[0, at] - exact == pytest.approx(plain, abs=1e-5)
 
 
-def test_sums_in_parts_are_those_of_all_poses(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sums_in_parts_are_those_of_all_poses() -> None:
     e = replace(case("kr210-P02").evidence, near=(1, 2))
     form = [following(0.6, len(e.r)), Form(joint=1, worse=SCATTERS), Form(times=1.0 + (np.arange(len(e.r)) % 9 == 0))]
     order = np.random.default_rng(0).permutation(len(e.r))
-    whole = Problem(e, NONE, order)
-    monkeypatch.setattr("casadical.diagnosis.noise_evidence.PART_BYTES", 1)
-    monkeypatch.setattr("casadical.diagnosis.noise_evidence.MOST_BYTES", 1)
-    parts = Problem(e, NONE, order)
+    whole, parts = Problem(e, NONE, order), Problem(replace(e, memory=Memory(kept=0, part=1)), NONE, order)
     for f in form:
         assert parts.log_likelihood(f)[1:3] == pytest.approx(whole.log_likelihood(f)[1:3], abs=1e-6)
         assert parts.left(f, 1) == pytest.approx(whole.left(f, 1), abs=1e-12)
@@ -185,6 +183,6 @@ def test_a_line_is_found_beneath_noise_that_follows_itself() -> None:
 
 def test_a_curve_of_many_harmonics_does_not_take_what_is_a_line_and_such_noise() -> None:
     """The curve follows both; the noise has its turn before it."""
-    d = diagnose(robot("ur10e"), path(1e-4), ["transmission_ripple", "joint_error_curve"], laws=False)
+    d = diagnose(robot("ur10e"), path(1e-4), ["transmission_ripple", "joint_error_curve"])
     assert [c.label for c in d.causes] == ["transmission_ripple@2"]
     assert d.case.form.stays == pytest.approx(0.75, abs=0.2)

@@ -10,12 +10,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from cases import ROOT, planar, robot, small_problem
+from cases import ROOT, diagnose, planar, robot, small_problem
 from numpy.testing import assert_allclose
 from scipy.special import logsumexp
 from scipy.stats import chi2, multivariate_normal
 
-from casadical import InputError, Joint, Measurements, Robot, diagnose
+from casadical import InputError, Joint, Measurements, Robot
 from casadical.core import file_locks
 from casadical.core.linear_gaussian.grid import NEGLIGIBLE, log_gain
 from casadical.core.transforms import frame, from_rpy
@@ -192,7 +192,7 @@ def test_candidates_of_one_setting_and_of_several_are_named_by_their_effect() ->
 
 
 def test_kept_formulas_are_known_to_who_clears_the_folder() -> None:
-    path = KeptFormulas(seams_of(robot("ur10e"))).path
+    path = KeptFormulas(seams_of(robot("ur10e")), "code").path
     assert path is None or file_locks._KEPT.fullmatch(path.name)
 
 

@@ -1,8 +1,6 @@
 """The robot with its causes: one recipe for users, exports and the blind check, with the evidence's data and priors."""
 
-from collections.abc import Sequence
 from dataclasses import replace
-from importlib import import_module
 
 import numpy as np
 import pandas as pd
@@ -11,17 +9,13 @@ from cases import PRACTICE, ROOT, diagnosed, practice, robot
 
 from casadical.blind_check import prediction
 from casadical.core.basics import Array
-from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.refit import refit
 from casadical.export.model_file import robot_to_write
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
 from casadical.measurements.derived_columns import derive
-from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml
-
-CAMPAIGNS = sorted(path.stem for path in PRACTICE.glob("*.csv"))
 
 
 class Recorded(prediction.Session):
@@ -35,30 +29,10 @@ class Recorded(prediction.Session):
 ROBOTS: dict[str, Robot] = {}
 
 
-@pytest.mark.parametrize("name", CAMPAIGNS)
-def test_user_export_and_blind_check_have_the_same_robot(name: str, monkeypatch) -> None:
-    """Three ways to the robot with its causes: `apply`, the MJCF of a campaign, the predictor of a blind check.
-
-    All ask the same of the diagnosis, which answers the first campaign anew each time, and the others once.
-    """
+@pytest.mark.parametrize("name", ["hh800-P01", "kr210-P02"])
+def test_user_export_and_blind_check_have_the_same_robot(name: str) -> None:
+    """Three ways to the robot with its causes: `apply`, the MJCF of a campaign, the predictor of a blind check."""
     found, folder = diagnosed(name), ROOT / "problems" / name.split("-")[0]
-
-    def known(
-        given: Robot, sets: Measurements | Sequence[Measurements], effects: str = "standard", **_: object
-    ) -> Diagnosis:
-        (m,) = [sets] if isinstance(sets, Measurements) else sets
-        ours, theirs = (r.parameters for r in (robot(name.split("-")[0]), given))
-        assert (theirs.names, effects) == (ours.names, "standard")
-        for of_each in ("value", "lower", "upper", "prior"):
-            np.testing.assert_allclose(*([getattr(p, of_each) or 0.0 for p in ps] for ps in (theirs, ours)), atol=1e-12)
-        assert all(np.array_equal(m.arrays[k], values) for k, values in practice(name).arrays.items())
-        assert all(np.array_equal(m.conditions[k], values) for k, values in practice(name).conditions.items())
-        assert np.array_equal(m.q, practice(name).q)
-        return found
-
-    if name != CAMPAIGNS[0]:
-        for module in ("casadical.diagnosis.diagnose", "casadical.project.diagnosis"):
-            monkeypatch.setattr(import_module(module), "diagnose", known)
     applied = found.apply()
     exported = robot_to_write(folder, PRACTICE / f"{name}.csv")
     table = pd.read_csv(PRACTICE / f"{name}.csv")

@@ -9,13 +9,14 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from casadical import Body, InputError, Joint, Robot, read_robot
+from casadical import Body, InputError, Joint, Robot, read_robot, write_robot
 from casadical.cli.root import app
 from casadical.core.telling.drawing import draw
 from casadical.core.telling.figure import Figure
 from casadical.core.telling.result import plain_text
 from casadical.diagnosis.motion.replay import replayed
 from casadical.diagnosis.motion.response import fitted
+from casadical.effects import Backlash
 from casadical.measurements.logs.log import JointLog
 from casadical.measurements.logs.reading import read_log
 from casadical.robot.dynamics import Dynamics
@@ -124,8 +125,6 @@ def test_rounding_of_readings_moves_no_parameter():
 
 
 def test_the_command_replays_and_keeps_the_drives_in_a_robot_file(arm, tmp_path):
-    from casadical import write_robot
-
     for seed in (1, 2):
         log = moved(arm, seed, 8.0)
         columns = {"time_s": log.time}
@@ -178,8 +177,6 @@ def test_the_report_of_logs_shows_errors_friction_and_hysteresis(arm, tmp_path):
 
 
 def test_effects_of_poses_and_drives_of_logs_live_in_one_file(arm, tmp_path):
-    from casadical.effects import Backlash
-
     with_both = arm.with_effect(Backlash(2))
     path = tmp_path / "diagnosed.robot.toml"
     path.write_text(replayed(with_both, [moved(with_both, 6, 6.0)]).files(tmp_path)[path], encoding="utf-8")

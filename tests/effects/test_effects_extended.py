@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from bench import campaign, robot, with_columns
 
+from casadical import identify
 from casadical.diagnosis.candidates import extended_candidates
-from casadical.effects import Effect, GearMesh, HoseDrag, LoadHysteresis, SmrOffset
+from casadical.diagnosis.settings_search import neighbours
+from casadical.effects import Effect, GearMesh, HoseDrag, LoadHysteresis, SmrOffset, TransmissionRipple
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements
 
@@ -78,17 +80,12 @@ def test_an_offset_of_the_reflector_has_its_length(part: str) -> None:
 
 
 def test_known_ratio_is_not_refined_away() -> None:
-    from casadical.diagnosis.settings_search import neighbours
-    from casadical.effects import TransmissionRipple
-
     assert neighbours(GearMesh(3, 171.5), 1.0) == []
     assert neighbours(TransmissionRipple(3, 4.0), 1.0) != []
 
 
 @pytest.mark.parametrize("effect", [GearMesh(3), HoseDrag(), SmrOffset(), LoadHysteresis(2)], ids=lambda e: e.label)
 def test_identify_takes_an_extended_effect(effect: Effect) -> None:
-    from casadical import identify
-
     poses = with_columns(campaign(NAME), [effect])
     found = identify(robot(NAME).with_effect(effect), poses, ("kinematic", "compliance", effect.label), priors=True)
     table = found.parameters.set_index("name")

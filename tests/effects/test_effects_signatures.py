@@ -17,7 +17,7 @@ from casadical.blind_check.mujoco_physics import Plant
 from casadical.blind_check.mujoco_physics.cause import link_angles
 from casadical.core.transforms import Symbolic, small_frame
 from casadical.diagnosis.linearisation import signatures
-from casadical.effects import AxisWobble, Effect
+from casadical.effects import AxisWobble, Effect, PayloadError
 from casadical.effects.base import Context
 from casadical.identification.accuracy import predicted
 
@@ -57,8 +57,6 @@ def test_signature_of_the_unknown_is_the_models_derivative() -> None:
 
 
 def test_payload_error_acts_where_the_payload_is() -> None:
-    from casadical.effects import PayloadError
-
     poses = with_columns(campaign("kr210"), [PayloadError()])
     E, _, _ = signatures(robot("kr210"), [PayloadError()], poses, robot("kr210").parameters.values)
     carried = poses.conditions["payload_kg"] > 0

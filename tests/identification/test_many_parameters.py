@@ -10,7 +10,10 @@ from scipy.optimize import lsq_linear
 
 import casadical
 from casadical import identify
-from casadical.identification import error_bound, least_squares, misfit, reduction, residuals
+from casadical.effects.joint_error_curve import USUAL, JointErrorCurve
+from casadical.identification.error_bound import learn_bound
+from casadical.identification.least_squares import WIDE
+from casadical.identification.misfit import wide_fit
 
 ARM = arms.six_axis()
 
@@ -21,31 +24,28 @@ def measured():
     return replace(arms.positions(built, arms.readings(built, 60, 8), 9), sigma=arms.NOISE)
 
 
-def five_are_many(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (reduction, least_squares):
-        monkeypatch.setattr(module, "WIDE", 5)
-
-
-def test_many_parameters_end_where_few_do(measured, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = identify(ARM, measured, ["kinematic"], priors=True)
-    five_are_many(monkeypatch)
-    many = identify(ARM, measured, ["kinematic"], priors=True)
-    assert many.is_optimal()
-    assert many.names == whole.names
-    np.testing.assert_allclose(many.estimate, whole.estimate, atol=2e-3 * whole.standard_errors.min())
-
-
-def test_bounds_hold_with_many(measured, monkeypatch: pytest.MonkeyPatch) -> None:
-    narrow = {**ARM.widths, "geometry": replace(ARM.widths["geometry"], length_bound=2e-4)}
-    robot = replace(ARM, widths=narrow)
-    whole = identify(robot, measured, ["kinematic"], priors=True)
-    five_are_many(monkeypatch)
-    many = identify(robot, measured, ["kinematic"], priors=True)
-    assert many.at_bounds == whole.at_bounds != ()
-    # What the Gauss-Newton steps found is an optimum to Ipopt, which begins a little inside the bounds.
-    above = [found.solution.history[0] - found.solution.history[-1] for found in (many, whole)]
-    assert above[0] < 0.05 * above[1]
-    np.testing.assert_allclose(many.estimate, whole.estimate, atol=1e-6)
+@pytest.mark.parametrize("narrow", [False, True], ids=["free", "at bounds"])
+def test_many_parameters_end_at_the_optimum(narrow: bool) -> None:
+    """Data and prior pull at each parameter alike; at a bound they pull outwards."""
+    arm = arms.planar()
+    m = replace(arms.positions(built := arms.planted(arm, 4), arms.readings(built, 60, 8), 9), sigma=arms.NOISE)
+    width = replace(arm.widths["geometry"], **({"length_bound": 2e-4} if narrow else {}))
+    arm = replace(arm, widths={**arm.widths, "geometry": width}).with_effect(JointErrorCurve(None, (USUAL, USUAL)))
+    found = identify(arm, m, ["kinematic", "joint_error_curve"], loss="linear", priors=True)
+    assert found.is_optimal()
+    assert len(found.names) > WIDE
+    own = [found.start.parameters[n] for n in found.names]
+    residuals, J = found.problem.evaluate(found.solution.v)
+    scale, prior = (np.array([getattr(p, name) for p in own]) for name in ("scale", "prior"))
+    departure = (found.estimate - [p.value for p in own]) / scale
+    pull = (J.T @ residuals[0].ravel() + departure * (scale / prior) ** 2) / np.linalg.norm(J, axis=0)
+    held = np.isin(found.names, found.at_bounds)
+    assert held.any() == narrow
+    assert np.abs(pull[~held]).max() < 1e-3
+    assert np.all((pull * departure)[held] < 0)
+    if narrow:  # the search begins where Gauss-Newton steps lead, which is an optimum to Ipopt but for the bounds
+        start = found.problem.cost(np.zeros(len(own)))
+        assert found.solution.history[0] - found.solution.history[-1] < 0.1 * (start - found.solution.history[-1])
 
 
 def test_correlated_priors_are_those_of_the_normal_distribution(measured) -> None:
@@ -77,22 +77,21 @@ def found() -> casadical.Identification:
     return casadical.calibrate(ROOT / "problems" / "ur10e").identification
 
 
-def test_the_misfit_is_that_of_all_poses(found, monkeypatch) -> None:
-    usual = misfit.wide_fit(found)
-    monkeypatch.setattr(misfit, "KEPT", 0)
-    monkeypatch.setattr(residuals, "CHUNK", 7)
-    parts = misfit.wide_fit(found)
-    assert max(len(rows.r) for rows in parts.poses) == 7
+def test_the_misfit_is_that_of_all_poses(measured) -> None:
+    """As they were measured at once, and in parts whose rows are not kept."""
+    usual = wide_fit(identify(ARM, measured, ["kinematic"], priors=True))
+    parts = wide_fit(identify(ARM, [measured[:7], measured[7:]], ["kinematic"], priors=True), kept=0)
+    assert [len(rows.r) for rows in parts.poses] == [7, 53]
     assert parts.misfit == pytest.approx(usual.misfit, rel=1e-9)
     assert parts.left == pytest.approx(usual.left, rel=1e-9)
     assert parts.best.log_likelihood == pytest.approx(usual.best.log_likelihood, rel=1e-9)
-    assert len(parts.poses) == len(usual.poses) == sum(map(len, found.used))
+    assert len(parts.poses) == len(usual.poses) == 60
 
 
-def test_a_bound_of_some_poses_is_about_that_of_all(found, monkeypatch) -> None:
-    usual = error_bound.learn_bound(found)
-    monkeypatch.setattr(error_bound, "MOST", (2 * usual.poses) // 3)
-    some = error_bound.learn_bound(found)
-    assert abs(some.poses - error_bound.MOST) <= 1
+def test_a_bound_of_some_poses_is_about_that_of_all(found) -> None:
+    usual = learn_bound(found)
+    most = (2 * usual.poses) // 3
+    some = learn_bound(found, most)
+    assert abs(some.poses - most) <= 1
     # The noise of a coordinate, times the factor, is most of it.
     assert some.rest * some.times == pytest.approx(usual.rest * usual.times, rel=0.3)

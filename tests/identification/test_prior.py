@@ -1,5 +1,6 @@
 """What one campaign told of a robot as the prior of the next: fewer poses, messages, the learnt ranges."""
 
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,8 +24,6 @@ BASE = ("kinematic",)
 
 
 def parse(text):
-    import tomllib
-
     return robot_from(tomllib.loads(text), "other.toml")
 
 

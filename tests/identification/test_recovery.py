@@ -8,6 +8,7 @@ import pytest
 
 from casadical import identify
 from casadical.core.transforms import frame, from_rpy
+from casadical.identification.placement import place_frames
 
 # Frames known, so that the planted parameters can be compared one by one.
 FIXED = arms.six_axis(base=arms.Placement(arms.TRACKER), tool=arms.Placement(arms.six_axis().tool.T))
@@ -164,8 +165,6 @@ def test_skewed_parallel_axes_give_the_same_set_again():
 
 @pytest.mark.parametrize("seed", range(6))
 def test_place_is_exact_without_noise_in_any_tracker_frame(seed):
-    from casadical.identification.placement import place_frames
-
     rng = np.random.default_rng(seed)
     T = frame(from_rpy(rng.uniform(-np.pi, np.pi, 3)), rng.uniform(-50, 50, 3))
     robot = arms.six_axis()
@@ -179,8 +178,6 @@ def test_place_is_exact_without_noise_in_any_tracker_frame(seed):
 
 @pytest.mark.parametrize("quarter", ["x", "y", "z", "half turn"])
 def test_place_at_right_angles_and_half_turns(quarter):
-    from casadical.identification.placement import place_frames
-
     angles = {"x": (np.pi / 2, 0, 0), "y": (0, np.pi / 2, 0), "z": (0, 0, -np.pi / 2), "half turn": (np.pi, 0, np.pi)}[
         quarter
     ]
@@ -191,8 +188,6 @@ def test_place_at_right_angles_and_half_turns(quarter):
 
 
 def test_place_with_full_poses_finds_the_tool_s_orientation():
-    from casadical.identification.placement import place_frames
-
     robot = arms.six_axis(tool=replace(arms.six_axis().tool, unknown="pose"))
     tool = frame(from_rpy(np.array([0.3, -1.2, 2.0])), np.array([0.02, 0.1, 0.15]))
     built = replace(robot, base=replace(robot.base, T=arms.TRACKER), tool=replace(robot.tool, T=tool))
@@ -205,8 +200,6 @@ def test_place_with_full_poses_finds_the_tool_s_orientation():
 
 def test_place_with_compliance_and_a_tilted_frame():
     """Gravity known in the measuring frame: the start is turned with it."""
-    from casadical.identification.placement import place_frames
-
     body = arms.Body(15.0, np.array([0.2, 0.02, 0.01]))
     joints = tuple(replace(j, compliance=3e-5, body=body) for j in arms.six_axis().joints)
     robot = arms.six_axis(joints=joints, gravity=np.array([9.8, 0, 0]))

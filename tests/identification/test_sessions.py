@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from arms import TRACKER, planted, positions, readings, six_axis
 
-from casadical import InputError, Measurements, from_table, identify, read_robot, write_robot
+from casadical import Identification, InputError, Measurements, from_table, identify, read_robot, write_robot
 from casadical.core.parts import Sessions
 from casadical.core.transforms import frame, from_rpy
 from casadical.identification.accuracy import errors
@@ -40,10 +40,18 @@ def made() -> tuple[Measurements, Measurements, Measurements, Measurements]:
     return first[:60], second[:60], first[60:], second[60:]
 
 
+OWN = replace(six_axis(), sessions=Sessions(zeros="own"))
+
+
+@cache
+def apart() -> Identification:
+    """Both sessions, each a set of its own, with zeros of its own."""
+    return identify(OWN, made()[:2], method="KM")
+
+
 def test_base_and_tool_are_found_anew_and_the_robot_is_shared() -> None:
     first, second, held, held_later = made()
-    own = replace(six_axis(), sessions=Sessions(zeros="own"))
-    found = identify(own, (first, second), method="KM")
+    found = apart()
     alone = identify(six_axis(), first, method="KM")
     assert errors(found.robot, held).mean() < 1.02 * errors(alone.robot, held).mean()
     assert errors(found.robot, held_later).mean() < 5e-5
@@ -62,15 +70,10 @@ def test_a_column_names_the_sessions_of_one_table(tmp_path: Path) -> None:
         q=np.concatenate([first.q, second.q]),
         kind="position",
         position=np.concatenate([first.position, second.position]),
-        conditions={
-            "session_May": np.repeat([1.0, 0.0], 60),
-            "session_June": np.repeat([0.0, 1.0], 60),
-        },
+        conditions={"session_May": np.repeat([1.0, 0.0], 60), "session_June": np.repeat([0.0, 1.0], 60)},
     )
-    own = replace(six_axis(), sessions=Sessions(zeros="own"))
-    found = identify(own, both, method="KM")
-    apart = identify(own, (first, second), method="KM")
-    assert errors(found.robot, held).mean() == pytest.approx(errors(apart.robot, held).mean(), rel=0.05)
+    found = identify(OWN, both, method="KM")
+    assert errors(found.robot, held).mean() == pytest.approx(errors(apart().robot, held).mean(), rel=0.05)
     # The file holds the robot, and base and tool of the first session.
     write_robot(found.robot, tmp_path / "robot.toml")
     again = read_robot(tmp_path / "robot.toml")

@@ -23,12 +23,7 @@ from numpy_physics.campaigns import campaign
 from numpy_physics.disturbance import Disturbance
 from numpy_physics.disturbances_drive import GearEccentricity, TransmissionRipple
 from numpy_physics.disturbances_load import Backlash, FrictionWindup, HardeningSpring
-from numpy_physics.disturbances_structure import (
-    AxisWobble,
-    LinkFlexure,
-    PedestalTilt,
-    ThermalGrowth,
-)
+from numpy_physics.disturbances_structure import AxisWobble, LinkFlexure, PedestalTilt, ThermalGrowth
 
 SETS = {"identify": 40, "train": 50, "choose": 50, "report": 50}
 SEED, ROBOT_SEED = 145, 102

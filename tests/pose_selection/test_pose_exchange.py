@@ -2,13 +2,14 @@
 
 from itertools import combinations
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
 from casadical import InputError, read_robot
-from casadical.pose_selection import experimental_design, forecast
-from casadical.pose_selection.experimental_design import Determinant, Linear, Spectral, search
+from casadical.pose_selection import forecast
+from casadical.pose_selection.experimental_design import Determinant, Linear, Spectral, improve, search
 
 ROOT = Path(__file__).parents[2]
 
@@ -96,20 +97,30 @@ def test_gains_are_differences_of_values(kind, sign) -> None:
 
 
 @pytest.mark.parametrize("kind", ["D", "V"])
-def test_the_unit_of_the_rows_changes_nothing(monkeypatch, kind) -> None:
+def test_the_unit_of_the_rows_changes_nothing(kind) -> None:
     """A search that took round-off for a gain went round for ever where the index was above one."""
-    steps = []
-    monkeypatch.setattr(
-        experimental_design, "excursion", lambda *a, do=experimental_design.excursion: steps.append(a) or do(*a)
-    )
-    found, counts = [], []
-    for unit in (2.0**-10, 1.0, 2.0**10):
-        # Every candidate twice: exchanging one for its twin gains nothing.
-        twins = np.concatenate([rows(7, n=40, p=8)] * 2)
-        found.append(sorted(search(design(kind, unit * twins), 12, 3, 1).tolist()))
-        counts.append(len(steps))
+    # Every candidate twice: exchanging one for its twin gains nothing.
+    twins = np.concatenate([rows(7, n=40, p=8)] * 2)
+    found = [sorted(search(design(kind, unit * twins), 12, 3, 1).tolist()) for unit in (2.0**-10, 1.0, 2.0**10)]
     assert found[0] == found[1] == found[2]
-    assert counts == [counts[0], 2 * counts[0], 3 * counts[0]]
+
+
+class Counted(Determinant):
+    """Keeps how many poses were chosen after each step."""
+
+    counts: ClassVar[list[int]] = []
+
+    def _change(self, k: int, sign: int) -> None:
+        super()._change(k, sign)
+        self.counts.append(len(self.chosen))
+
+
+def test_an_exchange_goes_as_deep_as_it_is_told_step_by_step() -> None:
+    d = Counted(rows(2), np.eye(P), np.arange(N)[:, None].astype(float), 0.0, np.zeros((0, 1)))
+    d.start(search(d, 6, 20, 0).tolist())  # of which no exchange gains
+    d.counts.clear()
+    improve(d, 3)
+    assert list(dict.fromkeys(d.counts)) == [7, 6, 5, 8, 4, 9, 3]
 
 
 def test_a_pose_may_be_chosen_again_where_that_is_allowed() -> None:

@@ -2,7 +2,6 @@
 
 import itertools
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ from pose_arms import planar
 
 from casadical.core.basics import InputError
 from casadical.effects.instrument import Session
-from casadical.pose_selection import experimental_design, pose_search
 from casadical.pose_selection.candidates import Candidates, Circumstances, candidates_at, expected, later_poses
 from casadical.pose_selection.pose_search import select_poses
 from casadical.pose_selection.selection import TIME_PARTS, arranged, short_path
@@ -19,37 +17,10 @@ from casadical.pose_selection.workspace import read_workspace
 ROBOT = planar()
 
 
-class Still:
-    """A design that no exchange improves."""
-
-    def __init__(self) -> None:
-        self.chosen, self.value = [0, 1, 2, 3], 1.0
-
-    def snapshot(self) -> None: ...
-
-    def restore(self, before: None) -> None: ...
-
-
-def test_an_exchange_goes_as_deep_as_it_is_told_step_by_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    tried: list[tuple[int, bool]] = []
-    monkeypatch.setattr(experimental_design, "excursion", lambda _design, _n, reach, up: tried.append((reach, up)))
-    design: Any = Still()
-    experimental_design.improve(design, 3)
-    assert tried == [(1, True), (1, False), (2, True), (2, False), (3, True), (3, False)]
-
-
-def test_the_pool_is_three_times_what_is_chosen_at_least(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[int] = []
-
-    def stop(*_: object, pool: int, **__: object) -> None:
-        asked.append(pool)
-        raise InputError("far enough")
-
-    monkeypatch.setattr(pose_search, "prepare", stop)
-    for n, pool in ((5, 100), (50, 100)):
-        with pytest.raises(InputError, match="far enough"):
-            select_poses(ROBOT, None, n, pool=pool)
-    assert asked == [100, 150]
+@pytest.mark.parametrize(("n", "candidates"), [(5, 100), (50, 150)])
+def test_the_pool_is_three_times_what_is_chosen_at_least(n: int, candidates: int) -> None:
+    with pytest.raises(InputError, match=f"the {candidates} candidates lie too near"):
+        select_poses(ROBOT, None, n, pool=100, min_distance=100.0)
 
 
 def test_poses_stay_in_their_part_of_the_campaign() -> None:

@@ -1,6 +1,6 @@
 """Selections: what they promise against identifications, their circumstances, and their order."""
 
-import importlib
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -235,14 +235,7 @@ def test_travel_is_of_the_joint_that_turns_most(robot) -> None:
 
 
 def test_without_networkx_the_message_says_what_to_install(chosen, monkeypatch) -> None:
-    real = importlib.import_module
-
-    def missing(name):
-        if name == "networkx":
-            raise ImportError(name)
-        return real(name)
-
-    monkeypatch.setattr(importlib, "import_module", missing)
+    monkeypatch.setitem(sys.modules, "networkx", None)
     with pytest.raises(InputError, match=r"pip install 'casadical\[plan\]'"):
         chosen.ordered()
 

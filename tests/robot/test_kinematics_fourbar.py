@@ -65,11 +65,7 @@ def test_parallelogram_turns_the_rocker_with_the_crank():
 
 
 @settings(deadline=None, max_examples=300, derandomize=True)
-@given(
-    st.tuples(*[st.floats(0.3, 2.0)] * 4),
-    st.floats(-np.pi, np.pi),
-    st.floats(-np.pi, np.pi),
-)
+@given(st.tuples(*[st.floats(0.3, 2.0)] * 4), st.floats(-np.pi, np.pi), st.floats(-np.pi, np.pi))
 def test_margin_is_negative_exactly_where_the_loop_is_open(bars, crank, ground):
     assume(abs(diagonal_end(crank, ground, bars)) > 1e-3)
     margin = float(fourbar.margin(crank, ground, bars))

@@ -11,13 +11,7 @@ import numpy as np
 import pytest
 from bench import FIRST, campaign, robot, with_columns
 
-from casadical import (
-    InputError,
-    Robot,
-    identify,
-    read_robot,
-    write_robot,
-)
+from casadical import InputError, Robot, identify, read_robot, write_robot
 from casadical.diagnosis.candidates import extended_candidates
 from casadical.effects import Backlash, Effect, ThermalGrowth
 from casadical.identification.accuracy import predicted

@@ -23,44 +23,54 @@ limits_deg = [-170, 170]
 a_mm = 300
 """
 
-LOOP = "\n[[four_bar]]\ndriven = {driven}\ncarrier = {carrier}\ncrank_mm = {crank}\ncoupler_mm = 300\nrocker_mm = 100\n"
+
+def row2(keys: str) -> tuple[str, str]:
+    """Other keys in row 2."""
+    return "a_mm = 300", keys
+
+
+def before_tool(text: str) -> tuple[str, str]:
+    return "[tool]", f"{text}\n[tool]"
+
+
+def loop(driven: int, carrier: int, crank: float) -> tuple[str, str]:
+    bars = f"crank_mm = {crank}\ncoupler_mm = 300\nrocker_mm = 100"
+    return "", f"\n[[four_bar]]\ndriven = {driven}\ncarrier = {carrier}\n{bars}\n"
+
 
 # What is changed or added, and what the message must then hold besides the file's name.
 FAULTS = {
-    "text for a number": (("a_mm = 300", 'a_mm = "300"'), ["joint[2].a_mm = '300'", "must be a valid number"]),
-    "boolean for a number": (("a_mm = 300", "a_mm = true"), ["joint[2].a_mm = true", "must be a valid number"]),
-    "not finite": (("a_mm = 300", "a_mm = nan"), ["joint[2].a_mm = nan", "finite"]),
-    "longer than any arm": (("a_mm = 300", "a_mm = 1e12"), ["joint[2].a_mm = 1000000000000", "allowed: at most 1e+07"]),
+    "text for a number": (row2('a_mm = "300"'), ["joint[2].a_mm = '300'", "must be a valid number"]),
+    "boolean for a number": (row2("a_mm = true"), ["joint[2].a_mm = true", "must be a valid number"]),
+    "not finite": (row2("a_mm = nan"), ["joint[2].a_mm = nan", "finite"]),
+    "longer than any arm": (row2("a_mm = 1e12"), ["joint[2].a_mm = 1000000000000", "allowed: at most 1e+07"]),
     "twists in radians under a name of degrees": (
         ("d_mm = 100", "alpha_deg = -1.5708\n[[joint]]\nalpha_deg = 3.142\n[[joint]]\nalpha_deg = 0"),
         ["joint[1].alpha_deg = -1.5708", "looks like radians", "alpha_rad"],
     ),
-    "no unit": (("a_mm = 300", "a = 0.3"), ["joint[2].a = 0.3", "a_mm or a_m"]),
-    "an angle's unit on a length": (("a_mm = 300", "a_deg = 3"), ["joint[2].a_deg = 3", "not a known key", "a_mm"]),
-    "a length's unit on an angle": (("a_mm = 300", "theta_mm = 3"), ["joint[2].theta_mm", "theta_deg"]),
-    "two units": (("a_mm = 300", "a_mm = 300\na_m = 0.3"), ["joint[2].a_m = 0.3", "given twice"]),
-    "a slip of the pen": (
-        ("a_mm = 300", "alhpa_deg = 9"),
-        ["joint[2].alhpa_deg = 9", "is alpha_deg meant?", "theta_deg"],
-    ),
+    "no unit": (row2("a = 0.3"), ["joint[2].a = 0.3", "a_mm or a_m"]),
+    "an angle's unit on a length": (row2("a_deg = 3"), ["joint[2].a_deg = 3", "not a known key", "a_mm"]),
+    "a length's unit on an angle": (row2("theta_mm = 3"), ["joint[2].theta_mm", "theta_deg"]),
+    "two units": (row2("a_mm = 300\na_m = 0.3"), ["joint[2].a_m = 0.3", "given twice"]),
+    "a slip of the pen": (row2("alhpa_deg = 9"), ["joint[2].alhpa_deg = 9", "is alpha_deg meant?", "theta_deg"]),
     "an unknown table": (("[tool]", "[flange]"), ["flange", "not a known key", "tool", "four_bar"]),
     "no name": (('name = "two joints"', ""), ["name: is missing"]),
     "an empty name": (('"two joints"', '""'), ["name = ''", "must not be empty"]),
     "a version that is true": (("casadical = 1", "casadical = true"), ["casadical = true", "must be 1 or 2"]),
     "a version with a point": (("casadical = 1", "casadical = 1.0"), ["casadical = 1.0", "must be 1 or 2"]),
-    "a date for a number": (("a_mm = 300", "a_mm = 2026-01-01"), ["joint[2].a_mm = 2026-01-01: must be a valid"]),
-    "a list for a table": (("[tool]", "base = [3]\n[tool]"), ["base = [3]: must be a table"]),
+    "a date for a number": (row2("a_mm = 2026-01-01"), ["joint[2].a_mm = 2026-01-01: must be a valid"]),
+    "a list for a table": (before_tool("base = [3]"), ["base = [3]: must be a table"]),
     "gravity in millimetres": (
-        ("[tool]", "[gravity]\nvector_m_per_s2 = [0, 0, -9810]\n[tool]"),
+        before_tool("[gravity]\nvector_m_per_s2 = [0, 0, -9810]"),
         ["gravity.vector_m_per_s2 = [0, 0, -9810]", "at most 30 m/s2"],
     ),
     "a stiffness of what is not compliant": (
-        ("a_mm = 300", "a_mm = 300\nstiffness_Nm_per_rad = 2e5\ncompliant = false"),
+        row2("a_mm = 300\nstiffness_Nm_per_rad = 2e5\ncompliant = false"),
         ["joint[2].compliant = false", "leave one of the two out"],
     ),
-    "a gear without teeth": (("[tool]", "[drive]\ngear_ratio = 0\n[tool]"), ["drive.gear_ratio = 0: must be greater"]),
+    "a gear without teeth": (before_tool("[drive]\ngear_ratio = 0"), ["drive.gear_ratio = 0: must be greater"]),
     "a gain that drives away": (
-        ("[tool]", "[drive]\nkp_Nm_per_rad = [1, -5]\n[tool]"),
+        before_tool("[drive]\nkp_Nm_per_rad = [1, -5]"),
         ["1 fault(s)\n  drive.kp_Nm_per_rad[2] = -5: must be greater than or equal to 0"],
     ),
     "one name for two joints": (
@@ -68,11 +78,11 @@ FAULTS = {
         ["joint[1].name = 'a'", "each needs one of its own"],
     ),
     "a mass centre in the wrong unit": (
-        ("a_mm = 300", "a_mm = 300\nbody = { mass_kg = 5, com_m = [60, 0, 0] }"),
+        row2("a_mm = 300\nbody = { mass_kg = 5, com_m = [60, 0, 0] }"),
         ["joint[2].body.com: 60 m", "reaches 0.41 m", "Is it in the unit"],
     ),
     "a loop that does not close": (
-        ("", LOOP.format(driven=2, carrier=1, crank=2000)),
+        loop(2, 1, 2000),
         ["four_bar[1] cannot be assembled", "limits_deg of joints 1 and 2"],
     ),
     "no version": (("casadical = 1", ""), ["casadical: is missing"]),
@@ -81,10 +91,7 @@ FAULTS = {
         ("casadical = 1", 'casadical = 1\nconvention = "DH"'),
         ["convention = 'DH'", "'modified' or 'standard'"],
     ),
-    "no such kind of joint": (
-        ("a_mm = 300", 'type = "linear"'),
-        ["joint[2].type = 'linear'", "'revolute' or 'prismatic'"],
-    ),
+    "no such kind of joint": (row2('type = "linear"'), ["joint[2].type = 'linear'", "'revolute' or 'prismatic'"]),
     "range in millimetres of a revolute joint": (
         ("limits_deg = [-170, 170]", "limits_mm = [0, 5]"),
         ["joint[1].limits_mm = [0, 5]", "revolute", "limits_deg"],
@@ -98,44 +105,35 @@ FAULTS = {
     "range of three numbers": (("[-170, 170]", "[-1, 0, 1]"), ["joint[1].limits_deg", "at most 2 entries, not 3"]),
     "place of two numbers": (("[10, 0, 0]", "[10, 0]"), ["tool.xyz_mm = [10, 0]", "at least 3 entries, not 2"]),
     "negative stiffness": (
-        ("a_mm = 300", "stiffness_Nm_per_rad = -2e5"),
+        row2("stiffness_Nm_per_rad = -2e5"),
         ["joint[2].stiffness_Nm_per_rad = -200000.0", "greater than 0"],
     ),
-    "negative mass": (
-        ("a_mm = 300", "body = { mass_kg = -1 }"),
-        ["joint[2].body.mass_kg = -1", "greater than or equal"],
-    ),
-    "a body without mass": (("a_mm = 300", "body = { com_mm = [0, 0, 0] }"), ["joint[2].body.mass_kg: is missing"]),
-    "compliance that is no yes or no": (("a_mm = 300", 'compliant = "yes"'), ["joint[2].compliant = 'yes'", "boolean"]),
+    "negative mass": (row2("body = { mass_kg = -1 }"), ["joint[2].body.mass_kg = -1", "greater than or equal"]),
+    "a body without mass": (row2("body = { com_mm = [0, 0, 0] }"), ["joint[2].body.mass_kg: is missing"]),
+    "compliance that is no yes or no": (row2('compliant = "yes"'), ["joint[2].compliant = 'yes'", "boolean"]),
     "beta in standard rows": (
         ("casadical = 1\n", 'casadical = 1\nconvention = "standard"\n'),
         ["joint[2].beta_deg = 0", "modified rows"],
     ),
     "b without beta": (("d_mm = 100", "b_mm = 3"), ["joint[1].b_mm = 3", "row 1 beside beta"]),
-    "b in a later row": (("a_mm = 300", "beta_deg = 0\nb_mm = 3"), ["joint[2].b_mm = 3", "row 1 only"]),
+    "b in a later row": (row2("beta_deg = 0\nb_mm = 3"), ["joint[2].b_mm = 3", "row 1 only"]),
     "no such part of a frame": (
         ("[tool]", '[tool]\nunknown = "all"'),
         ["tool.unknown = 'all'", "'none', 'position' or"],
     ),
-    "no such frame of gravity": (
-        ("[tool]", '[gravity]\nframe = "world"\n[tool]'),
-        ["gravity.frame = 'world'", "'base'"],
-    ),
+    "no such frame of gravity": (before_tool('[gravity]\nframe = "world"'), ["gravity.frame = 'world'", "'base'"]),
     "a width of nothing": (
-        ("[tool]", "[width.tool]\nlength_bound_mm = 0\n[tool]"),
+        before_tool("[width.tool]\nlength_bound_mm = 0"),
         ["width.tool.length_bound_mm = 0", "greater than 0"],
     ),
     "a width of no group": (
-        ("[tool]", "[width.link]\nlength_bound_mm = 1\n[tool]"),
+        before_tool("[width.link]\nlength_bound_mm = 1"),
         ["width.link", "not a known key", "geometry"],
     ),
-    "a bar of negative length": (("", LOOP.format(driven=2, carrier=1, crank=-1)), ["four_bar[1].crank_mm = -1"]),
-    "a loop on a joint that is not there": (
-        ("", LOOP.format(driven=3, carrier=2, crank=100)),
-        ["four_bar[1]: carrier = 2, driven = 3", "(1..2)"],
-    ),
-    "two loops on one joint": (("", 2 * LOOP.format(driven=2, carrier=1, crank=100)), ["driven by two loops"]),
-    "not TOML": (("a_mm = 300", "a_mm = "), ["not valid TOML", "line 13"]),
+    "a bar of negative length": (loop(2, 1, -1), ["four_bar[1].crank_mm = -1"]),
+    "a loop on a joint that is not there": (loop(3, 2, 100), ["four_bar[1]: carrier = 2, driven = 3", "(1..2)"]),
+    "two loops on one joint": (("", 2 * loop(2, 1, 100)[1]), ["driven by two loops"]),
+    "not TOML": (row2("a_mm = "), ["not valid TOML", "line 13"]),
 }
 
 
@@ -144,7 +142,7 @@ def test_fault_is_named(name: str, tmp_path: Path) -> None:
     (old, new), expected = FAULTS[name]
     text = GOOD.replace(old, new, 1) if old else GOOD + new
     if name == "beta in standard rows":
-        text = text.replace("a_mm = 300", "a_mm = 300\nbeta_deg = 0")
+        text = text.replace(*row2("a_mm = 300\nbeta_deg = 0"))
     assert text != GOOD
     (tmp_path / "arm.toml").write_text(text)
     with pytest.raises(InputError) as caught:
@@ -155,8 +153,7 @@ def test_fault_is_named(name: str, tmp_path: Path) -> None:
 
 
 def test_the_good_file_is_good(tmp_path: Path) -> None:
-    loop = "limits_deg = [60, 120]\n" + LOOP.format(driven=2, carrier=1, crank=100)
-    (tmp_path / "arm.toml").write_text(GOOD + loop)
+    (tmp_path / "arm.toml").write_text(f"{GOOD}limits_deg = [60, 120]\n{loop(2, 1, 100)[1]}")
     assert read_robot(tmp_path / "arm.toml").n == 2
 
 
@@ -192,6 +189,17 @@ TABLE = "q1_deg,q2_deg,x_mm,y_mm,z_mm,set,tag\n" + "".join(
     f"{10 * k},{7 * k * k % 90},{400 - 3 * k},{20 * k},{k % 3},identify,{k % 2}\n" for k in range(12)
 )
 
+
+def of_table(keys: str) -> tuple[str, str]:
+    """Further keys of the table of measurements."""
+    return "\n\n[sets]", f"\n{keys}\n\n[sets]"
+
+
+def sets(keys: str) -> tuple[str, str]:
+    """Other keys of the sets."""
+    return "identify = 0.5\nreport = 0.5", keys
+
+
 PROBLEM_FAULTS = {
     "no such kind": (('file = "table.csv"', 'file = "table.csv"\nkind = "angle"'), ["kind = 'angle'", "'contact'"]),
     "no such method": (("[[", 'methods = ["BP"]\n[['), ["methods[1] = 'BP'", "allowed: KM, SKCM, NN-SKCM"]),
@@ -200,31 +208,19 @@ PROBLEM_FAULTS = {
     "no such table": (('"table.csv"', '"tables.csv"'), ["tables.csv", "no such file", "named in", "problem.toml"]),
     "the table is a folder": (('"table.csv"', '"."'), ["Is a directory"]),
     "no such robot": (("[[", 'robot = "arm.toml"\n[['), ["arm.toml", "no such file"]),
-    "negative sigma": (
-        ("\n\n[sets]", "\nsigma_mm = -1\n\n[sets]"),
-        ["measurements[1].sigma_mm = -1", "greater than 0"],
-    ),
+    "negative sigma": (of_table("sigma_mm = -1"), ["measurements[1].sigma_mm = -1", "greater than 0"]),
     "two statements of one noise": (
-        ("\n\n[sets]", "\nsigma_mm = 0.02\ndatasheet_mm = 0.05\n\n[sets]"),
+        of_table("sigma_mm = 0.02\ndatasheet_mm = 0.05"),
         ["measurements[1].datasheet_mm = 0.05", "sigma_mm says more of the same", "leave one of them out"],
     ),
     "a slip of the pen": (("[sets]", "[sets]\nidentfy = 3"), ["sets.identfy", "is identify meant?"]),
     "a set that is not whole": (("identify = 0.5", "identify = 7.5"), ["sets.identify = 7.5", "whole number"]),
     "more poses than there are": (("identify = 0.5", "identify = 9"), ["table.csv", "cannot be taken from 12"]),
     "sizes beside a column": (("[sets]", '[sets]\ncolumn = "set"'), ["sets.column = 'set'", "leave out identify"]),
-    "no such column of sets": (
-        ("identify = 0.5\nreport = 0.5", 'column = "part"'),
-        ["'part'", "is missing", "q1_deg"],
-    ),
-    "sets of other names": (
-        ("identify = 0.5\nreport = 0.5", 'column = "tag"'),
-        ["'tag'", "holds '0'", "identify, train, choose, report"],
-    ),
+    "no such column of sets": (sets('column = "part"'), ["'part'", "is missing", "q1_deg"]),
+    "sets of other names": (sets('column = "tag"'), ["'tag'", "holds '0'", "identify, train, choose, report"]),
     "nothing to identify from": (("identify = 0.5", ""), ["no poses are named 'identify'", "report"]),
-    "no such column": (
-        ("\n\n[sets]", '\ncolumns = { x_mm = "X" }\n\n[sets]'),
-        ["column 'X'", "named for 'x_mm'", "is missing"],
-    ),
+    "no such column": (of_table('columns = { x_mm = "X" }'), ["column 'X'", "named for 'x_mm'", "is missing"]),
     "a version that is none": (("casadical = 1", "casadical = true"), ["casadical = true", "must be 1"]),
     "a table of a URDF for none": (
         ("[sets]", '[urdf]\nbase_link = "x"\n[sets]'),
@@ -232,30 +228,30 @@ PROBLEM_FAULTS = {
     ),
     "sessions of none": (("[sets]", '[sessions]\nzeros = "own"\n[sets]'), ["sessions: has no effect", "`session`"]),
     "a point where none is touched": (
-        ("\n\n[sets]", '\npoint_from = ["tag"]\n\n[sets]'),
+        of_table('point_from = ["tag"]'),
         ["table.csv: point_from: has no effect on kind 'position'"],
     ),
     "a column without a name": (
-        ("\n\n[sets]", '\ncolumns = { "" = "x_mm" }\n\n[sets]'),
+        of_table('columns = { "" = "x_mm" }'),
         ["measurements[1].columns: a key '': must not be empty"],
     ),
     "a column of nothing": (
-        ("\n\n[sets]", '\ncolumns = { q1_deg = { from = "q1_deg", times = 0 } }\n\n[sets]'),
+        of_table('columns = { q1_deg = { from = "q1_deg", times = 0 } }'),
         ["columns.q1_deg.times = 0: leaves nothing of column 'q1_deg'"],
     ),
     "a column less itself": (
-        ("\n\n[sets]", '\ncolumns = { q1_deg = { from = "q1_deg", add = { q1_deg = -1 } } }\n\n[sets]'),
+        of_table('columns = { q1_deg = { from = "q1_deg", add = { q1_deg = -1 } } }'),
         ["columns.q1_deg.add", "leaves nothing of column 'q1_deg'"],
     ),
     "a shift beyond the table": (
-        ("\n\n[sets]", '\ncolumns = { q1_deg = { from = "q1_deg", rows = 1000 } }\n\n[sets]'),
+        of_table('columns = { q1_deg = { from = "q1_deg", rows = 1000 } }'),
         ["table.csv: columns.q1_deg.rows = 1000: allowed: less than its 12 rows"],
     ),
     "all rows left out": (
-        ("\n\n[sets]", f"\nleave_out = {[*range(2, 14)]}\n\n[sets]"),
+        of_table(f"leave_out = {[*range(2, 14)]}"),
         ["table.csv: a header but no rows that count: 12 are left out"],
     ),
-    "a session without a name": (("\n\n[sets]", '\nsession = ""\n\n[sets]'), ["session = '': must not be empty"]),
+    "a session without a name": (of_table('session = ""'), ["session = '': must not be empty"]),
     "sets beyond the table": (("identify = 0.5", "identify = 0.9"), ["sets of identify 0.9, report 0.5 cannot"]),
     "a set without poses": (("report = 0.5", "report = 1e-9"), ["table.csv: no poses are left for the set 'report'"]),
     "tables without end": (
@@ -263,18 +259,18 @@ PROBLEM_FAULTS = {
         ["at most 1000 entries"],
     ),
     "a number that is none": (
-        ("\n\n[sets]", '\ncolumns = { q1_deg = { from = "q1_deg", plus = nan } }\n\n[sets]'),
+        of_table('columns = { q1_deg = { from = "q1_deg", plus = nan } }'),
         ["1 fault(s)\n  measurements[1].columns.q1_deg.plus = nan: must be a finite number"],
     ),
     "an unknown key of a column": (
-        ("\n\n[sets]", '\ncolumns = { q1_deg = { from = "q1_deg", time = 2 } }\n\n[sets]'),
+        of_table('columns = { q1_deg = { from = "q1_deg", time = 2 } }'),
         ["columns.q1_deg.time = 2: not a known key (is times meant?); allowed here: from, times, plus, add, rows"],
     ),
     "one table twice": (
-        ("\n\n[sets]", '\n[[measurements]]\nfile = "./table.csv"\n\n[sets]'),
+        of_table('[[measurements]]\nfile = "./table.csv"'),
         ["table.csv: 12 of its 12 poses are in table.csv, too", "take one of the two tables out"],
     ),
-    "no such point column": (("\n\n[sets]", '\npoint_from = ["hole"]\n\n[sets]'), ["'hole'", "point_from"]),
+    "no such point column": (of_table('point_from = ["hole"]'), ["'hole'", "point_from"]),
 }
 
 
@@ -315,14 +311,14 @@ def test_fault_of_a_problem_is_named(name: str, tmp_path: Path) -> None:
 
 
 def test_a_copied_row_shifts_no_set(tmp_path: Path) -> None:
-    folder = problem_folder(tmp_path, PROBLEM.replace("identify = 0.5\nreport = 0.5", 'column = "set"'))
+    folder = problem_folder(tmp_path, PROBLEM.replace(*sets('column = "set"')))
     head, *rows = TABLE.splitlines()
     rows = [row if k < 8 else row.replace("identify", "report") for k, row in enumerate(rows)]
     (folder / "table.csv").write_text("\n".join([head, *rows[:3], rows[0], *rows[3:]]) + "\n")
-    sets = read_problem(folder).sets
-    assert [sets["identify"][0].row[-1], *sets["report"][0].row] == [10, 11, 12, 13, 14]
+    found = read_problem(folder).sets
+    assert [found["identify"][0].row[-1], *found["report"][0].row] == [10, 11, 12, 13, 14]
 
 
 def test_the_good_problem_is_good(tmp_path: Path) -> None:
-    sets = read_problem(problem_folder(tmp_path, PROBLEM)).sets
-    assert {name: len(parts[0]) for name, parts in sets.items()} == {"identify": 6, "report": 6}
+    found = read_problem(problem_folder(tmp_path, PROBLEM)).sets
+    assert {name: len(parts[0]) for name, parts in found.items()} == {"identify": 6, "report": 6}

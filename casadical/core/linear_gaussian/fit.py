@@ -11,11 +11,6 @@ from casadical.core.linear_gaussian.model import LinearModel, axes_of_base, besi
 from casadical.core.linear_gaussian.noise import Ratio
 from casadical.core.linear_gaussian.normal_equations import NormalSums, normal_sums, root_of_inverse
 
-# Up to so many rows, leaving some out is worked out among the observations instead of the parameters.
-MOST_ROWS = 1500
-# Up to so many bytes the white columns are kept, twice; else they are made again, so many bytes at a time.
-MOST_BYTES, PART_BYTES = 60_000_000, 32_000_000
-
 
 class Fit:
     """Base and some columns of a model, estimated at one noise.
@@ -30,7 +25,7 @@ class Fit:
         self, model: LinearModel, columns: Array, sigma: float, ratios: Mapping[str, Ratio], *, combined: bool = True
     ) -> None:
         self._base, self._E, self._columns = model.base, model.columns, columns
-        self.numbers = model.residual.shape[1]
+        self.numbers, self._memory = model.residual.shape[1], model.memory
         self.combined = model.combined(columns) if combined else Combined(((0, len(columns), None),))
         self.W = model.noise.whitening(ratios).W / sigma
         self.y = (self.W @ model.residual[:, :, None]).ravel()
@@ -38,7 +33,7 @@ class Fit:
         self.prior = np.concatenate([model.prior, self.combined.one_of_each(self._widths)])
         self.mean = np.concatenate([model.mean, np.zeros(self.combined.width)])
         p = len(self.prior)
-        self._kept = np.empty((len(self.y), p)) if 8 * len(self.y) * p <= MOST_BYTES else None
+        self._kept = np.empty((len(self.y), p)) if 8 * len(self.y) * p <= model.memory.kept else None
         self.sums = NormalSums(np.zeros((p, p)), np.zeros(p), 0.0, 0)
         for some in self._parts():
             A = self._white(some)
@@ -58,7 +53,7 @@ class Fit:
 
     def _parts(self) -> list[slice]:
         """The blocks in parts whose columns take little memory."""
-        step = max(64, PART_BYTES // (24 * len(self.prior)))
+        step = max(64, self._memory.part // (24 * len(self.prior)))
         return [slice(k, min(k + step, len(self.W))) for k in range(0, len(self.W), step)]
 
     def _white(self, blocks: Array | slice) -> Array:
@@ -150,7 +145,7 @@ class Fit:
     def _left_of(self) -> Array | None:
         """What takes observations to what a fit to all leaves of them, shape (n m, n m); None for too many blocks."""
         rows, p = len(self.y), len(self.prior)
-        if rows > MOST_ROWS or self._kept is None:
+        if rows > self._memory.rows or self._kept is None:
             return None
         if rows > p and self._pulled is not None:
             return np.asarray(np.eye(rows) - self._pulled @ self._pulled.T)

@@ -75,7 +75,9 @@ class Marginals:
 
     def __init__(self, model: LinearModel) -> None:
         self.model = model
-        self.sums = GridSums(model.residual, model.base, model.noise, model.columns, model.grid.ratios, model.near)
+        self.sums = GridSums(
+            model.residual, model.base, model.noise, model.columns, model.grid.ratios, model.near, model.memory
+        )
         self._chosen: dict[bytes, Chosen] = {}
 
     def extended(self, model: LinearModel) -> Marginals:

@@ -14,6 +14,22 @@ from casadical.core.linear_gaussian.grid import Grid
 from casadical.core.linear_gaussian.noise import NoiseModel, Ratio, Whitening
 
 
+@dataclass(frozen=True)
+class Memory:
+    """How much is held at a time; answers do not depend on it.
+
+    columns, blocks : bytes of the columns that are added up at a time, and at least so many blocks
+    kept : bytes up to which white columns are kept, else they are made again; part : so many at a time
+    rows : up to so many, leaving some out is worked out among the observations instead of the parameters
+    """
+
+    columns: int = 128_000_000
+    blocks: int = 256
+    kept: int = 60_000_000
+    part: int = 32_000_000
+    rows: int = 1500
+
+
 @dataclass(frozen=True, eq=False)
 class LinearModel:
     """r = J delta + E theta + noise, delta ~ N(mean, (sigma / reference * prior)^2), theta ~ N(0, kappa^2).
@@ -26,6 +42,7 @@ class LinearModel:
         (REML: Harville 1977)
     near : points of the grid that are looked at; log_noise : what else is known of the noise, as a logarithm, shape
         (points, sigmas)
+    memory : how much is held at a time
     """
 
     residual: Array
@@ -41,6 +58,7 @@ class LinearModel:
     absorbed: float = 0.0
     near: tuple[int, ...] = (0,)
     log_noise: Array | float = field(default=0.0)
+    memory: Memory = Memory()
 
     @property
     def width(self) -> int:

@@ -15,10 +15,9 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import EVERY, Columns, Factors, as_slice, combined
+from casadical.core.linear_gaussian.model import Memory
 from casadical.core.linear_gaussian.noise import Axes, NoiseModel
 
-# Columns that are in memory at a time, in bytes; at least so many blocks.
-BYTES, LEAST_BLOCKS = 128_000_000, 256
 # Groups of so many columns are added up one by one, at the points that are asked for.
 WIDE = 64
 
@@ -38,14 +37,15 @@ class GridSums:
         columns: Columns,
         ratios: Mapping[str, Array],
         near: Sequence[int],
+        memory: Memory,
     ) -> None:
-        self.E, self._shape = columns, residual.shape
+        self.E, self._shape, self._memory = columns, residual.shape, memory
         self._axes = noise.axes(ratios)
         self._points = sum(len(axes.points) for axes in self._axes)
         self.log_det = np.concatenate([axes.log_det for axes in self._axes])
         self._given, width = (base, residual[:, :, None]), base.shape[2] + 1
         self.base = np.zeros((self._points, width, width))
-        for blocks in _slices(len(residual), BYTES // (8 * residual.shape[1] * width)):
+        for blocks in self._slices(width):
             for axes in self._axes:
                 turned = self._turned_base(axes, blocks)
                 for k, precision in zip(axes.points, axes.precision[:, blocks], strict=True):
@@ -258,13 +258,13 @@ class GridSums:
 
     def _parts(self, E: Columns) -> Iterator[slice]:
         """The blocks in parts whose columns take little memory."""
-        return _slices(self._shape[0], BYTES // (8 * E.shape[1] * max(E.shape[2], 1)))
+        return self._slices(max(E.shape[2], 1))
 
-
-def _slices(blocks: int, step: int) -> Iterator[slice]:
-    """All blocks, so many at a time."""
-    step = max(LEAST_BLOCKS, step)
-    return (slice(first, min(first + step, blocks)) for first in range(0, blocks, step))
+    def _slices(self, width: int) -> Iterator[slice]:
+        """All blocks, some at a time; width : columns that are in memory."""
+        blocks, m = self._shape
+        step = max(self._memory.blocks, self._memory.columns // (8 * m * width))
+        return (slice(first, min(first + step, blocks)) for first in range(0, blocks, step))
 
 
 def _key(run: Array, k: int) -> tuple[int, int, int]:

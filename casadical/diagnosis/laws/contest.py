@@ -46,25 +46,25 @@ MOST_BESIDE = 3
 CORRELATION = 0.95
 
 
-def replaces_causes(found: Diagnosis, first: Round) -> bool:
+def replaces_causes(found: Diagnosis, first: Round, poses: int = MOST_POSES) -> bool:
     """Whether the best law beside nothing is claimed in place of all causes of a diagnosis together."""
     if not first.claimed or first.best.score + np.log(PRIOR_FIRST["unknown"]) < _set_mass(found) + ABOVE:
         return False
     if not found.columns.size:
         return True
-    case = thinned(found.case)
+    case = thinned(found.case, poses)
     by_law = held_out(case, NONE, [first.best], first.best.noise, found.seed)
     by_causes = held_out(case, found.columns, (), found.noise, found.seed)
     return bool(by_law.mean() < by_causes.mean())
 
 
-def laws_before_causes(found: Diagnosis) -> Round:
-    """Laws compared with all else before any cause is in the model; of a large campaign, on some of its poses.
+def laws_before_causes(found: Diagnosis, poses: int = MOST_POSES) -> Round:
+    """Laws compared with all else before any cause is in the model, on so many poses at most.
 
     Of the noise's forms that may be there, by the first under which one is claimed, else by the last.
     """
-    for whole, case, ranking in _before_causes(found):
-        first, _ = _beside_its_noise(whole, round_of(case, NONE, ranking))
+    for whole, case, ranking in _before_causes(found, poses):
+        first, _ = _beside_its_noise(whole, round_of(case, NONE, ranking), poses)
         if first.claimed:
             break
     return first
@@ -75,18 +75,18 @@ def claimed_before_causes(found: Diagnosis) -> tuple[Round, Case] | None:
 
     Laws that rivals outdo for certain are not looked at closely.
     """
-    for whole, case, ranking in _before_causes(found):
+    for whole, case, ranking in _before_causes(found, MOST_POSES):
         # With their settings refined rivals have still more.
         least = max(CLAIMED, max(ranking.log_factor.values()) + ABOVE)
         laws = search_laws(case, NONE, least=least - ALIKE)
         if laws and laws[0].score >= least:
-            first, moved = _beside_its_noise(whole, _judged(laws, case, NONE, ranking))
+            first, moved = _beside_its_noise(whole, _judged(laws, case, NONE, ranking), MOST_POSES)
             if first.claimed:
                 return first, moved
     return None
 
 
-def _beside_its_noise(case: Case, first: Round) -> tuple[Round, Case]:
+def _beside_its_noise(case: Case, first: Round, poses: int) -> tuple[Round, Case]:
     """A comparison and the case of all poses that it is of; where it claims a law, by the noise that is best beside it.
 
     All are compared anew where the noise beside the law follows itself by another share, until it does not.
@@ -97,7 +97,7 @@ def _beside_its_noise(case: Case, first: Round) -> tuple[Round, Case]:
         if not anew:
             break
         case = case.with_form(anew[0])
-        fewer = thinned(case)
+        fewer = thinned(case, poses)
         first = round_of(fewer, NONE, rank(fewer, NONE))
     return first, case
 
@@ -108,17 +108,17 @@ def with_law(case: Case, law: Law) -> Case:
     return replace(case, candidates=(*case.candidates, named)).with_variants(law.label, [(law,)])
 
 
-def _before_causes(found: Diagnosis) -> Iterator[tuple[Case, Case, Ranking]]:
+def _before_causes(found: Diagnosis, poses: int) -> Iterator[tuple[Case, Case, Ranking]]:
     """The case, the same of some of its poses, and their ranking before any cause is in the model.
 
     Where there is no cause and noise follows itself, first as if it did not: a law may be what follows. Then as it
     does: a law may be hidden in it.
     """
-    case, ranking = thinned(found.case), found.rankings[0]
+    case, ranking = thinned(found.case, poses), found.rankings[0]
     yield found.case, case, ranking if case is found.case else rank(case, NONE)
     follows = None if found.effects() else as_noise_follows(found.case, ranking)
     if follows:
-        case = thinned(follows)
+        case = thinned(follows, poses)
         yield follows, case, rank(case, NONE)
 
 
@@ -139,15 +139,15 @@ def as_noise_follows(case: Case, ranking: Ranking) -> Case | None:
     return case.with_form(form) if gain >= FORM_GAIN else None
 
 
-def thinned(case: Case) -> Case:
+def thinned(case: Case, poses: int) -> Case:
     """The case with at most so many of its poses, spread over the campaign: of noise that follows itself less stays."""
     at = np.flatnonzero(case.kept)[case.order]
     some = np.zeros_like(case.kept)
-    some[at[np.linspace(0, len(at) - 1, min(len(at), MOST_POSES)).round().astype(int)]] = True
+    some[at[np.linspace(0, len(at) - 1, min(len(at), poses)).round().astype(int)]] = True
     fewer = case.with_kept(some)
     if fewer is case or not case.form.stays:
         return fewer
-    e, stays = fewer.evidence, case.form.stays ** (len(at) / MOST_POSES)
+    e, stays = fewer.evidence, case.form.stays ** (len(at) / poses)
     return fewer.with_form(following(stays, len(e.r), e.count / len(e.r)))
 
 

@@ -11,7 +11,15 @@ from casadical.diagnosis.conclusion import parameter_values
 from casadical.diagnosis.cross_validation import shrink_interval
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.laws.answer import Discovery, Kept
-from casadical.diagnosis.laws.contest import held_out, laws_before_causes, replaces_causes, round_of, thinned, with_law
+from casadical.diagnosis.laws.contest import (
+    MOST_POSES,
+    held_out,
+    laws_before_causes,
+    replaces_causes,
+    round_of,
+    thinned,
+    with_law,
+)
 from casadical.diagnosis.laws.problem import Round, Scored
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_forms import following_anew
@@ -50,17 +58,17 @@ def discover(
     return laws_beside(found, show)
 
 
-def laws_beside(found: Diagnosis, show: Show = silent) -> Discovery:
+def laws_beside(found: Diagnosis, show: Show = silent, poses: int = MOST_POSES) -> Discovery:
     """The laws of a diagnosed campaign: first instead of all its causes, which stay if they win, then beside these.
 
-    Of a large campaign, on some of its poses.
+    poses : on which laws are searched at most, spread over the campaign
     """
     show("laws beside nothing")
-    case = thinned(found.case)
-    first = found.law or laws_before_causes(found)
+    case = thinned(found.case, poses)
+    first = found.law or laws_before_causes(found, poses)
     rounds, laws, causes = [first], [], found.effects()
     columns = found.columns
-    if replaces_causes(found, first):
+    if replaces_causes(found, first, poses):
         laws, causes = [first.best], ()
         case = with_law(case if first.form.stays == case.form.stays else case.with_form(first.form), first.best.law)
         columns = case.group((first.best.law,))

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from models import RATIOS, TWO, noise_of, small_model, without_last_rows
 
-from casadical.core.linear_gaussian import fit as fits
 from casadical.core.linear_gaussian.fit import Fit
-from casadical.core.linear_gaussian.model import LinearModel
+from casadical.core.linear_gaussian.model import LinearModel, Memory
 from casadical.core.linear_gaussian.noise import NoiseModel
 from casadical.core.linear_gaussian.normal_equations import (
     SMALL,
@@ -57,13 +56,13 @@ def test_estimates_are_those_of_a_dense_solve(name: str) -> None:
     np.testing.assert_allclose(error, np.sqrt(np.diag(covariance))[4:], rtol=1e-9)
 
 
-@pytest.mark.parametrize("rows", [fits.MOST_ROWS, 0], ids=["among observations", "among parameters"])
-@pytest.mark.parametrize("bytes_", [fits.MOST_BYTES, 0], ids=["columns kept", "columns made again"])
+MEMORY = {"among observations": Memory(), "among parameters": Memory(rows=0), "columns made again": Memory(kept=0)}
+
+
+@pytest.mark.parametrize("memory", MEMORY)
 @pytest.mark.parametrize("name", MODELS)
-def test_blocks_left_out_are_predicted_by_the_others(monkeypatch, name, rows, bytes_):
-    monkeypatch.setattr(fits, "MOST_ROWS", rows)
-    monkeypatch.setattr(fits, "MOST_BYTES", bytes_)
-    model = MODELS[name]
+def test_blocks_left_out_are_predicted_by_the_others(name: str, memory: str) -> None:
+    model = replace(MODELS[name], memory=MEMORY[memory])
     fit = fitted(model)
     A = np.concatenate([model.base, model.columns.take(COLUMNS)], axis=2)
     for out in (np.array([3]), np.array([0, 5, 11]), np.arange(7)):

@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -247,9 +248,6 @@ def test_no_tag_gets_out_of_a_figure_and_no_nan_into_it() -> None:
 
 
 def test_without_plotly_the_message_says_what_to_install(monkeypatch) -> None:
-    def missing(name: str):
-        raise ModuleNotFoundError(f"No module named {name!r}", name=name.partition(".")[0])
-
-    monkeypatch.setattr("casadical.core.basics.importlib.import_module", missing)
+    monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
     with pytest.raises(InputError, match=r"plotly and jinja2.*pip install 'casadical\[report\]'"):
         require()
