@@ -20,12 +20,12 @@ ROOT = Path(__file__).parents[1]
 FEW = 1000
 
 
-def main(monkeypatch: pytest.MonkeyPatch, *arguments: object, vectors: int = FEW) -> int:
+def main(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     """Run `casadical` with these arguments; its exit code."""
     if arguments[:2] == ("export", "c"):
         from casadical.export import write_c
 
-        monkeypatch.setitem(write_c.__kwdefaults__, "vectors", vectors)
+        monkeypatch.setitem(write_c.__kwdefaults__, "vectors", FEW)
     monkeypatch.setattr(sys, "argv", ["casadical", *map(str, arguments)])
     # Else the help is that of `python -m pytest`.
     monkeypatch.setattr(sys.modules["__main__"], "__package__", None, raising=False)
