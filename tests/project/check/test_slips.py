@@ -80,10 +80,11 @@ def folder_of(tmp_path: Path, slip: Callable[..., Table] | None) -> Path:
 @pytest.mark.parametrize("slip", CASES, ids=lambda s: s.__name__)
 def test_slips_are_found_together_and_repaired(slip, tmp_path, monkeypatch, capfd):
     folder = folder_of(tmp_path, slip)
-    said = " ".join(f.text for f in precheck(folder).findings if f.level == "error")
+    found = precheck(folder)
+    said = " ".join(f.text for f in found.findings if f.level == "error")
     for words in CASES[slip]:
         assert words in said
-    assert [step.code for step in precheck(folder).next] == [f"casadical check {folder} --repair"]
+    assert [step.code for step in found.next] == [f"casadical check {folder} --repair"]
     before = (folder / "poses.csv").read_bytes()
     assert main(monkeypatch, "check", folder, "--repair") == 0
     printed = capfd.readouterr().out
