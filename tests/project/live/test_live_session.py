@@ -399,8 +399,8 @@ def test_a_pose_beyond_the_limits_is_doubted_and_a_lost_cell_is_said(arm: Path) 
 
 
 def test_positions_that_no_robot_reaches_are_doubted(arm: Path) -> None:
-    told = measured(arm, series(12), lambda k, v: [*v[:6], *(1e3 * x for x in v[6:])])
-    assert sum(r["state"] == "doubtful" for r in told) >= 10
+    told = measured(arm, series(7), lambda k, v: [*v[:6], *(1e3 * x for x in v[6:])])
+    assert sum(r["state"] == "doubtful" for r in told) >= 5
     assert any("from the others, and the robot reaches" in r["why"] for r in told if r["state"] == "doubtful")
 
 
