@@ -1,6 +1,7 @@
 """The command inside the process of a test: nothing is loaded again, and what was compiled is still there."""
 
 import os
+import shutil
 import subprocess
 import sys
 import traceback
@@ -18,6 +19,15 @@ from casadical import cli
 ROOT = Path(__file__).parents[1]
 # Exported C is compared with its reference on so many poses instead of 100,000, which take most of the time.
 FEW = 1000
+
+
+def own_planar(folder: Path) -> Path:
+    """A problem folder of the planar arm, its table in it as poses.csv."""
+    shutil.copytree(ROOT / "problems" / "planar", folder)
+    shutil.copy(ROOT / "data" / "planar" / "planar.csv", folder / "poses.csv")
+    problem = folder / "problem.toml"
+    problem.write_text(problem.read_text().replace("../../data/planar/planar.csv", "poses.csv"))
+    return folder
 
 
 def main(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from command_line import main, run
+from command_line import main, own_planar, run
 from plugin_site import broken_kind
 
 from casadical.identification.accuracy import errors, summarise
@@ -197,10 +197,9 @@ values.a = {value = 1e-2, unit = "rad"}
 
 
 def test_no_optimum_ends_in_3_and_keeps_nothing(tmp_path, monkeypatch, capfd):
-    robot, problem = ((PLANAR / f"{name}.toml").read_text() for name in ("robot", "problem"))
-    (tmp_path / "robot.toml").write_text(robot.replace("casadical = 1", "casadical = 2") + JUMPS)
-    (tmp_path / "problem.toml").write_text(problem.replace("../../data", (ROOT / "data").as_posix()))
-    assert main(monkeypatch, "calibrate", tmp_path, "--out", tmp_path / "out") == 3
+    robot = own_planar(tmp_path / "arm") / "robot.toml"
+    robot.write_text(robot.read_text().replace("casadical = 1", "casadical = 2") + JUMPS)
+    assert main(monkeypatch, "calibrate", tmp_path / "arm", "--out", tmp_path / "out") == 3
     message = capfd.readouterr().err
     assert "no optimum found, nothing was written" in message
     assert "Maximum_Iterations_Exceeded" in message
