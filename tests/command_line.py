@@ -1,6 +1,7 @@
 """The command inside the process of a test: nothing is loaded again, and what was compiled is still there."""
 
 import os
+import shutil
 import subprocess
 import sys
 import traceback
@@ -20,12 +21,21 @@ ROOT = Path(__file__).parents[1]
 FEW = 1000
 
 
-def main(monkeypatch: pytest.MonkeyPatch, *arguments: object, vectors: int = FEW) -> int:
+def own_planar(folder: Path) -> Path:
+    """A problem folder of the planar arm, its table in it as poses.csv."""
+    shutil.copytree(ROOT / "problems" / "planar", folder)
+    shutil.copy(ROOT / "data" / "planar" / "planar.csv", folder / "poses.csv")
+    problem = folder / "problem.toml"
+    problem.write_text(problem.read_text().replace("../../data/planar/planar.csv", "poses.csv"))
+    return folder
+
+
+def main(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     """Run `casadical` with these arguments; its exit code."""
     if arguments[:2] == ("export", "c"):
         from casadical.export import write_c
 
-        monkeypatch.setitem(write_c.__kwdefaults__, "vectors", vectors)
+        monkeypatch.setitem(write_c.__kwdefaults__, "vectors", FEW)
     monkeypatch.setattr(sys, "argv", ["casadical", *map(str, arguments)])
     # Else the help is that of `python -m pytest`.
     monkeypatch.setattr(sys.modules["__main__"], "__package__", None, raising=False)

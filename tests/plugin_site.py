@@ -3,11 +3,15 @@
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
 import command_line
 import pytest
+
+from casadical.measurements.kinds.registry import kinds
 
 ROOT = Path(__file__).parents[1]
 
@@ -38,16 +42,37 @@ def run(site: Path, *arguments: object, program: str = "") -> subprocess.Complet
 def run_here(
     monkeypatch: pytest.MonkeyPatch, known: Any, site: Path, *arguments: object
 ) -> subprocess.CompletedProcess[str]:
-    """The command in the process of the test, where what it finds in `site` is faulty or not there.
+    """The command in the process of the test, where what it finds in `site` is faulty or not there."""
+    with found_in(monkeypatch, known, site):
+        return command_line.run(*arguments, width=400)
 
-    known : the cached function that gives the members of the family
-    """
+
+@contextmanager
+def found_in(monkeypatch: pytest.MonkeyPatch, known: Any, site: Path) -> Iterator[None]:
+    """The process of the test with the plug-ins in `site`; known : cached function that gives those of the family."""
     modules = [path.stem for path in site.glob("*.py")]
     monkeypatch.syspath_prepend(site)
     known.cache_clear()
     try:
-        return command_line.run(*arguments, width=400)
+        yield
     finally:
         known.cache_clear()
         for module in modules:
             sys.modules.pop(module, None)
+
+
+# A kind of measurement that fails as only a mistake in a program does.
+BROKEN_KIND = """
+from casadical.measurements import MeasurementKind
+
+class Broken(MeasurementKind):
+    name = "broken"
+    read = residual = errors = None
+    numbers = property(lambda self: 1 / 0)
+"""
+
+
+def broken_kind(monkeypatch: pytest.MonkeyPatch, folder: Path) -> AbstractContextManager[None]:
+    """The process of the test with a bug in all that reads measurements."""
+    point = "broken = broken_kind:Broken"
+    return found_in(monkeypatch, kinds, installed(folder, "casadical.measurement_kinds", point, BROKEN_KIND))

@@ -4,6 +4,7 @@ import re
 import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from itertools import islice
 from math import ceil
 from pydoc import locate
@@ -15,14 +16,8 @@ from casadical.core.basics import InputError, optional, shown
 
 # Tasks that each worker has or waits for.
 AHEAD = 4
-# So many workers the scheduler keeps busy with robots one by one; with more, a task is several robots.
-WORKERS = 40
 # A task whose worker dies is given to another one so often.
 RETRIES = 2
-# A scheduler is given up when it has not answered for so many seconds.
-PATIENCE = 10.0
-# And so are workers that were not there for so many seconds.
-LONELY = 60.0
 # Dask keeps the call stacks of each second of the last hour, in workers and in the scheduler: hundreds of megabytes.
 _SETTINGS = {
     "distributed.comm.timeouts.connect": "10s",
@@ -34,6 +29,22 @@ LOOPBACK = "127.0.0.1"
 LAST_PORT = 65535
 _GONE = "the scheduler no longer answers"
 NEEDED = "a fleet needs dask, distributed and pyarrow; install them: pip install 'casadical[fleet]'"
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a cluster is taken for.
+
+    workers : that the scheduler keeps busy with robots one by one; with more, a task is several robots
+    patience, lonely : seconds without an answer, and without a worker, after which a scheduler is given up
+    """
+
+    workers: float = 40
+    patience: float = 10.0
+    lonely: float = 60.0
+
+
+USUAL = Limits()
 
 
 class SchedulerLostError(InputError):
@@ -105,7 +116,7 @@ def dask_setup(_worker: Any) -> None:
 
 
 def results(
-    client: Any, function: Callable[..., dict[str, Any]], tasks: Sequence[tuple[Any, ...]]
+    client: Any, function: Callable[..., dict[str, Any]], tasks: Sequence[tuple[Any, ...]], limits: Limits = USUAL
 ) -> Iterator[tuple[tuple[Any, ...], dict[str, Any] | Exception]]:
     """Each task with its result in the order of completion, or with the exception that ended it.
 
@@ -116,7 +127,7 @@ def results(
     waiting = iter(tasks)
     of: dict[Any, list[tuple[Any, ...]]] = {}
     workers = max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
-    size = max(1, min(ceil(workers / WORKERS), len(tasks) // (AHEAD * workers)))
+    size = max(1, min(ceil(workers / limits.workers), len(tasks) // (AHEAD * workers)))
     # Results are fetched by Dask, which computes one again whose worker left before that.
     working = distributed.as_completed(with_results=True, raise_errors=False)
 
@@ -129,7 +140,7 @@ def results(
     for _ in range(AHEAD * workers):
         submit(list(islice(waiting, size)))
     while of:
-        _wait(client, working, of)
+        _wait(client, working, of, limits)
         future, row = next(working)
         if future.cancelled():
             raise SchedulerLostError(_GONE)
@@ -146,21 +157,21 @@ def _in_turn(function: Callable[..., dict[str, Any]], tasks: Sequence[tuple[Any,
     return [function(*task) for task in tasks]
 
 
-def _wait(client: Any, working: Any, of: Iterable[Any]) -> None:
+def _wait(client: Any, working: Any, of: Iterable[Any], limits: Limits) -> None:
     """Until a task is done. Raises SchedulerLostError where the scheduler or all workers have been gone for a while."""
     heard = asked = staffed = monotonic()
     while not working.has_ready():
         now = monotonic()
         if client.status == "running":
             heard = now
-        elif client.status == "closed" or now - heard > PATIENCE:
+        elif client.status == "closed" or now - heard > limits.patience:
             raise SchedulerLostError(_GONE)
         if any(future.cancelled() for future in of):
             raise SchedulerLostError(_GONE)
-        if heard == now and now - asked > PATIENCE:
+        if heard == now and now - asked > limits.patience:
             asked = now
             with suppress(OSError):
                 staffed = now if client.scheduler_info(n_workers=1)["workers"] else staffed
-        if now - staffed > LONELY:
-            raise SchedulerLostError(f"the scheduler has had no worker for {LONELY:.0f} s")
+        if now - staffed > limits.lonely:
+            raise SchedulerLostError(f"the scheduler has had no worker for {limits.lonely:.0f} s")
         sleep(0.05)

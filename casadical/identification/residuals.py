@@ -184,8 +184,12 @@ def make_block(
     group: Array,
     *,
     fixed_loads: bool = False,
+    held: int = HELD,
 ) -> Block:
-    """Measurements as a block; points : shape (K, 3) [m], all points' starts; group, fixed_loads : see above."""
+    """Measurements as a block; points : shape (K, 3) [m], all points' starts; group, fixed_loads : see above.
+
+    held : most poses whose data are kept
+    """
     kind = find_kind(m.kind)
     compiled = kernel(robot, kind, bool(kind.point_names(m.arrays)), tuple(names), fixed_loads)
 
@@ -193,7 +197,7 @@ def make_block(
         start = points[group[at]] if len(points) else np.zeros((len(m), 3))
         return data_columns(robot, m, compiled.observed, start, sigma, sigma_angle)
 
-    whole = data(m, slice(None)) if len(m) <= HELD else None
+    whole = data(m, slice(None)) if len(m) <= held else None
     of_some = (lambda at: whole[:, at]) if whole is not None else (lambda at: data(m[at], at))
     return Block(compiled, of_some, group, robot_numbers(robot, names))
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
@@ -16,7 +17,7 @@ from casadical.measurements.headings import Understanding, understand
 from casadical.measurements.kinds.registry import find_kind, kind_of, kinds
 from casadical.measurements.measurements import FIELDS, Measurements
 from casadical.measurements.raw_table import RawTable
-from casadical.measurements.table_parts import ROWS, joined, read_columns, table_parts
+from casadical.measurements.table_parts import USUAL, Portion, joined, read_columns, table_parts
 
 _POSITIONS = {f"{c}{u}" for c in "xyz" for u in ("_mm", "_m")}
 
@@ -51,9 +52,23 @@ def read_measurements(
     >>> poses.kind, poses.position.shape
     ('position', (40, 3))
     """
-    parts = table_parts(path)
+    return read_in_portions(path, USUAL, joints, kind, columns or {}, point_from, sigma_mm, sigma_deg)
+
+
+def read_in_portions(
+    path: str | Path,
+    portion: Portion,
+    joints: int | Sequence[str],
+    kind: str | None = None,
+    columns: Mapping[str, str | Source] = MappingProxyType({}),
+    point_from: Sequence[str] = (),
+    sigma_mm: float | None = None,
+    sigma_deg: float | None = None,
+) -> Measurements:
+    """As `read_measurements`, so much of the table at a time. Raises InputError."""
+    parts = table_parts(path, portion)
     first = next(parts)
-    sources = _sources(first, joints, columns or {}, kind)
+    sources = _sources(first, joints, columns, kind)
     named = Columns.of_file(first).mapped(sources, point_from)
     further = next(parts, None)
     if further is None:
@@ -68,8 +83,8 @@ def read_measurements(
         whole = joined(chain([start], others))
         if whole is not None:
             _refuse_other_unit(whole.q, _kinds(joints, named.source), named, whole.row)
-            return _without_copies(whole)
-    named = Columns.of_file(read_columns(path)).mapped(sources, point_from)
+            return _without_copies(whole, portion.rows)
+    named = Columns.of_file(read_columns(path, portion)).mapped(sources, point_from)
     return from_columns(named, joints, kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
 
 
@@ -225,8 +240,8 @@ def readings_alone(columns: Columns, joints: int | Sequence[str]) -> Measurement
     return from_columns(replace(columns, table=table.assign(x_m=0.0, y_m=0.0, z_m=0.0)), joints, "position")
 
 
-def _without_copies(m: Measurements) -> Measurements:
-    """A row copied whole is no second measurement: it is counted once."""
+def _without_copies(m: Measurements, rows: int = USUAL.rows) -> Measurements:
+    """A row copied whole is no second measurement: it is counted once; rows : that are moved at a time."""
     numbers = _numbers(m)
     # Only rows with equal hashes can be copies: of a table greater than memory these few are compared.
     hashes = _hashes(numbers)
@@ -235,12 +250,12 @@ def _without_copies(m: Measurements) -> Measurements:
     if not len(twice):
         return m
     alike = np.flatnonzero(np.isin(_hashes(numbers), twice))
-    rows = np.concatenate([values[alike].astype(float) for values in numbers], axis=1)
-    copied = np.setdiff1d(alike, alike[np.unique(rows, axis=0, return_index=True)[1]])
+    some = np.concatenate([values[alike].astype(float) for values in numbers], axis=1)
+    copied = np.setdiff1d(alike, alike[np.unique(some, axis=0, return_index=True)[1]])
     if not len(copied):
         return m
     kept = np.setdiff1d(np.arange(len(m)), copied)
-    pieces = np.array_split(kept, 1 + len(kept) // ROWS)
+    pieces = np.array_split(kept, 1 + len(kept) // rows)
     once = m[kept] if m.label is not None or len(pieces) == 1 else joined(m[piece] for piece in pieces)
     assert once is not None
     return replace(once, copies=tuple(m.row[copied].tolist()))
@@ -281,7 +296,7 @@ def refuse_shared_rows(sets: Sequence[Measurements]) -> None:
 def _hashes(numbers: Sequence[Array]) -> Array:
     """A number for each row of some arrays, the same for equal rows, shape (n,)."""
     hashes = np.zeros(len(numbers[0]), dtype=np.uint64)
-    for some in (slice(k, k + ROWS) for k in range(0, len(hashes), ROWS)):
+    for some in (slice(k, k + USUAL.rows) for k in range(0, len(hashes), USUAL.rows)):
         for column in (column[some] for values in numbers for column in values.T):
             hashes[some] = hashes[some] * np.uint64(1_000_003) ^ pd.util.hash_array(column + 0.0)  # -0.0 is 0.0
     return hashes

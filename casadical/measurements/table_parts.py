@@ -8,7 +8,7 @@ needed for something else.
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib import import_module
 from itertools import chain, repeat
 from pathlib import Path
@@ -64,13 +64,23 @@ def _arrays(m: Measurements) -> dict[str, Array]:
     return {"q": m.q, "weight": m.weight, "row": m.row, **m.arrays, **conditions}
 
 
-# Characters that are read at a time, and rows of Parquet; a text of fewer is read at once.
-SIZE, ROWS = 4_000_000, 65_536
+@dataclass(frozen=True)
+class Portion:
+    """How much of a table is read at a time; a text of fewer characters is read at once.
+
+    characters : of a text; rows : of Parquet, and of measurements that are moved within temporary files
+    """
+
+    characters: int = 4_000_000
+    rows: int = 65_536
+
+
+USUAL = Portion()
 # Characters from which separator and decimal sign are told.
 SAMPLE = 100_000
 
 
-def table_parts(path: str | Path) -> Iterator[RawTable]:
+def table_parts(path: str | Path, portion: Portion = USUAL) -> Iterator[RawTable]:
     """As `read_table`, some rows at a time, all under the headings of the first ones; Parquet, too (needs pyarrow).
 
     A table with quoted cells, in an encoding of one country, in a workbook or gzipped is read at once.
@@ -78,17 +88,17 @@ def table_parts(path: str | Path) -> Iterator[RawTable]:
     """
     path = Path(path)
     if path.suffix.lower() == ".parquet":
-        yield from _parquet(path)
-    elif not path.is_file() or path.stat().st_size <= SIZE or not (encoding := _encoding(path)):
+        yield from _parquet(path, portion.rows)
+    elif not path.is_file() or path.stat().st_size <= portion.characters or not (encoding := _encoding(path, portion)):
         yield read_table(path)
     else:
-        yield from _text(path, encoding)
+        yield from _text(path, encoding, portion.characters)
 
 
-def read_columns(path: str | Path) -> RawTable:
+def read_columns(path: str | Path, portion: Portion = USUAL) -> RawTable:
     """As `read_table`, a large table some rows at a time. Raises InputError also for too many numbers for memory."""
     parts: list[RawTable] = []
-    for part in table_parts(path):
+    for part in table_parts(path, portion):
         parts.append(part)
         refuse_many(Path(path), sum(one.frame.size for one in parts))
     first, *more = parts
@@ -98,7 +108,7 @@ def read_columns(path: str | Path) -> RawTable:
     return replace(first, cells=(), frame=frame, line=np.concatenate([part.line for part in parts]))
 
 
-def _encoding(path: Path) -> str:
+def _encoding(path: Path, portion: Portion) -> str:
     """Of a text that can be read in parts; empty where it cannot."""
     with path.open("rb") as file:
         head = file.read(1000)
@@ -107,7 +117,7 @@ def _encoding(path: Path) -> str:
         return ""
     try:
         with path.open(encoding=encoding, newline="\n") as text:
-            while some := text.read(SIZE):
+            while some := text.read(portion.characters):
                 if '"' in some or "\0" in some:
                     return ""
     except UnicodeDecodeError:
@@ -115,14 +125,14 @@ def _encoding(path: Path) -> str:
     return encoding
 
 
-def _text(path: Path, encoding: str) -> Iterator[RawTable]:
+def _text(path: Path, encoding: str, characters: int) -> Iterator[RawTable]:
     with path.open(encoding=encoding, newline="\n") as file:
         separator = separator_of(file.read(SAMPLE))
         file.seek(0)
         first: RawTable | None = None
         lines = 0
         above: list[Record] = []
-        while some := file.read(SIZE) + file.readline():
+        while some := file.read(characters) + file.readline():
             records = [(lines + line, cells) for line, cells in records_in(path, some, separator)]
             more = not all(commented(cells) for _, cells in records)
             if first is None and more:
@@ -150,7 +160,7 @@ def _under(first: RawTable, records: list[tuple[int, list[str]]], line: int) -> 
     return part
 
 
-def _parquet(path: Path) -> Iterator[RawTable]:
+def _parquet(path: Path, rows: int) -> Iterator[RawTable]:
     """Its rows count as in a text, from 2 on. Raises InputError for whatever Arrow or pandas raise."""
     parquet = optional("pyarrow.parquet", f"{path}: reading Parquet needs pyarrow: pip install 'casadical[fleet]'")
     line = 2
@@ -164,15 +174,15 @@ def _parquet(path: Path) -> Iterator[RawTable]:
         about = file.metadata
         if any(about.schema.column(k).max_repetition_level for k in range(about.num_columns)):  # of lists
             refuse_many(path, values_of(path))
-        for _, batch in zip(_bounded_texts(path, file), file.iter_batches(ROWS), strict=False):
+        for _, batch in zip(_bounded_texts(path, file, rows), file.iter_batches(rows), strict=False):
             batch.validate(full=True)  # else pandas finds texts that are none where they are looked at
             frame = batch.to_pandas(ignore_metadata=True)
             if tuple(str(name).strip() for name in frame) != header:
                 raise ValueError(f"row {line} has other columns than the header")
-            rows = range(line, line + len(frame))
+            lines = range(line, line + len(frame))
             line += len(frame)
             if len(frame):
-                yield RawTable(path, header, (), frame.set_axis(header, axis=1), rows, Form("parquet"))
+                yield RawTable(path, header, (), frame.set_axis(header, axis=1), lines, Form("parquet"))
     if line == 2:
         raise InputError(f"{path}: no rows; at least one is needed")
 
@@ -189,7 +199,7 @@ def values_of(source: Path | IO[bytes]) -> int:
         return sum(group.column(k).num_values for group in groups for k in columns)
 
 
-def _bounded_texts(path: Path, file: Any) -> Iterator[None]:
+def _bounded_texts(path: Path, file: Any, rows: int) -> Iterator[None]:
     """Once before each part is read, whose texts a file may hold once for all rows. Raises InputError for too many."""
     parquet, compute = import_module("pyarrow.parquet"), import_module("pyarrow.compute")
     schema = file.metadata.schema
@@ -197,7 +207,7 @@ def _bounded_texts(path: Path, file: Any) -> Iterator[None]:
     texts = [leaf.path for leaf in leaves if leaf.physical_type == "BYTE_ARRAY" and not leaf.max_repetition_level]
     size = 0
     with parquet.ParquetFile(path, memory_map=True, pre_buffer=False, read_dictionary=texts) as coded:
-        for batch in coded.iter_batches(ROWS, columns=texts) if texts else repeat(()):
+        for batch in coded.iter_batches(rows, columns=texts) if texts else repeat(()):
             for column in batch:
                 lengths = compute.binary_length(column.dictionary)
                 size += compute.sum(lengths.take(column.indices)).as_py() or 0

@@ -17,7 +17,7 @@ from casadical.measurements.headings import understand
 from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.logs.reading import is_log
 from casadical.measurements.reading import from_columns
-from casadical.measurements.table_parts import SIZE, read_columns
+from casadical.measurements.table_parts import USUAL, read_columns
 from casadical.project.problem_file import DataTable, ProblemFile, UrdfTable, robot_of_file, table_like, tables_of
 from casadical.project.robot_columns import understood
 from casadical.robot.robot import Robot
@@ -131,7 +131,7 @@ def _beside(source: Path, table: Path, robot: Robot | None, joints: Sequence[str
 
 def _read(path: Path, data: DataTable, robot: Robot | None, joints: Sequence[str], later: bool) -> None:
     """Raises InputError for what is wrong with a table; without a robot, for cells alone."""
-    if path.is_file() and path.stat().st_size > SIZE:
+    if path.is_file() and path.stat().st_size > USUAL.characters:
         return
     raw = read_columns(path)
     of_file = [j if j in ("revolute", "prismatic") else "revolute" for j in joints]

@@ -36,7 +36,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -96,8 +96,13 @@ def _number_spans(text: str) -> Any:
     return (m.span() for m in re.finditer(r"(?<![\w.])-?\d+(\.\d+)?(e-?\d+)?", text))
 
 
-def run(hostile: Hostile, template: Path, scratch: Path) -> tuple[str, int]:
-    """What is wrong with the run of an input, nothing if nothing is, and its exit code."""
+def run(
+    hostile: Hostile, template: Path, scratch: Path, command: Callable[[], object] | None = None
+) -> tuple[str, int]:
+    """What is wrong with the run of an input, nothing if nothing is, and its exit code.
+
+    command : what is run in place of casadical
+    """
     place = scratch / "place"
     shutil.rmtree(place, ignore_errors=True)
     shutil.copytree(template, place, symlinks=True)
@@ -111,7 +116,7 @@ def run(hostile: Hostile, template: Path, scratch: Path) -> tuple[str, int]:
     process = os.fork()
     if process == 0:
         try:
-            _child(hostile, place, [writing for _, writing in ends])
+            _child(hostile, place, [writing for _, writing in ends], command)
         finally:
             os._exit(72)
     for _, writing in ends:
@@ -147,7 +152,7 @@ def _read(reading: int) -> str:
         return (file.read() or b"").decode("utf-8", "replace")
 
 
-def _child(hostile: Hostile, place: Path, ends: list[int]) -> None:
+def _child(hostile: Hostile, place: Path, ends: list[int], command: Callable[[], object] | None) -> None:
     """The command in this process, which ends here."""
     try:
         os.chdir(place)
@@ -167,7 +172,7 @@ def _child(hostile: Hostile, place: Path, ends: list[int]) -> None:
         sys.argv = ["casadical", *hostile.command]
         from casadical.cli import main
 
-        main()
+        (command or main)()
         code: Any = 0
     except SystemExit as stopped:
         code = stopped.code

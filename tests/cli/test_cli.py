@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from command_line import main, run
+from command_line import main, own_planar, run
+from plugin_site import broken_kind
 
 from casadical.identification.accuracy import errors, summarise
 from casadical.project.problem import read_problem
@@ -185,9 +186,20 @@ def test_a_mistake_in_the_second_problem_keeps_nothing_of_the_first(tmp_path: Pa
     assert not (tmp_path / "out").exists()
 
 
+# A law that jumps wherever the tool moves by 30 um, so that no slope says where the optimum is.
+JUMPS = """
+[[effect]]
+name = "law"
+joint = 2
+settings = {seam = "joint", formula = "a * sign(sin(1e5 * px))", factors = [["a", 1e-4]]}
+values.a = {value = 1e-2, unit = "rad"}
+"""
+
+
 def test_no_optimum_ends_in_3_and_keeps_nothing(tmp_path, monkeypatch, capfd):
-    monkeypatch.setattr("casadical.identification.solver.MAX_ITERATIONS", 1)
-    assert main(monkeypatch, "calibrate", PLANAR, "--out", tmp_path / "out") == 3
+    robot = own_planar(tmp_path / "arm") / "robot.toml"
+    robot.write_text(robot.read_text().replace("casadical = 1", "casadical = 2") + JUMPS)
+    assert main(monkeypatch, "calibrate", tmp_path / "arm", "--out", tmp_path / "out") == 3
     message = capfd.readouterr().err
     assert "no optimum found, nothing was written" in message
     assert "Maximum_Iterations_Exceeded" in message
@@ -196,14 +208,11 @@ def test_no_optimum_ends_in_3_and_keeps_nothing(tmp_path, monkeypatch, capfd):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_bug_of_ours_ends_in_70_with_its_traceback(monkeypatch, capfd):
-    def broken(*_: object, **__: object) -> None:
-        raise ZeroDivisionError("planted")
-
-    monkeypatch.setattr("casadical.project.calibration.calibrate", broken)
-    assert main(monkeypatch, "calibrate", PLANAR) == 70
+def test_a_bug_ends_in_70_with_its_traceback(monkeypatch, capfd, tmp_path):
+    with broken_kind(monkeypatch, tmp_path):
+        assert main(monkeypatch, "calibrate", PLANAR) == 70
     message = capfd.readouterr().err
-    assert "ZeroDivisionError: planted" in message
+    assert "ZeroDivisionError: division by zero" in message
     assert "bug in casadical" in message
 
 

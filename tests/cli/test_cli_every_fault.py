@@ -1,10 +1,9 @@
 """One refusal tells all faults of all files that a command was given: robot file, problem.toml and every table."""
 
-import shutil
 from pathlib import Path
 
 import pytest
-from command_line import ROOT, run
+from command_line import ROOT, own_planar, run
 
 from casadical import InputError, read_problem
 from casadical.cli.terminal import refusal
@@ -15,10 +14,10 @@ GOOD = (ROOT / "data" / "planar" / "planar.csv").read_text().splitlines()
 
 def broken(folder: Path) -> Path:
     """A problem each of whose files has faults, and a second table."""
-    shutil.copytree(ROOT / "problems" / "planar", folder)
+    own_planar(folder)
     (folder / "poses.csv").write_text("\n".join([*GOOD[:3], "999,1,1,2,x", *GOOD[4:], "170.5,1,2,3,4"]))
     (folder / "second.csv").write_text("\n".join([*GOOD[:7], "1,2,,3,4", *GOOD[8:]]))
-    problem = (folder / "problem.toml").read_text().replace("../../data/planar/planar.csv", "poses.csv")
+    problem = (folder / "problem.toml").read_text()
     (folder / "problem.toml").write_text(f"color = 3\n{problem}".replace('"KM"', '"KMX"'))
     robot = (folder / "robot.toml").read_text()
     (folder / "good.toml").write_text(robot.replace("[-180, 180]", "[-170, 170]"))

@@ -6,7 +6,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from command_line import ROOT, run
+from command_line import own_planar, run
 
 # Names of what is still to be measured.
 TO_COME = ("LATER.csv", "later.csv", "DAY.csv", "program.csv", "next.csv", "RESULTS", "KEYDIR")
@@ -16,11 +16,7 @@ TO_COME = ("LATER.csv", "later.csv", "DAY.csv", "program.csv", "next.csv", "RESU
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a problem, its results, and a copy of its table."""
     folder = tmp_path_factory.mktemp("walk")
-    shutil.copytree(ROOT / "problems" / "planar", folder / "arm")
-    problem = (folder / "arm" / "problem.toml").read_text()
-    (folder / "arm" / "problem.toml").write_text(problem.replace("../../data/planar/planar.csv", "poses.csv"))
-    shutil.copy(ROOT / "data" / "planar" / "planar.csv", folder / "arm" / "poses.csv")
-    shutil.copytree(folder / "arm", folder / "second")
+    shutil.copytree(own_planar(folder / "arm"), folder / "second")
     assert run("calibrate", "arm", "--out", "results", "--quiet", folder=folder).returncode == 0
     return folder
 

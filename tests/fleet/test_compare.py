@@ -130,9 +130,8 @@ def test_campaigns_by_one_instrument_have_one_noise(arm: tuple[Robot, Robot], be
     assert c.information == pytest.approx(third.information)
 
 
-def test_a_campaign_of_many_poses_tells_its_own_noise(arm, before, monkeypatch):
-    monkeypatch.setattr("casadical.fleet.estimates.MANY", 39)
-    many = after(arm)
+def test_a_campaign_of_many_poses_tells_its_own_noise(arm, before):
+    many = estimate((arm[0], measured(arm[1], 6, 1001)))
     first, second = with_common_noise([before, many])
     assert second.information is many.information
     assert first.information == pytest.approx(before.information, rel=0.3)

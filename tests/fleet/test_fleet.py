@@ -16,6 +16,7 @@ import pandas as pd
 import pytest
 from command_line import run
 from fleet_plants import A1, planar
+from plugin_site import broken_kind
 
 from casadical import InputError, plot, read_robot
 from casadical.core.telling.blocks import Table, Words
@@ -226,9 +227,9 @@ def test_two_fleets_run_at_a_time() -> None:
             assert client.submit(abs, -1).result(timeout=60) == 1
 
 
-def test_a_bug_in_one_robot_is_a_row(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("casadical.fleet.store.calibrate", lambda _problem: 1 / 0)
-    row = one_robot(str(plant / "arm0"), False)
+def test_a_bug_in_one_robot_is_a_row(plant: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    with broken_kind(monkeypatch, tmp_path):
+        row = one_robot(str(plant / "arm0"), False)
     assert row["status"] == "bug"
     assert "ZeroDivisionError" in row["error"]
 

@@ -69,13 +69,10 @@ def test_every_input_ends_as_documented(template: Path, data: st.DataObject) -> 
 )
 def test_what_is_wrong_is_found(template: Path, monkeypatch: pytest.MonkeyPatch, body: str, told: str) -> None:
     """The harness itself: a command that does this is found out."""
-    import casadical.cli
-
-    monkeypatch.setattr(casadical.cli, "main", lambda: exec(body, {"sys": sys}))
     monkeypatch.setattr(fuzz, "SECONDS", 2)
     monkeypatch.setattr(fuzz, "BYTES", 600_000_000)
     hostile = fuzz.Hostile(("calibrate", "in/p", "--json", "out/a.json"), ())
-    fault, _ = fuzz.run(hostile, template, template.parent)
+    fault, _ = fuzz.run(hostile, template, template.parent, lambda: exec(body, {"sys": sys}))
     assert told in fault
 
 

@@ -19,6 +19,7 @@ from casadical.measurements.table_form import Form, decoded
 def test_a_separation_is_kept_only_with_both_its_points() -> None:
     m = Measurements(q=np.zeros((4, 2)), kind="contact", label=np.array(list("ABBC"), dtype=object))
     m = m.with_separations([("A", "B", 0.1), ("C", "B", 0.2)])
+    assert m.residuals == 3 * 4 + 2
     assert m[1:].separations == (("C", "B", 0.2),)
     assert m[:3].separations == (("A", "B", 0.1),)
     assert m[[0, 3]].separations == ()

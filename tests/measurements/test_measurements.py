@@ -109,13 +109,6 @@ def test_a_part_keeps_its_rows_and_conditions():
     assert len(m[2]) == 1
 
 
-def test_separations_stay_where_both_points_are():
-    m = Measurements(q=readings(6), kind="contact", label=np.array(list("AABBCC"), dtype=object))
-    m = m.with_separations([("A", "B", 0.1), ("B", "C", 0.2)])
-    assert m[:4].separations == (("A", "B", 0.1),)
-    assert m.residuals == 20
-
-
 def test_split_is_disjoint_seeded_and_of_the_asked_sizes():
     m = positions(readings(100))
     sizes = {"identify": 40, "train": 0.25, "choose": 5, "report": 0.3}

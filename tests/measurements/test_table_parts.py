@@ -3,6 +3,7 @@
 import gzip
 import os
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,9 @@ import pandas as pd
 import pytest
 
 from casadical import InputError, Measurements, identify, read_measurements, read_robot
-from casadical.identification import least_squares, residuals
-from casadical.measurements import raw_table, reading, table_parts
+from casadical.measurements.reading import read_in_portions
 from casadical.measurements.table_form import decoded, separator_of
+from casadical.measurements.table_parts import USUAL, Portion, read_columns, table_parts
 
 ROOT = Path(__file__).parents[2]
 PLANAR = ROOT / "data" / "planar" / "planar.csv"
@@ -53,10 +54,7 @@ def kept(folder: Path, frame: pd.DataFrame, form: str) -> Path:
     return path
 
 
-def in_parts(monkeypatch: pytest.MonkeyPatch, characters: int = 300, rows: int = 7) -> None:
-    monkeypatch.setattr(table_parts, "SIZE", characters)
-    monkeypatch.setattr(table_parts, "ROWS", rows)
-    monkeypatch.setattr(reading, "ROWS", rows)
+FEW = Portion(300, 7)
 
 
 def is_mapped(values: np.ndarray) -> bool:
@@ -78,34 +76,30 @@ def assert_same(found: Measurements, whole: Measurements) -> None:
 
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("size", [150, 700])
-def test_parts_are_the_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str, size: int) -> None:
+def test_parts_are_the_whole(tmp_path: Path, form: str, size: int) -> None:
     path = written(tmp_path, FORMS[form])
     whole = read_measurements(path, 2)
     assert len(whole) == 40
-    in_parts(monkeypatch, size)
-    found = read_measurements(path, 2)
-    assert bool(table_parts.read_columns(path).cells) == (form == "quoted")
+    found = read_in_portions(path, Portion(size, 7), 2)
+    assert bool(read_columns(path, Portion(size)).cells) == (form == "quoted")
     assert is_mapped(found.q) == is_mapped(found.position) == (form != "quoted")
     assert_same(found, whole)
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "cp932"])
-def test_parts_of_other_encodings_are_the_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, encoding: str) -> None:
+def test_parts_of_other_encodings_are_the_whole(tmp_path: Path, encoding: str) -> None:
     path = written(tmp_path, ["# 温度", *LINES], encoding)
-    whole = read_measurements(path, 2)
-    in_parts(monkeypatch)
-    found = read_measurements(path, 2)
+    found = read_in_portions(path, FEW, 2)
     assert is_mapped(found.q) == (encoding != "cp932")
-    assert_same(found, whole)
+    assert_same(found, read_measurements(path, 2))
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])
 @pytest.mark.parametrize("rows", [7, 40])
-def test_weights_and_columns_are_those_of_the_whole_table(tmp_path, frame, monkeypatch, form, rows):
+def test_weights_and_columns_are_those_of_the_whole_table(tmp_path, frame, form, rows):
     whole = read_measurements(kept(tmp_path, frame, "csv"), 2, sigma_mm=0.03)
     path = kept(tmp_path, frame, form)
-    in_parts(monkeypatch, 100 * rows, rows)
-    found = read_measurements(path, 2, sigma_mm=0.03)
+    found = read_in_portions(path, Portion(100 * rows, rows), 2, sigma_mm=0.03)
     assert is_mapped(found.conditions["temperature_degC"]) == (rows < 40)
     assert found[3:5].source == path.name
     np.testing.assert_array_equal(found.weight, whole.weight)
@@ -114,53 +108,46 @@ def test_weights_and_columns_are_those_of_the_whole_table(tmp_path, frame, monke
     np.testing.assert_array_equal(found.row, whole.row)
 
 
-def test_a_robot_is_identified_without_keeping_data_jacobian_or_residuals(tmp_path, frame, monkeypatch):
+def test_a_robot_is_identified_without_keeping_data_jacobian_or_residuals(tmp_path, frame):
     robot, path = read_robot(ROOT / "problems" / "planar" / "robot.toml"), kept(tmp_path, frame, "csv")
     usual = identify(robot, read_measurements(path, 2), method="KM")
-    monkeypatch.setattr(residuals, "HELD", 10)
-    monkeypatch.setattr(residuals, "CHUNK", 16)
-    monkeypatch.setattr(least_squares, "KEPT", 0)
-    in_parts(monkeypatch, 700)
-    poses = read_measurements(path, 2)
+    found = identify(robot, read_in_portions(path, Portion(700, 7), 2), method="KM")
+    (poses,) = found.measurements
     assert is_mapped(poses.q)
-    found = identify(robot, poses, method="KM")
-    assert found.names == usual.names
-    assert found.problem.kept.sums.answer.residuals is None
-    np.testing.assert_allclose(found.solution.v, usual.solution.v, atol=1e-6)
-    np.testing.assert_allclose(found.standard_errors, usual.standard_errors, rtol=1e-6)
-    assert found.variance == pytest.approx(usual.variance, rel=1e-9)
-    again = found.problem.residuals(found.solution.v)
-    np.testing.assert_allclose(again[0], usual.problem.residuals(usual.solution.v)[0], atol=1e-4)
+    problem = replace(found.problem, keep=0)
+    assert problem.names == usual.names
+    v = problem.solve().v
+    assert problem.kept.sums.answer.residuals is None
+    np.testing.assert_allclose(v, usual.solution.v, atol=1e-6)
+    assert problem.variance(v, trimmed=True) == pytest.approx(usual.variance, rel=1e-9)
+    np.testing.assert_allclose(problem.covariance(v, usual.variance), usual.covariance, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(problem.residuals(v)[0], usual.problem.residuals(usual.solution.v)[0], atol=1e-4)
 
 
-def test_a_word_in_a_later_part_is_named_with_its_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    in_parts(monkeypatch)
+def test_a_word_in_a_later_part_is_named_with_its_row(tmp_path: Path) -> None:
     path = written(tmp_path, [HEAD, *ROWS[:30], "lost" + ROWS[30][ROWS[30].index(",") :], *ROWS[31:]])
     with pytest.raises(InputError, match=r"row 32, column 'q1_deg': .*lost.* is not a finite number"):
-        read_measurements(path, 2)
+        read_in_portions(path, FEW, 2)
 
 
-def test_a_wrong_number_of_parquet_is_named_with_its_row(tmp_path, frame, monkeypatch):
+def test_a_wrong_number_of_parquet_is_named_with_its_row(tmp_path, frame):
     frame = frame.copy()
     frame.loc[33, "x_mm"] = np.inf
-    in_parts(monkeypatch, rows=10)
     with pytest.raises(InputError, match=r"table\.parquet: row 35.*x_mm"):
-        read_measurements(kept(tmp_path, frame, "parquet"), 2)
+        read_in_portions(kept(tmp_path, frame, "parquet"), Portion(rows=10), 2)
 
 
-def test_a_copy_of_a_row_of_an_earlier_part_counts_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = read_measurements(written(tmp_path, [*LINES, ROWS[0], ROWS[7]]), 2)
-    in_parts(monkeypatch)
-    found = read_measurements(written(tmp_path, [*LINES, ROWS[0], ROWS[7]]), 2)
+def test_a_copy_of_a_row_of_an_earlier_part_counts_once(tmp_path: Path) -> None:
+    path = written(tmp_path, [*LINES, ROWS[0], ROWS[7]])
+    found = read_in_portions(path, FEW, 2)
     assert (len(found), found.copies) == (40, (42, 43))
     assert is_mapped(found.q)
-    assert_same(found, whole)
+    assert_same(found, read_measurements(path, 2))
 
 
-def test_a_row_with_more_cells_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    in_parts(monkeypatch)
+def test_a_row_with_more_cells_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="row 37 has 6 cells, the header 5"):
-        read_measurements(written(tmp_path, [*LINES[:36], LINES[36] + ",1", *LINES[37:]]), 2)
+        read_in_portions(written(tmp_path, [*LINES[:36], LINES[36] + ",1", *LINES[37:]]), FEW, 2)
 
 
 WORDS = [f"{row},{'A' if k % 2 else 'B'}" for k, row in enumerate(ROWS)]
@@ -174,44 +161,37 @@ WORDS = [f"{row},{'A' if k % 2 else 'B'}" for k, row in enumerate(ROWS)]
         ("remark", [f"{row},{'' if k < 30 else 'warm'}" for k, row in enumerate(ROWS)]),
     ],
 )
-def test_what_only_the_whole_table_tells_is_read_at_once(tmp_path, monkeypatch, name, rows):
+def test_what_only_the_whole_table_tells_is_read_at_once(tmp_path, name, rows):
     path = written(tmp_path, [f"{HEAD},{name}", *rows])
-    whole = read_measurements(path, 2)
-    in_parts(monkeypatch)
-    assert_same(read_measurements(path, 2), whole)
+    assert_same(read_in_portions(path, FEW, 2), read_measurements(path, 2))
 
 
-def test_a_column_that_is_empty_in_later_parts_is_refused_as_at_once(tmp_path, monkeypatch):
+def test_a_column_that_is_empty_in_later_parts_is_refused_as_at_once(tmp_path):
     path = written(tmp_path, [f"{HEAD},load_n", *(f"{row},{k if k < 30 else ''}" for k, row in enumerate(ROWS))])
     refused = r"row 32, column 'load_n': an empty cell is not a finite number \(10 such"
     with pytest.raises(InputError, match=refused):
         read_measurements(path, 2)
-    in_parts(monkeypatch, 150)
     with pytest.raises(InputError, match="row 3[2-9], column 'load_n'|" + refused):
-        read_measurements(path, 2)
+        read_in_portions(path, Portion(150), 2)
 
 
-def test_points_touched_in_several_parts_are_the_same_points(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_points_touched_in_several_parts_are_the_same_points(tmp_path: Path) -> None:
     rows = [",".join(row.split(",")[:2]) + f",{'ABCDEFGHIJ'[k % 10]}" for k, row in enumerate(ROWS)]
     path = written(tmp_path, ["q1_deg,q2_deg,point", *rows])
-    whole = read_measurements(path, 2)
-    in_parts(monkeypatch)
-    found = read_measurements(path, 2)
-    assert found.label.tolist() == whole.label.tolist()
+    assert read_in_portions(path, FEW, 2).label.tolist() == read_measurements(path, 2).label.tolist()
 
 
 @pytest.mark.parametrize("slow", [0, 20])
-def test_angles_in_another_unit_are_told_by_all_rows(tmp_path, monkeypatch, slow):
+def test_angles_in_another_unit_are_told_by_all_rows(tmp_path, slow):
     """A part in which the robot hardly moves is no fault."""
     cells = [row.split(",") for row in ROWS]
     still = [",".join([f"{10 + 0.01 * k:.4f}", f"{20 - 0.01 * k:.4f}", *c[2:]]) for k, c in enumerate(cells)]
-    in_parts(monkeypatch, 600)
     path = written(tmp_path, [HEAD, *still[:20], *(ROWS[20:] if slow else still[20:])])
     if slow:
-        assert len(read_measurements(path, 2)) == 40
+        assert len(read_in_portions(path, Portion(600), 2)) == 40
     else:
         with pytest.raises(InputError, match=r"no joint moves by more than 0\.39 deg over 40 poses"):
-            read_measurements(path, 2)
+            read_in_portions(path, Portion(600), 2)
 
 
 def test_no_file_and_no_parquet(tmp_path: Path) -> None:
@@ -232,17 +212,14 @@ def test_no_file_and_no_parquet(tmp_path: Path) -> None:
     [
         (["\n" * 50], "it is empty"),
         (["1" * 200_000, *ROWS], "field larger than field limit"),
-        ([",".join(f"a{k}" for k in range(2001)), ",".join("1" * 2001)], "has 2001 columns; at most 2000 are read"),
         ([HEAD], "a header but no rows"),
     ],
 )
-def test_what_is_no_table_is_refused_in_parts_as_at_once(tmp_path, monkeypatch, lines, told) -> None:
+def test_what_is_no_table_is_refused_in_parts_as_at_once(tmp_path, lines, told) -> None:
     path = written(tmp_path, lines)
-    for size in (None, *([] if "columns" in told else [20])):
-        if size:
-            in_parts(monkeypatch, size)
+    for portion in (USUAL, Portion(20)):
         with pytest.raises(InputError, match=told):
-            table_parts.read_columns(path)
+            read_columns(path, portion)
 
 
 def test_notes_for_pandas_in_a_parquet_file_are_not_needed(tmp_path: Path) -> None:
@@ -250,34 +227,35 @@ def test_notes_for_pandas_in_a_parquet_file_are_not_needed(tmp_path: Path) -> No
     table = arrow.table({"q1_deg": [1.0, 2.0], "x_mm": [3.0, 4.0]})
     cut = '{"columns": [{"name": "q1_deg"}], "index_columns": ["x_mm"]}'
     parquet.write_table(table.replace_schema_metadata({"pandas": cut}), tmp_path / "cut.parquet")
-    (part,) = table_parts.table_parts(tmp_path / "cut.parquet")
+    (part,) = table_parts(tmp_path / "cut.parquet")
     assert part.frame.to_dict("list") == {"q1_deg": [1.0, 2.0], "x_mm": [3.0, 4.0]}
 
 
 @pytest.mark.parametrize("form", ["coded", "plain"])
-def test_a_small_file_of_large_texts_is_refused_before_they_are_made(tmp_path, monkeypatch, form):
+def test_a_small_file_of_large_texts_is_refused_before_they_are_made(tmp_path, form):
     pyarrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
-    monkeypatch.setattr(table_parts, "MOST_BYTES", 1_000_000)
-    texts = pyarrow.array(["x" * 10_000] * 150 + [None])
-    table = {"q1_deg": [1.0] * 151, "remark": texts.dictionary_encode() if form == "coded" else texts}
-    parquet.write_table(pyarrow.table(table), tmp_path / "poses.parquet", compression="zstd")
-    assert (tmp_path / "poses.parquet").stat().st_size < 30_000
-    with pytest.raises(
-        InputError, match=r"^[^:]*poses\.parquet: its texts have more than 1000000 bytes; leave columns"
-    ):
-        table_parts.read_columns(tmp_path / "poses.parquet")
-    monkeypatch.setattr(table_parts, "MOST_BYTES", 1_500_000)
-    assert table_parts.read_columns(tmp_path / "poses.parquet").frame.shape == (151, 2)
+    path, texts = tmp_path / "poses.parquet", pyarrow.array(["x" * 500_000] * 100 + [None])
+    texts = texts.dictionary_encode() if form == "coded" else texts
+
+    def write(times: int) -> None:
+        columns = {"q1_deg": pyarrow.array([1.0] * 101), "remark": texts}
+        table = pyarrow.table({name: pyarrow.chunked_array([cells] * times) for name, cells in columns.items()})
+        parquet.write_table(table, path, compression="zstd")
+
+    write(11)
+    assert path.stat().st_size < 30_000
+    with pytest.raises(InputError, match=r"poses\.parquet: its texts have more than 500000000 bytes; leave columns"):
+        read_columns(path)
+    write(1)
+    assert read_columns(path).frame.shape == (101, 2)
 
 
-def test_parts_of_comments_alone_are_no_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_parts_of_comments_alone_are_no_rows(tmp_path: Path) -> None:
     comments = ["# made up"] * 50
-    lines = [*comments, *LINES[:20], *comments, *LINES[20:], *comments]
-    whole = read_measurements(written(tmp_path, lines), 2)
-    in_parts(monkeypatch)
-    assert_same(read_measurements(written(tmp_path, lines), 2), whole)
+    path = written(tmp_path, [*comments, *LINES[:20], *comments, *LINES[20:], *comments])
+    assert_same(read_in_portions(path, FEW, 2), read_measurements(path, 2))
     with pytest.raises(InputError, match="at least one row is needed"):
-        read_measurements(written(tmp_path, [*comments, *comments]), 2)
+        read_in_portions(written(tmp_path, [*comments, *comments]), FEW, 2)
 
 
 def test_too_many_columns_are_refused_before_they_are_parsed(tmp_path, monkeypatch):
@@ -293,23 +271,24 @@ def test_texts_and_headings_of_parquet_that_pandas_reads_otherwise(tmp_path: Pat
     no_text = arrow.array([b"\xff", b"a"]).view(arrow.string())
     parquet.write_table(arrow.table({"q1_deg": numbers, "note": no_text}), path)
     with pytest.raises(InputError, match=r"poses\.parquet: not a readable table: .*UTF8.*; write it again"):
-        table_parts.read_columns(path)
+        read_columns(path)
     parquet.write_table(arrow.table([numbers, numbers], ["q1_deg", " q1_deg"]), path)
     with pytest.raises(InputError, match="column 'q1_deg' is there twice; keep one"):
-        table_parts.read_columns(path)
+        read_columns(path)
     parquet.write_table(arrow.table([numbers], [" q1_deg"]), path)
-    raw = table_parts.read_columns(path)
+    raw = read_columns(path)
     assert raw.header == tuple(raw.frame) == ("q1_deg",)
 
 
-@pytest.mark.parametrize("form", ["gzipped", "quoted", "decimal commas", "tabs", "carriage returns"])
-def test_too_many_numbers_are_refused_before_a_text_is_split(tmp_path, monkeypatch, form):
-    path, text = tmp_path / "poses.csv", ("\r" if "returns" in form else "\n").join(FORMS.get(form, LINES)).encode()
-    path.write_bytes(gzip.compress(text) if form == "gzipped" else text)
-    monkeypatch.setattr(raw_table, "MOST_AT_ONCE", 203)
-    monkeypatch.setattr(raw_table, "records_in", None)
-    with pytest.raises(InputError, match=r"poses\.csv: has more than 203 numbers; split it.*; of a CSV in UTF-8"):
-        table_parts.read_columns(path)
+@pytest.mark.parametrize("form", ["gzipped", "decimal commas", "carriage returns"])
+def test_too_many_numbers_are_refused_before_a_text_is_split(tmp_path, form):
+    """Else the quote that is never closed would be found."""
+    path, lines = tmp_path / "poses.csv", FORMS.get(form, LINES)
+    lines = [*lines, *lines[1:] * 6, '"10', *lines[1:] * 50_000]
+    text = ("\r" if "returns" in form else "\n").join(lines).encode()
+    path.write_bytes(gzip.compress(text, 1) if form == "gzipped" else text)
+    with pytest.raises(InputError, match=r"poses\.csv: has more than 10000000 numbers; split it.*; of a CSV in UTF-8"):
+        read_columns(path)
 
 
 def test_a_separator_is_told_from_the_head_of_a_long_text() -> None:

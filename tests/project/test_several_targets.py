@@ -148,7 +148,7 @@ def test_targets_at_one_stop_are_in_one_set_and_no_repeats(tmp_path: Path) -> No
     robot = read_problem(tmp_path / "arm").robot
     m = read_campaign(tmp_path / "arm", tmp_path / "arm" / "poses.csv", robot)
     stops = replace(m, q=np.round(m.q, 3))
-    assert diagnose(robot, stops, effects=["backlash"]).replicates.poses == 0
+    assert diagnose(robot, stops, effects=["backlash"], laws=False).replicates.poses == 0
 
 
 def test_a_station_that_moved_is_no_second_target(tmp_path: Path) -> None:

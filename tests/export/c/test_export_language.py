@@ -13,7 +13,6 @@ from plugin_site import ROOT, installed, run
 
 from casadical.core.basics import InputError
 from casadical.export import Sources, command_of, write_c
-from casadical.export.c.registry import known_languages
 
 GROUP = "casadical.controller_languages"
 
@@ -118,7 +117,3 @@ def test_a_faulty_plug_in_is_named(case, tmp_path, monkeypatch, network):
         write_c(network, tmp_path / "c", name="arm", languages=("rows",), vectors=100)
     sys.modules.pop("toy", None)
     assert not (tmp_path / "c").exists()
-
-
-def test_the_languages_of_this_package():
-    assert [*known_languages()][:3] == ["c", "fmu", "structured_text"]

@@ -7,17 +7,15 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casadical.export.c.c_language import C99
 from casadical.export.c.c_source import CommandNumbers
 from casadical.export.c.chord import residual_size
 from casadical.export.c.coefficients import spline_errors, spline_table
 from casadical.export.c.kernel import compilers
-from casadical.export.c.language import Label
 from casadical.export.c.manifest import Facts
 from casadical.export.c.products import Command, Limits
 from casadical.export.c.reference import NumpyFunctions
 from casadical.export.c.tape import Node, Tape, tape_of
-from casadical.export.c.tape_program import bounds, operations, tape_program
+from casadical.export.c.tape_program import bounds, tape_program
 from casadical.export.c.write import accuracy
 
 X = ca.SX.sym("x", 2)
@@ -115,12 +113,6 @@ def test_the_forward_error_is_in_micrometres(command: Command) -> None:
     assert 0.01 < figures["forward_error_um"] < 10
 
 
-def test_casadis_own_code_needs_no_header(command: Command) -> None:
-    source = C99().files(tape_program(command, "double"), Label("arm"))["cross_check/arm_casadi.c"]
-    assert "arm_casadi_nominal" in source
-    assert '#include "arm' not in source
-
-
 def test_arms_of_one_joint_have_a_manifest() -> None:
     assert Facts(name="arm", real="float", joints=1, outputs={"forward": 3}).joints == 1
     with pytest.raises(ValueError, match="joints"):
@@ -139,13 +131,3 @@ def test_roots_are_exact_to_the_last_digits(real: Any, kind: Any) -> None:
     with np.errstate(over="ignore"):  # of the branch that is not taken
         found = NumpyFunctions(real).sqrt(x)
     assert np.abs(found / np.sqrt(x.astype(np.float64)) - 1).max() < 2 * np.finfo(kind).eps
-
-
-def test_a_network_alone_is_called_once(network: Any) -> None:
-    """Five neurons of six joints, three outputs of them."""
-    program = tape_program(network, "double")
-    count = operations(program).count
-    nodes = [node.op for node in program.tapes["network"].nodes]
-    assert count["tansig"] == 5
-    assert count["multiplications"] == nodes.count("mul")
-    assert count["additions"] == nodes.count("add") + nodes.count("sub")

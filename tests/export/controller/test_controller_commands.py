@@ -2,11 +2,13 @@
 
 import csv
 import hashlib
+import inspect
 import json
 import re
 
 import numpy as np
 import pytest
+from command_line import FEW
 from command_line import main as run
 from controller_arms import nominal_path, planted, poses, positions, rigid_motion
 
@@ -28,7 +30,7 @@ def exported(files, tmp_path_factory):
     out = tmp_path_factory.mktemp("out") / "c"
     with pytest.MonkeyPatch.context() as patch:
         given = ("export", "c", files / "hh800.toml", "--nominal", nominal_path("hh800"), "--out", out)
-        code = run(patch, *given, vectors=100_000)
+        code = run(patch, *given)
     assert code == 0
     return out
 
@@ -59,7 +61,8 @@ def test_the_export_carries_its_sources_and_is_verified(files, exported):
     assert manifest["model_sha256"] == hashlib.sha256((files / "hh800.toml").read_bytes()).hexdigest()
     assert manifest["kernel"]["name"] == "hyundai_hh800"
     assert manifest["verified"] is True
-    assert min(c["vectors"] for c in manifest["comparisons"] if c["function"] != "self_test") >= 100_000
+    assert {c["vectors"] for c in manifest["comparisons"] if c["function"] != "self_test"} == {FEW}
+    assert inspect.signature(write_c).parameters["vectors"].default == 100_000  # unless a test asks for few
     assert load(exported).self_test() == 0
 
 

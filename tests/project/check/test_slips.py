@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from command_line import main
+from command_line import main, own_planar
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "cli"))
 import first_hour
 
 from casadical import Measurements, calibrate
 from casadical.project.check import precheck
-from casadical.project.check.repair import MIRRORED, OF_LENGTHS, repaired_files, write_repair
+from casadical.project.check.repair import MIRRORED, OF_LENGTHS, repaired
 from casadical.project.check.slip_fit import Hypothesis
 from casadical.project.check.targets import recognised
 from casadical.project.new import new_problem
@@ -78,19 +78,19 @@ def folder_of(tmp_path: Path, slip: Callable[..., Table] | None) -> Path:
 
 
 @pytest.mark.parametrize("slip", CASES, ids=lambda s: s.__name__)
-def test_slips_are_found_together_and_repaired(slip, tmp_path, monkeypatch, capfd):
+def test_slips_are_found_together_and_repaired(slip, tmp_path):
     folder = folder_of(tmp_path, slip)
-    said = " ".join(f.text for f in precheck(folder).findings if f.level == "error")
+    found = precheck(folder)
+    said = " ".join(f.text for f in found.findings if f.level == "error")
     for words in CASES[slip]:
         assert words in said
-    assert [step.code for step in precheck(folder).next] == [f"casadical check {folder} --repair"]
+    assert [step.code for step in found.next] == [f"casadical check {folder} --repair"]
     before = (folder / "poses.csv").read_bytes()
-    assert main(monkeypatch, "check", folder, "--repair") == 0
-    printed = capfd.readouterr().out
-    added = re.findall(r"^\+(?!\+\+)(.*)$", printed, re.MULTILINE)
+    shown = repaired(found)
+    added = re.findall(r"^\+(?!\+\+)(.*)$", shown, re.MULTILINE)
     assert added
     assert {*added} <= {*(folder / "problem.toml").read_text().splitlines()}
-    assert "mm before" in printed
+    assert "mm before" in shown
     assert (folder / "poses.csv").read_bytes() == before
     assert calibrate(folder).accuracies["KM"]["report"]["calibrated"].mean < 1e-4
 
@@ -106,7 +106,6 @@ def in_metres(q: np.ndarray, p: np.ndarray) -> Table:
 @pytest.mark.parametrize("slip", [mirrored, in_metres], ids=lambda s: s.__name__)
 def test_a_slip_of_the_positions_alone_is_repaired(slip, tmp_path, monkeypatch):
     folder = folder_of(tmp_path, slip)
-    assert main(monkeypatch, "check", folder, "-q") == 2
     assert main(monkeypatch, "check", folder, "--repair", "-q") == 0
     assert calibrate(folder).accuracies["KM"]["report"]["calibrated"].mean < 1e-4
     warned = [f.text for f in precheck(folder).of_level("warning") if f.topic == "units"]
@@ -127,8 +126,11 @@ def test_a_robot_with_a_four_bar_is_repaired_of_one_slip(tmp_path: Path, monkeyp
 
 
 def test_why_nothing_is_written_is_said(tmp_path: Path, monkeypatch, capfd) -> None:
-    folder = folder_of(tmp_path, lambda q, p: (q, np.random.default_rng(0).permutation(p)))
-    assert main(monkeypatch, "check", ROOT / "problems" / "planar", folder, "--repair") == 2
+    folder = own_planar(tmp_path / "arm")
+    table = pd.read_csv(folder / "poses.csv")
+    table[["x_mm", "y_mm", "z_mm"]] = np.random.default_rng(0).permutation(table[["x_mm", "y_mm", "z_mm"]])
+    table.to_csv(folder / "poses.csv", index=False)
+    assert main(monkeypatch, "check", folder, "--repair") == 2
     assert "nothing more is written: of " in capfd.readouterr().out
 
 
@@ -139,9 +141,7 @@ def test_one_link_in_metres_is_named_and_repaired(tmp_path: Path) -> None:
     found = precheck(folder)
     (error,) = found.of_level("error")
     assert "a of row 3 is 700.0 mm, not 0.7 mm" in error.text
-    assert found.slips is not None
-    assert found.nominal is not None
-    assert "-a_mm = 0.7\n+a_mm = 700.0" in write_repair(repaired_files(folder, found.slips.best, found.nominal))
+    assert "-a_mm = 0.7\n+a_mm = 700.0" in repaired(found)
     assert precheck(folder).ok
 
 
@@ -167,9 +167,7 @@ def test_lengths_of_the_whole_robot_in_another_unit_are_repaired_there(tmp_path:
     robot.write_text(lengths.sub(lambda m: f"{m[1]} = {float(m[2]) / 1e3!r}", robot.read_text()))
     found = precheck(folder)
     assert "the lengths in the robot file are in another unit (times 1000)" in " ".join(f.text for f in found.findings)
-    assert found.slips is not None
-    assert found.nominal is not None
-    write_repair(repaired_files(folder, found.slips.best, found.nominal))
+    repaired(found)
     assert "a_mm = 700.0" in robot.read_text()
     assert precheck(folder).ok
 
@@ -192,10 +190,7 @@ def test_what_a_coupled_reading_counts_from_may_be_wrong_itself(tmp_path: Path) 
         return q[:, [0, 4, 2, 3, 1, 5]], p
 
     folder = folder_of(tmp_path, slip)
-    found = precheck(folder)
-    assert found.slips is not None
-    assert found.nominal is not None
-    write_repair(repaired_files(folder, found.slips.best, found.nominal))
+    repaired(precheck(folder))
     q, _ = first_hour.measured(90)
     (m, *_) = read_problem(folder).sets["identify"]
     np.testing.assert_allclose(np.rad2deg(m.q), q[m.row - m.row.min()], atol=1e-6)
@@ -221,15 +216,16 @@ def test_a_slip_of_lengths_that_moves_little_is_found(sign: int, tmp_path: Path)
     assert ("joint 6 counts the other way" in " ".join(f.text for f in found.findings)) == (sign < 0)
 
 
-def test_slips_of_a_table_of_lengths_are_found_and_repaired(tmp_path, monkeypatch):
+def test_slips_of_a_table_of_lengths_are_found_and_repaired(tmp_path):
     """The second joint turned, the fourth shifted by a quarter turn."""
     q, p = first_hour.measured(90)
     arm = of_wires(tmp_path, q * [1, -1, 1, 1, 1, 1] + [0, 0, 0, 90, 0, 0], p)
-    said = " ".join(f.text for f in precheck(arm).findings if f.level == "error")
+    found = precheck(arm)
+    said = " ".join(f.text for f in found.findings if f.level == "error")
     assert "joint 2 counts the other way (turn the sign of q2); the zero of joint 4 is 90 deg off" in said
     assert OF_LENGTHS in said
     assert "Rival" not in said
-    assert main(monkeypatch, "check", arm, "--repair", "-q") == 0
+    repaired(found)
     assert calibrate(arm).accuracies["KM"]["report"]["calibrated"].mean < 1e-4
 
 

@@ -195,7 +195,6 @@ WRONG = {
     "two robots": ({"urdf": "x.urdf", "dh": "x.csv"}, "both say which robot"),
     "no such table": ({"dh": "none.csv"}, "no such file"),
     "no such convention": ({"dh": "dh.csv", "convention": "craig"}, "allowed: modified, standard"),
-    "unknown column": ({"dh": "bad.csv"}, "column 'colour' is not known"),
     "no number": ({"dh": "word.csv"}, "row 3, column 'a_mm': 'x' is not a number"),
     "nan": ({"dh": "nan.csv"}, "row 3, column 'a_mm': 'nan' is not a finite number"),
     "not available": ({"dh": "na.csv"}, "row 3, column 'alpha_deg': 'NA' is not a finite number"),
@@ -213,7 +212,6 @@ WRONG = {
 def test_bad_input_is_refused_and_nothing_is_written(name: str, tmp_path: Path) -> None:
     given, words = WRONG[name]
     (tmp_path / "dh.csv").write_text("a_mm,alpha_deg\n100,90\n200,0\n")
-    (tmp_path / "bad.csv").write_text("a_mm,colour\n100,90\n")
     (tmp_path / "word.csv").write_text("a_mm,alpha_deg\n100,90\nx,0\n")
     (tmp_path / "nan.csv").write_text("a_mm,alpha_deg\n100,90\nnan,0\n")
     (tmp_path / "na.csv").write_text("a_mm,alpha_deg\n100,90\n0,NA\n")
