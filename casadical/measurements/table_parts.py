@@ -115,14 +115,16 @@ def _encoding(path: Path, portion: Portion) -> str:
     encoding = marked_encoding(head)
     if head.startswith((b"PK\x03\x04", b"\x1f\x8b")):
         return ""
+    ends: set[str] = set()
     try:
         with path.open(encoding=encoding, newline="\n") as text:
             while some := text.read(portion.characters):
                 if '"' in some or "\0" in some:
                     return ""
+                ends |= {end for end in "\r\n" if end in some}
     except UnicodeDecodeError:
         return ""
-    return encoding
+    return "" if ends == {"\r"} else encoding  # lines are found by their newlines
 
 
 def _text(path: Path, encoding: str, characters: int) -> Iterator[RawTable]:
