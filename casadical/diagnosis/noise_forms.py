@@ -36,7 +36,7 @@ SHARE, TIMES, FOUND_IN = 0.05, 4.0, 3
 SCATTERS = 8.0
 # Beside causes, other forms are not asked for where plain noise alone has more probability.
 PLAIN = 0.9
-# Log evidence over plain noise from which causes and laws are judged anew by noise that follows itself.
+# Log evidence over plain noise from which causes and laws are judged again by noise that follows itself.
 FORM_GAIN = 10.0
 
 
@@ -130,8 +130,8 @@ def best_following(case: Case, chosen: Array) -> tuple[Form, Noise, float]:
     return form, likely_noise(grid, e.sigmas), log - float(log_sum(e.log_base(chosen)))
 
 
-def following_anew(case: Case, chosen: Array) -> tuple[Form, Noise, float] | None:
-    """The same where causes and laws are judged anew by it; None by the noise that the case has already, or by none."""
+def other_following(case: Case, chosen: Array) -> tuple[Form, Noise, float] | None:
+    """The same where causes and laws are to be judged again by it; None where the case has it, or none follows."""
     form, noise, gain = best_following(case, chosen)
     return (form, noise, gain) if form.stays != case.form.stays and gain >= FORM_GAIN else None
 

@@ -46,7 +46,7 @@ from casadical.diagnosis.laws.problem import with_columns as seams_with_columns
 from casadical.diagnosis.laws.search import search_laws
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import linearise
-from casadical.diagnosis.noise_forms import TAILED, best_beside_following, following, following_anew
+from casadical.diagnosis.noise_forms import TAILED, best_beside_following, following, other_following
 from casadical.diagnosis.posterior import rank
 from casadical.diagnosis.text import brief
 from casadical.diagnosis.text import page_of as diagnosis_page
@@ -367,7 +367,7 @@ def test_a_law_takes_the_place_of_a_cause_that_was_found_under_noise_that_follow
     assert (found.verdict, found.causes) == ("unknown", ())
     assert found.law.form.stays == found.case.form.stays > 0
     beside = with_law(found.case, found.law.best.law)
-    assert following_anew(beside, beside.group((found.law.best.law,))) is None  # it was found beside the law
+    assert other_following(beside, beside.group((found.law.best.law,))) is None  # it was found beside the law
     assert found.law.best.tried.driver.text == "tau2*tau3"
     said = laws_beside(found)
     assert "Nats and factors are under noise of which" in plain_text(said.blocks(), 200)

@@ -27,8 +27,8 @@ from casadical.diagnosis.noise_forms import (
     best_beside_following,
     best_following,
     following,
-    following_anew,
     noise_forms,
+    other_following,
 )
 from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, rank
 from casadical.diagnosis.result import Diagnosis
@@ -89,14 +89,14 @@ def claimed_before_causes(found: Diagnosis) -> tuple[Round, Case] | None:
 def _beside_its_noise(case: Case, first: Round, poses: int) -> tuple[Round, Case]:
     """A comparison and the case of all poses that it is of; where it claims a law, by the noise that is best beside it.
 
-    All are compared anew where the noise beside the law follows itself by another share, until it does not.
+    All are compared again where the noise beside the law follows itself by another share, until it does not.
     """
     for _ in range(MOST_FORMS if case.observations.plain else 0):
         own = with_law(case, first.best.law) if first.claimed else None
-        anew = own and following_anew(own, own.group((first.best.law,)))
-        if not anew:
+        other = own and other_following(own, own.group((first.best.law,)))
+        if not other:
             break
-        case = case.with_form(anew[0])
+        case = case.with_form(other[0])
         fewer = thinned(case, poses)
         first = round_of(fewer, NONE, rank(fewer, NONE))
     return first, case

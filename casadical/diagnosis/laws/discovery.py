@@ -22,7 +22,7 @@ from casadical.diagnosis.laws.contest import (
 )
 from casadical.diagnosis.laws.problem import Round, Scored
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.noise_forms import following_anew
+from casadical.diagnosis.noise_forms import other_following
 from casadical.diagnosis.posterior import rank
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.settings_search import refined
@@ -76,9 +76,9 @@ def laws_beside(found: Diagnosis, show: Show = silent, poses: int = MOST_POSES) 
         return _concluded(found, rounds, case, [], (), NONE)
     for _ in range(MOST_ROUNDS):
         show("laws beside what was found")
-        anew = following_anew(case, columns) if case.observations.plain else None
-        if anew:
-            case = case.with_form(anew[0])
+        other = other_following(case, columns) if case.observations.plain else None
+        if other:
+            case = case.with_form(other[0])
         labels = frozenset(
             [*(s.law.label for s in laws), *(c.label for c in found.causes if c.effects in _sets_of(causes))]
         )
