@@ -131,9 +131,10 @@ def best_following(case: Case, chosen: Array) -> tuple[Form, Noise, float]:
 
 
 def other_following(case: Case, chosen: Array) -> tuple[Form, Noise, float] | None:
-    """The same where causes and laws are to be judged again by it; None where the case has it, or none follows."""
+    """The same where causes and laws are to be judged again by it; None where the case keeps its own noise."""
     form, noise, gain = best_following(case, chosen)
-    return (form, noise, gain) if form.stays != case.form.stays and gain >= FORM_GAIN else None
+    moved = abs(form.stays - case.form.stays) > BETWEEN / 2
+    return (form, noise, gain) if moved and gain >= FORM_GAIN else None
 
 
 def best_beside_following(case: Case, chosen: Array) -> tuple[str, float]:

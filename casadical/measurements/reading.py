@@ -244,12 +244,12 @@ def _without_copies(m: Measurements, rows: int = USUAL.rows) -> Measurements:
     """A row copied whole is no second measurement: it is counted once; rows : that are moved at a time."""
     numbers = _numbers(m)
     # Only rows with equal hashes can be copies: of a table greater than memory these few are compared.
-    hashes = _hashes(numbers)
+    hashes = _hashes(numbers, rows)
     hashes.sort()
     twice = hashes[1:][hashes[1:] == hashes[:-1]]
     if not len(twice):
         return m
-    alike = np.flatnonzero(np.isin(_hashes(numbers), twice))
+    alike = np.flatnonzero(np.isin(_hashes(numbers, rows), twice))
     some = np.concatenate([values[alike].astype(float) for values in numbers], axis=1)
     copied = np.setdiff1d(alike, alike[np.unique(some, axis=0, return_index=True)[1]])
     if not len(copied):
@@ -293,10 +293,10 @@ def refuse_shared_rows(sets: Sequence[Measurements]) -> None:
         seen.append((alike, hashes, m))
 
 
-def _hashes(numbers: Sequence[Array]) -> Array:
-    """A number for each row of some arrays, the same for equal rows, shape (n,)."""
+def _hashes(numbers: Sequence[Array], rows: int = USUAL.rows) -> Array:
+    """A number for each row of some arrays, the same for equal rows, shape (n,); rows : that are taken at a time."""
     hashes = np.zeros(len(numbers[0]), dtype=np.uint64)
-    for some in (slice(k, k + USUAL.rows) for k in range(0, len(hashes), USUAL.rows)):
+    for some in (slice(k, k + rows) for k in range(0, len(hashes), rows)):
         for column in (column[some] for values in numbers for column in values.T):
             hashes[some] = hashes[some] * np.uint64(1_000_003) ^ pd.util.hash_array(column + 0.0)  # -0.0 is 0.0
     return hashes

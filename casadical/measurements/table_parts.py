@@ -144,7 +144,7 @@ def _text(path: Path, encoding: str, characters: int) -> Iterator[RawTable]:
                 yield _under(first, records, lines + 1)
             else:  # comments alone; above the table the last ones may hold its headings
                 above = [*above, *records][-MOST_COUNT:]
-            lines += some.count("\n")
+            lines += some.count("\n") + some.count("\r") - some.count("\r\n")
     if first is None:
         table_of(path, above, encoding, separator)  # which refuses it
 

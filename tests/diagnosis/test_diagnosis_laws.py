@@ -1,6 +1,7 @@
 """Laws found in simulated campaigns: the search against exact evidence, what is claimed, and the files of it."""
 
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -51,7 +52,7 @@ from casadical.diagnosis.posterior import rank
 from casadical.diagnosis.text import brief
 from casadical.diagnosis.text import page_of as diagnosis_page
 from casadical.diagnosis.thresholds import DETECT
-from casadical.effects import Law
+from casadical.effects import Effect, Law
 from casadical.effects.formula import NUMERIC, parse
 from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive
@@ -355,23 +356,52 @@ def test_a_law_is_found_in_noise_that_follows_itself() -> None:
     assert contest.as_noise_follows(c, rank(c, NONE)) is None
 
 
+@cache
+def quiet_campaign() -> tuple[Measurements, Case]:
+    """Poses with little noise, and their case, by which laws are planted."""
+    m = from_table(campaign(perturb(plant(robot(NAME)), 6), 80, 6, noise_mm=0.004, approach="motion"), 6)
+    return m, diagnose(robot(NAME), m, ["backlash@1"], laws=False).case
+
+
+def hidden_in(stays: float, sigma: float, seed: int, laws: Mapping[Law, float]) -> Measurements:
+    """The same poses with laws, each of an rms [m], in noise that follows itself."""
+    m, c = quiet_campaign()
+    shifts = sum(shift_of(c, law, rms) for law, rms in laws.items())
+    return replace(m, position=m.position + following_noise(m.position.shape, stays, sigma, seed) + shifts)
+
+
+def assert_noise_is_best_beside(case: Case, effects: Sequence[Effect]) -> None:
+    assert case.form.stays > 0
+    assert other_following(case, np.unique(case.group(effects))) is None
+
+
 def test_a_law_takes_the_place_of_a_cause_that_was_found_under_noise_that_follows_itself() -> None:
-    quiet = campaign(perturb(plant(robot(NAME)), 6), 80, 6, noise_mm=0.004, approach="motion")
-    m = from_table(quiet, 6)
-    c = diagnose(robot(NAME), m, ["backlash@1"], laws=False).case
-    noise = following_noise(m.position.shape, 0.75, 20e-6, 5)
-    m = replace(m, position=m.position + noise + shift_of(c, PRODUCT, 42e-6))
+    m = hidden_in(0.75, 20e-6, 5, {PRODUCT: 42e-6})
     cause = diagnose(robot(NAME), m, laws=False)
     assert [c.label for c in cause.causes] == ["nonlinear_stiffness@2"]
     found = diagnose(robot(NAME), m)
     assert (found.verdict, found.causes) == ("unknown", ())
-    assert found.law.form.stays == found.case.form.stays > 0
-    beside = with_law(found.case, found.law.best.law)
-    assert other_following(beside, beside.group((found.law.best.law,))) is None  # it was found beside the law
+    assert found.law.form.stays == found.case.form.stays
     assert found.law.best.tried.driver.text == "tau2*tau3"
-    said = laws_beside(found)
-    assert "Nats and factors are under noise of which" in plain_text(said.blocks(), 200)
+    law = found.law.best.law
+    assert_noise_is_best_beside(with_law(found.case, law), [law])
+    said, later = laws_beside(found), laws_beside(cause)  # which has no law yet
+    assert later.rounds[0].form.stays == said.rounds[0].form.stays == found.case.form.stays
+    assert later.lines == said.lines
+    note = f"Nats and factors are under noise of which {found.case.form.stays:.2g} stays from one"
+    assert note in plain_text(said.blocks(), 200)
     assert said.to_json()["rounds"][0]["noise_stays"] == pytest.approx(found.case.form.stays, abs=1e-4)
+
+
+def test_the_noise_is_found_again_beside_each_further_law() -> None:
+    wave = Law(5, "joint", "a*sin(3*q5)", (("a", 1e-4),))
+    found = diagnose(robot(NAME), hidden_in(0.8, 20e-6, 5, {PRODUCT: 60e-6, wave: 45e-6}), ["backlash"])
+    both = laws_beside(found)
+    assert {s.law.place for s in both.laws} == {"joint 2", "joint 5"}
+    first, second, *_ = (r.form.stays for r in both.rounds)
+    assert 0 < first < second == both.case.form.stays
+    assert_noise_is_best_beside(both.case, [*(s.law for s in both.laws), *both.causes])
+    assert f"{first:.2g} (round 1), {second:.2g} (round 2)" in plain_text(both.blocks(), 300)
 
 
 def test_noise_that_follows_itself_has_rivals_of_its_own() -> None:

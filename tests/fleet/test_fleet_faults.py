@@ -26,7 +26,6 @@ psutil = pytest.importorskip("psutil", reason="psutil (of Dask) is not installed
 pyarrow = pytest.importorskip("pyarrow", reason="pyarrow is not installed")
 pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
 METRES = ["x_mm", "y_mm", "z_mm"]
-MANY = pyarrow.ListArray.from_arrays([0, 30_000_000], pyarrow.nulls(30_000_000, pyarrow.float64()))
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +41,11 @@ def arms(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def first(arms: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the arm with later campaigns, to be spoilt."""
     return Path(shutil.copytree(arms / "arm0", tmp_path_factory.mktemp("first") / "arm"))
+
+
+def many_numbers() -> Any:
+    """A column of one row that holds 30 million numbers."""
+    return pyarrow.ListArray.from_arrays([0, 30_000_000], pyarrow.nulls(30_000_000, pyarrow.float64()))
 
 
 def spoil(table: Path, start: int, columns: list[str], factor: float) -> None:
@@ -321,7 +325,7 @@ def test_an_encrypted_scheduler_is_refused_with_a_way_out() -> None:
         ),
         (lambda t: t.take([0] * 10_001), "it has 10001 rows; at most 10000 are read"),
         (
-            lambda t: t.set_column(t.column_names.index("score"), "score", MANY),
+            lambda t: t.set_column(t.column_names.index("score"), "score", many_numbers()),
             "it has 300000[0-9]* values; at most 30000000 are read",
         ),
     ],

@@ -86,6 +86,20 @@ def test_parts_are_the_whole(tmp_path: Path, form: str, size: int) -> None:
     assert_same(found, whole)
 
 
+@pytest.mark.parametrize("ends", [["\n"] * 20 + ["\r"] * 5 + ["\n"] * 15, ["\r\r\n"] * 40])
+def test_rows_are_counted_by_any_end_of_a_line(tmp_path: Path, ends: list[str]) -> None:
+    path = tmp_path / "poses.csv"
+    path.write_bytes("".join(line + end for line, end in zip(LINES, [*ends, "\n"], strict=True)).encode())
+    whole = read_measurements(path, 2)
+    assert len(set(whole.row)) == 40
+    assert_same(read_in_portions(path, Portion(150, 7), 2), whole)
+
+
+def test_texts_of_parquet_are_looked_at_with_their_rows(tmp_path: Path) -> None:
+    frame = pd.read_csv(PLANAR).assign(remark=[f"pose {k}" for k in range(40)])
+    assert len(read_in_portions(kept(tmp_path, frame, "parquet"), Portion(rows=7), 2)) == 40
+
+
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "cp932"])
 def test_parts_of_other_encodings_are_the_whole(tmp_path: Path, encoding: str) -> None:
     path = written(tmp_path, ["# 温度", *LINES], encoding)

@@ -146,9 +146,11 @@ class Discovery(Result):
             )
         if self.thinned:
             blocks.append(Words("Laws were searched on {} of {} poses.".format(*self.thinned), "note"))
-        stays = self.case.form.stays if self.laws else self.rounds[0].form.stays
-        if stays:
-            said = f"Nats and factors are under noise of which {stays:.2g} stays from one of these poses to the next."
+        stays = [f"{r.form.stays:.2g}" for r in self.rounds]
+        if any(r.form.stays for r in self.rounds):
+            alike = len(set(stays)) == 1
+            each = stays[0] if alike else ", ".join(f"{s} (round {k})" for k, s in enumerate(stays, 1))
+            said = f"Nats and factors are under noise of which {each} stays from one of these poses to the next."
             blocks.append(Words(said, "note"))
         blocks.append(Words(NATS, "note"))
         blocks.append(_gaps(self))

@@ -48,11 +48,16 @@ CORRELATION = 0.95
 
 def replaces_causes(found: Diagnosis, first: Round, poses: int = MOST_POSES) -> bool:
     """Whether the best law beside nothing is claimed in place of all causes of a diagnosis together."""
-    if not first.claimed or first.best.score + np.log(PRIOR_FIRST["unknown"]) < _set_mass(found) + ABOVE:
+    case, listed = thinned(found.case, poses), _set_mass(found)
+    if not first.claimed:
         return False
+    if np.isfinite(listed):
+        # Both are over no cause, each under a noise of its own.
+        over = _log_none(case.with_form(first.form)) - _log_none(case) if first.form.stays != case.form.stays else 0.0
+        if first.best.score + over + np.log(PRIOR_FIRST["unknown"]) < listed + ABOVE:
+            return False
     if not found.columns.size:
         return True
-    case = thinned(found.case, poses)
     by_law = held_out(case, NONE, [first.best], first.best.noise, found.seed)
     by_causes = held_out(case, found.columns, (), found.noise, found.seed)
     return bool(by_law.mean() < by_causes.mean())
@@ -64,7 +69,7 @@ def laws_before_causes(found: Diagnosis, poses: int = MOST_POSES) -> Round:
     Of the noise's forms that may be there, by the first under which one is claimed, else by the last.
     """
     for whole, case, ranking in _before_causes(found, poses):
-        first, _ = _beside_its_noise(whole, round_of(case, NONE, ranking), poses)
+        first, _ = beside_its_noise(whole, round_of(case, NONE, ranking), poses)
         if first.claimed:
             break
     return first
@@ -80,25 +85,28 @@ def claimed_before_causes(found: Diagnosis) -> tuple[Round, Case] | None:
         least = max(CLAIMED, max(ranking.log_factor.values()) + ABOVE)
         laws = search_laws(case, NONE, least=least - ALIKE)
         if laws and laws[0].score >= least:
-            first, moved = _beside_its_noise(whole, _judged(laws, case, NONE, ranking), MOST_POSES)
+            first, moved = beside_its_noise(whole, _judged(laws, case, NONE, ranking), MOST_POSES)
             if first.claimed:
                 return first, moved
     return None
 
 
-def _beside_its_noise(case: Case, first: Round, poses: int) -> tuple[Round, Case]:
+def beside_its_noise(
+    case: Case, first: Round, poses: int, chosen: Array = NONE, causes: frozenset[str] = frozenset()
+) -> tuple[Round, Case]:
     """A comparison and the case of all poses that it is of; where it claims a law, by the noise that is best beside it.
 
     All are compared again where the noise beside the law follows itself by another share, until it does not.
+    chosen, causes : columns and labels of what is in the model already
     """
     for _ in range(MOST_FORMS if case.observations.plain else 0):
         own = with_law(case, first.best.law) if first.claimed else None
-        other = own and other_following(own, own.group((first.best.law,)))
+        other = own and other_following(own, np.union1d(chosen, own.group((first.best.law,))))
         if not other:
             break
         case = case.with_form(other[0])
         fewer = thinned(case, poses)
-        first = round_of(fewer, NONE, rank(fewer, NONE))
+        first = round_of(fewer, chosen, rank(fewer, chosen, causes), causes)
     return first, case
 
 
@@ -149,6 +157,11 @@ def thinned(case: Case, poses: int) -> Case:
         return fewer
     e, stays = fewer.evidence, case.form.stays ** (len(at) / poses)
     return fewer.with_form(following(stays, len(e.r), e.count / len(e.r)))
+
+
+def _log_none(case: Case) -> float:
+    """Log likelihood without a cause, by the case's form of noise."""
+    return float(log_sum(case.judged.log_base(NONE))) + case.form.log_weight
 
 
 def _set_mass(found: Diagnosis) -> float:

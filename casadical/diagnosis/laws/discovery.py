@@ -13,6 +13,7 @@ from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.laws.answer import Discovery, Kept
 from casadical.diagnosis.laws.contest import (
     MOST_POSES,
+    beside_its_noise,
     held_out,
     laws_before_causes,
     replaces_causes,
@@ -65,7 +66,8 @@ def laws_beside(found: Diagnosis, show: Show = silent, poses: int = MOST_POSES) 
     """
     show("laws beside nothing")
     case = thinned(found.case, poses)
-    first = found.law or laws_before_causes(found, poses)
+    known = found.law if found.law and len(found.law.best.columns) == case.kept.sum() else None
+    first = known or laws_before_causes(found, poses)
     rounds, laws, causes = [first], [], found.effects()
     columns = found.columns
     if replaces_causes(found, first, poses):
@@ -80,9 +82,13 @@ def laws_beside(found: Diagnosis, show: Show = silent, poses: int = MOST_POSES) 
         if other:
             case = case.with_form(other[0])
         labels = frozenset(
-            [*(s.law.label for s in laws), *(c.label for c in found.causes if c.effects in _sets_of(causes))]
+            [
+                *(s.law.label for s in laws),
+                *(c.label for c in found.causes if c.effects in _sets_of(causes)),
+                *(e.label for e in causes),
+            ]
         )
-        ranking = rank(case, columns, labels | {e.label for e in causes})
+        ranking = rank(case, columns, labels)
         listed = {c.label: c for c in case.candidates if c.listed}
         top = ranking.order[0]
         if laws and top in listed and ranking.none <= DETECT_FURTHER and ranking.probability[top] >= CLAIM:
@@ -90,7 +96,7 @@ def laws_beside(found: Diagnosis, show: Show = silent, poses: int = MOST_POSES) 
             case, more = refined(case, top, variant, columns, ranking.noise[top])
             causes, columns = (*causes, *more), np.unique(np.concatenate([columns, case.group(more)]))
             continue
-        further = round_of(case, columns, ranking, frozenset(s.law.label for s in laws))
+        further, case = beside_its_noise(case, round_of(case, columns, ranking, labels), poses, columns, labels)
         rounds.append(further)
         if not further.claimed or len(laws) == MOST_LAWS:
             break
