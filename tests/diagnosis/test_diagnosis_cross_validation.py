@@ -74,7 +74,9 @@ def test_many_poses_and_few_are_left_out_alike() -> None:
     folds, alone = random_folds(40, 3), np.arange(40)
     expected = held_out_errors(e, columns, NOISE, folds), held_out_errors(e, columns, NOISE, alone)
     for memory in (Memory(rows=0), Memory(kept=0)):
-        fit = new_fit(replace(e, memory=memory), columns, NOISE)
+        own = replace(e, memory=memory)
+        assert own.model.memory is memory
+        fit = new_fit(own, columns, NOISE)
         np.testing.assert_allclose(fold_errors(e, fit, folds), expected[0], rtol=1e-7)
         np.testing.assert_allclose(fold_errors(e, fit, alone), expected[1], rtol=1e-7)
 
