@@ -48,9 +48,9 @@ CORRELATION = 0.95
 
 def replaces_causes(found: Diagnosis, first: Round, poses: int = MOST_POSES) -> bool:
     """Whether the best law beside nothing is claimed in place of all causes of a diagnosis together."""
-    case, listed = thinned(found.case, poses), _set_mass(found)
     if not first.claimed:
         return False
+    case, listed = thinned(found.case, poses), _set_mass(found)
     if np.isfinite(listed):
         # Both are over no cause, each under a noise of its own.
         over = _log_none(case.with_form(first.form)) - _log_none(case) if first.form.stays != case.form.stays else 0.0

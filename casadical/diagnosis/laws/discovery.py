@@ -96,12 +96,12 @@ def laws_beside(found: Diagnosis, show: Show = silent, poses: int = MOST_POSES) 
             case, more = refined(case, top, variant, columns, ranking.noise[top])
             causes, columns = (*causes, *more), np.unique(np.concatenate([columns, case.group(more)]))
             continue
-        further, case = beside_its_noise(case, round_of(case, columns, ranking, labels), poses, columns, labels)
+        further, moved = beside_its_noise(case, round_of(case, columns, ranking, labels), poses, columns, labels)
         rounds.append(further)
         if not further.claimed or len(laws) == MOST_LAWS:
             break
         laws.append(further.best)
-        case = with_law(case, further.best.law)
+        case = with_law(moved, further.best.law)
         columns = np.unique(np.concatenate([columns, case.group((further.best.law,))]))
     return _concluded(found, rounds, case, laws, causes, columns)
 
