@@ -275,7 +275,14 @@ def table(trials: Sequence[dict[str, Any]]) -> str:
         lost = [t["law"] for t in claims if (t["part"] in OFF or wrong(t)) == some]
         rows.append((f"{name}: a law would take their place", share(lost)))
     rows.append(("seconds of one core a campaign", mean([t["seconds"] for t in trials if t["seconds"]])))
-    return "\n".join(f"{name:<58} {estimate}" for name, estimate in rows if estimate.n)
+    figures = [f"{name:<58} {estimate}" for name, estimate in rows if estimate.n]
+    return "\n".join([*figures, *called_noise([t for part in OFF for t in of[part]])])
+
+
+def called_noise(trials: Sequence[dict[str, Any]]) -> list[str]:
+    """A line of those of trials with one effect whose verdict is none though it is more than a third of the gap."""
+    much = [t for t in trials if t["verdict"] == "none" and 1 - 1 / np.hypot(1, t["signals"][0]) > 1 / 3]
+    return [f"none: {', '.join(sorted(t['truth'][0] for t in much))}"] if much else []
 
 
 def main() -> None:
