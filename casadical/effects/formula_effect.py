@@ -68,10 +68,11 @@ OF_JOINT = re.compile(r"q|tau|approach|move")
 _NUMBERED = re.compile(
     r"(?:q|tau|m|approach|move|memory|play|v|speed|slip|load|heat|rest)(\d+)(?:[xyz]|_\d+(?:mrad|s))?"
 )
-# Of a beam from an instrument: its length, its direction about the vertical, its cosine with the flange's third axis;
-# and of its head the sense of the last turn about the vertical, a column of its station's.
+# Of a beam from an instrument: its length, its direction about the vertical, its cosine with the way the target looks
+# (by default the flange's third axis); of its head the sense of the last turn about the vertical, by its station.
 _BEAM = ("r", "azimuth", "incidence")
 HEAD = "head"
+TOWARDS = (0.0, 0.0, 1.0)
 # Seams at which an instrument stands at a station.
 STATIONED = ("beam", "across")
 # Of the measured point, at the seams behind it.
@@ -174,7 +175,8 @@ class FormulaEffect(Effect):
             far = [context.conditions[c] for c in FAR] if seam == "distance" else self.station  # type: ignore[attr-defined]
             beam = point - ca.vertcat(*far)
             r = ca.sqrt(ca.sumsqr(beam) + 1e-12)
-            turn = ca.atan2(beam[1], beam[0]), ca.dot(beam, context.frames[-1][:3, 2]) / r
+            mark = context.frames[-1][:3, :3] @ ca.DM(getattr(self, "towards", TOWARDS))
+            turn = ca.atan2(beam[1], beam[0]), ca.dot(beam, mark) / r
             of_beam = dict(zip(_BEAM, (r, *turn), strict=True))
             of_beam |= dict(zip([HEAD], (context.conditions[c] for c in self.of_head), strict=False))
             aside = ca.vertcat(-beam[1], beam[0], 0) / ca.sqrt(beam[0] ** 2 + beam[1] ** 2 + 1e-12)
@@ -335,7 +337,7 @@ class Law(FormulaEffect):
     formula : what is added there [rad, m or kg/kg]; of the seam `joints` with q, tau, approach, move of each joint
     factors : names of its parameters, single letters, and their realistic sizes; without them it must be zero
     station : where the instrument stands, in the measuring frame [m], for the seams `beam` and `across`, there with r,
-        the range [m]
+        the range [m]; towards : which way the target looks, in the flange's frame, for `incidence`, of length one
     count : number of joints, for the seam `joints`
     """
 
@@ -344,6 +346,7 @@ class Law(FormulaEffect):
     factors: tuple[tuple[str, float], ...] = (("a", 30e-6),)
     station: tuple[float, float, float] = (0.0, 0.0, 0.0)
     count: int = 6
+    towards: tuple[float, float, float] = TOWARDS
 
     name: ClassVar[str] = "law"
     on_list: ClassVar[str] = "unknown"

@@ -27,6 +27,7 @@ from casadical.diagnosis.figures import diagnosis_figures
 from casadical.diagnosis.json_answer import as_json as diagnosis_json
 from casadical.diagnosis.laws import contest
 from casadical.diagnosis.laws.answer import line_of
+from casadical.diagnosis.laws.beams import Beam, stations
 from casadical.diagnosis.laws.contest import aliases, held_out, with_law
 from casadical.diagnosis.laws.discovery import laws_beside
 from casadical.diagnosis.laws.forms import (
@@ -42,7 +43,7 @@ from casadical.diagnosis.laws.forms import (
     wave_plus,
     with_columns,
 )
-from casadical.diagnosis.laws.problem import NEVER, SCREENED, Problem, Screen, Tried, scale_of
+from casadical.diagnosis.laws.problem import NEVER, SCREENED, Problem, Scored, Screen, Tried, scale_of
 from casadical.diagnosis.laws.problem import with_columns as seams_with_columns
 from casadical.diagnosis.laws.search import search_laws
 from casadical.diagnosis.linear_problem import Case
@@ -208,15 +209,86 @@ def test_what_follows_with_play_moves_when_it_is_taken_along_and_a_relay_is_a_st
     np.testing.assert_allclose(played, [0.0, 0.0, 0.2, 0.2, 0.1, 0.1, 0.1], atol=1e-12)
 
 
+@pytest.mark.parametrize("towards", [(0.0, 0.0, 1.0), (0.6, -0.8, 0.0)])
 @pytest.mark.parametrize("name", ["azimuth", "incidence"])
-def test_the_beam_knows_its_direction_and_how_it_meets_the_flange(name: str) -> None:
+def test_the_beam_knows_its_direction_and_how_it_meets_the_target(name: str, towards) -> None:
     c = case("kr210-P02")
-    linear, station = linearise(c.given, c.m, c.values), (3.0, -2.0, 1.0)
-    unit, law = (Law(None, "beam", f, station=station) for f in ("a", f"a*{name}"))
+    linear, at = linearise(c.given, c.m, c.values), {"station": (3.0, -2.0, 1.0), "towards": towards}
+    unit, law = (Law(None, "beam", f, **at) for f in ("a", f"a*{name}"))
     along, columns = linear.columns([unit])[:, :, 0], linear.columns([law])[:, :, 0]
     _, R = predicted(c.given, c.m)
-    expected = np.arctan2(along[:, 1], along[:, 0]) if name == "azimuth" else np.einsum("ni,ni->n", along, R[:, :, 2])
+    expected = (
+        np.arctan2(along[:, 1], along[:, 0]) if name == "azimuth" else np.einsum("ni,nij,j->n", along, R, towards)
+    )
     np.testing.assert_allclose(columns, along * expected[:, None], atol=5e-3)  # flange of the rigid robot
+
+
+@pytest.mark.parametrize("text", ["r", "azimuth", "incidence", "head", "head*incidence", "head*r"])
+@pytest.mark.parametrize("seam", ["beam", "across"])
+def test_a_place_of_a_beam_is_that_of_the_law(seam: str, text: str) -> None:
+    c, at = case("kr210-P02"), {"station": stations(robot(NAME))[5], "towards": (0.6, 0.0, -0.8)}
+    law = Law(None, seam, f"a*{text}", **at)
+    m, _ = derive(c.m, law.conditions)
+    linear = linearise(c.given, m, c.values)
+    place, x = Beam(linear, c.given.base.T[:3, 3], seam, Driver(text, "linear", "")).at(**at)
+    expected = linear.columns([law])[:, :, 0]
+    np.testing.assert_allclose(place.columns[:, :, 0] * x[:, None], expected, atol=1e-9 * np.abs(expected).max())
+
+
+def test_a_place_is_moved_each_way_by_a_step() -> None:
+    c, law = case("kr210-P02"), Law(None, "beam", "a", station=(3.0, 1.0, 0.5), towards=(0.0, 1.0, 0.0))
+    beam = Beam(
+        linearise(c.given, c.m, c.values), np.array([1.0, 1.0, 0.5]), "beam", Driver("incidence", "incidence", "")
+    )
+    near = [place.law for place, _ in beam.nearby(law, 0.01)]
+    expected = [(3, 0.94, 0.5), (3, 1.06, 0.5), (3, 1, 0.44), (3, 1, 0.56), (2.88, 1, 0.5), (3.12, 1, 0.5)]
+    np.testing.assert_allclose([n.station for n in near], [*expected, *[law.station] * 6], atol=1e-3)
+    np.testing.assert_allclose([n.towards for n in near[:6]], [law.towards] * 6)
+    np.testing.assert_allclose(
+        [np.arccos(np.dot(n.towards, law.towards)) for n in near[6:]], [0.09, 0.09, 0, 0, 0.09, 0.09], atol=1e-3
+    )
+
+
+def ranged(m: Measurements) -> Measurements:
+    """A tracker whose range errs by a wave of .7 m."""
+    beam = m.position - STATION
+    r = np.linalg.norm(beam, axis=1, keepdims=True)
+    return replace(m, position=m.position + 5e-5 * np.sin(9.0 * r + 0.4) * beam / r)
+
+
+def glass(m: Measurements) -> Measurements:
+    """A mark of glass, which looks along the flange's first axis: seen askew it seems to lie farther off."""
+    beam, way = m.position - STATION, predicted(robot(NAME), m)[1][:, :, 0]
+    r = np.linalg.norm(beam, axis=1, keepdims=True)
+    askew = 1 - ((beam / r) * way).sum(axis=1, keepdims=True) ** 2
+    return replace(m, position=m.position - 4e-4 * (np.sqrt(1.51**2 - askew) - 1.3) * beam / r)
+
+
+@pytest.mark.parametrize("stays", [0.0, 0.6])
+def test_a_short_wave_over_the_range_is_found_with_the_direction_to_the_instrument(stays: float) -> None:
+    found = law_of_instrument(ranged, stays)
+    assert (found.law.place, found.tried.driver.text, found.tried.form.name) == ("beam", "r", "wave")
+    assert found.settings[0] == pytest.approx(9.0, abs=0.3)
+    ways = [
+        at / np.linalg.norm(at) for at in (np.array(found.law.station), STATION)
+    ]  # how far off it is matters little
+    assert np.linalg.norm(ways[0] - ways[1]) < 0.05
+
+
+def test_a_target_that_looks_aside_is_found() -> None:
+    found = law_of_instrument(glass, 0.0)
+    assert (found.law.place, found.tried.driver.text, found.score > 12.0) == ("beam", "incidence", True)
+    assert abs(found.law.towards[0]) > 0.95
+    assert "the target looks along" in line_of(found.law)
+
+
+def law_of_instrument(changed, stays: float) -> Scored:
+    """The best law of a robot without another fault."""
+    m, arm = from_table(table(4), 6), robot(NAME)
+    there = changed(m)
+    there = replace(m, position=there.position + predicted(arm, there)[0] - predicted(arm, m)[0])
+    c = diagnose(arm, there, ["backlash"], laws=False).case
+    return search_laws(c.with_form(following(stays, 80)) if stays else c, NONE)[0]
 
 
 def test_laws_are_screened_where_few_ratios_of_noise_are_looked_at() -> None:

@@ -134,6 +134,16 @@ class SerialNoise:
         out *= weight
         return out
 
+    def pulled(self, white: Array) -> Array:
+        """What products with white rows are products with: white(rows) * white and rows * this sum alike.
+
+        white : of all blocks, shape (n, m)
+        """
+        weight, stays = (a.reshape(len(white), -1) for a in (self.weight, self.stays))
+        out = weight * white
+        out[:-1] -= stays[1:] * out[1:]
+        return np.asarray(out)
+
 
 def serial_noise(stays: Array | float, first: Array, weight: Array | float = 1.0) -> SerialNoise:
     """Noise that is as large at the begin of a run as later, an AR(1) process in its steady state.

@@ -22,7 +22,7 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.refit import refit
 from casadical.diagnosis.result import Diagnosis, Unlisted
 from casadical.effects import Effect
-from casadical.effects.formula_effect import SEAMS, STATIONED, Law
+from casadical.effects.formula_effect import SEAMS, STATIONED, TOWARDS, Law
 from casadical.identification.result import Identification
 from casadical.measurements.measurements import Noise
 from casadical.robot.effect_tables import effects_toml
@@ -249,8 +249,14 @@ def line_of(law: Law, values: Mapping[str, float] | None = None) -> str:
     if SEAMS[law.seam][0] == 1:
         text = re.sub(r"(^| \+ )([a-z])\*", scalar, text)
     text = re.sub(r"abs\(([^()]*)\)", r"|\1|", text)
-    beam = f" (instrument at {', '.join(f'{v:g}' for v in law.station)} m)" if law.seam in STATIONED else ""
+    beam = f" (instrument at {_point(law.station)} m)" if law.seam in STATIONED else ""
+    if law.towards != TOWARDS:
+        beam = beam.replace(")", f"; the target looks along {_point(law.towards)} of the flange)")
     return f"{law.place} += {text}{beam}".replace("+ -", "- ")
+
+
+def _point(of: tuple[float, float, float]) -> str:
+    return ", ".join(f"{v:g}" for v in of)
 
 
 def _own(d: Discovery, s: Scored) -> dict[str, float]:

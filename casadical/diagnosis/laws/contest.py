@@ -276,5 +276,5 @@ def _best(problem: Problem, law: Scored, train: Array) -> Array:
         logs.append(problem.gains(replace(seam, columns=seam.columns[train]), functions[:, train]))
     place = first_of_best([g.max() for g in logs], logs=True)
     start = tried.settings[place][first_of_best(logs[place], logs=True)]
-    best, _ = refined_settings(problem, tried, place, start, train)
+    (tried, place, best), _ = refined_settings(problem, tried, place, start, train)
     return tried.column(place, best)[1]

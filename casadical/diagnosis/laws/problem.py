@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import itemgetter
 
@@ -159,8 +159,6 @@ def log_mean(logs: Array, log_weights: Array | float = 0.0) -> Array:
 ANGLE, LENGTH, SHARE = 30e-6, 30e-6, 0.03
 # The same in joint logs, in shares of the great torque and rad.
 IN_LOGS = {"torque": 0.05, "response": 1e-3}
-# Where instruments stand: so many directions around the robot, at these distances from it, in reaches.
-DIRECTIONS, DISTANCES = 8, (1.5, 2.5, 4.0)
 LETTERS = "abcdefghijklmnopqsuvwxyz"
 
 
@@ -188,8 +186,7 @@ class Seam:
             names = LETTERS[k * d : (k + 1) * d]
             terms.append((names if d == 1 else f"[{', '.join(names)}]") + f"*{part}")
             factors += [(name, float(f"{self.size / scale:.3g}")) for name in names]
-        law = self.law
-        return Law(law.joint, law.seam, " + ".join(terms), tuple(factors), law.station, law.count)
+        return replace(self.law, formula=" + ".join(terms), factors=tuple(factors))
 
 
 def seams_at(robot: Robot) -> list[Law]:
@@ -201,21 +198,6 @@ def seams_at(robot: Robot) -> list[Law]:
     seams = [law for law in seams if (law.seam, law.joint) != ("shift", robot.n)]
     seams += [Law(None, seam, "[a, b, c]", vector) for seam in ("base tilt", "base shift", "tool shift")]
     return [*seams, *([Law(None, "payload", "a", (("a", 0.01),))] if robot.payload else [])]
-
-
-def stations(robot: Robot) -> list[tuple[float, float, float]]:
-    """Where instruments may stand around the robot, and the frame's origin [m]."""
-    middle, reach = robot.base.T[:3, 3], robot.reach
-    places = [np.zeros(3)]
-    for far in DISTANCES:
-        for turn in 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS:
-            places.append(middle + reach * np.array([far * np.cos(turn), far * np.sin(turn), 0.5]))
-    return [_rounded(at) for at in places]
-
-
-def _rounded(at: Array) -> tuple[float, float, float]:
-    x, y, z = (round(float(v), 3) for v in at)
-    return x, y, z
 
 
 def with_columns(linear: Linearisation, laws: Sequence[Law]) -> list[Seam]:
@@ -241,17 +223,25 @@ class Tried:
 
     seams : the place; more than one of the beam, whose stations are settings
     x : the driver's values, shape (n,), at each place; form : see `Form`
+    nearby : the place of a law moved by a step, each way that there is, and the driver's values there; None of places
+        that are not settings, or cannot be moved
     """
 
     seams: tuple[Seam, ...]
     driver: Driver
     form: Form
     x: tuple[Array, ...]
+    nearby: Callable[[Law, float], Sequence[tuple[Seam, Array]]] | None = field(default=None, kw_only=True)
 
     @cached_property
     def settings(self) -> tuple[Array, ...]:
         """At each place, shape (K, settings)."""
         return tuple(self.form.grid(x) for x in self.x)
+
+    def beside(self, seam: int, step: float) -> list[Tried]:
+        """The same with one more place each, a step beside that of a number."""
+        moved = self.nearby(self.seams[seam].law, step) if self.nearby else ()
+        return [replace(self, seams=(*self.seams, place), x=(*self.x, x)) for place, x in moved]
 
     def column(self, seam: int, settings: Array) -> tuple[Law, Array]:
         """The law of these settings, and its columns in units of their sizes, shape (n, 3, w)."""
@@ -266,6 +256,17 @@ class Tried:
         else:
             columns = np.concatenate([place.columns * v[:, None] for v in values], axis=2)
         return law, columns * sizes
+
+
+@dataclass(frozen=True, eq=False)
+class Rough:
+    """A law by its screened evidence: what was tried, which place and settings are best, mean over all of them."""
+
+    tried: Tried
+    seam: int
+    settings: Array
+    best: float
+    mean: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -402,6 +403,15 @@ class Problem:
         known = [k for k in SCREENED if k in by_rho] or [best_of(near, by_rho.__getitem__, logs=True)]
         screens = [(float(by_rho[k]) - total, Screen.at_rho(self.evidence, k)) for k in known]
         return sorted(screens, key=lambda s: -s[0])
+
+    @property
+    def pulled(self) -> Array:
+        """How what is left pulls at small columns: their product with it, white, has this factor, shape (n, 3)."""
+        screen = self.screens[0][1]
+        pull = np.einsum("nab,na->nb", screen.W, screen.y)
+        if self.noise is None or self.order is None:
+            return np.asarray(pull)
+        return self.noise.pulled(pull)[np.argsort(self.order)]
 
     def gains(self, seam: Seam, functions: Array) -> Array:
         """Log evidence of laws at a place, shape (K,); functions : in units of their scales, as of `Form.values`."""

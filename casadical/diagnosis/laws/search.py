@@ -5,14 +5,16 @@ many places with drivers were tried. Evidence on all settings is that of `screen
 Settings of those that are kept are refined by steps of shrinking size.
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.statistics import first_of_best, ranked
 from casadical.diagnosis.cross_validation import likely_noise
+from casadical.diagnosis.laws.beams import by_the_beam, stations
 from casadical.diagnosis.laws.forms import (
     FINE_WAVE,
     FORMS,
@@ -32,14 +34,13 @@ from casadical.diagnosis.laws.forms import (
     wave_plus,
     with_columns,
 )
-from casadical.diagnosis.laws.problem import NEVER, Problem, Scored, Seam, Tried, log_mean, scaled, seams_at, stations
+from casadical.diagnosis.laws.problem import NEVER, Problem, Rough, Scored, Seam, Tried, scaled, seams_at
 from casadical.diagnosis.laws.problem import with_columns as at_poses
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import EffectColumns, Linearisation
 from casadical.effects.formula import parse
-from casadical.effects.formula_effect import HEAD, Law, head_column
+from casadical.effects.formula_effect import Law, head_column
 from casadical.measurements.derived_columns import derive
-from casadical.robot.robot import Robot
 
 # What a law pays that can follow anything that varied with time, where the driver itself may be there.
 TIME_PRICE = 5.0
@@ -80,18 +81,7 @@ def _means(gains: Array, edges: Array) -> Array:
     return np.asarray(top + np.log(total / counts))
 
 
-@dataclass(frozen=True, eq=False)
-class _Rough:
-    """A law by its screened evidence: what was tried, which place and settings are best, mean over all of them."""
-
-    tried: Tried
-    seam: int
-    settings: Array
-    best: float
-    mean: float
-
-
-def _of_block(seam: Seam, block: _Block, gains: Array, keep: int) -> list[_Rough]:
+def _of_block(seam: Seam, block: _Block, gains: Array, keep: int) -> list[Rough]:
     means = _means(gains, block.edges)
     rough = []
     for k in ranked(means, logs=True)[:keep]:
@@ -99,11 +89,11 @@ def _of_block(seam: Seam, block: _Block, gains: Array, keep: int) -> list[_Rough
         own = gains[block.edges[k] : block.edges[k + 1]]
         best = first_of_best(own, logs=True)
         tried = Tried((seam,), driver, form, (x,))
-        rough.append(_Rough(tried, 0, settings[best], float(own[best]), float(means[k])))
+        rough.append(Rough(tried, 0, settings[best], float(own[best]), float(means[k])))
     return rough
 
 
-def _everywhere(problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequence[Seam]) -> Iterator[_Rough]:
+def _everywhere(problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequence[Seam]) -> Iterator[Rough]:
     for block in _blocks([d for d in drivers if d[0].kind != "weighted"], FORMS):
         for seam in seams:
             some = block
@@ -116,7 +106,7 @@ def _everywhere(problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams
             yield from _of_block(seam, some, problem.gains(seam, some.functions), EXACT)
 
 
-def _fine(problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequence[Seam]) -> Iterator[_Rough]:
+def _fine(problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequence[Seam]) -> Iterator[Rough]:
     """Fine waves of each joint over its own angle."""
     if len(problem.evidence.r) < POSES_FOR_FINE:
         return
@@ -127,7 +117,7 @@ def _fine(problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequ
             yield from _of_block(seam, block, problem.gains(seam, block.functions), 1)
 
 
-def _joined_waves(problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequence[Seam]) -> Iterator[_Rough]:
+def _joined_waves(problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequence[Seam]) -> Iterator[Rough]:
     """Waves of each joint over its own angle whose size follows load, moment or warmth, or whose phase the load does,
     and over sums of its own and a neighbour's angle with unequal weights.
     """
@@ -149,7 +139,7 @@ def _joined_waves(problem: Problem, drivers: Sequence[tuple[Driver, Array]], sea
             yield from _of_block(seam, block, problem.gains(seam, block.functions), 1)
 
 
-def _every_joint(problem: Problem, linear: Linearisation, known: Collection[str], seam: Seam) -> Iterator[_Rough]:
+def _every_joint(problem: Problem, linear: Linearisation, known: Collection[str], seam: Seam) -> Iterator[Rough]:
     """Laws of all joints at once, each by its own driver with a factor of its own.
 
     known : names of columns that are there
@@ -163,49 +153,6 @@ def _every_joint(problem: Problem, linear: Linearisation, known: Collection[str]
     moving = [(d, x) for d, x in every if x.any() and np.abs(x).max() < LARGEST]  # no load turns an upright axis
     for block in _blocks(moving, FORMS):
         yield from _of_block(seam, block, problem.gains(seam, block.functions), EXACT)
-
-
-# Drivers of what an instrument measures along and across its beam, each with its kind.
-_OF_BEAM: Mapping[str, Mapping[str, str]] = {
-    "beam": {
-        "r": "range",
-        "azimuth": "azimuth",
-        "incidence": "incidence",
-        "head": "linear",
-        "head*incidence": "linear",
-    },
-    "across": {"head": "linear", "head*r": "linear"},
-}
-
-
-def _by_the_beam(problem: Problem, linear: Linearisation, robot: Robot) -> Iterator[_Rough]:
-    """Laws of the beam and of the head that turns it, of an instrument whose station is a setting like others."""
-    places = stations(robot)
-    turns = all(head_column(at) in linear.conditions for at in places)
-    for seam, drivers in _OF_BEAM.items():
-        beams = at_poses(linear, [Law(None, seam, "a", station=at) for at in places])
-        for text, kind in drivers.items() if turns else ((t, k) for t, k in drivers.items() if HEAD not in t):
-            yield from _at_stations(problem, linear, beams, Driver(text, kind, "head" if kind == "linear" else kind))
-
-
-def _at_stations(problem: Problem, linear: Linearisation, beams: Sequence[Seam], driver: Driver) -> Iterator[_Rough]:
-    """One driver's laws, each of all stations together."""
-    of_driver = linear.columns([replace(b.law, formula=f"a*{driver.text}") for b in beams])
-    units = [b.columns for b in beams]
-    x = [
-        (of_driver[:, :, k] * unit[:, :, 0]).sum(axis=1) / (unit[:, :, 0] ** 2).sum(axis=1)
-        for k, unit in enumerate(units)
-    ]
-    for form in FORMS[driver.kind]:
-        tried = Tried(tuple(beams), driver, form, tuple(x))
-        functions = [scaled(form.values(v, s)) for v, s in zip(x, tried.settings, strict=True)]
-        columns = [u[..., None] * f.transpose(1, 0, 2)[:, None] for u, f in zip(units, functions, strict=True)]
-        gains = problem.gains_of(beams[0].size * np.concatenate(columns, axis=3))
-        each = np.split(gains, np.cumsum([len(s) for s in tried.settings])[:-1])
-        k = first_of_best([g.max() for g in each], logs=True)
-        best = first_of_best(each[k], logs=True)
-        mean = float(log_mean(gains) - np.log(len(gains)))
-        yield _Rough(tried, k, tried.settings[k][best], float(each[k][best]), mean)
 
 
 def _linear(case: Case) -> tuple[Linearisation, list[Driver]]:
@@ -240,7 +187,7 @@ def search_laws(case: Case, chosen: Array, without: frozenset[str] = frozenset()
     rough += joined
     rough += _every_joint(problem, linear, {n for d in kept for n in parse(d.text).names}, every)
     if of_instrument:
-        rough += _by_the_beam(problem, linear, case.given)
+        rough += by_the_beam(problem, linear, case.given)
     instances = len(seams) * len(drivers) + len(joined) + 1
     rough = [r for r in rough if r.mean > NEVER / 2]
     prices = [np.log(instances) + np.log(1 + len(FORMS[r.tried.driver.kind])) + _last(r.tried) for r in rough]
@@ -262,25 +209,30 @@ def search_laws(case: Case, chosen: Array, without: frozenset[str] = frozenset()
     return [laws[k] for k in ranked([s.score for s in laws], logs=True)]
 
 
-# Steps of a refinement, first as shares of the driver's range (of a width: factors), halved when none helps.
+# Steps of a refinement, first as shares of the driver's range (of a width: factors; of an instrument's station: angles
+# about the robot), halved when none helps.
 FIRST_STEP, HALVINGS, ROUNDS, GAIN = 0.03, 3, 10, 0.1
+# Rounds where a station is moved, too: it has three coordinates.
+ROUNDS_OF_STATION = 30
 
 
 def refined(problem: Problem, found: Scored) -> Scored:
     """The law with its settings refined, which raises the score as much as the evidence."""
-    if not len(found.settings):
+    if not len(found.settings) and not found.tried.nearby:
         return found
-    settings, better = refined_settings(problem, found.tried, found.seam, found.settings)
-    law, columns = found.tried.column(found.seam, settings)
+    (tried, seam, settings), better = refined_settings(problem, found.tried, found.seam, found.settings)
+    law, columns = tried.column(seam, settings)
     return replace(
         found,
         law=law,
+        tried=tried,
+        seam=seam,
         settings=settings,
         score=found.score + better - found.evidence,
         evidence=better,
         columns=columns,
         noise=likely_noise(problem.grids([columns])[0], problem.evidence.sigmas),
-        errors=_sigmas(problem, found.tried, found.seam, settings, better),
+        errors=_sigmas(problem, tried, seam, settings, better),
     )
 
 
@@ -299,29 +251,34 @@ def _moved(tried: Tried, seam: int, settings: Array, k: int, step: float) -> Arr
     return rounded(moved)
 
 
+# What a law's settings are: of what was tried the number of the place, and the form's.
+Chosen: TypeAlias = tuple[Tried, int, Array]
+
+
 def refined_settings(
     problem: Problem, tried: Tried, seam: int, settings: Array, poses: Array | slice = slice(None)
-) -> tuple[Array, float]:
+) -> tuple[Chosen, float]:
     """The best settings near these, and their log evidence. poses : of those tried, the problem's."""
 
-    def evidences(trial: Sequence[Array]) -> Array:
-        return problem.evidences([tried.column(seam, s)[1][poses] for s in trial])
+    def evidences(trial: Sequence[Chosen]) -> Array:
+        return problem.evidences([of.column(place, s)[1][poses] for of, place, s in trial])
 
-    if not len(settings):
-        return settings, float(evidences([settings])[0])
-    evidence = float(evidences([settings])[0])
+    best: Chosen = (tried, seam, settings)
+    evidence = float(evidences([best])[0])
     step, halved = FIRST_STEP, 0
-    for _ in range(ROUNDS):
-        near = [_moved(tried, seam, settings, k, s) for k in range(len(settings)) for s in (-step, step)]
+    for _ in range(ROUNDS_OF_STATION if tried.nearby else ROUNDS if len(settings) else 0):
+        of, place, s = best
+        near: list[Chosen] = [(of, place, _moved(of, place, s, k, d)) for k in range(len(s)) for d in (-step, step)]
+        near += [(other, len(other.seams) - 1, s) for other in of.beside(place, step)]
         logs = evidences(near)
-        best = first_of_best(logs, logs=True)
-        if logs[best] > evidence + GAIN:
-            settings, evidence = near[best], float(logs[best])
+        first = first_of_best(logs, logs=True)
+        if logs[first] > evidence + GAIN:
+            best, evidence = near[first], float(logs[first])
             continue
         step, halved = step / 2, halved + 1
         if halved > HALVINGS:
             break
-    return settings, evidence
+    return best, evidence
 
 
 def _sigmas(problem: Problem, tried: Tried, seam: int, settings: Array, evidence: float) -> Array:
