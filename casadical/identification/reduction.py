@@ -216,8 +216,9 @@ def reduce_and_solve(
     optima : of the same robot with other sigmas or fewer poses, where a solve starts; those found here are added
 
     Independence is decided at the start, where exact dependences are exact; what has no effect there, but one where the
-    solve ends, is added: the compliance of an upright first axis, once the base is found to be tilted. Raises
-    InputError where the data determine no parameter at all, or are no more numbers than there are unknowns.
+    solve ends, is added: the compliance of an upright first axis, once the base is found to be tilted; and the tilt of
+    a robot with nothing at rest about it, which the weight of its links shows.
+    Raises InputError where the data determine no parameter at all, or are no more numbers than there are unknowns.
     """
     analysis = problem.kept.once("independent", lambda: independent_parameters(problem))
     reduced = problem.with_names(analysis.independent)
@@ -276,6 +277,8 @@ def _with_visible(
     order : of all parameters. Returns the point in the wider problem, too; None where there is no such parameter.
     """
     hidden = {u.name for u in found.held if u.reason == NO_EFFECT}
+    if not problem.fixed_loads and any(j.compliance is not None for j in problem.robot.joints):
+        hidden |= {u.name for u in found.held if u.reason == GAUGE and u.name in _TILT}
     if not hidden:
         return None
     wider, at = _widened(problem, v, hidden, order)
@@ -318,7 +321,9 @@ def _poor_at_start(problem: LeastSquares) -> list[Unidentifiable]:
     return _poor(problem, v, 1.0) or _poor(problem, v, problem.variance(v))
 
 
-# They move the robot as a whole.
+# They move the robot as a whole, those of the foot's tilt against the weight of its links, too.
+GAUGE = "nothing at rest was measured: moving the whole robot changes nothing"
+_TILT = ("base_rx", "base_ry")
 _WHOLE_ROBOT = (
     "alpha0",
     "a0",
@@ -341,7 +346,7 @@ def independent_parameters(problem: LeastSquares) -> Identifiability:
     own = [robot.parameters[n] for n in names]
     held = {parameter.name: parameter.held for parameter in own if parameter.held}
     if not any(find_kind(m.kind).at_rest(m.arrays) for m in problem.sets):
-        held |= dict.fromkeys(_WHOLE_ROBOT, "nothing at rest was measured: moving the whole robot changes nothing")
+        held |= dict.fromkeys(_WHOLE_ROBOT, GAUGE)
     of_effects = {e.label for e in robot.effects}
     wide = bool(problem.priors) and p > WIDE  # what a prior of an effect holds back needs no test of independence
     asked = [k for k, parameter in enumerate(own) if not (wide and parameter.group in of_effects)]

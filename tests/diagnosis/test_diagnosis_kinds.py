@@ -224,6 +224,24 @@ def test_instruments_from_a_micrometre_to_a_centimetre_raise_no_alarm(sigma: flo
     assert 0.5 < np.hypot(found.noise.sigma, found.noise.repeatability * arm) / sigma < 1.5
 
 
+def test_the_tilt_of_a_foot_is_found_by_the_links_weight() -> None:
+    """Three wires whose places nobody knows: a foot aslant, upright in its file, moves nothing but by its loads."""
+    rng, kr210, m = np.random.default_rng(7), robot("kr210"), practice("kr210-P02")
+    tilt = {"base_rx": 0.03, "base_ry": -0.02}
+    real = kr210.with_values({**tilt, "a2": kr210.parameters["a2"].value + 3e-4})
+    exact = distances(replace(m, position=predicted(real, m)[0]))
+    wires = [replace(w, target=None, distance=w.distance + rng.normal(0, 2e-5, len(m))) for w in exact]
+    found = diagnose(kr210, wires, ["gear_eccentricity", "axis_wobble", "joint_scale"])
+    assert (found.verdict, found.causes) == ("none", ())
+    known = found.identification.parameters.set_index("name")
+    assert (known.status[["base_x", "base_rz", "alpha0"]] == "not identifiable").all()
+    off = np.deg2rad(known.value[[*tilt]]) - [*tilt.values()]
+    assert (np.abs(off) < 4 * np.deg2rad(known.std_error[[*tilt]])).all()
+    rigid = replace(kr210, joints=tuple(replace(j, compliance=None) for j in kr210.joints))
+    held = {u.name for u in identify(rigid, wires, ["kinematic"]).identifiability.held}
+    assert held >= {*tilt, "base_x", "alpha0"}
+
+
 def test_motions_that_share_poses_are_said_to_share_their_noise() -> None:
     found = diagnose(robot("hh800"), motions(practice("hh800-P01")[:60]), ["backlash", "joint_coupling"])
     assert any("share a pose" in text for text in assumptions(found))
