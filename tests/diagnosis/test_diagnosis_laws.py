@@ -48,6 +48,7 @@ from casadical.diagnosis.laws.problem import with_columns as seams_with_columns
 from casadical.diagnosis.laws.search import search_laws
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import linearise
+from casadical.diagnosis.noise_evidence import PLAIN, Form
 from casadical.diagnosis.noise_forms import TAILED, best_beside_following, following, other_following
 from casadical.diagnosis.posterior import rank
 from casadical.diagnosis.text import brief
@@ -511,6 +512,14 @@ def test_laws_of_a_large_campaign_are_searched_on_some_of_its_poses() -> None:
     assert contest.thinned(c, 36).form.stays == pytest.approx(0.8 ** (c.kept.sum() / 36))  # less stays over longer ways
 
 
+def test_a_law_of_other_poses_is_searched_again() -> None:
+    found = discovered(5, STOP).diagnosis
+    assert found.law is not None
+    assert len(found.law.best.columns) == found.case.kept.sum()
+    some = laws_beside(found, poses=36).rounds[0].best
+    assert (len(some.columns), len(laws_beside(found).rounds[0].best.columns)) == (36, len(found.law.best.columns))
+
+
 def test_a_diagnosis_that_is_unknown_says_the_law() -> None:
     found = discovered(5, STOP)
     assert found.diagnosis.verdict == "unknown"
@@ -556,6 +565,31 @@ def test_a_law_takes_the_place_of_causes_only_where_it_predicts_better() -> None
     assert contest.replaces_causes(right, claimed) == bool(by_law < by_cause)
     blind = replace(sure, columns=0 * sure.columns, tried=replace(sure.tried, form=LINEAR, x=(0 * sure.tried.x[0],)))
     assert not contest.replaces_causes(right, replace(claimed, laws=(blind,)))
+
+
+def test_a_law_and_causes_under_two_noises_are_compared_over_the_same() -> None:
+    right = discovered(7, GearEccentricity(2, 160e-6), GearEccentricity(4, 250e-6)).diagnosis
+    assert len(right.causes) == 2
+    case, none = contest.thinned(right.case, 600), ("", -1e9)
+    bare = replace(right, causes=tuple(replace(c, effects=()) for c in right.causes))  # held-out errors are not asked
+    law = contest.laws_before_causes(right)
+
+    def least(form: Form) -> float:
+        """The score from which a law under a form of noise replaces the causes, which were found under plain noise."""
+        low, high = 12.0, 1e4
+        while high - low > 1e-6:
+            score = (low + high) / 2
+            laws = (replace(law.best, score=score),)
+            claimed = replace(law, laws=laws, listed=none, smooth=none, noise=none, alias=(), form=form)
+            low, high = (low, score) if contest.replaces_causes(bare, claimed) else (score, high)
+        return high
+
+    form = following(0.4, int(case.kept.sum()))
+    other = float(log_sum(case.with_form(form).judged.log_base(NONE))) + form.log_weight
+    plain = float(log_sum(case.judged.log_base(NONE)))
+    assert 12.0 < least(PLAIN) < 1e3
+    assert least(form) - least(PLAIN) == pytest.approx(plain - other, abs=1e-4)
+    assert abs(plain - other) > 1.0
 
 
 def test_noise_alone_is_that_beside_the_best_model_that_is_told() -> None:
