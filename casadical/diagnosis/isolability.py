@@ -41,8 +41,8 @@ FOUND = 36.0
 NEGLIGIBLE = 1e-6
 # Of more poses than this, evenly spaced ones say which effects look alike.
 MOST_ALIKE = 500
-# Columns that are in memory at a time.
-BYTES = 16_000_000
+# Columns that are in memory at a time: bytes of their rows, and how many whose spans are compared with all others.
+BYTES, AT_A_TIME = 16_000_000, 512
 # Signals of less energy [m^2], a nanometre, are round-off.
 NOTHING = 1e-18
 USUAL_NOISE = Noise(20e-6, 8e-6)
@@ -210,14 +210,16 @@ def _squares(evidence: Evidence, rho: float) -> Array:
 def _alike(E: Array, columns: list[Array], owner: list[str]) -> pd.DataFrame:
     """Share of each candidate's visible energy in the span of another's columns: mean over its settings, best of the
     other's; E : visible columns, shape (rows, columns)."""
-    bases = _spans(E, columns)
-    Q = np.concatenate(bases, axis=1)
-    which = np.concatenate(columns)
-    inner = (Q.T @ E[:, which]) ** 2
-    ranks = np.array([b.shape[1] for b in bases])
-    by_rival = np.zeros((len(bases), inner.shape[1]))
-    by_rival[ranks > 0] = np.add.reduceat(inner, (np.cumsum(ranks) - ranks)[ranks > 0], axis=0)
-    starts = np.cumsum([0, *(len(c) for c in columns)])[:-1]
+    which, widths = np.concatenate(columns), np.array([len(c) for c in columns])
+    by_rival = np.empty((len(columns), len(which)))
+    for width in np.unique(widths):
+        alike = np.flatnonzero(widths == width)
+        for some in np.array_split(alike, min(1 + len(alike) * width // AT_A_TIME, len(alike))):
+            U, s, _ = np.linalg.svd(np.stack([E[:, columns[k]] for k in some]), full_matrices=False)
+            there = s > NEGLIGIBLE * np.maximum(s.max(axis=1, keepdims=True), 1e-30)
+            inner = (U.transpose(0, 2, 1).reshape(-1, len(E)) @ E) ** 2 * there.reshape(-1, 1)
+            by_rival[some] = inner.reshape(len(some), -1, E.shape[1]).sum(axis=1)[:, which]
+    starts = np.cumsum([0, *widths])[:-1]
     energy = np.array([(E[:, c] ** 2).sum() for c in columns])
     share = np.add.reduceat(by_rival, starts, axis=1) / np.maximum(energy, 1e-30)
     # Settings that show nothing (coupling to an idle joint) do not count.
@@ -225,18 +227,6 @@ def _alike(E: Array, columns: list[Array], owner: list[str]) -> pd.DataFrame:
     by_setting = pd.DataFrame(share, index=pd.Index(owner), columns=pd.Index(owner))
     best = by_setting.groupby(level=0, sort=False).max()
     return best.T.groupby(level=0, sort=False).mean().fillna(0.0).clip(0.0, 1.0)
-
-
-def _spans(E: Array, groups: list[Array]) -> list[Array]:
-    """Orthonormal basis of each group of columns, shape (rows, rank)."""
-    bases: dict[int, Array] = {}
-    widths = np.array([len(g) for g in groups])
-    for width in np.unique(widths):
-        which = np.flatnonzero(widths == width)
-        U, s, _ = np.linalg.svd(np.stack([E[:, groups[k]] for k in which]), full_matrices=False)
-        there = s > NEGLIGIBLE * np.maximum(s.max(axis=1, keepdims=True), 1e-30)
-        bases |= {int(k): U[i][:, there[i]] for i, k in enumerate(which)}
-    return [bases[k] for k in range(len(groups))]
 
 
 def _plain(value: float) -> float | None:

@@ -21,6 +21,8 @@ TINY_STEP = 1e-6
 # optimum: it creeps there along what only priors hold, as the common scale of estimated masses and compliances.
 FLAT, LAST = 1e-3, 10
 
+# Solvers of up to so many variables are kept for the next problem: one of a thousand holds 100 MB and is soon made.
+KEPT_TO = 100
 OPTIMUM, ACCEPTABLE = "Ipopt found an optimum.", "Solved_To_Acceptable_Level"
 STOPPED = "User_Requested_Stop"
 _SENTENCES = {
@@ -224,7 +226,8 @@ def minimise(
 
     Raises ConvergenceError with a sentence and a remedy if Ipopt does not stop at an optimum.
     """
-    ipopt = _solvers.of(len(lower), MAX_ITERATIONS, settled is not None)
+    make = _Solver if len(lower) > KEPT_TO else _solvers.of
+    ipopt = make(len(lower), MAX_ITERATIONS, settled is not None)
     ipopt.cost, ipopt.gradient, ipopt.scale, ipopt.progress, ipopt.history = cost, gradient, scale, progress, []
     ipopt.settled = settled
     v, status = ipopt.solve(np.zeros(len(lower)) if start is None else start, lower, upper)
