@@ -8,7 +8,8 @@ Synthetic. Campaigns (instrument_campaigns.py), half of each physics, hide nothi
 list; they are distances to three places, touches of sockets, planes or balls, full poses, or positions and distances at
 the same stops. The limit is the power of a test that knows the hidden signature (to three parameters) and the noise, at
 a false alarm in a hundred campaigns for all causes together (diagnosis_scores). Seeds 2601 and 2602 are for practice
-now; 2603 judged 2084f925, and 2604 what came of it, with rules that were committed before it was run. A table of fewer campaigns is of those done.
+now; 2603 judged 2084f925, and 2604 what came of it, with rules that were committed before it was run. A table of
+fewer campaigns is of those done.
 
 `--faults` campaigns have nothing hidden in the robot: one of three instruments drifts, or the place that it measures to
 is knocked.
