@@ -1,14 +1,15 @@
 """Time and memory of a diagnosis: python docs/studies/diagnosis_speed.py [PART...] > docs/studies/diagnosis_speed.txt
 
-Parts, all by default: command (a minute), series-b (half a minute), command-b, command-c (two minutes), full-poses,
-series-a (two minutes), simulated-1000, simulated-10000 (half a minute), simulated-100000 (ten minutes). Each row is a
-process of its own with one thread: seconds of CPU, seconds of wall time, peak of its memory. On a busy machine both
-times are longer. The print has the parts that were run so far, and what else ran on the machine.
+Parts, all by default: command (a minute), series-b (half a minute), command-b, command-c, command-2500 (two minutes),
+full-poses, series-a (two minutes), simulated-1000, simulated-10000 (half a minute), simulated-100000 (ten minutes).
+Each row is a process of its own with one thread: seconds of CPU, seconds of wall time, peak of its memory. On a busy
+machine both times are longer. The print has the parts that were run so far, and what else ran on the machine.
 
 command: `casadical diagnose` of 100 poses. First: nothing is in the cache. Again: formulas are. Next: each further
-campaign of the same command. series-b and series-a: all poses of two series of the real UR10, by `diagnose` of Python;
-command-b: by the command, which also refits and judges the poses; command-c: series C, with --details. full-poses: 100
-poses of series C with orientations, the causes of series B as a prior. simulated: poses of a UR10e with backlash.
+campaign of the same command. series-b and series-a: all poses of two series of the real UR10, by `diagnose` of
+Python; command-b: by the command, which also refits and judges the poses; command-c: series C, with --details;
+command-2500: as many poses of series A, with --details. full-poses: 100 poses of series C with orientations, the
+causes of series B as a prior. simulated: poses of a UR10e with backlash.
 """
 
 import os
@@ -107,6 +108,15 @@ def command_of_series(folder: Path, letter: str, *options: str) -> None:
     row(" ".join([f"command, series {letter.upper()}", *options]), used)
 
 
+def command_of_some(folder: Path, poses: int) -> None:
+    """So many poses of series A, spread over it, by the command with its details."""
+    file, problem = SERIES["a"]
+    table = pd.read_csv(DATA / file, comment="#")
+    (some := folder / "some.csv").write_text(table.iloc[:: len(table) // poses][:poses].to_csv(index=False))
+    used = process(["-c", COMMAND, "diagnose", ROOT / "problems" / problem, some, "--details"], folder)
+    row(f"command, {poses} poses of series A --details", used)
+
+
 def full_poses(folder: Path) -> None:
     """100 poses with their orientations, beside the causes of another series."""
     file, problem = SERIES["b"]
@@ -149,6 +159,7 @@ PARTS = {
     "series-b": partial(series, letter="b"),
     "command-b": lambda folder: command_of_series(folder, "b"),
     "command-c": lambda folder: command_of_series(folder, "c", "--details"),
+    "command-2500": partial(command_of_some, poses=2500),
     "full-poses": full_poses,
     "series-a": partial(series, letter="a"),
     **{f"simulated-{size}": partial(simulated, size=size) for size in SIZES},
