@@ -53,7 +53,7 @@ class LeastSquares:
     known : correlated priors: names and their covariance [SI]; their means are those of `priors`
     priors : whether the robot's own priors hold the variables back, or name -> (mean, one sigma) [SI] of other priors
     fixed_loads : whether gravity torques are those of the nominal geometry (see `Model`)
-    keep : numbers of a Jacobian, or of residuals, that are kept from one question to the next, and poses whose data are
+    most_kept : numbers of a Jacobian or of residuals that are kept from one question to the next; poses whose data are
     """
 
     robot: Robot
@@ -64,7 +64,7 @@ class LeastSquares:
     sigmas: tuple[tuple[float, float], ...]
     fixed_loads: bool = False
     known: tuple[tuple[tuple[str, ...], Array], ...] = ()
-    keep: int = 2_000_000
+    most_kept: int = 2_000_000
     kept: Kept = field(default_factory=Kept, init=False, repr=False)
 
     @property
@@ -102,7 +102,7 @@ class LeastSquares:
         for k, (m, (sigma, sigma_angle)) in enumerate(zip(self.sets, self.sigmas, strict=True)):
             group = np.array([index[name] for name in self.pose_labels(k)] or [0] * len(m), dtype=np.int64)
             of_set = (self.robot, m, self.names, sigma, sigma_angle, self.points, group)
-            made.append(make_block(*of_set, fixed_loads=self.fixed_loads, held=min(HELD, self.keep)))
+            made.append(make_block(*of_set, fixed_loads=self.fixed_loads, held=min(HELD, self.most_kept)))
         return tuple(made)
 
     @property
@@ -322,7 +322,7 @@ class LeastSquares:
         residuals: list[tuple[int, Array]] = []
         R = np.zeros((0, self.size))
         for k, r, J in self._parts(v):
-            if self.residual_count <= self.keep:
+            if self.residual_count <= self.most_kept:
                 residuals.append((k, r))
             if triangle:
                 R = _with_rows(R, J)
@@ -359,7 +359,7 @@ class LeastSquares:
 
         Kept for the last v where they are few, so that statistics need no further evaluation.
         """
-        if self.residual_count * self.size > self.keep:
+        if self.residual_count * self.size > self.most_kept:
             return self._evaluated(v)
         parts: tuple[_Part, ...] = self.kept.parts(v, lambda v: tuple(self._evaluated(v)))
         return parts

@@ -128,7 +128,7 @@ def test_a_robot_is_identified_without_keeping_data_jacobian_or_residuals(tmp_pa
     found = identify(robot, read_in_portions(path, Portion(700, 7), 2), method="KM")
     (poses,) = found.measurements
     assert is_mapped(poses.q)
-    problem = replace(found.problem, keep=0)
+    problem = replace(found.problem, most_kept=0)
     assert problem.names == usual.names
     v = problem.solve().v
     assert problem.kept.sums.answer.residuals is None
