@@ -25,7 +25,15 @@ from casadical.core.schema import FaultError, TomlTable, Triple, check
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Counterparts, Effect
 from casadical.effects.formula import Formula, parse
-from casadical.effects.formula_effect import SEAMS, STATIONED, FormulaEffect, check_formula, check_values, columns_of
+from casadical.effects.formula_effect import (
+    SEAMS,
+    STATIONED,
+    TOWARDS,
+    FormulaEffect,
+    check_formula,
+    check_values,
+    columns_of,
+)
 from casadical.effects.settings import MOST_WHOLE, NEAR, setting
 
 # tanh(x) is nearest to SLOPE x that stops at STOP, off by OFF at most.
@@ -337,6 +345,9 @@ def _refuse_names(d: Definition) -> None:
         placed = "station" in d.settings and isinstance(d.settings["station"].default, list)
         if seam in STATIONED and not placed:
             raise InputError(f"formulas.{seam}: it needs a setting `station`, a point")
+        looks = d.settings["towards"].default if "towards" in d.settings else TOWARDS
+        if "incidence" in str(d.formulas[seam]) and not (isinstance(looks, (list, tuple)) and any(looks)):
+            raise InputError(f"formulas.{seam}: `incidence` takes the setting `towards` as a direction, [0, 0, 1] say")
     if d.counterpart and d.counterpart not in COUNTERPARTS:
         raise InputError(f"counterpart = {d.counterpart!r}: allowed: {', '.join(COUNTERPARTS)}")
     if math.prod(s.points for s in d.settings.values()) > MOST_WHOLE:

@@ -175,9 +175,10 @@ class FormulaEffect(Effect):
             far = [context.conditions[c] for c in FAR] if seam == "distance" else self.station  # type: ignore[attr-defined]
             beam = point - ca.vertcat(*far)
             r = ca.sqrt(ca.sumsqr(beam) + 1e-12)
-            mark = context.frames[-1][:3, :3] @ ca.DM(getattr(self, "towards", TOWARDS))
-            turn = ca.atan2(beam[1], beam[0]), ca.dot(beam, mark) / r
-            of_beam = dict(zip(_BEAM, (r, *turn), strict=True))
+            of_beam = {"r": r, "azimuth": ca.atan2(beam[1], beam[0])}
+            if "incidence" in self.formulas[seam].names:
+                mark = np.array(getattr(self, "towards", TOWARDS))
+                of_beam["incidence"] = ca.dot(beam, context.frames[-1][:3, :3] @ (mark / np.linalg.norm(mark))) / r
             of_beam |= dict(zip([HEAD], (context.conditions[c] for c in self.of_head), strict=False))
             aside = ca.vertcat(-beam[1], beam[0], 0) / ca.sqrt(beam[0] ** 2 + beam[1] ** 2 + 1e-12)
             way = aside if seam == "across" else beam / r
@@ -337,7 +338,7 @@ class Law(FormulaEffect):
     formula : what is added there [rad, m or kg/kg]; of the seam `joints` with q, tau, approach, move of each joint
     factors : names of its parameters, single letters, and their realistic sizes; without them it must be zero
     station : where the instrument stands, in the measuring frame [m], for the seams `beam` and `across`, there with r,
-        the range [m]; towards : which way the target looks, in the flange's frame, for `incidence`, of length one
+        the range [m]; towards : which way the target looks, in the flange's frame, for `incidence`
     count : number of joints, for the seam `joints`
     """
 
@@ -361,6 +362,8 @@ class Law(FormulaEffect):
         names = [name for name, _ in self.factors]
         if not names or len(set(names)) < len(names) or not all(_FACTOR.fullmatch(n) and n not in "tr" for n in names):
             raise InputError(f"law: factors = {names}; allowed are different single letters, not t or r, one at least")
+        if not any(self.towards):
+            raise InputError("law: towards = (0, 0, 0) is no direction; the flange's third axis is (0, 0, 1)")
         if not all(0 < size <= 1e3 for _, size in self.factors):
             raise InputError(f"law: factors = {list(self.factors)}; their sizes must be above 0, and 1000 at most")
         _refuse_formula(self.formula, self.seam, tuple(names))

@@ -2,7 +2,7 @@
 and without outliers; parameters are left out where their prior knows better.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -276,9 +276,10 @@ def _with_visible(
 
     order : of all parameters. Returns the point in the wider problem, too; None where there is no such parameter.
     """
-    hidden = {u.name for u in found.held if u.reason == NO_EFFECT}
-    if not problem.fixed_loads and any(j.compliance is not None for j in problem.robot.joints):
-        hidden |= {u.name for u in found.held if u.reason == GAUGE and u.name in _TILT}
+    robot, tilts = problem.robot, set[str]()
+    if robot.gravity_frame == "measuring" and any(j.compliance is not None for j in robot.joints):
+        tilts = {u.name for u in found.held if u.reason == GAUGE and u.name in _TURNS}
+    hidden = {u.name for u in found.held if u.reason == NO_EFFECT} | tilts
     if not hidden:
         return None
     wider, at = _widened(problem, v, hidden, order)
@@ -290,7 +291,7 @@ def _with_visible(
         wider, at = _widened(problem, v, visible, order)
     # The noise as one step would leave it: what these parameters explain is none.
     left = max(0.0, 1 - wider.decrement(at) / max(wider.cost(at), 1e-300))
-    worse = {u.name for u in _poor(wider, at, left * problem.variance(v))}
+    worse = {u.name for u in _poor(wider, at, left * problem.variance(v), tilts)}
     if not visible & worse:
         return wider, at
     return None if visible <= worse else _widened(problem, v, visible - worse, order)
@@ -309,9 +310,14 @@ def _misfit(problem: LeastSquares, v: Array) -> float:
     return float(np.sqrt(problem.variance(v))) * max(sigma for sigma, _ in problem.sigmas)
 
 
-def _poor(problem: LeastSquares, v: Array, variance: float) -> list[Unidentifiable]:
-    """Parameters that the data determine worse than their prior; variance : of a residual in units of sigma."""
-    _, H = problem.gradient(v)
+def _poor(problem: LeastSquares, v: Array, variance: float, of_data: Collection[str] = ()) -> list[Unidentifiable]:
+    """Parameters that the data determine worse than their prior; variance : of a residual in units of sigma.
+
+    of_data : names whose own priors do not count as data
+    """
+    H = problem.gradient(v)[1].copy()
+    at = [k for k, name in enumerate(problem.names) if name in of_data]
+    H[at, at] -= np.diag(problem.prior_matrix)[at]
     return drop_poor([problem.robot.parameters[n] for n in problem.names], H, variance)[1]
 
 
@@ -321,9 +327,9 @@ def _poor_at_start(problem: LeastSquares) -> list[Unidentifiable]:
     return _poor(problem, v, 1.0) or _poor(problem, v, problem.variance(v))
 
 
-# They move the robot as a whole, those of the foot's tilt against the weight of its links, too.
+# They move the robot as a whole; turns of the foot change what the weight of its links does, too.
 GAUGE = "nothing at rest was measured: moving the whole robot changes nothing"
-_TILT = ("base_rx", "base_ry")
+_TURNS = ("base_rx", "base_ry", "base_rz")
 _WHOLE_ROBOT = (
     "alpha0",
     "a0",

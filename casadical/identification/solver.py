@@ -177,6 +177,10 @@ class _Solver:
         self._run()
         return self._optimum.copy(), str(self._solve.stats(1)["return_status"])
 
+    def let_go(self) -> None:
+        """Break its circle of references, for it holds much memory: it is of no use afterwards."""
+        del self._run, self._buffer, self._solve, self._keep
+
     def _stop(self, v: Array, *_: Array) -> Sequence[Array | float]:
         """Whether to stop after an iteration: where the last ones gained nothing that counts, and little is left."""
         flat = len(self.history) > LAST and self.history[-1 - LAST] - self.history[-1] < FLAT
@@ -226,11 +230,15 @@ def minimise(
 
     Raises ConvergenceError with a sentence and a remedy if Ipopt does not stop at an optimum.
     """
-    make = _Solver if len(lower) > KEPT_TO else _solvers.of
-    ipopt = make(len(lower), MAX_ITERATIONS, settled is not None)
+    kept = len(lower) <= KEPT_TO
+    ipopt = (_solvers.of if kept else _Solver)(len(lower), MAX_ITERATIONS, settled is not None)
     ipopt.cost, ipopt.gradient, ipopt.scale, ipopt.progress, ipopt.history = cost, gradient, scale, progress, []
     ipopt.settled = settled
-    v, status = ipopt.solve(np.zeros(len(lower)) if start is None else start, lower, upper)
+    try:
+        v, status = ipopt.solve(np.zeros(len(lower)) if start is None else start, lower, upper)
+    finally:
+        if not kept:
+            ipopt.let_go()
     message = _SENTENCES.get(status, f"Ipopt stopped with {status}; see its documentation for this status.")
     if status not in ("Solve_Succeeded", ACCEPTABLE, STOPPED, "Search_Direction_Becomes_Too_Small"):
         raise ConvergenceError(f"{message} ({status} after {len(ipopt.history)} iterations)")

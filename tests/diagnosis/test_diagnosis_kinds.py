@@ -237,9 +237,36 @@ def test_the_tilt_of_a_foot_is_found_by_the_links_weight() -> None:
     assert (known.status[["base_x", "base_rz", "alpha0"]] == "not identifiable").all()
     off = np.deg2rad(known.value[[*tilt]]) - [*tilt.values()]
     assert (np.abs(off) < 4 * np.deg2rad(known.std_error[[*tilt]])).all()
-    rigid = replace(kr210, joints=tuple(replace(j, compliance=None) for j in kr210.joints))
-    held = {u.name for u in identify(rigid, wires, ["kinematic"]).identifiability.held}
-    assert held >= {*tilt, "base_x", "alpha0"}
+
+
+WALL = np.array([[0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+
+
+@pytest.mark.parametrize("priors", [False, True])
+@pytest.mark.parametrize(
+    ("changed", "shown"),
+    [
+        (lambda r: r, {"base_rx", "base_ry"}),
+        (
+            lambda r: replace(r, base=replace(r.base, T=WALL)),
+            {"base_ry", "base_rz"},
+        ),  # on a wall rx turns about the vertical
+        (lambda r: replace(r, gravity_frame="base"), set()),
+        (lambda r: replace(r, joints=tuple(replace(j, compliance=1e-3 * j.compliance) for j in r.joints)), set()),
+    ],
+    ids=["floor", "wall", "known weight", "stiff"],
+)
+def test_turns_of_a_foot_are_those_that_the_weight_shows_better_than_their_priors(changed, shown, priors: bool) -> None:
+    rng, arm, m = np.random.default_rng(7), changed(robot("kr210")), practice("kr210-P02")
+    real = arm.with_values(dict.fromkeys(shown, 0.02))
+    exact = distances(replace(m, position=predicted(real, m)[0]))
+    wires = [replace(w, target=None, distance=w.distance + rng.normal(0, 2e-5, len(m))) for w in exact]
+    found = identify(
+        arm, wires, priors=priors, **({} if priors else {"free": ["kinematic", "compliance", "placement"]})
+    )
+    assert {n for n in found.names if n.startswith(("base_", "alpha0", "d1"))} == shown
+    known = zip(found.names, found.estimate, found.standard_errors, strict=True)
+    assert all(abs(value - 0.02) < 4 * error for name, value, error in known if name in shown)
 
 
 def test_motions_that_share_poses_are_said_to_share_their_noise() -> None:

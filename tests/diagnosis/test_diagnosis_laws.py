@@ -231,23 +231,58 @@ def test_a_place_of_a_beam_is_that_of_the_law(seam: str, text: str) -> None:
     law = Law(None, seam, f"a*{text}", **at)
     m, _ = derive(c.m, law.conditions)
     linear = linearise(c.given, m, c.values)
-    place, x = Beam(linear, c.given.base.T[:3, 3], seam, Driver(text, "linear", "")).at(**at)
+    place, x = Beam(linear, c.given.base.T[:3, 3], 1.0, seam, Driver(text, "linear", "")).at(**at)
     expected = linear.columns([law])[:, :, 0]
     np.testing.assert_allclose(place.columns[:, :, 0] * x[:, None], expected, atol=1e-9 * np.abs(expected).max())
 
 
-def test_a_place_is_moved_each_way_by_a_step() -> None:
-    c, law = case("kr210-P02"), Law(None, "beam", "a", station=(3.0, 1.0, 0.5), towards=(0.0, 1.0, 0.0))
-    beam = Beam(
-        linearise(c.given, c.m, c.values), np.array([1.0, 1.0, 0.5]), "beam", Driver("incidence", "incidence", "")
-    )
-    near = [place.law for place, _ in beam.nearby(law, 0.01)]
-    expected = [(3, 0.94, 0.5), (3, 1.06, 0.5), (3, 1, 0.44), (3, 1, 0.56), (2.88, 1, 0.5), (3.12, 1, 0.5)]
-    np.testing.assert_allclose([n.station for n in near], [*expected, *[law.station] * 6], atol=1e-3)
-    np.testing.assert_allclose([n.towards for n in near[:6]], [law.towards] * 6)
-    np.testing.assert_allclose(
-        [np.arccos(np.dot(n.towards, law.towards)) for n in near[6:]], [0.09, 0.09, 0, 0, 0.09, 0.09], atol=1e-3
-    )
+@pytest.mark.parametrize("out", [(2.0, 0.0, 0.0), (1.2, 0.0, 1.6), (0.0, 0.0, 2.0), (0.0, 0.0, 0.0)])
+def test_a_place_is_moved_each_way_by_a_step(out) -> None:
+    c, middle = case("kr210-P02"), np.array([1.0, 1.0, 0.5])
+    law = Law(None, "beam", "a", station=tuple(middle + out), towards=(0.0, 1.0, 0.0))
+    driver = Driver("incidence", "incidence", "")
+    near = Beam(linearise(c.given, c.m, c.values), middle, 2.0, "beam", driver).nearby(law, 0.01)
+    moves = np.array([at.law.station for at, _ in near[:6]]) - law.station
+    size = np.repeat([0.06, 0.06, 0.12], 2)  # of the distance, or of the reach
+    both = np.kron(np.eye(3), [[1, -1], [-1, 1]])  # one way and back, across all others
+    np.testing.assert_allclose(moves @ moves.T, np.outer(size, size) * both, atol=2e-4)
+    np.testing.assert_allclose(moves[:4] @ out, 0.0, atol=3e-3)
+    np.testing.assert_allclose([at.law.station for at, _ in near[6:]], [law.station] * 6)
+    turned = [np.arccos(np.dot(at.law.towards, law.towards)) for at, _ in near]
+    np.testing.assert_allclose(turned, [0] * 6 + [0.09, 0.09, 0, 0, 0.09, 0.09], atol=1e-3)
+
+
+@pytest.mark.parametrize("stays", [0.0, 0.7])
+def test_what_is_left_pulls_at_columns_as_their_products_say(stays: float) -> None:
+    c, rng = case("kr210-P02"), np.random.default_rng(3)
+    problem = Problem.beside(c.with_form(following(stays, int(c.kept.sum()))) if stays else c, NONE)
+    if stays:
+        problem = replace(problem, order=rng.permutation(problem.order))
+    screen, column = problem.screens[0][1], rng.standard_normal(c.evidence.r.shape)
+    white = np.einsum("nab,nb->na", screen.W, problem.white(column[:, :, None])[:, :, 0])
+    assert (problem.pulled * column).sum() == pytest.approx((white * screen.y).sum(), rel=1e-9)
+
+
+def test_laws_of_several_places_pay_for_all_that_were_looked_at() -> None:
+    c = case("kr210-P02")
+    problem, linear = Problem.beside(c, NONE), linearise(c.given, c.m, c.values).at(np.flatnonzero(c.kept))
+    beam = Beam(linear, c.given.base.T[:3, 3], 3.0, "beam", Driver("r", "range", "range"))
+    there = beam.at_all(stations(robot(NAME))[:3])
+    few, many = (beam.tried(problem, WAVE, there, settings) for settings in (0, 3000 * 63))
+    assert many.mean - few.mean == pytest.approx(-np.log(1000))
+    assert (many.best, many.seam) == (few.best, few.seam)
+
+
+def test_a_fold_knows_no_place_that_other_poses_said() -> None:
+    law = law_of_instrument(ranged, 0.0)
+    tried, poses = law.tried, np.arange(0, len(law.columns), 2)
+    assert law.seam >= tried.given > 0
+    c = diagnose(robot(NAME), from_table(table(4), 6), ["backlash"], laws=False).case
+    other = tried.by(Problem.beside(c, NONE), np.flatnonzero(c.kept))  # of a campaign without the wave
+    assert {s.law.station for s in other.seams}.isdisjoint({s.law.station for s in tried.seams[tried.given :]})
+    assert {s.law.station for s in other.seams} != {s.law.station for s in tried.seams[: tried.given]}
+    alone = replace(tried, again=None).by(Problem.beside(c, NONE), poses)
+    assert alone.seams == tried.seams[: tried.given]
 
 
 def ranged(m: Measurements) -> Measurements:

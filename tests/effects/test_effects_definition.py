@@ -15,7 +15,7 @@ from casadical.core.reading import load_toml
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.linearisation import signatures
-from casadical.effects import Effect, JointScale, ThermalGrowth, setting
+from casadical.effects import Effect, JointScale, Law, ThermalGrowth, setting
 from casadical.effects.definition import LISTED
 from casadical.effects.plugins import known_effects
 from casadical.export.mjcf.mjcf import counterparts
@@ -180,6 +180,32 @@ def test_a_counterpart_is_named(tmp_path: Path) -> None:
     text = SOFT_STOP.replace("give", "k").replace("formulas.", 'counterpart = "gear ratio"\nformulas.')
     stiff = robot(NAME).with_effect(defined(tmp_path, text)(3)).with_values({"soft_stop@3.k": 1e-4})
     assert counterparts(stiff).drive(3).ratio == pytest.approx(1.0001)
+
+
+AIMED = """
+casadical = 2
+
+[[definition]]
+name = "aimed"
+signature = "seen askew"
+physics = "A mark of glass is seen through its edge."
+settings.station = {default = [4.0, 0.0, 1.0]}
+settings.towards = {default = [0.0, 0.0, 2.0]}
+sizes = {a = [50e-6, "m"]}
+formulas.beam = "a * incidence"
+"""
+
+
+@pytest.mark.parametrize("looks", ["0.5", "[0.0, 0.0, 0.0]"])
+def test_a_target_looks_in_a_direction(looks: str, tmp_path: Path) -> None:
+    own, other = defined(tmp_path, AIMED)(), Law(None, "beam", "a * incidence", station=(4.0, 0.0, 1.0))
+    m, arm = campaign(NAME), robot(NAME)
+    columns = [signatures(arm, [e], m, arm.parameters.values)[0] for e in (own, other)]
+    np.testing.assert_allclose(*columns)  # a direction of any length
+    with pytest.raises(InputError, match="`towards` as a direction"):
+        defined(tmp_path, AIMED.replace("[0.0, 0.0, 2.0]", looks))
+    with pytest.raises(InputError, match="is no direction"):
+        Law(None, "beam", "a * incidence", towards=(0.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 """Limits, thresholds and words of an identification, on arms small enough to see what must come out."""
 
+import gc
+import weakref
 from dataclasses import replace
 
 import arms
@@ -21,6 +23,7 @@ from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against, least_margins
 from casadical.identification.prior import Prior
 from casadical.identification.reduction import OUTLIER_CHI2
+from casadical.identification.solver import minimise
 from casadical.robot.robot import Knowledge
 
 PLANAR = arms.planar()
@@ -244,3 +247,19 @@ def test_a_row_where_an_effect_is_no_finite_number_is_named(formula: str) -> Non
     told = r"row 4: the model with law .* no finite number there \(2 such rows\); change"
     with pytest.raises(InputError, match=told):
         identify(arm, replace(m, q=q), ["placement", law.label])
+
+
+def test_a_solver_of_many_variables_is_let_go_when_it_is_done() -> None:
+    A, kept = np.random.default_rng(1).standard_normal((300, 130)), np.ones(3)
+    gone, width = weakref.ref(kept), np.full(130, 5.0)
+
+    def cost(v: np.ndarray, held: np.ndarray = kept) -> float:
+        return float(((A @ v - held[0]) ** 2).sum())
+
+    minimise(cost, lambda v: (2 * A.T @ (A @ v - 1), 2 * A.T @ A), -width, width, scale=100.0)
+    gc.disable()
+    try:
+        del cost, kept
+        assert gone() is None
+    finally:
+        gc.enable()

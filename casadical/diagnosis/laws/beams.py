@@ -7,12 +7,13 @@ of a wave were in the base model, and those with the greatest products are judge
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
 
 from casadical.core.basics import Array
+from casadical.core.linear_gaussian.columns import EVERY
 from casadical.core.statistics import best_of, first_of_best, ranked
 from casadical.diagnosis.laws.forms import FORMS, SLOW, WAVE, Driver, Form
 from casadical.diagnosis.laws.problem import Problem, Rough, Seam, Tried, log_mean, scaled
@@ -25,9 +26,11 @@ from casadical.robot.robot import Robot
 Point: TypeAlias = tuple[float, float, float]
 # Where instruments stand: so many directions around the robot, at these distances from it, in reaches.
 DIRECTIONS, DISTANCES = 8, (1.5, 2.5, 4.0)
+# Less of a way out of the foot that is level is none.
+LEVEL = 0.1
 # A step in those of other settings: a station's angle about the robot [rad], a share of its distance; a target's angle.
 TURN, FARTHER, LOOK = 3.0, 6.0, 9.0
-# Waves over the range, by their cycles a turn [1/m]: with these bounds, of so many between two that are tried.
+# Waves over the range by their radians a metre: bands, each with places of its own, and the step between two waves.
 BANDS, APART = (2.0, 4.0, 8.0, SLOW), 0.25
 # Places for them: distances in reaches, and angles above the horizon [rad].
 FAR, LOW, HIGH = (1.0, 1.6, 3.0), -0.15, 0.6
@@ -35,6 +38,10 @@ FAR, LOW, HIGH = (1.0, 1.6, 3.0), -0.15, 0.6
 PHASE = 2.0
 # Products of so many numbers are made at a time; so many places are judged.
 AT_A_TIME, JUDGED = 500_000, 24
+# Places are looked for by so many poses, spread over all. A band that needs more products (some seconds) is left out.
+LOOKED_AT, MOST_PRODUCTS = 200, 2e8
+# Ways that a target may look, to both sides: along the flange's axes, between two, and between all three.
+_HALF = [(x, y, z) for x in (1, 0, -1) for y in (1, 0, -1) for z in (1, 0, -1) if (x, y, z) > (0, 0, 0)]
 
 # Drivers of what an instrument measures along and across its beam, each with its kind.
 _OF_BEAM: Mapping[str, Mapping[str, str]] = {
@@ -70,20 +77,27 @@ def by_the_beam(problem: Problem, linear: Linearisation, robot: Robot) -> Iterat
     turns = all(head_column(at) in linear.conditions for at in places)
     for seam, drivers in _OF_BEAM.items():
         for text, kind in drivers.items() if turns else ((t, k) for t, k in drivers.items() if HEAD not in t):
-            beam = Beam(linear, robot.base.T[:3, 3], seam, Driver(text, kind, "head" if kind == "linear" else kind))
+            beam = Beam(
+                linear, robot.base.T[:3, 3], robot.reach, seam, Driver(text, kind, "head" if kind == "linear" else kind)
+            )
+            there = beam.at_all(places)
             for form in FORMS[kind]:
-                rough = [beam.tried(problem, form, places)]
+                rough = [beam.tried(problem, form, there)]
                 if (text, form) == ("r", WAVE):
-                    rough += beam.short_waves(problem, robot.reach)
+                    rough += beam.short_waves(problem)
                 yield best_of(rough, lambda r: r.mean, logs=True)
 
 
 @dataclass(frozen=True, eq=False)
 class Beam:
-    """Along it, or across it, an instrument errs by a driver. seam : see `SEAMS`; middle : of the robot's foot [m]"""
+    """Along it, or across it, an instrument errs by a driver.
+
+    middle, reach : the robot's foot and how far it reaches [m]; seam : see `SEAMS`
+    """
 
     linear: Linearisation
     middle: Array
+    reach: float
     seam: str
     driver: Driver
 
@@ -117,49 +131,75 @@ class Beam:
     def nearby(self, law: Law, step: float) -> list[tuple[Seam, Array]]:
         """A station moved by a step to each side, up and down, farther and nearer; a target turned by one."""
         out = np.asarray(law.station) - self.middle
-        flat, angle = max(float(np.hypot(out[0], out[1])), 1e-6), TURN * step
-        aside = np.array([-out[1], out[0], 0.0])
-        above = np.array([-out[0] * out[2], -out[1] * out[2], flat**2]) / flat
-        moves = [sign * move for move in (angle * aside, angle * above, FARTHER * step * out) for sign in (-1, 1)]
-        near = [self.at(_rounded(law.station + move), law.towards) for move in moves]
+        far = max(float(np.linalg.norm(out)), self.reach)
+        # At the foot, or straight above it, the way out is any.
+        way = out / np.linalg.norm(out) if out.any() else np.eye(3)[0]
+        aside = np.cross(np.eye(3)[2] if np.hypot(way[0], way[1]) > LEVEL else np.eye(3)[0], way)
+        aside /= np.linalg.norm(aside)
+        moves = (TURN * far * aside, TURN * far * np.cross(way, aside), FARTHER * far * way)
+        places = [_rounded(law.station + sign * step * move) for move in moves for sign in (-1, 1)]
+        near = [self.at(place, law.towards) for place in places]
         if "incidence" in self.driver.text:
             turned = [law.towards + sign * LOOK * step * axis for axis in np.eye(3) for sign in (-1, 1)]
             near += [self.at(law.station, _rounded(way / np.linalg.norm(way))) for way in turned]
         return near
 
-    def tried(self, problem: Problem, form: Form, places: Sequence[Point], settings: int = 0) -> Rough:
-        """Laws of one form at all stations together. settings : how many were looked at, by default these"""
-        ways = list(map(_rounded, np.eye(3))) if "incidence" in self.driver.text else [TOWARDS]
-        beams, x = zip(*(self.at(*at) for at in itertools.product(places, ways)), strict=True)
-        laws = Tried(beams, self.driver, form, x, nearby=None if HEAD in self.driver.text else self.nearby)
-        functions = [scaled(form.values(v, s)) for v, s in zip(x, laws.settings, strict=True)]
-        columns = [b.columns[..., None] * f.transpose(1, 0, 2)[:, None] for b, f in zip(beams, functions, strict=True)]
-        gains = problem.gains_of(beams[0].size * np.concatenate(columns, axis=3))
+    def at_all(self, places: Sequence[Point]) -> list[tuple[Seam, Array]]:
+        """The places at all stations, and of a target that looks any way, where that counts."""
+        ways = [_rounded(np.array(way) / np.linalg.norm(way)) for way in _HALF]
+        every = itertools.product(places, ways if "incidence" in self.driver.text else [TOWARDS])
+        return [self.at(*at) for at in every]
+
+    def laws(self, form: Form, there: Sequence[tuple[Seam, Array]]) -> Tried:
+        """Those of one form at some places together."""
+        beams, x = zip(*there, strict=True)
+        return Tried(beams, self.driver, form, x, nearby=None if HEAD in self.driver.text else self.nearby)
+
+    def tried(self, problem: Problem, form: Form, there: Sequence[tuple[Seam, Array]], settings: int = 0) -> Rough:
+        """The same, judged. settings : how many were looked at, by default these"""
+        laws = self.laws(form, there)
+        functions = [scaled(form.values(v, s)) for v, s in zip(laws.x, laws.settings, strict=True)]
+        units = [place.columns for place in laws.seams]
+        columns = [u[..., None] * f.transpose(1, 0, 2)[:, None] for u, f in zip(units, functions, strict=True)]
+        gains = problem.gains_of(laws.seams[0].size * np.concatenate(columns, axis=3))
         each = np.split(gains, np.cumsum([len(s) for s in laws.settings])[:-1])
         k = first_of_best([g.max() for g in each], logs=True)
         best = first_of_best(each[k], logs=True)
         mean = float(log_mean(gains) - np.log(max(settings, len(gains))))
         return Rough(laws, k, laws.settings[k][best], float(each[k][best]), mean)
 
-    def short_waves(self, problem: Problem, reach: float) -> list[Rough]:
+    def short_waves(self, problem: Problem) -> list[Rough]:
         """The best wave over the range that is short beside the spread of the poses, from many more stations."""
-        point = self.linear.seen[:, :3]
-        pull = np.einsum("nij,ni->nj", self._by_point, problem.pulled)
+        places, settings = self._places(problem)
+        if not settings:
+            return []
+        found = self.tried(problem, WAVE, self.at_all(places), settings)
+        return [replace(found, tried=replace(found.tried, again=self._again))]
+
+    def _again(self, problem: Problem, poses: Array) -> Tried:
+        """Laws of short waves from places that some poses alone say; problem : of these."""
+        return self.laws(WAVE, self.at_all(self._places(problem, poses)[0]))
+
+    def _places(self, problem: Problem, poses: Array | slice = EVERY) -> tuple[list[Point], int]:
+        """Of the greatest products of short waves with what is left at some poses; and how many were made."""
+        point, pull = self.linear.seen[poses, :3], np.einsum("nij,ni->nj", self._by_point[poses], problem.pulled)
         spread = float(np.sqrt(((point - point.mean(axis=0)) ** 2).sum(axis=1).mean()))
+        some = np.linspace(0, len(point) - 1, min(len(point), LOOKED_AT)).round().astype(int)
+        point, pull = point[some], pull[some]
         size, place, settings = np.zeros(0), np.zeros((0, 3)), 0
         for low, high in itertools.pairwise(BANDS):
             if (step := PHASE / (high * spread)) > 2 * np.pi / DIRECTIONS:
                 continue
-            places, waves = self.middle + reach * _directions(step), np.arange(low, high, APART)
+            places, waves = self.middle + self.reach * _directions(step), np.arange(low, high, APART)
+            if len(places) * len(waves) * len(point) > MOST_PRODUCTS:
+                break
             settings += len(places) * len(waves)
-            for first in range(0, len(places), max(AT_A_TIME // len(point), 1)):
-                some = places[first : first + max(AT_A_TIME // len(point), 1)]
-                size, place = np.append(size, _greatest(point - some[:, None], pull, waves)), np.append(place, some, 0)
+            for part in np.array_split(places, 1 + len(places) * len(point) // AT_A_TIME):
+                size = np.append(size, _greatest(point - part[:, None], pull, waves))
+                place = np.append(place, part, axis=0)
                 best = ranked(size)[:JUDGED]
                 size, place = size[best], place[best]
-        if not settings:
-            return []
-        return [self.tried(problem, WAVE, [_rounded(at) for at in place], settings)]
+        return [_rounded(at) for at in place], settings
 
 
 def _greatest(beams: Array, pull: Array, waves: Array) -> Array:
@@ -167,7 +207,7 @@ def _greatest(beams: Array, pull: Array, waves: Array) -> Array:
 
     beams : shape (places, n, 3) [m]; pull : see `Problem.pulled`; waves : APART, shape (k,) [1/m]
     """
-    r = np.sqrt((beams**2).sum(axis=2))
+    r = np.sqrt((beams**2).sum(axis=2)) + 1e-6
     product = (beams * pull).sum(axis=2) / r * np.exp(1j * waves[0] * r)
     turn, greatest = np.exp(1j * APART * r), np.zeros(len(r))
     for _ in waves:
@@ -178,7 +218,8 @@ def _greatest(beams: Array, pull: Array, waves: Array) -> Array:
 
 def _directions(step: float) -> Array:
     """Points about the middle at all distances, a step apart [rad], shape (places, 3) in reaches."""
-    every = np.meshgrid(FAR, np.arange(LOW, HIGH, step), np.arange(0, 2 * np.pi, step), indexing="ij")
+    ups = np.linspace(LOW, HIGH, 1 + int(np.ceil((HIGH - LOW) / step)))
+    every = np.meshgrid(FAR, ups, np.arange(0, 2 * np.pi, step), indexing="ij")
     far, up, turn = (a.ravel() for a in every)
     points = np.column_stack([np.cos(up) * np.cos(turn), np.cos(up) * np.sin(turn), np.sin(up)])
     return np.asarray(far[:, None] * points)

@@ -267,10 +267,9 @@ def _columns(base: Evidence, laws: Sequence[Scored], train: Array) -> list[Array
 
 
 def _best(problem: Problem, law: Scored, train: Array) -> Array:
-    tried = law.tried
-    if not law.tried.form.settings and len(tried.seams) == 1:
+    if not law.tried.form.settings and len(law.tried.seams) == 1:
         return law.columns
-    logs = []
+    tried, logs = law.tried.by(problem, train), []
     for seam, x, settings in zip(tried.seams, tried.x, tried.settings, strict=True):
         functions = scaled(tried.form.values(x, settings))
         logs.append(problem.gains(replace(seam, columns=seam.columns[train]), functions[:, train]))

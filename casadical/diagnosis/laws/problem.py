@@ -225,6 +225,8 @@ class Tried:
     x : the driver's values, shape (n,), at each place; form : see `Form`
     nearby : the place of a law moved by a step, each way that there is, and the driver's values there; None of places
         that are not settings, or cannot be moved
+    again : the same with its places found by some poses alone, of a problem; None where they do not follow from data
+    given : how many of the places were there before any was moved, zero for all
     """
 
     seams: tuple[Seam, ...]
@@ -232,6 +234,8 @@ class Tried:
     form: Form
     x: tuple[Array, ...]
     nearby: Callable[[Law, float], Sequence[tuple[Seam, Array]]] | None = field(default=None, kw_only=True)
+    again: Callable[[Problem, Array], Tried] | None = field(default=None, kw_only=True)
+    given: int = field(default=0, kw_only=True)
 
     @cached_property
     def settings(self) -> tuple[Array, ...]:
@@ -240,8 +244,15 @@ class Tried:
 
     def beside(self, seam: int, step: float) -> list[Tried]:
         """The same with one more place each, a step beside that of a number."""
-        moved = self.nearby(self.seams[seam].law, step) if self.nearby else ()
-        return [replace(self, seams=(*self.seams, place), x=(*self.x, x)) for place, x in moved]
+        moved, given = self.nearby(self.seams[seam].law, step) if self.nearby else (), self.given or len(self.seams)
+        return [replace(self, seams=(*self.seams, place), x=(*self.x, x), given=given) for place, x in moved]
+
+    def by(self, problem: Problem, poses: Array) -> Tried:
+        """The same without what all poses said of its places: as they were given, or found by some poses alone."""
+        if self.again:
+            return self.again(problem, poses)
+        given = self.given or len(self.seams)
+        return replace(self, seams=self.seams[:given], x=self.x[:given], given=0)
 
     def column(self, seam: int, settings: Array) -> tuple[Law, Array]:
         """The law of these settings, and its columns in units of their sizes, shape (n, 3, w)."""
@@ -406,7 +417,7 @@ class Problem:
 
     @property
     def pulled(self) -> Array:
-        """How what is left pulls at small columns: their product with it, white, has this factor, shape (n, 3)."""
+        """How what is left pulls at small columns: their product with it, white, has this factor, (n, numbers)."""
         screen = self.screens[0][1]
         pull = np.einsum("nab,na->nb", screen.W, screen.y)
         if self.noise is None or self.order is None:

@@ -44,10 +44,12 @@ from casadical.measurements.derived_columns import derive
 
 # What a law pays that can follow anything that varied with time, where the driver itself may be there.
 TIME_PRICE = 5.0
-# Laws whose evidence is computed exactly, and those whose settings are refined.
-EXACT, REFINED = 24, 6
-# Nats that refined settings gain at most over those that are tried first, beyond what a law pays.
-UNREFINED = 10.0
+# Laws whose evidence is computed exactly, those whose settings are refined, and those whose place is moved in any case.
+EXACT, REFINED, PLACED = 24, 6, 4
+# Nats that refined settings gain at most over those that are tried first, beyond what a law pays; with its place.
+UNREFINED, UNPLACED = 10.0, 40.0
+# Nats that a law pays for a place that is moved: three coordinates and a direction, which gain as much in noise alone.
+MOVED = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,25 +189,28 @@ def search_laws(case: Case, chosen: Array, without: frozenset[str] = frozenset()
     rough += joined
     rough += _every_joint(problem, linear, {n for d in kept for n in parse(d.text).names}, every)
     if of_instrument:
-        rough += by_the_beam(problem, linear, case.given)
+        rough += by_the_beam(Problem.beside(case, chosen, least - UNPLACED), linear, case.given)
     instances = len(seams) * len(drivers) + len(joined) + 1
     rough = [r for r in rough if r.mean > NEVER / 2]
     prices = [np.log(instances) + np.log(1 + len(FORMS[r.tried.driver.kind])) + _last(r.tried) for r in rough]
     order = ranked([r.mean - price for r, price in zip(rough, prices, strict=True)], logs=True)
-    some = [rough[k] for k in order[:EXACT]]
+    order = [*order[:EXACT], *[k for k in order[EXACT:] if rough[k].tried.nearby][:PLACED]]
+    some = [rough[k] for k in order]
     if not some:
         return []
     made = [r.tried.column(r.seam, r.settings) for r in some]
     grids = problem.grids([columns for _, columns in made])
     exact = problem.over_none(grids)
-    scored = [float(e - r.best + r.mean - prices[k]) for e, r, k in zip(exact, some, order, strict=False)]
+    scored = [float(e - r.best + r.mean - prices[k]) for e, r, k in zip(exact, some, order, strict=True)]
+    best = ranked(scored, logs=True)
+    closely = {*best[:REFINED], *[k for k in best if some[k].tried.nearby][:PLACED]}
     laws = []
-    for rank, k in enumerate(ranked(scored, logs=True)):
+    for k in best:
         if made[k][0].label not in without:
             r, (law, columns) = some[k], made[k]
             errors, noise = np.full(len(r.settings), np.nan), likely_noise(grids[k])
             s = Scored(law, r.tried, r.seam, r.settings, scored[k], float(exact[k]), columns, noise, errors)
-            laws.append(refined(problem, s) if rank < REFINED else s)
+            laws.append(refined(problem, s) if k in closely else s)
     return [laws[k] for k in ranked([s.score for s in laws], logs=True)]
 
 
@@ -217,18 +222,19 @@ ROUNDS_OF_STATION = 30
 
 
 def refined(problem: Problem, found: Scored) -> Scored:
-    """The law with its settings refined, which raises the score as much as the evidence."""
+    """The law with its settings refined, which raises the score as much as the evidence; a place that is moved pays."""
     if not len(found.settings) and not found.tried.nearby:
         return found
     (tried, seam, settings), better = refined_settings(problem, found.tried, found.seam, found.settings)
     law, columns = tried.column(seam, settings)
+    more = better - found.evidence
     return replace(
         found,
         law=law,
         tried=tried,
         seam=seam,
         settings=settings,
-        score=found.score + better - found.evidence,
+        score=found.score + (more if seam == found.seam else max(more - MOVED, 0.0)),
         evidence=better,
         columns=columns,
         noise=likely_noise(problem.grids([columns])[0], problem.evidence.sigmas),
