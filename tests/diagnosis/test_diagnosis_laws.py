@@ -69,9 +69,9 @@ NONE = np.zeros(0, dtype=np.int64)
 STOP = CableStop(3, -360e-6, share=0.9)
 
 
-def table(seed: int, *disturbances: Disturbance):
+def table(seed: int, *disturbances: Disturbance, poses: int = 80):
     p = perturb(plant(robot(NAME)), seed)
-    return campaign(p, 80, seed, disturbances=disturbances, noise_mm=0.02, approach="motion")
+    return campaign(p, poses, seed, disturbances=disturbances, noise_mm=0.02, approach="motion")
 
 
 laws_alone = cache(lambda c: search_laws(c, NONE))
@@ -320,11 +320,29 @@ def test_a_target_that_looks_aside_is_found() -> None:
 
 def law_of_instrument(changed, stays: float) -> Scored:
     """The best law of a robot without another fault."""
-    m, arm = from_table(table(4), 6), robot(NAME)
-    there = changed(m)
-    there = replace(m, position=there.position + predicted(arm, there)[0] - predicted(arm, m)[0])
-    c = diagnose(arm, there, ["backlash"], laws=False).case
+    c = diagnose(robot(NAME), changed(from_table(table(4), 6)), ["backlash"], laws=False).case
     return search_laws(c.with_form(following(stays, 80)) if stays else c, NONE)[0]
+
+
+def test_places_of_short_waves_are_looked_for_some_at_a_time() -> None:
+    c = diagnose(robot(NAME), ranged(from_table(table(4, poses=200), 6)), ["backlash"], laws=False).case
+    linear = linearise(c.given, c.m, c.values).at(np.flatnonzero(c.kept))
+    beam = Beam(linear, c.given.base.T[:3, 3], robot(NAME).reach, "beam", Driver("r", "range", "range"))
+    (rough,) = beam.short_waves(Problem.beside(c, NONE))
+    ways = [at / np.linalg.norm(at) for at in (np.array(rough.tried.seams[rough.seam].law.station), STATION)]
+    assert np.linalg.norm(ways[0] - ways[1]) < 0.1
+    assert rough.settings[0] == pytest.approx(9.0, abs=0.5)
+
+
+def test_a_beam_is_that_of_every_reading_at_a_stop() -> None:
+    m = from_table(table(4), 6)
+    again = replace(m, position=m.position + np.random.default_rng(2).normal(0, 2e-5, m.position.shape))
+    c = diagnose(robot(NAME), [m, again], ["backlash"], laws=False).case
+    linear, law = c.whole.E.linear, Law(None, "beam", "a*r", station=(3.0, -2.0, 1.0))
+    assert linear.further == 1
+    beam = Beam(linear, c.given.base.T[:3, 3], 3.0, "beam", Driver("r", "range", "range"))
+    place, x = beam.at(law.station)
+    np.testing.assert_allclose(place.columns[:, :, 0] * x[:, None], linear.columns([law])[:, :, 0], atol=1e-9)
 
 
 def test_laws_are_screened_where_few_ratios_of_noise_are_looked_at() -> None:
