@@ -304,10 +304,12 @@ def calibrated(
     loss: AnyLoss = "linear",
     priors: bool | Mapping[str, tuple[float, float]] = False,
     screen: bool = True,
+    weighed: bool = False,
     progress: Progress | None = None,
 ) -> Identification:
     """Identify what was prepared; arguments as of `identify`, a method brings its own parameters.
 
+    weighed : see `LeastSquares`
     Raises InputError, ConvergenceError.
     """
     robot, sets, prior = prepared.robot, prepared.sets, prepared.prior
@@ -324,7 +326,7 @@ def calibrated(
             f"free={list(wanted)} chooses no parameter of {robot.name}; groups: {', '.join(start.parameters.groups)}"
         )
     plain: Loss = "linear" if loss == "auto" else loss
-    problem = LeastSquares(start, sets, names, plain, priors, first_sigmas(sets), known=prior.known)
+    problem = LeastSquares(start, sets, names, plain, priors, first_sigmas(sets), known=prior.known, weighed=weighed)
     solve = solve_by_auto if loss == "auto" else solve_without_outliers
     (reduced, solution, judged), outliers = solve(problem, SCREENINGS if screen else 0, progress)
     placed = start.effect_values != robot.effect_values  # base and tool of further sessions
@@ -353,6 +355,7 @@ def calibrated(
 def base_calibrated(prepared: Prepared, free: Iterable[str] = ("kinematic", "compliance")) -> Identification:
     """As a diagnosis starts: gross errors have little weight, but stay, and priors hold back what nobody measured.
 
+    A foot that stands aslant loads the joints as a cause might: its turns are sought even where no reading shows them.
     Raises InputError, ConvergenceError.
     """
-    return calibrated(prepared, free, loss="huber", priors=True, screen=False)
+    return calibrated(prepared, free, loss="huber", priors=True, screen=False, weighed=True)

@@ -53,6 +53,7 @@ class LeastSquares:
     known : correlated priors: names and their covariance [SI]; their means are those of `priors`
     priors : whether the robot's own priors hold the variables back, or name -> (mean, one sigma) [SI] of other priors
     fixed_loads : whether gravity torques are those of the nominal geometry (see `Model`)
+    weighed : whether turns of a foot with nothing at rest about it are sought, which the weight of the links shows
     most_kept : numbers of a Jacobian or of residuals that are kept from one question to the next; poses whose data are
     """
 
@@ -63,6 +64,7 @@ class LeastSquares:
     priors: bool | Mapping[str, tuple[float, float]]
     sigmas: tuple[tuple[float, float], ...]
     fixed_loads: bool = False
+    weighed: bool = False
     known: tuple[tuple[tuple[str, ...], Array], ...] = ()
     most_kept: int = 2_000_000
     kept: Kept = field(default_factory=Kept, init=False, repr=False)

@@ -216,8 +216,8 @@ def reduce_and_solve(
     optima : of the same robot with other sigmas or fewer poses, where a solve starts; those found here are added
 
     Independence is decided at the start, where exact dependences are exact; what has no effect there, but one where the
-    solve ends, is added: the compliance of an upright first axis, once the base is found to be tilted; and the tilt of
-    a robot with nothing at rest about it, which the weight of its links shows.
+    solve ends, is added: the compliance of an upright first axis, once the base is found to be tilted; and where that
+    is sought the tilt of a robot with nothing at rest about it, which the weight of its links shows.
     Raises InputError where the data determine no parameter at all, or are no more numbers than there are unknowns.
     """
     analysis = problem.kept.once("independent", lambda: independent_parameters(problem))
@@ -277,7 +277,7 @@ def _with_visible(
     order : of all parameters. Returns the point in the wider problem, too; None where there is no such parameter.
     """
     robot, tilts = problem.robot, set[str]()
-    if robot.gravity_frame == "measuring" and any(j.compliance is not None for j in robot.joints):
+    if problem.weighed and robot.gravity_frame == "measuring" and any(j.compliance is not None for j in robot.joints):
         tilts = {u.name for u in found.held if u.reason == GAUGE and u.name in _TURNS}
     hidden = {u.name for u in found.held if u.reason == NO_EFFECT} | tilts
     if not hidden:
