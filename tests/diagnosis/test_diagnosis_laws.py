@@ -305,9 +305,8 @@ def test_a_short_wave_over_the_range_is_found_with_the_direction_to_the_instrume
     found = law_of_instrument(ranged, stays)
     assert (found.law.place, found.tried.driver.text, found.tried.form.name) == ("beam", "r", "wave")
     assert found.settings[0] == pytest.approx(9.0, abs=0.3)
-    ways = [
-        at / np.linalg.norm(at) for at in (np.array(found.law.station), STATION)
-    ]  # how far off it is matters little
+    # How far off it is matters little.
+    ways = [at / np.linalg.norm(at) for at in (np.array(found.law.station), STATION)]
     assert np.linalg.norm(ways[0] - ways[1]) < 0.05
 
 
