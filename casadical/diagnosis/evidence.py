@@ -7,7 +7,7 @@ component: joint repeatability, which reaches the measured point through the der
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.columns import EVERY, ArrayColumns, Columns
+from casadical.core.linear_gaussian.columns import EVERY, ArrayColumns, Columns, SerialColumns
 from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.linear_gaussian.grid import Grid
 from casadical.core.linear_gaussian.marginals import NONE, Marginals
 from casadical.core.linear_gaussian.model import LinearModel, Memory, Projection
-from casadical.core.linear_gaussian.noise import NoiseModel
+from casadical.core.linear_gaussian.noise import NoiseModel, SerialNoise
 from casadical.effects.base import CHOSEN
 from casadical.measurements.measurements import Noise
 
@@ -48,6 +48,9 @@ DETERMINED, WIDER = 100.0, 100.0
 # Where all poses together move by less than the root of this, in sigmas of the noise, by one sigma of the prior, the
 # data tell nothing: of a curve at joint angles that no pose has, say.
 UNMOVED = 1e-8
+# How much noisier than assumed a table is, over the others, is a normal distribution of its logarithm, of which three
+# points stand for all: its middle, and so many sigmas to both sides, each with this weight (Gauss and Hermite).
+ASIDE, WEIGHT_ASIDE = 3.0**0.5, 1 / 6
 
 
 @dataclass(frozen=True)
@@ -101,6 +104,8 @@ class Evidence:
     turn : of the base parameters, shape (P, k): parameters = turn @ (those of the model, each of one sigma one)
     still : directions of the base parameters that move nothing at these poses, which are not in the model, shape
         (P, P - k): they are their priors, before and after the data
+    unsure : numbers of a table so few that they tell badly how its noise compares with the others', two tables at most,
+        masks of shape (n, 3); likelihoods are averaged over what it may be
     memory : how much is held at a time
     """
 
@@ -121,6 +126,7 @@ class Evidence:
     absorbed: float = 0.0
     turn: Array | None = None
     still: Array | None = None
+    unsure: tuple[Array, ...] = ()
     memory: Memory = field(default_factory=Memory)
     cache: Cache = field(init=False, repr=False, default_factory=Cache)
 
@@ -197,7 +203,8 @@ class Evidence:
         """The problem of some poses."""
         E = self.E[poses] if isinstance(self.E, np.ndarray) else self.E.at(poses)
         masks = {name: of[poses] for name in ("measured", "size", "alike") if (of := getattr(self, name)) is not None}
-        return replace(self, r=self.r[poses], J=self.J[poses], Jq=self.Jq[poses], E=E, **masks)
+        unsure = tuple(of[poses] for of in self.unsure)
+        return replace(self, r=self.r[poses], J=self.J[poses], Jq=self.Jq[poses], E=E, unsure=unsure, **masks)
 
     def with_base(self, columns: Array) -> Evidence:
         """The problem with these columns moved into the base model, as wide as they are held there."""
@@ -237,17 +244,59 @@ class Evidence:
     def forget(self) -> None:
         """Let go of what takes much memory and would be computed again."""
         self.cache.marginals = None
+        self.__dict__.pop("at_other_ratios", None)
+
+    @cached_property
+    def at_other_ratios(self) -> tuple[tuple[float, Evidence], ...]:
+        """The problem where tables are finer or noisier over the others than assumed, with the log weight of each.
+
+        The weights make up for the middle's share of the posterior, so that where this is the distribution of
+        `ASIDE` the average is the integral (see `averaged`).
+        """
+        more = []
+        for mask in self.unsure:
+            numbers = int(mask.sum())
+            spread = 1 / np.sqrt(2 * max(numbers * (1 - self.absorbed / max(self.count, 1)), 1.0))
+            for aside in (-ASIDE, ASIDE):
+                log_times, log_weight = float(aside * spread), float(np.log(WEIGHT_ASIDE) + ASIDE**2 / 2)
+                more.append((log_weight - numbers * log_times, self._where_noisier(mask, float(np.exp(log_times)))))
+        return tuple(more)
+
+    def _where_noisier(self, mask: Array, times: float) -> Evidence:
+        """The problem of numbers that are as noisy as the others once they are divided by this."""
+        weight, every = np.where(mask, 1 / times, 1.0), np.arange(len(self.r))
+        E = SerialColumns(self.model.columns, every, SerialNoise(np.zeros(len(every)), weight))
+        r, J, Jq = self.r * weight, self.J * weight[:, :, None], self.Jq * weight[:, :, None]
+        return replace(self, r=r, J=J, Jq=Jq, E=E, unsure=())
+
+    def averaged(self, own: Array, of_other: Callable[[Evidence], Array]) -> Array:
+        """Log likelihoods averaged over what tables' noise may be over the others'.
+
+        own : at the assumed ratios; of_other : gives the same of a problem at other ones
+        """
+        if not self.unsure:
+            return own
+        each = [own + np.log(1 - 2 * WEIGHT_ASIDE * len(self.unsure))]
+        each += [of_other(other) + log_weight for log_weight, other in self.at_other_ratios]
+        return np.asarray(np.logaddexp.reduce(each))
 
     def log_base(self, also: Array | None = None) -> Array:
         """Log likelihood without a further cause, shape (rhos, sigmas); also : columns that are in the model."""
-        return self.marginals.log_base(NONE if also is None else also)
+        own = self.marginals.log_base(NONE if also is None else also)
+        return self.averaged(own, lambda other: other.log_base(also))
 
     def log_grids(self, groups: Sequence[Array], also: Array | None = None) -> Array:
         """Log likelihood of each group of columns as a cause, shape (groups, rhos, sigmas, kappas).
 
         also : columns of causes that are in the model already; they are treated like the base model
         """
-        return self.marginals.log_grids(groups, NONE if also is None else also)
+        own = self.marginals.log_grids(groups, NONE if also is None else also)
+        return self.averaged(own, lambda other: other.log_grids(groups, also))
+
+    def look_ahead(self, chosen: Sequence[Array], groups: Sequence[Array]) -> None:
+        """Make ready what the groups need when they are judged beside each of the chosen ones."""
+        for e in (self, *(other for _, other in self.at_other_ratios)):
+            e.marginals.look_ahead(chosen, groups)
 
 
 def joint_noise(Jq: Array) -> NoiseModel:

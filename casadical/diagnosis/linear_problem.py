@@ -39,6 +39,9 @@ GROSS = 5.0
 MOST_FREEDOM = 60
 # Logarithm by which the ratio of two noises may be off.
 SAME_RATIO = 0.2
+# Of tables of fewer numbers, so many at most, likelihoods are averaged over what their noise may be (of more it is
+# known to 5 %).
+UNSURE, MOST_UNSURE = 200, 2
 # One sigma, in sizes, of parameters of effects that the robot has: as good as fixed.
 HELD = 1e-3
 
@@ -353,10 +356,28 @@ def _problem(
         measured=seen.measured,
         size=seen.size,
         alike=seen.alike,
+        unsure=unsure_tables(seen),
     )
     if not seen.plain:
         whole = replace(whole, reference=max(left, float(SIGMAS[0])))
     return kept, whole.restricted()
+
+
+def unsure_tables(seen: Observations) -> tuple[Array, ...]:
+    """See `Evidence`: of lengths and angles of each set that declares no sigma of them, where others tell theirs."""
+    masks, declared = [], False
+    for m, poses, places in zip(seen.sets, seen.layout.poses, seen.layout.places, strict=True):
+        lengths = find_kind(m.kind).lengths
+        for part, known in ((places[:, :lengths], m.sigma), (places[:, lengths:], m.sigma_angle)):
+            mask = np.zeros(seen.r.shape, dtype=bool)
+            mask[poses, part] = seen.measured[poses, part]
+            if known:
+                declared = True
+            elif mask.any():
+                masks.append(mask)
+    counts = [int(mask.sum()) for mask in masks]
+    rising = np.argsort(counts, kind="stable")[: len(masks) - (not declared)]
+    return tuple(masks[k] for k in rising[:MOST_UNSURE] if counts[k] < UNSURE)
 
 
 def better_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:

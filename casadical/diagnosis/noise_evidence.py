@@ -5,6 +5,8 @@ Sums over the poses are those of plain noise less what some poses or directions 
 where fewer numbers were measured than there are columns, their covariance is used instead.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -80,12 +82,19 @@ class Problem:
         self._by_rows = e.r.size <= len(self._weights)
         self._kept: dict[int, Array] = {}
         self._known: dict[Form, Array] = {}
+        self._others: dict[int, Problem] = {}
 
     def log_likelihood(self, form: Form) -> Array:
         """Of the problem with this form of noise, its weight included, shape (rhos, sigmas)."""
         if form not in self._known:
-            self._known[form] = self._judged(form)
+            self._known[form] = self.e.averaged(self._judged(form), lambda other: self._at(other)._judged(form))
         return self._known[form]
+
+    def _at(self, e: Evidence) -> Problem:
+        """The same at other ratios of the tables' noises."""
+        if id(e) not in self._others:
+            self._others[id(e)] = Problem(e, self.chosen, self._order)
+        return self._others[id(e)]
 
     def _judged(self, form: Form) -> Array:
         e, near = self.e, list(self.e.near)

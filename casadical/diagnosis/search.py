@@ -160,7 +160,7 @@ class State:
     def _rank_sets(self, sets: Sequence[Mapping[str, tuple[Effect, ...]]]) -> list[Ranking]:
         """The same beside each of some sets of further causes."""
         effects = dict.fromkeys(e for also in sets for own in also.values() for e in own)
-        self.case.judged.marginals.look_ahead([self.case.group((e,)) for e in effects], self.case.groups)
+        self.case.judged.look_ahead([self.case.group((e,)) for e in effects], self.case.groups)
         return [self.rank(self.steps, also) for also in sets]
 
     def ranked(self) -> State:

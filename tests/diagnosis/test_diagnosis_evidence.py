@@ -7,8 +7,10 @@ import pytest
 from cases import small_problem
 from scipy.stats import multivariate_normal
 
+from casadical.core.basics import Array
 from casadical.core.linear_gaussian.grid import log_sum
-from casadical.diagnosis.evidence import ALL_SIGMAS, SIGMAS, Evidence
+from casadical.diagnosis.evidence import ALL_SIGMAS, KAPPAS, RHOS, SIGMAS, Evidence
+from casadical.diagnosis.noise_evidence import PLAIN, Problem
 from casadical.diagnosis.noise_floor import noise_floor, outlier_probability, scatter_of_coordinate
 from casadical.measurements.measurements import Noise
 
@@ -88,3 +90,56 @@ def test_outliers_have_the_probability_of_their_distance() -> None:
     one = 0.01 * wide / (0.01 * wide + 0.99 * usual)
     assert outlier_probability(np.array([16.0])) == pytest.approx(one)
     assert outlier_probability(np.array([16.0, 16.0])) == pytest.approx(1 - (1 - one) ** 2)
+
+
+# A table of few numbers beside a larger one: the first poses, of 30 numbers, and the other 90.
+FEW_POSES, SIGMA = 10, 16
+
+
+def two_tables(times: float) -> Evidence:
+    """Noise of the few poses is so many times what it is taken for, by its rms; a base that its prior holds."""
+    rng = np.random.default_rng(6)
+    J, Jq, E = rng.normal(size=(40, 3, 2)), 0.3 * rng.normal(size=(40, 3, 2)), 2e-5 * rng.normal(size=(40, 3, 2))
+    r = rng.normal(size=(40, 3))
+    r[:FEW_POSES] *= times / np.sqrt(np.mean(r[:FEW_POSES] ** 2))
+    few = np.repeat(np.arange(40) < FEW_POSES, 3).reshape(40, 3)
+    r *= SIGMAS[SIGMA]
+    return Evidence(r, J, Jq, np.zeros(2), np.full(2, 1e-5), E, unsure=(few,))
+
+
+def densities(e: Evidence, rho: int, column: int | None, logs: Array) -> Array:
+    """Log density of the residuals by their whole covariance, where the few numbers are as noisy as these logs say."""
+    few, J = e.unsure[0].ravel(), e.J.reshape(e.r.size, -1) * e.prior / e.reference
+    known = SIGMAS[SIGMA] ** 2 * J @ J.T
+    if column is not None:
+        own = e.take(np.array([column])).ravel()
+        known += KAPPAS[2] ** 2 * np.outer(own, own)
+    for k, Jq in enumerate(e.Jq):
+        known[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += (SIGMAS[SIGMA] * RHOS[rho]) ** 2 * Jq @ Jq.T
+    white = [np.diag(np.where(few, np.exp(2 * t), 1.0)) for t in logs]
+    return np.array([multivariate_normal(cov=known + SIGMAS[SIGMA] ** 2 * own).logpdf(e.r.ravel()) for own in white])
+
+
+@pytest.mark.parametrize("times", [0.85, 1.0, 1.2])
+@pytest.mark.parametrize("rho", [0, 3])
+def test_evidence_is_averaged_over_what_the_noise_of_few_numbers_may_be(times: float, rho: int) -> None:
+    """One sigma of the logarithm of these numbers' noise is .13; against an integral over all that it may be."""
+    e, logs = two_tables(times), np.linspace(-1.2, 1.2, 97)
+    spread = 1 / np.sqrt(2 * 3 * FEW_POSES)
+    weight = np.log((logs[1] - logs[0]) / (spread * np.sqrt(2 * np.pi)))
+    groups = [np.array([0]), np.array([1])]
+    sure = replace(e, unsure=())
+    for column in (None, 0, 1):
+        (of_sure, of_all) = (
+            problem.log_base()[rho, SIGMA] if column is None else problem.log_grids(groups)[column, rho, SIGMA, 2]
+            for problem in (sure, e)
+        )
+        gained = float(log_sum(densities(e, rho, column, logs)) + weight) - densities(e, rho, column, np.zeros(1))[0]
+        assert of_all - of_sure == pytest.approx(gained, abs=0.1)
+
+
+def test_forms_of_noise_are_averaged_as_the_plain_one_is() -> None:
+    e = two_tables(1.2)
+    chosen = np.array([1])
+    found = Problem(e, chosen, np.random.default_rng(0).permutation(40)).log_likelihood(PLAIN)
+    np.testing.assert_allclose(found, e.log_base(chosen), rtol=1e-9)

@@ -15,7 +15,7 @@ from casadical.diagnosis.cause_table import wires_at_fault
 from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.json_answer import as_json
-from casadical.diagnosis.linear_problem import make_case
+from casadical.diagnosis.linear_problem import make_case, unsure_tables
 from casadical.diagnosis.localisation import localise
 from casadical.diagnosis.next_poses import next_poses
 from casadical.diagnosis.observations import stops_in
@@ -317,6 +317,19 @@ def test_sets_of_two_kinds_have_noise_of_their_own() -> None:
     # .2 mm were put in.
     assert found.noise.sigma / found.case.observations.ratios.of_set(1)[0] == pytest.approx(2e-4, rel=0.3)
     assert [c.label for c in found.causes] == ["backlash@5"]
+
+
+def test_the_noise_of_small_tables_over_the_others_is_unsure() -> None:
+    """Of three tables of 60 distances one tells the others' noise, unless one declares its own."""
+    seen = by_distances().case.observations
+    counts = [int(mask.sum()) for mask in unsure_tables(seen)]
+    assert counts == [len(seen.m)] * 2 == [int(mask.sum()) for mask in by_distances().case.whole.unsure]
+    told = replace(seen, sets=(replace(seen.sets[0], sigma=1e-5), *seen.sets[1:]))
+    (first, second), own = unsure_tables(told), seen.layout
+    for mask, poses, places in zip((first, second), own.poses[1:], own.places[1:], strict=True):
+        assert mask[poses, places].all()
+    told = replace(seen, sets=tuple(replace(m, sigma=1e-5) for m in seen.sets))
+    assert not unsure_tables(told)
 
 
 def test_poses_that_hold_one_point_are_spread_over_the_folds() -> None:

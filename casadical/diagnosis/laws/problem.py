@@ -374,7 +374,7 @@ class Problem:
     def beside(cls, case: Case, chosen: Array, least: float = 0.0) -> Problem:
         """Of a case; chosen : columns of what is in the model already."""
         base = case.judged.with_base(chosen)
-        alone = replace(base, E=np.zeros((*base.r.shape, 1)), held=None)
+        alone = replace(base, E=np.zeros((*base.r.shape, 1)), held=None, unsure=())
         if case.form is PLAIN:
             return cls(alone, least)
         return cls(alone, least, case.order, case.form.serial(len(case.order)))
