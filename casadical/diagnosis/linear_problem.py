@@ -65,7 +65,8 @@ class Case:
     prior : what is known from another campaign; units : parameters that are correlated in it, as sums of independent
         ones of size one, shape (P, P), or None
     observations : what was measured; assumed : for the user, in sentences
-    form : of the noise, by which causes are judged
+    form : of the noise, by which causes are judged; scatters : joint that repeats worse than the others, 1-based, which
+        is in the noise of the problem
     """
 
     robot: Robot
@@ -83,6 +84,7 @@ class Case:
     units: Array | None = None
     assumed: tuple[str, ...] = ()
     form: Form = PLAIN
+    scatters: int | None = None
     selected: Selected = field(init=False, repr=False, default_factory=Selected)
 
     @property
@@ -145,6 +147,11 @@ class Case:
     def with_form(self, form: Form) -> Case:
         """The case with another form of noise."""
         return replace(self, form=form)._with_evidence(self.evidence)
+
+    def with_scatter(self, joint: int, worse: float) -> Case:
+        """The case in which a joint (1-based) repeats so many times worse than the others."""
+        times = np.where(np.arange(self.whole.Jq.shape[2]) == joint - 1, worse, 1.0)
+        return replace(self, whole=replace(self.whole, Jq=self.whole.Jq * times), scatters=joint)
 
     def _with_evidence(self, known: Evidence) -> Case:
         """The case itself, whose problem without outliers is made already."""

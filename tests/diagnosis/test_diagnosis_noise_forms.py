@@ -134,12 +134,17 @@ def test_a_joint_that_scatters_is_no_cause() -> None:
     assert max(found, key=lambda k: found[k]) == "scatter of joint 2"
 
 
-def test_beside_a_cause_a_joint_that_scatters_is_on_no_list() -> None:
-    hidden = disturbances.GearEccentricity(4, 600e-6)
+@pytest.mark.parametrize("size", [250e-6, 600e-6], ids=["smaller than the scatter", "larger"])
+def test_beside_a_cause_a_joint_that_scatters_is_noise_and_is_said(size: float) -> None:
+    """Of either size the cause is found with the scatter in the noise; alone, the scatter leads before the smaller."""
+    hidden = disturbances.GearEccentricity(4, size)
     d = diagnose(robot("ur10e"), simulated("ur10e", 4, hidden, Scatter(2, 60e-6), n=60))
-    assert [c.label for c in d.causes] == ["gear_eccentricity@4"]
-    assert d.verdict != "explained"
-    assert d.rankings[-1].order[0] == "scatter of joint 2"
+    assert (d.verdict, [c.label for c in d.causes]) == ("explained", ["gear_eccentricity@4"])
+    assert d.case.scatters == 2
+    assert SCATTERS * d.noise.repeatability == pytest.approx(60e-6, rel=0.3)
+    assert d.gap.after == pytest.approx(d.gap.floor, rel=0.1)
+    assert as_json(d, "campaign")["noise"]["form"] == "scatter of joint 2"
+    assert "joint 2 repeats 8 times as badly as the others" in " ".join(page_of(d).split())
 
 
 def test_beside_a_cause_noise_that_follows_itself_is_no_further_one() -> None:
