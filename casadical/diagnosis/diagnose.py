@@ -16,9 +16,10 @@ from casadical.diagnosis.evidence import ALL_SIGMAS
 from casadical.diagnosis.laws.contest import claimed_before_causes, replaces_causes
 from casadical.diagnosis.linear_problem import Case, better_ratios, make_case
 from casadical.diagnosis.noise_account import Rule
+from casadical.diagnosis.noise_forms import SCATTERS, scattering
 from casadical.diagnosis.observations import Ratios
 from casadical.diagnosis.result import Change, Diagnosis
-from casadical.diagnosis.search import State, search_with_forms
+from casadical.diagnosis.search import FORM_NONE, State, search_with_forms
 from casadical.effects import Effect
 from casadical.identification.identification import Prepared, base_calibrated, compliance_tried, prepare, prepared_again
 from casadical.identification.plausibility import fault_of_orientations
@@ -137,10 +138,23 @@ class _Question:
         return case.with_prior(known, self.base.sigmas[0][0]) if known.free else case
 
     def searched(self, case: Case) -> Diagnosis:
-        """The causes in a case."""
+        """The causes in a case; where a joint scatters beside or before them, those that are found with it.
+
+        They are the answer where they leave nothing but noise with it: what looked like scatter beside something that
+        is on no list may be a form that was not tried.
+        """
         case = replace(case, assumed=_assumed(case, self.base, self.prepared.sets))
         state, end, p_nothing = search_with_forms(case, self.seed, self.bootstrap, self.show)
-        return conclude(self.base, state, end, self.seed, p_nothing)
+        found = conclude(self.base, state, end, self.seed, p_nothing)
+        joint = scattering(case, found.rankings[-1]) if found.verdict == "unknown" else None
+        if joint is None:
+            return found
+        self.show(f"causes where joint {joint} repeats badly")
+        other, end, _ = search_with_forms(case.with_scatter(joint, SCATTERS), self.seed, 0, self.show)
+        if other.rankings[0].none > FORM_NONE or other.log_evidence < state.log_evidence:
+            return found
+        with_it = conclude(self.base, other, end, self.seed, p_nothing)
+        return with_it if with_it.effects() and with_it.verdict != "unknown" else found
 
     def answer(self) -> Diagnosis:
         """The diagnosis; searched again where the noise turns out other than it was taken for."""

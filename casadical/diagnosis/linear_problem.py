@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.basics import Array, InputError
+from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.linear_gaussian.marginals import FEW, NONE
 from casadical.core.parameters import Parameter
 from casadical.core.statistics import robust_std
@@ -137,6 +138,11 @@ class Case:
     def judged(self) -> Evidence:
         """The same as its form of noise moves it: by this causes are judged."""
         return self.evidence if self.form is PLAIN else as_form_moves(self.evidence, self.form, self.order)
+
+    @property
+    def log_none(self) -> float:
+        """Log likelihood without a cause, by its form of noise."""
+        return float(log_sum(self.judged.log_base())) + self.form.log_weight
 
     def torques(self, m: Measurements) -> Array:
         """Gravity torque of the base model at each joint at some poses, shape (len(m), joints) [N m]."""

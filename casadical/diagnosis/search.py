@@ -18,7 +18,7 @@ from casadical.diagnosis.cause_sets import most_probable_set
 from casadical.diagnosis.cross_validation import remainders
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.noise_forms import SCATTERS, other_following, scattering, with_noise_forms
+from casadical.diagnosis.noise_forms import other_following, with_noise_forms
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, rank
 from casadical.diagnosis.settings_search import refined
 from casadical.diagnosis.structure import lines_of
@@ -147,6 +147,11 @@ class State:
         """Log evidence of its causes, over none."""
         return sum(s.ranking.log_factor[s.labels[0]] for s in self.steps)
 
+    @property
+    def log_evidence(self) -> float:
+        """Of its causes and its noise."""
+        return self.case.log_none + self.log_gain
+
     def most_probable_set(self) -> tuple[tuple[str, ...], frozenset[str]]:
         """Listed causes that explain together what the last ranking gives to no single one, and those in doubt."""
         return most_probable_set(
@@ -214,21 +219,10 @@ class State:
 
 def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tuple[State, End, float | None]:
     """The same as `search`, under the form of noise that is most probable beside the causes that are found under it.
-
-    Where a joint's scatter leads, causes are searched where it is in the noise: with it they may explain everything.
     Noise that follows itself is looked for beside the causes of each search, and these again where it is found, until
     neither changes; with a noise that follows itself fitted before the causes, it would follow these.
     """
     state, end, p_nothing = search(case, seed, bootstrap, show)
-    if joint := scattering(case, state.rankings[-1]):
-        show(f"causes where joint {joint} repeats badly")
-        scatters = case.with_scatter(joint, SCATTERS)
-        other, other_end, _ = search(scatters, seed, 0, show)
-        gain = float(log_sum(other.case.judged.log_base()) - log_sum(state.case.judged.log_base())) + other.log_gain
-        there = other.steps and other.rankings[0].none <= FORM_NONE
-        # Where something else is left, what looked like scatter may be a form that was not tried.
-        if there and other_end != "unknown" and gain > state.log_gain:
-            case, state, end = scatters, other, other_end
     if not case.observations.plain:
         return state, end, p_nothing
 
