@@ -41,8 +41,8 @@ MOST_FREEDOM = 60
 # Logarithm by which the ratio of two noises may be off.
 SAME_RATIO = 0.2
 # Of tables of fewer numbers, so many at most, likelihoods are averaged over what their noise may be (of more it is
-# known to 5 %).
-UNSURE, MOST_UNSURE = 200, 2
+# known to 5 %); not of one that is less than this share of all numbers, which tells little.
+UNSURE, MOST_UNSURE, LEAST_OF_ALL = 200, 2, 0.1
 # One sigma, in sizes, of parameters of effects that the robot has: as good as fixed.
 HELD = 1e-3
 
@@ -66,8 +66,8 @@ class Case:
     prior : what is known from another campaign; units : parameters that are correlated in it, as sums of independent
         ones of size one, shape (P, P), or None
     observations : what was measured; assumed : for the user, in sentences
-    form : of the noise, by which causes are judged; scatters : joint that repeats worse than the others, 1-based, which
-        is in the noise of the problem
+    form : of the noise, by which causes are judged
+    scatters : joint (1-based) that repeats worse than the others, in the noise of the problem; worse : so many times
     """
 
     robot: Robot
@@ -86,6 +86,7 @@ class Case:
     assumed: tuple[str, ...] = ()
     form: Form = PLAIN
     scatters: int | None = None
+    worse: float = 1.0
     selected: Selected = field(init=False, repr=False, default_factory=Selected)
 
     @property
@@ -156,8 +157,13 @@ class Case:
 
     def with_scatter(self, joint: int, worse: float) -> Case:
         """The case in which a joint (1-based) repeats so many times worse than the others."""
-        times = np.where(np.arange(self.whole.Jq.shape[2]) == joint - 1, worse, 1.0)
-        return replace(self, whole=replace(self.whole, Jq=self.whole.Jq * times), scatters=joint)
+        more = replace(self, scatters=joint, worse=worse)
+        return replace(more, whole=replace(self.whole, Jq=self.whole.Jq * more.joint_times))
+
+    @property
+    def joint_times(self) -> Array:
+        """How many times worse than the others each joint repeats, shape (joints,)."""
+        return np.where(np.arange(self.whole.Jq.shape[2]) + 1 == self.scatters, self.worse, 1.0)
 
     def _with_evidence(self, known: Evidence) -> Case:
         """The case itself, whose problem without outliers is made already."""
@@ -390,7 +396,8 @@ def unsure_tables(seen: Observations) -> tuple[Array, ...]:
                 masks.append(mask)
     counts = [int(mask.sum()) for mask in masks]
     rising = np.argsort(counts, kind="stable")[: len(masks) - (not declared)]
-    return tuple(masks[k] for k in rising[:MOST_UNSURE] if counts[k] < UNSURE)
+    least = LEAST_OF_ALL * int(seen.measured.sum())
+    return tuple(masks[k] for k in rising if least <= counts[k] < UNSURE)[:MOST_UNSURE]
 
 
 def better_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:

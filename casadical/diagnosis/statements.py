@@ -14,7 +14,6 @@ from casadical.diagnosis.held_out_gap import of_time
 from casadical.diagnosis.isolability import cannot_tell, indistinguishable, invisible
 from casadical.diagnosis.next_poses import discrimination_probability, kinds_of_poses
 from casadical.diagnosis.noise_account import Rule
-from casadical.diagnosis.noise_forms import SCATTERS
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.thresholds import CLAIM, DETECT, DETECT_FURTHER, SET_CLAIM
 from casadical.identification.gravity import in_words as gravity_in_words
@@ -184,7 +183,9 @@ def _taken(d: Diagnosis) -> Iterator[Statement]:
         text = f"what is left is more like {form} than like noise that is independent and alike everywhere"
         scatters = d.case.scatters if d.noise.repeatability else None
         if scatters:
-            to = f"{SCATTERS:g} times as badly as the others, {1e6 * SCATTERS * d.noise.repeatability:.3g} urad"
+            unit = "urad" if d.case.given.joints[scatters - 1].kind == "revolute" else "um"
+            badly = f"{1e6 * d.case.worse * d.noise.repeatability:.3g} {unit}"
+            to = f"{d.case.worse:g} times as badly as the others, {badly}"
             text += f"; joint {scatters} repeats {to}: check its encoder, its brake and how they are fastened"
         yield Statement("NOISE", text, doubtful=bool(scatters))
     if structure := d.account.structure_in_words():
