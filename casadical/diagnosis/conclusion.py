@@ -58,8 +58,6 @@ def conclude(
     if verdict == "explained":
         doubted = exactly and exactly.probability < thresholds.SET_CLAIM and _remainder(state) > thresholds.MISMATCH
         verdict = "ambiguous" if doubted else "unknown" if richer else "explained"
-    if case.scatters and verdict == "explained" and (account.is_structure or not account.like_noise):
-        verdict = "unknown"
     if (account.is_structure or joint) and not state.steps and verdict in ("none", "explained"):
         verdict = "unknown"
     return Diagnosis(

@@ -19,7 +19,7 @@ from casadical.diagnosis.noise_account import Rule
 from casadical.diagnosis.noise_forms import SCATTERS, scattering
 from casadical.diagnosis.observations import Ratios
 from casadical.diagnosis.result import Change, Diagnosis
-from casadical.diagnosis.search import FORM_NONE, State, search_with_forms
+from casadical.diagnosis.search import FORM_NONE, State, next_cause, search, search_with_forms
 from casadical.effects import Effect
 from casadical.identification.identification import Prepared, base_calibrated, compliance_tried, prepare, prepared_again
 from casadical.identification.plausibility import fault_of_orientations
@@ -138,10 +138,10 @@ class _Question:
         return case.with_prior(known, self.base.sigmas[0][0]) if known.free else case
 
     def searched(self, case: Case) -> Diagnosis:
-        """The causes in a case; where a joint scatters beside or before them, those that are found with it.
+        """The causes in a case; also those that a joint's scatter hides.
 
-        They are the answer where they leave nothing but noise with it: what looked like scatter beside something that
-        is on no list may be a form that was not tried.
+        A scatter that leads a ranking ends the search. Causes are then searched with it in the noise, and judged as
+        all are, without it: it may be what something on no list does at that joint, and is left as something unknown.
         """
         case = replace(case, assumed=_assumed(case, self.base, self.prepared.sets))
         state, end, p_nothing = search_with_forms(case, self.seed, self.bootstrap, self.show)
@@ -149,12 +149,14 @@ class _Question:
         joint = scattering(case, found.rankings[-1]) if found.verdict == "unknown" else None
         if joint is None:
             return found
-        self.show(f"causes where joint {joint} repeats badly")
-        other, end, _ = search_with_forms(case.with_scatter(joint, SCATTERS), self.seed, 0, self.show)
-        if other.rankings[0].none > FORM_NONE or other.log_evidence < state.log_evidence:
+        self.show(f"causes beside the scatter of joint {joint}")
+        with_it, _, _ = search(case.with_scatter(joint, SCATTERS), self.seed, 0, self.show)
+        if len(with_it.steps) <= len(found.effects()) or with_it.rankings[0].none > FORM_NONE:
             return found
-        with_it = conclude(self.base, other, end, self.seed, p_nothing)
-        return with_it if with_it.effects() and with_it.verdict != "unknown" else found
+        plain = replace(with_it, case=with_it.case.with_scatter(joint, 1 / SCATTERS))
+        plain = replace(plain, rankings=plain.rankings[: len(plain.steps)]).ranked()
+        more = conclude(self.base, plain, next_cause(plain, plain.rankings[-1])[0], self.seed, p_nothing)
+        return more if more.verdict == "unknown" and len(more.effects()) > len(found.effects()) else found
 
     def answer(self) -> Diagnosis:
         """The diagnosis; searched again where the noise turns out other than it was taken for."""

@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.basics import Array, InputError
-from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.linear_gaussian.marginals import FEW, NONE
 from casadical.core.parameters import Parameter
 from casadical.core.statistics import robust_std
@@ -41,8 +40,8 @@ MOST_FREEDOM = 60
 # Logarithm by which the ratio of two noises may be off.
 SAME_RATIO = 0.2
 # Of tables of fewer numbers, so many at most, likelihoods are averaged over what their noise may be (of more it is
-# known to 5 %); not of one that is less than this share of all numbers, which tells little.
-UNSURE, MOST_UNSURE, LEAST_OF_ALL = 200, 2, 0.1
+# known to 7 %); not of one that is less than this share of all numbers, which tells little.
+UNSURE, MOST_UNSURE, LEAST_OF_ALL = 100, 2, 0.1
 # One sigma, in sizes, of parameters of effects that the robot has: as good as fixed.
 HELD = 1e-3
 
@@ -67,7 +66,6 @@ class Case:
         ones of size one, shape (P, P), or None
     observations : what was measured; assumed : for the user, in sentences
     form : of the noise, by which causes are judged
-    scatters : joint (1-based) that repeats worse than the others, in the noise of the problem; worse : so many times
     """
 
     robot: Robot
@@ -85,8 +83,6 @@ class Case:
     units: Array | None = None
     assumed: tuple[str, ...] = ()
     form: Form = PLAIN
-    scatters: int | None = None
-    worse: float = 1.0
     selected: Selected = field(init=False, repr=False, default_factory=Selected)
 
     @property
@@ -140,11 +136,6 @@ class Case:
         """The same as its form of noise moves it: by this causes are judged."""
         return self.evidence if self.form is PLAIN else as_form_moves(self.evidence, self.form, self.order)
 
-    @property
-    def log_none(self) -> float:
-        """Log likelihood without a cause, by its form of noise."""
-        return float(log_sum(self.judged.log_base())) + self.form.log_weight
-
     def torques(self, m: Measurements) -> Array:
         """Gravity torque of the base model at each joint at some poses, shape (len(m), joints) [N m]."""
         w = m.condition_matrix(self.given.conditions, self.given.declared)
@@ -155,15 +146,10 @@ class Case:
         """The case with another form of noise."""
         return replace(self, form=form)._with_evidence(self.evidence)
 
-    def with_scatter(self, joint: int, worse: float) -> Case:
-        """The case in which a joint (1-based) repeats so many times worse than the others."""
-        more = replace(self, scatters=joint, worse=worse)
-        return replace(more, whole=replace(self.whole, Jq=self.whole.Jq * more.joint_times))
-
-    @property
-    def joint_times(self) -> Array:
-        """How many times worse than the others each joint repeats, shape (joints,)."""
-        return np.where(np.arange(self.whole.Jq.shape[2]) + 1 == self.scatters, self.worse, 1.0)
+    def with_scatter(self, joint: int, times: float) -> Case:
+        """The case in which a joint (1-based) repeats so many times as badly as it did."""
+        own = np.where(np.arange(self.whole.Jq.shape[2]) == joint - 1, times, 1.0)
+        return replace(self, whole=replace(self.whole, Jq=self.whole.Jq * own))
 
     def _with_evidence(self, known: Evidence) -> Case:
         """The case itself, whose problem without outliers is made already."""

@@ -80,7 +80,7 @@ def _of_smooth_errors(case: Case, noise: Noise, left: Evidence, rng: np.random.G
     for j, joint in enumerate(case.given.joints, 1):
         if joint.kind == "revolute":
             own = sines(case.m.q[kept, j - 1], FAST)
-            E.append((f"joint {j}", SIZE * case.observations.Jq[kept][:, :, [j - 1]] * own[:, None]))
+            E.append((f"joint {j}", SIZE * case.whole.Jq[kept][:, :, [j - 1]] * own[:, None]))
     some = left.at(np.searchsorted(np.flatnonzero(case.kept), kept))
     projection = some.projection(noise.repeatability / noise.sigma)
     axes = np.eye(len(some.prior)) if some.turn is None else some.turn / some.prior[:, None]
@@ -159,7 +159,7 @@ def _levers(case: Case) -> dict[str, Array]:
     links = {k: SIZE * case.whole.J[:, :, columns[k]] for k in moved}
     last = [*columns.get(f"link {n}", []), *columns.get("tool", [])]
     tool = {"tool": SIZE * case.whole.J[:, :, last]} if last else {}
-    joints = {f"joint {j + 1}": SIZE * case.observations.Jq[:, :, [j]] for j in range(n)}
+    joints = {f"joint {j + 1}": SIZE * case.whole.Jq[:, :, [j]] for j in range(n)}
     return {**joints, **links, **tool}
 
 

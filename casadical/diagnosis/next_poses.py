@@ -61,9 +61,9 @@ def predict_cause(case: Case, variant: tuple[Effect, ...], noise: Noise, poses: 
     return Prediction(new @ fit.x, new @ fit.root.T)
 
 
-def noise_at(noise: Noise, poses: Linearisation, times: Array | float = 1.0) -> Array:
-    """Covariance of the noise at new poses, shape (K, 3, 3) [m^2]; times : as each joint repeats, shape (joints,)."""
-    return joint_noise(poses.Jq * times).covariance({REPEATABILITY: noise.repeatability}, noise.sigma)
+def noise_at(noise: Noise, poses: Linearisation) -> Array:
+    """Covariance of the noise at new poses, shape (K, 3, 3) [m^2]."""
+    return joint_noise(poses.Jq).covariance({REPEATABILITY: noise.repeatability}, noise.sigma)
 
 
 class Predictive:
@@ -202,7 +202,7 @@ def next_poses(
     columns = dict.fromkeys((*case.robot.conditions, *(c for e in effects for c in e.conditions)))
     drawn = later_poses(case.robot, case.m, case.kept, columns, pool, seed, workspace, payloads)
     poses = linearise(case.given, drawn.m, case.values)
-    noise_there = noise_at(noise, poses, case.joint_times)
+    noise_there = noise_at(noise, poses)
     models = [(c.label, Predictive(predict_cause(case, c.variant, noise, poses), noise_there)) for c in causes]
     rivals = [(a in labels, b in labels, p, r) for (a, p), (b, r) in combinations(models, 2) if a != b]
     asked = [(p, r) for first, second, p, r in rivals if first and second]

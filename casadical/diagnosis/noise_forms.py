@@ -41,19 +41,11 @@ FORM_GAIN = 10.0
 
 
 def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collection[int | None] = ()) -> Ranking:
-    """The ranking with other forms of noise in it; a joint's scatter that is in the noise already is said.
+    """The ranking with other forms of noise in it.
 
     chosen : columns of causes that are in the model already; joints : that these are at, whose scatter is what their
         equations leave, like noise
     """
-    ranking = _with_others(ranking, case, chosen, joints)
-    if case.scatters and not ranking.noise_form:
-        return replace(ranking, noise_form=scatter_of(case.scatters))
-    return ranking
-
-
-def _with_others(ranking: Ranking, case: Case, chosen: Array, joints: Collection[int | None]) -> Ranking:
-    """The ranking with forms of noise other than the case's."""
     if case.form.stays:
         return replace(ranking, noise_form=FOLLOWING)
     seen = ranking.none <= (PLAIN if len(chosen) else DETECT)
@@ -87,7 +79,7 @@ def _with_others(ranking: Ranking, case: Case, chosen: Array, joints: Collection
 
 
 def scattering(case: Case, ranking: Ranking) -> int | None:
-    """The joint (1-based) whose scatter is the most probable in a ranking, if it is."""
+    """The joint (1-based) whose scatter is the most probable in a ranking, if one's is."""
     labels = {scatter_of(j): j for j in case.robot.numbers}
     return labels.get(ranking.order[0]) if ranking.none <= DETECT_FURTHER else None
 

@@ -147,11 +147,6 @@ class State:
         """Log evidence of its causes, over none."""
         return sum(s.ranking.log_factor[s.labels[0]] for s in self.steps)
 
-    @property
-    def log_evidence(self) -> float:
-        """Of its causes and its noise."""
-        return self.case.log_none + self.log_gain
-
     def most_probable_set(self) -> tuple[tuple[str, ...], frozenset[str]]:
         """Listed causes that explain together what the last ranking gives to no single one, and those in doubt."""
         return most_probable_set(
@@ -219,6 +214,7 @@ class State:
 
 def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tuple[State, End, float | None]:
     """The same as `search`, under the form of noise that is most probable beside the causes that are found under it.
+
     Noise that follows itself is looked for beside the causes of each search, and these again where it is found, until
     neither changes; with a noise that follows itself fitted before the causes, it would follow these.
     """

@@ -181,13 +181,7 @@ def _taken(d: Diagnosis) -> Iterator[Statement]:
     yield Statement("NOISE", d.account.in_words())
     if form := d.rankings[-1].noise_form:
         text = f"what is left is more like {form} than like noise that is independent and alike everywhere"
-        scatters = d.case.scatters if d.noise.repeatability else None
-        if scatters:
-            unit = "urad" if d.case.given.joints[scatters - 1].kind == "revolute" else "um"
-            badly = f"{1e6 * d.case.worse * d.noise.repeatability:.3g} {unit}"
-            to = f"{d.case.worse:g} times as badly as the others, {badly}"
-            text += f"; joint {scatters} repeats {to}: check its encoder, its brake and how they are fastened"
-        yield Statement("NOISE", text, doubtful=bool(scatters))
+        yield Statement("NOISE", text)
     if structure := d.account.structure_in_words():
         yield Statement("NOISE", structure, doubtful=True)
     yield from (Statement("ASSUMED", text) for text in assumptions(d))

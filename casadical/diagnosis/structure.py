@@ -98,7 +98,7 @@ def joint_of_outliers(case: Case, columns: Array, noise: Noise) -> int | None:
     out = ~case.kept
     if out.sum() < 2 or case.vectors is None:
         return None
-    left, motions = fitted_without(case.whole, columns, noise, out)[out, :3], case.observations.Jq[out, :3]
+    left, motions = fitted_without(case.whole, columns, noise, out)[out, :3], case.whole.Jq[out, :3]
     lengths = np.linalg.norm(left, axis=1)[:, None] * np.linalg.norm(motions, axis=1)
     cosine = np.abs(np.einsum("ki,kij->kj", left, motions)) / np.maximum(lengths, 1e-300)
     total = -np.log(np.clip(1 - cosine, 1e-300, 1.0)).sum(axis=0)

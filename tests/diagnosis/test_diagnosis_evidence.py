@@ -138,6 +138,35 @@ def test_evidence_is_averaged_over_what_the_noise_of_few_numbers_may_be(times: f
         assert of_all - of_sure == pytest.approx(gained, abs=0.1)
 
 
+def test_two_tables_of_few_numbers_are_averaged_over_both() -> None:
+    """Against an integral over a plane; the second one has 45 numbers."""
+    e = two_tables(1.1)
+    (few,) = e.unsure
+    other = np.repeat((np.arange(40) >= FEW_POSES) & (np.arange(40) < FEW_POSES + 15), 3).reshape(40, 3)
+    both, logs = replace(e, unsure=(few, other)), np.linspace(-0.6, 0.6, 16)
+    total = []
+    for t in logs:
+        times = np.where(other, np.exp(t), 1.0)
+        moved = replace(e, r=e.r / times, J=e.J / times[:, :, None], Jq=e.Jq / times[:, :, None])
+        total.append(densities(moved, 0, None, logs) - np.log(times).sum())
+    weight = sum(np.log((logs[1] - logs[0]) * np.sqrt(2 * m.sum() / (2 * np.pi))) for m in (few, other))
+    gained = float(log_sum(np.array(total)) + weight) - densities(e, 0, None, np.zeros(1))[0]
+    alone = replace(e, unsure=()).log_base()[0, SIGMA]
+    assert both.log_base()[0, SIGMA] - alone == pytest.approx(gained, abs=0.1)
+
+
+def test_what_the_base_absorbs_makes_the_noise_of_few_numbers_less_sure() -> None:
+    """Of 120 numbers the base takes 60: the 30 tell as much as 15."""
+    e = replace(two_tables(1.0), absorbed=60.0)
+    few = e.unsure[0]
+    (_, finer), (_, noisier) = e.at_other_ratios
+    assert noisier.r[few] == pytest.approx(e.r[few] / np.exp(np.sqrt(3) / np.sqrt(2 * 15)))
+    assert finer.r[few] == pytest.approx(e.r[few] * np.exp(np.sqrt(3) / np.sqrt(2 * 15)))
+    assert "at_other_ratios" in vars(e)
+    e.forget()
+    assert "at_other_ratios" not in vars(e)
+
+
 def test_forms_of_noise_are_averaged_as_the_plain_one_is() -> None:
     e = two_tables(1.2)
     chosen = np.array([1])

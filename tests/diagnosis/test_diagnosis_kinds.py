@@ -332,6 +332,21 @@ def test_the_noise_of_small_tables_over_the_others_is_unsure() -> None:
     assert not unsure_tables(told)
 
 
+@pytest.mark.parametrize(("declared", "unsure"), [("sigma_angle", slice(3)), ("sigma", slice(3, None))])
+def test_of_few_full_poses_what_declares_no_noise_is_unsure(declared: str, unsure: slice) -> None:
+    """Of 30 poses, with 90 lengths and as many angles; of 40 neither."""
+    m, r = practice("hh800-P01"), robot("hh800")
+
+    def masks(count: int) -> tuple[np.ndarray, ...]:
+        told = replace(poses(m[:count]), **{declared: 1e-5})
+        return make_case(base_calibrated(prepare(r, told)), candidates_of(r, ["backlash"])).whole.unsure
+
+    (own,) = masks(30)
+    assert own.sum() == 90
+    assert own[:, unsure].all()
+    assert not masks(40)
+
+
 def test_poses_that_hold_one_point_are_spread_over_the_folds() -> None:
     m = practice("hh800-P01")[:40]
     touched = Measurements(m.q, "contact", label=np.repeat(["A", "B", "C", "D"], 10))

@@ -15,8 +15,8 @@ from casadical.core.basics import Array
 from casadical.core.linear_gaussian.model import Memory
 from casadical.diagnosis.evidence import RHOS, SIGMAS, Evidence, KnownNoise
 from casadical.diagnosis.json_answer import as_json
-from casadical.diagnosis.noise_evidence import Form, Problem
-from casadical.diagnosis.noise_forms import FOLLOWS, SCATTERS, SHARE, TIMES, following, noise_forms, tailed
+from casadical.diagnosis.noise_evidence import Form, Problem, as_form_moves
+from casadical.diagnosis.noise_forms import FOLLOWS, SCATTERS, SHARE, TIMES, following, noise_forms, scattering, tailed
 from casadical.diagnosis.text import page_of
 from casadical.measurements.measurements import Measurements
 
@@ -135,16 +135,31 @@ def test_a_joint_that_scatters_is_no_cause() -> None:
 
 
 @pytest.mark.parametrize("size", [250e-6, 600e-6], ids=["smaller than the scatter", "larger"])
-def test_beside_a_cause_a_joint_that_scatters_is_noise_and_is_said(size: float) -> None:
-    """Of either size the cause is found with the scatter in the noise; alone, the scatter leads before the smaller."""
+def test_beside_a_cause_a_joint_that_scatters_is_on_no_list(size: float) -> None:
+    """The smaller cause is seen only with the scatter in the noise: without it the scatter leads and ends the search."""
     hidden = disturbances.GearEccentricity(4, size)
     d = diagnose(robot("ur10e"), simulated("ur10e", 4, hidden, Scatter(2, 60e-6), n=60))
-    assert (d.verdict, [c.label for c in d.causes]) == ("explained", ["gear_eccentricity@4"])
-    assert d.case.scatters == 2
-    assert SCATTERS * d.noise.repeatability == pytest.approx(60e-6, rel=0.3)
-    assert d.gap.after == pytest.approx(d.gap.floor, rel=0.1)
-    assert as_json(d, "campaign")["noise"]["form"] == "scatter of joint 2"
-    assert "joint 2 repeats 8 times as badly as the others" in " ".join(page_of(d).split())
+    assert (d.verdict, [c.label for c in d.causes]) == ("unknown", ["gear_eccentricity@4"])
+    assert d.rankings[-1].order[0] == "scatter of joint 2"
+    assert "most like scatter of joint 2" in " ".join(page_of(d).split())
+    np.testing.assert_array_equal(d.case.whole.Jq, d.case.observations.Jq)
+
+
+def test_a_joint_scatters_in_a_ranking_where_its_scatter_leads_and_something_is_there() -> None:
+    d = diagnose(robot("ur10e"), simulated("ur10e", 4, Scatter(2, 80e-6), n=60), ["backlash"])
+    assert scattering(d.case, d.rankings[0]) == 2
+    assert scattering(d.case, replace(d.rankings[0], none=0.5)) is None
+
+
+def test_noise_that_follows_itself_is_judged_again_without_the_last_pose() -> None:
+    """No further pose follows another one then than before."""
+    known = case("ur10e-P03").with_form(following(0.6, int(case("ur10e-P03").kept.sum())))
+    assert np.isfinite(known.judged.log_base()).all()
+    kept = known.kept.copy()
+    kept[np.flatnonzero(kept)[known.order[-1]]] = False
+    fewer = known.with_kept(kept)
+    fresh = as_form_moves(fewer.evidence, fewer.form, fewer.order)
+    np.testing.assert_allclose(fewer.judged.log_base(), fresh.log_base(), rtol=1e-9)
 
 
 def test_beside_a_cause_noise_that_follows_itself_is_no_further_one() -> None:

@@ -142,7 +142,7 @@ class SerialColumns:
     def _blocks(self, blocks: Array | slice) -> tuple[Array, Array, Array, Array]:
         """Some blocks and those before them, and the weight of each."""
         here = np.arange(len(self.order))[blocks]
-        own = self.noise.weight[here].reshape(len(here), -1, 1)
+        own = self.noise.weight.reshape(len(self.order), -1, 1)[here]
         return here, np.maximum(here - 1, 0), own, self.noise.stays[here, None, None] * own
 
 

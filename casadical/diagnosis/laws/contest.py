@@ -53,7 +53,7 @@ def replaces_causes(found: Diagnosis, first: Round, poses: int = MOST_POSES) -> 
     case, listed = thinned(found.case, poses), _set_mass(found)
     if np.isfinite(listed):
         # Both are over no cause, each under a noise of its own.
-        over = case.with_form(first.form).log_none - case.log_none if first.form.stays != case.form.stays else 0.0
+        over = _log_none(case.with_form(first.form)) - _log_none(case) if first.form.stays != case.form.stays else 0.0
         if first.best.score + over + np.log(PRIOR_FIRST["unknown"]) < listed + ABOVE:
             return False
     if not found.columns.size:
@@ -157,6 +157,11 @@ def thinned(case: Case, poses: int) -> Case:
         return fewer
     e, stays = fewer.evidence, case.form.stays ** (len(at) / poses)
     return fewer.with_form(following(stays, len(e.r), e.count / len(e.r)))
+
+
+def _log_none(case: Case) -> float:
+    """Log likelihood without a cause, by the case's form of noise."""
+    return float(log_sum(case.judged.log_base(NONE))) + case.form.log_weight
 
 
 def _set_mass(found: Diagnosis) -> float:

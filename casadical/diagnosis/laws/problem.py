@@ -374,6 +374,7 @@ class Problem:
     def beside(cls, case: Case, chosen: Array, least: float = 0.0) -> Problem:
         """Of a case; chosen : columns of what is in the model already."""
         base = case.judged.with_base(chosen)
+        # At the tables' likely noise alone: thousands of laws are judged.
         alone = replace(base, E=np.zeros((*base.r.shape, 1)), held=None, unsure=())
         if case.form is PLAIN:
             return cls(alone, least)
