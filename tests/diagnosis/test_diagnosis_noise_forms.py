@@ -136,7 +136,7 @@ def test_a_joint_that_scatters_is_no_cause() -> None:
 
 @pytest.mark.parametrize("size", [250e-6, 600e-6], ids=["smaller than the scatter", "larger"])
 def test_beside_a_cause_a_joint_that_scatters_is_on_no_list(size: float) -> None:
-    """The smaller cause is seen only with the scatter in the noise: without it the scatter leads and ends the search."""
+    """The smaller cause is seen only with the scatter in the noise; else the scatter leads and ends the search."""
     hidden = disturbances.GearEccentricity(4, size)
     d = diagnose(robot("ur10e"), simulated("ur10e", 4, hidden, Scatter(2, 60e-6), n=60))
     assert (d.verdict, [c.label for c in d.causes]) == ("unknown", ["gear_eccentricity@4"])
