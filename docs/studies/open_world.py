@@ -6,7 +6,8 @@ base model cannot absorb, over the instrument's noise. Declared masses are wrong
 made here. Rules were developed on seeds "develop" and "develop 2", and judged on "judge" and, after the changes that
 followed, on "judge 2" to "judge 9", which nobody had seen before the commit that froze them. The same script, run with
 PYTHONPATH at an earlier commit, gives the figures before. The part "foreign" has effects (foreign_effects.py) written
-by an author who has read neither the diagnosis nor its effects.
+by an author who has read neither the diagnosis nor its effects; "one beside a foreign one" has one of these beside a
+listed one.
 
 --share 4 makes four times as many campaigns; --keep FILE keeps finished ones, to go on after a break; --masses nuisance
 has the masses of links in the base model; --laws asks, too, whether a law would be claimed in place of all causes (one
@@ -72,10 +73,11 @@ PARTS = {
     "unlisted": 36,
     "noise of another size": 9,
     "foreign": 32,
+    "one beside a foreign one": 20,
 }
 # Those that hide nothing, and those that hide what is on no list.
 CLEAN = (*tuple(PARTS)[:8], "noise of another size")
-OFF = ("unlisted", "foreign")
+OFF, BESIDE = ("unlisted", "foreign"), "one beside a foreign one"
 IMPERFECT = ("noise that follows itself", "one scattering joint", "heavy tails", "copied rows", "missing column")
 COLUMNS = {"approach": "approach", "temperature": "temperature", "payload": "payload", "time": "time_s"}
 
@@ -115,6 +117,8 @@ def signals(part: str, rng: np.random.Generator) -> list[float]:
     counts = {"one": 1, "two": 2, "three": 3, "four": 4}
     if part in OFF:
         return [float(rng.uniform(0.8, 2.5))]
+    if part == BESIDE:
+        return [float(rng.uniform(0.8, 2.5)), float(rng.uniform(0.6, 2.0))]
     if part == "one":
         return [float(np.exp(rng.uniform(np.log(0.35), np.log(2.5))))]
     if part == "clutter":
@@ -133,6 +137,8 @@ def trial(part: str, number: int, seeds: str, options: dict[str, Any], *, laws: 
         words = [word]
     if part == "foreign":
         physics, words = "numpy", [list(FOREIGN)[number % len(FOREIGN)]]
+    if part == BESIDE:
+        physics, words = "numpy", [words[0], list(FOREIGN)[number % len(FOREIGN)]]
     kind = str(rng.choice(IMPERFECT)) if part == "one, imperfect" else part
     physics = "numpy" if kind == "one scattering joint" else physics
     session = Session(physics, perturb(nominal, int(rng.integers(1 << 30))), int(rng.choice([60, 100])), number + 7)
@@ -258,7 +264,11 @@ def table(trials: Sequence[dict[str, Any]]) -> str:
         rows += [(f"{part}: recall", recall(of[part])), (f"{part}: recall, limit", limit(of[part]))]
         rows.append((f"{part}: precision", precision(of[part])))
         rows.append((f"{part}: verdict unknown", share([t["verdict"] == "unknown" for t in of[part]])))
-    named = [t for t in trials if set(t["named"]) - {"outliers"}]
+    beside = of[BESIDE]
+    rows.append((f"{BESIDE}: named", share([t["truth"][0] in t["named"] for t in beside])))
+    rows.append((f"{BESIDE}: a wrong cause named", share([wrong(t) for t in beside])))
+    rows.append((f"{BESIDE}: called explained", share([t["verdict"] == "explained" for t in beside])))
+    named = [t for t in trials if set(t["named"]) - {"outliers"} and t["part"] != BESIDE]
     for verdict in ("explained", "ambiguous"):
         whole = [t for t in named if t["verdict"] == verdict and not t["alike"]]
         rows.append((f"{verdict}, causes certain: wrong or incomplete", share([flawed(t) for t in whole])))
