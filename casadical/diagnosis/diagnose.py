@@ -140,8 +140,9 @@ class _Question:
     def searched(self, case: Case) -> Diagnosis:
         """The causes in a case; also those that a joint's scatter hides.
 
-        A scatter that leads a ranking ends the search. Causes are then searched with it in the noise, and judged as
-        all are, without it: it may be what something on no list does at that joint, and is left as something unknown.
+        A scatter that leads a ranking ends the search. Causes are then searched with it in the noise, which their
+        probabilities are of. What they leave is judged without it: it may be what something on no list does at that
+        joint, and stays unknown.
         """
         case = replace(case, assumed=_assumed(case, self.base, self.prepared.sets))
         state, end, p_nothing = search_with_forms(case, self.seed, self.bootstrap, self.show)

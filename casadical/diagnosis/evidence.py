@@ -7,7 +7,7 @@ component: joint repeatability, which reaches the measured point through the der
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -269,21 +269,20 @@ class Evidence:
         r, J, Jq = self.r * weight, self.J * weight[:, :, None], self.Jq * weight[:, :, None]
         return replace(self, r=r, J=J, Jq=Jq, E=E, unsure=())
 
-    def averaged(self, own: Array, of_other: Callable[[Evidence], Array]) -> Array:
+    def averaged(self, own: Array, others: Iterable[Array]) -> Array:
         """Log likelihoods averaged over what tables' noise may be over the others'.
 
-        own : at the assumed ratios; of_other : gives the same of a problem at other ones
+        own : at the assumed ratios; others : the same at the other ones, of any one shape
         """
         if not self.unsure:
             return own
-        each = [own + np.log(1 - 2 * WEIGHT_ASIDE * len(self.unsure))]
-        each += [of_other(other) + log_weight for log_weight, other in self.at_other_ratios]
-        return np.asarray(np.logaddexp.reduce(each))
+        weighed = [a + weight for (weight, _), a in zip(self.at_other_ratios, others, strict=True)]
+        return np.asarray(np.logaddexp.reduce([own + np.log(1 - 2 * WEIGHT_ASIDE * len(self.unsure)), *weighed]))
 
     def log_base(self, also: Array | None = None) -> Array:
         """Log likelihood without a further cause, shape (rhos, sigmas); also : columns that are in the model."""
         own = self.marginals.log_base(NONE if also is None else also)
-        return self.averaged(own, lambda other: other.log_base(also))
+        return self.averaged(own, (other.log_base(also) for _, other in self.at_other_ratios))
 
     def log_grids(self, groups: Sequence[Array], also: Array | None = None) -> Array:
         """Log likelihood of each group of columns as a cause, shape (groups, rhos, sigmas, kappas).
@@ -291,7 +290,7 @@ class Evidence:
         also : columns of causes that are in the model already; they are treated like the base model
         """
         own = self.marginals.log_grids(groups, NONE if also is None else also)
-        return self.averaged(own, lambda other: other.log_grids(groups, also))
+        return self.averaged(own, (other.log_grids(groups, also) for _, other in self.at_other_ratios))
 
     def look_ahead(self, chosen: Sequence[Array], groups: Sequence[Array]) -> None:
         """Make ready what the groups need when they are judged beside each of the chosen ones."""

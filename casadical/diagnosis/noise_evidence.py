@@ -82,19 +82,16 @@ class Problem:
         self._by_rows = e.r.size <= len(self._weights)
         self._kept: dict[int, Array] = {}
         self._known: dict[Form, Array] = {}
-        self._others: dict[int, Problem] = {}
 
     def log_likelihood(self, form: Form) -> Array:
         """Of the problem with this form of noise, its weight included, shape (rhos, sigmas)."""
         if form not in self._known:
-            self._known[form] = self.e.averaged(self._judged(form), lambda other: self._at(other)._judged(form))
+            self._known[form] = self.e.averaged(self._judged(form), (p._judged(form) for p in self._at_other_ratios))
         return self._known[form]
 
-    def _at(self, e: Evidence) -> Problem:
-        """The same at other ratios of the tables' noises."""
-        if id(e) not in self._others:
-            self._others[id(e)] = Problem(e, self.chosen, self._order)
-        return self._others[id(e)]
+    @cached_property
+    def _at_other_ratios(self) -> list[Problem]:
+        return [Problem(other, self.chosen, self._order) for _, other in self.e.at_other_ratios]
 
     def _judged(self, form: Form) -> Array:
         e, near = self.e, list(self.e.near)
