@@ -89,7 +89,7 @@ def diagnose(
     logs = read_logs(problem, campaigns, reference, drive, effects.split(",") if effects else ())
     o.refuse_of_others(context, "joint logs" if logs else "measured poses", MODES)
     if logs:
-        _diagnose_logs(logs, problem, bool(laws), out, report_file, json_file, quiet)
+        _diagnose_logs(logs, bool(laws), out, report_file, json_file, quiet)
         return
     o.need(room, measure_next, "--room says where the poses of --next may lie; give --next FILE, too")
     o.need(unlisted, out, "--unlisted says what --out writes; give --out DIR, too")
@@ -145,7 +145,7 @@ def _suggested(
 
 
 def _diagnose_logs(
-    campaign: LogCampaign, problem: Path, laws: bool, out: Path | None, report_file: Path | None,
+    campaign: LogCampaign, laws: bool, out: Path | None, report_file: Path | None,
     json_file: Path | None, quiet: bool,
 ) -> None:  # fmt: skip
     console = wrapped(quiet)
@@ -155,8 +155,6 @@ def _diagnose_logs(
         with working(quiet, "diagnosing", path.name) as show:
             answers.append(campaign.diagnosed(path, show, laws=laws))
         tell(console, *answers[-1].blocks())
-        if answers[-1].verdict in ("ambiguous", "unknown"):
-            suggest(console, "for a motion that tells more", "plan", problem, "--motion", path)
         console.print()
         if out:
             texts |= answers[-1].files(out if len(campaign.logs) == 1 else out / path.name.partition(".")[0])

@@ -12,7 +12,7 @@ from typer import Argument, Context, Option
 
 from casadical.cli import options as o
 from casadical.cli.terminal import PLAN, WIDE, keep, suggest, tell, with_json, working, wrapped
-from casadical.core.basics import InputError, shown
+from casadical.core.basics import InputError
 from casadical.core.telling.blocks import Words
 
 if TYPE_CHECKING:
@@ -29,7 +29,6 @@ MODES = {
     "--isolability": ("poses", "effects", "json_file"),
     "--iso9283": ("out", "room", "cube_mm", "seed"),
     "--touches": ("out", "room", "touches", "noise_mm", "seed"),
-    "--motion": ("out", "motion", "reference", "drive", "effects", "json_file"),
 }  # fmt: skip
 
 
@@ -62,9 +61,6 @@ def plan(
     iso9283: Annotated[bool, Option("--iso9283")] = False,
     cube_mm: Annotated[float | None, Option(min=10, max=5000)] = None,
     touches: Annotated[int | None, Option(min=2, max=50, metavar="N")] = None,
-    motion: Annotated[Path | None, Option(metavar="LOG")] = None,
-    reference: o.Reference = None,
-    drive: o.DriveFile = None,
     seed: o.Seed = 0,
     json_file: o.Json = None,
     quiet: o.Quiet = False,
@@ -106,18 +102,13 @@ def plan(
     cube_mm : With --iso9283: side of the cube.
     touches : Plan N touches a day instead, that tell most about zeros, tool and foot of a calibrated robot; written to
         --out (default: touches.csv).
-    motion : Propose a motion instead, by a joint log: what to log next to distinguish the causes that it leaves open
-        (or those of --for); commands are written to --out (default: motion.csv).
     """
     from casadical.project.planning import circumstances_of, plan_problem
 
-    given = {"--isolability": isolability, "--iso9283": iso9283, "--touches": touches, "--motion": motion}
+    given = {"--isolability": isolability, "--iso9283": iso9283, "--touches": touches}
     o.refuse_of_others(context, next((mode for mode, asked in given.items() if asked), CALIBRATION), MODES)
     if isolability:
         _isolability(problem, poses, effects, json_file, quiet)
-        return
-    if motion:
-        _motion(problem, motion, reference, drive, effects, out or Path("motion.csv"), json_file, quiet)
         return
     if iso9283:
         _iso9283(problem, cube_mm, out or Path("iso9283.csv"), room, seed, quiet)
@@ -166,24 +157,6 @@ def _iso9283(problem: Path, cube_mm: float | None, out: Path, room: Path | None,
     tell(console, *words)
     keep({out: table.to_csv(index=False)}, console)
     suggest(console, "when it was measured", "verify", "RESULTS", out, "--iso9283")
-
-
-def _motion(
-    problem: Path, log: Path, reference: Path | None, drive: Path | None, effects: str | None, out: Path,
-    json_file: Path | None, quiet: bool,
-) -> None:  # fmt: skip
-    """The motion to log next."""
-    from casadical.project.diagnosis import read_logs
-
-    campaign = read_logs(problem, [log], reference, drive)
-    if campaign is None:
-        raise InputError(f"{shown(log)}: no joint log; --motion is for tables with time_s, command1_rad, q1_rad ...")
-    console = wrapped(quiet)
-    with working(quiet, "diagnosing", log.name) as show:
-        proposal = campaign.proposed(effects.split(",") if effects else (), show)
-    tell(console, *proposal.blocks())
-    keep(with_json(proposal.files(out), json_file, proposal.to_json()), console)
-    suggest(console, "when it was logged", "diagnose", problem, log, "LOGGED.csv")
 
 
 def _touches(robot: Path, n: int, out: Path, noise_mm: float | None, room: Path | None, seed: int, quiet: bool) -> None:

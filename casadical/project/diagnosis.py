@@ -18,10 +18,9 @@ from casadical.diagnosis.figures import diagnosis_figures
 from casadical.diagnosis.isolability import Isolability, isolability
 from casadical.diagnosis.json_answer import as_json, diagnosis_files
 from casadical.diagnosis.laws.answer import Discovery
-from casadical.diagnosis.motion.proposal import Proposal, proposed
 from casadical.diagnosis.motion.replay import Replay, replayed
 from casadical.diagnosis.motion.result import LogDiagnosis as LogDiagnosis
-from casadical.diagnosis.motion.result import diagnose_log, looks_of
+from casadical.diagnosis.motion.result import diagnose_log
 from casadical.diagnosis.page import diagnosis_page
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.text import brief, detailed
@@ -223,12 +222,6 @@ class LogCampaign:
     def diagnosed(self, log: Path, show: Show = silent, *, laws: bool = False) -> LogDiagnosis:
         """Why the arm moves otherwise than its model in one of the logs, as of `diagnose_log`. Raises InputError."""
         return diagnose_log(self.robot, self.log(log), self.healthy, show, own=self.own, laws=laws)
-
-    def proposed(self, names: Sequence[str] = (), show: Show = silent) -> Proposal:
-        """The motion to log next, after the first of the logs; names : causes in question. Raises InputError."""
-        log = self.log(self.logs[0])
-        first = diagnose_log(self.robot, log, self.healthy, show, own=self.own)
-        return proposed(first, looks_of(self.robot, log, self.healthy), names, show)
 
     def replayed(self, show: Show = silent) -> Replay | None:
         """Runs that were not fitted, from their commands alone; None where no commands were logged."""

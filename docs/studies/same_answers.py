@@ -70,7 +70,6 @@ def commands(scratch: Path, tree: Path) -> dict[str, list[str]]:
     todo["fleet-two"] = "fleet problems/planar problems/ur5 --store OUT/store.parquet --json OUT/a.json --no-diagnose"
     for log in sorted((ROOT / "data/so101_logs").glob("*.csv.gz")):
         todo[f"log-{log.name.split('.')[0]}"] = f"diagnose problems/so101 {log.relative_to(ROOT)} --json OUT/a.json"
-    todo["motion-so101"] = "plan problems/so101 --motion data/so101_logs/wave_motion.csv.gz --out OUT/motion.csv"
     table = scratch / "program.csv"
     rows = [line.split(",") for line in (ROOT / kr210).read_text().splitlines()[:11]]
     targets = [k for k, heading in enumerate(rows[0]) if heading.startswith("q")]

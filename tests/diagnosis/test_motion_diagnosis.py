@@ -2,11 +2,9 @@
 
 import ast
 import json
-import re
 import sys
 from dataclasses import replace
 from functools import cache
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +18,7 @@ from casadical.cli.root import app
 from casadical.core.drive import Drive
 from casadical.core.telling.blocks import Table
 from casadical.core.telling.result import plain_text
-from casadical.diagnosis.motion.proposal import proposed
-from casadical.diagnosis.motion.result import diagnose_log, looks_of
+from casadical.diagnosis.motion.result import diagnose_log
 from casadical.diagnosis.motion.signals import arm_of, motion_of
 from casadical.effects.motion import motion_effects
 from casadical.effects.plugins import known_effects
@@ -294,7 +291,7 @@ def table(log):
 
 
 def test_the_command_recognises_a_log(tmp_path):
-    robot, log, out, planned = (str(tmp_path / n) for n in ("arm.toml", "motion.csv", "found.json", "next.csv"))
+    robot, log, out = (str(tmp_path / n) for n in ("arm.toml", "motion.csv", "found.json"))
     table(simulated(1, contact)).to_csv(log, index=False)
     write_robot(ROBOT, robot)
     told = CliRunner().invoke(app, ["diagnose", robot, log, "--json", out])
@@ -304,16 +301,8 @@ def test_the_command_recognises_a_log(tmp_path):
     assert (found["verdict"], found["causes"]) == ("unknown", [])
     assert (found["fits"][0]["effect"], found["fits"][0]["joint"]) == ("contact", 3)
     assert "No cause is named" in told.output
-    assert "casadical plan" in told.output
     refused = CliRunner().invoke(app, ["diagnose", robot, log, "--details"])
     assert "--details: is for measured poses, not for joint logs" in str(refused.exception)
-    motion = ["plan", robot, "--motion", log, "--out", planned]
-    told = CliRunner().invoke(app, [*motion, "--for", "lag@2"])
-    assert told.exit_code == 0, told.output
-    assert "Log next, 30 s: joint 2 through" in told.output
-    assert pd.read_csv(planned).columns.tolist() == ["time_s", *(f"command{k}_rad" for k in (1, 2, 3))]
-    refused = CliRunner().invoke(app, [*motion, "-n", "4"])
-    assert "-n: is for poses to calibrate with" in str(refused.exception)
 
 
 def pushed(run, t, q, v, tau):
@@ -424,32 +413,6 @@ def test_each_cause_has_sizes_a_phrase_and_a_counterpart_in_mujoco():
     for name, kind in motion_effects().items():
         assert "MuJoCo: " in kind.definition.physics, name
         assert all((kind.definition.signature, kind.definition.confused_with, kind.definition.sizes)), name
-
-
-def test_a_motion_is_proposed_that_tells_delay_from_lag():
-    def a_little_late(run, t, q, v, tau):
-        return tau, np.array([0.0, 0.012, 0.0])
-
-    log = simulated(1, a_little_late)
-    looks = looks_of(ROBOT, log)
-    found = diagnose_log(ROBOT, log)
-    proposal = proposed(found, looks, ["transport_delay@2", "lag@2"])
-    assert set(proposal.expected) == {"transport_delay@2", "lag@2"}
-    for label, (alone, against) in proposal.expected.items():
-        assert against > 2 * proposal.same[label][1], label
-        assert alone > against
-    low, high = log.position.min(axis=0), log.position.max(axis=0)
-    assert ((proposal.command > low - 1e-9) & (proposal.command < high + 1e-9)).all()
-    moved = np.ptp(proposal.command, axis=0) > 0
-    assert moved.tolist() == [False, True, False]
-    (text,) = proposal.files("next.csv").values()
-    planned = pd.read_csv(StringIO(text))
-    fastest = np.abs(planned["command2_rad"].diff() / planned["time_s"].diff()).max()
-    said = re.search(r"^Log next, 30 s: 2 through .* at up to ([0-9.]+) rad/s;", plain_text(proposal.blocks(), 400))
-    assert said is not None
-    assert float(said[1]) == pytest.approx(fastest, rel=0.06)
-    with pytest.raises(InputError, match=r"'rust': no cause .* there are .*lag"):
-        proposed(found, looks, ["rust"])
 
 
 TOOTH = """casadical = 2

@@ -11,7 +11,6 @@ from casadical.blind_check.scoring import Score, score
 from casadical.cli import app
 from casadical.core.telling.blocks import Figure, Table, Words
 from casadical.core.telling.result import Result
-from casadical.diagnosis.motion.proposal import Proposal
 from casadical.diagnosis.motion.replay import Replay as MotionReplay
 from casadical.diagnosis.motion.result import LogDiagnosis
 from casadical.export.c.tape_program import Operations
@@ -31,7 +30,7 @@ ROOT = Path(__file__).parents[3]
 PLANAR, RUN = ROOT / "problems" / "planar", ROOT / "data" / "withheld" / "second"
 # Made elsewhere in the tests, where their own words and figures are compared: they cost too much to be made here.
 COSTLY = {Comparison, Replay, casadical.Fleet, casadical.Discovery, Iso9283, Touches, Certificate}
-COSTLY |= {LogDiagnosis, MotionReplay, Proposal, CorrectedProgram, CorrectedFile}
+COSTLY |= {LogDiagnosis, MotionReplay, CorrectedProgram, CorrectedFile}
 
 
 @pytest.fixture(scope="module")
