@@ -20,8 +20,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.file_locks import private_folder
-from casadical.core.files import PREFIX
+from casadical.core.cache_folder import private_folder
 from casadical.core.subprocesses import COMPILE_SECONDS, finished, tried
 from casadical.core.sx_instructions import OPERATIONS, SxInstructions
 
@@ -167,7 +166,7 @@ def _name(stem: str, library: Path) -> str:
 def _made(folder: Path, stem: str, cc: str, text: str, function: ca.Function) -> Path | None:
     """A new library, which appears whole or not at all; None where the compiler fails or it does not compute right."""
     try:
-        with tempfile.TemporaryDirectory(dir=folder, prefix=PREFIX) as scratch:
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".casadical-") as scratch:
             code, made = Path(scratch) / "kernel.c", Path(scratch) / "kernel.so"
             code.write_text(text, encoding="utf-8")
             done = finished([cc, *FLAGS, "-o", str(made), str(code), "-lm"], COMPILE_SECONDS)

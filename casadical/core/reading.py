@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from casadical.core.basics import InputError, shown
-from casadical.core.files import own_stream, settle
+from casadical.core.files import own_stream
 
 # Bytes of a table; of a TOML file, an XML file or a program; of a JSON file.
 MOST_BYTES, MOST_TEXT, MOST_JSON = 500_000_000, 10_000_000, 100_000_000
@@ -55,14 +55,13 @@ def missing(path: str | Path, what: str = "file") -> InputError:
 
 
 def read_bytes(path: str | Path, most: int = MOST_BYTES) -> bytes:
-    """Content of a file, after what a killed process left to rename beside it was renamed.
+    """Return the content of a file.
 
     Raises InputError: no such file, a folder, a device, a FIFO, more than `most` bytes, or not to be read.
     """
     path = Path(path)
     with _opening(path):
-        if not (streamed := own_stream(path) is not None):
-            settle(path.parent)
+        streamed = own_stream(path) is not None
         _refuse_special(path, path.stat(), streamed)
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
         with os.fdopen(handle, "rb") as file:

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.basics import Array, InputError
-from casadical.core.file_locks import private_folder
+from casadical.core.cache_folder import private_folder
 from casadical.core.files import write_whole
 from casadical.core.reading import MOST_JSON, read_text
 from casadical.core.sx_instructions import Instruction, SxInstructions

@@ -10,7 +10,7 @@ import time
 import traceback
 import uuid
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,8 +20,7 @@ import pandas as pd
 
 from casadical import __version__
 from casadical.core.basics import CasadicalError, InputError, optional, shown
-from casadical.core.file_locks import Lock
-from casadical.core.files import json_text, write_together
+from casadical.core.files import json_text, locked, write_together
 from casadical.core.reading import MOST_NUMBERS, foreign, read_bytes
 from casadical.fleet.campaigns import estimates_of, in_order, later_tables, other_regions
 from casadical.fleet.changes import in_words
@@ -180,8 +179,10 @@ def opened(folder: Path) -> Iterator[None]:
     made = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with Lock(folder) as lock:
-            if not lock.taken():
+        with ExitStack() as stack:
+            handle = os.open(folder, os.O_RDONLY)
+            stack.callback(os.close, handle)
+            if not locked(handle):
                 raise InputError(f"{shown(folder)}: another casadical is writing to this store; wait for it")
             if not os.access(folder, os.W_OK):
                 raise InputError(

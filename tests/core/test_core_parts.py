@@ -1,7 +1,5 @@
 """Small parts of the ground floor, each against another way to say the same."""
 
-import ctypes
-import errno
 import os
 import subprocess
 import sys
@@ -17,9 +15,9 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 import casadical as ca_package
-from casadical.core import file_locks, lazy, subprocesses
+from casadical.core import lazy, subprocesses
 from casadical.core.basics import InputError
-from casadical.core.file_locks import exchange
+from casadical.core.cache_folder import private_folder
 from casadical.core.mapped_function import call
 from casadical.core.parameters import Parameter
 from casadical.core.parts import Arm, Coupling, FourBar, Joint, Placement
@@ -108,26 +106,18 @@ def test_a_link_is_no_private_folder(tmp_path: Path, monkeypatch: pytest.MonkeyP
     (tmp_path / "of others").mkdir()
     (tmp_path / "cache").symlink_to(tmp_path / "of others")
     monkeypatch.setenv("CASADICAL_CACHE", str(tmp_path / "cache"))
-    assert file_locks.private_folder() is None
+    assert private_folder() is None
     monkeypatch.setenv("CASADICAL_CACHE", str(tmp_path / "new"))
-    assert file_locks.private_folder("kernels") == tmp_path / "new" / "kernels"
+    assert private_folder("kernels") == tmp_path / "new" / "kernels"
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no owners of files here")
 def test_a_folder_of_another_user_is_no_private_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CASADICAL_CACHE", str(tmp_path / "cache"))
-    assert file_locks.private_folder() == tmp_path / "cache"
+    assert private_folder() == tmp_path / "cache"
     another = os.geteuid() + 1
     monkeypatch.setattr(os, "geteuid", lambda: another)
-    assert file_locks.private_folder() is None
-
-
-def test_folders_that_cannot_change_places_say_why(tmp_path: Path) -> None:
-    (tmp_path / "one").mkdir()
-    with pytest.raises(OSError) as told:  # noqa: PT011 (its number is what matters)
-        exchange(tmp_path / "one", tmp_path / "other")
-    known = hasattr(ctypes.CDLL(None), "renameat2")
-    assert told.value.errno in ((errno.ENOENT, errno.EINVAL, errno.ENOSYS) if known else (0,))
+    assert private_folder() is None
 
 
 def test_a_number_of_threads_that_was_given_stays(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,8 +1,6 @@
-"""Sets of files appear whole or not at all, whatever happens; proven by kills at every system call."""
+"""Files appear whole or not at all, and nothing else in their folder is touched."""
 
 import os
-import re
-import shutil
 import stat
 import subprocess
 import sys
@@ -17,17 +15,57 @@ from casadical.core.reading import MOST_BYTES, read_bytes
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.mark.skipif(shutil.which("gcc") is None or sys.platform != "linux", reason="the shim needs gcc and Linux")
-def test_a_process_killed_at_any_system_call_leaves_no_mixed_set() -> None:
-    command = [sys.executable, "docs/studies/kills.py", "--made-up", "--kills", "300"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    kills, bad = re.search(r"(\d+) kills, (\d+) mixed or lost", done.stdout).groups()  # type: ignore[union-attr]
-    assert int(kills) >= 300
-    assert int(bad) == 0
-    control = re.search(r"control: (\d+) of 8 sets mixed", done.stdout)
-    assert control is not None
-    assert int(control[1]) > 3, "the study finds no mixed set where there must be some"
+KILLED_WHILE_WRITING = """
+import os, signal, sys
+from pathlib import Path
+from casadical.core import files
+folder, calls = Path(sys.argv[1]), [int(sys.argv[2])]
+def killing(function):
+    def call(*given, **also):
+        calls[0] -= 1
+        if not calls[0]:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return function(*given, **also)
+    return call
+os.fsync = killing(os.fsync)
+Path.replace = killing(Path.replace)
+with files.claimed([folder]):
+    files.write_together({folder / "a": "new" * 9, folder / "b": "new" * 9})
+"""
+
+
+@pytest.mark.parametrize("before", [True, False])
+@pytest.mark.parametrize(("call", "left"), [(1, "old"), (2, "old"), (3, "old"), (9, "new")])
+def test_a_killed_process_leaves_whole_files(tmp_path: Path, call: int, left: str, before: bool) -> None:
+    """Calls 1 and 2 are those that put the two files on disk, call 3 is the first rename."""
+    folder = tmp_path / "results"
+    if before:
+        folder.mkdir()
+        for name in ("a", "b", "mine"):
+            (folder / name).write_text("old" * 9)
+    done = subprocess.run([sys.executable, "-c", KILLED_WHILE_WRITING, str(folder), str(call)], cwd=ROOT, check=False)
+    assert done.returncode == (0 if left == "new" else -9)
+    there = {p.name: p.read_text() for p in folder.iterdir() if not p.name.startswith(".")} if folder.exists() else {}
+    expected = {"a": left * 9, "b": left * 9} if before or left == "new" else {}
+    assert there == expected | ({"mine": "old" * 9} if before else {})
+
+
+def test_a_new_folder_appears_as_one(tmp_path: Path) -> None:
+    """While its files are written, the folder that was made for them is empty."""
+    seen = []
+    fsync = os.fsync
+    folder = tmp_path / "deep" / "results"
+
+    def watching(handle: int) -> None:
+        seen.append([p.name for p in folder.iterdir()])
+        fsync(handle)
+
+    with pytest.MonkeyPatch.context() as patch, claimed([folder]):
+        patch.setattr(os, "fsync", watching)
+        write_together({folder / "a": "1", folder / "programs" / "b": "2"})
+    assert seen == [[], []]
+    assert sorted(p.name for p in folder.rglob("*")) == ["a", "b", "programs"]
+    assert [p.name for p in folder.parent.iterdir()] == ["results"]
 
 
 def test_another_writer_of_a_folder_is_told(tmp_path: Path) -> None:

@@ -208,19 +208,6 @@ def test_a_link_that_leads_nowhere_is_said_so(tmp_path: Path) -> None:
         read_bytes(tmp_path / "poses.csv")
 
 
-def test_a_journal_of_somebody_else_moves_nothing(tmp_path: Path) -> None:
-    place = tmp_path / "foreign"
-    (place / ".casadical-folder").mkdir(parents=True)
-    (tmp_path / "mine").write_text("mine")
-    (place / "robot.toml").write_text("")
-    for k, text in enumerate(('[[".casadical-folder/../../mine", "taken"]]', "[[1, 2]]", "7", "[" * 100_000, "\ud800")):
-        (place / f".casadical-{k}.journal").write_text(text, errors="surrogatepass")
-    os.mkfifo(place / ".casadical-pipe.journal")
-    assert read_bytes(place / "robot.toml") == b""
-    assert (tmp_path / "mine").read_text() == "mine"
-    assert sorted(path.name for path in place.iterdir()) == [".casadical-folder", "robot.toml"]
-
-
 def test_a_message_tells_fifty_faults_and_how_many_more(tmp_path) -> None:
     path = tmp_path / "many.toml"
     path.write_text('casadical = 1\nname = "a"\n' + "[[joint]]\nlenght_mm = 1\n" * 60)

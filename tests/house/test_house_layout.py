@@ -67,12 +67,11 @@ def test_the_tests_mirror_the_package() -> None:
 
 # Outside of core/reading.py: what the package installs or makes itself, and what reads as it goes.
 OWN_FILES = {
-    "core/files.py": "writes them, and reads its own journals",
+    "core/files.py": "writes them",
     "core/compile_cache.py": "libraries of the private cache",
     "core/lazy.py": "a stub of the package",
     "core/version.py": "the package's own version",
     "core/telling/page.py": "templates of the package",
-    "core/file_locks.py": "opens without waiting, to lock",
     "diagnosis/formula_cache.py": "the package's own code, for its hash",
     "measurements/vocabulary.py": "a list of the package",
     "measurements/table_parts.py": "reads regular files of any size in parts",

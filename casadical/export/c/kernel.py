@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from casadical.core.basics import Array, CasadicalError, InputError
-from casadical.core.file_locks import private_folder
+from casadical.core.cache_folder import private_folder
 from casadical.core.files import write_whole
 from casadical.core.reading import read_bytes
 from casadical.core.subprocesses import COMPILE_SECONDS, TRIAL_SECONDS, finished, tried

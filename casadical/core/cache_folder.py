@@ -1,0 +1,46 @@
+"""The user's own folder for what is kept between runs: nobody else may have written what is loaded from there."""
+
+import os
+import re
+import stat
+from pathlib import Path
+
+import platformdirs
+
+
+def private_folder(name: str = "") -> Path | None:
+    """Return the cache folder (CASADICAL_CACHE, else the user's), or one in it; made with mode 0700.
+
+    If others could write to it, they no longer can, and what was kept is removed. None where it cannot
+    be made, is a link, or belongs to another user.
+    """
+    try:
+        given = os.environ.get("CASADICAL_CACHE")
+        folder = Path(given or platformdirs.user_cache_dir("casadical"))
+        if not (given or folder.is_absolute()):  # no home: "~" was left as it is
+            return None
+        for place in (folder, folder / name) if name else (folder,):
+            place.mkdir(parents=True, exist_ok=True, mode=0o700)
+            if not _own(place):
+                return None
+        return folder / name
+    except (OSError, RuntimeError, ValueError):  # no permission, a NUL in its name
+        return None
+
+
+def _own(folder: Path) -> bool:
+    """Return whether a folder is the user's; one that others could write to is emptied and closed to them."""
+    about = folder.lstat()
+    if not stat.S_ISDIR(about.st_mode):
+        return False
+    if not hasattr(os, "geteuid"):
+        return True
+    if about.st_uid != os.geteuid():
+        return False
+    if stat.S_IMODE(about.st_mode) != 0o700:
+        folder.chmod(0o700)
+    if about.st_mode & 0o022:  # others could write: what looks like ours may not be
+        for path in folder.iterdir():
+            if re.fullmatch(r".*-[0-9a-f]{32}\.(so|json)", path.name):
+                path.unlink()
+    return True
