@@ -25,7 +25,7 @@ TOGETHER = {
     "site": ("docs/test_docs_build.py", "docs/test_docs_tutorials.py"),
     "small": tuple(f"blind_check/test_{name}.py" for name in ("generation", "prediction", "scoring")),
     "diagnosed": tuple(
-        f"diagnosis/test_diagnosis_{name}.py" for name in ("campaigns", "localisation", "refit", "spectrum")
+        f"diagnosis/test_diagnosis_{name}.py" for name in ("campaigns", "localisation", "refit")
     ),
     "calibrated": (
         *(

@@ -26,7 +26,7 @@ MODES = {
     "joint logs": ("reference", "drive"),
     "measured poses": (
         "together", "nuisance_masses", "prior", "prior_effects", "frozen",
-        "measure_next", "next_n", "room", "network", "highest_line", "bootstrap", "seed", "unlisted", "details",
+        "measure_next", "next_n", "room", "network", "bootstrap", "seed", "unlisted", "details",
     ),
 }  # fmt: skip
 
@@ -48,7 +48,6 @@ def diagnose(
     next_n: Annotated[int, Option(min=1, max=1000)] = 15,
     room: o.Room = None,
     network: Annotated[bool, Option("--network")] = False,
-    highest_line: Annotated[float | None, Option(min=1, max=2000, metavar="CYCLES")] = None,
     bootstrap: Annotated[int, Option(min=0, max=1_000_000, metavar="N")] = 0,
     seed: o.Seed = 0,
     out: Annotated[Path | None, Option(metavar="DIR")] = None,
@@ -77,8 +76,6 @@ def diagnose(
     measure_next : Write poses that distinguish the leading causes, as CSV.
     next_n : How many of these poses.
     network : Also train a 6-5-3 network, instead of the causes and after them (slow).
-    highest_line : Where the joints' error curves are named: look for lines up to so many cycles a turn, beyond the
-        curves' harmonics, too (docs/diagnosis.md).
     bootstrap : Draws of noise alone that calibrate whether something is there: 2000.
     out : Write diagnosed.robot.toml, the robot with its causes, for every command that takes a robot file;
         diagnosis.json and diagnosis.txt. With several campaigns, a folder for each.
@@ -105,7 +102,7 @@ def diagnose(
         workspace = campaign.workspace(room)
         with working(quiet, "diagnosing", campaign.name, DIAGNOSIS) as show:
             answer = diagnose_campaign(campaign, options, show).analysed(
-                poses=next_n, workspace=workspace, networks=network, highest_line=highest_line,
+                poses=next_n, workspace=workspace, networks=network,
                 file=file.name if file else "", show=show,
             )  # fmt: skip
             if out:

@@ -8,6 +8,7 @@ import pandas as pd
 from casadical.core.basics import Show, silent
 from casadical.diagnosis.held_out_gap import Check, NetworkGap, check_refit, network_gaps
 from casadical.diagnosis.isolability import Isolability, isolability, ruled_out
+from casadical.diagnosis.joint_curves import JointCurves, curve_of, joint_curves
 from casadical.diagnosis.laws.answer import Discovery
 from casadical.diagnosis.laws.discovery import laws_beside
 from casadical.diagnosis.localisation import Localisation, localise
@@ -15,7 +16,6 @@ from casadical.diagnosis.next_poses import next_poses
 from casadical.diagnosis.noise_floor import noise_floor
 from casadical.diagnosis.result import Diagnosis, Unlisted
 from casadical.diagnosis.smooth_description import describe_unlisted
-from casadical.diagnosis.spectrum import Spectrum, curve_of, spectrum
 from casadical.pose_selection.workspace import Workspace
 
 # Poses to measure next.
@@ -27,7 +27,7 @@ class Details:
     """What a report of a diagnosis shows besides the diagnosis; None for what was not computed.
 
     where : see `localise`; unlisted : see `describe_unlisted`; check, networks : see `held_out_gap`
-    curves : see `spectrum`; laws : see `laws_beside`; where the verdict is unknown, or it was asked for
+    curves : see `joint_curves`; laws : see `laws_beside`; where the verdict is unknown, or it was asked for
     poses : see `next_poses`; file : name of the file that they are written to, if they are
     floor : what noise alone would leave beside the model of the page that predicts best [m]
     ruled_out : causes that are not there: multiple of their usual size -> labels (see `isolability.ruled_out`)
@@ -38,7 +38,7 @@ class Details:
     unlisted: Unlisted | None = None
     check: Check | None = None
     networks: tuple[NetworkGap, NetworkGap] | None = None
-    curves: Spectrum | None = None
+    curves: JointCurves | None = None
     laws: Discovery | None = None
     poses: pd.DataFrame | None = None
     file: str = ""
@@ -52,7 +52,6 @@ def analyse(
     poses: int = NEXT,
     workspace: Workspace | None = None,
     networks: bool = False,
-    highest_line: float | None = None,
     laws: bool | None = None,
     file: str = "",
     show: Show = silent,
@@ -62,7 +61,6 @@ def analyse(
     poses : how many to choose to be measured next
     workspace : where the next poses may lie
     networks : whether to train networks, instead of the causes and after them
-    highest_line : up to which frequency lines of joint error curves are looked for [cycles a turn], see `spectrum`
     laws : whether the missing law is searched for; by default where the verdict is unknown
     file : name of the file that the next poses are written to, for the page
     show : called with a line of progress
@@ -81,7 +79,7 @@ def analyse(
     curved = found.case.one_end and curve_of(found.causes)
     if curved:
         show("joint error curves")
-    curves = spectrum(found, highest_line) if curved else None
+    curves = joint_curves(found) if curved else None
     search = found.case.one_end and found.verdict == "unknown" if laws is None else laws
     discovery = laws_beside(found, show) if search else None
     show("poses to measure next")

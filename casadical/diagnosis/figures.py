@@ -10,10 +10,9 @@ from casadical.core.telling.drawing import ABOVE, BELOW
 from casadical.core.telling.figure import Axis, Figure, Note, Panel, Rule, Series
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import NetworkGap
+from casadical.diagnosis.joint_curves import JointCurve, JointCurves
 from casadical.diagnosis.localisation import Localisation
 from casadical.diagnosis.result import Diagnosis
-from casadical.diagnosis.spectrum import MOST_SHOWN as LINES_NAMED
-from casadical.diagnosis.spectrum import JointCurve, Spectrum, covered_parts, seen
 from casadical.diagnosis.statements import floor_of
 from casadical.diagnosis.thresholds import PARTITIONS
 from casadical.effects.plugins import signature_of
@@ -34,12 +33,6 @@ _CURVES = (
     "With the base model, all other causes and the curves of the other joints in the model. Shaded: angles near which "
     "there are readings; elsewhere the curve is not measured, and the band is that of its prior. Shares are of the log "
     "evidence that is lost when a joint's curve is left out."
-)
-_LINES = (
-    "What one sine of a joint's reading explains by itself, at each frequency, with a 95 % band. A line (dot, with a "
-    "95 % interval) stands out of the noise and of the rest of the curve; a broad spectrum without dots is a curve "
-    "that is no sum of a few sines. Dotted: what a line needs beside the curve as it is; side lobes of a larger sine "
-    "may cross it."
 )
 _SPACE = (
     "Turn it with the mouse; point at the dot that ends a vector for its error. Each line runs from the measured point "
@@ -66,7 +59,7 @@ def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> Iterator[Fig
     """Every figure of a diagnosis.
 
     gap; errors (held out, pose by pose); workspace; of `analyse` where/TABLE as `Localisation` names them,
-    curves/angles and /lines; causes/STEP; shrink (where a cause was found); parameters/lengths, /angles, /compliance;
+    curves/angles; causes/STEP; shrink (where a cause was found); parameters/lengths, /angles, /compliance;
     fit/residuals, /coverage, /pairs. more : what `analyse` computed; of it also the networks beside the gap
     """
     more = more or Details()
@@ -77,7 +70,7 @@ def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> Iterator[Fig
     if more.where:
         yield from where_figures(more.where)
     if more.curves:
-        yield from curve_figures(more.curves)
+        yield curve_figure(more.curves)
     yield from (posteriors(d, k) for k in range(len(d.rankings)))
     if d.effects():
         yield shrinks(d)
@@ -199,40 +192,28 @@ def shrinks(d: Diagnosis) -> Figure:
     )  # fmt: skip
 
 
-def curve_figures(s: Spectrum) -> Iterator[Figure]:
-    """The curve of each joint with its 95 % band over a turn, and what single sines explain of it."""
-    reached = (((np.abs(c.value) + 1.96 * c.error)[c.covered].max(initial=0.0)) for c in s.joints if seen(c))
+def curve_figure(curves: JointCurves) -> Figure:
+    """The curve of each joint with its 95 % band over a turn."""
+    reached = (((np.abs(c.value) + 1.96 * c.error)[c.covered].max(initial=0.0)) for c in curves.joints if c.seen)
     most = 1e6 * float(max(reached, default=1e-4))
-    turn = Axis(ends=(-180, 180), ticks=[-180, -90, 0, 90, 180], labels=["", "-90", "0", "90", ""])
-    series = [series for k, c in enumerate(s.joints) for series in _curve(c, k, most)]
-    axes = [(turn, Axis(ends=(-most, most), count=5)) for _ in s.joints]
-    yield _grid(
-        s, series, axes, name="curves/angles", title="Error of each joint over its own angle",
-        x=Axis("reading [deg]"), y=Axis("error [urad]"), caption=_CURVES, shared="xy",
-    )  # fmt: skip
-    highest = max((_highest(c) for c in s.joints if seen(c)), default=1e-6)
-    tops = [1.3e6 * (_highest(c) if seen(c) else highest) for c in s.joints]
-    first = next((k for k, c in enumerate(s.joints) if c.lines), -1)
-    last = max((float(c.scan.frequency[-1]) for c in s.joints if len(c.scan.frequency)), default=1.0)
-    series = [series for k, c in enumerate(s.joints) for series in _spectrum(c, k, tops[k], k == first)]
-    yield _grid(
-        s, series, [(Axis(ends=(0, last), count=6), Axis(ends=(0, top), count=4)) for top in tops], name="curves/lines",
-        title="Lines of each joint's error", x=Axis("cycles a turn"), y=Axis("amplitude [urad]"), caption=_LINES,
-        shared="x",
-    )  # fmt: skip
-
-
-def _grid(s: Spectrum, series: Sequence[Series], axes: Sequence[tuple[Axis, Axis]], **figure: object) -> Figure:
-    """A figure with a panel for each joint, its name and share above it."""
+    x = Axis(ends=(-180, 180), ticks=[-180, -90, 0, 90, 180], labels=["", "-90", "0", "90", ""])
+    y = Axis(ends=(-most, most), count=5)
+    titles = (f"{100 * c.share:.0f} %" if c.seen else "not seen" for c in curves.joints)
     panels = [
-        Panel(
-            k // COLUMNS + 1, k % COLUMNS + 1,
-            f"joint {c.joint}: {f'{100 * c.share:.0f} %' if seen(c) else 'not seen'}", *axes[k],
-        )
-        for k, c in enumerate(s.joints)
-    ]  # fmt: skip
-    height = ROW * -(-len(panels) // COLUMNS) + ABOVE + BELOW
-    return Figure(series=series, height=height, panels=panels, **figure)  # type: ignore[arg-type]
+        Panel(k // COLUMNS + 1, k % COLUMNS + 1, f"joint {c.joint}: {title}", x, y)
+        for k, (c, title) in enumerate(zip(curves.joints, titles, strict=True))
+    ]
+    return Figure(
+        name="curves/angles",
+        title="Error of each joint over its own angle",
+        series=[series for k, c in enumerate(curves.joints) for series in _curve(c, k, most)],
+        x=Axis("reading [deg]"),
+        y=Axis("error [urad]"),
+        caption=_CURVES,
+        shared="xy",
+        height=ROW * -(-len(panels) // COLUMNS) + ABOVE + BELOW,
+        panels=panels,
+    )
 
 
 def _curve(c: JointCurve, panel: int, most: float) -> Iterator[Series]:
@@ -240,7 +221,7 @@ def _curve(c: JointCurve, panel: int, most: float) -> Iterator[Series]:
     angle, value, band = np.rad2deg(c.angle), 1e6 * c.value, 1.96e6 * c.error
     x: list[float | None] = []
     y: list[float | None] = []
-    for low, high in covered_parts(c):
+    for low, high in c.covered_parts:
         x += [*np.rad2deg([low, low, high, high]).round(1), None]
         y += [-most, most, most, -most, None]
     place: dict[str, Any] = {"panel": panel, "listed": panel == 0}
@@ -250,40 +231,4 @@ def _curve(c: JointCurve, panel: int, most: float) -> Iterator[Series]:
     yield Series(
         "line", angle.round(1), value.round(1), name="curve", width=1.6, facts=band.round(0), group="curve", **place,
         tip=f"<b>joint {c.joint}</b>, %{{x:.0f}} deg: %{{y:.0f}} ± %{{customdata:.0f}} urad",
-    )  # fmt: skip
-
-
-def _highest(c: JointCurve) -> float:
-    """The greatest amplitude of a joint at which there is a whole cycle over its readings [rad]."""
-    whole = c.scan.frequency >= 2 * c.scan.frequency[:1]
-    return float(max(*c.scan.amplitude[whole], *(line.amplitude for line in c.lines), 1e-6))
-
-
-def _spectrum(c: JointCurve, panel: int, most: float, first_lines: bool) -> Iterator[Series]:
-    """What one sine explains, with its band; what a line needs; dots for the lines that are named.
-
-    most : of the axis [urad]; first_lines : whether no joint before has a line, so that the legend names them here
-    """
-    frequency, amplitude, some = c.scan.frequency, 1e6 * c.scan.amplitude, c.scan.amplitude > 0
-    needed = np.where(np.isfinite(c.scan.needed), 1e6 * c.scan.needed, np.nan)
-    value, band = amplitude[some], 1.96e6 * c.scan.error[some]
-    low, high = np.clip([value - band, value + band], 0, most).round(1)
-    place: dict[str, Any] = {"panel": panel, "listed": panel == 0}
-    yield banded(frequency[some].round(2), low, high, name="95 % band", opacity=0.25, group="band", **place)
-    yield Series(
-        "line", frequency.round(2), np.where(some, amplitude, np.nan).round(1), name="one sine alone", width=1.3,
-        group="scan", tip="%{x:.1f} cycles a turn: %{y:.0f} urad", **place,
-    )  # fmt: skip
-    yield Series(
-        "line", frequency.round(2), np.where(needed < 3 * most, needed, np.nan).round(1), name="needed to be named",
-        colour="grey", width=1.2, dash="dot", group="needed", **place,
-    )  # fmt: skip
-    yield Series(
-        "points", np.round([line.frequency for line in c.lines], 3), [1e6 * line.amplitude for line in c.lines],
-        name="line", colour="orange", size=8, group="line", listed=first_lines, panel=panel,
-        more=[1.96e6 * line.amplitude_error for line in c.lines],
-        text=[f"{line.frequency:.1f}" if k < LINES_NAMED else "" for k, line in enumerate(c.lines)],
-        facts=[[1e6 * line.amplitude_error, line.frequency_error, line.p] for line in c.lines],
-        tip="<b>%{x:.2f} ± %{customdata[1]:.2f} cycles a turn</b><br>%{y:.0f} ± %{customdata[0]:.0f} urad, "
-        "p = %{customdata[2]:.1g}",
     )  # fmt: skip

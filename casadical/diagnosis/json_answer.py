@@ -13,7 +13,6 @@ from casadical.diagnosis.held_out_gap import NetworkGap
 from casadical.diagnosis.isolability import cannot_tell
 from casadical.diagnosis.next_poses import discrimination_probability
 from casadical.diagnosis.result import CauseSet, Diagnosis, Unlisted
-from casadical.diagnosis.spectrum import as_json as curves_as_json
 from casadical.diagnosis.statements import assumptions, floor_of, headline, missing_columns
 from casadical.diagnosis.text import page_of
 from casadical.identification.gravity import as_json as gravity_as_json
@@ -61,7 +60,7 @@ def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[st
         ],
         **({"told_rightly": rounded(discrimination_probability(d, poses))} if len(poses) else {}),
         **({"refit_mm": {"held_out": _mm(check.refit), "linearised": _mm(check.linearised)}} if check else {}),
-        **({"curves": curves_as_json(more.curves)} if more.curves else {}),
+        **({"curves": more.curves.to_json()} if more.curves else {}),
         **({"network_mm": [_network(n) for n in more.networks]} if more.networks else {}),
     }
 

@@ -9,10 +9,10 @@ from casadical.core.telling.figure import Figure
 from casadical.diagnosis.cause_table import CauseRow, cause_rows, layer_rows
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.figures import diagnosis_figures
+from casadical.diagnosis.joint_curves import COLUMNS as CURVE_COLUMNS
+from casadical.diagnosis.joint_curves import JointCurves
 from casadical.diagnosis.localisation import Localisation
 from casadical.diagnosis.result import Diagnosis
-from casadical.diagnosis.spectrum import COLUMNS as CURVE_COLUMNS
-from casadical.diagnosis.spectrum import Spectrum, curve_rows
 from casadical.diagnosis.statements import Statement, floor_of, left_over, statements
 from casadical.identification.accuracy import summarise
 from casadical.identification.figures import correlated, held_table, parameter_tables
@@ -118,10 +118,9 @@ def _causes(rows: Sequence[CauseRow]) -> Iterator[Table]:
         yield Table("Size of the causes", head, sizes, frozenset({2, 3}))
 
 
-def _curves(s: Spectrum) -> Iterator[Block]:
-    rows = [tuple(cell.replace("+-", "±") for cell in row) for row in curve_rows(s)]
-    yield Table("Curves and their lines", CURVE_COLUMNS, rows, frozenset({1, 2}))
-    yield from (Words(f"{text[0].upper()}{text[1:]}.", "note") for text in s.suggestions)
+def _curves(curves: JointCurves) -> Iterator[Block]:
+    rows = [tuple(cell.replace("+-", "±") for cell in row) for row in curves.rows()]
+    yield Table("Curves", CURVE_COLUMNS, rows, frozenset({1, 2}))
 
 
 def _parameters(d: Diagnosis, figures: Iterable[Figure]) -> Iterator[Block]:

@@ -6,8 +6,8 @@ from casadical.core.telling.blocks import Table, Words, mm
 from casadical.core.telling.result import plain_text
 from casadical.diagnosis.cause_table import LAYER_COLUMNS, cause_rows, layer_rows
 from casadical.diagnosis.details import Details
+from casadical.diagnosis.joint_curves import COLUMNS, curve_of
 from casadical.diagnosis.result import Diagnosis
-from casadical.diagnosis.spectrum import COLUMNS, MOST_SUGGESTED, curve_of, curve_rows
 from casadical.diagnosis.statements import SUBJECTS, Statement, floor_of, readings_of, statements
 
 WIDTH = 112
@@ -46,7 +46,9 @@ def detailed(d: Diagnosis, more: Details | None = None) -> Sequence[Words | Tabl
         rows.append((f"{s.about if s.about != last or s.about in EACH else '':<{LABEL}}", s.text))
         tables: list[Table] = []
         if s.about == "WHICH" and d.causes:
-            tables = [*_sized(d), *_lines(d, more)]
+            tables = [*_sized(d)]
+            if more and more.curves and curve_of(d.causes):
+                tables.append(Table("", COLUMNS, more.curves.rows(), frozenset({0, 1, 2})))
         if s.about == "LAYERS":
             tables = [Table("", LAYER_COLUMNS, layer_rows(d, floor_of(d, more)), frozenset({1, 2, 3, 4}))]
         if tables:
@@ -66,14 +68,6 @@ def _sized(d: Diagnosis) -> Iterator[Table]:
         words = [r.shown, r.named, ", ".join(size.rstrip() for size in sizes)]
         rows.append((str(k), "\n".join(filter(None, words)), f"{r.cause.confidence:.2f}", r.gap, r.shrinks))
     yield Table("", CAUSE_COLUMNS, rows, frozenset({0, 2, 3, 4}))
-
-
-def _lines(d: Diagnosis, more: Details | None) -> Iterator[Table]:
-    """The lines of joints' curves, and what they suggest."""
-    if more and more.curves and curve_of(d.causes):
-        yield Table("", COLUMNS, curve_rows(more.curves), frozenset({0, 1, 2}))
-        suggested = more.curves.suggestions[:MOST_SUGGESTED]
-        yield from [Table("", ("", ""), [("", text) for text in suggested])] if suggested else []
 
 
 def brief(title: str, d: Diagnosis, more: Details | None = None) -> Sequence[Words | Table]:

@@ -7,8 +7,8 @@ of which .8 stays from each pose to the next. One joint is off by a sine of a wh
 to 129. Its level is what knowledge of it would be worth: half of the square of its white signal beside the base model
 [nats]. The optimal detector knows the noise and the base model's form, and tries all joints and frequencies: it finds
 the sine where the greatest gain of any is beyond that of noise alone in 99 of 100 campaigns, and stands at the right
-place. The diagnosis knows the table alone; it finds the sine where it names a ripple of that joint with this frequency,
-or an error curve with a line there. "Seen": it names something of that joint, or says that what is left follows this
+place. The diagnosis knows the table alone; it finds the sine where it names a ripple of that joint with this frequency.
+"Seen": it names something of that joint, or says that what is left follows this
 sine. Within 3 dB: it finds at twice a level what the detector finds at that level.
 """
 
@@ -24,7 +24,6 @@ import pandas as pd
 
 from casadical import Diagnosis, diagnose, read_problem
 from casadical.core.basics import Array
-from casadical.diagnosis.spectrum import curve_of, spectrum
 from casadical.effects import TransmissionRipple
 from casadical.identification.accuracy import predicted
 from casadical.measurements.reading import from_table
@@ -140,9 +139,6 @@ def lines(d: Diagnosis) -> Iterator[tuple[int, float]]:
         for e in cause.effects:
             if isinstance(e, TransmissionRipple):
                 yield e.joint, e.cycles
-    if curve_of(d.causes):
-        for c in spectrum(d).joints:
-            yield from ((c.joint, line.frequency) for line in c.lines)
 
 
 def main() -> None:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cases import case, diagnose, plant, robot, simulated, small_problem
+from cases import case, diagnose, planar, plant, robot, simulated, small_problem
 from numpy_physics import campaign, disturbances
 from scipy.stats import multivariate_normal
 
@@ -12,8 +12,12 @@ from casadical import InputError
 from casadical.blind_check.mujoco_physics import perturb
 from casadical.core.linear_gaussian.sums import WIDE
 from casadical.diagnosis.cross_validation import Noise
+from casadical.diagnosis.details import Details
 from casadical.diagnosis.evidence import KAPPAS, RHOS, SIGMAS, Evidence
+from casadical.diagnosis.joint_curves import curve_of, curves_of, joint_curves
+from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.settings_search import learnt_sizes
+from casadical.diagnosis.text import WIDTH, page_of
 from casadical.effects import JointErrorCurve, TransmissionRipple
 from casadical.effects.joint_error_curve import DENSE, ORDERS, USUAL
 from casadical.identification.accuracy import errors
@@ -21,15 +25,19 @@ from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import from_table
 
 
+def true_errors(seed: int, q: np.ndarray) -> np.ndarray:
+    """Errors of six joints at their readings, 30 harmonics of 30 urad each, shape (k, 6) [rad]."""
+    a, b = 30e-6 * np.random.default_rng(seed).normal(size=(2, 6, 30))
+    waves = q[:, :, None] * np.arange(1, 31)
+    return (a * np.sin(waves) + b * np.cos(waves)).sum(axis=2)
+
+
 def with_curves(seed: int, n: int) -> Measurements:
-    """A campaign whose joints each read a periodic function of their own angle wrong, 30 harmonics of 30 urad."""
-    m, rng = simulated("ur10e", seed, n=n), np.random.default_rng(seed)
-    order = np.arange(1, 31)
-    a, b = 30e-6 * rng.normal(size=(2, 6, 30))
+    """A campaign whose joints each read a periodic function of their own angle wrong."""
+    m = simulated("ur10e", seed, n=n)
     q = m.q
     for _ in range(5):  # the reading at which reading and error together are the true angle
-        waves = q[:, :, None] * order
-        q = m.q - (a * np.sin(waves) + b * np.cos(waves)).sum(axis=2)
+        q = m.q - true_errors(seed, q)
     return replace(m, q=q)
 
 
@@ -48,6 +56,51 @@ def test_curves_of_all_joints_are_named_and_predict(found) -> None:
     before, after = errors(d.identification.robot, unseen).mean(), errors(d.apply(), unseen).mean()
     assert after < 0.5 * before
     assert after == pytest.approx(d.gap.after, rel=0.3)
+
+
+def test_curves_lie_within_their_bands_and_share_what_they_explain(found) -> None:
+    d, _ = found
+    curves = joint_curves(d)
+    assert sum(c.share for c in curves.joints) == pytest.approx(1)
+    for c in curves.joints:
+        truth = true_errors(21, np.tile(c.angle[:, None], 6))[:, c.joint - 1]
+        if c.seen:
+            assert (np.abs(c.value - truth) < 1.96 * c.error)[c.covered].mean() > 0.85
+        if not c.covered.all():
+            assert c.error[~c.covered].mean() > c.error[c.covered].mean()
+    assert sum(c.seen for c in curves.joints) >= 3
+    answer = as_json(d, "curved", Details(curves=curves))
+    assert answer["causes"][0]["parameters"] == {}
+    assert answer["curves"]["harmonics"] == 60
+    for c, told in zip(curves.joints, answer["curves"]["joints"], strict=True):
+        q = (np.rad2deg(d.case.m.q[:, c.joint - 1]) + 180) % 360 - 180
+        inside = [(low <= q) & (q <= high) for low, high in told["covered_deg"]]
+        assert np.any(inside, axis=0).mean() > 0.95
+    page = page_of(d, Details(curves=curves))
+    assert max(map(len, page.splitlines())) <= WIDTH
+    assert "harmonics of each joint 60" in page
+    lines = page.splitlines()
+    start = next(k for k, line in enumerate(lines) if line.split()[:2] == ["joint", "rms"])
+    rows = [line.split() for line in lines[start + 1 : start + 7]]
+    assert [int(row[0]) for row in rows] == [c.joint for c in sorted(curves.joints, key=lambda c: -c.share)]
+
+
+@pytest.mark.parametrize("why", ["it did not move", "it moves nothing"])
+def test_a_joint_that_shows_nothing_has_a_finite_band(found, why: str) -> None:
+    d, _ = found
+    q, Jq = d.case.m.q.copy(), d.case.whole.Jq.copy()
+    if why == "it did not move":
+        q[:, 2] = 0.3
+    else:
+        Jq[:, :, 2] = 0.0
+    changed = replace(d.case, m=replace(d.case.m, q=q), whole=replace(d.case.whole, Jq=Jq))
+    third = curves_of(changed, curve_of(d.causes), d.columns, d.noise).joints[2]
+    assert np.isfinite(third.error).all()
+
+
+def test_a_diagnosis_without_curves_has_none_to_show() -> None:
+    with pytest.raises(InputError, match="no joint error curve was found"):
+        joint_curves(planar())
 
 
 def test_the_refit_keeps_the_learnt_sizes(found) -> None:

@@ -27,7 +27,6 @@ from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, SIGMAS, Kn
 from casadical.diagnosis.formula_cache import KeptFormulas, screw
 from casadical.diagnosis.laws.forms import Driver, with_widths
 from casadical.diagnosis.laws.problem import Problem, Screen, log_mean
-from casadical.diagnosis.line_search import Background, Line, Search, Whole
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.localisation import thirds_of
 from casadical.diagnosis.next_poses import table_of
@@ -35,7 +34,6 @@ from casadical.diagnosis.noise_floor import replicates
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, SAME_JOINT, Ranking, prior_weights, rank
 from casadical.diagnosis.seams import seams_of
 from casadical.diagnosis.search import Step
-from casadical.diagnosis.spectrum import decimals_of
 from casadical.diagnosis.statements import Statement, statements
 from casadical.diagnosis.text import things_to_know
 from casadical.effects import Backlash, GearEccentricity, NonlinearStiffness
@@ -217,16 +215,6 @@ def test_the_base_model_keeps_all_parameters_by_their_priors() -> None:
     assert found.left_out == ()
 
 
-def test_the_grid_of_lines_ends_at_the_highest_frequency() -> None:
-    b: Any = SimpleNamespace(q=np.linspace(0, 4 * np.pi, 50), weight=np.ones(50), waves=lambda f: len(f))
-    curve: Any = SimpleNamespace(t=np.zeros(4))
-    for top in (3.0, 4.5):
-        frequency = Search(b, 1, curve, top, 6).frequency
-        steps = round((top - frequency[0]) / (frequency[1] - frequency[0]))
-        assert frequency[-1] == pytest.approx(top)
-        assert len(frequency) == steps + 1
-
-
 @pytest.mark.parametrize(("off", "named"), [(0.25e-3, []), (0.35e-3, ["outliers"])])
 def test_a_single_outlier_is_a_cause_only_if_it_is_far_out(off: float, named: list[str]) -> None:
     planar = read_problem(ROOT / "problems" / "planar")
@@ -238,30 +226,12 @@ def test_a_single_outlier_is_a_cause_only_if_it_is_far_out(off: float, named: li
     assert [c.effect for c in found.causes] == named
 
 
-def test_a_line_that_a_grid_of_readings_mirrors_has_a_rival() -> None:
-    """Every ten degrees, 7 cycles a turn read as 29 do."""
-    q = np.deg2rad(10.0) * np.tile(np.arange(36), 2)
-    arm = np.tile([1e5, 5e4, 2e4], (72, 1))
-    y = (arm * (2e-4 * np.sin(7 * q + 0.3))[:, None]).ravel() + np.random.default_rng(1).normal(size=216)
-    A = (arm * np.cos(q)[:, None]).reshape(216, 1)
-    fit: Any = SimpleNamespace(by_parts=lambda: [(slice(72), A)], mean=np.zeros(1), prior=np.ones(1), numbers=3, y=y)
-    b = Background(Whole(fit, {1: arm}, q[:, None], []), 1, np.array([0]), q, arm, 33.0)
-    curve = b.columns(np.stack([np.sin(b.nodes), np.cos(b.nodes)], axis=1), 1e10)
-    (line,) = Search(b, 1, curve, 33.0, 6).lines()
-    assert (round(line.frequency, 1), [round(f, 1) for f in line.rivals]) == (7.0, [29.0])
-
-
 def test_before_any_data_all_is_shared_out_and_a_second_cause_at_a_joint_is_rare() -> None:
     assert sum(PRIOR_FIRST.values()) == pytest.approx(1.0)
     case: Any = SimpleNamespace(candidates=candidates_of(robot("ur10e"), ["backlash", "transmission_ripple"]))
     first, second = (prior_weights(case, PRIOR_FIRST, skip) for skip in (frozenset(), frozenset(["backlash@2"])))
     assert second["transmission_ripple@2"] == pytest.approx(second["transmission_ripple@3"] / 20)
     assert first["transmission_ripple@2"] == first["transmission_ripple@3"] == second["transmission_ripple@3"]
-
-
-@pytest.mark.parametrize(("error", "shown"), [(0.01, 2), (0.0499, 2), (0.05, 1), (0.3, 1)])
-def test_digits_of_a_frequency(error: float, shown: int) -> None:
-    assert decimals_of(Line(1, 17.0, error, 1e-5, 1e-6, 0.0, 0.1, 1e-9)) == shown
 
 
 def test_thirds_are_named_to_a_tenth() -> None:

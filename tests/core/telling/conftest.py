@@ -9,9 +9,8 @@ import pytest
 from casadical import report
 from casadical.diagnosis.details import analyse
 from casadical.diagnosis.diagnose import diagnose
-from casadical.diagnosis.line_search import Line, Scan
+from casadical.diagnosis.joint_curves import JointCurve, JointCurves
 from casadical.diagnosis.page import diagnosis_page
-from casadical.diagnosis.spectrum import JointCurve, Spectrum
 from casadical.export.mjcf.replay import replay_blocks
 from casadical.measurements.reading import read_measurements
 from casadical.project.diagnosis import read_logs
@@ -35,31 +34,17 @@ def diagnosis():
 
 
 @pytest.fixture(scope="session")
-def curves() -> Spectrum:
-    """Of six joints, made up: the second has two lines, the last was not seen."""
-    angle, frequency = np.linspace(-np.pi, np.pi, 181), np.arange(0.5, 60, 0.5)
-    lines = (
-        Line(2, 17.0, 0.03, 8e-5, 3e-6, 0.3, 0.1, 1e-40),
-        Line(2, 34.0, 0.1, 4e-5, 3e-6, 1.0, 0.1, 1e-20, (), 17.0, 2),
-    )
+def curves() -> JointCurves:
+    """Of six joints, made up: the second alone errs, the others were not seen."""
+    angle = np.linspace(-np.pi, np.pi, 181)
+    error = np.where(np.abs(angle) < 2, 5e-6, 6e-5)
     joints = []
     for j in range(1, 7):
-        waves = [line.amplitude * np.sin(line.frequency * angle + line.phase) for line in lines]
-        value = np.sum(waves, axis=0) * (j == 2)
-        amplitude = 3e-6 + 7e-5 / (1 + (frequency - 17) ** 2) * (j == 2)
-        scan = Scan(
-            frequency,
-            amplitude * (j < 6),
-            np.full(len(frequency), 1e-5),
-            np.full(len(frequency), 3e-5 if j < 6 else np.inf),
-            33,
-        )
-        error, rms = np.where(np.abs(angle) < 2, 5e-6, 6e-5), float(np.sqrt((value**2).mean()))
-        lost, shown = 99.0 * (j == 2), lines if j == 2 else ()
-        joints.append(
-            JointCurve(j, angle, value, error, np.abs(angle) < 2, rms, 8e-6, lost, lost / 99, (16.0, 18.0), shown, scan)
-        )
-    return Spectrum(tuple(joints), 60)
+        value = (8e-5 * np.sin(17 * angle + 0.3) + 4e-5 * np.sin(34 * angle + 1.0)) * (j == 2)
+        rms, lost = float(np.sqrt((value**2).mean())), 99.0 * (j == 2)
+        covered = np.abs(angle) < 2
+        joints.append(JointCurve(j, angle, value, error, covered, rms, 8e-6, lost, lost / 99, (16.0, 18.0)))
+    return JointCurves(tuple(joints), 60)
 
 
 @pytest.fixture(scope="session")

@@ -12,8 +12,8 @@ import pytest
 from casadical.core.telling.blocks import mm
 from casadical.core.telling.drawing import COLOURS, draw
 from casadical.core.telling.figure import Axis
-from casadical.diagnosis.figures import curve_figures, gap_course
-from casadical.diagnosis.spectrum import Spectrum
+from casadical.diagnosis.figures import curve_figure, gap_course
+from casadical.diagnosis.joint_curves import JointCurves
 from casadical.identification.figures import intervals
 from casadical.identification.pose_errors import STYLES
 from casadical.project.calibration_page import NETWORK_STYLES
@@ -50,9 +50,9 @@ def test_the_tiles_are_the_figures_of_the_held_out_poses(calibrated: Any) -> Non
 
 
 @pytest.mark.parametrize(("joints", "rows"), [(1, 1), (2, 1), (3, 2), (6, 3)])
-def test_a_grid_has_a_place_for_every_joint(curves: Spectrum, joints: int, rows: int) -> None:
-    unseen = tuple(replace(c, lines=(), lost=0.0) for c in curves.joints[:joints])
-    figure = draw(next(curve_figures(replace(curves, joints=unseen))))
+def test_a_grid_has_a_place_for_every_joint(curves: JointCurves, joints: int, rows: int) -> None:
+    unseen = tuple(replace(c, lost=0.0) for c in curves.joints[:joints])
+    figure = draw(curve_figure(replace(curves, joints=unseen)))
     titles = [a.text for a in figure.layout.annotations if a.text.startswith("joint")]
     assert titles == [f"joint {k}: not seen" for k in range(1, joints + 1)]
     assert len(figure._grid_ref) == rows

@@ -1,0 +1,172 @@
+"""The joint error curves of a diagnosis, each with its band and its share; as rows and as plain data."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from casadical.core.basics import Array, InputError
+from casadical.core.linear_gaussian.fit import Fit
+from casadical.diagnosis.cross_validation import new_fit
+from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.result import Cause, Diagnosis
+from casadical.diagnosis.structure import sines
+from casadical.effects.joint_error_curve import JointErrorCurve
+from casadical.measurements.measurements import Noise
+
+COLUMNS = ("joint", "rms [urad]", "share")
+
+
+@dataclass(frozen=True, eq=False)
+class JointCurve:
+    """One joint's error as a function of its reading.
+
+    angle : over a turn, shape (k,) [rad]
+    value, error : the curve there with its standard error, shapes (k,) [rad]
+    covered : mask of the angles near which there are readings, shape (k,); elsewhere the prior
+        alone determines the curve
+    rms, rms_error : of the curve and of its standard error at the readings [rad]
+    lost : log evidence that is lost without it; share : of what is lost by all joints
+    middle : frequencies between which the middle half of the curve's square lies [cycles a turn]
+    """
+
+    joint: int
+    angle: Array
+    value: Array
+    error: Array
+    covered: Array
+    rms: float
+    rms_error: float
+    lost: float
+    share: float
+    middle: tuple[float, float]
+
+    @property
+    def seen(self) -> bool:
+        """Whether the readings show anything of the curve: its rms is above two standard errors."""
+        return self.lost > 0 and self.rms > 2 * self.rms_error
+
+    @property
+    def covered_parts(self) -> list[tuple[float, float]]:
+        """Stretches of a turn near which there are readings [rad]."""
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], self.covered, [False]])))
+        return [(float(self.angle[a]), float(self.angle[b - 1])) for a, b in edges.reshape(-1, 2)]
+
+
+@dataclass(frozen=True, eq=False)
+class JointCurves:
+    """The curves of all joints in their order; orders : highest harmonic of the curves."""
+
+    joints: tuple[JointCurve, ...]
+    orders: int
+
+    def rows(self) -> list[tuple[str, str, str]]:
+        """A row for each joint under `COLUMNS`, the greatest share first.
+
+        Of a curve that is not seen the row tells how large it may be: two standard errors more.
+        """
+        rows = []
+        for c in sorted(self.joints, key=lambda c: -c.share):
+            rms, error = 1e6 * c.rms, 1e6 * c.rms_error
+            size = f"{rms:.0f} +- {error:.0f}" if c.seen else f"< {rms + 2 * error:.0f}"
+            rows.append((str(c.joint), size, f"{100 * c.share:.0f} %"))
+        return rows
+
+    def to_json(self) -> dict[str, Any]:
+        """The curves as plain data; angles in degrees, errors in urad."""
+        return {
+            "harmonics": self.orders,
+            "joints": [
+                {
+                    "joint": c.joint,
+                    "rms_urad": round(1e6 * c.rms, 2),
+                    "rms_error_urad": round(1e6 * c.rms_error, 2),
+                    "share": round(c.share, 4),
+                    "log_evidence_lost": round(c.lost, 2),
+                    "covered_deg": [[round(float(np.rad2deg(v)), 1) for v in part] for part in c.covered_parts],
+                    "middle_half_cycles": list(c.middle),
+                }
+                for c in self.joints
+            ],
+        }
+
+
+def joint_curves(found: Diagnosis) -> JointCurves:
+    """The curves of a diagnosis that names joint_error_curve.
+
+    Raises InputError: where no joint_error_curve is among the causes.
+    """
+    effect = curve_of(found.causes)
+    if effect is None:
+        named = ", ".join(c.label for c in found.causes) or "none"
+        raise InputError(f"no joint error curve was found; causes: {named}")
+    return curves_of(found.case, effect, found.columns, found.noise)
+
+
+def curve_of(causes: Sequence[Cause]) -> JointErrorCurve | None:
+    """The joint error curve among causes, if there is one."""
+    effects = (e for c in causes for e in c.effects)
+    return next((e for e in effects if isinstance(e, JointErrorCurve)), None)
+
+
+def curves_of(case: Case, effect: JointErrorCurve, columns: Array, noise: Noise) -> JointCurves:
+    """The curves of an effect that is in the model of a case.
+
+    columns : of all causes, in order, shape (k,), as whole numbers
+    """
+    e, q = case.evidence, case.m.q[case.kept]
+    fit = new_fit(e, columns, noise, combined=False)
+    place = e.model.base.shape[2] + np.searchsorted(columns, case.columns[effect])
+    own = {j: place[part] for j, part in effect.parts.items()}
+    units = {j: case.sizes(case.columns[effect][part]) for j, part in effect.parts.items()}
+    lost = _evidence_lost(fit, own)
+    total = sum(max(v, 0.0) for v in lost.values()) or 1.0
+    angle, orders = np.linspace(-np.pi, np.pi, 721), range(1, effect.orders + 1)
+    joints = []
+    for j, places in own.items():
+        x, covariance = fit.x[places], fit.covariance[np.ix_(places, places)]
+        value, error = _valued(sines(angle, orders) * units[j], x, covariance)
+        there, band = _valued(sines(q[:, j - 1], orders) * units[j], x, covariance)
+        square = ((x * units[j]) ** 2).reshape(-1, 2).sum(axis=1).cumsum()
+        low, high = (float(1 + np.searchsorted(square, part * square[-1])) for part in (0.25, 0.75))
+        joints.append(
+            JointCurve(
+                joint=j,
+                angle=angle,
+                value=value,
+                error=error,
+                covered=_covered(angle, q[:, j - 1], np.pi / effect.orders),
+                rms=float(np.sqrt((there**2).mean())),
+                rms_error=float(np.sqrt((band**2).mean())),
+                lost=lost[j],
+                share=max(lost[j], 0.0) / total,
+                middle=(low, high),
+            )
+        )
+    return JointCurves(tuple(joints), effect.orders)
+
+
+def _valued(shapes: Array, x: Array, covariance: Array) -> tuple[Array, Array]:
+    """A curve and its standard error, shapes (k,)."""
+    return shapes @ x, np.sqrt(((shapes @ covariance) * shapes).sum(axis=1))
+
+
+def _covered(angle: Array, q: Array, reach: float) -> Array:
+    """Whether there is a reading within reach of each angle, around the turn."""
+    around = np.sort((q + np.pi) % (2 * np.pi)) - np.pi
+    around = np.concatenate([[around[-1] - 2 * np.pi], around, [around[0] + 2 * np.pi]])
+    after = np.searchsorted(around, angle).clip(1, len(around) - 1)
+    return np.asarray(np.minimum(angle - around[after - 1], around[after] - angle) <= reach)
+
+
+def _evidence_lost(fit: Fit, own: Mapping[int, Array]) -> dict[int, float]:
+    """Log evidence lost by leaving out one joint's curve, the noise level estimated again."""
+    square = float((fit.rest**2).sum() + (((fit.x - fit.mean) / fit.prior) ** 2).sum())
+    lost = {}
+    for j, places in own.items():
+        scaled = fit.covariance[np.ix_(places, places)] / np.outer(fit.prior[places], fit.prior[places])
+        x = fit.x[places] / fit.prior[places]
+        more = float(x @ np.linalg.solve(scaled, x))
+        lost[j] = 0.5 * float(np.linalg.slogdet(scaled)[1]) + 0.5 * len(fit.y) * float(np.log1p(more / square))
+    return lost
