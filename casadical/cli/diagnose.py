@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 MODES = {
     "joint logs": ("reference", "drive"),
     "measured poses": (
-        "together", "nuisance_masses", "prior", "prior_effects", "frozen",
+        "together", "laws", "nuisance_masses", "prior", "prior_effects", "frozen",
         "measure_next", "next_n", "room", "network", "bootstrap", "seed", "unlisted", "details",
     ),
 }  # fmt: skip
@@ -71,7 +71,7 @@ def diagnose(
         has noise of its own.
     laws : Search for the law of what no listed effect explains: where it acts, what it follows, in which form; with
         --out also discovered.robot.toml, law.effect.toml (for --effects), discovery.json, discovery.txt. Default: where
-        the verdict is unknown, and as a rival of all causes that were found (of joint logs never); --no-laws: never.
+        the verdict is unknown, and as a rival of all causes that were found; --no-laws: never.
     nuisance_masses : Wrong declared masses of links are part of the base model, not a cause that may be named.
     measure_next : Write poses that distinguish the leading causes, as CSV.
     next_n : How many of these poses.
@@ -86,7 +86,7 @@ def diagnose(
     logs = read_logs(problem, campaigns, reference, drive, effects.split(",") if effects else ())
     o.refuse_of_others(context, "joint logs" if logs else "measured poses", MODES)
     if logs:
-        _diagnose_logs(logs, bool(laws), out, report_file, json_file, quiet)
+        _diagnose_logs(logs, out, report_file, json_file, quiet)
         return
     o.need(room, measure_next, "--room says where the poses of --next may lie; give --next FILE, too")
     o.need(unlisted, out, "--unlisted says what --out writes; give --out DIR, too")
@@ -142,7 +142,7 @@ def _suggested(
 
 
 def _diagnose_logs(
-    campaign: LogCampaign, laws: bool, out: Path | None, report_file: Path | None,
+    campaign: LogCampaign, out: Path | None, report_file: Path | None,
     json_file: Path | None, quiet: bool,
 ) -> None:  # fmt: skip
     console = wrapped(quiet)
@@ -150,7 +150,7 @@ def _diagnose_logs(
     texts: dict[Path, str] = {}
     for path in campaign.logs:
         with working(quiet, "diagnosing", path.name) as show:
-            answers.append(campaign.diagnosed(path, show, laws=laws))
+            answers.append(campaign.diagnosed(path, show))
         tell(console, *answers[-1].blocks())
         console.print()
         if out:

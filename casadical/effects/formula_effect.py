@@ -354,8 +354,9 @@ class Law(FormulaEffect):
     signature: ClassVar[str] = "a law found in the data"
 
     def __post_init__(self) -> None:
-        if self.seam not in SEAMS:
-            raise InputError(f"law: seam = {self.seam!r}; allowed: {', '.join(SEAMS)}")
+        allowed = [seam for seam in SEAMS if seam not in MOTION_SEAMS]
+        if self.seam not in allowed:
+            raise InputError(f"law: seam = {self.seam!r}; allowed: {', '.join(allowed)}")
         numbered = SEAMS[self.seam].numbered
         if numbered != (self.joint is not None):
             raise InputError(f"law: joint {'is missing' if numbered else 'does not belong'} at the seam {self.seam!r}")
@@ -386,7 +387,7 @@ class Law(FormulaEffect):
     def place(self) -> str:
         """Where it acts, in words."""
         words = {"joint": "joint {}", "joints": "every joint", "tilt": "tilt of link {}", "shift": "shift of link {}"}
-        words |= {"torque": "torque of joint {}", "response": "response of joint {}", "across": "the beam's side"}
+        words["across"] = "the beam's side"
         return words.get(self.seam, self.seam).format(self.joint)
 
     @property

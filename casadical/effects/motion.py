@@ -13,13 +13,10 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.effects.definition import DefinedEffect, read_definitions
 from casadical.effects.formula import NUMERIC
-from casadical.effects.formula_effect import MOTION_SEAMS as MOTION_SEAMS
-from casadical.effects.formula_effect import Law
 from casadical.effects.plugins import known_effects
 
-# What acts in a log; what may be asked for as its cause: a law with its settings, or a kind with all of its own.
-MotionEffect = DefinedEffect | Law
-Cause = type[DefinedEffect] | Law
+# A cause that may be asked for, with all settings of its own.
+Cause = type[DefinedEffect]
 LISTED = Path(__file__).with_name("motion.effect.toml")
 
 
@@ -31,11 +28,10 @@ def motion_effects() -> Mapping[str, type[DefinedEffect]]:
     return {**read_definitions(LISTED, __name__), **own}
 
 
-def motion_columns(effect: MotionEffect, seam: str, names: Mapping[str, Array]) -> list[Array]:
+def motion_columns(effect: DefinedEffect, seam: str, names: Mapping[str, Array]) -> list[Array]:
     """What one of each parameter does at a seam, in its size; names : what the formula's variables stand for."""
     formula, sizes = effect.formulas[seam], effect.sizes()
-    keys = effect.definition.settings if isinstance(effect, DefinedEffect) else ()
-    settings = {key: getattr(effect, key) for key in keys}
+    settings = {key: getattr(effect, key) for key in effect.definition.settings}
     known = {**{name: names[name] for name in effect.drivers if name in formula.names}, **settings}
     shape = next(iter(names.values())).shape
     return [

@@ -26,8 +26,8 @@ from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.text import brief, detailed
 from casadical.effects import Effect
 from casadical.effects.definition import DefinedEffect
-from casadical.effects.formula_effect import Law
-from casadical.effects.motion import MOTION_SEAMS, Cause
+from casadical.effects.formula_effect import MOTION_SEAMS
+from casadical.effects.motion import Cause
 from casadical.effects.plugins import known_effects
 from casadical.identification.prior import Prior
 from casadical.measurements.logs.log import JointLog
@@ -219,9 +219,9 @@ class LogCampaign:
         """A log, read once. Raises InputError."""
         return self.read.get(path) or self.read.setdefault(path, read_log(path, self.robot))
 
-    def diagnosed(self, log: Path, show: Show = silent, *, laws: bool = False) -> LogDiagnosis:
+    def diagnosed(self, log: Path, show: Show = silent) -> LogDiagnosis:
         """Why the arm moves otherwise than its model in one of the logs, as of `diagnose_log`. Raises InputError."""
-        return diagnose_log(self.robot, self.log(log), self.healthy, show, own=self.own, laws=laws)
+        return diagnose_log(self.robot, self.log(log), self.healthy, show, own=self.own)
 
     def replayed(self, show: Show = silent) -> Replay | None:
         """Runs that were not fitted, from their commands alone; None where no commands were logged."""
@@ -268,18 +268,17 @@ def read_logs(
 
 
 def own_causes(files: Sequence[str]) -> tuple[Cause, ...]:
-    """Causes and laws of joint logs that effect files have. Raises InputError: names, and effects of poses."""
+    """Causes of joint logs that effect files define. Raises InputError: names, and effects of poses."""
     kinds: list[Cause] = []
     for word in files:
         if not word.strip().endswith(".toml"):
             raise InputError(f"--effects {word}: of joint logs every cause of the list is judged; own ones are files")
         file = read_effects(word.strip())
         own = [k for k in file.kinds if issubclass(k, DefinedEffect) and {*k.definition.formulas} <= {*MOTION_SEAMS}]
-        laws = [e for e in file.effects if isinstance(e, Law) and e.seam in MOTION_SEAMS]
-        if len(own) + len(laws) < len(file.kinds) + len(file.effects):
-            other = [k.name for k in file.kinds if k not in own] + [e.name for e in file.effects if e not in laws]
+        other = [k.name for k in file.kinds if k not in own] + [e.name for e in file.effects]
+        if other:
             raise InputError(f"{word}: {other[0]} is of poses; causes of joint logs act at {', '.join(MOTION_SEAMS)}")
-        kinds += [*own, *laws]
+        kinds += own
     return tuple(kinds)
 
 

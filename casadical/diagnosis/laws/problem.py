@@ -157,8 +157,6 @@ def log_mean(logs: Array, log_weights: Array | float = 0.0) -> Array:
 
 # Realistic size of a law, one sigma: where a form varies by one.
 ANGLE, LENGTH, SHARE = 30e-6, 30e-6, 0.03
-# The same in joint logs, in shares of the great torque and rad.
-IN_LOGS = {"torque": 0.05, "response": 1e-3}
 LETTERS = "abcdefghijklmnopqsuvwxyz"
 
 
@@ -172,7 +170,7 @@ class Seam:
     @property
     def size(self) -> float:
         """One sigma of its factors."""
-        return IN_LOGS.get(self.law.seam) or {"rad": ANGLE, "m": LENGTH}.get(SEAMS[self.law.seam][1], SHARE)
+        return {"rad": ANGLE, "m": LENGTH}.get(SEAMS[self.law.seam][1], SHARE)
 
     def takes(self, driver: Driver) -> bool:
         """Whether a driver may act there: the payload's energy follows logged columns alone."""

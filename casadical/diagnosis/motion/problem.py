@@ -22,8 +22,9 @@ from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.motion.base import Look, Part, base_of, bodies_of
 from casadical.diagnosis.motion.signals import lagged, late
-from casadical.effects.formula_effect import MOTION_OF, Law
-from casadical.effects.motion import MOTION_SEAMS, Cause, MotionEffect, motion_columns
+from casadical.effects.definition import DefinedEffect
+from casadical.effects.formula_effect import MOTION_OF, MOTION_SEAMS
+from casadical.effects.motion import Cause, motion_columns
 from casadical.effects.settings import grid_points
 from casadical.measurements.measurements import Noise
 
@@ -372,9 +373,6 @@ def with_candidates(case: MotionCase, log: Look, chosen: Sequence[Cause]) -> Mot
 def _listed(log: Look, chosen: Sequence[Cause]) -> Iterator[_Judged]:
     """Each variant of each cause, as a candidate of its own, with what its parameters do to the rows."""
     for kind in chosen:
-        if isinstance(kind, Law):
-            yield Candidate(kind.label, kind.name, kind.joint, ((kind,),)), columns_of(log, kind)
-            continue
         name = kind.answers_as or kind.name
         for joint in range(1, log.arm.joints + 1) if kind.acts_at == "joints" else (None,):
             for point in grid_points(kind):
@@ -384,7 +382,7 @@ def _listed(log: Look, chosen: Sequence[Cause]) -> Iterator[_Judged]:
                     yield Candidate(name if joint is None else f"{name}@{joint}", name, joint, ((effect,),)), columns
 
 
-def columns_of(look: Look, effect: MotionEffect) -> list[Mapping[int, Array]]:
+def columns_of(look: Look, effect: DefinedEffect) -> list[Mapping[int, Array]]:
     """Of each parameter, what one size does to each row's windows; none where its variables were not logged."""
     n, out = look.arm.joints, [dict[int, Array]() for _ in effect.sizes()]
     known = {**look.names, **arm_names(look, effect)}
@@ -408,7 +406,7 @@ def columns_of(look: Look, effect: MotionEffect) -> list[Mapping[int, Array]]:
     return [column for column in out if any(np.abs(v).max() > 0 for v in column.values())]
 
 
-def arm_names(look: Look, effect: MotionEffect) -> dict[str, Array]:
+def arm_names(look: Look, effect: DefinedEffect) -> dict[str, Array]:
     """Variables of a cause's own link or joint, at every joint's torque."""
     names: dict[str, Array] = {}
     if "link" in effect.drivers and effect.joint:
@@ -417,8 +415,6 @@ def arm_names(look: Look, effect: MotionEffect) -> dict[str, Array]:
     if "zero" in effect.drivers and effect.joint:
         names["zero"] = look.by_angle(effect.joint - 1)
     m = look.motion
-    if isinstance(effect, Law):
-        return names
     if "delayed" in effect.drivers and m.command is not None:
         names["delayed"] = m.by_run(lambda c: c - late(c, effect.late / m.step), m.command)
     if "filtered" in effect.drivers and m.command is not None:

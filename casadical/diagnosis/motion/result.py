@@ -1,8 +1,7 @@
 """The diagnosis of a joint log as a result: the residual of each joint, where it is greatest, what fits, how sure."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,7 +12,6 @@ from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import Result
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.motion.base import COMMANDED, LOAD, MEASURED, Look, look
-from casadical.diagnosis.motion.laws import LogLaws, laws_of
 from casadical.diagnosis.motion.problem import NONE, WHITE, MotionCase, coefficients, motion_case
 from casadical.diagnosis.motion.search import Found, Outcome, columns_of, search, unfitted
 from casadical.diagnosis.motion.signals import Arm, Fault, arm_of, faults_of, motion_of
@@ -37,7 +35,6 @@ class LogDiagnosis(Result):
     log : that was diagnosed; arm : what was known of it; outcome : of the search
     faults : of the instrument itself; reference : source of the healthy log, empty without one
     contradictions : between the log and the robot's file; determined : by the motion, numbers of the bodies
-    laws : of what the causes leave, where they were asked for
     """
 
     kept_as: ClassVar[str] = "log_diagnosis"
@@ -49,7 +46,6 @@ class LogDiagnosis(Result):
     reference: str = ""
     contradictions: tuple[str, ...] = ()
     determined: tuple[str, ...] = ()
-    laws: LogLaws | None = None
 
     @property
     def fitting(self) -> tuple[Found, ...]:
@@ -110,8 +106,7 @@ class LogDiagnosis(Result):
     def blocks(self) -> Sequence[Words | Table]:
         """What `casadical diagnose ARM LOG` prints."""
         remedies = (Words(f.remedy, "warning") for f in self.faults)
-        laws = self.laws.blocks() if self.laws else ()
-        blocks = (self._gap_table(), *self._causes(), *laws, *self._notes())
+        blocks = (self._gap_table(), *self._causes(), *self._notes())
         return [Words(self._sentence(), "verdict"), *remedies, *blocks]
 
     def _sentence(self) -> str:
@@ -161,8 +156,8 @@ class LogDiagnosis(Result):
             yield Words("No cause is named; take what fits as a hint.", "note")
         if not case.by_label[ranking.order[0]].listed:
             yield Words(
-                "What fits best is on no list: --laws searches for its law. If the arm touches something all along, "
-                "log one run in free air; the other joints are told all the same.", "note",
+                "What fits best is on no list. If the arm touches something all along, log one run in free air; the "
+                "other joints are told all the same.", "note",
             )  # fmt: skip
         heads = ("cause", "probability", "log evidence", "what the log shows")
         yield Table("What fits", heads, rows, frozenset({1, 2}))
@@ -211,13 +206,7 @@ class LogDiagnosis(Result):
             "findings": list(self.log.findings),
             "determined": list(self.determined),
             "cannot_tell": list(cannot_tell(self.log, self.arm, bool(self.reference))),
-            **({"laws": self.laws.to_json()} if self.laws else {}),
         }
-
-    def files(self, folder: str | Path) -> Mapping[Path, str]:
-        """Plain data and words, and a law that is claimed."""
-        law = self.laws.files(Path(folder), self.arm.dynamics.given) if self.laws else {}
-        return {**super().files(folder), **law}
 
 
 def _plain(label: str, probability: float) -> dict[str, Any]:
@@ -263,8 +252,6 @@ def diagnose_log(
     show: Show = lambda _: None,
     healthy: Robot | None = None,
     own: Sequence[Cause] = (),
-    *,
-    laws: bool = False,
 ) -> LogDiagnosis:
     """Why an arm moves otherwise than its model.
 
@@ -273,7 +260,6 @@ def diagnose_log(
     reference : of the same arm in health on another day: what differs from it by more than a day's friction is a cause
     healthy : robot of the reference, where it carried another payload
     own : causes beside those of the list, such as an effect file defines (seams torque, response ...)
-    laws : whether the law of what the causes leave is searched for, too
     Raises InputError: a log that is too short, or has other joints than the robot.
     """
     show("signals and rigid bodies")
@@ -283,11 +269,8 @@ def diagnose_log(
     bodies = determined(robot, log)
     numbers = tuple(k for k in bodies.independent if not k.startswith("Ia")) if bodies else ()
     compared, arm = reference.source if reference else "", looks[0].arm
-    if laws:
-        show("laws beside what was found")
-    missing = laws_of(looks, outcome, own) if laws else None
     faults = tuple(faults_of(log, arm, reference))
-    return LogDiagnosis(log, arm, outcome, faults, compared, contradictions(robot, log), numbers, missing)
+    return LogDiagnosis(log, arm, outcome, faults, compared, contradictions(robot, log), numbers)
 
 
 def looks_of(

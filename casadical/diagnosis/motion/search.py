@@ -186,9 +186,9 @@ def search(case: MotionCase) -> Outcome:
         found = (*found, one)
 
 
-def judged(case: MotionCase, found: tuple[Found, ...], ranking: Ranking, top: str = "") -> Found:
-    """A next cause, by default the most probable one, with all that decides whether it is named."""
-    top, chosen = top or ranking.order[0], columns_of(case, found)
+def judged(case: MotionCase, found: tuple[Found, ...], ranking: Ranking) -> Found:
+    """The most probable next cause, with all that decides whether it is named."""
+    top, chosen = ranking.order[0], columns_of(case, found)
     own = case.group(top, ranking.variant[top])
     there = 1 - ranking.none
     p = sum(ranking.probability[k] for k in ranking.order if twins(case, k, top)) / there
