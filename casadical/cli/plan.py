@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 CALIBRATION = "poses to calibrate with (--measured: those that there are)"
 MODES = {
     CALIBRATION: (
-        "n", "out", "effects", "criterion", "room", "measured", "payloads", "every_payload", "both_approaches",
+        "n", "out", "effects", "room", "measured", "payloads", "every_payload", "both_approaches",
         "repeats", "noise_mm", "joint_noise_urad", "min_distance", "target_mm", "order", "wires", "sockets", "places",
         "prior", "prior_effects", "known_places", "seed", "json_file",
     ),
@@ -40,7 +40,6 @@ def plan(
     out: Annotated[Path | None, Option(metavar="FILE.csv")] = None,
     effects: Annotated[str | None, Option("--for", metavar="NAMES", autocompletion=o.effects)] = None,
     isolability: Annotated[bool, Option("--isolability")] = False,
-    criterion: Annotated[str, Option(metavar="WORD", autocompletion=o.criteria)] = "V",
     room: o.Room = None,
     measured: Annotated[Path | None, Option(metavar="FILE.csv")] = None,
     payloads: Annotated[str | None, Option(metavar="KG,KG")] = None,
@@ -81,7 +80,6 @@ def plan(
     effects : Effects to identify as well: names or labels (backlash@5), by commas.
     isolability : Choose no poses: say what POSES could show of each effect (of --for; default: all), and which look
         alike. Measured positions are not needed.
-    criterion : V (accuracy over all poses), D, A, or O1 to O5.
     measured : Poses already measured; the plan adds to them.
     payloads : Payloads that can be mounted, by commas.
     every_payload : Measure each reading with all payloads.
@@ -92,7 +90,7 @@ def plan(
     joint_noise_urad : Repeatability of a joint, one sigma.
     min_distance : Least distance of two poses: in the joint that differs most, as a share of its range.
     target_mm : Wanted accuracy; prints how many poses are enough for it.
-    order : Order the poses for short travel (needs networkx).
+    order : Order the poses for short travel.
     wires : Plan for so many draw wires, and where they end, in place of positions.
     sockets : Plan for the tool's ball in so many sockets, in place of positions.
     places : Where wires or sockets may be: columns x_mm, y_mm, z_mm; default: about the robot.
@@ -118,7 +116,7 @@ def plan(
         return
     chosen = partial(
         plan_problem, problem, n, measured, o.carried(prior, prior_effects, frozen=False),
-        effects=effects.split(",") if effects else (), criterion=criterion, room=room,
+        effects=effects.split(",") if effects else (), room=room,
         circumstances=circumstances_of(payloads, every_payload, both_approaches, repeats), noise_mm=noise_mm,
         joint_noise_urad=joint_noise_urad, min_distance=min_distance, target_mm=target_mm, order=order,
         places=_places(wires, sockets, places, known_places), seed=seed,

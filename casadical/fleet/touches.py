@@ -347,7 +347,7 @@ def plan_touches(
     touched: Measurements | None = None,
     seed: int = 0,
 ) -> pd.DataFrame:
-    """The poses that tell most about what usually changes: zeros, tool, foot; by the V criterion over all poses.
+    """The poses that tell most about what usually changes: zeros, tool, foot; over all poses.
 
     robot : file as `calibrate --out` writes it, or that folder; touched : what was touched today, to which these add
     noise_mm : of a coordinate; None: as the file's bound leaves unexplained, or 0.1; room : file of a workspace

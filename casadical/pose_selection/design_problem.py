@@ -12,11 +12,9 @@ from casadical.identification.prior import Prior
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.pose_selection.candidates import SOCKET, Candidates, Circumstances, candidates_at, draw, held_in, reached
-from casadical.pose_selection.experimental_design import Design, Determinant, Linear, Spectral, inverse
+from casadical.pose_selection.experimental_design import Design, inverse
 from casadical.pose_selection.information import (
     PART,
-    Criterion,
-    checked,
     independent,
     known_before,
     noise_covariance,
@@ -37,7 +35,7 @@ class DesignProblem:
     names : parameters that will be identified; held : the others, each with its reason
     measured : poses measured before, which count as well; task : where the robot is to be accurate
     pool : candidates; open : whether new ones may be drawn near them
-    fixed : information of what was measured, shape (p, p); weight : W of linear criteria, shape (p, p)
+    fixed : information of what was measured, shape (p, p); weight : W of the mean variance, shape (p, p)
     instrument : what is read in place of positions; its unknown places are further columns, behind the names
     prior : what is known of the robot before anything is measured; part of `fixed`
     """
@@ -57,45 +55,33 @@ class DesignProblem:
     instrument: Instrument | None = None
     prior: Prior | None = None
 
-    def design(self, pool: Candidates, criterion: Criterion, min_distance: float | None) -> Design:
+    def design(self, pool: Candidates, min_distance: float | None) -> Design:
         """The search's state over a pool; see `experimental_design.Design`."""
         lower, upper = self.workspace.ranges(self.robot)
         span = upper - lower
         occupied = np.empty((0, self.robot.n)) if self.measured is None else self.measured.q
-        plain = criterion in ("O1", "O2", "O3", "O4", "O5")
-        m, noise = pool.measurements(self.robot), None if plain else self.noise
-        rows = _rows(self.robot, self.names, m, noise, self.instrument)
+        rows = _rows(self.robot, self.names, pool.measurements(self.robot), self.noise, self.instrument)
         # Passes repeat the same rows: n passes are the rows once, times the root of n.
         once = rows.reshape(len(pool), pool.size, *rows.shape[1:])[:, pool.turn == 0]
         rows = np.sqrt(self.circumstances.repeats) * once.reshape(len(pool), -1, rows.shape[2])
-        fixed = self.fixed
-        if plain and self.measured is not None:
-            A = _rows(self.robot, self.names, self.measured, None).reshape(-1, len(self.names))
-            fixed = A.T @ A
         apart = -1.0 if min_distance is None else min_distance
-        common = (rows, fixed, (pool.q - lower) / span, apart, (occupied - lower) / span)
-        if criterion in ("D", "O1"):
-            return Determinant(*common)
-        if criterion in ("A", "V"):
-            return Linear(self.weight, *common)
-        return Spectral(criterion, *common)
+        places, measured_at = (pool.q - lower) / span, (occupied - lower) / span
+        return Design(self.weight, rows, self.fixed, places, apart, measured_at)
 
 
 def _rows(
-    robot: Robot, names: Sequence[str], m: Measurements, noise: Noise | None, instrument: Instrument | None = None
+    robot: Robot, names: Sequence[str], m: Measurements, noise: Noise, instrument: Instrument | None = None
 ) -> Array:
-    """Scaled Jacobian, in units of sigma if noise is given, shape (n, numbers, p and the instrument's unknowns)."""
+    """Scaled Jacobian, in units of sigma, shape (n, numbers, p and the instrument's unknowns)."""
     if instrument is not None:
-        assert noise is not None
         return instrument.rows(robot, names, m, noise)
     J = scaled_jacobian(robot, names, m)
-    return J if noise is None else whitening_of(noise_covariance(robot, m, noise)) @ J
+    return np.asarray(whitening_of(noise_covariance(robot, m, noise)) @ J)
 
 
 def prepare(
     robot: Robot,
     n: int,
-    criterion: Criterion = "V",
     *,
     pool: int,
     rng: np.random.Generator,
@@ -112,10 +98,9 @@ def prepare(
 ) -> DesignProblem:
     """Candidates, independent parameters and weights; arguments as of `select_poses`. Raises InputError."""
     workspace, circumstances, noise = workspace or Workspace(), circumstances or Circumstances(), noise or Noise()
-    criterion = checked(criterion)
     words = ("kinematic", "compliance", *(e.label for e in robot.effects)) if free is None else tuple(free)
     wanted = robot.parameters.select(words)
-    _refuse(criterion, instrument, prior=bool(prior), measured=measured is not None, given=candidates is not None)
+    _refuse(instrument, measured=measured is not None, given=candidates is not None)
     q, held_at = _readings(robot, candidates, workspace, pool, rng, instrument)
     ready = candidates_at(robot, q, circumstances, n, rng)
     held_at = {name: which[:, None] * np.ones(ready.size) for name, which in held_at.items()}
@@ -147,7 +132,7 @@ def prepare(
         fixed = fixed + A.T @ A
     weight = np.zeros((p + extra, p + extra))
     J = jacobian_of(robot, names, goal, instrument)
-    weight[:p, :p] = _weight(criterion, J, _chosen(robot, interest, names), inverse(information(names))[:p, :p])
+    weight[:p, :p] = _weight(J, _chosen(robot, interest, names), inverse(information(names))[:p, :p])
     return DesignProblem(
         robot, workspace, circumstances, noise, names, held, measured, goal, ready,
         candidates is None and SOCKET not in ready.conditions, fixed, weight, instrument, prior,
@@ -171,14 +156,9 @@ def jacobian_of(robot: Robot, names: Sequence[str], m: Measurements, instrument:
     return J if instrument is None or instrument.known else without_base(robot, J, m)
 
 
-def _refuse(criterion: Criterion, instrument: Instrument | None, *, prior: bool, measured: bool, given: bool) -> None:
-    of_positions = criterion not in ("V", "A", "D")
-    if of_positions and prior:
-        raise InputError(f"criterion {criterion} does not count what is known before; allowed with a prior: V, A, D")
+def _refuse(instrument: Instrument | None, *, measured: bool, given: bool) -> None:
     if instrument is None:
         return
-    if of_positions:
-        raise InputError(f"criterion {criterion} is one of positions; allowed with {instrument.kind}: V, A, D")
     if measured:
         raise InputError(
             f"poses measured before are counted with positions alone, not with {instrument.kind}: plan with the robot "
@@ -207,14 +187,12 @@ def _readings(
     return draw(robot, pool, workspace, rng, to_ends=True) if given is None else _allowed(robot, given, workspace), {}
 
 
-def _weight(criterion: Criterion, J: Array, chosen: Array, C: Array) -> Array:
-    """W: the task's mean J'J, the identity, and the parameters of interest, each as important as the other.
+def _weight(J: Array, chosen: Array, C: Array) -> Array:
+    """W: the task's mean J'J and, as important, the parameters of interest.
 
     C : covariance from as many random poses, by which both parts are normalised
     """
     of_interest = np.diag(chosen)
-    if criterion == "A":
-        return of_interest if chosen.any() else np.eye(len(C))
     of_task = np.einsum("kip,kiq->pq", J, J) / len(J)
     if chosen.any():
         return np.asarray(of_task / np.sum(of_task * C) + of_interest / np.sum(of_interest * C))

@@ -1,47 +1,42 @@
-"""Experimental designs: a set of poses, and the gain of adding or removing each pose.
+"""A set of poses that is optimal for V, the mean variance of the position, and the gain of adding or removing a pose.
 
-For D-optimality (and O1, the same order) and for all criteria of the form trace(W C), C the inverse of the information
-matrix (A, V, chosen parameters), a step changes C by a matrix of as many ranks as a candidate has rows (Woodbury's
-formula), and what each candidate would change follows from its own small block A_k C A_k' (Fedorov 1972). The blocks
-are updated too, so that a step costs a few products of tall, thin matrices. O2 to O5 have no such formula: their
-derivative makes a shortlist, and the eigenvalues of the shortlist decide.
+V is trace(W C), C the inverse of the information matrix and W the mean of J'J over the task (Atkinson, Donev and Tobias
+2007, "Optimum Experimental Designs", chapters 10 and 17). A step changes C by a matrix of as many ranks as a candidate
+has rows (Woodbury's formula), and what each candidate would change follows from its own small block A_k C A_k' (Fedorov
+1972). The blocks are updated too, so that a step costs a few products of tall, thin matrices.
 """
 
-from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
 
 from casadical.core.basics import Array, InputError
-from casadical.core.statistics import first_of_best, ranked
-from casadical.pose_selection.information import SPECTRAL
+from casadical.core.statistics import first_of_best
 
-# After so many updates, C and the blocks are computed again.
-REFRESH = 50
-# Changes of the determinant by which C and the blocks may be updated.
-TRUSTED = 1e4
-SHORTLIST = 24
 # Least information in every direction, as a share of the whole pool's: keeps sets of few poses invertible.
 RIDGE = 1e-10
-# Least eigenvalue of the information, scaled to a unit diagonal, of a regular set of poses: singular ones have what
-# RIDGE gives, below 1e-11. The variances of a singular set are those of RIDGE, and no measure of a candidate.
-REGULAR = 1e-9
 # A pose without which the determinant of the information is this share of what it was is indispensable: how much more
 # than this is lost, rounding decides. Of indispensable poses the first leaves.
 INDISPENSABLE = 1e-6
+# Least gain of an exchange in the logarithm of the mean variance: above round-off, which could make it cycle for ever.
+LEAST_GAIN = 1e-6
 
 
-class Design(ABC):
+class Design:
     """Chosen candidates, and what adding or removing one gains; larger values are better.
 
+    weight : W, shape (p, p)
     rows : scaled Jacobians in units of sigma, shape (N, m, p)
     fixed : information from poses already measured, shape (p, p)
     places : coordinates of the candidates, shape (N, d); those within `apart` of a chosen one cannot be chosen,
         itself included; apart below zero: a candidate may be chosen more than once
     occupied : coordinates of poses already measured, shape (k, d)
+
+    A set that does not determine all parameters grows by the determinant of the information, until it does.
     """
 
-    def __init__(self, rows: Array, fixed: Array, places: Array, apart: float, occupied: Array) -> None:
+    def __init__(self, weight: Array, rows: Array, fixed: Array, places: Array, apart: float, occupied: Array) -> None:
+        self.W = weight
         self.rows = rows
         self.N, self.m, self.p = rows.shape
         flat = rows.reshape(-1, self.p)
@@ -99,137 +94,53 @@ class Design(ABC):
         determined = np.diag(self.M) > 0
         root = np.sqrt(np.diag(self.M)[determined])
         least = np.linalg.eigvalsh(self.M[np.ix_(determined, determined)] / np.outer(root, root))[0]
-        return bool(least > REGULAR)
-
-    def _volumes(self, D: Array, sign: int) -> Array:
-        """Change of the logarithm of the determinant of M, shape (k,); D : A_k C A_k' of each, shape (k, m, m)."""
-        signs, logs = np.linalg.slogdet(np.eye(self.m) + sign * D)
-        return np.where((signs > 0) & (logs > np.log(INDISPENSABLE)), logs, -np.inf)
+        # Singular sets have what RIDGE gives, below 1e-11: their variances are no measure of a candidate.
+        return bool(least > 1e-9)
 
     @property
-    @abstractmethod
     def value(self) -> float:
-        """Logarithm of the index of the chosen candidates together with what is fixed."""
-
-    @abstractmethod
-    def _refresh(self) -> None:
-        """Compute from M what is kept with it."""
-
-    @abstractmethod
-    def _update(self, A: Array, sign: int) -> None:
-        """The same after rows A, shape (m, p), were added (1) or taken away (-1)."""
-
-    @abstractmethod
-    def gains(self, which: Array, sign: int) -> Array:
-        """What adding (1) or removing (-1) each of these gains, in any unit, shape (len(which),)."""
-
-
-class _Inverse(Design):
-    """Designs that go by C, the inverse of M, and the blocks D_k = A_k C A_k'."""
-
-    def _refresh(self) -> None:
-        self.C: Array = inverse(self.M)
-        self.D: Array = np.einsum("kip,kjp->kij", self._times(self.C), self.rows)
-        self._age = 0
+        """Minus the logarithm of the mean variance, by the chosen candidates together with what is fixed."""
+        variance = float(np.sum(self.W * self.C))
+        return -np.log(variance) if variance > 0 else -np.inf
 
     def _times(self, B: Array) -> Array:
         """A_k B for all candidates, shape (N, m, columns of B)."""
         return np.asarray((self.rows.reshape(-1, self.p) @ B).reshape(self.N, self.m, -1))
 
+    def _refresh(self) -> None:
+        """Compute from M what is updated with it: C, D_k = A_k C A_k' and L_k = A_k C W C A_k'."""
+        self.C: Array = inverse(self.M)
+        self.D: Array = np.einsum("kip,kjp->kij", self._times(self.C), self.rows)
+        self.L: Array = np.einsum("kip,kjp->kij", self._times(self.C @ self.W @ self.C), self.rows)
+        self._age = 0
+
     def _update(self, A: Array, sign: int) -> None:
+        """Update the same after rows A, shape (m, p), were added (1) or taken away (-1)."""
         self._age += 1
         U = self.C @ A.T
         small = np.eye(len(A)) + sign * A @ U
-        # Where the volume changes much, the difference of two large matrices would keep few digits.
-        if self._age > REFRESH or not 1 / TRUSTED < np.linalg.det(small) < TRUSTED:
+        # Anew after 50 updates, and where the volume changes so much that a difference would keep few digits.
+        if self._age > 50 or not 1e-4 < np.linalg.det(small) < 1e4:
             self._refresh()
             return
         S = sign * np.linalg.inv(small)
         P = self._times(U)
-        self._update_blocks(U, S, P)
-        self.C = self.C - U @ S @ U.T
-        self.D = self.D - P @ S @ P.transpose(0, 2, 1)
-
-    def _update_blocks(self, U: Array, S: Array, P: Array) -> None:
-        """Called before C and D change."""
-
-    def gains(self, which: Array, sign: int) -> Array:
-        return self._volumes(self.D[which], sign)
-
-
-class Determinant(_Inverse):
-    """D-optimality and O1: the mean logarithm of the singular values."""
-
-    @property
-    def value(self) -> float:
-        return float(np.linalg.slogdet(self.M)[1] / (2 * self.p))
-
-
-class Linear(_Inverse):
-    """One over trace(W C): A-optimality (W = I), V-optimality (W = mean of J'J over the task), chosen parameters.
-
-    A set that does not determine all parameters grows by the determinant, until it does.
-    """
-
-    def __init__(self, weight: Array, *of_design: Any) -> None:
-        self.W = weight
-        super().__init__(*of_design)
-
-    @property
-    def value(self) -> float:
-        variance = float(np.sum(self.W * self.C))
-        return -np.log(variance) if variance > 0 else -np.inf
-
-    def _refresh(self) -> None:
-        super()._refresh()
-        # L_k = A_k C W C A_k'
-        self.L: Array = np.einsum("kip,kjp->kij", self._times(self.C @ self.W @ self.C), self.rows)
-
-    def _update_blocks(self, U: Array, S: Array, P: Array) -> None:
         WU = self.W @ U
         Q = self._times(self.C @ WU) @ S @ P.transpose(0, 2, 1)
         self.L = self.L - Q - Q.transpose(0, 2, 1) + P @ S @ (U.T @ WU) @ S @ P.transpose(0, 2, 1)
+        self.C = self.C - U @ S @ U.T
+        self.D = self.D - P @ S @ P.transpose(0, 2, 1)
 
     def gains(self, which: Array, sign: int) -> Array:
-        if not self.regular:
-            return super().gains(which, sign)
+        """What adding (1) or removing (-1) each of these gains, shape (len(which),): mean variance, or volume."""
         small = np.eye(self.m) + sign * self.D[which]
+        if not self.regular:
+            signs, logs = np.linalg.slogdet(small)
+            return np.where((signs > 0) & (logs > np.log(INDISPENSABLE)), logs, -np.inf)
         regular = np.linalg.det(small) > INDISPENSABLE
         small[~regular] = np.eye(self.m)
         change = sign * np.trace(np.linalg.solve(small, self.L[which]), axis1=1, axis2=2)
         return np.where(regular, change, -np.inf)
-
-
-class Spectral(Design):
-    """O2 to O5: a shortlist by the derivative, then eigenvalues.
-
-    A set that does not determine all parameters grows by the determinant, until it does.
-    """
-
-    def __init__(self, index: str, *of_design: Any) -> None:
-        self._log, self._slope = SPECTRAL[index]
-        super().__init__(*of_design)
-
-    @property
-    def value(self) -> float:
-        return float(self._log(self.w))
-
-    def _refresh(self) -> None:
-        self.w, self.V = np.linalg.eigh(self.M)
-        self.w = np.maximum(self.w, 1e-300)
-
-    def _update(self, A: Array, sign: int) -> None:  # noqa: ARG002 - eigenvalues are computed again
-        self._refresh()
-
-    def gains(self, which: Array, sign: int) -> Array:
-        A, gains = self.rows[which], np.full(len(which), -np.inf)
-        if not self.regular:
-            return self._volumes(A @ inverse(self.M) @ A.transpose(0, 2, 1), sign)
-        first_order = (A.reshape(-1, self.p) @ self.V) ** 2 @ self._slope(self.w)
-        short = ranked(sign * first_order.reshape(-1, self.m).sum(axis=1))[:SHORTLIST]
-        w = np.linalg.eigvalsh(self.M + sign * A[short].transpose(0, 2, 1) @ A[short])
-        gains[short] = self._log(np.maximum(w, 1e-300)) - self.value
-        return gains
 
 
 def inverse(M: Array) -> Array:
@@ -239,12 +150,6 @@ def inverse(M: Array) -> Array:
     return np.asarray(np.linalg.inv(M / np.outer(root, root)) / np.outer(root, root))
 
 
-# How many poses an excursion adds (or takes away) before it returns to the number wanted.
-DEPTH = 4
-# Least gain of an exchange in the logarithm of its index: above round-off, which could make it cycle for ever.
-LEAST_GAIN = 1e-6
-
-
 def grown(design: Design, n: int) -> bool:
     """Add the best candidates one by one up to n; False where too few are open."""
     while len(design.chosen) < n and (k := design.best_to_add()) is not None:
@@ -252,7 +157,7 @@ def grown(design: Design, n: int) -> bool:
     return len(design.chosen) >= n
 
 
-def improve(design: Design, depth: int = DEPTH) -> None:
+def improve(design: Design, depth: int = 4) -> None:
     """Exchange candidates until no excursion of up to `depth` poses gains any more."""
     n = len(design.chosen)
     reach = 1

@@ -1,16 +1,11 @@
 """Information of poses about the parameters: exact scaled Jacobians, noise, and which parameters are identifiable.
 
-Criteria are functions of the scaled Jacobian's singular values s_1 >= ... >= s_p, or of the information matrix J'J:
-observability indices O1-O5, D-, A- and V-optimality. Sun and Hollerbach (2008), "Observability index selection for
-robot calibration", eqs. 9-17; Atkinson, Donev and Tobias (2007), "Optimum Experimental Designs", chapters 10 and 17.
-
 Scaled means millimetres per unit of a parameter's scale (1 mm, 1 mrad, or the deflection of 1 mrad): what `identify`
 computes with.
 """
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Literal
 
 import casadi as ca
 import numpy as np
@@ -23,52 +18,6 @@ from casadical.identification.prior import Prior
 from casadical.identification.reduction import independent_parameters
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
-
-Criterion = Literal["O1", "O2", "O3", "O4", "O5", "D", "A", "V"]
-CRITERIA: tuple[Criterion, ...] = ("O1", "O2", "O3", "O4", "O5", "D", "A", "V")
-
-
-def observability(J: Array, n: int) -> dict[str, float]:
-    """Indices of observability of J, shape (rows, p) [sigma per scaled unit], a scaled Jacobian of n poses.
-
-    O1: root of the product of the singular values over the root of n; O2: smallest over greatest; O3: smallest; O4:
-    square of the smallest over the greatest; O5: inverse of the sum of inverses.
-    """
-    s = np.linalg.svd(J, compute_uv=False)
-    if len(J) < J.shape[1] or s[-1] <= 1e-14 * s[0]:
-        return dict.fromkeys(("O1", *SPECTRAL), 0.0)
-    spectral = {name: float(np.exp(log(s[::-1] ** 2))) for name, (log, _) in SPECTRAL.items()}
-    return {"O1": float(np.exp(np.mean(np.log(s))) / np.sqrt(n)), **spectral}
-
-
-def _ends(low: float, high: float) -> Callable[[Array], Array]:
-    """Derivative of low log(w_min) - high log(w_max)."""
-
-    def slope(w: Array) -> Array:
-        d = np.zeros_like(w)
-        d[0] = low / w[0]
-        d[-1] -= high / w[-1]
-        return d
-
-    return slope
-
-
-# Logarithm of the index, without the number of poses, of ascending eigenvalues of J'J, shape (..., p); and its
-# derivative by each of them.
-SPECTRAL: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] = {
-    "O2": (lambda w: 0.5 * np.log(w[..., 0] / w[..., -1]), _ends(0.5, 0.5)),
-    "O3": (lambda w: 0.5 * np.log(w[..., 0]), _ends(0.5, 0.0)),
-    "O4": (lambda w: np.log(w[..., 0]) - 0.5 * np.log(w[..., -1]), _ends(1.0, 0.5)),
-    "O5": (lambda w: -np.log(np.sum(w**-0.5, axis=-1)), lambda w: 0.5 * w**-1.5 / np.sum(w**-0.5)),
-}
-
-
-def checked(criterion: str) -> Criterion:
-    """The criterion of this name. Raises InputError that lists those there are."""
-    if criterion not in CRITERIA:
-        raise InputError(f"criterion {criterion!r} is not known; allowed: {', '.join(CRITERIA)}")
-    return criterion
-
 
 MM = 1e-3
 # Jacobians of more poses than this are computed in parts, which keeps them from being compiled for one use.

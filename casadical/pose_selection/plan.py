@@ -40,13 +40,11 @@ class MeasurementPlan(Result):
         plan = self.selection
         if plan is None:
             return [*_places(self), Words(_how_many(self))]
-        indices = ", ".join(f"{name} {value:.3g}" for name, value in plan.observability.items())
-        indices = f"observability {indices}; " if indices else ""
         turned = np.rad2deg(travel(plan.robot, plan.q))
         return [
             Words(_verdict(plan), "verdict"),
             *_readings(plan),
-            Words(f"Criterion {plan.criterion}; {indices}travel {turned:.0f} deg."),
+            Words(f"Travel {turned:.0f} deg."),
             *_places(self),
             Words(_how_many(self)),
             *([] if self.checked_for_obstacles else _below_the_base(plan)),
@@ -55,17 +53,17 @@ class MeasurementPlan(Result):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """The figures as plain data: poses, expected error [mm], observability indices, the forecast's two columns."""
+        """The figures as plain data: poses, expected error [mm], the forecast's two columns."""
         forecast: dict[str, Any] = {"forecast": self.forecast.table.to_dict("list")}
         if self.instrument is not None:
             forecast |= {self.instrument.kind: (1e3 * self.instrument.places).round(3).tolist()}
         plan = self.selection
         if plan is None:
             return forecast
-        of_poses = {"poses": len(plan), "criterion": plan.criterion, "expected_error_mm": 1e3 * plan.accuracy}
+        of_poses = {"poses": len(plan), "expected_error_mm": 1e3 * plan.accuracy}
         if plan.reading_error is not None:
             of_poses |= {"expected_reading_mm": 1e3 * plan.reading_error}
-        return of_poses | {"observability": plan.observability} | forecast
+        return of_poses | forecast
 
     def files(self, folder: str | Path) -> dict[Path, str]:
         """Texts by path, in a folder or beside a table FILE.csv: poses, expected standard errors, error map, figures.

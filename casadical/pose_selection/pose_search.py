@@ -21,7 +21,7 @@ from casadical.measurements.measurements import Measurements, Noise
 from casadical.pose_selection.candidates import Circumstances, candidates_at, reached
 from casadical.pose_selection.design_problem import prepare
 from casadical.pose_selection.experimental_design import improve, inverse, search
-from casadical.pose_selection.information import MM, Criterion
+from casadical.pose_selection.information import MM
 from casadical.pose_selection.instruments import Instrument, best_places
 from casadical.pose_selection.selection import Selection, arranged
 from casadical.pose_selection.workspace import Workspace
@@ -36,7 +36,6 @@ def select_poses(
     robot: Robot,
     among: Array | tuple[Array, Array] | Workspace | None,
     n: int,
-    criterion: Criterion = "V",
     *,
     workspace: Workspace | None = None,
     circumstances: Circumstances | None = None,
@@ -52,7 +51,7 @@ def select_poses(
     instrument: Instrument | None = None,
     prior: Prior | None = None,
 ) -> Selection:
-    """Choose n readings to measure, by an exchange of candidates.
+    """Choose n readings to measure, that give the least mean variance of the position over the task, by exchanges.
 
     robot : Jacobians are taken at its values, so give the calibrated one when continuing; its effects (`with_effect`)
         are parameters like any other
@@ -60,13 +59,12 @@ def select_poses(
         refined in the neighbourhood of the best: a tuple (lower, upper), shape (joints,) each [rad or m], or a
         workspace; None: the robot's own ranges
     n : number of readings to choose
-    criterion : V (the mean variance of the position over the task), D or O1, A, O2 to O5; see `criteria`
     workspace : which poses can be measured
     circumstances : payloads, approaches, repeats
     measured : poses already measured: the choice adds to them and keeps its distance from them
     free : parameters to identify, as of `identify`; by default geometry, frames, compliance and all effects
-    interest : parameters (names, groups or labels, patterns) that matter most: A then regards only these, V weights
-        them, in units of their priors, as much as the task
+    interest : parameters (names, groups or labels, patterns) that matter most: they weigh, in units of their
+        priors, as much as the task
     task : shape (T, joints) [rad or m]: readings at which the robot is to be accurate; None: all that is allowed
     noise : of coordinates and joints
     min_distance : between any two poses, in the joint that differs most, as a share of its range, None if a pose may be
@@ -80,7 +78,7 @@ def select_poses(
         poses are needed then
     Returns the poses in order, and the accuracy to expect of them
     Raises InputError: where nothing can be chosen.
-    References: Mitchell (1974); Sun and Hollerbach (2008).
+    References: Mitchell (1974); Atkinson, Donev and Tobias (2007).
 
     Examples
     --------
@@ -93,11 +91,11 @@ def select_poses(
     candidates, workspace = _sources(among, workspace)
     rng = np.random.default_rng(seed)
     problem = prepare(
-        robot, n, criterion, pool=max(pool, 3 * n), rng=rng, candidates=candidates, workspace=workspace,
+        robot, n, pool=max(pool, 3 * n), rng=rng, candidates=candidates, workspace=workspace,
         circumstances=circumstances, measured=measured, free=free, interest=interest, task=task, noise=noise,
         instrument=instrument, prior=prior,
     )  # fmt: skip
-    design = problem.design(problem.pool, criterion, min_distance)
+    design = problem.design(problem.pool, min_distance)
     chosen = problem.pool[search(design, n, restarts, seed)]
     lower, upper = workspace.ranges(robot)
     for size in REFINEMENTS if problem.open else ():
@@ -105,12 +103,12 @@ def select_poses(
         q = np.clip(chosen.q + steps, lower, upper).reshape(-1, robot.n)
         q = q[workspace.allows(robot, q)]
         nearby = chosen.joined(candidates_at(robot, q, problem.circumstances, n, rng)) if len(q) else chosen
-        design = problem.design(nearby, criterion, min_distance)
+        design = problem.design(nearby, min_distance)
         design.start(list(range(n)))
         improve(design)
         chosen = nearby[np.array(design.chosen)]
     m = arranged(robot, chosen, problem.circumstances, travel=False)
-    return Selection(**vars(problem), chosen=chosen, m=m, criterion=criterion)
+    return Selection(**vars(problem), chosen=chosen, m=m)
 
 
 def _sources(
@@ -176,7 +174,7 @@ def forecast(
     instrument: Instrument | None = None,
     prior: Prior | None = None,
 ) -> Forecast:
-    """The expected error as poses are added one by one, each the best next one by V-optimality.
+    """The expected error as poses are added one by one, each the best next one.
 
     Starts with the measured poses or, without any, with a fifth more equations than parameters that no prior knows.
 
@@ -200,7 +198,7 @@ def forecast(
         circumstances=circumstances, measured=measured, free=free, task=task, noise=noise, instrument=instrument,
         prior=prior,
     )  # fmt: skip
-    design = problem.design(problem.pool, "V", 0.0)
+    design = problem.design(problem.pool, 0.0)
     each, numbers = problem.pool.size, instrument.numbers if instrument else 3
     known = {*prior.means, *(name for names, _ in prior.known for name in names)} if prior else set()
     p = len(problem.weight) - sum(name in known for name in problem.names)
@@ -274,7 +272,6 @@ def place_instrument(
 def select_with_places(
     robot: Robot,
     n: int,
-    criterion: Criterion,
     kind: Literal["wires", "sockets"],
     places: Array,
     count: int,
@@ -296,7 +293,7 @@ def select_with_places(
         if best is not None and best.instrument and np.array_equal(best.instrument.places, instrument.places):
             break
         chosen = select_poses(
-            robot, None, n, criterion, workspace=workspace, free=free, noise=noise, seed=seed, instrument=instrument,
+            robot, None, n, workspace=workspace, free=free, noise=noise, seed=seed, instrument=instrument,
             **options,
         )  # fmt: skip
         if best is not None and chosen.accuracy >= best.accuracy:

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from casadical.core.basics import Array, optional
+from casadical.core.basics import Array
 from casadical.core.parts import GRAVITY
-from casadical.core.statistics import TIE
+from casadical.core.statistics import TIE, first_of_best
 from casadical.core.telling.result import Shown
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.candidates import SESSION, SOCKET, Candidates, Circumstances, expected, timeline
@@ -22,10 +21,8 @@ from casadical.pose_selection.design_problem import DesignProblem, jacobian_of
 from casadical.pose_selection.experimental_design import inverse
 from casadical.pose_selection.information import (
     MM,
-    Criterion,
     known_before,
     noise_covariance,
-    observability,
     scaled_jacobian,
 )
 from casadical.robot.robot import Robot
@@ -34,8 +31,6 @@ from casadical.robot.robot import Robot
 TIME_PARTS = 4
 # Columns that are chosen with a pose and go with it.
 KEPT = ("payload_kg", SOCKET, *GRAVITY)
-# Number of tours that are tried, each from another first pose.
-STARTS = 12
 
 
 def distances(robot: Robot, q: Array) -> Array:
@@ -50,36 +45,25 @@ def travel(robot: Robot, q: Array) -> float:
     return float(D[np.arange(len(q) - 1), np.arange(1, len(q))].sum())
 
 
-def tours() -> Any:
-    """The library that orders poses. Raises InputError where it is not installed."""
-    return optional(
-        "networkx",
-        "ordering for short travel needs networkx, which is not installed; pip install 'casadical[plan]', or keep "
-        "the order in which poses were chosen (--no-order)",
-    )
-
-
 def short_path(D: Array, before: Array | None = None) -> Array:
-    """An order, shape (n,), of small total distance: the best of networkx's greedy tours from several starts.
+    """An order, shape (n,), of small total distance: the shortest of the nearest-neighbour tours from several starts.
 
     D : distances, shape (n, n); before : distances from the pose before, shape (n,)
-    Raises InputError where networkx is missing.
     """
     n = len(D)
-    if n < 3:
-        return np.arange(n) if before is None or n < 2 else np.argsort(before)
-    nx = tours()
-    # Zero would be read as "no edge".
-    graph = nx.from_numpy_array(D + 1e-12)
     first = np.zeros(n) if before is None else before
-    best: tuple[float, Array] | None = None
-    for start in np.argsort(first, kind="stable")[:STARTS]:
-        path = np.array(nx.approximation.greedy_tsp(graph, source=int(start))[:-1])
+    best: tuple[float, list[int]] | None = None
+    for start in np.argsort(first, kind="stable")[:12]:
+        path, away = [int(start)], D.copy()
+        away[:, start] = np.inf
+        while len(path) < n:
+            path.append(first_of_best(-away[path[-1]]))
+            away[:, path[-1]] = np.inf
         length = float(first[path[0]] + D[path[:-1], path[1:]].sum())
         if best is None or length < (1 - TIE) * best[0]:
             best = (length, path)
     assert best is not None
-    return best[1]
+    return np.array(best[1])
 
 
 def arranged(robot: Robot, chosen: Candidates, circumstances: Circumstances, *, travel: bool) -> Measurements:
@@ -117,7 +101,6 @@ class Selection(DesignProblem, Shown):
 
     chosen : readings and circumstances
     m : one row per measurement, in order, at the positions that the model gives
-    criterion : by which they were chosen
 
     Examples
     --------
@@ -130,12 +113,11 @@ class Selection(DesignProblem, Shown):
 
     chosen: Candidates
     m: Measurements
-    criterion: Criterion
 
     @property
     def _line(self) -> str:
         poses = f"{len(self.m)} poses of {self.robot.name!r}"
-        return f" of {poses}: {len(self.names)} parameters, criterion {self.criterion}"
+        return f" of {poses}: {len(self.names)} parameters"
 
     def __len__(self) -> int:
         return len(self.m)
@@ -146,7 +128,7 @@ class Selection(DesignProblem, Shown):
         return self.m.q
 
     def ordered(self) -> Selection:
-        """The same poses in an order of short travel. Raises InputError: networkx is missing."""
+        """The same poses in an order of short travel."""
         return replace(self, m=arranged(self.robot, self.chosen, self.circumstances, travel=True))
 
     @cached_property
@@ -157,13 +139,6 @@ class Selection(DesignProblem, Shown):
     def jacobian(self) -> Array:
         """Scaled Jacobian of all poses, measured ones last, shape (n, 3, p) [mm per unit of scale]."""
         return np.concatenate([scaled_jacobian(self.robot, self.names, m) for m in self._sets])
-
-    @cached_property
-    def observability(self) -> dict[str, float]:
-        """Indices O1 to O5 of all poses; none of instruments that read no positions, or with a prior."""
-        if self.instrument is not None or self.prior is not None:
-            return {}
-        return observability(self.jacobian.reshape(-1, len(self.names)), len(self.jacobian))
 
     @cached_property
     def _covariance(self) -> Array:

@@ -22,11 +22,10 @@ from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.measurements.raw_table import read_table
 from casadical.pose_selection.candidates import Circumstances
-from casadical.pose_selection.information import Criterion, checked
 from casadical.pose_selection.instruments import usual_places
 from casadical.pose_selection.plan import MeasurementPlan
 from casadical.pose_selection.pose_search import forecast, place_instrument, select_poses, select_with_places
-from casadical.pose_selection.selection import Selection, tours
+from casadical.pose_selection.selection import Selection
 from casadical.pose_selection.workspace import Workspace, read_workspace
 from casadical.project.iso9283 import planned_test, words_of_plan
 from casadical.project.problem import Carried, read_campaign, read_campaign_robot
@@ -169,7 +168,7 @@ def _of_first_target(robot: Robot, measured: Measurements | None) -> tuple[Robot
 
 
 def plan_problem(
-    path: Path, n: int | None, measured: Path | None, carried: Carried, *, effects: Sequence[str], criterion: str,
+    path: Path, n: int | None, measured: Path | None, carried: Carried, *, effects: Sequence[str],
     room: Path | None, noise_mm: float | None, joint_noise_urad: float, target_mm: float | None, places: Places | None,
     **asked: Any,
 ) -> MeasurementPlan:  # fmt: skip
@@ -188,7 +187,7 @@ def plan_problem(
         noise_mm = noise_declared(path, robot, places)
     noise = None if noise_mm is None else Noise(1e-3 * noise_mm, 1e-6 * joint_noise_urad)
     return plan(
-        robot, n, middle, criterion=checked(criterion), workspace=read_workspace(room, robot) if room else None,
+        robot, n, middle, workspace=read_workspace(room, robot) if room else None,
         measured=before, noise=noise, target=None if target_mm is None else 1e-3 * target_mm, places=places,
         prior=prior, **asked,
     )  # fmt: skip
@@ -199,7 +198,6 @@ def plan(
     n: int | None,
     effects: Sequence[Effect] = (),
     *,
-    criterion: Criterion = "V",
     workspace: Workspace | None = None,
     circumstances: Circumstances | None = None,
     measured: Measurements | None = None,
@@ -226,8 +224,6 @@ def plan(
             f"poses measured before are counted with positions alone, not with {places.kind}: plan with the robot file "
             "that calibrate --out wrote"
         )
-    if order and n is not None:
-        tours()  # refused before the work, not behind it
     known = {e.label for e in robot.effects}
     if effects:
         robot = robot.with_effect(*(e for e in effects if e.label not in known))
@@ -244,7 +240,7 @@ def plan(
         show("choosing poses")
         choose: Callable[..., Selection] = partial(select_poses, among=None) if places is None else places.select
         chosen = choose(
-            robot, n=n, criterion=criterion, workspace=workspace, circumstances=circumstances, measured=measured,
+            robot, n=n, workspace=workspace, circumstances=circumstances, measured=measured,
             interest=tuple(e.label for e in effects), noise=noise, free=free, min_distance=min_distance, seed=seed,
             prior=prior,
         )  # fmt: skip
@@ -268,7 +264,7 @@ def plan(
 def poses_of_changes(
     robot: Robot, n: int, prior: Prior, noise: Noise, room: Path | None, measured: Measurements | None, seed: int
 ) -> pd.DataFrame:
-    """Poses that tell most about changes of a calibrated robot, a row each, by V over all poses.
+    """Poses that tell most about changes of a calibrated robot, a row each, over all poses.
 
     prior : of what may change, about the robot's values; measured : poses of the same day, to which these add
     Raises InputError.

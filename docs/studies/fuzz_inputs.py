@@ -53,7 +53,7 @@ COMMANDS: dict[tuple[str, ...], tuple[tuple[Sequence[str], ...], dict[str, str |
     ("plan",): (
         (PROBLEM + ROBOT,),
         {
-            "-n": "small", "--out": "out", "--for": "word", "--criterion": "word", "--room": "path",
+            "-n": "small", "--out": "out", "--for": "word", "--room": "path",
             "--measured": "path",
             "--payloads": "number", "--repeats": "small", "--noise-mm": "number", "--min-distance": "number",
             "--isolability": None, "--target-mm": "number", "--no-order": None, "--seed": "number", "--json": "out",

@@ -137,7 +137,7 @@ def least_variance(robot, names, task):
 def by_formula(name, robot, _plant):
     bound = None
     for n in SIZES:
-        chosen = select_poses(robot, None, n, "V", noise=NOISE)
+        chosen = select_poses(robot, None, n, noise=NOISE)
         bound = bound or least_variance(robot, chosen.names, chosen.task)
         least = 1e-3 * np.sqrt(bound / n)
         rng = np.random.default_rng(4)
@@ -151,7 +151,7 @@ def by_formula(name, robot, _plant):
 
 def campaigns(name, robot, plant):
     for n in SIZES:
-        chosen = select_poses(robot, None, n, "V", noise=NOISE)
+        chosen = select_poses(robot, None, n, noise=NOISE)
         errors, wins = compare(robot, plant, chosen.q, Workspace())
         print(f"{name:6s} {n:4d}  {said(errors)}  {wins:4.0%}", flush=True)
 
@@ -191,7 +191,7 @@ def in_a_room(name, robot, plant):
     )  # fmt: skip
     everywhere = draw(robot, 300, Workspace(), np.random.default_rng(6))
     for n in SIZES:
-        chosen = select_poses(robot, room, n, "V", task=everywhere, noise=NOISE)
+        chosen = select_poses(robot, room, n, task=everywhere, noise=NOISE)
         errors, wins = compare(robot, plant, chosen.q, room)
         print(f"{name:6s} {n:4d}  {said(errors)}  {wins:4.0%}", flush=True)
 
@@ -206,7 +206,7 @@ def by_chance_alone(count):
 def standard_errors(name, robot, plant):
     """One real robot, measured REPETITIONS times at the same 50 poses."""
     real = perturb(plant, 99)
-    chosen = select_poses(robot, None, 50, "V", noise=NOISE)
+    chosen = select_poses(robot, None, 50, noise=NOISE)
     results = [identify(robot, measured(real, chosen.q, k, robot.payload.mass)[0]) for k in range(REPETITIONS)]
     # A base that leans a little lets gravity load joint 1, which the drawing does not know.
     assert all(set(r.names) ^ set(chosen.names) <= {"c1"} for r in results)

@@ -74,7 +74,7 @@ def test_isolability_needs_no_positions(tmp_path: Path) -> None:
     [
         (("plan", PROBLEM, "--isolability", "--measured", "poses.csv"), "--measured: is for poses to calibrate with"),
         (("plan", PROBLEM, "--isolability", "--seed", "0"), "--seed: is for poses to calibrate with"),
-        (("plan", PROBLEM, "--iso9283", "--criterion", "D"), "--criterion: is for poses to calibrate with"),
+        (("plan", PROBLEM, "--iso9283", "--repeats", "2"), "--repeats: is for poses to calibrate with"),
         (("plan", PROBLEM, P03), "POSES: is for --isolability"),
         (("verify", PROBLEM, P03, "--mujoco", "--chart", "a.csv"), "--chart: is for --touches"),
         (("verify", PROBLEM, P03, "--update", "a.toml"), "--update: is for --touches"),

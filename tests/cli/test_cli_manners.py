@@ -94,7 +94,6 @@ COMPLETIONS = {
     "casadical calibrate x --method IWO": ["IWO-NN-SKCM", "IWO-LM-NN-SKCM"],
     "casadical calibrate x --loss h": ["huber"],
     "casadical diagnose x y --effects backlash,gear_e": ["backlash,gear_eccentricity"],
-    "casadical plan x --criterion O": ["O1", "O2", "O3", "O4", "O5"],
     "casadical export ": ["c"],
 }
 

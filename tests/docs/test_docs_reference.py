@@ -35,7 +35,6 @@ NEEDS = {
     "casadical.plot": "plotly",
     "casadical.report": "plotly",
     "casadical.read_urdf": "yourdfpy",
-    "casadical.Selection": "networkx",
 }
 
 

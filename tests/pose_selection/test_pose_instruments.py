@@ -1,7 +1,6 @@
 """Plans for wires and sockets: what they promise against identifications, where anchors go, and the command."""
 
 import json
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -15,10 +14,8 @@ from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import unmeasured
 from casadical.pose_selection import Noise, Workspace, forecast, place_instrument
 from casadical.pose_selection.candidates import SOCKET, expected, held_in
-from casadical.pose_selection.experimental_design import inverse
 from casadical.pose_selection.instruments import Instrument, best_places, usual_places
 from casadical.pose_selection.pose_search import select_poses, select_with_places
-from casadical.project.planning import plan as planned
 
 SIGMA = 5e-5
 ANCHORS = np.array([[1.8, 0.3, 0.0], [-0.9, 1.6, 1.2], [-0.6, -1.7, 0.6]])
@@ -101,7 +98,7 @@ def test_readings_that_hold_the_tool_in_a_socket_are_as_many_as_asked_for(robot)
 
 def test_chosen_sockets_promise_more_than_others_and_poses_lie_in_them(robot) -> None:
     places = usual_places(robot, "sockets")[::6]
-    chosen = select_with_places(robot, 40, "V", "sockets", places, 2, noise=Noise(SIGMA), pool=150, restarts=1)
+    chosen = select_with_places(robot, 40, "sockets", places, 2, noise=Noise(SIGMA), pool=150, restarts=1)
     near = plan(robot, Instrument("sockets", np.array([[0.5, 0.4, 0.2], [0.45, 0.35, 0.25]])))
     assert chosen.accuracy < near.accuracy
     at = chosen.instrument.places[chosen.m.conditions[SOCKET].astype(int)]
@@ -112,7 +109,6 @@ def test_chosen_sockets_promise_more_than_others_and_poses_lie_in_them(robot) ->
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"criterion": "O2"}, "criterion O2 is one of positions; allowed with wires: V, A, D"),
         ({"measured": True}, "plan with the robot file that calibrate --out wrote"),
         ({"instrument": Instrument("sockets", SOCKETS), "among": np.zeros((5, 6))}, "no candidates to be given"),
         ({"instrument": Instrument("sockets", SOCKETS + 9.0)}, "reaches 0 of 3 sockets, and 3 are wanted"),
@@ -120,12 +116,12 @@ def test_chosen_sockets_promise_more_than_others_and_poses_lie_in_them(robot) ->
     ],
 )
 def test_what_cannot_be_planned_is_refused(robot, options, said) -> None:
-    given = {"among": None, "n": 30, "criterion": "V", "instrument": Instrument("wires", ANCHORS), **options}
+    given = {"among": None, "n": 30, "instrument": Instrument("wires", ANCHORS), **options}
     if given.pop("measured", None):
         given["measured"] = expected(robot, np.zeros((3, 6)), {}, "measured")
-    among, n, criterion = (given.pop(k) for k in ("among", "n", "criterion"))
+    among, n = given.pop("among"), given.pop("n")
     with pytest.raises(InputError, match=said):
-        select_poses(robot, among, n, criterion, pool=100, **given)
+        select_poses(robot, among, n, pool=100, **given)
 
 
 def command(monkeypatch, tmp_path, *words) -> int:
@@ -189,18 +185,3 @@ def test_a_folder_of_distances_is_not_planned_as_positions(monkeypatch, tmp_path
     out = tmp_path / "next.csv"
     assert main(monkeypatch, *words, "--wires", 2, "--places", tmp_path / "places.csv", "--out", out) == 0
     assert "noise of 0.1 mm a distance" in " ".join(capfd.readouterr().out.split())
-
-
-def test_a_missing_library_is_said_before_the_work(robot, monkeypatch) -> None:
-    monkeypatch.setitem(sys.modules, "networkx", None)
-    lines: list[str] = []
-    with pytest.raises(InputError, match="needs networkx"):
-        planned(robot, 30, show=lines.append)
-    assert lines == []
-
-
-def test_what_no_reading_tells_of_is_left_aside() -> None:
-    told = np.array([[4.0, 1.0], [1.0, 2.0]])
-    M = np.zeros((3, 3))
-    M[:2, :2] = told
-    np.testing.assert_allclose(inverse(M)[:2, :2] @ told, np.eye(2), atol=1e-14)

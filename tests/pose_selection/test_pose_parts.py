@@ -1,6 +1,5 @@
 """Parts of a search for poses: depth of the exchange, size of the pool, order, digits of the table."""
 
-import itertools
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ from casadical.core.basics import InputError
 from casadical.effects.instrument import Session
 from casadical.pose_selection.candidates import Candidates, Circumstances, candidates_at, expected, later_poses
 from casadical.pose_selection.pose_search import select_poses
-from casadical.pose_selection.selection import TIME_PARTS, arranged, short_path
+from casadical.pose_selection.selection import TIME_PARTS, arranged
 from casadical.pose_selection.workspace import read_workspace
 
 ROBOT = planar()
@@ -71,22 +70,3 @@ def test_poses_are_planned_for_the_last_session() -> None:
 
 def test_a_reading_is_measured_in_every_pass_from_both_sides() -> None:
     assert Circumstances(both_approaches=True, repeats=3).size(planar()) == 6
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_the_path_is_the_shortest_of_the_greedy_ones(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    at, before = rng.uniform(size=(9, 2)), rng.uniform(0, 0.5, 9)
-    D = np.linalg.norm(at[:, None] - at, axis=2)
-
-    def length(path: np.ndarray) -> float:
-        return float(before[path[0]] + sum(D[i, j] for i, j in itertools.pairwise(path)))
-
-    greedy = []
-    for start in range(9):
-        path, left = [start], {*range(9)} - {start}
-        while left:
-            path.append(min(left, key=lambda j: D[path[-1], j]))
-            left.remove(path[-1])
-        greedy.append(length(np.array(path)))
-    assert length(short_path(D, before)) == pytest.approx(min(greedy))

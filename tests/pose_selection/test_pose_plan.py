@@ -16,8 +16,6 @@ from casadical.pose_selection.selection import travel
 
 ROOT = Path(__file__).parents[2]
 
-pytest.importorskip("networkx", reason="casadical plan orders poses with networkx (extra 'plan')")
-
 
 def run(monkeypatch, *words) -> int:
     return main(monkeypatch, "plan", *words)
@@ -154,7 +152,6 @@ def test_without_a_number_it_is_the_stopping_rule(monkeypatch, tmp_path, capsys,
     ("words", "message"),
     [
         (("-n", "3"), "3 poses give 9 numbers"),
-        (("-n", "20", "--criterion", "best"), "criterion 'best' is not known; allowed: O1"),
         (("-n", "20", "--for", "rust"), "no effect 'rust'"),
         (("-n", "20", "--payloads", "1;2"), "allowed: numbers by commas"),
     ],

@@ -18,7 +18,7 @@ from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection import Workspace
 from casadical.pose_selection.candidates import draw, expected
-from casadical.pose_selection.information import MM, observability, scaled_jacobian
+from casadical.pose_selection.information import MM, scaled_jacobian
 from casadical.robot.robot import Robot
 
 TASK_POSES = 200
@@ -36,7 +36,7 @@ class Outlook:
 
     names : parameters that will be identified; held : the others, each with its reason; numbers : observed ones
     unknowns : parameters that are independent, and coordinates of unknown points
-    condition : of the scaled Jacobian; O1 : observability index, in units of the noise (see `pose_selection.criteria`)
+    condition : of the scaled Jacobian
     scatter : of a coordinate, or distance, that a linear step leaves [m], NaN without numbers to spare
     noise : of a coordinate that the forecasts take [m]: the given one, else the scatter
     of_points : whether points were measured, not distances
@@ -49,7 +49,6 @@ class Outlook:
     numbers: int
     unknowns: int
     condition: float
-    O1: float
     scatter: float
     noise: float
     of_points: bool
@@ -99,14 +98,13 @@ def outlook(
     _, H = problem.gradient(np.zeros(problem.size))
     columns, poor, C = drop_poor([robot.parameters[n] for n in problem.names], H, unit**2)
     kept = tuple(problem.names[k] for k in columns)
-    index = observability(J[:, columns] / unit, sum(len(m) for m in sets))["O1"] if kept else 0.0
     scale, accuracy = np.array([robot.parameters[n].scale for n in kept]), float("nan")
     if kept:  # root mean square position error over the joints' ranges
         task = expected(robot, draw(robot, TASK_POSES, Workspace(), np.random.default_rng(seed)), {}, "task")
         J = scaled_jacobian(robot, kept, task)
         accuracy = MM * float(np.sqrt(np.einsum("kip,pq,kiq->", J, C, J) / len(J)))
     return Outlook(
-        method, kept, (*independent.held, *poor), problem.residual_count, problem.size, independent.condition, index,
+        method, kept, (*independent.held, *poor), problem.residual_count, problem.size, independent.condition,
         scatter * sigmas[0][0], unit * sigmas[0][0], all(find_kind(m.kind).lengths == 3 for m in sets),
         np.sqrt(np.diag(C)) * scale, accuracy,
     )  # fmt: skip
@@ -115,8 +113,7 @@ def outlook(
 def _weighted(problem: LeastSquares) -> tuple[LeastSquares, Array, Array]:
     """The problem with each angle's sigma as a linear step leaves it, its residuals, shape (m,), and Jacobian.
 
-    Positions and angles have units of their own: guessed beside each other, one would hide the other (compare
-    `identification.screening`).
+    Positions and angles have units of their own: guessed beside each other, one would hide the other.
     """
     for _ in range(ROUNDS):
         residuals, J = problem.evaluate(np.zeros(problem.size))

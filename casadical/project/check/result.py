@@ -129,7 +129,6 @@ class Precheck(Result):
                     "held": {u.name: u.reason for u in view.held},
                     "numbers": view.numbers,
                     "condition": view.condition,
-                    "O1": view.O1,
                     "scatter_mm": 1e3 * view.scatter if view.enough else None,
                     "expected_held_out_mean_mm": None if view.held_out is None else 1e3 * view.held_out,
                     "expected_accuracy_mm": 1e3 * view.accuracy if view.enough and view.names else None,
@@ -147,7 +146,7 @@ def _findings(findings: Iterable[Finding]) -> list[Words]:
 def _outlook(view: Outlook, noise_source: str) -> list[Words | Table]:
     lines = [
         f"{view.method}: {len(view.names)} parameters identifiable from {view.numbers} numbers, {len(view.held)} not; "
-        f"condition number {view.condition:.0f}, observability O1 {view.O1:.3g}."
+        f"condition number {view.condition:.0f}."
     ]
     if view.enough and view.names:
         given = noise_source == "as given"

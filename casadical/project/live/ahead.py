@@ -76,11 +76,11 @@ def look_ahead(
         ends = m.target if m.target is not None else np.array([*found.points.values()] if found else [])
         wires = Instrument("wires", np.unique(ends.round(6), axis=0), known=True)
     problem = prepare(
-        robot, min(BATCH, len(among)), "V", candidates=among, workspace=Workspace(), circumstances=Circumstances(),
+        robot, min(BATCH, len(among)), candidates=among, workspace=Workspace(), circumstances=Circumstances(),
         measured=None, free=free, interest=(), task=None, noise=Noise(sigma), pool=len(among),
         rng=np.random.default_rng(0), instrument=wires, prior=prior,
     )  # fmt: skip
-    design = problem.design(problem.pool, "V", 0.0)
+    design = problem.design(problem.pool, 0.0)
     chosen = search(design, min(BATCH, len(among)), 1, 0)
     design.start([])
     q, gain = problem.pool.q[chosen], design.gains(chosen, 1)
