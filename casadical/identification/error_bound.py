@@ -5,7 +5,7 @@ have the robot's priors, the first harmonic of each joint a prior size that the 
 expectation and maximisation). The factor is the quantile of held-out residuals, predicted by an identification (in one
 Gauss-Newton step) and a posterior of the other poses: of five folds at random, or of regions of the joints where that
 is greater. The form was chosen on splits of the UR10's series C and on simulated campaigns, and frozen before it was
-judged on the series A and B and on the UR5 (`docs/studies/correction_bound.txt`).
+judged on the series A and B and on the UR5.
 """
 
 import math

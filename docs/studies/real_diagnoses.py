@@ -6,8 +6,7 @@ Of each UR10 series, N poses drawn from the first 60 % of the campaign are diagn
 model is then tried on other poses of the same 60 % ("same time") and on the last 40 % ("later"), beside the calibrated
 base model and the compensator's network, trained on what either leaves of the same N poses. Blunders (errors beyond
 3 mm with the base model) are left out of these figures, alike for all. No figure of these sets had a part in any
-threshold of the diagnosis. The causes found in one series are then carried to the others, of the same robot. For
-robots that no tracker measured see real_verdicts.py.
+threshold of the diagnosis. The causes found in one series are then carried to the others, of the same robot.
 """
 
 import argparse

@@ -172,7 +172,6 @@ def ceiling() -> None:
             after = trainers.lengths(other - way(q[:n], y[:n]))
             cells.append(f"{n}: {after[0]:.3f} ({100 * (1 - after[0] / mean):+.0f} %), {after[1]:.2f}")
         print(f"  {name:24}" + "; ".join(cells), flush=True)
-    print("(of what is left, 0.200 mm rms does not repeat at equal joint readings: hh800_twin_effects.txt)")
 
 
 def process_on_fifty_poses() -> None:

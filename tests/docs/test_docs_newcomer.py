@@ -111,7 +111,6 @@ def test_every_study_named_has_its_output_beside_it() -> None:
     makers = {
         "certify",
         "licences",
-        "hh800_data",
         "planar",
         "picture",
         "real_data",

@@ -1,10 +1,8 @@
 """Lint, format and the floor plan hold; the types, in test_house_names. Ties are broken by rule where answers are."""
 
 import ast
-import importlib
 import subprocess
 import sys
-from operator import attrgetter
 from pathlib import Path
 
 import pytest
@@ -33,11 +31,3 @@ def test_what_is_chosen_is_the_first_of_the_best_on_every_processor(room) -> Non
                 assert any(isinstance(argument, ast.Compare) for argument in call.args), where
             if name in ("max", "min") and "key" in keys:
                 assert keys["key"] == "len", where
-
-
-def test_what_a_study_times_is_there() -> None:
-    study = ast.parse((ROOT / "docs" / "studies" / "identify_time.py").read_text(encoding="utf-8"))
-    (stages,) = (s.value for s in study.body if isinstance(s, ast.Assign) and ast.unparse(s.targets[0]) == "STAGES")
-    for _, module, name in ast.literal_eval(stages):
-        owner = importlib.import_module(module if module.startswith("numpy") else f"casadical.{module}")
-        assert attrgetter(name)(owner)
