@@ -42,6 +42,7 @@ def test_p_value_counts_draws_beyond_the_data() -> None:
     assert bootstrap.p_value(c, replace(ranking, none=1e-12), 100, 0, heard.append) == pytest.approx(1 / 101)
 
 
+@pytest.mark.slow
 def test_diagnosis_with_a_bootstrap() -> None:
     d = diagnose(robot("ur10e"), practice("ur10e-P06"), ["friction_windup", "backlash"], bootstrap=200)
     assert d.p_nothing == pytest.approx(1 / 201)

@@ -73,6 +73,7 @@ def seen_wrongly(T: np.ndarray, carried: bool, size: float) -> np.ndarray:
     return np.linalg.inv(seen) if carried else seen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "carried"),
     [("hand_eye_step", False), ("stand_step", False), ("lens_scale", False), ("lens_scale", True)],

@@ -29,7 +29,11 @@ def named(d: Diagnosis) -> set[tuple[str, int | None]]:
     return {(c.effect, c.joint) for c in d.causes}
 
 
-@pytest.mark.parametrize("name", ANSWERS)
+FAST = ("hh800-P01", "kr210-P05", "ur10e-P06")
+slow = pytest.mark.slow
+
+
+@pytest.mark.parametrize("name", [name if name in FAST else pytest.param(name, marks=slow) for name in ANSWERS])
 def test_practice_campaign_gets_its_answer(name: str) -> None:
     d, truth = diagnosed(name), ANSWERS[name]
     assert named(d) == {(e["effect"], e["joint"]) for e in truth["effects"]}
@@ -40,7 +44,9 @@ def test_practice_campaign_gets_its_answer(name: str) -> None:
     assert d.gap.floor <= d.gap.after * 1.1
 
 
-@pytest.mark.parametrize("name", ["hh800-P01", "ur10e-P09", "kr210-P08"])
+@pytest.mark.parametrize(
+    "name", ["hh800-P01", *(pytest.param(name, marks=slow) for name in ("ur10e-P09", "kr210-P08"))]
+)
 def test_answer_has_the_campaigns_format(name: str) -> None:
     answer = json.loads(json.dumps(as_json(diagnosed(name), name, analyse(diagnosed(name))), allow_nan=False))
     assert answer["campaign"] == name
@@ -73,6 +79,7 @@ CAUSES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "seed", "cause", "expected"), CAUSES, ids=lambda v: getattr(v, "__class__", v).__name__
 )
@@ -84,6 +91,7 @@ def test_simulated_cause_is_found(name: str, seed: int, cause: disturbances.Dist
     assert d.gap.after < 1.3 * d.gap.floor
 
 
+@pytest.mark.slow
 def test_what_several_joints_do_is_one_cause() -> None:
     """Drives of one make stay wound up alike: no single joint explains it; those that do not are left out."""
     sizes = {1: 50, 2: 40, 4: 90, 5: 80}
@@ -102,6 +110,7 @@ def test_what_several_joints_do_is_one_cause() -> None:
     assert not {f"friction_windup@{j}" for j in sizes} & {*left.beside.order}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "seed"), [("kr210", 100), ("ur10e", 100)])
 def test_nothing_is_claimed_where_there_is_nothing(name: str, seed: int) -> None:
     """How often it is, is counted over hundreds of campaigns in the study, not here."""
@@ -110,6 +119,7 @@ def test_nothing_is_claimed_where_there_is_nothing(name: str, seed: int) -> None
     assert d.gap.before == d.gap.after
 
 
+@pytest.mark.slow
 def test_hose_is_unknown_to_the_standard_list_and_found_by_the_extended_one() -> None:
     m = simulated("ur10e", 31, disturbances.HoseDrag(500e-6))
     d = diagnose(robot("ur10e"), m)
@@ -124,6 +134,7 @@ def test_hose_is_unknown_to_the_standard_list_and_found_by_the_extended_one() ->
     assert "most like scatter of joint 4" in " ".join(page_of(d).split())
 
 
+@pytest.mark.slow
 def test_loose_flange_is_unknown_to_the_standard_list_and_found_by_the_extended_one() -> None:
     m = simulated("ur10e", 32, disturbances.LooseFlange(250e-6))
     d = diagnose(robot("ur10e"), m)
@@ -134,6 +145,7 @@ def test_loose_flange_is_unknown_to_the_standard_list_and_found_by_the_extended_
     assert ("bearing_play", 6) in named(d)
 
 
+@pytest.mark.slow
 def test_a_cause_is_judged_anew_beside_the_other() -> None:
     """Alone the first cause is in doubt; with the frame's drift in the model it is certain."""
     d = diagnosed("ur10e-P09")
@@ -154,6 +166,7 @@ def test_outliers_are_a_cause_of_their_own() -> None:
     assert [o.distance for o in d.outliers] == pytest.approx([np.linalg.norm(wrong)] * 3, rel=0.05)
 
 
+@pytest.mark.slow
 def test_outliers_along_one_joint_are_no_single_points() -> None:
     """A damaged tooth errs at few poses, of which each lies far out along the motion of its joint."""
     arm, m = robot("ur10e"), simulated("ur10e", 41)
@@ -167,6 +180,7 @@ def test_outliers_along_one_joint_are_no_single_points() -> None:
     assert as_json(d, "x")["outliers_along_joint"] == 2
 
 
+@pytest.mark.slow
 def test_missing_columns_are_reported_and_never_fatal() -> None:
     drift = disturbances.FrameDrift(120e-6, 40e-6)
     d = diagnose(robot("kr210"), simulated("kr210", 13, drift, drop=("temp", "time")))
@@ -179,6 +193,7 @@ def test_missing_columns_are_reported_and_never_fatal() -> None:
     assert set(d.missing) == {"thermal_growth"}  # a payload that was not logged is the declared one
 
 
+@pytest.mark.slow
 def test_a_wrong_payload_is_found_though_it_was_not_logged() -> None:
     wrong = disturbances.PayloadError(size=0.1, shift_m=(0.04, 0.0, 0.02))
     m = simulated("ur10e", 14, wrong)
@@ -213,6 +228,7 @@ def test_applied_cause_can_be_identified() -> None:
         assert found[f"friction_windup@3.{name}"] == pytest.approx(value, abs=2 * error + 2e-6)
 
 
+@pytest.mark.slow
 def test_a_fleet_says_of_the_practice_campaigns_what_a_diagnosis_says(tmp_path: Path) -> None:
     """Also where the folder has a robot of its own for campaigns, as that of the HH800 has."""
     for name in ANSWERS:
@@ -227,6 +243,7 @@ def test_a_fleet_says_of_the_practice_campaigns_what_a_diagnosis_says(tmp_path: 
         assert_same(said.diagnosis, diagnosed(name))
 
 
+@pytest.mark.slow
 def test_a_fleet_says_of_the_hh800_what_a_diagnosis_says() -> None:
     row = one_robot(str(ROOT / "problems" / "hh800"), True)
     table = read_measurements(ROOT / "data" / "hh800_twin" / "hh800_twin.csv", 6)

@@ -70,6 +70,7 @@ def test_sums_by_another_set_of_poses_are_combined_alike(known: Case, curve: Arr
         assert found == pytest.approx(expected, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_sums_under_noise_that_follows_itself_are_those_of_the_other_poses(known, curve, backlash):
     followed = known.with_form(Form(stays=0.6))
     for beside in (None, curve):
@@ -148,6 +149,7 @@ def test_a_joint_that_moves_no_pose_has_no_combinations() -> None:
     assert combined(idle, [(idle, np.zeros((4, 0)))]).combine(np.ones(4)).shape == (0,)
 
 
+@pytest.mark.slow
 def test_a_diagnosis_ends_where_the_last_joint_moves_no_pose() -> None:
     m = simulated("kr210", 3, n=150)  # more numbers than combinations
     r = robot("kr210")

@@ -26,6 +26,7 @@ def test_tables_are_those_of_the_code() -> None:
     assert "| `hose_drag` |" in page
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [0, 1], ids=["use", "own effect"])
 def test_code_runs_as_it_stands(number: int, tmp_path: Path) -> None:
     for name in ("problems", "data"):

@@ -117,6 +117,7 @@ def test_one_function_takes_robot_or_identification(half: tuple[Diagnosis, Measu
         diagnose(robot("ur10e"))
 
 
+@pytest.mark.slow
 def test_full_poses_are_diagnosed() -> None:
     m = simulated("ur10e", 12, disturbances.FrictionWindup(2, 90e-6))
     pose = replace(m, kind="pose", orientation=predicted(robot("ur10e"), m)[1], sigma_angle=1e-3, sigma=2e-5)
@@ -145,12 +146,14 @@ def test_coarse_instrument_is_diagnosed_on_a_wider_grid() -> None:
     np.testing.assert_allclose(rough.gap.floor, rough.gap.before, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_cause_is_found_with_a_coarse_instrument() -> None:
     d = diagnose(robot("ur10e"), rougher(simulated("ur10e", 12, disturbances.FrictionWindup(2, 3e-3)), 6e-4), FEW)
     assert [c.label for c in d.causes] == ["friction_windup@2"]
     np.testing.assert_allclose(scatter(d), 6e-4, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_more_than_the_widest_grid_is_refused() -> None:
     with pytest.raises(InputError, match=r"noise beyond 11 mm is not diagnosed; correct the robot file or the units"):
         diagnose(robot("ur10e"), rougher(practice("ur10e-P03"), 2e-2), FEW)
@@ -180,6 +183,7 @@ def test_noise_of_repeated_poses() -> None:
     assert not replicates(simulated("ur10e", 12), r[:100], everyone[:100]).enough
 
 
+@pytest.mark.slow
 def test_floor_is_that_of_repeated_poses() -> None:
     m = simulated("ur10e", 12, disturbances.FrictionWindup(2, 90e-6))
     once = diagnose(robot("ur10e"), repeated(m, 3, 5e-6), ["joint_scale@5"])
@@ -187,6 +191,7 @@ def test_floor_is_that_of_repeated_poses() -> None:
     assert once.gap.floor < 0.5 * diagnose(robot("ur10e"), m, ["joint_scale@5"]).gap.floor
 
 
+@pytest.mark.slow
 def test_network_is_refused_on_noise_and_used_on_a_smooth_error() -> None:
     quick = LevenbergMarquardt(restarts=1, iterations=60, ridges=(0.01,))
     c, _ = doctored(0.0, 2)
@@ -202,6 +207,7 @@ def test_network_is_refused_on_noise_and_used_on_a_smooth_error() -> None:
     assert found.used < 0.7 * found.before
 
 
+@pytest.mark.slow
 def test_interrupt_leaves_nothing_behind() -> None:
     def stop(text: str) -> None:
         if text.startswith("cause 1"):
@@ -216,6 +222,7 @@ def test_interrupt_leaves_nothing_behind() -> None:
     assert seen[-1] == "laws in place of the causes"
 
 
+@pytest.mark.slow
 def test_isolability_of_a_diagnosis_is_that_of_its_poses() -> None:
     d = diagnose(identify(robot("ur10e"), practice("ur10e-P06"), priors=True), effects=FEW)
     ahead = isolability(robot("ur10e"), practice("ur10e-P06"), FEW, noise=d.noise)

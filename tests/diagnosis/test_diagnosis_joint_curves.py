@@ -114,12 +114,14 @@ def test_the_refit_keeps_the_learnt_sizes(found) -> None:
     assert max(abs(v) / priors[name] for name, v in values.items() if name in priors) < 6
 
 
+@pytest.mark.slow
 def test_a_robot_without_curves_has_none() -> None:
     d = diagnose(robot("ur10e"), simulated("ur10e", 22, n=60))
     assert d.verdict == "none"
     assert d.rankings[0].probability["joint_error_curve"] < 0.01
 
 
+@pytest.mark.slow
 def test_one_ripple_is_no_curve_of_all_joints() -> None:
     m = simulated("ur10e", 24, disturbances.TransmissionRipple(2, 80e-6, 7), n=100)
     d = diagnose(robot("ur10e"), m)

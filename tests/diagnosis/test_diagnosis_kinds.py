@@ -206,7 +206,7 @@ def test_everything_that_a_report_needs_is_made_of_distances() -> None:
     assert "x_mm" not in further
 
 
-@pytest.mark.parametrize("sigma", [1e-6, 1e-5, 1e-4, 1e-3, 1e-2])
+@pytest.mark.parametrize("sigma", [1e-4, *(pytest.param(s, marks=pytest.mark.slow) for s in (1e-6, 1e-5, 1e-3, 1e-2))])
 def test_instruments_from_a_micrometre_to_a_centimetre_raise_no_alarm(sigma: float) -> None:
     """Positions and three wires at the same stops, of a robot that is off in its geometry alone."""
     rng, kr210 = np.random.default_rng(7), robot("kr210")
@@ -224,6 +224,7 @@ def test_instruments_from_a_micrometre_to_a_centimetre_raise_no_alarm(sigma: flo
     assert 0.5 < np.hypot(found.noise.sigma, found.noise.repeatability * arm) / sigma < 1.5
 
 
+@pytest.mark.slow
 def test_the_tilt_of_a_foot_is_found_by_the_links_weight() -> None:
     """Three wires whose places nobody knows: a foot aslant, upright in its file, moves nothing but by its loads."""
     rng, kr210, m = np.random.default_rng(7), robot("kr210"), practice("kr210-P02")
@@ -242,6 +243,7 @@ def test_the_tilt_of_a_foot_is_found_by_the_links_weight() -> None:
 WALL = np.array([[0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "shown"),
     [
@@ -266,12 +268,14 @@ def test_turns_of_a_foot_are_those_that_the_weight_shows_better_than_their_prior
     assert all(abs(value - 0.02) < 4 * error for name, value, error in known if name in shown)
 
 
+@pytest.mark.slow
 def test_motions_that_share_poses_are_said_to_share_their_noise() -> None:
     found = diagnose(robot("hh800"), motions(practice("hh800-P01")[:60]), ["backlash", "joint_coupling"])
     assert any("share a pose" in text for text in assumptions(found))
     assert not found.case.one_end
 
 
+@pytest.mark.slow
 def test_covariances_of_positions_weigh_them() -> None:
     """A third of the poses is far worse, and the table says so: the cause is found as without them."""
     m = practice("hh800-P01")
@@ -306,6 +310,7 @@ def test_orientations_of_another_convention_are_left_aside_and_said() -> None:
     assert any("convention" in said for said in found.case.assumed)
 
 
+@pytest.mark.slow
 def test_sets_of_two_kinds_have_noise_of_their_own() -> None:
     m = practice("hh800-P01")
     rng = np.random.default_rng(0)
@@ -355,6 +360,7 @@ def test_poses_that_hold_one_point_are_spread_over_the_folds() -> None:
     assert len(np.unique(case.evidence.alike)) == 4
 
 
+@pytest.mark.slow
 def test_a_wire_that_drifts_is_named_and_no_cause_in_the_robot() -> None:
     m = practice("kr210-P08")[:60]
     first, second, third = distances(m)
@@ -382,6 +388,7 @@ def test_a_wire_that_drifts_is_named_and_no_cause_in_the_robot() -> None:
     np.testing.assert_allclose(predicted(found.apply(), m)[0], predicted(found.identification.robot, m)[0], atol=2e-4)
 
 
+@pytest.mark.slow
 def test_a_wire_that_slips_once_is_named_with_its_step() -> None:
     """By 0.2 mm after half of the campaign, as a counter that loses counts."""
     first, second, third = distances(practice("kr210-P08")[:60])
@@ -414,6 +421,7 @@ def in_two_sessions(m: Measurements, moved: np.ndarray) -> Measurements:
     return replace(m, position=p, conditions={**m.conditions, "session_a": 1.0 - later, "session_b": 1.0 * later})
 
 
+@pytest.mark.slow
 def test_base_and_tool_of_each_session_are_part_of_the_base_model() -> None:
     far = frame(from_rpy(np.array([0.0, 0.0, 1.2])), np.array([1.5, -0.4, 0.2]))
     d = diagnose(robot("ur10e"), in_two_sessions(simulated("ur10e", 21, n=70), far), ["backlash", "joint_zero_step"])
@@ -421,6 +429,7 @@ def test_base_and_tool_of_each_session_are_part_of_the_base_model() -> None:
     assert "session_b.x" in d.case.given.parameters.names
 
 
+@pytest.mark.slow
 def test_a_moved_foot_is_a_cause_where_the_base_is_said_to_be_shared() -> None:
     near = frame(from_rpy(np.array([2e-4, -1e-4, 1e-4])), np.array([1e-4, 2e-4, -1e-4]))
     shared = replace(robot("ur10e"), sessions=Sessions("shared", "shared", "shared"))

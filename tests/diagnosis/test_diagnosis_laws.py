@@ -135,6 +135,7 @@ def test_screened_evidence_is_the_exact_one_at_each_rho(stays: float) -> None:
             assert screen.gains(G, b) == pytest.approx(exact[rho], abs=1.0)
 
 
+@pytest.mark.slow
 def test_laws_that_cannot_reach_what_is_needed_are_left_out_and_no_others() -> None:
     c, rng = case("kr210-P02"), np.random.default_rng(5)
     problem, n = Problem.beside(c, NONE), int(c.kept.sum())
@@ -166,6 +167,7 @@ def test_products_of_functions_of_each_column_are_those_of_the_columns(stays: fl
         np.testing.assert_allclose(b[k], white.T @ projection.y, rtol=1e-6, atol=1e-6 * np.abs(b[k]).max())
 
 
+@pytest.mark.slow
 def test_a_law_of_every_joint_is_found_with_a_factor_each() -> None:
     c = discovered(6).diagnosis.case
     law = Law(None, "joints", "a*sin(3*q) + b*cos(3*q)", (("a", 3e-5), ("b", 3e-5)), count=6)
@@ -273,6 +275,7 @@ def test_laws_of_several_places_pay_for_all_that_were_looked_at() -> None:
     assert (many.best, many.seam) == (few.best, few.seam)
 
 
+@pytest.mark.slow
 def test_a_fold_knows_no_place_that_other_poses_said() -> None:
     law = law_of_instrument(ranged, 0.0)
     tried, poses = law.tried, np.arange(0, len(law.columns), 2)
@@ -300,6 +303,7 @@ def glass(m: Measurements) -> Measurements:
     return replace(m, position=m.position - 4e-4 * (np.sqrt(1.51**2 - askew) - 1.3) * beam / r)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stays", [0.0, 0.6])
 def test_a_short_wave_over_the_range_is_found_with_the_direction_to_the_instrument(stays: float) -> None:
     found = law_of_instrument(ranged, stays)
@@ -310,6 +314,7 @@ def test_a_short_wave_over_the_range_is_found_with_the_direction_to_the_instrume
     assert np.linalg.norm(ways[0] - ways[1]) < 0.05
 
 
+@pytest.mark.slow
 def test_a_target_that_looks_aside_is_found() -> None:
     found = law_of_instrument(glass, 0.0)
     assert (found.law.place, found.tried.driver.text, found.score > 12.0) == ("beam", "incidence", True)
@@ -323,6 +328,7 @@ def law_of_instrument(changed, stays: float) -> Scored:
     return search_laws(c.with_form(following(stays, 80)) if stays else c, NONE)[0]
 
 
+@pytest.mark.slow
 def test_places_of_short_waves_are_looked_for_some_at_a_time() -> None:
     c = diagnose(robot(NAME), ranged(from_table(table(4, poses=200), 6)), ["backlash"], laws=False).case
     linear = linearise(c.given, c.m, c.values).at(np.flatnonzero(c.kept))
@@ -402,6 +408,7 @@ def turned_head(m: Measurements, across: float, along: float) -> Measurements:
     return replace(m, position=m.position + sense[:, None] * way)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "places", "driver"),
     [
@@ -421,17 +428,20 @@ def test_a_law_is_looked_for_where_all_would_be_noise_of_any_size(changed, place
     assert (best.law.place in places, best.tried.driver.text) == (True, driver)
 
 
+@pytest.mark.slow
 def test_a_data_sheet_of_much_room_stops_no_search_for_laws() -> None:
     m = turned_head(from_table(table(4), 6), 2e-5, 0.0)
     assert diagnose(robot(NAME), replace(m, datasheet=6e-4)).verdict == "unknown"
 
 
+@pytest.mark.slow
 def test_several_tables_have_no_head_of_one_instrument() -> None:
     m = turned_head(from_table(table(4), 6), 2e-5, 0.0)
     found = diagnose(robot(NAME), [m[:40], m[40:]], laws=False)
     assert all("head" not in s.law.drivers for s in search_laws(found.case, NONE))
 
 
+@pytest.mark.slow
 def test_what_predicts_best_goes_into_the_robot() -> None:
     found = discovered(5, STOP)
     m = found.case.m
@@ -440,6 +450,7 @@ def test_what_predicts_best_goes_into_the_robot() -> None:
     assert replace(found, gap={"base": 1.0, "law": 0.9, "smooth": 0.8}).kept == "smooth"
 
 
+@pytest.mark.slow
 def test_what_touches_the_robot_has_no_beam() -> None:
     problem = read_problem(Path(__file__).parents[2] / "problems" / "panda_1")
     touched = diagnose(problem.robot, problem.sets["identify"][0][:60], ["backlash"], laws=False)
@@ -447,6 +458,7 @@ def test_what_touches_the_robot_has_no_beam() -> None:
     assert "beam" not in {s.law.seam for s in search_laws(touched.case, NONE)}
 
 
+@pytest.mark.slow
 def test_a_law_that_is_a_listed_effect_by_another_name_is_said_as_such() -> None:
     case = discovered(7, GearEccentricity(2, 90e-6)).diagnosis.case
     ranking, first = rank(case, NONE), search_laws(case, NONE)[0]
@@ -464,6 +476,7 @@ def shift_of(c: Case, law: Law, rms: float) -> Array:
     return rms * unit / unit.std()
 
 
+@pytest.mark.slow
 def test_a_law_is_found_in_noise_that_follows_itself() -> None:
     c = discovered(6).diagnosis.case
     r = following_noise(c.whole.r.shape, 0.95, 40e-6, 4) + shift_of(c, PRODUCT, 20e-6)
@@ -500,6 +513,7 @@ def assert_noise_is_best_beside(case: Case, effects: Sequence[Effect]) -> None:
     assert other_following(case, np.unique(case.group(effects))) is None
 
 
+@pytest.mark.slow
 def test_a_law_takes_the_place_of_a_cause_that_was_found_under_noise_that_follows_itself() -> None:
     m = hidden_in(0.75, 20e-6, 5, {PRODUCT: 42e-6})
     cause = diagnose(robot(NAME), m, laws=False)
@@ -518,6 +532,7 @@ def test_a_law_takes_the_place_of_a_cause_that_was_found_under_noise_that_follow
     assert said.to_json()["rounds"][0]["noise_stays"] == pytest.approx(found.case.form.stays, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_the_noise_is_found_again_beside_each_further_law() -> None:
     wave = Law(5, "joint", "a*sin(3*q5)", (("a", 1e-4),))
     found = diagnose(robot(NAME), hidden_in(0.8, 20e-6, 5, {PRODUCT: 60e-6, wave: 45e-6}), ["backlash"])
@@ -552,6 +567,7 @@ def test_noise_is_a_rival_of_every_law() -> None:
     assert not replace(first, noise=("noise that follows itself", first.best.score)).claimed
 
 
+@pytest.mark.slow
 def test_laws_of_a_large_campaign_are_searched_on_some_of_its_poses() -> None:
     found = laws_beside(replace(discovered(5, STOP).diagnosis, law=None), poses=36)
     assert found.thinned == (36, 80)
@@ -562,14 +578,6 @@ def test_laws_of_a_large_campaign_are_searched_on_some_of_its_poses() -> None:
     assert len(found.refit().measurements[0]) == 80
     c = where_noise_follows("kr210-P02", 0.8)
     assert contest.thinned(c, 36).form.stays == pytest.approx(0.8 ** (c.kept.sum() / 36))  # less stays over longer ways
-
-
-def test_a_law_of_other_poses_is_searched_again() -> None:
-    found = discovered(5, STOP).diagnosis
-    assert found.law is not None
-    assert len(found.law.best.columns) == found.case.kept.sum()
-    some = laws_beside(found, poses=36).rounds[0].best
-    assert (len(some.columns), len(laws_beside(found).rounds[0].best.columns)) == (36, len(found.law.best.columns))
 
 
 def test_a_diagnosis_that_is_unknown_says_the_law() -> None:
@@ -585,6 +593,7 @@ def test_a_diagnosis_that_is_unknown_says_the_law() -> None:
     assert "no law is claimed: " in diagnosis_page(found.diagnosis, nothing)
 
 
+@pytest.mark.slow
 def test_laws_are_searched_beside_a_curve_alone_unless_they_are_declined() -> None:
     found = diagnose(robot(NAME), from_table(table(5, STOP), 6), ["joint_error_curve"])
     assert found.verdict == "unknown"
@@ -592,6 +601,7 @@ def test_laws_are_searched_beside_a_curve_alone_unless_they_are_declined() -> No
     assert analyse(found, laws=False).laws is None
 
 
+@pytest.mark.slow
 def test_a_cause_that_a_law_explains_better_is_not_named() -> None:
     alone = diagnose(robot(NAME), from_table(table(5, STOP), 6), laws=False)
     held = discovered(5, STOP).diagnosis
@@ -604,6 +614,7 @@ def test_a_cause_that_a_law_explains_better_is_not_named() -> None:
     assert [c.label for c in right.causes] == ["gear_eccentricity@2"]
 
 
+@pytest.mark.slow
 def test_a_law_takes_the_place_of_causes_only_where_it_predicts_better() -> None:
     """A right flexure was replaced by a law of more evidence that was worse on poses held out."""
     right = discovered(7, GearEccentricity(2, 90e-6)).diagnosis
@@ -619,6 +630,7 @@ def test_a_law_takes_the_place_of_causes_only_where_it_predicts_better() -> None
     assert not contest.replaces_causes(right, replace(claimed, laws=(blind,)))
 
 
+@pytest.mark.slow
 def test_a_law_and_causes_under_two_noises_are_compared_over_the_same() -> None:
     right = discovered(7, GearEccentricity(2, 160e-6), GearEccentricity(4, 250e-6)).diagnosis
     assert len(right.causes) == 2
@@ -660,17 +672,12 @@ def test_a_driver_beyond_all_measure_is_none() -> None:
     assert (kept, values.shape) == ([usual], (80, 1))
 
 
+@pytest.mark.slow
 def test_nothing_is_claimed_where_there_is_nothing() -> None:
     found = discovered(6)
     assert found.laws == ()
     assert "No law is claimed" in plain_text(found.blocks(), 100)
     assert found.to_json("clean")["verdict"] == "none"
-
-
-def test_a_listed_effect_stays_one() -> None:
-    found = discovered(7, GearEccentricity(2, 90e-6))
-    assert found.laws == ()
-    assert [e.label for e in found.diagnosis.effects()] == ["gear_eccentricity@2"]
 
 
 def test_a_line_a_person_can_read() -> None:
@@ -703,6 +710,7 @@ def test_the_files_are_read_again(tmp_path: Path) -> None:
         read_effects(tmp_path / "bad.toml")
 
 
+@pytest.mark.slow
 def test_what_a_law_alone_detects_is_said_as_such() -> None:
     found = diagnose(robot(NAME), turned_head(from_table(table(4), 6), 0.0, 8e-5))
     assert found.rankings[0].none > DETECT

@@ -35,6 +35,7 @@ def misdeclared(name: str, seed: int) -> Robot:
     return replace(robot(name), joints=tuple(joints))
 
 
+@pytest.mark.slow
 def test_wrong_masses_are_named_as_such_and_a_cause_beside_them_is_found() -> None:
     declared = misdeclared("kr210", 3)
     d = diagnose(declared, simulated("kr210", 21, n=70))
@@ -54,6 +55,7 @@ def test_wrong_masses_are_named_as_such_and_a_cause_beside_them_is_found() -> No
     assert abs(found[2] - true[2]) < abs(said[2] - true[2])
 
 
+@pytest.mark.slow
 def test_as_a_nuisance_they_are_in_the_base_model_and_never_named() -> None:
     declared = misdeclared("kr210", 3)
     d = diagnose(declared, simulated("kr210", 21, n=70), masses="nuisance")

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import pytest
 from cases import diagnose, robot, simulated
 from numpy_physics import disturbances
 
@@ -32,6 +33,7 @@ def test_what_stands_for_a_missing_column_is_no_candidate_where_it_was_logged() 
         assert ("a warm-up that was not measured" in {c.label for c in found}) is there
 
 
+@pytest.mark.slow
 def test_a_robot_that_warms_up_unmeasured_gets_no_cause_that_follows_something_else() -> None:
     hidden = disturbances.ThermalGrowth(25e-6)
     d = diagnose(robot("kr210"), simulated("kr210", 8, hidden, n=80, drop=("temperature",)))

@@ -72,7 +72,7 @@ def test_structure_without_a_form_is_no_noise_where_the_noise_is_declared() -> N
     assert answer["excess_mm"] > 1e3 * NOISE
 
 
-@pytest.mark.parametrize("wrong", [1 / 3, 1, 3])
+@pytest.mark.parametrize("wrong", [3, *(pytest.param(w, marks=pytest.mark.slow) for w in (1 / 3, 1))])
 def test_a_declaration_that_is_wrong_by_three_is_overruled_and_said(wrong: float) -> None:
     d = found(with_noise(clean(100)), wrong * NOISE)
     assert d.verdict == "none"
@@ -90,6 +90,7 @@ def test_a_data_sheet_tells_structure_from_noise() -> None:
     assert "declared_mm" not in answer
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("times", "rule", "said"),
     [
@@ -113,6 +114,7 @@ def test_what_follows_the_sum_of_two_angles_is_structure() -> None:
     assert "follows q4 + q5 along joint 5" in words(d)
 
 
+@pytest.mark.slow
 def test_points_that_are_near_err_alike() -> None:
     """What follows the place alone, each place by chance, as a scale with wrong marks has it."""
     m, arm, rng = clean(60), robot("kr210"), np.random.default_rng(2)
@@ -125,6 +127,7 @@ def test_points_that_are_near_err_alike() -> None:
     assert "poses whose points are near" in [s.over for s in d.account.structures]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("poses", "times"), [(60, 5), (12, 10)])
 def test_noise_of_repeated_poses_is_no_structure_and_no_law(poses: int, times: int) -> None:
     """Where points lie as measured, and which way they went from one repeat to the next, is the noise's."""
@@ -136,12 +139,14 @@ def test_noise_of_repeated_poses_is_no_structure_and_no_law(poses: int, times: i
     assert not laws_beside(d).laws
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("poses", [5, 8, 9])
 def test_few_poses_have_no_law(poses: int) -> None:
     d = diagnose(robot("kr210"), clean(40)[:poses], laws=True)
     assert (d.verdict, d.law) == ("none", None)
 
 
+@pytest.mark.slow
 def test_lines_looked_for_alone_are_those_among_all_structures() -> None:
     m, arm = clean(100), robot("kr210")
     rippled = replace(m, q=m.q + 2e-4 * np.sin(21 * m.q) * (np.arange(6) == 1))
@@ -158,6 +163,7 @@ def test_noise_that_follows_itself_is_noise() -> None:
     assert (d.account.form, d.account.structures) == ("noise that follows itself", ())
 
 
+@pytest.mark.slow
 def test_repeated_poses_rule_over_a_declaration() -> None:
     """Structure that comes again with its pose is none of the noise, whatever was declared."""
     m = clipped(clean(), 3e-4)
@@ -177,6 +183,7 @@ def test_chances_are_those_of_the_beta_distribution(share: float, width: int, fr
     assert log_chance_of(share, width - 1, freedom - 1) >= less
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ur10e-P03", "kr210-P08"])
 def test_round_off_of_readings_changes_no_verdict_and_no_cause(name: str) -> None:
     m, arm, effects = practice(name), robot(name.split("-")[0]), ["gear_eccentricity", "backlash", "frame_drift"]

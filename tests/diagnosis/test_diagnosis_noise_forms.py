@@ -125,6 +125,7 @@ class Scatter(Disturbance):
         return only(self.joint, self.size * np.random.default_rng(0).standard_normal(len(stops)))
 
 
+@pytest.mark.slow
 def test_a_joint_that_scatters_is_no_cause() -> None:
     d = diagnose(robot("ur10e"), simulated("ur10e", 4, Scatter(2, 80e-6), n=60))
     assert (d.verdict, d.causes) == ("unknown", ())
@@ -134,6 +135,7 @@ def test_a_joint_that_scatters_is_no_cause() -> None:
     assert max(found, key=lambda k: found[k]) == "scatter of joint 2"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [250e-6, 600e-6], ids=["smaller than the scatter", "larger"])
 def test_beside_a_cause_a_joint_that_scatters_is_on_no_list(size: float) -> None:
     """The smaller cause is seen only with the scatter in the noise; else the scatter leads and ends the search."""
@@ -162,6 +164,7 @@ def test_noise_that_follows_itself_is_judged_again_without_the_last_pose() -> No
     np.testing.assert_allclose(fewer.judged.log_base(), fresh.log_base(), rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_beside_a_cause_noise_that_follows_itself_is_no_further_one() -> None:
     m = simulated("ur10e", 5, disturbances.GearEccentricity(4, 150e-6), n=60, noise_mm=0.002)
     white = np.random.default_rng(2).standard_normal((90, 3))
@@ -190,6 +193,7 @@ def path(amplitude: float, poses: int = 300) -> Measurements:
     return replace(empty, position=p.T + noise)
 
 
+@pytest.mark.slow
 def test_a_line_is_found_beneath_noise_that_follows_itself() -> None:
     """The noise is thirty times as large as what the line leaves in the positions at its frequency."""
     effects = ["transmission_ripple", "frame_drift"]

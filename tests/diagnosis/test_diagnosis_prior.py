@@ -49,6 +49,7 @@ def elsewhere(built):
     return replace(built, base=replace(built.base, T=T))
 
 
+@pytest.mark.slow
 def test_what_is_known_and_did_not_change_is_no_cause(built, first):
     m = measured(elsewhere(built), 40, 2, "second.csv")
     found = diagnose(robot("ur10e"), m, CANDIDATES, prior=first)
@@ -65,6 +66,7 @@ def test_what_is_known_and_did_not_change_is_no_cause(built, first):
     assert errors(refit(found.case, (), found.noise).robot, measured(elsewhere(built), 200, 9, "")).mean() < 4 * NOISE
 
 
+@pytest.mark.slow
 def test_a_joint_with_another_gear_is_named(built, first):
     """Joint 3 has another curve; joint 2 is still known, and nothing else is claimed."""
     other = {name: value for name, value in curves(7).items() if name.endswith("q3")}

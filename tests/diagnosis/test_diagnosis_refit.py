@@ -29,6 +29,7 @@ class Recorded(prediction.Session):
 ROBOTS: dict[str, Robot] = {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["hh800-P01", "kr210-P02"])
 def test_user_export_and_blind_check_have_the_same_robot(name: str) -> None:
     """Three ways to the robot with its causes: `apply`, the MJCF of a campaign, the predictor of a blind check."""

@@ -35,6 +35,7 @@ from casadical.robot.robot_file import read_robot
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.slow
 def test_two_are_found_though_their_mixture_looks_like_the_unknown() -> None:
     hidden = disturbances.JointZeroStep(3, 120e-6), disturbances.FrameDrift(150e-6, 60e-6)
     d = diagnose(robot("kr210"), simulated("kr210", 42, *hidden, n=60))
@@ -44,6 +45,7 @@ def test_two_are_found_though_their_mixture_looks_like_the_unknown() -> None:
     assert all(c.confidence > 0.9 for c in d.causes)
 
 
+@pytest.mark.slow
 def test_three_that_hide_each_other_are_found_together_with_their_probabilities() -> None:
     """Beside the first, the other two have half of the probability each."""
     hidden = (
@@ -118,6 +120,7 @@ def test_what_no_joint_shows_beside_the_others_ends_the_search(monkeypatch: pyte
     assert (last.steps, end) == ((), "none")
 
 
+@pytest.mark.slow
 def test_the_search_goes_on_where_the_last_name_of_a_set_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first of the set's names is in the model then, and the other step is found beside it."""
     steps = (disturbances.JointZeroStep(2, 1.5e-4, 0.3), disturbances.JointZeroStep(3, 1.5e-4, 0.7))
@@ -184,6 +187,7 @@ def test_a_set_of_similar_causes_has_three_labels_and_none_that_is_negligible() 
     assert indistinguishable(form, ["a", "b"]) == ("a", "form")
 
 
+@pytest.mark.slow
 def test_a_bump_in_a_joints_own_angle_is_unknown_and_its_joint_named(tmp_path: Path) -> None:
     r = robot("ur10e")
     m = simulated("ur10e", 8)
@@ -231,6 +235,7 @@ def test_a_bump_in_a_joints_own_angle_is_unknown_and_its_joint_named(tmp_path: P
     assert mapped < 0.7 * base
 
 
+@pytest.mark.slow
 def test_a_jump_of_the_last_poses_among_noise_with_heavy_tails_is_no_cause() -> None:
     """Real data of a camera: the jump was named, though beside the rest there is probably none."""
     problem = read_problem(ROOT / "problems" / "fr3_camera")
@@ -265,6 +270,7 @@ def test_text_and_json_have_the_same_layers(both: Diagnosis) -> None:
     assert set(given[-1]) == {"name", "mean_mm"}
 
 
+@pytest.mark.slow
 def test_a_clean_campaign_has_no_layers() -> None:
     clean = diagnose(robot("ur10e"), simulated("ur10e", 12), LABELS)
     assert (clean.verdict, layers(clean)) == ("none", [])

@@ -146,6 +146,7 @@ def spring_and_contact(run, t, q, v, tau):
     return contact(run, t, q, v, tau)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("fault", "labels"), [
     (ripple_and_late, {"ripple@2", "transport_delay@3"}), (spring_and_contact, {"spring@1", "contact@3"}),
 ])  # fmt: skip
@@ -154,6 +155,7 @@ def test_two_causes_of_one_log_are_both_told(fault, labels):
     assert {f.label.replace("lag", "transport_delay") for f in found.fitting} == labels
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 3])
 def test_of_a_healthy_arm_nothing_is_named(seed):
     found = diagnosed(seed)
@@ -200,6 +202,7 @@ def test_a_joint_that_never_moves_is_no_cause():
     assert any("3 never moved" in text for text in diagnose_log(ROBOT, still).to_json()["cannot_tell"])
 
 
+@pytest.mark.slow
 def test_friction_that_has_grown_is_told_with_a_reference_alone():
     log = simulated(1, drier)
     assert not diagnose_log(ROBOT, log).fitting
@@ -217,6 +220,7 @@ def one_way(run, t, q, v, tau):
     return tau, np.zeros(3)
 
 
+@pytest.mark.slow
 def test_what_sticks_one_way_alone_is_no_ripple():
     found = diagnose_log(ROBOT, simulated(5, one_way, runs=4))
     refused = found.outcome.refused
@@ -273,6 +277,7 @@ ORDER = {"command1_rad": "command2_rad", "command2_rad": "command1_rad"}
 MOTORS = {f"current{k}_A": f"torque{k}_Nm" for k in (1, 2, 3)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("change", "sentence"), [
     (lambda t: t.filter(regex="time|run|q|current"), "no commands: friction, load and inertia are told from"),
     (lambda t: t.filter(regex="time|run|q|command"), "no torque and no signed current: causes are told from the resp"),
@@ -303,6 +308,7 @@ def test_a_log_that_is_refused_is_not_read_as_poses_as_well(tmp_path):
     assert "missing" not in str(told.exception)
 
 
+@pytest.mark.slow
 def test_what_touches_the_arm_all_along_is_told_with_what_would_help():
     told = " ".join(plain_text(diagnosed(2, pushed).blocks(), 200).split())
     assert "log one run in free air; the other joints are told all the same" in told
@@ -316,6 +322,7 @@ def test_motion_without_commands_or_currents_is_a_log_that_says_what_it_lacks(tm
         campaign.diagnosed(campaign.logs[0])
 
 
+@pytest.mark.slow
 def test_a_folder_with_logs_is_diagnosed_by_those_to_be_fitted(tmp_path):
     for name in ("fitted", "kept"):
         table(simulated(1)[:600]).filter(regex="time|q|command").to_csv(tmp_path / f"{name}.csv", index=False)
@@ -330,6 +337,7 @@ def test_a_folder_with_logs_is_diagnosed_by_those_to_be_fitted(tmp_path):
     assert "kept.csv" not in told.output
 
 
+@pytest.mark.slow
 def test_it_says_what_such_a_log_cannot_tell():
     log = simulated(2)
     told = plain_text(diagnose_log(ROBOT, log).blocks(), 100)
@@ -356,6 +364,7 @@ def reached(module):
     return found
 
 
+@pytest.mark.slow
 def test_no_second_engine():
     """What judges a log is what judges poses: all that factors or solves is reached from there, too."""
     solvers = {
@@ -416,6 +425,7 @@ Tooth = effect_class(Definition.model_validate({
 """
 
 
+@pytest.mark.slow
 def test_a_cause_of_an_installed_plug_in_is_judged_beside_the_list(tmp_path, monkeypatch):
     site = installed(tmp_path, "casadical.effects", "toy_tooth = toy_teeth:Tooth", PLUG_IN)
     monkeypatch.syspath_prepend(site)

@@ -65,6 +65,7 @@ def test_a_planted_response_is_found_and_predicts_other_runs(arm):
     np.testing.assert_allclose(r.friction / r.gain, DRY / GAIN, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_torque_is_replayed_too_where_it_was_logged(arm):
     """The torque of the servo, by the true gain, of a run that was not fitted; without it none is told."""
 
@@ -81,6 +82,7 @@ def test_torque_is_replayed_too_where_it_was_logged(arm):
     assert replayed(arm, [moved(arm, 1)], [log]).torque is None
 
 
+@pytest.mark.slow
 def test_runs_are_withheld_in_turn_where_none_are_kept_apart(arm):
     found = replayed(arm, [moved(arm, seed, 12.0) for seed in (4, 5)])
     assert found.held_out
@@ -91,6 +93,7 @@ def test_runs_are_withheld_in_turn_where_none_are_kept_apart(arm):
     assert "log a second motion" in plain_text(alone.blocks(), 200)
 
 
+@pytest.mark.slow
 def test_prediction_knows_nothing_of_the_readings_but_the_first(arm):
     log = moved(arm, 6, 6.0)
     (response,) = fitted(arm, [log])
@@ -99,12 +102,14 @@ def test_prediction_knows_nothing_of_the_readings_but_the_first(arm):
     np.testing.assert_array_equal(response.predicted(blind), response.predicted(log))
 
 
+@pytest.mark.slow
 def test_without_commands_there_is_no_replay(arm):
     log = moved(arm, 6, 6.0)
     with pytest.raises(InputError, match="no commands, and so no replay"):
         fitted(arm, [JointLog(log.time, log.joints, log.position, torque=np.zeros_like(log.position))])
 
 
+@pytest.mark.slow
 def test_real_motions_of_an_so101_that_were_not_fitted():
     robot = read_robot(ROOT / "problems" / "so101" / "robot.toml")
     names = ("wave_motion", "staircase_motion", "reach_and_return", "circular_motion")
@@ -114,6 +119,7 @@ def test_real_motions_of_an_so101_that_were_not_fitted():
     assert (found.after[:5] < 0.25 * found.before[:5]).all()
 
 
+@pytest.mark.slow
 def test_rounding_of_readings_moves_no_parameter():
     """Each step multiplied it where the cost has kinks: processors ended at dampings that differed by 6e-4."""
     robot = read_robot(ROOT / "problems" / "so101" / "robot.toml")
@@ -144,6 +150,7 @@ def test_the_command_replays_and_keeps_the_drives_in_a_robot_file(arm, tmp_path)
     assert kept.drive.friction is not None
 
 
+@pytest.mark.slow
 def test_a_joint_that_was_sent_nowhere_gets_no_response_of_its_own(arm):
     log = moved(arm, 7, 12.0)
     still = np.full(len(log), 0.2)
@@ -155,6 +162,7 @@ def test_a_joint_that_was_sent_nowhere_gets_no_response_of_its_own(arm):
     assert found.after[1] < 1.2 * found.before[1]
 
 
+@pytest.mark.slow
 def test_the_report_of_logs_shows_errors_friction_and_hysteresis(arm, tmp_path):
     pytest.importorskip("plotly")
     replay = replayed(arm, [moved(arm, 1, 12.0)], [moved(arm, 2, 12.0)])
@@ -176,6 +184,7 @@ def test_the_report_of_logs_shows_errors_friction_and_hysteresis(arm, tmp_path):
     assert list(drawn.layout.yaxis.ticktext) == ["a", "b"]
 
 
+@pytest.mark.slow
 def test_effects_of_poses_and_drives_of_logs_live_in_one_file(arm, tmp_path):
     with_both = arm.with_effect(Backlash(2))
     path = tmp_path / "diagnosed.robot.toml"
@@ -186,6 +195,7 @@ def test_effects_of_poses_and_drives_of_logs_live_in_one_file(arm, tmp_path):
     assert kept.drive.damping is not None
 
 
+@pytest.mark.slow
 def test_what_an_earlier_log_told_stays_where_a_later_one_moves_nothing(arm):
     (before,) = fitted(arm, [moved(arm, 1, 12.0)])
     log = moved(arm, 9, 8.0)
