@@ -151,10 +151,10 @@ def with_unknown_masses(robot: Robot, sets: Sequence[Measurements]) -> tuple[Rob
     """The robot with all that is unknown of its masses in the model, and the labels of the effects to be free.
 
     As it is, and no labels, where its masses are declared, no joint gives, or an earlier fit has found them.
-    Compliances are fitted to the torques of estimated masses (`core.estimated_masses`), and what the estimates may be
-    off by is fitted with them: mass and mass centre of every link, of a logged payload its mass centre. Gravity then
-    deflects each joint as it does (see `gravity`), while its stiffness stays unknown: twice the masses at twice the
-    stiffness is the same robot.
+    Compliances are fitted to the torques of estimated masses (`parts.with_estimated_masses`), and what the estimates
+    may be off by is fitted with them: mass and mass centre of every link, of a logged payload its mass centre. Gravity
+    then deflects each joint as it does (see `gravity`), while its stiffness stays unknown: twice the masses at
+    twice the stiffness is the same robot.
     """
     if all(j.compliance is None for j in robot.joints):
         return robot, ()

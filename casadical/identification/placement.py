@@ -166,7 +166,7 @@ def place_frames(robot: Robot, m: Measurements | Sequence[Measurements]) -> Robo
     M (9 numbers), M p_B and t: solved by least squares, M made a rotation, then refined by Kabsch's method and t in
     turns. Of several tools, base and tool are placed by the one that was measured most, the others then by the base.
     Where the poses determine the base's rotation or the tool badly (lines, one orientation, few poses), they are held
-    by what the robot file says of them (see `held_placement`); and so they are from distances to known points.
+    by what the robot file says of them; and so they are from distances to known points.
     Other kinds do not carry this information; they, and robots whose base is known or is row 1 of the table, are left
     as they are. Source: Kabsch (1976) for the rotation.
     """

@@ -101,7 +101,7 @@ def kernel(
 ) -> PoseFunctions:
     """The kernel of one kind of measurement for the chosen parameters of a robot.
 
-    fixed_loads : whether gravity torques are those of the nominal geometry (see `model.build`)
+    fixed_loads : whether gravity torques are those of the nominal geometry (see `Model`)
     """
     chosen = tuple(robot.parameters.index_of(name) for name in names)
     return _kernel(expressions(robot.structure, fixed_loads), kind, point, chosen, fixed_loads)

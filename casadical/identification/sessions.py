@@ -1,6 +1,7 @@
 """Several sessions of one robot: base and tool of its own for each, the robot shared, joint zeros shared or not.
 
-The first session has the robot's own base and tool; each further one is an effect (`effects.Session`): its departures.
+The first session has the robot's own base and tool; each further one is an effect (`instrument.Session`): its
+departures.
 """
 
 from collections.abc import Sequence

@@ -153,7 +153,7 @@ def calibration_figures(
 ) -> Iterator[Figure]:
     """Every figure of a calibration: what the data do not hold is not there; where : as of `where_left`.
 
-    errors/SET and distribution/SET for each set of poses; workspace; where/TABLE as `Diagnosis.where` names them (of
+    errors/SET and distribution/SET for each set of poses; workspace; where/TABLE as `where_figures` names them (of
     measured positions); parameters/lengths, /angles, /compliance; fit/residuals, /coverage, /pairs; training.
     """
     last, poses = list(results.values())[-1], pose_errors(problem, results, networks)

@@ -71,7 +71,7 @@ class House:
     @cached_property
     def modules(self) -> dict[str, Source]:
         found = {}
-        for path in sorted(self.folder.rglob("*.py")):
+        for path in sorted(p for p in self.folder.rglob("*.py") if p.name != "__main__.py"):
             parts = path.relative_to(self.folder).with_suffix("").parts
             name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
             text = "".join(p.read_text(encoding="utf-8") for p in (path, path.with_suffix(".pyi")) if p.exists())

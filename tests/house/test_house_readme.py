@@ -6,7 +6,7 @@ from pathlib import Path
 
 import command_line
 import pytest
-from repository import ROOT, fenced, tracked
+from repository import ROOT, fenced
 
 README = ROOT / "README.md"
 VENV = "python3 -m venv .venv && .venv/bin/pip install "
@@ -18,6 +18,7 @@ def test_the_two_commands_are_whole() -> None:
     assert tests == f"{VENV}-e '.[dev]' && .venv/bin/python -m pytest -n auto"
 
 
+@pytest.mark.slow
 def test_the_calibrate_command_runs() -> None:
     """Its last part, in this process; .ci/run makes a fresh environment by the second command."""
     name, *arguments = fenced(README, "sh")[0].strip().split(" && ")[-1].split()
@@ -38,6 +39,7 @@ def test_ci_runs_the_readmes_command() -> None:
     assert found.stdout.strip() == fenced(README, "sh")[1].strip()
 
 
+@pytest.mark.slow
 def test_the_example_runs(tmp_path: Path) -> None:
     (code,) = fenced(README, "python")
     assert len([line for line in code.splitlines() if line.strip()]) <= 15
@@ -48,19 +50,6 @@ def test_the_example_runs(tmp_path: Path) -> None:
     before, after = map(float, re.search(r"mean: ([\d.]+) mm .*, ([\d.]+) mm", done.stdout).groups())
     assert after < 0.6 < before
     assert (tmp_path / "ur10_calibrated.toml").exists()
-
-
-def linked(path: Path) -> list[str]:
-    """Targets in this repository of a Markdown file's links and of its `path/like/this`."""
-    text = path.read_text(encoding="utf-8")
-    links = re.findall(r"\]\(([^)#:]+?)(?:#[^)]*)?\)", text)
-    paths = re.findall(r"`((?:docs|data|problems|casadical|tests)/[\w./-]+)`", text)
-    return [str((path.parent / link).resolve()) for link in links] + [str(ROOT / p) for p in paths]
-
-
-@pytest.mark.parametrize("path", [p for p in tracked() if p.suffix == ".md"], ids=str)
-def test_links_lead_somewhere(path: Path) -> None:
-    assert [target for target in linked(ROOT / path) if not Path(target).exists()] == []
 
 
 def test_a_robot_in_the_docs_is_one(tmp_path: Path) -> None:

@@ -46,6 +46,7 @@ def built(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_wheel_and_sdist_hold_the_package_and_nothing_great(built) -> None:
     (wheel,), (sdist,) = built.glob("*.whl"), built.glob("*.tar.gz")
     expected = {str(p) for p in BASE}
@@ -59,6 +60,7 @@ def test_wheel_and_sdist_hold_the_package_and_nothing_great(built) -> None:
     assert sdist.stat().st_size < 1.2e6
 
 
+@pytest.mark.slow
 def test_the_wheel_alone_takes_a_new_user_to_a_calibrated_robot(built, tmp_path) -> None:
     (wheel,) = built.glob("*.whl")
     with zipfile.ZipFile(wheel) as z:
@@ -81,6 +83,7 @@ def git(folder: Path, *command: str) -> None:
     subprocess.run(["git", *who, *command], cwd=folder, check=True, capture_output=True)
 
 
+@pytest.mark.slow
 def test_a_checkout_has_the_version_of_its_last_tag(tmp_path) -> None:
     assert of_tree(tmp_path) == NEXT
     git(tmp_path, "init", "-q")
@@ -93,6 +96,7 @@ def test_a_checkout_has_the_version_of_its_last_tag(tmp_path) -> None:
     assert re.fullmatch(r"1\.2\.0\.post1\+g[0-9a-f]{7,}", of_tree(tmp_path))
 
 
+@pytest.mark.slow
 def test_an_sdist_keeps_the_version_that_it_was_built_with(built, tmp_path) -> None:
     (sdist,) = built.glob("*.tar.gz")
     with tarfile.open(sdist) as t:

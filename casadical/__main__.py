@@ -1,0 +1,5 @@
+"""The command line as `python -m casadical`."""
+
+from casadical.cli import main
+
+main()
