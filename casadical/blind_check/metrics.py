@@ -8,17 +8,12 @@ the bootstrap of the diagnosis is part of what is judged.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import comb
 from statistics import NormalDist
 
 import numpy as np
 
 from casadical.blind_check.protocol import Answer, Kind, Secret
 from casadical.core.basics import Array
-
-# A coordinate farther from the truth than so many robust standard deviations is an outlier of the instrument.
-FAR = 8.0
-SET_SIZE = 3
 
 
 @dataclass(frozen=True)
@@ -96,7 +91,7 @@ def outcome(name: str, secret: Secret, answer: Answer) -> Outcome:
         signals=tuple(h.visible / secret.noise for h in secret.hidden),
         verdict=answer.verdict,
         named=named,
-        alike=(named[0], *answer.causes[0].alike)[:SET_SIZE] if named else (),
+        alike=(named[0], *answer.causes[0].alike)[:3] if named else (),
         probability=float(np.mean([probability.get(text, 0.0) for text in wanted])),
         predicted=1 - answer.gap_mm.after / answer.gap_mm.before,
         realised=1 - after / before,
@@ -115,12 +110,9 @@ def unseen_errors(secret: Secret, answer: Answer, outliers_named: bool) -> tuple
     before, after = np.linalg.norm(measured - base, axis=1), np.linalg.norm(measured - better, axis=1)
     if outliers_named:
         noise = np.abs(measured - true)
-        after = after[noise.max(axis=1) <= FAR * 1.4826 * float(np.median(noise))]
+        # Beyond eight robust standard deviations, a coordinate is an outlier of the instrument.
+        after = after[noise.max(axis=1) <= 8.0 * 1.4826 * float(np.median(noise))]
     return 1e-3 * float(before.mean()), 1e-3 * float(after.mean())
-
-
-_Z = NormalDist().inv_cdf(0.975)
-DRAWS = 2000
 
 
 @dataclass(frozen=True)
@@ -144,9 +136,9 @@ def share(hits: Sequence[bool]) -> Estimate:
     n, count = len(hits), sum(map(bool, hits))
     if n == 0:
         return Estimate(None, None, None, 0, 0)
-    p = count / n
-    centre, half = p + _Z**2 / (2 * n), _Z * float(np.sqrt(p * (1 - p) / n + _Z**2 / (4 * n**2)))
-    low, high = ((centre + sign * half) / (1 + _Z**2 / n) for sign in (-1, 1))
+    p, z = count / n, NormalDist().inv_cdf(0.975)
+    centre, half = p + z**2 / (2 * n), z * float(np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2)))
+    low, high = ((centre + sign * half) / (1 + z**2 / n) for sign in (-1, 1))
     return Estimate(p, max(0.0, low), min(1.0, high), n, count)
 
 
@@ -155,7 +147,7 @@ def bootstrap(values: Sequence[float], statistic: Callable[[Array], Array]) -> E
     if not len(values):
         return Estimate(None, None, None, 0)
     data = np.asarray(values, dtype=float)
-    draws = statistic(data[np.random.default_rng(0).integers(0, len(data), (DRAWS, len(data)))])
+    draws = statistic(data[np.random.default_rng(0).integers(0, len(data), (2000, len(data)))])
     low, high = np.quantile(draws, [0.025, 0.975])
     return Estimate(float(statistic(data)), float(low), float(high), len(data))
 
@@ -300,76 +292,3 @@ def part_metrics(part: Sequence[Outcome]) -> dict[str, Estimate]:
         "FIA": isolation(one),
         "shrink error": quantile(shrink_errors([t for t in part if "outliers" not in t.named]), 0.5),
     }
-
-
-def confusion(outcomes: Sequence[Outcome]) -> dict[str, dict[str, int]]:
-    """What was hidden (rows) against what was answered first, in campaigns with at most one effect."""
-    table: dict[str, dict[str, int]] = {}
-    for t in outcomes:
-        if t.kind != "several":
-            row = table.setdefault(t.effects[0] if t.effects else "none", {})
-            row[first_answer(t)] = row.get(first_answer(t), 0) + 1
-    return table
-
-
-def first_answer(t: Outcome) -> str:
-    """What an answer names first: none, unknown, an effect, or the right effect at another joint."""
-    if t.verdict in ("none", "unknown") or not t.named:
-        return t.verdict if t.verdict in ("none", "unknown") else "unknown"
-    word = t.named[0].partition("@")[0]
-    return "at another joint" if t.truth and word == t.effects[0] and t.named[0] != t.truth[0] else word
-
-
-Right = Callable[[Outcome, Outcome], bool]
-
-
-@dataclass(frozen=True)
-class SignTest:
-    """One question put to two methods on the same campaigns.
-
-    Campaigns on which both are right, or neither, do not count; of the others each would win half if both were equally
-    good (exact sign test; McNemar 1947).
-    first, other : campaigns on which this one alone is right; both, neither : the rest
-    p : probability of so uneven a split, or a more uneven one, between methods that are equally good
-    """
-
-    name: str
-    first: int
-    other: int
-    both: int
-    neither: int
-
-    @property
-    def p(self) -> float:
-        n, least = self.first + self.other, min(self.first, self.other)
-        return min(1.0, 2 * sum(comb(n, k) for k in range(least + 1)) / (1 << n))
-
-    def __str__(self) -> str:
-        every = self.first + self.other + self.both + self.neither
-        return f"{self.first} : {self.other} (of {every}; p = {self.p:.2g})"
-
-
-def sign_tests(first: Sequence[Outcome], other: Sequence[Outcome]) -> list[SignTest]:
-    """Answers of two methods to the same campaigns, question by question."""
-    twin = {t.name: t for t in other}
-
-    def test(name: str, outcomes: Sequence[Outcome], right: Right) -> SignTest:
-        # right : whether the first of two outcomes of a campaign is right (by itself, or better than the second).
-        both = [(right(t, twin[t.name]), right(twin[t.name], t)) for t in outcomes]
-        splits = ((True, False), (False, True), (True, True), (False, False))
-        return SignTest(name, *(both.count(split) for split in splits))
-
-    none, one, unlisted = (of_kind(first, kind) for kind in ("none", "one", "unlisted"))
-    large = [t for t in detectable(first) if t.kind != "none"]
-    listed = [t for t in large if t.kind != "unlisted"]
-    return [
-        test("nothing there, and nothing said", none, lambda t, _: not t.detected),
-        test("detected, signal >= .35", large, lambda t, _: t.detected),
-        test("one effect: first cause right, signal >= .35", detectable(one), lambda t, _: t.first_right),
-        test("one effect: claimed and right", one, lambda t, _: t.claimed and t.first_right),
-        test("on no list, and not claimed", unlisted, lambda t, _: not t.claimed),
-        test("all campaigns: no wrong claim", first, lambda t, _: not t.wrong_claims),
-        test(
-            "listed effects, signal >= .35: less of the gap is left", listed, lambda t, o: t.share_left < o.share_left
-        ),
-    ]

@@ -367,7 +367,7 @@ def _checked(subject: Subject, plan: Plan) -> tuple[str, Outcome | str]:
     except (InputError, ConvergenceError) as error:
         return plan.name, f"not simulated: {error}"
     tables = (pd.read_csv(StringIO(text)) for text in (made.seen, made.unseen))
-    answer = answer_campaign("diagnosis", plan.name, subject.model, *tables)
+    answer = answer_campaign(plan.name, subject.model, *tables)
     if "failed" in answer:
         return plan.name, str(answer["failed"])
     return plan.name, outcome(plan.name, made.secret, Answer.model_validate_json(json.dumps(answer)))

@@ -1,17 +1,10 @@
-"""Answer a blind check: diagnose each campaign from its folder alone, and predict positions at its unseen poses.
-
-A textbook method to compare with: forward choice of causes by F-test (Montgomery, Peck and Vining 2012, chapter 10).
-
-It has the candidates of the diagnosis and the residual that the base model leaves, and assumes white noise: ordinary
-least squares, no priors, no unknown cause, every choice a claim. The shrink of the gap is that of the fit's residuals.
-"""
+"""Answer a blind check: diagnose each campaign from its folder alone, and predict positions at its unseen poses."""
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import Executor
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.metadata import version
@@ -23,12 +16,8 @@ import pandas as pd
 
 from casadical.blind_check import protocol
 from casadical.blind_check.worker_pool import completed, workers
-from casadical.core.basics import Array, ConvergenceError, InputError, optional
+from casadical.core.basics import Array, ConvergenceError, InputError
 from casadical.core.files import appending
-from casadical.core.statistics import RANK, column_space
-from casadical.diagnosis.candidates import standard_candidates
-from casadical.diagnosis.linear_problem import make_case
-from casadical.effects import Effect
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import base_calibrated, prepare
 from casadical.measurements.derived_columns import derive
@@ -91,13 +80,13 @@ def session(name: str, model: str, seen: pd.DataFrame, unseen: pd.DataFrame) -> 
     return Session(name, robot, everything, table["seen"].to_numpy() == 1.0)
 
 
-def answer_campaign(by: str, name: str, model: str, seen: pd.DataFrame, unseen: pd.DataFrame) -> dict[str, Any]:
-    """The answer of one method to one campaign, as plain data; runs in a worker.
+def answer_campaign(name: str, model: str, seen: pd.DataFrame, unseen: pd.DataFrame) -> dict[str, Any]:
+    """Return the diagnosis' answer to one campaign, as plain data; runs in a worker.
 
     Where a campaign cannot be answered, the entry `failed` says why, and all others are answered still.
     """
     try:
-        return METHODS[by](session(name, model, seen, unseen))
+        return diagnosis(session(name, model, seen, unseen))
     except (InputError, ConvergenceError) as error:
         return {"campaign": name, "failed": str(error)}
 
@@ -144,7 +133,6 @@ def predict(
     folder: str | Path,
     out: str | Path | None = None,
     *,
-    by: str = "diagnosis",
     executor: Executor | None = None,
     show: Callable[[str, int, int], None] = lambda _text, _done, _all: None,
 ) -> Path:
@@ -152,37 +140,35 @@ def predict(
 
     A campaign that cannot be answered has a line that says why; it is tried again by the next call.
 
-    out : file of answers, a line each; by default answers.METHOD.jsonl in the folder
-    by : diagnosis, or f-test, a textbook method to compare it with; executor, show : as of `make`
-    Raises InputError for no such folder or method, tables that cannot be read, or a file that answers another check.
+    out : file of answers, a line each; by default answers.diagnosis.jsonl in the folder
+    executor, show : as of `make`
+    Raises InputError for no such folder, tables that cannot be read, or a file that answers another check.
     """
     folder = Path(folder)
-    if by not in METHODS:
-        raise InputError(f"--by {by}: not known; allowed: {', '.join(METHODS)}")
     manifest = protocol.read_manifest(folder)
-    path = Path(out) if out else folder / f"answers.{by}.jsonl"
-    done = _begun(path, manifest, by)
+    path = Path(out) if out else folder / "answers.diagnosis.jsonl"
+    done = _begun(path, manifest)
     left = [name for name in manifest.campaigns if name not in done]
     robots = {c.robot: folder / protocol.ROBOTS / f"{c.robot}.robot.toml" for c in manifest.campaigns.values()}
     models = {robot: to_toml(read_robot(path)) for robot, path in robots.items()}
-    tasks = [(by, name, models[manifest.campaigns[name].robot], *_tables(folder, name)) for name in left]
+    tasks = [(name, models[manifest.campaigns[name].robot], *_tables(folder, name)) for name in left]
     with workers(executor) as pool, appending(path, protocol.whole_lines(path)) as add:
         if not path.stat().st_size:
             versions = {package: version(package) for package in ("casadical", "casadi", "numpy")}
-            add(protocol.json_line({"key_sha256": manifest.key_sha256, "by": by, "versions": versions}))
+            add(protocol.json_line({"key_sha256": manifest.key_sha256, "by": "diagnosis", "versions": versions}))
         for count, answer in enumerate(completed(pool, answer_campaign, tasks), len(done) + 1):
             add(protocol.json_line(answer))
             show(answer["campaign"], count, len(manifest.campaigns))
     return path
 
 
-def _begun(path: Path, manifest: protocol.Manifest, by: str) -> set[str]:
+def _begun(path: Path, manifest: protocol.Manifest) -> set[str]:
     """Campaigns that are answered already. Raises InputError for answers to another check."""
     if not protocol.whole_lines(path):
         return set()
     head, answers = protocol.read_answers(path)
-    if (head.key_sha256, head.by) != (manifest.key_sha256, by):
-        raise InputError(f"{path}: holds answers by {head.by} to another check; name another file by --out")
+    if head.key_sha256 != manifest.key_sha256:
+        raise InputError(f"{path}: holds answers to another check; name another file by --out")
     return set(answers)
 
 
@@ -192,101 +178,3 @@ def _tables(folder: Path, name: str) -> tuple[pd.DataFrame, pd.DataFrame]:
         place = folder / name
         raise InputError(f"{place}.unseen.csv: holds positions; they belong in the key alone ({protocol.MANIFEST})")
     return seen, unseen
-
-
-SIGNIFICANT = 0.01
-MOST = 4
-
-
-@dataclass(frozen=True, eq=False)
-class Regression:
-    """Measurements y, shape (rows,), columns E of candidates, shape (rows, columns), and the degrees of freedom left.
-
-    Both are orthogonal to what is in the model; freedom : rows less the rank of what is in the model
-    """
-
-    y: Array
-    E: Array
-    freedom: int
-
-    def with_columns(self, A: Array) -> Regression:
-        """The same once columns A, shape (rows, any), are in the model."""
-        Q = column_space(A)
-        return Regression(self.y - Q @ (Q.T @ self.y), self.E - Q @ (Q.T @ self.E), self.freedom - Q.shape[1])
-
-    def gains(self, groups: Sequence[Array]) -> Array:
-        """By how much each group of columns lowers the sum of squares, shape (groups,)."""
-        b, gained = self.E.T @ self.y, np.zeros(len(groups))
-        widths = np.array([len(g) for g in groups])
-        for width in np.unique(widths):
-            which = np.flatnonzero(widths == width)
-            columns = np.stack([groups[int(k)] for k in which])
-            G = np.einsum("rgi,rgj->gij", self.E[:, columns], self.E[:, columns])
-            value, vector = np.linalg.eigh(G)
-            turned = np.einsum("gij,gi->gj", vector, b[columns])
-            kept = value > RANK * value.max(axis=1, keepdims=True)
-            gained[which] = np.sum(np.where(kept, turned**2 / np.where(kept, value, 1.0), 0.0), axis=1)
-        return gained
-
-    def best(self, groups: Sequence[Array]) -> tuple[int, float]:
-        """The group that an F-test prefers, and its p-value; the level is shared among all groups (Bonferroni).
-
-        The p-value is 1 where so many columns leave no degree of freedom.
-        """
-        f = optional("scipy.stats", "--by f-test needs scipy: pip install 'casadical[withheld]'").f
-        total, widths = float(self.y @ self.y), np.array([len(g) for g in groups])
-        gain = np.minimum(self.gains(groups), total * (1 - 1e-12))
-        freedom = self.freedom - widths
-        ratio = np.where(freedom > 0, gain / widths / (total - gain) * freedom, 0.0)
-        p = np.where(freedom > 0, np.minimum(1.0, f.sf(ratio, widths, np.maximum(freedom, 1)) * len(widths)), 1.0)
-        # Beyond what a float can hold, the greater ratio decides.
-        best = int(np.lexsort((-ratio, p))[0])
-        return best, float(p[best])
-
-    @property
-    def mean_length(self) -> float:
-        """Of the vectors of three rows that are left [m]."""
-        return float(np.linalg.norm(self.y.reshape(-1, 3), axis=1).mean())
-
-
-def f_test(s: Session) -> dict[str, Any]:
-    """The answer to a campaign: a cause after the other, as long as the F-test is significant."""
-    base = base_calibrated(prepare(s.robot, s.measured))
-    case = make_case(base, [c for c in standard_candidates(s.robot) if c.listed])
-    e = case.evidence
-    rows = e.r.size
-    left = Regression(e.r.ravel(), e.take(np.arange(e.width)).reshape(rows, -1), rows)
-    left = left.with_columns(e.J.reshape(rows, -1))
-    before = left.mean_length
-    causes: list[dict[str, Any]] = []
-    labels: list[str] = []
-    together: dict[Effect, None] = {}
-    while len(causes) < MOST:
-        best, p = left.best(case.groups)
-        if p >= SIGNIFICANT:
-            break
-        number, variant = case.variants[best]
-        candidate = case.candidates[number]
-        effects = candidate.variants[variant]
-        left = left.with_columns(left.E[:, case.group(effects)])
-        shrink = round(1 - left.mean_length / before, 4)
-        named = {"effect": candidate.name, "joint": candidate.joint, "confidence": 1.0}
-        causes.append({**named, "shrink": shrink, "indistinguishable": []})
-        labels.append(candidate.label)
-        together |= dict.fromkeys(effects)
-        # A label is taken once; its columns stay where they are.
-        case = replace(case, candidates=tuple(c for c in case.candidates if c.label != candidate.label))
-    out, with_causes = case.m.row[~case.kept], s.robot
-    with suppress(ConvergenceError):  # then the nominal robot stays, without effects
-        with_causes = s.fitted(s.robot.with_effect(*together), out) if together else s.robot
-    return {
-        "campaign": s.name,
-        "verdict": "explained" if causes else "none",
-        "gap_mm": {"before": round(1e3 * before, 5), "after": round(1e3 * left.mean_length, 5)},
-        "causes": causes,
-        "posterior": {labels[0] if labels else "none": 1.0},
-        "unseen": unseen_positions(s, base.robot, with_causes, out),
-    }
-
-
-METHODS = {"diagnosis": diagnosis, "f-test": f_test}

@@ -2,15 +2,13 @@
 
 The folder holds withheld.json, the nominal robots, and for each campaign NAME.csv (measured poses) and NAME.unseen.csv
 (further readings, without positions). The key is one file, key.json; its first entry is a salt, so its SHA-256 reveals
-nothing of its content, and `sha256sum key.json` is all that a sceptical reader needs. Files that are kept for good
-may be packed by xz; what is hashed and read is their content.
+nothing of its content, and `sha256sum key.json` is all that a sceptical reader needs.
 
 Answers are a line of JSON with its SHA-256 for each campaign, added when it is answered, never rewritten.
 """
 
 import hashlib
 import json
-import lzma
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,11 +18,13 @@ import pandas as pd
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from casadical.core.basics import InputError
-from casadical.core.reading import MOST_UNPACKED, foreign, json_of, load_json, read_bytes
+from casadical.core.reading import json_of, load_json, read_bytes
 from casadical.core.schema import check
 from casadical.measurements.raw_table import read_table as read_csv
 
-MANIFEST, KEY, ROBOTS, XZ = "withheld.json", "key.json", "robots", ".xz"
+MANIFEST = "withheld.json"
+KEY = "key.json"
+ROBOTS = "robots"
 Kind = Literal["none", "one", "several", "unlisted"]
 
 # Effects that belong to no joint, so that an answer need not name one.
@@ -112,25 +112,6 @@ class Key(_Strict):
         return json.dumps(head, indent=1)[:-2] + ',\n "campaigns": {\n' + ",\n".join(lines) + "\n }\n}\n"
 
 
-def stored(path: Path) -> Path:
-    """The file itself, or the one packed by xz beside it where that alone is there."""
-    packed = path.with_name(path.name + XZ)
-    return packed if packed.is_file() and not path.exists() else path
-
-
-def content(path: Path) -> bytes:
-    """What a file holds, unpacked where its name ends in .xz. Raises InputError: not a whole xz file; and OSError."""
-    data = read_bytes(path)
-    if path.suffix != XZ:
-        return data
-    reader = lzma.LZMADecompressor()
-    with foreign(f"{path}: not a whole xz file", "fetch it again"):
-        unpacked = reader.decompress(data, MOST_UNPACKED)
-        if not reader.eof:
-            raise ValueError(f"it ends too early, or holds more than {MOST_UNPACKED} bytes")
-    return unpacked
-
-
 def read_manifest(folder: Path) -> Manifest:
     """What a folder made by `make` holds. Raises InputError."""
     path = folder / MANIFEST
@@ -141,10 +122,10 @@ def read_manifest(folder: Path) -> Manifest:
 
 def read_key(folder: Path, manifest: Manifest) -> Key:
     """The key, after its hash was found to be the published one. Raises InputError if it is another or was changed."""
-    path = stored(folder / KEY if folder.is_dir() else folder)
+    path = folder / KEY if folder.is_dir() else folder
     if not path.is_file():
         raise InputError(f"{path}: no such key; name the folder that `make --key` wrote, or its {KEY}")
-    data = content(path)
+    data = read_bytes(path)
     digest = sha256(data)
     if digest != manifest.key_sha256:
         raise InputError(
@@ -267,12 +248,10 @@ def read_answers(path: Path) -> tuple[Header, dict[str, Answer]]:
     """A file of answers by campaign, without what failed and lines that are damaged. Raises InputError.
 
     A damaged line (a process was killed, a disk was full) counts as no answer, so that `predict` answers it again.
-    Where a file is missing, the one packed by xz beside it is read.
     """
-    path = stored(path)
     if not path.exists():
         raise InputError(f"{path}: no such file; make it with `casadical withheld predict`")
-    *lines, _cut = content(path).split(b"\n")
+    *lines, _cut = read_bytes(path).split(b"\n")
     if not lines:
         raise InputError(f"{path}: holds no answers; its first line must say which check they answer")
     head = _read(Header, lines[0], f"{path}: line 1", "predict into another file (--out)")

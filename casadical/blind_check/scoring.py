@@ -1,20 +1,16 @@
 """Score answers: open the key, check that it is the one whose hash was published, count, and tell."""
 
-import io
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from casadical.blind_check import metrics as counted
-from casadical.blind_check.metrics import Estimate, Metric, Outcome, outcome, part_metrics, sign_tests
+from casadical.blind_check.metrics import Estimate, Metric, Outcome, outcome, part_metrics
 from casadical.blind_check.protocol import Header, Key, read_answers, read_key, read_manifest
-from casadical.core.basics import InputError, optional
-from casadical.core.files import write_together
+from casadical.core.basics import InputError
 from casadical.core.telling.blocks import Block, Table, Words
 from casadical.core.telling.result import Result
-
-_LAST = ("at another joint", "unknown", "none")
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,13 +38,14 @@ class Score(Result):
         """Outcomes by poses, signal, column that was not logged, robot, and effect."""
         return counted.breakdown(self.outcomes)
 
-    @property
-    def confusion(self) -> dict[str, dict[str, int]]:
-        return counted.confusion(self.outcomes)
-
     def blocks(self) -> list[Block]:
-        """Metrics beside their targets, the same by parts, the confusion matrix, and every wrong claim."""
-        return side_by_side([self])
+        """Metrics beside their targets, the same by parts, and every wrong claim."""
+        return [
+            Words(_title(self)),
+            Table("", ["", self.head.by, "target"], [[m.name, str(m.estimate), m.target] for m in self.metrics]),
+            _parts(self),
+            *map(Words, wrong_claims(self)),
+        ]
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -62,17 +59,8 @@ class Score(Result):
                 by: {w: {k: _plain(f) for k, f in part_metrics(p).items()} for w, p in parts.items()}
                 for by, parts in self.parts.items()
             },
-            "confusion": self.confusion,
             "trials": [{k: _short(v) for k, v in t.__dict__.items()} for t in self.outcomes],
         }
-
-
-def in_common(scores: Sequence[Score]) -> list[Score]:
-    """The same scores on the campaigns that all of them answer, to be compared. Raises InputError: there is none."""
-    names = set.intersection(*({t.name for t in s.outcomes} for s in scores))
-    if not names:
-        raise InputError("no campaign is answered by all of these files; predict more, or score them one by one")
-    return [replace(s, outcomes=tuple(t for t in s.outcomes if t.name in names)) for s in scores]
 
 
 def score(folder: str | Path, key: str | Path, answers: str | Path) -> Score:
@@ -102,27 +90,6 @@ def _short(value: Any) -> Any:
     return [_short(v) for v in value] if isinstance(value, Sequence) and not isinstance(value, str) else value
 
 
-def side_by_side(scores: Sequence[Score]) -> list[Block]:
-    """The first score in full, the metrics of the others beside it."""
-    first, *others = scores
-    beside = []
-    if others:
-        by = [f"{first.head.by} : {s.head.by}" for s in others]
-        rows = zip(*(sign_tests(first.outcomes, s.outcomes) for s in others), strict=True)
-        title = "Right on the same campaign: the first alone : the other alone"
-        beside = [Table(title, ["", *by], [[r[0].name, *map(str, r)] for r in rows])]
-    every = zip(*(s.metrics for s in scores), strict=True)
-    lines = [[r[0].name, *(str(m.estimate) for m in r), r[0].target] for r in every]
-    return [
-        Words(_title(first)),
-        Table("", ["", *(s.head.by for s in scores), "target"], lines),
-        *beside,
-        _parts(first),
-        _confusion(first),
-        *map(Words, wrong_claims(first)),
-    ]
-
-
 def _title(s: Score) -> str:
     made = ", ".join(f"{name} {number}" for name, number in s.key.versions.items())
     missing = f"; {len(s.unanswered)} more have no answer and do not count" if s.unanswered else ""
@@ -142,23 +109,6 @@ def _parts(s: Score) -> Table:
     return Table("", ["by", "", "n", *part_metrics(s.outcomes)], rows)
 
 
-def ordered(s: Score) -> tuple[list[str], list[str]]:
-    """Rows and columns of the confusion matrix: listed effects on the diagonal, none and unknown last."""
-    rows = sorted(s.confusion, key=lambda w: (w == "none", w))
-    words = {w for row in s.confusion.values() for w in row}
-    effects = [w for w in rows if w in words and w not in _LAST]
-    return rows, [*effects, *sorted(words - {*rows, *_LAST}), *(w for w in _LAST if w in words)]
-
-
-def _confusion(s: Score) -> Table:
-    rows, columns = ordered(s)
-    return Table(
-        "Hidden (rows) and answered first (columns), at most one effect",
-        ["", *(w.replace("_", "\n").replace(" ", "\n") for w in columns)],
-        [[word, *(str(s.confusion[word].get(c, 0) or ".") for c in columns)] for word in rows],
-    )
-
-
 def wrong_claims(s: Score) -> list[str]:
     lines = ["Wrong claims, and what was hidden:"]
     for t in s.outcomes:
@@ -166,28 +116,3 @@ def wrong_claims(s: Score) -> list[str]:
             hidden = ", ".join(t.truth or t.effects) or "nothing"
             lines.append(f"  {t.name}  {t.kind:<8}  {hidden}: claimed {', '.join(t.named)}  (signal {t.signal:.2f})")
     return lines if len(lines) > 1 else ["No wrong claims."]
-
-
-def draw_confusion(s: Score, path: Path) -> None:
-    """The confusion matrix as a picture. Raises InputError without matplotlib."""
-    rows, columns = ordered(s)
-    counts = [[s.confusion[r].get(c, 0) for c in columns] for r in rows]
-    shares = [[n / sum(row) for n in row] for row in counts]
-    figure = optional("matplotlib.figure", "--figure needs matplotlib: pip install 'casadical[plots]'")
-    canvas = figure.Figure(figsize=(1.5 + 0.36 * len(columns), 1.5 + 0.32 * len(rows)), layout="constrained")
-    axes = canvas.add_subplot()
-    axes.imshow(shares, cmap="Blues", vmin=0, vmax=1, aspect="auto")
-    for i, row in enumerate(counts):
-        for j, n in enumerate(row):
-            if n:
-                axes.text(j, i, str(n), ha="center", va="center", color="white" if shares[i][j] > 0.5 else "black")
-    axes.set_xticks(range(len(columns)), [c.replace("_", " ") for c in columns], rotation=60, ha="right")
-    axes.set_yticks(range(len(rows)), [f"{r.replace('_', ' ')} ({sum(n)})" for r, n in zip(rows, counts, strict=True)])
-    axes.set_xlabel("answered first")
-    axes.set_ylabel("hidden (campaigns)")
-    drawn = io.BytesIO()
-    try:
-        canvas.savefig(drawn, dpi=120, format=path.suffix[1:] or "png")
-    except ValueError as error:
-        raise InputError(f"{path}: no such kind of picture: {error}") from None
-    write_together({path: drawn.getvalue()})

@@ -125,7 +125,6 @@ def withheld_make(
 def withheld_predict(
     folder: Folder,
     out: Annotated[Path | None, Option("--out", metavar="FILE")] = None,
-    by: Annotated[str, Option(metavar="diagnosis|f-test")] = "diagnosis",
     workers: Workers = None,
     json_file: Json = None,
     quiet: Quiet = False,
@@ -138,8 +137,7 @@ def withheld_predict(
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
 
-    out : Answers, a line of JSON each; default: DIR/answers.METHOD.jsonl.
-    by : The diagnosis, or a method to compare it with.
+    out : Answers, a line of JSON each; default: DIR/answers.diagnosis.jsonl.
     """
     from casadical.blind_check.prediction import predict
     from casadical.blind_check.worker_pool import workers as pool
@@ -147,7 +145,7 @@ def withheld_predict(
     try:
         with working(quiet, "reading") as step, pool(None, workers) as executor:
             show = _counted(step)
-            path = predict(folder, out, by=by, executor=executor, show=show)
+            path = predict(folder, out, executor=executor, show=show)
     except KeyboardInterrupt:
         echo("casadical: interrupted; the answers so far are kept, the same command goes on from there", err=True)
         raise Exit(INTERRUPTED) from None
@@ -155,39 +153,30 @@ def withheld_predict(
     console.print(f"wrote {path}", soft_wrap=True)
     usual = folder.with_name(f"{folder.resolve().name}-key")
     suggest(console, "to count what is right", "withheld", "score", folder, usual if usual.is_dir() else "KEYDIR", path)
-    keep(with_json({}, json_file, {"answers": str(path), "by": by}), console)
+    keep(with_json({}, json_file, {"answers": str(path), "by": "diagnosis"}), console)
 
 
 def withheld_score(
     folder: Folder,
     key: Annotated[Path, Argument(metavar="KEYDIR")],
-    answers: Annotated[list[Path], Argument(metavar="ANSWERS...")],
+    answers: Annotated[Path, Argument(metavar="ANSWERS")],
     json_file: Json = None,
-    figure: Annotated[Path | None, Option(metavar="FILE.png")] = None,
     quiet: Quiet = False,
 ) -> None:
     """Open the key, check that it is the one whose hash was published, and count: every figure with its interval.
-
-    Several files of answers stand side by side, on the campaigns that all of them answer.
 
     Example: casadical withheld score check sealed check/answers.diagnosis.jsonl
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
 
     key : Folder with the key.
-    answers : One or more files of answers.
-    figure : Draw the confusion matrix of the first answers.
+    answers : File of answers.
     """
-    from casadical.blind_check.scoring import draw_confusion, in_common, score, side_by_side
+    from casadical.blind_check.scoring import score
     from casadical.core.telling.result import terminal
 
-    scores = in_common([score(folder, key, path) for path in answers])
+    scored = score(folder, key, answers)
     console = wrapped(quiet)
     # Wide tables are for files and wide windows; they are never folded.
-    wrapped(quiet, max(console.width, 240, 90 + 40 * len(scores))).print(terminal(side_by_side(scores)), soft_wrap=True)
-    keep(with_json({}, json_file, [s.to_json() for s in scores]), console)
-    if figure:
-        draw_confusion(scores[0], figure)
-        console.print(f"wrote {figure}", soft_wrap=True)
-    if len(answers) == 1 and scores[0].head.by != "f-test":
-        suggest(console, "for an F test on the same campaigns", "withheld", "predict", folder, "--by", "f-test")
+    wrapped(quiet, max(console.width, 240)).print(terminal(scored.blocks()), soft_wrap=True)
+    keep(with_json({}, json_file, scored.to_json()), console)

@@ -1,4 +1,4 @@
-"""A small check, made once a run: four campaigns, with their key and the F-test's answers."""
+"""A small check, made once a run: four campaigns, with their key and the diagnosis' answers."""
 
 from collections.abc import Callable
 from concurrent.futures import Executor, Future

@@ -16,17 +16,9 @@ from casadical.core.basics import InputError
 from casadical.effects import ThermalGrowth
 
 UR10E = ROOT / "problems" / "ur10e" / "robot.toml"
-VERBS = {"own_robot": "check_robot", "generation": "make", "prediction": "predict", "scoring": "score"}
 
 
-def test_the_verbs_are_where_the_page_has_them() -> None:
-    """In a fresh process, for a module and a function may share a name."""
-    lines = [f"from casadical.blind_check.{m} import {verb}" for m, verb in VERBS.items()]
-    program = "; ".join([*lines, f"print(*(f.__name__ for f in ({', '.join(VERBS.values())})))"])
-    done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
-    assert done.stdout.split() == list(VERBS.values())
-
-
+@pytest.mark.slow
 def test_the_diagnosis_answers_with_the_campaigns_alone(small, tmp_path) -> None:
     """One campaign, moved to where no key is near, in a process of its own."""
     name = next(iter(read_manifest(small.folder).campaigns))
@@ -63,15 +55,15 @@ def test_unseen_poses_are_as_warm_as_they_are_beside_the_measured_ones() -> None
     np.testing.assert_allclose(*grown, atol=1e-12)
 
 
-def test_answers_that_are_there_are_kept(small, tmp_path) -> None:
-    path = tmp_path / "f-test.jsonl"
+def test_answers_that_are_there_are_kept(small, stubbed, tmp_path) -> None:
+    path = tmp_path / "answers.jsonl"
     whole = small.answers.read_bytes().splitlines(keepends=True)
     # Cut in the middle of the third answer.
     begun(small, path, 2)
     path.write_bytes(path.read_bytes() + whole[3][:100])
     pool = Here()
     seen: list[tuple[str, int, int]] = []
-    predict(small.folder, path, by="f-test", executor=pool, show=lambda *told: seen.append(told))
+    predict(small.folder, path, executor=pool, show=lambda *told: seen.append(told))
     assert pool.count == N - 2
     assert [done for _, done, _ in seen] == [3, 4]
     assert sorted(path.read_bytes().splitlines()) == sorted(small.answers.read_bytes().splitlines())
@@ -103,15 +95,16 @@ def trace(frame, _event, _value):
 
 path.write_bytes(answers + b'{"campaign": "cut sh')
 sys.settrace(trace)
-predict(folder, path, by="f-test", executor=Here())
+predict(folder, path, executor=Here())
 sys.settrace(None)
 assert path.read_bytes() == answers
 print(kills)
 """
 
 
+@pytest.mark.slow
 def test_a_run_killed_anywhere_loses_no_answer(small, tmp_path, request) -> None:
-    words = [sys.executable, "-c", KILLED, str(small.folder), str(small.answers), str(tmp_path / "f-test.jsonl")]
+    words = [sys.executable, "-c", KILLED, str(small.folder), str(small.answers), str(tmp_path / "answers.jsonl")]
     done = subprocess.run(words, check=False, capture_output=True, text=True, cwd=request.path.parent)
     assert done.returncode == 0, done.stderr
     assert int(done.stdout) > 100
@@ -122,8 +115,8 @@ def begun(small, path, answered: int) -> None:
     path.write_bytes(b"".join(small.answers.read_bytes().splitlines(keepends=True)[: answered + 1]))
 
 
-def test_an_interrupted_run_keeps_what_it_has(small, tmp_path) -> None:
-    path = tmp_path / "f-test.jsonl"
+def test_an_interrupted_run_keeps_what_it_has(small, stubbed, tmp_path) -> None:
+    path = tmp_path / "answers.jsonl"
     begun(small, path, N - 2)
 
     def stop(_name: str, done: int, _count: int) -> None:
@@ -131,30 +124,34 @@ def test_an_interrupted_run_keeps_what_it_has(small, tmp_path) -> None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        predict(small.folder, path, by="f-test", executor=Here(), show=stop)
+        predict(small.folder, path, executor=Here(), show=stop)
     assert len(read_answers(path)[1]) == N - 1
 
 
+@pytest.mark.slow
 def test_a_real_dask_cluster_gives_the_same_answers(small, tmp_path) -> None:
     distributed = pytest.importorskip("distributed", reason="distributed (Dask) is not installed")
-    path = tmp_path / "f-test.jsonl"
+    path = tmp_path / "answers.jsonl"
     begun(small, path, N - 2)
     with (
         distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=":0") as cluster,
         distributed.Client(cluster) as client,
     ):
-        predict(small.folder, path, by="f-test", executor=client.get_executor())
+        predict(small.folder, path, executor=client.get_executor())
         assert client.submit(abs, -2).result() == 2  # the cluster is left open to whoever handed it in
-    assert sorted(path.read_text().splitlines()) == sorted(small.answers.read_text().splitlines())
+    here = tmp_path / "here.jsonl"
+    begun(small, here, N - 2)
+    predict(small.folder, here, executor=Here())
+    assert sorted(path.read_text().splitlines()) == sorted(here.read_text().splitlines())
 
 
-def test_a_campaign_that_cannot_be_answered_does_not_stop_the_others(small, tmp_path) -> None:
+def test_a_campaign_that_cannot_be_answered_does_not_stop_the_others(small, stubbed, tmp_path) -> None:
     torn = tmp_path / "torn"
     shutil.copytree(small.folder, torn)
     name = next(iter(read_manifest(torn).campaigns))
     path = torn / f"{name}.csv"
     path.write_text(path.read_text().replace(",", ",nothing", 30))
-    answers = predict(torn, tmp_path / "f-test.jsonl", by="f-test", executor=Here())
+    answers = predict(torn, tmp_path / "answers.jsonl", executor=Here())
     assert set(read_answers(answers)[1]) == set(read_manifest(torn).campaigns) - {name}
     assert "is not a finite number" in next(t for t in answers.read_text().splitlines() if '"failed"' in t)
 
@@ -162,15 +159,15 @@ def test_a_campaign_that_cannot_be_answered_does_not_stop_the_others(small, tmp_
 def test_bad_input_is_named(small, tmp_path) -> None:
     with pytest.raises(InputError, match=r"holds no withheld\.json"):
         predict(tmp_path)
-    with pytest.raises(InputError, match="--by tarot: not known; allowed: diagnosis, f-test"):
-        predict(small.folder, by="tarot")
-    with pytest.raises(InputError, match="holds answers by f-test to another check"):
-        predict(small.folder, small.answers, by="diagnosis")
+    other = tmp_path / "other.jsonl"
+    other.write_text(small.answers.read_text().replace(read_manifest(small.folder).key_sha256, "0" * 64))
+    with pytest.raises(InputError, match="holds answers to another check; name another file by --out"):
+        predict(small.folder, other)
     torn = tmp_path / "torn"
     shutil.copytree(small.folder, torn)
     next(torn.glob("*.unseen.csv")).unlink()
     with pytest.raises(InputError, match=r"is missing, though withheld\.json names it"):
-        predict(torn, tmp_path / "answers.jsonl", by="f-test")
+        predict(torn, tmp_path / "answers.jsonl")
 
 
 def test_positions_among_the_unseen_are_refused(small, tmp_path) -> None:
@@ -180,4 +177,4 @@ def test_positions_among_the_unseen_are_refused(small, tmp_path) -> None:
     lines = path.read_text().splitlines()
     path.write_text("\n".join([lines[0] + ",x_mm,y_mm,z_mm", *(line + ",1,2,3" for line in lines[1:])]) + "\n")
     with pytest.raises(InputError, match="holds positions; they belong in the key alone"):
-        predict(leaky, tmp_path / "answers.jsonl", by="f-test")
+        predict(leaky, tmp_path / "answers.jsonl")
