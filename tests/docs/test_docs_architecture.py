@@ -15,6 +15,8 @@ sys.path.insert(0, str(ROOT / "docs" / "studies"))
 
 import architecture
 
+pytestmark = pytest.mark.slow  # ways are walked in processes of their own
+
 FILES = {
     "__init__.py": '"""Toy."""\n_HOME = {"a": "toy.low.a", "b": "toy.high"}\n__all__ = ["__version__", *_HOME]\n',
     "low/__init__.py": "",

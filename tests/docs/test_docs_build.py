@@ -6,7 +6,10 @@ from pathlib import Path
 from urllib.parse import unquote
 
 import command_line
+import pytest
 from site_of_docs import ROOT, TUTORIALS
+
+pytestmark = pytest.mark.slow  # the docs are built, with all tutorials
 
 
 def external(link: str) -> bool:

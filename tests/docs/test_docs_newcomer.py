@@ -26,6 +26,7 @@ RUNNABLE = [
 NUMBER = re.compile(r"(?<![\w@])\d+(?:\.\d+)?(?:e-?\d+)?")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", RUNNABLE, ids=lambda p: p.name)
 def test_every_block_runs(page: Path, tmp_path: Path) -> None:
     if tool := needs(page):
@@ -41,15 +42,6 @@ def test_what_the_pages_show_is_known_to_these_tests() -> None:
     assert strange == set()
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
-def test_the_options_of_a_synopsis_exist(page: Path) -> None:
-    for block in blocks(page):
-        if block.language == "synopsis":
-            command = block.text.split()[1]
-            helped = run(Block("sh", f"casadical {command} --help"), ROOT).stdout
-            assert [o for o in re.findall(r"--[\w-]+", block.text) if o not in helped] == []
-
-
 def alike(shown: str, printed: str) -> bool:
     """The same words, and figures within a fifth; probabilities that are as good as zero are all alike."""
     if NUMBER.sub("#", " ".join(shown.split())) != NUMBER.sub("#", " ".join(printed.split())):
@@ -58,6 +50,7 @@ def alike(shown: str, printed: str) -> bool:
     return all(abs(a - b) <= 0.2 * max(a, b) or max(a, b) < 1e-20 for a, b in pairs)
 
 
+@pytest.mark.slow
 def test_the_readmes_console_shows_what_is_printed() -> None:
     """Lines may be left out."""
     (block,) = [b for b in blocks(ROOT / "README.md") if b.language == "console"]

@@ -8,9 +8,7 @@ import command_line
 import pytest
 from site_of_docs import ROOT, TUTORIALS
 
-
-def test_there_are_thirteen() -> None:
-    assert sorted(int(name.split("_")[1]) for name in TUTORIALS) == [*range(1, 14)]
+pytestmark = pytest.mark.slow  # of the built docs
 
 
 @pytest.mark.parametrize("name", TUTORIALS)
