@@ -61,19 +61,17 @@ def inverse(T: Symbolic) -> Symbolic:
 
 
 def from_rpy(rpy: Array) -> Array:
-    """Rotation, shape (3, 3), from fixed-axis roll, pitch, yaw [rad]: Rz(yaw) Ry(pitch) Rx(roll), as URDF has it."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
+    """Return rotations, shape (..., 3, 3), by fixed-axis roll, pitch, yaw [rad] as in URDF."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_euler("xyz", rpy).as_matrix())
 
 
 def to_rpy(R: Array) -> Array:
-    """Roll, pitch, yaw [rad] of a rotation, shape (3, 3); at pitch +-90 deg the yaw is taken as zero."""
+    """Return roll, pitch and yaw [rad] of a rotation, shape (3, 3); at pitch +-90 deg the yaw is zero.
+
+    scipy's angles lose up to 1e-7 rad, and it warns, within 1e-7 rad of these pitches; these do not.
+    """
     horizontal = np.hypot(R[0, 0], R[1, 0])
     yaw = np.arctan2(R[1, 0], R[0, 0]) if horizontal > 1e-15 else 0.0
     # The roll is read after the yaw is turned back: near pitch +-90 deg their errors then cancel.
@@ -83,8 +81,10 @@ def to_rpy(R: Array) -> Array:
 
 
 def from_xyz(xyz: Array) -> Array:
-    """Rotation, shape (3, 3), about x, y, z in this order (intrinsic) [rad]: that of `small_frame`, in numbers."""
-    return from_rpy(-np.asarray(xyz)).T
+    """Return rotations, shape (..., 3, 3), about the moving x, y, z axes [rad], as `small_frame`."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_euler("XYZ", xyz).as_matrix())
 
 
 def to_xyz(R: Array) -> Array:
@@ -93,25 +93,17 @@ def to_xyz(R: Array) -> Array:
 
 
 def quaternion(R: Array) -> Array:
-    """Unit quaternion, shape (4,), scalar first and not negative, of a rotation, shape (3, 3)."""
-    # The greatest eigenvector of a symmetric matrix (Bar-Itzhack 2000), which needs no case distinctions.
-    K = np.zeros((4, 4))
-    K[0, 1:] = K[1:, 0] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
-    K[1:, 1:] = R + R.T - np.trace(R) * np.eye(3)
-    K[0, 0] = np.trace(R)
-    q = np.linalg.eigh(K)[1][:, -1]
-    return np.asarray(q if q[0] >= 0 else -q)
+    """Return the unit quaternion of a rotation, shape (4,), scalar first and not negative."""
+    from scipy.spatial.transform import Rotation
+
+    return np.roll(Rotation.from_matrix(R).as_quat(canonical=True), 1)
 
 
 def from_quaternion(q: Array) -> Array:
-    """Rotations, shape (..., 3, 3), of quaternions of any length but zero, scalar first, shape (..., 4)."""
-    w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+    """Return rotations, shape (..., 3, 3), of quaternions of any length but zero, scalar first."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_quat(np.roll(q, -1, axis=-1)).as_matrix())
 
 
 def frame(R: Array, p: Array) -> Array:

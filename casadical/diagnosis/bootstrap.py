@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadical.core.basics import Array, Show
-from casadical.core.linear_gaussian.grid import log_sum
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, Evidence
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, prior_weights
@@ -50,7 +49,7 @@ def p_value(case: Case, ranking: Ranking, draws: int, seed: int, show: Show) -> 
 def noise_odds(case: Case, draws: int, rng: np.random.Generator) -> Iterator[Array]:
     """Log odds of any cause against none, of draws of noise alone, batch by batch."""
     e = case.evidence
-    share = np.exp(e.log_base() - log_sum(e.log_base()))
+    share = np.exp(e.log_base() - np.logaddexp.reduce(e.log_base(), axis=None))
     rhos, sigmas = (np.flatnonzero(share.sum(axis=a) > LEAST) for a in (1, 0))
     # A draw's own best sigma may lie one step aside.
     sigmas = np.arange(max(sigmas[0] - 1, 0), min(sigmas[-1] + 2, len(e.sigmas)))

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.statistics import TIE, first_of_best, ranked
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking
 from casadical.diagnosis.thresholds import MOST_CAUSES
@@ -122,13 +121,13 @@ def most_probable_set(
         search.expand([best])
     closed = np.array(list(search.mass.values())) + np.log(PRIOR_FURTHER["none"])
     of_listed = np.array([search.mass[k] for k in search.mass if k <= listed]) + np.log(PRIOR_FURTHER["none"])
-    share = float(np.exp(log_sum(of_listed) - log_sum(np.append(closed, none))))
+    share = float(np.exp(np.logaddexp.reduce(of_listed) - np.logaddexp.reduce(np.append(closed, none))))
     # A single one would have been ranked first.
     if len(best) < 2 or best not in search.expanded:
         return (), frozenset()
     total = np.append(closed, none)
     there = {c: np.array([c in k for k in search.mass] + [False]) for c in best}
-    without = {c: float(np.exp(log_sum(total[~there[c]]) - log_sum(total))) for c in best}
+    without = {c: float(np.exp(np.logaddexp.reduce(total[~there[c]]) - np.logaddexp.reduce(total))) for c in best}
     doubted = frozenset(c for c in best if share < LISTED and without[c] > 1 - MEMBER)
     before, last = search.reached[best]
     return ((), frozenset()) if doubted == best else ((*before.chosen, last), doubted)

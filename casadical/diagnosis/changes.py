@@ -10,7 +10,6 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.fit import Fit
-from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.linear_gaussian.normal_equations import joined
 from casadical.core.statistics import best_of, robust_std
 from casadical.diagnosis.cross_validation import new_fit
@@ -79,4 +78,6 @@ def _log_evidence(case: Case, fit: Fit, sigma: float, prior: Prior) -> float:
     square = float(fit.y @ fit.y + mean @ precision @ mean)
     left = joined(fit.sums.H + precision, fit.sums.g + precision @ mean, square, 0.5 * log_det)
     grid = case.evidence.sigmas / sigma
-    return float(log_sum(left.log_norm - case.evidence.count * np.log(grid) - 0.5 * left.square / grid**2))
+    return float(
+        np.logaddexp.reduce(left.log_norm - case.evidence.count * np.log(grid) - 0.5 * left.square / grid**2, axis=None)
+    )

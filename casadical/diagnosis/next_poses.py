@@ -13,14 +13,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from math import log, sqrt
-from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from scipy.special import ndtr
 
 from casadical.core.basics import Array, InputError
-from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.statistics import best_of, first_of_best
 from casadical.diagnosis.cross_validation import likely_noise, new_fit
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, REPEATABILITY, joint_noise
@@ -233,7 +232,7 @@ def causes_in_question(case: Case, labels: Sequence[str], beside: Sequence[str] 
             raise InputError(f"cause {label!r} is no candidate of this case; there are none, {', '.join(known)}")
         variants = known[label].variants
         grids = case.evidence.log_grids([case.group(v) for v in variants]) + np.log(KAPPA_WEIGHTS)
-        likely = log_sum(grids.reshape(len(variants), -1), axis=1)
+        likely = np.logaddexp.reduce(grids.reshape(len(variants), -1), axis=1)
         allowed = np.flatnonzero(likely > likely.max() - LIKELY)
         spread = allowed[np.linspace(0, len(allowed) - 1, MOST_VARIANTS).astype(int)]
         others = spread.tolist() if label in labels else []
@@ -306,8 +305,7 @@ def probability_after(share: float, gain: float) -> float:
     if gain <= 0:
         return max(share, 1 - share)
     odds, width = log(share / (1 - share)), sqrt(2 * gain)
-    right = NormalDist().cdf
-    return share * right((gain + odds) / width) + (1 - share) * right((gain - odds) / width)
+    return float(share * ndtr((gain + odds) / width) + (1 - share) * ndtr((gain - odds) / width))
 
 
 def kinds_of_poses(case: Case, poses: pd.DataFrame) -> str:

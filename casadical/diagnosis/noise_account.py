@@ -6,10 +6,9 @@ from math import floor, log
 from typing import Any
 
 import numpy as np
+from scipy.special import fdtrc
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.grid import log_sum
-from casadical.core.statistics import exceeded_by_chance
 from casadical.core.telling.blocks import mm
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_floor import Replicates, scatter_of_coordinate
@@ -191,7 +190,7 @@ def _by_statement(case: Case, columns: Array, noise: Noise, left: Remainder) -> 
     ):
         return True, rule, allowed
     logs = e.log_base(columns)
-    share = np.exp(logs - log_sum(logs)).sum(axis=0)
+    share = np.exp(logs - np.logaddexp.reduce(logs, axis=None)).sum(axis=0)
     below = share[e.sigmas < known.declared / FAR].sum()
     wrong = max(share[e.sigmas > FAR * known.stated].sum(), below)
     return (False, Rule.FIT, taken) if wrong > SURELY else (False, rule, allowed)
@@ -201,4 +200,4 @@ def _far(larger: float, smaller: float, above: float, below: float) -> bool:
     """Whether one noise is far above another, not by chance; above, below : their degrees of freedom."""
     if larger <= FAR * smaller:
         return False
-    return exceeded_by_chance((larger / smaller) ** 2, min(above, 1e6), min(below, 1e6)) < BY_CHANCE
+    return bool(fdtrc(min(above, 1e6), min(below, 1e6), (larger / smaller) ** 2) < BY_CHANCE)

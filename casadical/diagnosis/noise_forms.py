@@ -13,7 +13,6 @@ from operator import itemgetter
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.linear_gaussian.marginals import REACH
 from casadical.core.statistics import best_of, first_of_best
 from casadical.diagnosis.cross_validation import likely_noise
@@ -63,7 +62,7 @@ def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collec
     if len(chosen):
         noise = (FOLLOWING, TAILED, *(scatter_of(j) for j in joints if j))
         own = {label: mass.pop(label) for label in noise if label in mass}
-        none = float(log_sum(np.array([plain, *own.values()])))
+        none = float(np.logaddexp.reduce(np.array([plain, *own.values()])))
         best = best_of(own, own.__getitem__, logs=True)
         noise_form = best if own[best] > plain else ""
     rivals = [f for f in forms if f.label in mass]
@@ -96,7 +95,7 @@ def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Seq
     """
     e = case.evidence
     problem = Problem(e, chosen, case.order)
-    plain, joints = float(log_sum(e.log_base(chosen))), range(e.Jq.shape[2])
+    plain, joints = float(np.logaddexp.reduce(e.log_base(chosen), axis=None)), range(e.Jq.shape[2])
     kinds: list[tuple[str, Sequence[Form], int]] = []
     if of_instrument:
         kinds += [(FOLLOWING, [following(stays, len(e.r), e.count / len(e.r)) for stays in FOLLOWS], 1)]
@@ -108,10 +107,10 @@ def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Seq
         logs = np.zeros(0)
         for form in forms:
             grids.append(problem.log_likelihood(form))
-            logs = np.append(logs, float(log_sum(grids[-1])))
+            logs = np.append(logs, float(np.logaddexp.reduce(grids[-1], axis=None)))
             if logs[-1] < max(plain, logs.max()) - REACH:  # what follows itself still more is less likely yet
                 break
-        factor = float(log_sum(logs)) - np.log(len(forms) * alike * 3) - plain
+        factor = float(np.logaddexp.reduce(logs, axis=None)) - np.log(len(forms) * alike * 3) - plain
         rivals.append(Rival(label, float(factor), likely_noise(grids[first_of_best(logs, logs=True)], e.sigmas)))
     return rivals
 
@@ -128,12 +127,14 @@ def best_following(case: Case, chosen: Array) -> tuple[Form, Noise, float]:
     def judged(shares: Sequence[float]) -> list[tuple[float, Form, Array]]:
         forms = [following(stays, len(e.r), e.count / len(e.r)) for stays in shares]
         grids = [problem.log_likelihood(form) for form in forms]
-        return [(float(log_sum(grid)), form, grid) for form, grid in zip(forms, grids, strict=True)]
+        return [
+            (float(np.logaddexp.reduce(grid, axis=None)), form, grid) for form, grid in zip(forms, grids, strict=True)
+        ]
 
     known = judged(FOLLOWS)
     best = best_of(known, lambda k: k[0], logs=True)[1].stays
     log, form, grid = best_of((*known, *judged([best - BETWEEN, best + BETWEEN])), lambda k: k[0], logs=True)
-    return form, likely_noise(grid, e.sigmas), log - float(log_sum(e.log_base(chosen)))
+    return form, likely_noise(grid, e.sigmas), log - float(np.logaddexp.reduce(e.log_base(chosen), axis=None))
 
 
 def other_following(case: Case, chosen: Array) -> tuple[Form, Noise, float] | None:
@@ -150,11 +151,14 @@ def best_beside_following(case: Case, chosen: Array) -> tuple[str, float]:
     """
     e, problem = case.evidence, Problem(case.evidence, chosen, case.order)
     own = following(case.form.stays, len(e.r), e.count / len(e.r))  # poses may have been left out since it was found
-    plain, log = float(log_sum(e.log_base(chosen))), float(log_sum(problem.log_likelihood(own)))
+    plain, log = (
+        float(np.logaddexp.reduce(e.log_base(chosen), axis=None)),
+        float(np.logaddexp.reduce(problem.log_likelihood(own), axis=None)),
+    )
     rivals = [(FOLLOWING, best_following(case, chosen)[2])]
     rivals += [(f.label, f.log_factor) for f in noise_forms(case, chosen)]
     if tails := tailed(problem, own):
-        rivals.append((TAILED, float(log_sum(problem.log_likelihood(tails))) - plain))
+        rivals.append((TAILED, float(np.logaddexp.reduce(problem.log_likelihood(tails), axis=None)) - plain))
     label, gain = best_of(rivals, itemgetter(1), logs=True)
     return label, gain + plain - log
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.statistics import first_of_best, ranked
 from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS
@@ -56,7 +55,7 @@ class Ranking:
     def weighed(self, none: float) -> "Ranking":
         """The same with probabilities by its masses; none : log mass of no further cause."""
         logs = np.array([none, *self.log_mass.values()])
-        share = np.exp(logs - log_sum(logs))
+        share = np.exp(logs - np.logaddexp.reduce(logs, axis=None))
         return replace(
             self, none=float(share[0]), probability=dict(zip(self.log_mass, share[1:].tolist(), strict=True))
         )
@@ -98,8 +97,8 @@ def rank(
     judged = [k for k, (c, _) in enumerate(case.variants) if case.candidates[c].label not in skip | covered]
     grids = case.judged.log_grids([case.groups[k] for k in judged], chosen) + np.log(KAPPA_WEIGHTS)
     base_grid = case.judged.log_base(chosen)
-    base = float(log_sum(base_grid))
-    log_variant = log_sum(grids.reshape(len(grids), -1), axis=1) - base
+    base = float(np.logaddexp.reduce(base_grid, axis=None))
+    log_variant = np.logaddexp.reduce(grids.reshape(len(grids), -1), axis=1) - base
     owner = np.array([case.variants[k][0] for k in judged])
     prior = PRIOR_FURTHER if len(chosen) else PRIOR_FIRST
     weights = prior_weights(case, prior, skip, covered)
@@ -107,7 +106,7 @@ def rank(
     for c, candidate in enumerate(case.candidates):
         if candidate.label in weights:
             own = np.flatnonzero(owner == c)
-            factor[candidate.label] = float(log_sum(log_variant[own])) - float(np.log(len(own)))
+            factor[candidate.label] = float(np.logaddexp.reduce(log_variant[own], axis=None)) - float(np.log(len(own)))
             best = int(own[first_of_best(log_variant[own], logs=True)])
             variant[candidate.label] = case.variants[judged[best]][1]
             noise[candidate.label] = likely_noise(grids[best], case.judged.sigmas)

@@ -10,7 +10,6 @@ from typing import Literal
 import numpy as np
 
 from casadical.core.basics import Array, Show
-from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.statistics import ranked
 from casadical.diagnosis.bootstrap import p_value
 from casadical.diagnosis.candidates import Candidate
@@ -139,7 +138,10 @@ class State:
         for own in every:
             beside = np.setdiff1d(np.union1d(chosen, np.concatenate(every)), own)
             grids = judged.log_grids([own], beside) + np.log(KAPPA_WEIGHTS)
-            gains.append(float(log_sum(grids)) - float(log_sum(judged.log_base(beside))))
+            gains.append(
+                float(np.logaddexp.reduce(grids, axis=None))
+                - float(np.logaddexp.reduce(judged.log_base(beside), axis=None))
+            )
         return gains
 
     @property

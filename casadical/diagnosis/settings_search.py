@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.linear_gaussian.normal_equations import root_of_inverse
 from casadical.core.statistics import first_of_best
 from casadical.diagnosis.cross_validation import new_fit
@@ -144,7 +143,7 @@ def _best(case: Case, trial: list[tuple[Effect, ...]], log: Array, chosen: Array
 def _log_evidence(case: Case, variants: Sequence[tuple[Effect, ...]], chosen: Array) -> Array:
     """Of each variant, shape (len(variants),)."""
     grids = case.judged.log_grids([case.group(v) for v in variants], chosen)
-    return log_sum((grids + np.log(KAPPA_WEIGHTS)).reshape(len(variants), -1), axis=1)
+    return np.asarray(np.logaddexp.reduce((grids + np.log(KAPPA_WEIGHTS)).reshape(len(variants), -1), axis=1))
 
 
 def learnt_sizes(

@@ -14,13 +14,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
-from math import lgamma, log, pi, sqrt
-from statistics import NormalDist
+from math import lgamma, log
 
 import numpy as np
+from scipy.special import gammaincc, log_ndtr
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.linear_gaussian.model import axes_of_base
 from casadical.core.statistics import first_of_best
 from casadical.diagnosis.cross_validation import fitted_without
@@ -103,9 +102,8 @@ def joint_of_outliers(case: Case, columns: Array, noise: Noise) -> int | None:
     cosine = np.abs(np.einsum("ki,kij->kj", left, motions)) / np.maximum(lengths, 1e-300)
     total = -np.log(np.clip(1 - cosine, 1e-300, 1.0)).sum(axis=0)
     best = first_of_best(total)
-    # A sum of k has a gamma distribution, whose tail is that of fewer than k events of a Poisson process.
-    terms = [i * log(max(total[best], 1e-300)) - lgamma(i + 1) for i in range(len(left))]
-    chance = len(total) * float(np.exp(log_sum(np.array(terms)) - total[best]))
+    # A sum of k logarithms has a gamma distribution of shape k.
+    chance = len(total) * float(gammaincc(len(left), total[best]))
     return best + 1 if chance < CHANCE else None
 
 
@@ -236,7 +234,7 @@ class _White:
         for over, both in pairs.items():
             alike = float((y[both[:, 0]] * y[both[:, 1]]).sum() / (y[both] ** 2).sum() * 2)
             z = alike * np.sqrt(len(both) * self.freedom / len(y))
-            yield Structure("any direction", over, max(alike, 0.0), _log_tail(z))
+            yield Structure("any direction", over, max(alike, 0.0), float(log_ndtr(-z)))
 
     def _directions(self) -> Iterator[tuple[str, Array]]:
         """Of an error at the poses, with their names, shape (n, numbers)."""
@@ -309,19 +307,15 @@ def about_vertical(p: Array) -> Array:
 def log_chance_of(share: float, width: int, freedom: float) -> float:
     """Logarithm of the chance that as many columns explain such a share of noise, of so many degrees of freedom.
 
-    An odd number of columns counts as one more (the share has a beta distribution, whose tail is a finite sum then).
+    An odd number of columns counts as one more: the share has a beta distribution, whose tail is a finite sum then.
+    The sum is of logarithms because scipy's tail underflows below 1e-308.
     """
     half, rest = (width + 1) // 2, (freedom - width) / 2
     if rest <= 0 or not half:
         return 0.0
     share = min(max(share, 0.0), 1 - 1e-12)
     terms = [i * np.log(max(share, 1e-300)) + lgamma(rest + i) - lgamma(rest) - lgamma(i + 1) for i in range(half)]
-    return min(0.0, rest * float(np.log1p(-share)) + float(log_sum(np.array(terms))))
-
-
-def _log_tail(z: float) -> float:
-    """Logarithm of the chance of a normal number beyond z."""
-    return log(NormalDist().cdf(-z)) if z < 8 else -0.5 * z**2 - log(z * sqrt(2 * pi))
+    return min(0.0, rest * float(np.log1p(-share)) + float(np.logaddexp.reduce(terms)))
 
 
 def _of_poses(robot: Robot, m: Measurements, p: Array) -> Iterator[tuple[str, Array]]:

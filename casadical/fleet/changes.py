@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.special import fdtrc
 
 from casadical.core.basics import Array
-from casadical.core.statistics import best_of, exceeded_by_chance, ranked
+from casadical.core.statistics import best_of, ranked
 from casadical.core.telling.blocks import Page, Section, Table, Tile, Words, mm, next_step, shown
 from casadical.core.telling.figure import Axis, Figure, Series, Span
 from casadical.core.telling.result import Result
@@ -279,7 +280,7 @@ def leaves_more(own: tuple[float, float], others: Sequence[tuple[float, float]],
         return 0.0
     left, free = np.array(others).T
     usual = float(np.sqrt(np.average(left**2, weights=free)))
-    chance = exceeded_by_chance((own[0] / (USUAL * usual)) ** 2, own[1], free.sum())
+    chance = fdtrc(own[1], free.sum(), (own[0] / (USUAL * usual)) ** 2)
     return usual if chance <= alarms else 0.0
 
 

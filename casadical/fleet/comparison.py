@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadical.core.basics import Array, InputError
-from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.statistics import first_of_best, ranked
 from casadical.core.transforms import small_frame, to_xyz
 from casadical.fleet import evidence
@@ -207,14 +206,16 @@ def _best(
         logs = evidence.log_evidence(H, b, np.tile(candidate.sizes, courses.shape[2])) + np.log(weight)[:, None]
         prior += float(weight.sum())
         hypotheses.append(_Hypotheses(candidate, course, since, courses, H, b, logs))
-    total = float(log_sum(np.concatenate([evidence.averaged(h.logs) for h in hypotheses])))
+    total = float(np.logaddexp.reduce(np.concatenate([evidence.averaged(h.logs) for h in hypotheses])))
     odds = float(np.logaddexp(total, np.log(max(1e-12, 1 - prior))))
     by_label: dict[str, list[float]] = {}
     for h in hypotheses:
         by_label.setdefault(h.candidate.label, []).extend(evidence.averaged(h.logs))
-    label = list(by_label)[first_of_best([float(log_sum(np.array(own))) for own in by_label.values()], logs=True)]
+    label = list(by_label)[
+        first_of_best([float(np.logaddexp.reduce(np.array(own))) for own in by_label.values()], logs=True)
+    ]
     own = [h for h in hypotheses if h.candidate.label == label]
-    top = own[first_of_best([float(log_sum(evidence.averaged(h.logs))) for h in own], logs=True)]
+    top = own[first_of_best([float(np.logaddexp.reduce(evidence.averaged(h.logs), axis=None)) for h in own], logs=True)]
     k = first_of_best(evidence.averaged(top.logs), logs=True)
     sizes = np.tile(top.candidate.sizes, top.courses.shape[2])
     _, _, kappa = evidence.amplitude(top.H[k], top.b[k], sizes, top.logs[k])
@@ -270,12 +271,12 @@ def _change(
 ) -> Change:
     change = accepted[k]
     candidate, top = change.candidate, change.own
-    total = float(log_sum(np.concatenate([evidence.averaged(h.logs) for h in change.every])))
+    total = float(np.logaddexp.reduce(np.concatenate([evidence.averaged(h.logs) for h in change.every])))
     share = [(h, np.exp(evidence.averaged(h.logs) - total)) for h in change.every]
     own = [(h, s) for h, s in share if h.candidate.label == candidate.label]
     probability = float(sum(s.sum() for _, s in own))
     at = first_of_best(evidence.averaged(top.logs), logs=True)
-    begun = np.exp(evidence.averaged(top.logs) - log_sum(evidence.averaged(top.logs)))
+    begun = np.exp(evidence.averaged(top.logs) - np.logaddexp.reduce(evidence.averaged(top.logs), axis=None))
     likely = top.since[np.sort(ranked(begun)[: int(np.searchsorted(np.cumsum(np.sort(begun)[::-1]), 0.95)) + 1])]
     rivals: dict[str, Rival] = {}
     for h, s in share:

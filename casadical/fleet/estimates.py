@@ -14,10 +14,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import fdtrc
 
 from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.normal_equations import without_others
-from casadical.core.statistics import best_of, exceeded_by_chance
+from casadical.core.statistics import best_of
 from casadical.core.telling.result import Shown
 from casadical.identification.error_bound import doubts_of, evaluated
 from casadical.identification.identifiability import scaled_inverse
@@ -249,7 +250,7 @@ def with_common_noise(campaigns: Sequence[Estimate]) -> list[Estimate]:
 def _alike(a: Estimate, b: Estimate) -> bool:
     """Whether one instrument may have measured both: of few poses the scatter is known badly."""
     (s, f), (t, g) = ((c.sigma or 1e-12, c.freedom or 1.0) for c in (a, b))
-    chances = exceeded_by_chance((s / t / OTHER) ** 2, f, g), exceeded_by_chance((t / s / OTHER) ** 2, g, f)
+    chances = fdtrc(f, g, (s / t / OTHER) ** 2), fdtrc(g, f, (t / s / OTHER) ** 2)
     return min(chances) > CHANCE and _own(a).keys() == _own(b).keys()
 
 

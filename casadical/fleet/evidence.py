@@ -20,7 +20,7 @@ from typing import Literal
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.grid import gain, log_sum
+from casadical.core.linear_gaussian.grid import gain
 from casadical.core.linear_gaussian.normal_equations import inverse_of, root_of_inverse
 from casadical.core.parameters import Parameter
 from casadical.core.statistics import first_of_best
@@ -254,7 +254,7 @@ def log_evidence(H: Array, b: Array, sizes: Array) -> Array:
 
 def averaged(logs: Array) -> Array:
     """Mean evidence over the sizes, as a logarithm; logs : shape (..., kappas)."""
-    return np.asarray(log_sum(logs, axis=-1) - np.log(len(KAPPAS)))
+    return np.asarray(np.logaddexp.reduce(logs, axis=-1) - np.log(len(KAPPAS)))
 
 
 def amplitude(H: Array, b: Array, sizes: Array, logs: Array) -> tuple[Array, Array, float]:

@@ -13,14 +13,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import erfc
-from statistics import NormalDist
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.special import chdtrc, chdtri
 
 from casadical.core.basics import Array, InputError
-from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.core.linear_gaussian.normal_equations import inverse_of
 from casadical.fleet.comparison import CAMPAIGNS, YEAR, weighed
@@ -230,7 +228,7 @@ class TouchModel:
         return levels
 
     def charted(self) -> Array:
-        """T^2 of each day given the days before it, nothing changed, shape (days,); see `limit_of`.
+        """T^2 of each day given the days before it, nothing changed, shape (days,).
 
         How probable each share of noise is, the days before tell: a day that changed does not widen its own limit. The
         value is exceeded as rarely as those of the shares are in the mean.
@@ -239,11 +237,9 @@ class TouchModel:
         own = [(np.bincount(self.day, z**2)[1:], np.bincount(self.day, roots)[1:]) for *_, z, roots in self.noises]
         T2, roots = np.array(own).transpose(1, 0, 2)
         known = np.cumsum(-0.5 * T2 - roots, axis=1) + 0.5 * T2 + roots  # log likelihood of the days before
-        weight, spread = np.exp(known - log_sum(known, axis=0)), 2 / (9 * numbers)
-        deviates = ((T2 / numbers) ** (1 / 3) - 1 + spread) / np.sqrt(spread)  # normal ones, as of `limit_of`
-        tails = np.vectorize(lambda u: 0.5 * erfc(u / np.sqrt(2)))(deviates)
-        tail = np.clip((weight * tails).sum(axis=0), 1e-300, 1 - 1e-12)
-        return np.array([limit_of(n, -NormalDist().inv_cdf(p)) for n, p in zip(numbers, tail, strict=True)])
+        weight = np.exp(known - np.logaddexp.reduce(known, axis=0))
+        tail = np.clip((weight * chdtrc(numbers, T2)).sum(axis=0), 1e-300, 1 - 1e-12)
+        return np.asarray(chdtri(numbers, tail))
 
     def _columns(self, candidate: Candidate) -> Array:
         """How a change moves the touched points, shape (rows, m) [mm]."""
@@ -273,7 +269,7 @@ class TouchModel:
         none = np.array([n[0] for n in self.noises]) + np.log(max(1 - prior, 1e-12))
         logs = [h.logs + np.log(h.weight)[:, None] - np.log(len(KAPPAS)) for h in every]
         flat = np.concatenate([none, *(own.ravel() for own in logs)])
-        p = np.exp(flat - log_sum(flat))
+        p = np.exp(flat - np.logaddexp.reduce(flat))
         chosen = rng.choice(len(flat), size=DRAWS, p=p / p.sum())
         label, since = np.full(DRAWS, "", dtype=object), np.zeros(DRAWS, dtype=int)
         d, extra = np.zeros((DRAWS, len(self.names))), np.zeros(DRAWS)
@@ -339,8 +335,3 @@ class TouchModel:
         """Rms over the task of departures, shape (n, p) [mm], shape (n,)."""
         square = np.einsum("np,pq,nq->n", d, self.weight, d, optimize=True)
         return np.asarray(np.sqrt(np.maximum(square, 0.0) + np.square(extra)))
-
-
-def limit_of(numbers: Array, quantile: float = 2.782) -> Array:
-    """What T^2 of so many numbers exceeds once in 370 days, nothing changed (chi-squared; Wilson and Hilferty 1931)."""
-    return np.asarray(numbers * (1 - 2 / (9 * numbers) + quantile * np.sqrt(2 / (9 * numbers))) ** 3)

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
+from scipy.special import chdtri
 
 from casadical.core.basics import Array, InputError
 from casadical.core.files import csv_text
@@ -18,7 +19,7 @@ from casadical.core.telling.figure import Axis, Figure, Rule, Series
 from casadical.core.telling.result import Result
 from casadical.fleet.campaigns import day_of, without_copies
 from casadical.fleet.estimates import date_text
-from casadical.fleet.touch_model import CRASH, GROWTH, MM, OFTEN, UNKNOWN, Draws, TouchModel, limit_of
+from casadical.fleet.touch_model import CRASH, GROWTH, MM, OFTEN, UNKNOWN, Draws, TouchModel
 from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.project.planning import poses_of_changes
@@ -244,7 +245,7 @@ class Touches(Result):
         T2, lines = self.model.charted(), []
         for k, m in enumerate(self.model.days):
             own = self.model.left[(self.model.day == k + 1)[::3]]
-            limit = float(limit_of(np.array(3 * len(m))))
+            limit = float(chdtri(3 * len(m), 1 / 370))  # exceeded once in 370 days without a change
             T = float(self.model.temperatures[k])
             rms = float(np.sqrt((own**2).sum(axis=1).mean()))
             day = date_text(self.model.dates[k] if self.model.dates else None)

@@ -2,10 +2,10 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from statistics import NormalDist
 from typing import Any
 
 import numpy as np
+from scipy.special import ndtri
 
 from casadical.core.basics import Array
 from casadical.core.telling.blocks import Table, Words
@@ -107,10 +107,11 @@ def residual_quantiles(residuals: Array) -> Figure:
     residuals = np.sort(residuals, axis=None)
     n = len(residuals)
     k = np.unique(np.linspace(0, n - 1, min(n, MOST_DRAWN)).round().astype(int))
-    normal, share = NormalDist(), (k + 0.5) / n
-    expected = np.array([normal.inv_cdf(p) for p in share])
+    share = (k + 0.5) / n
+    expected = ndtri(share)
     # Standard error of an order statistic, from the density there.
-    width = 1.96 * np.sqrt(share * (1 - share) / n) / np.array([normal.pdf(x) for x in expected])
+    density = np.exp(-0.5 * expected**2) / np.sqrt(2 * np.pi)
+    width = 1.96 * np.sqrt(share * (1 - share) / n) / density
     low, high = (expected - width).round(4), (expected + width).round(4)
     band = banded(expected.round(4), low, high, name="noise, 95 %", colour="grey", opacity=0.25)
     tip = "%{y:.2f} sigma, of noise %{x:.2f}"

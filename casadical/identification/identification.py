@@ -12,10 +12,10 @@ from functools import cached_property, partial
 from typing import Any, Literal
 
 import numpy as np
+from scipy.special import fdtrc
 
 from casadical.core.basics import ConvergenceError, InputError
 from casadical.core.parts import Body, with_estimated_masses, without_masses
-from casadical.core.statistics import exceeded_by_chance
 from casadical.core.telling.result import Shown
 from casadical.core.transforms import frame
 from casadical.effects import LinkMasses, PayloadError
@@ -289,7 +289,7 @@ def compliance_tried(prepared: Prepared, progress: Progress | None = None) -> Pr
         squares.append(problem.square(v) + problem.prior_square(v, counted=True))
         freedom.append(max(float(problem.redundancies(v).sum()), 1.0))
     more, ratio = max(freedom[0] - freedom[1], 1.0), max(squares[0], 1e-300) / max(squares[1], 1e-300)
-    chance = exceeded_by_chance(max(ratio - 1, 0.0) * freedom[1] / more, more, freedom[1])
+    chance = fdtrc(more, freedom[1], max(ratio - 1, 0.0) * freedom[1] / more)
     carried = freedom[0] * math.log(ratio) > more * math.log(freedom[0]) and chance < CHANCE
     left, least = (sigmas[0][0] * math.sqrt(square / f) for square, f in zip(squares, freedom, strict=True))
     whole = all(len(a) == len(b) for a, b in zip(sets, prepared.sets, strict=True))

@@ -6,6 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import chdtri
 
 from casadical.core.basics import Array, ConvergenceError, InputError
 from casadical.core.statistics import best_of, robust_std
@@ -27,8 +28,8 @@ Solved = tuple[LeastSquares, Solution, Identifiability]
 # Optima of earlier problems, by the names of their variables: parameters and points.
 Optima = dict[tuple[tuple[str, ...], tuple[str, ...]], Array]
 
-# Quantiles of chi-squared at 1 - 1e-5, by degrees of freedom.
-OUTLIER_CHI2 = {1: 19.51, 2: 23.03, 3: 25.90, 4: 28.47, 5: 30.86, 6: 33.11}
+# Noise exceeds the bound of an outlier's normalised residual with this probability.
+OUTLIER_CHANCE = 1e-5
 LEAST_REDUNDANCY = 0.1
 # With a prior that explains nearly all, fewer degrees of freedom do not tell the noise.
 TELLING = 10.0
@@ -180,7 +181,7 @@ def outlier_masks(problem: LeastSquares, solution: Solution, share: float = 1.0)
     for r, freedom in _with_freedom(problem, solution):
         # A pose that draws the fit towards itself shows little of its error.
         z = r / np.sqrt(np.maximum(freedom, LEAST_REDUNDANCY))
-        masks.append((z**2).sum(axis=1) > share * OUTLIER_CHI2[r.shape[1]] * robust_std(z) ** 2)
+        masks.append((z**2).sum(axis=1) > share * chdtri(r.shape[1], OUTLIER_CHANCE) * robust_std(z) ** 2)
     return masks
 
 
@@ -197,7 +198,7 @@ def explained(problem: LeastSquares, solved: Solved) -> list[Array]:
     v = np.concatenate([x, ((np.array(places).reshape(-1, 3) - whole.points) / POINT_SCALE).ravel()])
     spread = [robust_std(r / np.sqrt(np.maximum(f, LEAST_REDUNDANCY))) for r, f in _with_freedom(fitted, solution)]
     return [
-        np.flatnonzero((r**2).sum(axis=1) <= OUTLIER_CHI2[r.shape[1]] * own**2)
+        np.flatnonzero((r**2).sum(axis=1) <= chdtri(r.shape[1], OUTLIER_CHANCE) * own**2)
         for r, own in zip(whole.residuals(v), spread, strict=False)
     ]
 

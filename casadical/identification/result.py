@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.special import stdtrit
 
 from casadical.core.basics import Array, InputError
-from casadical.core.statistics import student_t
 from casadical.core.telling.blocks import Table, Words, mm
 from casadical.core.telling.result import Result
 from casadical.identification.accuracy import Accuracy, errors, predicted, summarise
@@ -262,7 +262,7 @@ class Identification(Result):
 
         Where a prior tells all of an identified one, the reason says so.
         """
-        quantile = student_t(0.975, self.degrees_of_freedom)
+        quantile = stdtrit(max(1, self.degrees_of_freedom), 0.975)
         reasons = {u.name: u.reason for u in self.identifiability.held}
         place_of = {name: k for k, name in enumerate(self.names)}
         before = {p.name: p.prior for p in self.start.parameters if p.guess}

@@ -17,9 +17,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import stdtrit
 
 from casadical.core.basics import Array, InputError
-from casadical.core.statistics import student_t
 from casadical.identification.accuracy import errors, residual_mm
 from casadical.identification.error_bound import evaluated
 from casadical.identification.identification import calibrated, prepare
@@ -115,7 +115,7 @@ class Budget:
     @property
     def factor(self) -> float:
         """k."""
-        return student_t(QUANTILE, max(1, int(min(self.freedom, ENDLESS))))
+        return float(stdtrit(max(1, int(min(self.freedom, ENDLESS))), QUANTILE))
 
     @property
     def resolved(self) -> bool:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.special import chdtri
 
 from casadical.core.basics import Array, InputError, shown
 from casadical.core.reading import load_json, number_fault
@@ -27,10 +28,6 @@ from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
 POSITION = "position"
-# A robot that keeps its promise is said to break it once in a hundred checks.
-QUANTILE = 2.326
-# What nine of ten checks show.
-NINE_OF_TEN = 1.282
 # Of so large a share of the poses a few are far off; more are no bad rows.
 FEW = 0.1
 # A pose with more than so many times the promised error is named.
@@ -148,7 +145,7 @@ def verify(
     """Check a calibrated robot by poses that were measured later; base and tool are fitted again.
 
     With `found` of c n - k degrees of freedom, c numbers a pose (3 of a position), k those of base, tool and unknown
-    points, its limit is the 99 % quantile of chi-squared (Wilson and Hilferty 1931). Base and tool may stand elsewhere
+    points, its limit is the 99 % quantile of chi-squared. Base and tool may stand elsewhere
     in each session. Effects of the instrument that was there are left out.
 
     robot : file as `casadical calibrate --out` writes it, or that folder (the method that counts)
@@ -181,7 +178,8 @@ def verify(
     e = np.concatenate([errors(placed, m) for m in prepared.sets])
     at = [(m.source, int(row)) for m in prepared.sets for row in m.row]
     freedom = placing.freedom(len(e), k)
-    found, limit = placing.scatter(e, k), promised * _times(freedom, QUANTILE)
+    # A robot that keeps its promise is said to break it once in a hundred checks.
+    found, limit = placing.scatter(e, k), promised * float(np.sqrt(chdtri(freedom, 0.01) / freedom))
     far = [LeftOut(at[i][0], at[i][1], float(e[i])) for i in np.argsort(-e) if e[i] > FAR * promised]
     without = None
     if found > limit and placing.groups:  # a few gross errors draw base and tool, and so all others, towards themselves
@@ -201,7 +199,7 @@ def verify(
         tables=tuple(m.source for m in sets),
         again=placing.again,
         gone=gone,
-        seen=limit / _times(freedom, -NINE_OF_TEN),
+        seen=limit / float(np.sqrt(chdtri(freedom, 0.9) / freedom)),
         sources=(place, *map(Path, given)),
         notes=notes,
     )
@@ -277,12 +275,6 @@ class _Placing:
         if self.base:
             return "Base and tool were"
         return "The tool was" if not self.points else "The tool and the unknown places were"
-
-
-def _times(freedom: int, quantile: float) -> float:
-    """How many times an rms error may be greater than it is by chance, at a quantile of the normal distribution."""
-    share = 1 - 2 / (9 * freedom) + quantile * np.sqrt(2 / (9 * freedom))
-    return float(max(share, 0.1) ** 1.5)
 
 
 def promised_rms(robot: Path, kind: str = POSITION) -> float:

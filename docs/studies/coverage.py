@@ -12,11 +12,11 @@ import sys
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import stdtrit
 from synthetic import NOISE, measured, planted, readings
 
 from casadical import Body, Identification, Joint, Measurements, Placement, Robot, identify
 from casadical.core.basics import Array
-from casadical.core.statistics import student_t
 from casadical.core.transforms import frame
 from casadical.identification.accuracy import predicted
 from casadical.identification.residuals import Loss
@@ -52,7 +52,7 @@ def inside(result: Identification, built: Robot, probe: Array) -> tuple[Array, A
     hit = (table.loc[own, "low"].to_numpy() <= truth) & (truth <= table.loc[own, "high"].to_numpy())
     m = Measurements(q=probe, kind="position", position=np.zeros((len(probe), 3)))
     p, covariance = result.predict(probe)
-    half = student_t(0.975, result.degrees_of_freedom) * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    half = stdtrit(max(1, result.degrees_of_freedom), 0.975) * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     return hit, np.abs(p - predicted(built, m)[0]) <= half
 
 

@@ -25,11 +25,11 @@ from pathlib import Path
 
 import numpy as np
 from coverage import arm
+from scipy.special import stdtrit
 from synthetic import NOISE, measured, readings
 
 from casadical import Identification, Robot, identify, read_campaign_robot
 from casadical.core.basics import Array, CasadicalError
-from casadical.core.statistics import student_t
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import unmeasured
 
@@ -147,7 +147,7 @@ def identified(robot: Robot, cell: Cell, rng: np.random.Generator) -> tuple[Iden
 def held(result: Identification, covariance: Array, miss: Array) -> dict[str, float]:
     """Share of coordinates in their intervals, rms error and standard deviation [m]."""
     sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    share = np.mean(np.abs(miss) <= student_t(0.975, result.degrees_of_freedom) * sigma)
+    share = np.mean(np.abs(miss) <= stdtrit(max(1, result.degrees_of_freedom), 0.975) * sigma)
     error, promised = (float(np.sqrt(np.mean(x**2))) for x in (miss, sigma))
     return {"held": float(share), "error": error, "sigma": promised}
 

@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 
 from casadical import identify, read_problem
-from casadical.core.linear_gaussian.grid import log_sum
 from casadical.diagnosis.candidates import extended_candidates
 from casadical.diagnosis.cross_validation import likely_noise, random_folds
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS
@@ -83,7 +82,9 @@ if __name__ == "__main__":
         left = 1e3 * errors(found.robot, random)
         new = [e for e in effects if e not in FRICTION] or list(effects)
         beside = FRICTION if effects[7:] else ()
-        factor = float(log_sum(grids(case, new, beside))) - float(log_sum(grids(case, (), beside)))
+        factor = float(np.logaddexp.reduce(grids(case, new, beside), axis=None)) - float(
+            np.logaddexp.reduce(grids(case, (), beside), axis=None)
+        )
         row = f"{name:36} {held_out.mean():10.3f}   {left.mean():6.3f} {left.max():6.3f}"
         print(f"{row}   {factor:10.1f}" if effects else row, flush=True)
         if effects == FRICTION:

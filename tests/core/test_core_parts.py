@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
-from scipy import stats
 from scipy.spatial.transform import Rotation
 
 import casadical as ca_package
@@ -22,24 +21,9 @@ from casadical.core.mapped_function import call
 from casadical.core.parameters import Parameter
 from casadical.core.parts import Arm, Coupling, FourBar, Joint, Placement
 from casadical.core.schema import TomlTable
-from casadical.core.statistics import first_of_best, known_digits, ranked, student_t
+from casadical.core.statistics import first_of_best, known_digits, ranked
 from casadical.core.sx_instructions import SxInstructions
 from casadical.core.transforms import from_rpy, to_rpy
-
-
-@pytest.mark.parametrize(("freedom", "within"), [(3, 5e-3), (5, 1e-3), (15, 1e-5), (100, 1e-7)])
-def test_students_quantile_is_scipys_within_what_it_says(freedom: int, within: float) -> None:
-    for probability in (0.6, 0.9, 0.975):
-        exact = stats.t.ppf(probability, freedom)
-        assert student_t(probability, freedom) == pytest.approx(exact, rel=within)
-
-
-def test_the_third_term_of_students_series() -> None:
-    # What the first two terms leave falls with the third power of the degrees of freedom.
-    n, z = 400, stats.norm.ppf(0.9999)
-    two = z + (z**3 + z) / 4 / n + (5 * z**5 + 16 * z**3 + 3 * z) / 96 / n**2
-    exact = stats.t.ppf(0.9999, n)
-    assert student_t(0.9999, n) - two == pytest.approx(exact - two, rel=0.02)
 
 
 def test_arrays_through_a_casadi_function_are_casadis_numbers() -> None:

@@ -18,7 +18,6 @@ from scipy.integrate import solve_ivp
 from casadical import Discovery, diagnose, discover
 from casadical.blind_check.mujoco_physics import perturb
 from casadical.core.basics import Array, InputError
-from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.telling.blocks import Words
 from casadical.core.telling.result import plain_text
 from casadical.diagnosis.details import Details, analyse
@@ -124,11 +123,11 @@ def where_noise_follows(name: str, stays: float) -> Case:
 def test_screened_evidence_is_the_exact_one_at_each_rho(stays: float) -> None:
     c = where_noise_follows("kr210-P02", stays)
     problem = Problem.beside(c, NONE)
-    by_rho = log_sum(problem.log_base, axis=1)
+    by_rho = np.logaddexp.reduce(problem.log_base, axis=1)
     for s in laws_alone(c)[:8]:
         seam, x = s.tried.seams[s.seam], s.tried.x[s.seam]
         values = s.tried.form.values(x, s.settings[None])
-        exact = log_sum(problem.grids([s.columns])[0], axis=(1, 2)) - by_rho
+        exact = np.logaddexp.reduce(problem.grids([s.columns])[0], axis=(1, 2)) - by_rho
         for rho in SCREENED:
             screen = Screen.at_rho(problem.evidence, rho)
             G, b = screen.products(*problem.in_order(seam.columns * seam.size, values / scale_of(values)[:, None, :]))
@@ -649,8 +648,8 @@ def test_a_law_and_causes_under_two_noises_are_compared_over_the_same() -> None:
         return high
 
     form = following(0.4, int(case.kept.sum()))
-    other = float(log_sum(case.with_form(form).judged.log_base(NONE))) + form.log_weight
-    plain = float(log_sum(case.judged.log_base(NONE)))
+    other = float(np.logaddexp.reduce(case.with_form(form).judged.log_base(NONE), axis=None)) + form.log_weight
+    plain = float(np.logaddexp.reduce(case.judged.log_base(NONE), axis=None))
     assert 12.0 < least(PLAIN) < 1e3
     assert least(form) - least(PLAIN) == pytest.approx(plain - other, abs=1e-4)
     assert abs(plain - other) > 1.0

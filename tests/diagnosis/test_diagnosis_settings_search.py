@@ -12,7 +12,6 @@ from numpy_physics import Disturbance, disturbances
 
 from casadical.blind_check.mujoco_physics.stops import Stops, only
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.grid import log_sum
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.linear_problem import Case, make_case
@@ -26,7 +25,9 @@ NOTHING = np.zeros(0, dtype=np.int64)
 
 
 def evidence(c: Case, variant: tuple[Effect, ...], chosen: np.ndarray = NOTHING) -> float:
-    return float(log_sum(c.evidence.log_grids([c.group(variant)], also=chosen) + np.log(KAPPA_WEIGHTS)))
+    return float(
+        np.logaddexp.reduce(c.evidence.log_grids([c.group(variant)], also=chosen) + np.log(KAPPA_WEIGHTS), axis=None)
+    )
 
 
 @pytest.mark.parametrize("label", ["backlash@5", "transmission_ripple@2", "thermal_growth", "gravity_compensator@2"])

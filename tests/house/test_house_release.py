@@ -18,7 +18,7 @@ from casadical.core.version import NEXT, of_tree
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 BASE = [Path(p) for p in map(str, tracked()) if p.startswith("casadical/")]
 REPORTED = ("urdf", "xlsx", "plots", "report", "withheld", "mujoco")
-LEFT_OUT = ("plotly", "jinja2", "matplotlib", "yourdfpy", "openpyxl", "mujoco", "scipy", "sklearn", "fpdf")
+LEFT_OUT = ("plotly", "matplotlib", "yourdfpy", "openpyxl", "mujoco", "sklearn", "fpdf")
 # Runs the program as often as there are lines, in a process in which the extras cannot be imported.
 PROGRAM = f"""
 import sys

@@ -6,11 +6,9 @@ import arms
 import numpy as np
 import pytest
 from scipy.optimize import approx_fprime, least_squares
-from scipy.stats import f
 from scipy.stats import t as student
 
 from casadical import identify
-from casadical.core.statistics import exceeded_by_chance
 from casadical.identification.least_squares import LeastSquares
 from casadical.identification.residuals import KNEE
 
@@ -166,9 +164,3 @@ def test_a_search_along_a_step_evaluates_no_derivatives_and_has_the_same_costs(k
     evaluated = alone.evaluated
     assert here.cost(first) == expected[-1]  # after a gradient both are wanted again
     assert alone.evaluated == evaluated
-
-
-@pytest.mark.parametrize(("above", "below", "most"), [(5, 5, 4), (10, 10, 1.6), (5, 40, 1.2), (75, 75, 1.05)])
-@pytest.mark.parametrize("chance", [0.5, 0.01, 1e-4])
-def test_chance_of_a_ratio_of_variances_is_not_taken_too_small(above, below, most, chance):
-    assert 0.99 < exceeded_by_chance(f.isf(chance, above, below), above, below) / chance < most

@@ -7,7 +7,7 @@ from dataclasses import replace
 import arms
 import numpy as np
 import pytest
-from scipy import optimize, stats
+from scipy import optimize
 
 from casadical import FourBar, Joint, Placement, Robot, identify
 from casadical.core.basics import InputError
@@ -22,7 +22,6 @@ from casadical.identification.least_squares import LeastSquares
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against, least_margins
 from casadical.identification.prior import Prior
-from casadical.identification.reduction import OUTLIER_CHI2
 from casadical.identification.solver import minimise
 from casadical.robot.robot import Knowledge
 
@@ -73,10 +72,6 @@ def test_the_figures_of_one_error() -> None:
     one = summarise(np.array([2e-3]))
     assert (one.n, one.mean, one.max, one.std, one.rms, one.p95) == (1, 2e-3, 2e-3, 0.0, 2e-3, 2e-3)
     assert summarise(np.array([1.0, 2.0, 4.0])).std == pytest.approx(np.sqrt(7 / 3))
-
-
-def test_an_outlier_is_what_noise_exceeds_once_in_a_hundred_thousand() -> None:
-    assert pytest.approx({k: stats.chi2.isf(1e-5, k) for k in range(1, 7)}, abs=0.006) == OUTLIER_CHI2
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-3, 1e4])

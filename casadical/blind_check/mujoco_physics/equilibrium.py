@@ -13,6 +13,7 @@ from typing import Literal
 from xml.etree import ElementTree as ET
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from casadical.blind_check.mujoco_physics.mechanism import Body, Joint, Mechanism
 from casadical.blind_check.mujoco_physics.plant import Array
@@ -66,16 +67,7 @@ def numbers(*values: float) -> str:
 
 def quaternion(R: Array) -> Array:
     """Unit quaternion (4,), scalar first, of the rotation matrix ``R`` (3, 3)."""
-    K = np.array(
-        [
-            [R[0, 0] + R[1, 1] + R[2, 2], R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]],
-            [R[2, 1] - R[1, 2], R[0, 0] - R[1, 1] - R[2, 2], R[0, 1] + R[1, 0], R[0, 2] + R[2, 0]],
-            [R[0, 2] - R[2, 0], R[0, 1] + R[1, 0], R[1, 1] - R[0, 0] - R[2, 2], R[1, 2] + R[2, 1]],
-            [R[1, 0] - R[0, 1], R[0, 2] + R[2, 0], R[1, 2] + R[2, 1], R[2, 2] - R[0, 0] - R[1, 1]],
-        ]
-    )
-    q: Array = np.linalg.eigh(K)[1][:, -1]
-    return q if q[0] >= 0 else -q
+    return np.roll(Rotation.from_matrix(R).as_quat(canonical=True), 1)
 
 
 def _body(parent: ET.Element, body: Body) -> ET.Element:

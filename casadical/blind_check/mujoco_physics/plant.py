@@ -14,6 +14,7 @@ from typing import Any, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from casadical.core.basics import InputError
 from casadical.core.telling.result import Shown
@@ -22,15 +23,10 @@ Array: TypeAlias = NDArray[np.float64]
 
 
 def rotation(rotvec: Array) -> Array:
-    """Rotation matrices, shape (..., 3, 3), that turn about ``rotvec`` (..., 3) by its length [rad] (Rodrigues)."""
-    rotvec = np.asarray(rotvec, float)
-    angle = np.linalg.norm(rotvec, axis=-1)[..., None, None]
-    x, y, z = np.moveaxis(rotvec, -1, 0)
-    zero = np.zeros_like(x)
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*rotvec.shape[:-1], 3, 3)
-    first = np.sinc(angle / np.pi)
-    second = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
-    return np.asarray(np.eye(3) + first * cross + second * (cross @ cross))
+    """Rotation matrices, shape (..., 3, 3), that turn about ``rotvec`` (..., 3) by its length [rad]."""
+    shape = np.shape(rotvec)
+    R = Rotation.from_rotvec(np.reshape(rotvec, (-1, 3))).as_matrix()
+    return np.asarray(R.reshape(*shape[:-1], 3, 3))
 
 
 def motion(rotvec: Array, shift: Array, about: Array) -> Array:

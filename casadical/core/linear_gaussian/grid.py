@@ -76,10 +76,3 @@ def gain(unit: Array, sigma: Array | float, value: Array, square: Array) -> Arra
             log += np.log(product)
             product[:] = 1.0
     return np.asarray(0.5 * (total / sigma**2 - log + value.shape[1] * np.log(unit)))
-
-
-def log_sum(a: Array, axis: int | tuple[int, ...] | None = None) -> Array:
-    """log(sum(exp(a))) without overflow."""
-    top = np.max(a, axis=axis, keepdims=True)
-    total = np.log(np.exp(a - top).sum(axis=axis, keepdims=True)) + top
-    return np.asarray(np.squeeze(total, axis=axis) if axis is not None else total.item())

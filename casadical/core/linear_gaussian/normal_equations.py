@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dtrtri
 
 from casadical.core.basics import Array
 
-# Up to so many rows a triangle is inverted in one go.
-SMALL = 48
 # What round-off may take from a matrix of unit diagonal: where it is not positive definite, so much is added.
 ROUND_OFF = 1e-10
 
@@ -86,15 +86,8 @@ def without_others(H: Array, g: Array, kept: Array, inverse: Array) -> tuple[Arr
 
 
 def inverse_of_triangle(L: Array) -> Array:
-    """Inverse of a lower triangle, shape (p, p), by halves: a few times faster than that of a full matrix."""
-    if len(L) <= SMALL:
-        return np.linalg.inv(L)
-    half = len(L) // 2
-    inverse = np.zeros_like(L)
-    inverse[:half, :half] = first = inverse_of_triangle(L[:half, :half])
-    inverse[half:, half:] = last = inverse_of_triangle(L[half:, half:])
-    inverse[half:, :half] = -last @ (L[half:, :half] @ first)
-    return inverse
+    """Return the inverse of a lower triangle, shape (p, p)."""
+    return np.asarray(dtrtri(L, lower=1)[0]) if len(L) else L
 
 
 def reduced(normal: Array, right: Array) -> tuple[Array, Array]:
@@ -102,13 +95,8 @@ def reduced(normal: Array, right: Array) -> tuple[Array, Array]:
 
     normal : of unit diagonal. Raises numpy.linalg.LinAlgError where it is not positive definite, beyond round-off.
     """
-    p = len(right)
-    whole = np.empty((p + 1, p + 1))
-    whole[:p, :p], whole[p, :p], whole[:p, p] = normal, right, right
-    # What the last row leaves of it is not used; it has to be positive.
-    whole[p, p] = np.finfo(float).max ** 0.25
-    L = _factor(whole)
-    return L[:p, :p], L[p, :p]
+    L = _factor(normal)
+    return L, solve_triangular(L, right, lower=True)
 
 
 def root_of_inverse(normal: Array) -> Array:

@@ -13,7 +13,6 @@ from operator import itemgetter
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.linear_gaussian.marginals import NONE
 from casadical.core.statistics import best_of, first_of_best, ranked
 from casadical.diagnosis.candidates import Candidate
@@ -161,7 +160,7 @@ def thinned(case: Case, poses: int) -> Case:
 
 def _log_none(case: Case) -> float:
     """Log likelihood without a cause, by the case's form of noise."""
-    return float(log_sum(case.judged.log_base(NONE))) + case.form.log_weight
+    return float(np.logaddexp.reduce(case.judged.log_base(NONE), axis=None)) + case.form.log_weight
 
 
 def _set_mass(found: Diagnosis) -> float:
@@ -209,7 +208,7 @@ def _refined_rival(case: Case, candidate: Candidate, ranking: Ranking, chosen: A
     if better == variant:
         return label, score
     grids = more.judged.log_grids([more.group(variant), more.group(better)], chosen) + np.log(KAPPA_WEIGHTS)
-    before, after = log_sum(grids.reshape(2, -1), axis=1)
+    before, after = np.logaddexp.reduce(grids.reshape(2, -1), axis=1)
     return label, score + float(after - before)
 
 

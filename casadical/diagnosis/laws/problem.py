@@ -19,7 +19,6 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import ArrayColumns
-from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.linear_gaussian.noise import SerialNoise
 from casadical.core.statistics import best_of
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, REPEATABILITY, RHOS, SIGMAS, Evidence
@@ -402,14 +401,17 @@ class Problem:
 
     def over_none(self, grids: Array) -> Array:
         """Log evidence over none, shape (laws,); grids : as of `grids`."""
-        return np.asarray(log_sum(grids.reshape(len(grids), -1), axis=1) - float(log_sum(self.log_base)))
+        return np.asarray(
+            np.logaddexp.reduce(grids.reshape(len(grids), -1), axis=1)
+            - float(np.logaddexp.reduce(self.log_base, axis=None))
+        )
 
     @cached_property
     def screens(self) -> list[tuple[float, Screen]]:
         """Screens at the rhos that matter, each with its log share of the evidence without a law."""
         near = list(self.evidence.near)
-        by_rho = dict(zip(near, log_sum(self.log_base[near], axis=1), strict=True))
-        total = float(log_sum(self.log_base[near]))
+        by_rho = dict(zip(near, np.logaddexp.reduce(self.log_base[near], axis=1), strict=True))
+        total = float(np.logaddexp.reduce(self.log_base[near], axis=None))
         known = [k for k in SCREENED if k in by_rho] or [best_of(near, by_rho.__getitem__, logs=True)]
         screens = [(float(by_rho[k]) - total, Screen.at_rho(self.evidence, k)) for k in known]
         return sorted(screens, key=lambda s: -s[0])

@@ -156,16 +156,16 @@ def orientations(columns: Columns) -> Array:
 
 def _from_angles(columns: Columns) -> Array:
     """Rotation matrices, shape (n, 3, 3), of three angles as their names say. Raises InputError."""
+    from scipy.spatial.transform import Rotation
+
     units, names = ("_deg", "_rad"), {str(name).rpartition("_")[0] for name in columns.table}
     if "rotvec_x" in names:
         vector = columns.vector("rotvec_", units)
-        angle = np.linalg.norm(vector, axis=1, keepdims=True)
-        axis = np.divide(vector, angle, out=np.zeros_like(vector), where=angle > 0)
-        return from_quaternion(np.hstack([np.cos(angle / 2), np.sin(angle / 2) * axis]))
+        return np.asarray(Rotation.from_rotvec(vector).as_matrix())
     if "roll" in names:
         angles = np.stack([columns.si(name, units) for name in ("roll", "pitch", "yaw")], axis=1)
-        return np.stack([from_rpy(each) for each in angles])
-    return np.stack([from_xyz(each) for each in columns.vector("r", units)])
+        return from_rpy(angles)
+    return from_xyz(columns.vector("r", units))
 
 
 class RelativePose(MeasurementKind):

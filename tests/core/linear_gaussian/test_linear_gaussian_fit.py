@@ -10,7 +10,6 @@ from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.linear_gaussian.model import LinearModel, Memory
 from casadical.core.linear_gaussian.noise import NoiseModel
 from casadical.core.linear_gaussian.normal_equations import (
-    SMALL,
     inverse_of_triangle,
     normal_sums,
     reduced,
@@ -126,7 +125,7 @@ def test_parameters_not_asked_for_are_integrated() -> None:
     np.testing.assert_allclose(np.linalg.solve(own, score), (covariance @ g)[kept])
 
 
-@pytest.mark.parametrize("size", [1, 5, SMALL, SMALL + 1, 3 * SMALL + 7])
+@pytest.mark.parametrize("size", [0, 1, 5, 151])
 def test_a_triangle_is_inverted(size: int) -> None:
     A = np.random.default_rng(size).standard_normal((2 * size, size))
     L = np.linalg.cholesky(A.T @ A + np.eye(size))

@@ -13,7 +13,7 @@ import numpy as np
 from lark import Token, Tree
 
 from casadical.core.basics import Array, InputError
-from casadical.core.transforms import frame, quaternion
+from casadical.core.transforms import frame
 from casadical.export.controller.programs.grammar import ParsedText, is_number, only_one, parts, words
 from casadical.export.controller.programs.language import ProgramLanguage
 from casadical.export.controller.programs.target import DEG, Given, Number, Target, numbers
@@ -64,16 +64,16 @@ class UrScript(ProgramLanguage):
         return f"movej([{', '.join(f'{value:.6f}' for value in np.deg2rad(joints))}], a=0.5, v=0.3)"
 
     def matrix(self, values: Array) -> Array:
-        angle = float(np.linalg.norm(values[3:]))
-        x, y, z = values[3:] / angle if angle > 0 else (0.0, 0.0, 1.0)
-        K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-        return frame(np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K, values[:3])
+        from scipy.spatial.transform import Rotation
+
+        return frame(Rotation.from_rotvec(values[3:]).as_matrix(), values[:3])
 
     def values(self, T: Array, like: Array) -> Array:
-        w, *v = quaternion(T[:3, :3])
-        length = float(np.linalg.norm(v))
-        axis = np.array(v) / length if length > 0 else np.array([0.0, 0.0, 1.0])
-        angle = 2 * np.arctan2(length, w)
+        from scipy.spatial.transform import Rotation
+
+        vector = Rotation.from_matrix(T[:3, :3]).as_rotvec()
+        angle = float(np.linalg.norm(vector))
+        axis = vector / angle if angle > 0 else np.array([0.0, 0.0, 1.0])
         around = [axis * (angle + 2 * np.pi * k) for k in (-2, -1, 0, 1)]
         return np.concatenate([T[:3, 3], min(around, key=lambda r: float(np.linalg.norm(r - like[3:])))])
 
