@@ -28,8 +28,7 @@ Pose = Annotated[
 # What a folder or a file of the robot has, and a program of each kind.
 MODELS = {
     "a robot file": (
-        "nominal", "compensator", "steps", "what", "limit", "payload", "tool", "tcp_error", "leave_out", "root",
-        "flange",
+        "nominal", "compensator", "steps", "what", "payload", "tool", "leave_out", "root", "flange",
     ),
     "a folder, which was exported with it": ("trust",),
 }  # fmt: skip
@@ -50,10 +49,8 @@ def correct(
     compensator: o.Compensator = None,
     steps: o.Steps = None,
     what: o.What = "position",
-    limit: o.Limit = None,
     payload: o.Payload = None,
     tool: Annotated[str | None, Option(metavar="shared|own")] = None,
-    tcp_error: o.TcpError = None,
     leave_out: o.LeaveOut = False,
     trust: Annotated[bool, Option("--trust")] = False,
     tcp: Frames = None,
@@ -102,9 +99,9 @@ def correct(
     o.refuse_taken(out, overwrite)
     o.refuse_of_others(context, [*MODELS][model.is_dir()], MODELS)
     o.refuse_of_others(context, [*PROGRAMS][isinstance(language_of(program), CsvTable)], PROGRAMS)
-    sources = Sources(model, nominal, compensator, payload, tool or "shared", leave_out, tcp_error)  # type: ignore[arg-type]
+    sources = Sources(model, nominal, compensator, payload, tool or "shared", leave_out)  # type: ignore[arg-type]
     language = OfLanguage(tcp, base, root, flange, data, nearest, external_still, leave_unreached, accuracy_off)
-    made = correct_file(sources, program, out, OfCommand(steps or 2, what, limit), language, trust=trust)
+    made = correct_file(sources, program, out, OfCommand(steps or 2, what), language, trust=trust)
     console = plain(quiet)
     tell(console, *made.blocks())
     keep(with_json(made.texts, json_file, made.to_json()), console)

@@ -11,8 +11,8 @@ from casadical.cli.terminal import keep, plain, print_written, suggest, suggest_
 # What each product has beside the options of all.
 PRODUCTS = {
     "--what command": (
-        "nominal", "compensator", "steps", "correct", "cycle", "rate", "ramp", "precise", "limit", "payload", "tool",
-        "tcp_error", "no_bound", "leave_out",
+        "nominal", "compensator", "steps", "correct", "cycle", "rate", "ramp", "payload", "tool",
+        "leave_out",
     ),
     "--what network": ("compensator",),
     "--what curves": (),
@@ -32,12 +32,8 @@ def export_c(
     cycle: Annotated[float | None, Option(metavar="MS")] = None,
     rate: Annotated[float | None, Option(metavar="RAD_PER_S")] = None,
     ramp: Annotated[float | None, Option(metavar="S")] = None,
-    precise: Annotated[bool, Option("--precise")] = False,
-    limit: o.Limit = None,
     payload: o.Payload = None,
     tool: o.Tool = "shared",
-    tcp_error: o.TcpError = None,
-    no_bound: Annotated[bool, Option("--no-bound")] = False,
     leave_out: o.LeaveOut = False,
     name: Annotated[str | None, Option("--name", metavar="PREFIX")] = None,
     language: Annotated[str | None, Option("--language", metavar="NAMES", autocompletion=o.languages)] = None,
@@ -60,11 +56,8 @@ def export_c(
     cycle : Time between two calls of NAME_step [ms]; default: 4.
     rate : Rate at which a joint's correction may change; default: 0.5 rad/s.
     ramp : Time in which the correction is switched on and off [s]; default: 1.
-    precise : Compare nominal and real robot without rounding errors of their positions, at about twice the operations:
-        for --real float.
-    no_bound : Leave out the bound of the error that remains: less code and memory.
     name : Prefix of C functions and files; default: from the robot's name.
-    language : Languages to write besides the C, by commas; default: an FMU and structured text.
+    language : Languages to write besides the C, by commas; default: structured text.
     overwrite : Replace files that casadical did not write or that were changed.
     """
     from casadical.export.controller import c_export
@@ -73,10 +66,10 @@ def export_c(
     if (product := f"--what {what}") in PRODUCTS:
         o.refuse_of_others(context, product, PRODUCTS)
     written = c_export.export_c(
-        Sources(robot, nominal, compensator, payload, tool, leave_out, tcp_error, not no_bound),  # type: ignore[arg-type]
+        Sources(robot, nominal, compensator, payload, tool, leave_out),  # type: ignore[arg-type]
         out,
         what,
-        c_export.OfCommand(steps or 2, correct, limit, precise, cycle, rate, ramp),
+        c_export.OfCommand(steps or 2, correct, cycle, rate, ramp),
         name=name,
         real=real,
         languages=language.split(",") if language else None,

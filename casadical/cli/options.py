@@ -12,11 +12,6 @@ leave_out : Leave out effects of the robot that cannot be written there; otherwi
     lost in millimetres.
 tool : shared: nominal and real robot have the calibrated file's tool. own: each has its own file's, for a measured
     point that is the controller's tool centre point.
-limit : A correction is OK only where 95 % of the errors that remain are below so much, by the bound of the robot file;
-    default: any.
-tcp_error : How far the tool's centre may be from where the controller has it, the place of the flange included: the
-    bound is so much greater. Default: 1, and 0 where the measured point is the tool's centre (--tool own) or its place
-    on the flange was known.
 room : Where poses may lie: limits, floor, boxes, tracker; see docs/plan.md.
 seed : Seed of everything random.
 steps : Least-squares steps of the correction; default: 2.
@@ -85,8 +80,6 @@ What = Annotated[
         "orientation too, as far as the joints reach it.",
     ),
 ]
-Limit = Annotated[float | None, Option("--limit", metavar="MM")]
-TcpError = Annotated[float | None, Option("--tcp-error", metavar="MM", min=0)]
 Room = Annotated[Path | None, Option(metavar="FILE.toml")]
 Seed = Annotated[int, Option(min=0)]
 Steps = Annotated[int | None, Option(min=1, max=10)]

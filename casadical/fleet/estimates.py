@@ -20,14 +20,14 @@ from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.normal_equations import without_others
 from casadical.core.statistics import best_of
 from casadical.core.telling.result import Shown
-from casadical.identification.error_bound import doubts_of, evaluated
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.identification import identify
 from casadical.identification.misfit import FURTHER, RHOS, WideFit, wide_fit
+from casadical.identification.remaining_errors import doubts_of, evaluated
 from casadical.identification.result import Identification
 from casadical.measurements.derived_columns import clock_faults
 from casadical.measurements.measurements import Measurements, unmeasured
-from casadical.robot.error_bound import doubted
+from casadical.robot.remaining_errors import doubted
 from casadical.robot.robot import Robot
 
 # Poses that stand for those of a robot file, which does not say which they were.

@@ -25,7 +25,7 @@ from casadical.core.linear_gaussian.normal_equations import inverse_of, root_of_
 from casadical.core.parameters import Parameter
 from casadical.core.statistics import first_of_best
 from casadical.identification.misfit import ORDERS
-from casadical.robot.error_bound import doubted
+from casadical.robot.remaining_errors import doubted
 from casadical.robot.robot import Robot
 
 # Usual sizes: of a length, of an angle, of a harmonic of a joint's error; of a compliance as a share; of all lengths.

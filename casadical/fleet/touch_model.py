@@ -1,7 +1,7 @@
 """What a few touched points a day tell of a calibrated robot: a Gaussian model of its errors, and changes beside it.
 
 The robot file says where the points should be. What is measured departs from that by y = J x + r + J d + noise: x, the
-errors that the calibration left, with the second moment of the file's bound (or its covariance); r, what nothing
+errors that the calibration left, with the second moment of the file's [remaining] (or its covariance); r, what nothing
 explains, the same at every visit of a pose, on average what the file has less the noise, or as great as both where
 touches are planned, far out; daily differences; growth with a logged temperature; and changes d since some day, each
 along few columns. Given one change all is Gaussian; causes, days, sizes and the shares of noise and r are summed over
@@ -24,10 +24,10 @@ from casadical.core.linear_gaussian.normal_equations import inverse_of
 from casadical.fleet.comparison import CAMPAIGNS, YEAR, weighed
 from casadical.fleet.estimates import readings_of
 from casadical.fleet.evidence import FREQUENCY, KAPPAS, Candidate, candidates_of, daily, log_evidence
-from casadical.identification.error_bound import evaluated
+from casadical.identification.remaining_errors import evaluated
 from casadical.measurements.measurements import STANDS, Measurements, same_readings, unmeasured
 from casadical.project.uncertainty_budget import covariance_root
-from casadical.robot.error_bound import doubted
+from casadical.robot.remaining_errors import doubted
 from casadical.robot.robot import Robot
 
 # What usually changes, and how often a crash moves several zeros and the tool, or something else happens.
@@ -94,7 +94,7 @@ class _Hypotheses(NamedTuple):
 class TouchModel:
     """A calibrated robot, as its file says, and its touches, a table a day.
 
-    robot : with the first harmonics of joints, in whose terms the file's bound is; names : parameters that may change
+    robot : with the first harmonics of joints, in whose terms the file's errors are; names : parameters that may change
     dates : of the touches [d], None where one is not known
     weights : how often each kind of change is met; noise : of a coordinate [mm], None: not known
     reference : temperature of the calibration [degC], None: not known
@@ -112,19 +112,19 @@ class TouchModel:
 
     @staticmethod
     def of_robot(robot: Robot, days: Sequence[Measurements], noise: float | None = None, **more: Any) -> TouchModel:
-        """By the bound of a robot file, or its covariance and the noise [m]. Raises InputError: it has neither."""
+        """Made from the file's [remaining], or its covariance and the noise [m]. Raises InputError: it has neither."""
         wide = doubted(robot)
         names = tuple(p.name for p in wide.parameters if p.prior > 0)
         scale = np.array([wide.parameters[n].scale for n in names])
-        if robot.bound is not None:
-            own = np.zeros((len(names), robot.bound.factor.shape[1]))
-            own[[names.index(n) for n in robot.bound.names]] = robot.bound.factor
-            rest = robot.bound.rest
+        if robot.remaining is not None:
+            own = np.zeros((len(names), robot.remaining.factor.shape[1]))
+            own[[names.index(n) for n in robot.remaining.names]] = robot.remaining.factor
+            rest = robot.remaining.rest
         elif robot.knowledge is not None and robot.knowledge.covariance and noise:
             own, rest = covariance_root(robot.knowledge, names), noise * np.sqrt(3)
         else:
             raise InputError(
-                f"{robot.name}: its file does not say how far it may be off ([bound], or a covariance beside "
+                f"{robot.name}: its file does not say how far it may be off ([remaining], or a covariance beside "
                 "--noise-mm); write it with `casadical calibrate --out` from 30 positions or more"
             )
         known = robot.knowledge.conditions.get(TEMPERATURE) if robot.knowledge else None

@@ -26,7 +26,7 @@ from casadical.project.planning import poses_of_changes
 from casadical.project.problem import read_campaign
 from casadical.project.problem_file import result_in
 from casadical.project.verification import without_instrument
-from casadical.robot.robot import Covariance, ErrorBound, Knowledge, Robot
+from casadical.robot.robot import Covariance, Knowledge, RemainingErrors, Robot
 from casadical.robot.robot_file import read_robot, to_toml
 
 # A robot is said to be valid where that is so probable, and not to be where its error is above with this probability.
@@ -142,7 +142,7 @@ class Touches(Result):
         note = f"Corrected by touches of {self.model.days[-1].source}: {self._change_in_words}"
         robot = replace(self.given.with_values(values), notes=(*self.given.notes, note))
         return replace(robot, knowledge=_wider(self.given.knowledge, self.model.names, C * np.outer(scale, scale)),
-                       bound=_wider_bound(self.given.bound, self.model.names, C, scale))  # fmt: skip
+                       remaining=_wider_remaining(self.given.remaining, self.model.names, C, scale))  # fmt: skip
 
     @property
     def why_not_updated(self) -> str:
@@ -308,18 +308,20 @@ def _wider(known: Knowledge | None, names: Sequence[str], C: Array) -> Knowledge
     return replace(known, covariance=tuple(blocks))
 
 
-def _wider_bound(bound: ErrorBound | None, names: Sequence[str], C: Array, scale: Array) -> ErrorBound | None:
-    """The bound with the covariance of a correction among its second moments."""
-    if bound is None:
+def _wider_remaining(
+    remaining: RemainingErrors | None, names: Sequence[str], C: Array, scale: Array
+) -> RemainingErrors | None:
+    """Return the errors that remain with the covariance of a correction among their second moments."""
+    if remaining is None:
         return None
     values, V = np.linalg.eigh(C)
     kept = values > 1e-9 * max(values.max(), 1e-300)
     own = V[:, kept] * np.sqrt(values[kept])
-    wide = np.zeros((len(bound.names), own.shape[1]))
+    wide = np.zeros((len(remaining.names), own.shape[1]))
     for n, row in zip(names, scale[:, None] * own, strict=True):
-        if n in bound.names:
-            wide[bound.names.index(n)] = row
-    return replace(bound, factor=np.hstack([bound.factor, wide]))
+        if n in remaining.names:
+            wide[remaining.names.index(n)] = row
+    return replace(remaining, factor=np.hstack([remaining.factor, wide]))
 
 
 def changes_in_fleet(path: Path) -> Mapping[str, float]:
@@ -351,11 +353,11 @@ def plan_touches(
     """The poses that tell most about what usually changes: zeros, tool, foot; over all poses.
 
     robot : file as `calibrate --out` writes it, or that folder; touched : what was touched today, to which these add
-    noise_mm : of a coordinate; None: as the file's bound leaves unexplained, or 0.1; room : file of a workspace
+    noise_mm : of a coordinate; None: as the file's [remaining] leaves unexplained, or 0.1; room : file of a workspace
     Returns a table, a row a touch. Raises InputError.
     """
     arm, _ = without_instrument(read_robot(result_in(Path(robot))))
-    rest = MM * arm.bound.rest / np.sqrt(3) if arm.bound else 0.0
+    rest = MM * arm.remaining.rest / np.sqrt(3) if arm.remaining else 0.0
     noise = Noise(1e-3 * float(np.hypot(noise_mm or (0.0 if rest else 0.1), rest)))
     return poses_of_changes(arm, n, usual_changes(arm), noise, room, touched, seed)
 

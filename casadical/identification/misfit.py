@@ -15,12 +15,12 @@ from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.noise import NoiseModel
 from casadical.core.linear_gaussian.normal_equations import NormalSums, normal_sums
 from casadical.core.statistics import first_of_best
-from casadical.identification.error_bound import ROUNDS, Doubts, doubts_of, posterior_of
 from casadical.identification.identifiability import scaled_inverse
+from casadical.identification.remaining_errors import ROUNDS, Doubts, doubts_of, posterior_of
 from casadical.identification.residuals import make_block
 from casadical.identification.result import Identification
 from casadical.measurements.kinds.registry import find_kind
-from casadical.robot.error_bound import doubted
+from casadical.robot.remaining_errors import doubted
 from casadical.robot.robot import Robot
 
 # Harmonics of each joint's error: those that are compared between campaigns, and those that only widen what is known.

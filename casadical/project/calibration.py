@@ -15,7 +15,6 @@ from casadical.core.telling.figure import Figure
 from casadical.core.telling.result import Result, html, plain_text
 from casadical.diagnosis.localisation import Localisation
 from casadical.identification.accuracy import Accuracy
-from casadical.identification.error_bound import learn_bound
 from casadical.identification.figures import correlated, held_table, how_sure, parameter_tables
 from casadical.identification.identification import (
     all_compliant,
@@ -27,6 +26,7 @@ from casadical.identification.identification import (
 )
 from casadical.identification.misfit import misfit_of
 from casadical.identification.plausibility import check_against
+from casadical.identification.remaining_errors import learn_remaining
 from casadical.identification.residuals import ALL_LOSSES
 from casadical.identification.result import Identification, without_poses
 from casadical.identification.solver import Progress
@@ -253,14 +253,14 @@ class Calibration(Result):
 
 
 def with_knowledge(found: Identification) -> Robot:
-    """The calibrated robot with its covariance, and the bound of the error that remains, where poses are enough."""
+    """The calibrated robot with its covariance, and the errors that remain, where poses are enough."""
     robot = (
         found.robot
         if found.robot.effects
         else replace(found.robot, knowledge=replace(found.knowledge, misfit=misfit_of(found)))
     )
     with suppress(InputError):
-        return replace(robot, bound=learn_bound(found))
+        return replace(robot, remaining=learn_remaining(found))
     return robot
 
 

@@ -21,8 +21,8 @@ from scipy.special import stdtrit
 
 from casadical.core.basics import Array, InputError
 from casadical.identification.accuracy import errors, residual_mm
-from casadical.identification.error_bound import evaluated
 from casadical.identification.identification import calibrated, prepare
+from casadical.identification.remaining_errors import evaluated
 from casadical.measurements.measurements import STANDS, Measurements, same_readings, unmeasured
 from casadical.robot.robot import Knowledge, Robot
 

@@ -1,4 +1,4 @@
-"""Tables of a robot file of version 2: [[effect]], [learnt], [[covariance]] and [bound]; all in SI.
+"""Tables of a robot file of version 2: [[effect]], [learnt], [[covariance]] and [remaining]; all in SI.
 
 Effect files have the first three alone, to be put into any robot or be a candidate.
 """
@@ -23,7 +23,7 @@ from casadical.core.statistics import known_digits
 from casadical.effects import Effect
 from casadical.effects.definition import Definition, DefinitionFile
 from casadical.effects.plugins import defined_in_files, find_effect, new_effects
-from casadical.robot.robot import Covariance, ErrorBound, Knowledge, Robot
+from casadical.robot.robot import Covariance, Knowledge, RemainingErrors, Robot
 
 # A standard error and the variance of its parameter may differ by so much, relative.
 SAME = 1e-6
@@ -126,20 +126,21 @@ class LearntTable(TomlTable):
         return np.array([np.multiply(self.readings[key], factor) for key, factor in factors.items()])
 
 
-class BoundTable(TomlTable):
-    """Of the error that remains (see `ErrorBound`)."""
+class RemainingTable(TomlTable):
+    """Of the errors that remain (see `RemainingErrors`)."""
 
     rest: float
-    times: float
     poses: int = Field(default=0, ge=0)
     names: list[str] = Field(min_length=1)
     factor: list[list[float]] = Field(min_length=1)
 
-    def bound(self) -> ErrorBound:
-        """Raises InputError for rows of different lengths, and what `ErrorBound` raises."""
+    def errors(self) -> RemainingErrors:
+        """Raises InputError for rows of different lengths, and what `RemainingErrors` raises."""
         if len({len(row) for row in self.factor}) > 1:
-            raise InputError(f"bound.factor: rows of {sorted({len(row) for row in self.factor})} numbers; all alike")
-        return ErrorBound(tuple(self.names), np.array(self.factor), self.rest, self.times, self.poses)
+            raise InputError(
+                f"remaining.factor: rows of {sorted({len(row) for row in self.factor})} numbers; all alike"
+            )
+        return RemainingErrors(tuple(self.names), np.array(self.factor), self.rest, self.poses)
 
 
 def knowledge_of(
@@ -182,7 +183,7 @@ def text_of(
     robot: Robot,
     effects: Sequence[Effect],
     knowledge: Knowledge | None,
-    bound: ErrorBound | None = None,
+    remaining: RemainingErrors | None = None,
     known_alone: bool = False,
 ) -> Iterator[str]:
     """The tables of some effects of a robot as lines of TOML. known_alone : as of `to_toml`"""
@@ -199,11 +200,11 @@ def text_of(
         if len(block.names) > 1 or block.names[0] not in own:
             yield from ("", "[[covariance]]", f"names = {_text(block.names)}", "lower = [")
             yield from (*(f"    {_text(row)}," for row in _triangle(block, known_alone)), "]")
-    if bound:
-        rest, times = (known_digits(v, v, KNOWN_DIGITS) if known_alone else v for v in (bound.rest, bound.times))
-        numbers = {"rest": rest, "times": times, "poses": bound.poses, "names": bound.names}
-        yield from ("", "[bound]", *_entries(numbers), "factor = [")
-        yield from (f"    {_text([float(f'{v:.{DIGITS}g}') for v in row])}," for row in bound.factor)
+    if remaining:
+        rest = known_digits(remaining.rest, remaining.rest, KNOWN_DIGITS) if known_alone else remaining.rest
+        numbers = {"rest": rest, "poses": remaining.poses, "names": remaining.names}
+        yield from ("", "[remaining]", *_entries(numbers), "factor = [")
+        yield from (f"    {_text([float(f'{v:.{DIGITS}g}') for v in row])}," for row in remaining.factor)
         yield "]"
 
 

@@ -4,7 +4,7 @@ Row i places frame i in frame i-1:  Rot_x(alpha) Trans_x(a) Rot_y(beta) Trans_y(
 `beta` stands where neighbouring axes are nearly parallel (Hayati and Mirmirani 1985), `b` only in the first row, where
 the six numbers together place the robot in the measuring frame (paper, Table 1).
 
-Knowledge of a robot besides its values: covariances, the range of the data, a bound of the error that remains.
+Knowledge of a robot besides its values: covariances, the range of the data, the errors that remain.
 """
 
 from __future__ import annotations
@@ -133,13 +133,12 @@ class Knowledge:
 
 
 @dataclass(frozen=True, eq=False)
-class ErrorBound:
-    """Of the distance between the measured point of the real and of the calibrated robot; see `robot.error_bound`.
+class RemainingErrors:
+    """What the parameters of a calibrated robot may still be off, J(q) x at the measured point; x has the moment M.
 
     names : parameters of `doubted(robot)`; factor : root of their second moment M, shape (k, r) [SI], M = F F'
     rest : root mean square of the distance that no parameter explains [m]
-    times : the 95 % quantile of distance / sqrt(rest^2 + tr(J M J')) at held-out poses
-    poses : how many there were
+    poses : how many they were learnt from
 
     Raises InputError for numbers that are not finite, sizes that are not positive, and shapes that do not fit.
     """
@@ -147,17 +146,14 @@ class ErrorBound:
     names: tuple[str, ...]
     factor: Array
     rest: float
-    times: float
     poses: int
 
     def __post_init__(self) -> None:
         shape = self.factor.shape
         if len(shape) != 2 or shape[0] != len(self.names) or not np.isfinite(self.factor).all():
-            raise InputError(f"bound: factor of shape {shape}; it must have a row of finite numbers for each name")
-        for name in ("rest", "times"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise InputError(f"bound: {name} = {value}; it must be a positive number")
+            raise InputError(f"remaining: factor of shape {shape}; it must have a row of finite numbers for each name")
+        if not (np.isfinite(self.rest) and self.rest > 0):
+            raise InputError(f"remaining: rest = {self.rest}; it must be a positive number")
 
 
 def blocks(names: Sequence[str], owners: Sequence[str], matrix: Array) -> tuple[Covariance, ...]:
@@ -193,7 +189,7 @@ class Robot(Shown, Arm):
     effects : what was added to the base model, see `with_effect`; effect_values : parameter name -> value [SI] of those
     notes : what a reader of results must know (assumed masses, sources)
     knowledge : how well the values are known, and on what range they were learnt
-    bound : of the error that remains with these values
+    remaining : what these values may still be off
     Raises InputError: parts that do not fit each other, with the joint and the value.
 
     Examples
@@ -217,7 +213,7 @@ class Robot(Shown, Arm):
     effect_values: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     knowledge: Knowledge | None = None
-    bound: ErrorBound | None = None
+    remaining: RemainingErrors | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -356,8 +352,8 @@ class Robot(Shown, Arm):
         gone = {p.name for e in self.effects if e not in kept for p in e.parameters()}
         values = {name: value for name, value in self.effect_values.items() if name not in gone}
         known = self.knowledge and self.knowledge.without(gone)
-        bound = None if gone else self.bound
-        return replace(self, effects=kept, effect_values=values, knowledge=known, bound=bound)
+        remaining = None if gone else self.remaining
+        return replace(self, effects=kept, effect_values=values, knowledge=known, remaining=remaining)
 
     def with_values(self, values: Mapping[str, float]) -> Robot:
         """A robot whose nominal values are these, by parameter name [SI]; nothing is known of the new ones.
@@ -386,7 +382,7 @@ class Robot(Shown, Arm):
             targets=tuple(replace(t, point=np.array([v[name] for name in t.parameters])) for t in self.targets),
             effect_values={n: v[n] for n in effect_names},
             knowledge=None,
-            bound=None,
+            remaining=None,
         )
 
     def values_of(self, other: Robot) -> Array:

@@ -99,7 +99,7 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
 
     Sessions belong to their measurements: base and tool are those of the first one.
 
-    effects and errors as of `write_robot` (Raises InputError). Without effects and bound it is version 1.
+    effects and errors as of `write_robot` (Raises InputError). Without effects and such errors it is version 1.
     known_alone : without the digits that a processor's rounding decides, so that a result is the same file everywhere
     """
     if any(isinstance(e, Session) for e in robot.effects):
@@ -108,7 +108,7 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
     for effect in robot.effects:
         if effect.name not in defined and find_effect(effect.name, effects) is not type(effect):
             raise InputError(f"{effect.label}: another effect of this name is installed; rename yours")
-    more = bool(robot.effects or robot.knowledge or robot.bound)
+    more = bool(robot.effects or robot.knowledge or robot.remaining)
     document = tomlkit.document()
     for line in comment.splitlines():
         document.add(tomlkit.comment(shown(line)))
@@ -134,7 +134,7 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
         known = robot.knowledge
         if known:  # of parameters that it had before a change, nothing is kept
             known = known.without(set(known.std_errors) - set(robot.parameters.names))
-        text = "\n".join([text.rstrip("\n"), *text_of(robot, robot.effects, known, robot.bound, known_alone), ""])
+        text = "\n".join([text.rstrip("\n"), *text_of(robot, robot.effects, known, robot.remaining, known_alone), ""])
     check(RobotFile, _with_tools_apart(tomllib.loads(text)), f"robot {shown(robot.name)!r} cannot be written")
     return text
 

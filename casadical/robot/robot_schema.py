@@ -25,8 +25,8 @@ from casadical.core.transforms import frame, from_rpy
 from casadical.effects import Effect
 from casadical.effects.definition import Definition
 from casadical.robot import effect_tables
-from casadical.robot.error_bound import refuse_other
 from casadical.robot.kinematics import assembly_sides
+from casadical.robot.remaining_errors import refuse_other
 from casadical.robot.robot import Robot
 
 # Rows of a robot file.
@@ -227,11 +227,11 @@ class RobotFile(TomlTable):
     effect: list[effect_tables.EffectTable] = Field(default=[], max_length=MOST_COUNT)
     learnt: effect_tables.LearntTable = effect_tables.LearntTable()
     covariance: list[effect_tables.CovarianceTable] = Field(default=[])
-    bound: effect_tables.BoundTable | None = None
+    remaining: effect_tables.RemainingTable | None = None
 
     @model_validator(mode="after")
     def _rows(self) -> RobotFile:
-        for key in ("definition", "effect", "learnt", "covariance", "bound"):
+        for key in ("definition", "effect", "learnt", "covariance", "remaining"):
             if self.casadical == 1 and key in self.model_fields_set:
                 raise FaultError(key, "belongs to files of version 2; write casadical = 2")
         for i, row in enumerate(self.joint):
@@ -284,10 +284,10 @@ class RobotFile(TomlTable):
         )
         names = robot.parameters.names
         known = effect_tables.knowledge_of(robot, names, self.learnt, self.covariance, errors)
-        bound = self.bound.bound() if self.bound else None
-        if bound:
-            refuse_other(robot, bound)
-        robot = replace(robot, knowledge=known, bound=bound)
+        remaining = self.remaining.errors() if self.remaining else None
+        if remaining:
+            refuse_other(robot, remaining)
+        robot = replace(robot, knowledge=known, remaining=remaining)
         if effects:
             _refuse_undefined(robot)
         assembly_sides(robot)  # raises InputError of a loop that does not close

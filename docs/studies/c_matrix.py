@@ -26,7 +26,7 @@ from c_bench import (
     section,
     targets,
 )  # fmt: skip
-from c_proofs import analysers, eva, eva_of_bound, fuzz, self_tests
+from c_proofs import analysers, eva, fuzz, self_tests
 
 from casadical.export import Status, load, write_c
 from casadical.export.c.c_language import inside
@@ -269,7 +269,6 @@ SECTIONS = {
     "any": lambda folders, share: any_input(folders, 1_000_000 // share),
     "analysers": lambda folders, _: analysers(folders),
     "eva": lambda folders, _: eva(folders),
-    "eva_bound": lambda *_: eva_of_bound(),
     "self_test": lambda folders, _: self_tests(folders),
     "fuzz": lambda folders, share: fuzz(folders, 10_000_000 // share),
 }

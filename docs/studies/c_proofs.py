@@ -2,15 +2,12 @@
 
 import itertools
 import re
-from dataclasses import replace
 
 import numpy as np
-from c_bench import PRODUCTS, REALS, WORK, arms, casadi_c, lacking, line, run, section, targets
+from c_bench import PRODUCTS, REALS, WORK, casadi_c, lacking, line, run, section, targets
 
-from casadical.export import Sources, command_of, write_c
 from casadical.export.c.kernel import WARNINGS
 from casadical.export.c.tape_program import tape_program
-from casadical.robot.robot import ErrorBound
 
 
 def analysers(folders):
@@ -105,27 +102,6 @@ def eva(folders):
         line("  EVA's bounds of dp_mm", " ".join(shown) or "none")
         bounds = tape_program(PRODUCTS["network"], real).network_bounds
         line("  the header's bounds", " ".join(f"[{a:.6g} .. {b:.6g}]" for a, b in bounds))
-
-
-def eva_of_bound():
-    """The bound of the UR10 with planted errors (synthetic); EVA takes the angle of each sine in pieces of pi/8."""
-    section("Frama-C EVA, the bound of the error that remains, any finite joints")
-    if reason := lacking("frama-c"):
-        line("frama-c", reason)
-        return
-    names, factor = ("a2", "theta3", "joint_error_curve.s1_q2"), np.diag([2e-4, 2e-4, 3e-4])
-    robot = replace(arms.planted("ur10"), bound=ErrorBound(names, factor, 2e-4, 1.7, 100))
-    command = command_of(Sources(robot, arms.nominal_path("ur10")))
-    for real in REALS:
-        folder = WORK / f"bound_{real}"
-        write_c(command, folder, name="arm", real=real, vectors=1000, languages=())
-        found, shown = evaluated(
-            folder, real, "arm_bound", 1,
-            edges=(np.pi / 16 + np.pi / 8 * np.arange(-40, 41)).tolist(),
-            before="    const arm_real nearest = ", options=("-eva-precision", "1", "-eva-slevel", "90"),
-        )  # fmt: skip
-        line(real, found, "0")
-        line("  EVA's range of bound_mm", " ".join(shown) or "none")
 
 
 FUZZ = """

@@ -1,7 +1,7 @@
 """python docs/studies/correction_steps.py [POSES] > docs/studies/correction_steps.txt (default: 20,000 poses; minutes)
 
 What remains of the tool's error after the exported correction, by steps, number type, and whether the orientation is
-corrected too; "precise": float with `--precise`. Five robots of `problems` with planted errors in every length, angle
+corrected too. Five robots of `problems` with planted errors in every length, angle
 and spring (synthetic), random poses anywhere within the joint limits. The correction is the reference that every
 exported C equals bit for bit; errors are of the robots' models in double. "ok": share of status OK; errors are of these
 poses: 99 % below, and the largest.
@@ -29,9 +29,8 @@ TARGETS = {2: 20.0, 3: 1.0}  # um: after two steps, and after three in float
 
 def case(name, steps, kind, orientation, poses):
     """Mean error before [mm], share OK, and of OK poses: 99 % and largest error [um], largest of orientation [urad]."""
-    sources, precise = Sources(planted(name), nominal_path(name)), kind == "precise"
-    command = command_of(sources, steps, orientation=orientation, precise=precise)
-    program = tape_program(command, "float" if precise else kind)
+    command = command_of(Sources(planted(name), nominal_path(name)), steps, orientation=orientation)
+    program = tape_program(command, kind)
     q = inside(program, poses)
     dq, status = correct(program, q)
     exact, ok = q.astype(float), status == Status.OK
@@ -49,7 +48,7 @@ if __name__ == "__main__":
     print("robot    reaches   type    before, mm  steps     ok   99 %, um  largest, um  orientation, urad")
     for name in NAMES:
         for orientation in (False, True):
-            for kind in ("double", "float", "precise"):
+            for kind in ("double", "float"):
                 for steps in (1, 2, 3):
                     start, ok, usual, most, turned = case(name, steps, kind, orientation, poses)
                     target = TARGETS.get(steps, np.inf) if steps < 3 or kind != "double" else np.inf

@@ -45,7 +45,7 @@ from casadical.core.transforms import frame, from_rpy
 from casadical.fleet.result import fleet_of
 from casadical.fleet.store import one_robot
 from casadical.identification.accuracy import errors, predicted
-from casadical.identification.error_bound import evaluated
+from casadical.identification.remaining_errors import evaluated
 from casadical.measurements.measurements import Noise
 from casadical.project.planning import plan
 from casadical.project.problem import read_campaign_robot

@@ -1,6 +1,6 @@
 """Run `python docs/studies/structured_text.py`: size and cost of the exported structured text.
 
-For two committed problems, the KR 210 as calibrated (SKCM) with and without its bound, and the robot of tests/export/c:
+For two committed problems, the KR 210 as calibrated (SKCM), and the robot of tests/export/c:
 lines, values, runs, operations of a call. The text is
 parsed by tree-sitter's IEC 61131-3 grammar, turned into C by tests/export/c/structured_text_in_c.py, compared with the
 reference bit by bit, and its instructions are counted under QEMU (emulated, no PLC was measured): the list in runs, the
@@ -62,9 +62,7 @@ def products():
         yield f"{problem}, {'pose' if pose else 'position'}", command_of(Sources(robot, nominal), orientation=pose)
     nominal = ROOT / "problems" / "kr210" / "robot.toml"
     real = with_knowledge(calibrate(nominal.parent, method="SKCM").identification)
-    for bound in (False, True):
-        name = f"kr210 calibrated, position{' and bound' if bound else ''}"
-        yield name, command_of(Sources(real, nominal, bound=bound))
+    yield "kr210 calibrated, position", command_of(Sources(real, nominal))
     yield "tests' 6R arm, position", arm()
 
 

@@ -3,8 +3,8 @@
 ===================================================
 
 From a calibrated HH800 to C that a controller calls: train a network on the remaining error, export the whole
-correction as C99, compile it with gcc, call it through ctypes, run it as an FMU, and send the corrected commands to
-the (simulated) robot to check them. It needs gcc and, for the FMU, fmpy.
+correction as C99, compile it with gcc, call it through ctypes, and send the corrected commands to the (simulated)
+robot to check them. It needs gcc.
 """
 
 import ctypes
@@ -14,14 +14,13 @@ import tempfile
 from collections import Counter
 from pathlib import Path
 
-import fmpy
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
 from casadical import calibrate, from_table, write_robot
 from casadical.compensator import Compensator, Taught, save_compensator
-from casadical.export import Sources, Status, command_of, model_corrector, write_c
+from casadical.export import Sources, Status, command_of, load, model_corrector, write_c
 from casadical.identification import predicted, residual_mm
 
 # The simulator that made the measurements of problems/hh800 lies beside the tests; this file lies in docs/tutorials.
@@ -170,31 +169,17 @@ plt.show()
 # Corrections for the cyclic task
 # -------------------------------
 # A controller calls `hh800_step` every 4 ms instead. It ramps the correction in and limits its rate; `enable` = 0
-# ramps it out. The same code is in the FMU, which TwinCAT and Simulink can import. An importer compiles its sources;
-# here gcc does.
+# ramps it out. `load` compiles the same folder and calls it in cycles.
 
-unpacked = folder / "fmu"
-fmpy.extract(str(folder / "c/hh800.fmu"), str(unpacked))
-binary = unpacked / "binaries" / fmpy.platform / "hh800.so"
-binary.parent.mkdir(parents=True)
-units = sorted(map(str, (unpacked / "sources").glob("*.c")))
-flags = "-std=c99 -O2 -ffp-contract=off -shared -fPIC -fvisibility=hidden"
-subprocess.run(["gcc", *flags.split(), *units, "-o", str(binary)], check=True)
-
-inputs = np.zeros(2, dtype=[("time", float), ("enable", bool), *((f"q[{i}]", float) for i in range(1, 7))])
-inputs["time"] = (0, 2)
-inputs["enable"] = True
-for i in range(6):
-    inputs[f"q[{i + 1}]"] = report.q[0, i]
-run = fmpy.simulate_fmu(str(unpacked), stop_time=2.0, step_size=0.004, output_interval=0.004, input=inputs)
-dq, status = correction(report.q[0])
-assert status == Status.OK
-outputs = np.array([run[f"dq[{i}]"] for i in range(1, 7)]).T
-assert np.allclose(outputs[-1], dq, rtol=0, atol=1e-12)  # ramped in, the FMU gives what the function gives
+time, pose = 0.004 * np.arange(500), np.tile(report.q[0], (500, 1))
+outputs, status = load(folder / "c").steps(pose, np.ones(len(time)))
+dq, _ = correction(report.q[0])
+assert status[-1] == Status.OK
+assert np.allclose(outputs[-1], dq, rtol=0, atol=1e-12)  # ramped in, a step gives what the function gives
 assert np.abs(np.diff(outputs, axis=0)).max() <= 0.5 * 0.004 * 1.001  # and never moves faster than 0.5 rad/s
 
 figure, ax = plt.subplots(figsize=(8, 3.2), layout="constrained")
-ax.plot(run["time"], 1e3 * outputs, label=[f"joint {i}" for i in range(1, 7)])
+ax.plot(time, 1e3 * outputs, label=[f"joint {i}" for i in range(1, 7)])
 ax.set(xlabel="time [s]", ylabel="correction [mrad]")
 ax.legend(ncols=3, fontsize="small")
 plt.show()

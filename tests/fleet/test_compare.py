@@ -29,7 +29,7 @@ from casadical.fleet.evidence import (
 )
 from casadical.identification.accuracy import predicted
 from casadical.identification.misfit import misfit_of, wide_fit
-from casadical.robot.error_bound import doubted
+from casadical.robot.remaining_errors import doubted
 
 
 @pytest.fixture(scope="module")

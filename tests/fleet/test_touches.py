@@ -101,7 +101,7 @@ def test_the_same_robot_is_valid_and_a_crash_is_found_and_corrected(place, tmp_p
     new = read_robot(tmp_path / "new.robot.toml")
     assert error(new, hit) < 0.25 * error(read_robot(file), hit)
     assert touched(tmp_path / "new.robot.toml", [tmp_path / "2026-03-03.csv"]).verdict == "valid"
-    assert new.bound is not None
+    assert new.remaining is not None
     assert new.knowledge is not None
     before = read_robot(file).knowledge.std_errors["theta3"]
     assert new.knowledge.std_errors["theta3"] > before
@@ -168,7 +168,7 @@ def test_a_day_that_changed_does_not_widen_its_own_limit(place, tmp_path) -> Non
     file, true, q = place
     arm = read_robot(file)
     rough = tmp_path / "rough.robot.toml"
-    write_robot(replace(arm, bound=replace(arm.bound, rest=4e-4)), rough)
+    write_robot(replace(arm, remaining=replace(arm.remaining, rest=4e-4)), rough)
     robots = [true, true, true, moved(true, {"theta3": 1e-3})]
     tables = [day(tmp_path, number, robot, q) for number, robot in enumerate(robots, 1)]
     assert [row[-1] for row in touched(rough, tables).rows()] == ["yes", "yes", "yes", "no"]

@@ -11,9 +11,9 @@ from scipy.optimize import lsq_linear
 import casadical
 from casadical import identify
 from casadical.effects.joint_error_curve import USUAL, JointErrorCurve
-from casadical.identification.error_bound import learn_bound
 from casadical.identification.least_squares import WIDE
 from casadical.identification.misfit import wide_fit
+from casadical.identification.remaining_errors import learn_remaining
 
 ARM = arms.six_axis()
 
@@ -88,10 +88,9 @@ def test_the_misfit_is_that_of_all_poses(measured) -> None:
     assert len(parts.poses) == len(usual.poses) == 60
 
 
-def test_a_bound_of_some_poses_is_about_that_of_all(found) -> None:
-    usual = learn_bound(found)
+def test_remaining_errors_of_some_poses_are_about_those_of_all(found) -> None:
+    usual = learn_remaining(found)
     most = (2 * usual.poses) // 3
-    some = learn_bound(found, most)
+    some = learn_remaining(found, most)
     assert abs(some.poses - most) <= 1
-    # The noise of a coordinate, times the factor, is most of it.
-    assert some.rest * some.times == pytest.approx(usual.rest * usual.times, rel=0.3)
+    assert some.rest == pytest.approx(usual.rest, rel=0.3)

@@ -1,1 +1,1 @@
-"""Functions as C99, structured text and an FMU: the same tape of operations in each language."""
+"""Functions as C99 and structured text: the same tape of operations in each language."""

@@ -10,7 +10,7 @@ from casadical.export.c.c_source import SCHEMA, common_values, header, source
 from casadical.export.c.coefficients import DTYPE, Real, literal
 from casadical.export.c.emit import filled, template
 from casadical.export.c.language import Label, Language
-from casadical.export.c.reference import bound, correct, forward, network, started, step
+from casadical.export.c.reference import correct, forward, network, started, step
 from casadical.export.c.tape_program import TapeProgram
 
 
@@ -92,7 +92,6 @@ def functions(program: TapeProgram) -> dict[str, Any]:
         known[program.network.key] = network
     if program.command is not None:
         known |= {"forward": forward, "correct": correct}
-        known |= {"bound": bound} if "bound" in program.tapes else {}
     return known
 
 

@@ -6,7 +6,7 @@ from textwrap import wrap
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.export.c.chord import look_size, prepared_size, residual_size
+from casadical.export.c.chord import pose_size, prepared_size, residual_size
 from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, Real, literal
 from casadical.export.c.emit import elementary_functions, filled, kernel, template
 from casadical.export.c.language import Label
@@ -24,11 +24,9 @@ def header(program: TapeProgram, label: Label) -> str:
     command, network = program.command, program.network
     parts = [template("network.h")] if network else []
     parts += [template("command.h")] if command else []
-    parts += [template("bound.h")] if command and command.bound else []
     values["prototypes"] = "".join(filled(part, values) for part in parts).rstrip("\n") + "\n"
     values["defines"] = filled(_COMMAND_DEFINES, values) if command else ""
-    statuses = _COMMAND_STATUSES + (_LIMIT_STATUS if command and command.limit_mm is not None else "")
-    values["command_statuses"] = filled(statuses, values) if command else ""
+    values["command_statuses"] = filled(_COMMAND_STATUSES, values) if command else ""
     values["not_finite_output"] = "; zeros are written"
     values["title"] = network.title if network and not command else "correction of joint commands"
     return filled(template("header.h"), values)
@@ -39,11 +37,6 @@ def source(program: TapeProgram, label: Label) -> str:
     values = common_values(program, label)
     texts = [filled(template("network.c"), values)] if program.network else []
     if program.command:
-        values["within"] = filled(_WITHIN, values) if program.command.limit_mm is not None else ""
-        if program.command.bound is not None:
-            mine = {"function": "bound", "out": "bound_mm", "n_out": "1"}
-            mine["box_table:network"] = values["box_table:command"]
-            texts.append(filled(template("network.c"), values | mine))
         texts.append(filled(template("command.c"), values))
     values["functions"] = "".join(texts)
     values["elementary"] = elementary_functions(list(program.tapes.values()), label.name, program.real)
@@ -63,26 +56,6 @@ _COMMAND_STATUSES = """\
  *   NOT_CONVERGED  more than @tolerance_mm@ mm remained before the last step; the correction is the best so far
  *   LIMITED        the correction is at its limit, all joints scaled alike
  *   SINGULAR       the arm can hardly move its tool in some direction; the correction is damped and within its limit
-"""
-_LIMIT_STATUS = """\
- *   ABOVE_LIMIT    corrected, but more than @limit_mm@ mm may remain: @name@_bound is above its limit here
-"""
-_AT = """\
-                at[i] = x[i] + dq[i];
-"""
-_APART = """\
-                at[i] = x[i];
-                at[{n}U + i] = dq[i];
-"""
-_WITHIN = """\
-        {
-            @name@_real bound_mm[1];
-            const uint32_t known = @name@_bound_values(x, bound_mm);
-            if ((status == @NAME@_OK) && ((known == 0U) || !(bound_mm[0] <= @bound_limit@)))
-            {
-                status = @NAME@_ABOVE_LIMIT;
-            }
-        }
 """
 
 
@@ -131,7 +104,6 @@ class CommandNumbers:
         self.ramp = min(limits.cycle_s / limits.ramp_s, 1.0)
         self.tolerance2 = (1e-3 * limits.tolerance_mm) ** 2
         self.weakness = 1.0 / (limits.singular_m_per_rad**2 + limits.damping**2)
-        self.bound_mm = np.inf if command.limit_mm is None else command.limit_mm - limits.tolerance_mm
 
 
 def _command_values(command: Command, program: TapeProgram, real: Real) -> dict[str, str]:
@@ -141,8 +113,7 @@ def _command_values(command: Command, program: TapeProgram, real: Real) -> dict[
     integers = {
         "n_p": n_p,
         "n_prepared": prepared,
-        "n_work": prepared + look_size(command),
-        "n_at": n * (1 + (program.look == "apart")),
+        "n_work": prepared + pose_size(command),
         "i_weakness": prepared - 1,
         "n_moved": n + 1,
         "i_error": n,
@@ -151,9 +122,6 @@ def _command_values(command: Command, program: TapeProgram, real: Real) -> dict[
     values |= {key: repr(getattr(command.limits, key)) for key in ("cycle_s", "ramp_s", "rate_rad_s")}
     return values | {
         "pose_text": pose,
-        "look": program.look,
-        "look_text": "how far the robots are apart" if program.look == "apart" else "where the calibrated robot is",
-        "at": _APART.format(n=n) if program.look == "apart" else _AT,
         "freedom": _freedom(command),
         "damping2": f"{command.limits.damping**2:.6g}",
         "step_limit": literal(numbers.step, real),
@@ -163,8 +131,6 @@ def _command_values(command: Command, program: TapeProgram, real: Real) -> dict[
         "delta_decimal": _decimal(numbers.delta, real),
         "change_decimal": _decimal(numbers.change, real),
         "tolerance_mm": f"{command.limits.tolerance_mm:.6g}",
-        "limit_mm": f"{command.limit_mm or 0.0:.6g}",
-        "bound_limit": literal(numbers.bound_mm, real) if command.limit_mm is not None else "",
     }
 
 

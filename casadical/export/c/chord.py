@@ -18,46 +18,25 @@ LENGTH = 0.3  # m: by which an error of the orientation [rad] is weighted agains
 
 
 def prepare(command: Command) -> casadi.Function:
-    """q -> nominal position or pose, the factored steps (see `_Step`), weakness, and what a look gives at q."""
+    """q -> nominal position or pose, the factored steps (see `_Step`), weakness, and the calibrated pose at q."""
     q = SX.sym("q", len(command.lower))
     step = _step(command)
     factors, weakness = step.factored(_jacobian(command, q))
-    out = [_flat(command.nominal, q), factors, weakness, _look(command, q, SX.zeros(q.shape))]
+    out = [_flat(command.nominal, q), factors, weakness, _flat(command.calibrated, q)]
     return casadi.Function("prepare", [q], [casadi.densify(casadi.vertcat(*out))], ["q"], ["prepared"])
 
 
 def prepared_size(command: Command) -> int:
-    """How many numbers ``prepare`` gives before the look."""
-    return _pose_size(command) + _step(command).size + 1
-
-
-def look_size(command: Command) -> int:
-    return _pose_size(command) if command.difference is None else residual_size(command)
-
-
-def apart(command: Command) -> casadi.Function:
-    """(q, dq) -> the residual, by the command's difference."""
-    q, dq = (SX.sym(name, len(command.lower)) for name in ("q", "dq"))
-    return casadi.Function("apart", [q, dq], [casadi.densify(_look(command, q, dq))], ["q", "dq"], ["r"])
-
-
-def _look(command: Command, q: SX, dq: SX) -> SX:
-    """Where the calibrated robot is at q + dq, or with a difference the residual there."""
-    if command.difference is None:
-        return _flat(command.calibrated, q + dq)
-    change = _flat(command.difference, q, dq)
-    if residual_size(command) == 3:
-        return -change
-    target = _flat(command.nominal, q)
-    return residual(casadi.vertcat(SX.zeros(3), target[3:]), change)
+    """How many numbers ``prepare`` gives before the calibrated pose."""
+    return pose_size(command) + _step(command).size + 1
 
 
 def advance(command: Command) -> casadi.Function:
-    """(prepared, what a look gave) -> joint step, squared error before it."""
-    size, step = _pose_size(command), _step(command)
-    prepared, now = SX.sym("prepared", prepared_size(command)), SX.sym("now", look_size(command))
+    """(prepared, calibrated pose) -> joint step, squared error before it."""
+    size, step = pose_size(command), _step(command)
+    prepared, now = SX.sym("prepared", prepared_size(command)), SX.sym("now", size)
     target, factors, _ = casadi.vertsplit(prepared, [0, size, size + step.size, size + step.size + 1])
-    moved, error = step.solved(factors, now if command.difference is not None else residual(target, now))
+    moved, error = step.solved(factors, residual(target, now))
     return casadi.Function("advance", [prepared, now], [casadi.vertcat(moved, error)], ["prepared", "now"], ["moved"])
 
 
@@ -66,7 +45,8 @@ def residual_size(command: Command) -> int:
     return 3 if command.calibrated.numel_out(0) == 3 and command.calibrated.n_out() == 1 else 6
 
 
-def _pose_size(command: Command) -> int:
+def pose_size(command: Command) -> int:
+    """3 numbers of a position, 12 of a pose."""
     return 3 if residual_size(command) == 3 else 12
 
 
@@ -146,8 +126,8 @@ class _PositionFirst(_Step):
         return v - casadi.mtimes(Jp.T, y)
 
 
-def _flat(function: casadi.Function, *arguments: SX) -> SX:
-    return casadi.vertcat(*[casadi.vec(out) for out in function.call(arguments)])
+def _flat(function: casadi.Function, q: SX) -> SX:
+    return casadi.vertcat(*[casadi.vec(out) for out in function.call([q])])
 
 
 def residual(target: SX, now: SX) -> SX:
@@ -168,7 +148,7 @@ def _jacobian(command: Command, q: SX) -> SX:
 
 def _slope(command: Command, function: casadi.Function, at: SX) -> SX:
     """Jacobian of minus the residual with respect to the function's joints."""
-    x, fixed = SX.sym("x", len(command.lower)), SX.sym("fixed", _pose_size(command))
+    x, fixed = SX.sym("x", len(command.lower)), SX.sym("fixed", pose_size(command))
     now = _flat(function, x)
     slope = casadi.jacobian(-residual(fixed, now), x)
     return casadi.Function("slope", [x, fixed], [slope])(at, _flat(function, at))

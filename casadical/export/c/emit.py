@@ -15,7 +15,7 @@ from casadical.export.c import coefficients
 from casadical.export.c.coefficients import COEFFICIENTS, Real, literal, turn_parts
 from casadical.export.c.tape import Node, Tape
 
-_CALLS = ("sincos", "tansig", "exp", "sqrt", "atan2", "weighted_sum")
+_CALLS = ("sincos", "tansig", "exp", "sqrt", "atan2")
 _INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 
 
@@ -65,33 +65,15 @@ def kernel(tape: Tape, prefix: str, name: str, real: Real) -> str:
     """C text of the static function PREFIX_NAME that evaluates a tape; it returns 1, or 0 where a guard was touched."""
     real_name = f"{prefix}_real"
     names = [_value_name(k, node, real) for k, node in enumerate(tape.nodes)]
-    lines: list[str] = []
-    rows: dict[int, dict[tuple[float, ...], int]] = {}  # of weights, by their number, each with its place
-    vectors: dict[tuple[int, ...], str] = {}
-    for k, node in enumerate(tape.nodes):
-        a = [names[i] for i in node.args]
-        if node.op == "weighted_sum":
-            places = rows.setdefault(len(a), {})
-            place = places.setdefault(node.weights, len(places))
-            if node.args not in vectors:
-                vectors[node.args] = f"x{k}"
-                lines.append(f"const {real_name} x{k}[{len(a)}] = {{\n{_in_rows(a)}\n}};")
-            a = [f"weights{len(a)}[{place}]", vectors[node.args], f"{len(a)}U"]
-        lines.append(_statement(k, node, a, prefix, real))
+    lines = [_statement(k, node, [names[i] for i in node.args], prefix, real) for k, node in enumerate(tape.nodes)]
     guarded = any(node.op.startswith("guard") for node in tape.nodes)
     arguments = f"const {real_name} in[{tape.n_in}], {real_name} out[{len(tape.outputs)}]"
     head = f"static uint32_t {prefix}_{name}({arguments})\n{{\n"
-    body = [_weights(size, list(places), real_name, real) for size, places in rows.items()]
-    body += ["uint32_t fine = 1U;"] if guarded else []
+    body = ["uint32_t fine = 1U;"] if guarded else []
     body += [line for line in lines if line]
     body += [f"out[{i}] = {names[k]};" for i, k in enumerate(tape.outputs)]
     body += ["return fine;" if guarded else "return 1U;"]
     return head + "".join(f"    {line}\n" for line in "\n".join(body).split("\n")) + "}\n"
-
-
-def _weights(size: int, rows: list[tuple[float, ...]], real_name: str, real: Real) -> str:
-    texts = ("    {\n" + _in_rows([literal(v, real) for v in row]) + "\n    }" for row in rows)
-    return f"static const {real_name} weights{size}[{len(rows)}][{size}] = {{\n" + ",\n".join(texts) + "\n};"
 
 
 def _in_rows(words: list[str]) -> str:

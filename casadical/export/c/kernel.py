@@ -71,10 +71,10 @@ class Kernel:
     def rows(self, function: str, q: Array) -> tuple[Array, Array]:
         """Call a function for each row of joints.
 
-        function : ``network``, ``curves``, ``forward``, ``correct`` or ``bound``, as the export has it
+        function : ``network``, ``curves``, ``forward`` or ``correct``, as the export has it
         q : joint readings, shape (k, n) [rad or m], converted to the kernel's real type
 
-        Returns values, shape (k, outputs), and status, shape (k,), a `casadical.export.Status`: of network and bound
+        Returns values, shape (k, outputs), and status, shape (k,), a `casadical.export.Status`: of network
         [mm], of curves what each joint turns beyond its reading and of correct its correction [rad or m], of forward
         the calibrated position [m], with the rotation where the export has it. Raises InputError: the export has no
         such function, or q another number of joints.
@@ -98,7 +98,6 @@ class Kernel:
     curves = partialmethod(rows, "curves")
     forward = partialmethod(rows, "forward")
     correct = partialmethod(rows, "correct")
-    bound = partialmethod(rows, "bound")
 
     def steps(self, q: Array, enable: Array) -> tuple[Array, Array]:
         """``step`` for consecutive cycles from the zero state: corrections, shape (k, n) [rad or m], and status.

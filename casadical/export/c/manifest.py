@@ -20,7 +20,7 @@ class Facts(BaseModel):
     real: Real
     joints: int = Field(ge=1, le=100)
     units: list[Literal["rad", "m"]] = []
-    outputs: dict[Literal["network", "curves", "forward", "correct", "bound"], Annotated[int, Field(ge=1, le=100)]]
+    outputs: dict[Literal["network", "curves", "forward", "correct"], Annotated[int, Field(ge=1, le=100)]]
 
     @model_validator(mode="after")
     def _of_each_joint(self) -> Self:

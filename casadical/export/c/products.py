@@ -112,14 +112,10 @@ class Command:
     limits : of the correction, and of what is reported
     steps : least-squares steps, 1 to 10. The robot is evaluated again after them: NOT_CONVERGED says that the tolerance
         is passed there. One more step follows where the last one left a third or less of its error
-    bound : q[n] -> b[1] [mm], below which 95 % of the errors of the calibrated robot are; None: not known
-    limit_mm : the greatest bound, with what the steps may leave, at which a correction is OK [mm]; None: any
     units : "rad" or "m" of each joint's reading; default: all rad
     freedom : in how many directions the joints move the tool, and in how many they turn it beside that. Fewer than six
         of a pose: the position goes first, and of the orientation the joints do what they can
     notes : sentences for the reader of the header
-    difference : (q[n], dq[n]) -> the calibrated position or pose at q + dq less the nominal one at q, in which nothing
-        cancels: for float, at about twice the operations; None: the two are subtracted
     Raises InputError: functions of other shapes, or a number of steps that is not allowed.
     """
 
@@ -132,12 +128,9 @@ class Command:
     network: NetworkFunction | None = None
     limits: Limits = field(default_factory=Limits)
     steps: int = 2
-    bound: casadi.Function | None = None
-    limit_mm: float | None = None
     units: tuple[str, ...] = ()
     freedom: tuple[int, int] = (3, 3)
     notes: tuple[str, ...] = ()
-    difference: casadi.Function | None = None
 
     def __post_init__(self) -> None:
         _checked_box(self)
@@ -145,14 +138,9 @@ class Command:
             raise InputError(f"{self.steps} least-squares steps; 1 to 10 are allowed")
         n = len(self.lower)
         size = _checked_signature(self.calibrated, n, (3, 12))
-        signatures = (
-            (self.nominal, n, size), (self.jacobian_of, n, size), (self.jacobian_at, n, n),
-            (self.difference, 2 * n, size), (self.bound, n, 1),
-        )  # fmt: skip
-        for function, taken, given in signatures:
+        for function, given in ((self.nominal, size), (self.jacobian_of, size), (self.jacobian_at, n)):
             if function is not None:
-                _checked_signature(function, taken, (given,))
-        _checked_limit(self)
+                _checked_signature(function, n, (given,))
         if self.network is not None and len(self.network.lower) != n:
             raise InputError(f"the network has {len(self.network.lower)} joints and the robot {n}; both must be equal")
 
@@ -172,16 +160,6 @@ def _checked_box(product: Any) -> None:
     object.__setattr__(product, "lower", lower)
     object.__setattr__(product, "upper", upper)
     object.__setattr__(product, "units", units)
-
-
-def _checked_limit(command: Command) -> None:
-    limit, least = command.limit_mm, command.limits.tolerance_mm
-    if limit is None:
-        return
-    if command.bound is None:
-        raise InputError(f"a limit of {limit:g} mm needs the bound of the error that remains; it is not known here")
-    if not (np.isfinite(limit) and limit > least):
-        raise InputError(f"a limit of {limit:g} mm: it must be above {least:g} mm, which the steps alone may leave")
 
 
 def _checked_signature(function: casadi.Function, n: int, sizes: tuple[int, ...] | None) -> int:

@@ -162,11 +162,6 @@ def _run(tape: Tape, inputs: Array, real: coefficients.Real) -> tuple[Array, Arr
                 values.append(np.full(k, T(node.value)))
             elif node.op == "periodic":
                 values.append(mirror.periodic(args[0], node.table))
-            elif node.op == "weighted_sum":
-                total = T(node.weights[0]) * args[0]
-                for weight, value in zip(node.weights[1:], args[1:], strict=True):
-                    total = total + T(weight) * value
-                values.append(total)
             elif node.op in ("sin", "cos"):
                 values.append(args[0][0 if node.op == "sin" else 1])
             elif node.op in ("guard_min", "guard_max"):
@@ -181,8 +176,6 @@ def _run(tape: Tape, inputs: Array, real: coefficients.Real) -> tuple[Array, Arr
 
 class Status(IntEnum):
     """What every exported function returns; where several apply, the highest number wins.
-
-    ABOVE_LIMIT stands in the place of OK.
 
     Examples
     --------
@@ -199,7 +192,6 @@ class Status(IntEnum):
     NOT_FINITE = 6
     NULL_ARG = 7
     SELF_TEST_FAILED = 8
-    ABOVE_LIMIT = 9
 
 
 def boxed(q: Array, box: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -227,11 +219,6 @@ def forward(program: TapeProgram, q: Array) -> tuple[Array, Array]:
     return _values(program, q, "forward", "reach")
 
 
-def bound(program: TapeProgram, q: Array) -> tuple[Array, Array]:
-    """Bound of the error that remains [mm], shape (k, 1), and status."""
-    return _values(program, q, "bound", "command")
-
-
 def _values(program: TapeProgram, q: Array, tape: str, box: str) -> tuple[Array, Array]:
     q = np.ascontiguousarray(q, DTYPE[program.real])
     x, status = boxed(q, boxes(program)[box])
@@ -250,10 +237,6 @@ def correct(program: TapeProgram, q: Array) -> tuple[Array, Array]:
     bad = status == Status.NOT_FINITE
     dq[bad] = 0
     status = np.where(bad, status, np.maximum(status, chord_status))
-    if program.command.limit_mm is not None:
-        limit = DTYPE[program.real](CommandNumbers(program.command).bound_mm)
-        mm, known = run(program.tapes["bound"], x, program.real)
-        status = np.where((status == Status.OK) & ~(known & (mm[:, 0] <= limit)), Status.ABOVE_LIMIT, status)
     return dq, status
 
 
@@ -280,8 +263,7 @@ def _chord(program: TapeProgram, command: Command, x: Array) -> tuple[Array, Arr
         for step in range(command.steps + 1):
             if step > 0:
                 before = moved[:, n].copy()
-                at = np.hstack([x, dq]) if program.look == "apart" else x + dq
-                work[:, end:], fine_now = run(program.tapes[program.look], at, real)
+                work[:, end:], fine_now = run(program.tapes["forward"], x + dq, real)
                 fine &= fine_now
             moved, fine_now = run(program.tapes["advance"], work, real)
             fine &= fine_now

@@ -10,7 +10,6 @@ from casadical.export.c.tape_program import TapeProgram
 GROUP = "casadical.controller_languages"
 LANGUAGES = (
     "casadical.export.c.c_language:C99",
-    "casadical.export.c.fmu:Fmu",
     "casadical.export.c.structured_text:StructuredText",
 )
 

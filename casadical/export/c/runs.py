@@ -2,8 +2,7 @@
 
 Operations are put into another order that their arguments allow, in which equal ones follow each other. Value k is
 the result of operation k, so that a run needs the places of its arguments only. Each operation is the tape's own: the
-results are the same bits. What `prepare` and `bound` have in common with `forward`, such as the loads of gravity, is
-taken from it.
+results are the same bits. What `prepare` has in common with `forward`, such as the loads of gravity, is taken from it.
 """
 
 from collections import Counter
@@ -15,8 +14,7 @@ from casadical.export.c.tape import COMMUTATIVE, Node, Tape
 from casadical.export.c.tape_program import TapeProgram
 
 WIDTH = {"sincos": 2}  # places of an operation's results; one where it is not here
-_TAPES = ("forward", "prepare", "apart", "advance")  # then the network or the curves; "apart" takes joints and "at"
-_AFTER_FORWARD = ("prepare", "bound")  # take what they have in common from `forward`, which runs at the same joints
+_TAPES = ("forward", "prepare", "advance")  # then the network or the curves
 
 
 @dataclass(frozen=True)
@@ -27,10 +25,8 @@ class Plan:
     places : the first place of the inputs and of the outputs (`KEY_out`) of each tape
     operations, starts : of each run, its operation and its first place; one more start is the number of values
     first, second : for each place, those of the arguments; 0 where there is none
-    spans : the first and the last run of each tape; shared : tapes that `forward` must have run for, at the same joints
+    spans : the first and the last run of each tape
     tables : of `periodic`, whose number is the second argument
-    weights : rows of `weighted_sum`, one after another: the row that begins at the second argument, with its length, of
-        the values from the first argument on
     """
 
     constants: tuple[float, ...]
@@ -40,9 +36,7 @@ class Plan:
     first: tuple[int, ...]
     second: tuple[int, ...]
     spans: dict[str, tuple[int, int]]
-    shared: frozenset[str]
     tables: tuple[tuple[float, ...], ...]
-    weights: tuple[float, ...]
 
     @property
     def size(self) -> int:
@@ -55,22 +49,18 @@ def plan_of(program: TapeProgram) -> Plan:
 
 class _Planner:
     def __init__(self, program: TapeProgram) -> None:
-        self.tapes = {key: _gathered(program.tapes[key]) for key in sorted(program.tapes, key=_order)}
+        self.tapes = {key: program.tapes[key] for key in sorted(program.tapes, key=_order)}
         nodes = [node for tape in self.tapes.values() for node in tape.nodes]
         self.constants = dict.fromkeys(_word(v, program.real) for node in nodes for v in _numbers(node))
         self.known = {word: place for place, word in enumerate(self.constants)}
         self.real = program.real
         self.tables = tuple(dict.fromkeys(node.table for node in nodes if node.table))
-        self.rows: dict[tuple[float, ...], int] = {}
-        for row in dict.fromkeys(_without_zeros(node.weights) for node in nodes if node.weights):
-            self.rows[row] = sum(map(len, self.rows)) + len(self.rows)
         n, inputs = program.n, len(self.known)
         self.places = {"joints": inputs, "at": inputs + n}
         self.starts = [0, inputs + 2 * n if program.command else inputs + n]
         self.operations = ["constants"]
         self.first, self.second = [0] * self.starts[1], [0] * self.starts[1]
         self.spans: dict[str, tuple[int, int]] = {}
-        self.shared = {key for key in _AFTER_FORWARD if key in self.tapes and program.look == "forward"}
         self.known_as: dict[Node, int] = {}  # numbers of equal operations, in whatever tape
         self.forward: dict[Node, int] = {}  # place of what `forward` computes
 
@@ -81,8 +71,7 @@ class _Planner:
             self.spans[key] = begin, len(self.operations) - 1
         return Plan(
             tuple(map(float.fromhex, self.constants)), self.places, tuple(self.operations), tuple(self.starts),
-            tuple(self.first), tuple(self.second), self.spans, frozenset(self.shared), self.tables,
-            tuple(v for row in self.rows for v in (float(len(row)), *row)),
+            tuple(self.first), tuple(self.second), self.spans, self.tables,
         )  # fmt: skip
 
     def _add(self, key: str, tape: Tape) -> None:
@@ -93,7 +82,7 @@ class _Planner:
                 place[k] = self.known[_word(node.value, self.real)]
             elif node.op == "input":
                 place[k] = inputs + int(node.value)
-        if key in self.shared:
+        if key == "prepare":  # runs at the same joints after `forward`, which has what both have in common
             self._share(tape, place)
         used = Counter(a for node in tape.nodes for a in node.args)
         for op, batches in _runs(tape, place):
@@ -122,19 +111,12 @@ class _Planner:
 
     def _batch(self, tape: Tape, op: str, batch: list[int], place: dict[int, int], used: Counter[int]) -> None:
         """Operations that do not follow from each other, those with the same first argument together."""
-        if op == "copy":  # of arguments that are to stand side by side
-            for k in batch:
-                place[k] = len(self.first)
-                for a in tape.nodes[k].args:
-                    self._one(op, place[a], 0)
-            return
         pairs = []
         for k in batch:
             args = tape.nodes[k].args
             if tape.nodes[k].op in COMMUTATIVE:
                 args = tuple(sorted(args, key=lambda a: (-used[a], a)))
-            zeros = len(tape.nodes[k].weights) - len(_without_zeros(tape.nodes[k].weights))
-            pairs.append((place[args[0]] + zeros, self._second(tape.nodes[k], args, place), k))
+            pairs.append((place[args[0]], self._second(tape.nodes[k], args, place), k))
         for first, second, k in sorted(pairs):
             place[k] = self._one(op, first, second)
         for k, node in enumerate(tape.nodes):
@@ -146,8 +128,6 @@ class _Planner:
             return self.known[_word(node.value, self.real)]
         if node.op == "periodic":
             return self.tables.index(node.table)
-        if node.weights:
-            return self.rows[_without_zeros(node.weights)]
         return place[args[1]] if len(args) > 1 else 0
 
     def _one(self, op: str, first: int, second: int) -> int:
@@ -159,25 +139,6 @@ class _Planner:
     def _end(self, op: str) -> None:
         self.operations.append(op)
         self.starts.append(len(self.first))
-
-
-def _gathered(tape: Tape) -> Tape:
-    """The tape with the arguments of each weighted sum copied side by side."""
-    nodes, place, vectors = list[Node](), list[int](), dict[tuple[int, ...], int]()
-    for node in tape.nodes:
-        args = tuple(place[a] for a in node.args)
-        if node.op == "weighted_sum":
-            if args not in vectors:
-                vectors[args] = len(nodes)
-                nodes.append(Node("copy", args))
-            args = (vectors[args],)
-        place.append(len(nodes))
-        nodes.append(replace(node, args=args))
-    return Tape(tuple(nodes), tape.n_in, tuple(place[o] for o in tape.outputs))
-
-
-def _without_zeros(weights: tuple[float, ...]) -> tuple[float, ...]:
-    return weights[next((k for k, w in enumerate(weights) if w), len(weights) - 1) :] if weights else ()
 
 
 def _order(key: str) -> int:

@@ -12,7 +12,7 @@ from itertools import groupby
 
 from casadical.export.c.c_language import self_test_inputs
 from casadical.export.c.c_source import CommandNumbers, box_share, boxes, joint_units
-from casadical.export.c.chord import look_size, prepared_size
+from casadical.export.c.chord import pose_size, prepared_size
 from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, TURNS, Real, turn_parts
 from casadical.export.c.emit import constants, filled, template
 from casadical.export.c.language import Label, Language
@@ -68,12 +68,11 @@ def structured_text(program: TapeProgram, label: Label) -> str:
     parts = [filled(template("head.st"), values), _values_block(plan, values, real)]
     values["constants"] = _CONSTANTS
     parts.append(filled(template("boxed.st"), values))
-    blocks = [] if program.network is None else [(program.network.key, program.network.out, "network")]
-    blocks += [("bound", "bound_mm", "command")] if "bound" in program.tapes else []
-    for key, out, box in blocks:
-        mine = {"function": key, "out": out, "last_out": str(len(program.tapes[key].outputs) - 1)}
-        mine |= {"network_out": str(plan.places[f"{key}_out"]), "evaluate": _evaluated(program, plan, key)}
-        parts.append(filled(template("network.st"), values | mine | _box(program, box)))
+    if program.network is not None:
+        key = program.network.key
+        mine = {"function": key, "out": program.network.out, "last_out": str(len(program.tapes[key].outputs) - 1)}
+        mine |= {"network_out": str(plan.places[f"{key}_out"]), "evaluate": filled(_ALONE, _span(plan, key))}
+        parts.append(filled(template("network.st"), values | mine | _box(program, "network")))
     if program.command is not None:
         parts.append(filled(template("command.st"), values | _command(program, program.command, plan)))
     return _wrapped(_folded("\n".join([*parts, _self_test(program, values)])))
@@ -170,8 +169,7 @@ def _values_block(plan: Plan, values: dict[str, str], real: Real) -> str:
     scalars.setdefault(values["kind"], {})["x"] = None
     variables = [*arrays, *(f"    {', '.join(names)} : {of};\n" for of, names in scalars.items())]
     tables = _array("operation", "INT", (str(known.index(op)) for op in plan.operations))
-    for name, numbers in (("constant", plan.constants), ("weight", plan.weights)):
-        tables += _array(name, values["kind"], (number(v, real) for v in numbers)) if numbers else ""
+    tables += _array("constant", values["kind"], (number(v, real) for v in plan.constants)) if plan.constants else ""
     for name, entries in (("start", plan.starts), ("first", plan.first), ("second", plan.second)):
         tables += _array(name, values["index"], map(str, entries))
     return filled(template("values.st"), values | {"tables": tables, "variables": "".join(variables), "cases": cases})
@@ -199,78 +197,35 @@ def _box(program: TapeProgram, key: str) -> dict[str, str]:
     return {"box": "".join(_array(name, kind, (number(float(v), program.real) for v in side)) for name, side in sides)}
 
 
-def _span(plan: Plan, key: str, name: str) -> dict[str, str]:
+def _span(plan: Plan, key: str, name: str = "run") -> dict[str, str]:
     return {f"{name}_from": str(plan.spans[key][0]), f"{name}_to": str(plan.spans[key][1])}
 
 
-_FORWARD = """\
-FOR i := 0 TO @last@ DO v[@at@ + i] := v[@joints@ + i]; END_FOR;
-values(from_run := @look_from@, to_run := @look_to@, v := v);
-fine := values.fine;
-values(from_run := @from@, to_run := @to@, v := v);
-fine := fine AND values.fine;
-"""
 _ALONE = """\
-values(from_run := @from@, to_run := @to@, v := v);
+values(from_run := @run_from@, to_run := @run_to@, v := v);
 fine := values.fine;
 """
-_LOOK = """\
-    FOR i := 0 TO @last@ DO
-        v[@at@ + i] := @at_value@;
-    END_FOR;
-    values(from_run := @look_from@, to_run := @look_to@, v := v);
-    fine := fine AND values.fine;
-    FOR i := 0 TO @last_p@ DO
-        v[@now@ + i] := v[@look_out@ + i];
-    END_FOR;
-"""
-_WITHIN = """\
-@bound_values@status := SEL(status = 0 AND NOT (fine AND v[@bound_out@] <= @bound_limit@), status, 9);
-"""
-
-
-def _within(program: TapeProgram, command: Command, plan: Plan) -> dict[str, str]:
-    if command.limit_mm is None:
-        return {"within": ""}
-    mine = {"bound_out": str(plan.places["bound_out"]), "bound_values": _evaluated(program, plan, "bound")}
-    mine["bound_limit"] = number(CommandNumbers(command).bound_mm, program.real)
-    return {"within": filled(_WITHIN, mine)}
-
-
-def _evaluated(program: TapeProgram, plan: Plan, key: str) -> str:
-    """The values of a tape at the joints, and whether they are fine."""
-    mine = {"from": str(plan.spans[key][0]), "to": str(plan.spans[key][1]), "last": str(program.n - 1)}
-    if key not in plan.shared:
-        return filled(_ALONE, mine)
-    places = {name: str(plan.places[name]) for name in ("at", "joints")}
-    return filled(_FORWARD, mine | places | _span(plan, "forward", "look"))
 
 
 def _command(program: TapeProgram, command: Command, plan: Plan) -> dict[str, str]:
-    numbers, look, prepared = CommandNumbers(command), program.look, prepared_size(command)
-    joint = f"v[{plan.places['joints']} + i]"
+    numbers, prepared = CommandNumbers(command), prepared_size(command)
     limits = ("delta", "step", "change", "ramp", "tolerance2", "weakness")
     places = {
         "at": plan.places["at"],
-        "look_out": plan.places[f"{look}_out"],
+        "look_out": plan.places["forward_out"],
         "advance_out": plan.places["advance_out"],
         "now": plan.places["prepare_out"] + prepared,
         "weakness_at": plan.places["prepare_out"] + prepared - 1,
         "error_at": plan.places["advance_out"] + program.n,
     }
-    values = (
+    return (
         {key: str(value) for key, value in places.items()}
         | {f"limit_{key}": number(getattr(numbers, key), program.real) for key in limits}
         | {key: f"{getattr(command.limits, key):.6g}" for key in ("cycle_s", "ramp_s", "rate_rad_s")}
-        | {"steps": str(command.steps), "last_p": str(look_size(command) - 1)}
-        | {"at_value": "dq[i]" if look == "apart" else f"SEL(k > 0, {joint}, {joint} + dq[i])"}
-        | _span(plan, "prepare", "prepare") | _span(plan, look, "look") | _span(plan, "advance", "advance")
-        | _box(program, "command") | _within(program, command, plan)
+        | {"steps": str(command.steps), "last_p": str(pose_size(command) - 1)}
+        | _span(plan, "prepare", "prepare") | _span(plan, "forward", "look") | _span(plan, "advance", "advance")
+        | _box(program, "command")
     )  # fmt: skip
-    look = filled(_LOOK, values | {"last": str(program.n - 1)})
-    if "prepare" not in plan.shared:  # it has looked at the joints itself
-        look = f"    IF k > 0 THEN\n{textwrap.indent(look, '    ')}    END_IF;\n"
-    return values | {"look": look}
 
 
 def _self_test(program: TapeProgram, values: dict[str, str]) -> str:

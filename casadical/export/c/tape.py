@@ -3,9 +3,8 @@
 Equal operations on equal arguments are stored once, sines and cosines of one angle share an operation, and a tansig is
 recognised however it is written. Where an operation takes only some numbers (square root, exp, sine of a huge angle) a
 guard stands before it; what an interval analysis proves to be needless is removed (see intervals.py). A function that
-is called (CasADi's option `never_inline`) becomes a weighted sum for each of its outputs where it is a constant matrix
-times its input, else a table for each of them (see coefficients.py). The C emitter and the NumPy evaluation both read
-this list only.
+is called (CasADi's option `never_inline`) becomes a table for each of its outputs (see coefficients.py). The C emitter
+and the NumPy evaluation both read this list only.
 """
 
 from collections.abc import Callable
@@ -13,9 +12,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import casadi
-import numpy as np
 
-from casadical.core.basics import Array, InputError
+from casadical.core.basics import InputError
 from casadical.core.sx_instructions import SxInstructions
 from casadical.export.c.coefficients import ANGLE_LIMIT, EXP_LIMIT, TABLE_LIMIT, periodic_tables
 
@@ -30,14 +28,12 @@ class Node:
     """One operation: its name, the positions of its arguments on the tape, and a constant or an input position.
 
     table : of the operation `periodic`, whose value is the bound of the table's error (see `spline_table`)
-    weights : of `weighted_sum`, one of each argument; products are added one by one, from the first
     """
 
     op: str
     args: tuple[int, ...] = ()
     value: float = 0.0
     table: tuple[float, ...] = ()
-    weights: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -57,11 +53,7 @@ class _Builder:
         self._known: dict[Node, int] = {}
 
     def add(self, op: str, *args: int, value: float = 0.0, table: tuple[float, ...] = ()) -> int:
-        if op in COMMUTATIVE:
-            args = tuple(sorted(args))
-        return self.stored(Node(op, args, value, table))
-
-    def stored(self, node: Node) -> int:
+        node = Node(op, tuple(sorted(args)) if op in COMMUTATIVE else args, value, table)
         if node not in self._known:
             self._known[node] = len(self.nodes)
             self.nodes.append(node)
@@ -83,13 +75,6 @@ class _Builder:
         if len(table) == 1:
             return self.constant(table[0])
         return self.add("periodic", self.within(angle, TABLE_LIMIT), value=bound, table=table)
-
-    def weighted_sum(self, args: list[int], weights: Array) -> int:
-        some = [k for k, a in enumerate(args) if self._const(a) != 0.0]
-        if not some:
-            return self.constant(0.0)
-        node = Node("weighted_sum", tuple(args[k] for k in some), weights=tuple(float(weights[k]) for k in some))
-        return self.stored(node)
 
     def other_side(self, x: int) -> int:
         """Of a right-angled triangle with the hypotenuse 1: one atan2 serves asin, acos and atan."""
@@ -197,36 +182,15 @@ def tape_of(function: casadi.Function) -> Tape:
 
 
 def _call(builder: _Builder, function: casadi.Function) -> Callable[[list[int]], list[int]]:
-    """What becomes of the call of a function: weighted sums, or tables."""
+    """What becomes of the call of a function: a table for each of its outputs."""
     called = function.find_functions()
     if len(called) > 1:
         raise InputError(
-            f"function {function.name()!r} calls {', '.join(f.name() for f in called)}; only one can become a table "
-            "or a weighted sum, and no derivative of it: give jacobian_of a function without it"
+            f"function {function.name()!r} calls {', '.join(f.name() for f in called)}; only one can become a table, "
+            "and no derivative of it: give jacobian_of a function without it"
         )
-    matrix = _matrix(called[0]) if called else None
-    tables = periodic_tables(called[0]) if called and matrix is None else []
-
-    def nodes(args: list[int]) -> list[int]:
-        if matrix is not None:
-            return [builder.weighted_sum(args, row) for row in matrix]
-        return [builder.periodic(a, *table) for a, table in zip(args, tables, strict=True)]
-
-    return nodes
-
-
-def _matrix(function: casadi.Function) -> Array | None:
-    """A of a function x -> A x, shape (m, n); None of any other function."""
-    if (function.n_in(), function.n_out()) != (1, 1):
-        return None
-    jacobian = function.jacobian()
-    if jacobian.jac_sparsity(0, 0).nnz():
-        return None
-    zero = casadi.DM.zeros(function.sparsity_in(0))
-    some = np.random.default_rng(0).normal(size=(function.numel_in(0), 4))
-    matrix = np.asarray(jacobian(zero, function(zero)).full())
-    # The derivative of |x| is constant to CasADi wherever it has one.
-    return matrix if np.allclose(function.map(4)(some).full(), matrix @ some, rtol=1e-12, atol=0) else None
+    tables = periodic_tables(called[0]) if called else []
+    return lambda args: [builder.periodic(a, *table) for a, table in zip(args, tables, strict=True)]
 
 
 def _expanded(function: casadi.Function) -> casadi.Function:

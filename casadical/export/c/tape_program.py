@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.export.c.chord import advance, apart, prepare
+from casadical.export.c.chord import advance, prepare
 from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, Real
 from casadical.export.c.products import Command, NetworkFunction, Product
 from casadical.export.c.tape import Node, Tape, tape_of
@@ -58,15 +58,6 @@ _RULES: dict[str, Callable[..., Interval]] = {
 _EXACT = {"input", "const", "neg", "fabs", "fmin", "fmax", "tansig", "lt", "le", "not", "sign", "select", "sincos"}
 
 
-def _weighted_sum(weights: tuple[float, ...], args: list[Interval], real: Real) -> Interval:
-    """Each of n products is rounded once and takes part in at most n rounded sums."""
-    terms = [_products((w, w), a) for w, a in zip(map(DTYPE[real], weights), args, strict=True)]
-    if _EVERYTHING in terms:
-        return _EVERYTHING
-    room = _WIDEN[real] * len(terms) * sum(max(abs(low), abs(high)) for low, high in terms)
-    return sum(low for low, _ in terms) - room, sum(high for _, high in terms) + room
-
-
 def _bound(node: Node, args: list[Interval], box: list[Interval], real: Real) -> Interval:
     if node.op == "input":
         return box[int(node.value)]
@@ -81,8 +72,6 @@ def _bound(node: Node, args: list[Interval], box: list[Interval], real: Real) ->
         # A spline lies between its least and greatest coefficient; a rounded place may be a hundredth outside its cell.
         low, high = 6 * min(node.table), 6 * max(node.table)
         return low - 1e-3 * (high - low), high + 1e-3 * (high - low)
-    if node.op == "weighted_sum":
-        return _weighted_sum(node.weights, args, real)
     if node.op == "mul" and node.args[0] != node.args[1]:
         return _products(*args)
     if node.op == "mul":
@@ -147,11 +136,6 @@ class TapeProgram:
         return self.product if isinstance(self.product, Command) else None
 
     @property
-    def look(self) -> str:
-        """The tape that a command's steps look at the robot with."""
-        return "apart" if "apart" in self.tapes else "forward"
-
-    @property
     def network(self) -> NetworkFunction | None:
         """The network or the curves alone, or the network beside a command."""
         return self.product.network if isinstance(self.product, Command) else self.product
@@ -180,21 +164,17 @@ def operations(program: TapeProgram) -> Operations:
     calls = {key: 1}
     if program.command is not None:
         key, steps = "correct", program.command.steps
-        calls = {"prepare": 1, program.look: steps, "advance": steps + 1}
-        calls |= {"bound": 1} if program.command.limit_mm is not None else {}
+        calls = {"prepare": 1, "forward": steps, "advance": steps + 1}
     count: Counter[str] = Counter()
     for tape, times in calls.items():
         for node in program.tapes[tape].nodes:
-            if node.op == "weighted_sum":
-                count["multiplications"] += times * len(node.args)
-                count["additions"] += times * (len(node.args) - 1)
-            elif node.op not in _FREE:
+            if node.op not in _FREE:
                 count[_KINDS.get(node.op, "choices")] += times
     return Operations(key, dict(count))
 
 
 def tape_program(product: Product, real: Real) -> TapeProgram:
-    """Tapes of a product: `network` or `curves`; of a command `forward`, `prepare`, `advance`, `apart`, `bound`."""
+    """Tapes of a product: `network` or `curves`; of a command `forward`, `prepare`, `advance`."""
     tapes: dict[str, Tape] = {}
     network = product if isinstance(product, NetworkFunction) else product.network
     network_bounds: list[Interval] = []
@@ -219,11 +199,6 @@ def _command_tapes(command: Command, real: Real) -> dict[str, Tape]:
         "prepare": (_rounded(command.lower, real), _rounded(command.upper, real)),
     }
     tapes = {"forward": tape_of(command.calibrated), "prepare": tape_of(prepare(command))}
-    if command.difference is not None:
-        (lower, upper), change = boxes["prepare"], np.full(len(command.lower), reach)
-        boxes["apart"], tapes["apart"] = (np.append(lower, -change), np.append(upper, change)), tape_of(apart(command))
-    if command.bound is not None:
-        boxes["bound"], tapes["bound"] = boxes["prepare"], tape_of(command.bound)
     tapes = {key: without_needless_guards(tape, *boxes[key], real) for key, tape in tapes.items()}
     step = tape_of(advance(command))
     anything = np.full(step.n_in, np.inf)

@@ -112,8 +112,6 @@ def accuracy(program: TapeProgram, count: int = 10_000) -> dict[str, float]:
         if key == "forward" and program.command is not None:
             error = abs(values - mapped(program.command.calibrated, exact))[known, :3].max()
             figures["forward_error_um"] = 1e6 * float(error)
-        if key == "bound":
-            figures |= _median_and_worst("bound_mm", values)
         if key == "correct" and program.command is not None:
             real, wanted = program.command.calibrated, mapped(program.command.nominal, exact)
             moved, before = mapped(real, exact + values), np.linalg.norm((mapped(real, exact) - wanted)[:, :3], axis=1)
@@ -125,8 +123,7 @@ def accuracy(program: TapeProgram, count: int = 10_000) -> dict[str, float]:
                 figures["share_singular"] = float((status == Status.SINGULAR).mean())
                 turned = np.linalg.norm(moved[:, 3:] - wanted[:, 3:], axis=1)[fine] / np.sqrt(2)  # small angles
                 figures |= _median_and_worst("rest_urad", turned, 1e6)
-            reached = fine | (status == Status.ABOVE_LIMIT)
-            figures["share_converged"] = float(reached[known].mean()) if known.any() else 0.0
+            figures["share_converged"] = float(fine[known].mean()) if known.any() else 0.0
             figures |= _median_and_worst("rest_um", rest, 1e6)
     nodes = {node.table: node for tape in program.tapes.values() for node in tape.nodes if node.table}
     if nodes:
@@ -215,7 +212,7 @@ def write_c(
     real : type of its numbers
     model_sha256 : hash of the model, for the header
     data_sha256 : hash of the data, for the header
-    languages : which to write besides the C, by name; default: all of this package (`fmu`, `structured_text`)
+    languages : which to write besides the C, by name; default: all of this package (`structured_text`)
     vectors : joint vectors on which the compiled C is compared with the reference
     overwrite : replace files that this function did not write, or that were changed since
     also : further files that appear with them or not at all, from what this function gives back

@@ -26,8 +26,6 @@ class OfCommand:
 
     steps: int = 2
     correct: str = "position"
-    limit_mm: float | None = None
-    precise: bool = False
     cycle_ms: float | None = None
     rate_rad_s: float | None = None
     ramp_s: float | None = None
@@ -95,9 +93,9 @@ def _command_in_words(sources: commands.Sources, product: Product, robot: Robot)
     if not isinstance(product, Command):
         return []
     mass = "as declared" if sources.payload_kg is None else f"{sources.payload_kg:g} kg"
-    lines = [*(f"LEFT OUT {line}" for line in commands.followed(sources)[1]), *no_bound(sources)]
+    lines = [f"LEFT OUT {line}" for line in commands.followed(sources)[1]]
     lines.append("readings within the joint limits of the robot file are corrected, others are CLAMPED")
-    lines += [*commands.measured_range(robot), *commands.about_tool(sources)]
+    lines += commands.measured_range(robot)
     if robot.gravity_frame == "logged":
         lines.append("LEFT OUT the tilt of the base: gravity is as the robot file declares it, the base level")
     limits = product.limits
@@ -115,19 +113,12 @@ def product_of(sources: commands.Sources, what: str, asked: OfCommand) -> Produc
         raise InputError(f"--what {what}: not known; allowed: network, command, curves")
     if what == "command":
         oriented = wants_pose(asked.correct)
-        command = commands.command_of(
-            sources, asked.steps, orientation=oriented, limit_mm=asked.limit_mm, precise=asked.precise
-        )
+        command = commands.command_of(sources, asked.steps, orientation=oriented)
         cycle_s = None if asked.cycle_ms is None else 1e-3 * asked.cycle_ms
         times = {"cycle_s": cycle_s, "rate_rad_s": asked.rate_rad_s, "ramp_s": asked.ramp_s}
         given = {name: value for name, value in times.items() if value is not None}
         return replace(command, limits=replace(command.limits, **given))
     return commands.network_of(sources) if what == "network" else commands.curves_of(sources)
-
-
-def no_bound(sources: commands.Sources) -> list[str]:
-    why = commands.bound_of(sources)[1]
-    return [f"NO BOUND of the error that remains: {why}"] if why else []
 
 
 def prefix_of(name: str) -> str:

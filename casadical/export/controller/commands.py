@@ -23,13 +23,11 @@ from casadical.export.controller import functions
 from casadical.export.controller.inverse import SINGULAR_POSE, freedom_of
 from casadical.export.omission import geometry_of, left_out, rigid
 from casadical.robot.axes import row_matrix
-from casadical.robot.error_bound import bound_function
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
 Tool = Literal["shared", "own"]
 
-TCP_MM = 1.0  # how far a tool's centre may be from where the controller has it, where nothing else is said
 SAME_ROBOT = 0.1  # m between nominal and calibrated tool, median: above it the files are not of one robot
 
 
@@ -44,11 +42,7 @@ class Sources:
     tool : "shared": both robots have the calibrated robot's tool. "own": each has its own, so that the difference is
         corrected too, for a measured point that is the controller's tool centre point itself
     leave_out : whether effects that a controller cannot follow are left out of the robot; else they are refused
-    tcp_mm : how far the tool's centre may be from where the controller has it, the place of the flange included [mm]:
-        the bound is so much greater. None: 1 mm where reflectors of unknown place were measured, which do not tell
-        where the flange is; 0 where the measured point is the tool's centre ("own") or its place is known
-    bound : whether a command has the bound of the robot file
-    Raises InputError: another word as tool, a length that cannot be, or one without a bound.
+    Raises InputError: another word as tool.
 
     Examples
     --------
@@ -63,29 +57,13 @@ class Sources:
     payload_kg: float | None = None
     tool: Tool = "shared"
     leave_out: bool = False
-    tcp_mm: float | None = None
-    bound: bool = True
 
     def __post_init__(self) -> None:
         if self.tool not in get_args(Tool):
             raise InputError(f"--tool {self.tool}: not known; allowed: {', '.join(get_args(Tool))}")
-        if self.tcp_mm is not None and not (np.isfinite(self.tcp_mm) and self.tcp_mm >= 0):
-            raise InputError(f"--tcp-error {self.tcp_mm}: it must be a finite length in mm, zero or more")
-        if self.tcp_mm is not None and not self.bound:
-            raise InputError("--tcp-error is of the bound, which --no-bound leaves out; leave one of them out")
-
-    @property
-    def doubt_mm(self) -> float:
-        """How far the tool's centre may be from where the controller has it [mm]."""
-        if self.tcp_mm is not None:
-            return self.tcp_mm
-        measured = self.tool == "own" or robot_of(self.robot).tool.unknown == "none"
-        return 0.0 if measured else TCP_MM
 
 
-def command_of(
-    sources: Sources, steps: int = 2, *, orientation: bool = False, limit_mm: float | None = None, precise: bool = False
-) -> Command:
+def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -> Command:
     """The correction that moves the real tool to the position of the nominal robot's, in the robot's own base frame.
 
     The nominal robot is rigid and without effects, as a controller computes. The box is the calibrated robot's joint
@@ -98,8 +76,6 @@ def command_of(
     steps : least-squares steps, 1 to 10
     orientation : whether the tool's orientation is to be reached as well, by the least change of the joints; fewer than
         six joints reach the position, and of the orientation what they can beside it
-    limit_mm : as of `Command`; the bound is that of the robot file (see `bound_of`)
-    precise : whether nominal and real robot are compared so that nothing cancels: for float
     Raises InputError: where the files are not of one robot, or the robot cannot be corrected; see `followed`.
 
     Examples
@@ -123,21 +99,12 @@ def command_of(
         jacobian_of=functions.tool_function(rigid(functions.without_curves(real)), "chain", orientation),
         jacobian_at=functions.bent_function(real) if any(j.compliance for j in real.joints) else None,
         network=network,
-        bound=bound_of(sources, real)[0],
-        limit_mm=limit_mm,
         limits=Limits(singular_m_per_rad=SINGULAR_POSE) if orientation else Limits(),
         steps=steps,
         units=real.units,
         freedom=freedom,
-        notes=(*real.notes, *measured_range(robot_of(sources.robot)), *about_tool(sources)),
-        difference=functions.difference_function(real, nominal, orientation, turn, network) if precise else None,
+        notes=(*real.notes, *measured_range(robot_of(sources.robot))),
     )
-    if limit_mm is not None and limit_mm <= (least := command.limits.tolerance_mm + sources.doubt_mm):
-        raise InputError(
-            f"a limit of {limit_mm:g} mm: must be above {least:g} mm, for the tool's centre may be "
-            f"{sources.doubt_mm:g} mm from where the controller has it: give --tcp-error with what is known of it, "
-            "or --tool own where the measured point is the tool's centre"
-        )
     _refuse_far_apart(command, sources)
     return command
 
@@ -156,43 +123,6 @@ def own_robots(sources: Sources) -> tuple[Robot, Robot, Array]:
         nominal = replace(nominal, tool=real.tool)
     real, turn = in_own_frame(real, nominal)
     return real, in_own_frame(nominal, nominal)[0], turn
-
-
-def bound_of(sources: Sources, own: Robot | None = None) -> tuple[ca.Function | None, str]:
-    """bound:(q[n])->(b[1] mm) of the error that remains, None where it is not known, and why it is not.
-
-    own : the robot in its own base frame, whose torques are those of the bound
-    """
-    real = _loaded(robot_of(sources.robot), sources.payload_kg)
-    lost = [e for e in real.effects if not e.of_measurement and _not_followed(e)]
-    if not sources.bound:
-        why = "it was left out, as asked"
-    elif real.bound is None:
-        why = f"{_word(sources.robot)} has no [bound]; calibrate --out writes it, from 30 poses with positions on"
-    elif sources.compensator is not None:
-        why = "the bound of the robot file is that of the model without the compensator"
-    elif lost:
-        why = f"the bound of the robot file is that of the model with {lost[0].label}, which is left out"
-    else:
-        q = ca.SX.sym("q", real.n)
-        torque = None if own is None else ca.Function("tau", [q], [own.torque(q, own.parameters.values)])
-        bound, doubt = bound_function(real, real.bound, torque), sources.doubt_mm
-        # An error of the tool's centre adds up with that of the robot in the worst case.
-        return ca.Function("bound", [q], [bound(q) + doubt], ["q"], ["bound_mm"]) if doubt else bound, ""
-    return None, why
-
-
-def about_tool(sources: Sources) -> tuple[str, ...]:
-    """What the bound takes for granted of the tool's centre, in a sentence; none without a bound."""
-    if bound_of(sources)[0] is None:
-        return ()
-    if not sources.doubt_mm:
-        return ("the bound holds for a tool's centre that is where the controller has it (--tcp-error)",)
-    return (
-        f"the bound holds for a tool's centre within {sources.doubt_mm:g} mm of where the controller has it "
-        "(--tcp-error): reflectors do not tell where the flange is; --tool own takes a measured point that is the "
-        "tool's centre",
-    )
 
 
 def network_of(sources: Sources) -> NetworkFunction:

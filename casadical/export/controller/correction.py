@@ -13,7 +13,6 @@ from casadical.core.basics import Array, CasadicalError, InputError
 from casadical.export.c.kernel import load
 from casadical.export.c.products import Command, mapped
 from casadical.export.c.reference import Status
-from casadical.export.c.reference import bound as reference_bound
 from casadical.export.c.reference import correct as reference_correct
 from casadical.export.c.tape_program import tape_program
 
@@ -27,7 +26,6 @@ MEANINGS = {
     LEAVES_BOX: "the corrected targets would be outside the joint ranges of the model",
     Status.NOT_CONVERGED.name: "an error above the tolerance would remain",
     Status.LIMITED.name: "the correction would exceed its limit",
-    Status.ABOVE_LIMIT.name: "the bound of the error that remains is above the limit that was asked for",
     Status.SINGULAR.name: "near a pose in which the tool cannot move in some direction",
     Status.NOT_FINITE.name: "the model has no value there; a four-bar cannot close, for instance",
 }
@@ -40,7 +38,6 @@ class Corrector:
     joints : number of joints
     correct : q, shape (k, joints) [rad or m] -> corrections of the same shape, and status, shape (k,)
     position : q -> calibrated tool positions [m], shape (k, 3)
-    bound : q -> below it 95 % of the errors are that remain [mm], shape (k,); None where it is not known
     fallback : of the position alone, for targets whose pose cannot be corrected; None: they are refused
     units : "rad" or "m" of each joint's reading; none: all rad
     """
@@ -48,7 +45,6 @@ class Corrector:
     joints: int
     correct: Callable[[Array], tuple[Array, Array]]
     position: Callable[[Array], Array]
-    bound: Callable[[Array], Array] | None = None
     fallback: "Corrector | None" = None
     units: tuple[str, ...] = ()
 
@@ -73,7 +69,6 @@ def kernel_corrector(folder: Path, *, trust: bool = False) -> Corrector:
         shape.joints,
         lambda q: rows("correct", q),
         lambda q: rows("forward", q)[0][:, :3],
-        (lambda q: rows("bound", q)[0][:, 0]) if "bound" in shape.outputs else None,
         units=tuple(shape.units),
     )
 
@@ -97,7 +92,6 @@ def model_corrector(command: Command, fallback: Corrector | None = None) -> Corr
         made.n,
         lambda q: reference_correct(made, q),
         lambda q: mapped(command.calibrated, q)[:, :3],
-        (lambda q: reference_bound(made, q)[0][:, 0]) if command.bound else None,
         fallback,
         command.units,
     )

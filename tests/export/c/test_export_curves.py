@@ -1,7 +1,5 @@
 """Periodic functions as tables: against sums of sines in NumPy, as bits in C, and in instructions on a Cortex-M4F."""
 
-import zipfile
-
 import casadi as ca
 import export_models as models
 import export_targets as targets
@@ -148,15 +146,6 @@ def test_structured_text_gives_the_curves(curves, compiler, tmp_path, real):
     assert (status == expected[1]).all()
     assert dq == pytest.approx(summed(q.astype(float), coefficients()), abs=LARGEST_ERROR)
     assert compiled.rows(np.full((1, 6), np.nan))[1] == 6
-
-
-def test_the_fmu_says_radians(folders):
-    with zipfile.ZipFile(folders["float"] / "arm.fmu") as archive:
-        text = archive.read("modelDescription.xml").decode()
-        assert 'name="dq[6]"' in text
-        assert "error curves of the joints" in text
-        assert 'unit="mm"' not in text
-        assert b"arm_curves(q, out)" in archive.read("sources/arm_fmu.c")
 
 
 def test_an_angle_beyond_the_table_is_not_fine(curves):

@@ -56,44 +56,6 @@ def test_equal_operations_are_stored_once_and_sines_share_an_operation():
     assert names.count("mul") == 2
 
 
-def weighed(matrix):
-    """x -> the matrix times (x, sin x), the product in a function that is called."""
-    x, inner = ca.SX.sym("x", 2), ca.SX.sym("y", 4)
-    product = ca.Function("weighed", [inner], [ca.mtimes(ca.DM(matrix), inner)], {"never_inline": True})
-    return ca.Function("f", [x], [product(ca.vertcat(x, ca.sin(x)))], ["x"], ["y"])
-
-
-@pytest.mark.parametrize("real", REALS)
-def test_a_called_matrix_is_a_weighted_sum_with_the_bits_of_single_operations(real):
-    matrix = np.random.default_rng(0).normal(size=(3, 4))
-    function = weighed(matrix)
-    tape, grid = tape_of(function), np.random.default_rng(1).uniform(-2, 2, (2000, 2)).astype(TYPE[real])
-    assert operations(function).count("weighted_sum") == 3
-    assert "mul" not in operations(function)
-    values, fine = run(tape, grid, real)
-    assert fine.all()
-    exact = np.hstack([grid, np.sin(grid, dtype=float)]) @ matrix.T
-    np.testing.assert_allclose(values, exact, atol=50 * np.finfo(TYPE[real]).eps)
-    x = ca.SX.sym("x", 2)
-    terms = run(tape_of(ca.Function("terms", [x], [ca.vertcat(x, ca.sin(x))])), grid, real)[0]
-    total = matrix[:, 0].astype(TYPE[real]) * terms[:, :1]
-    for weight, term in zip(matrix.T[1:].astype(TYPE[real]), terms.T[1:], strict=True):
-        total = total + weight * term[:, None]
-    np.testing.assert_array_equal(values, total)
-    low, high = np.array([bounds(tape, np.full(2, -2.0), np.full(2, 2.0), real)[k] for k in tape.outputs]).T
-    assert (low <= values).all()
-    assert (values <= high).all()
-    np.testing.assert_allclose(high, abs(matrix) @ [2, 2, 1, 1], rtol=1e-4)
-
-
-def test_a_function_that_only_looks_linear_is_no_weighted_sum():
-    x, inner = ca.SX.sym("x", 2), ca.SX.sym("y", 2)
-    for body in (ca.fabs(inner), inner + 1):
-        bent = ca.Function("bent", [inner], [body], {"never_inline": True})
-        with pytest.raises(InputError, match="bent"):
-            tape_of(ca.Function("f", [x], [bent(x)]))
-
-
 def test_every_operation_of_the_mirror_agrees_with_casadi():
     x = ca.SX.sym("x", 3)
     a, b, c = x[0], x[1], x[2]

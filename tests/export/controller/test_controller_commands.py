@@ -4,7 +4,6 @@ import csv
 import hashlib
 import inspect
 import json
-import re
 
 import numpy as np
 import pytest
@@ -104,9 +103,6 @@ def test_without_a_compiler_the_export_is_written_and_called_unverified(files, t
     assert run(monkeypatch, *arguments) == 0
     printed = capfd.readouterr().out
     assert "UNVERIFIED: no C compiler found" in printed
-    assert re.search(r"NO BOUND of the error that remains: \S* ?has no \[bound\]", printed)
-    assert run(monkeypatch, *arguments, "--no-bound", "--overwrite") == 0
-    assert "it was left out, as asked" in capfd.readouterr().out
     job = program(tmp_path / "job.csv", poses(planted("ur10"), 3))
     assert run(monkeypatch, "correct", tmp_path / "c", job, "--out", tmp_path / "new.csv") == 2
     message = capfd.readouterr().err
@@ -227,10 +223,6 @@ WRONG = {
         "--payload: is for --what command",
     ),
     "steps": (["export", "c", "ROBOT", "--steps", "11"], "--steps"),
-    "precise network": (
-        ["export", "c", "ROBOT", "--what", "network", "--precise"],
-        "--precise: is for --what command, not for --what network",
-    ),
     "name": (["export", "c", "ROBOT", "--nominal", "NOMINAL", "--name", "1-2"], "cannot prefix"),
     "no robot": (["export", "c", "none.toml", "--nominal", "NOMINAL"], "none.toml"),
     "no model": (["correct", "nowhere", "job.csv"], "no such folder"),

@@ -15,6 +15,7 @@ from casadical.core.basics import InputError
 from casadical.effects import GearEccentricity, Law, PayloadError, ThermalGrowth
 from casadical.export.controller.commands import Sources, command_of, network_of
 from casadical.export.controller.correction import POSITION_ONLY, corrected_joints, model_corrector
+from casadical.export.controller.programs.correction import Cell
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot_file import read_robot, write_robot
 
@@ -244,3 +245,21 @@ def test_an_arm_that_cannot_turn_its_tool_corrects_the_position_alone():
     assert real.n < 6
     command = command_of(Sources(real, nominal), orientation=True)
     assert command.calibrated.n_out() == 1
+
+
+def test_a_measured_tool_centre_is_taken_in_a_program() -> None:
+    """With --tool own the real tool stays where it was measured, and the nominal one is that of the program."""
+    robot = planted("ur10")
+    held = np.array(robot.tool.T)
+    held[:3, 3] += (0.0008, -0.0005, 0.0006)
+    q = poses(robot, 30)
+    cell = Cell(Sources(robot, nominal_path("ur10"), tool="own"), steps=3)
+    dq, status = cell.with_tool(held).corrector.correct(q)
+    fine = status == 0
+    nominal = rigid("ur10")
+    T = np.array(nominal.tool.T)
+    T[:3, 3] = held[:3, 3]
+    wanted = positions(replace(nominal, tool=replace(nominal.tool, T=T)), q)
+    assert rigid_motion(wanted[fine], positions(robot, q + dq)[fine])[2].max() < 20e-6
+    shared = Cell(Sources(robot, nominal_path("ur10")), steps=3).with_tool(held).corrector
+    assert rigid_motion(wanted[fine], positions(robot, q + shared.correct(q)[0])[fine])[2].mean() > 5e-4

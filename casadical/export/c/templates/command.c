@@ -76,8 +76,8 @@ static uint32_t @name@_limited(@name@_real v[@NAME@_JOINTS], const @name@_real l
 static @name@_status @name@_chord(const @name@_real x[@NAME@_JOINTS], @name@_real dq[@NAME@_JOINTS])
 {
     @name@_status status = @NAME@_OK;
-    @name@_real work[@n_work@]; /* what prepare gives; @look_text@ comes last */
-    @name@_real at[@n_at@];
+    @name@_real work[@n_work@]; /* what prepare gives; where the calibrated robot is comes last */
+    @name@_real at[@n@];
     @name@_real moved[@n_moved@]; /* joint step, squared error before it */
     @name@_real before = @largest@;
     @name@_real wrong = @0@;
@@ -98,8 +98,9 @@ static @name@_status @name@_chord(const @name@_real x[@NAME@_JOINTS], @name@_rea
             before = moved[@i_error@];
             for (i = 0U; i < @NAME@_JOINTS; i++)
             {
-@at@            }
-            fine = fine & @name@_@look@_values(at, &work[@n_prepared@]);
+                at[i] = x[i] + dq[i];
+            }
+            fine = fine & @name@_forward_values(at, &work[@n_prepared@]);
         }
         fine = fine & @name@_advance_values(work, moved);
         wrong = wrong + (moved[@i_error@] - moved[@i_error@]);
@@ -160,7 +161,7 @@ static @name@_status @name@_corrected(const @name@_real q[@NAME@_JOINTS], @name@
     else
     {
         status = @name@_worse(status, @name@_chord(x, dq));
-@within@    }
+    }
     return status;
 }
 

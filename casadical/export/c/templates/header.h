@@ -50,8 +50,7 @@ typedef enum
     @NAME@_SINGULAR = 5,
     @NAME@_NOT_FINITE = 6,
     @NAME@_NULL_ARG = 7,
-    @NAME@_SELF_TEST_FAILED = 8,
-    @NAME@_ABOVE_LIMIT = 9
+    @NAME@_SELF_TEST_FAILED = 8
 } @name@_status;
 
 /* What this file was made from. */

@@ -340,15 +340,3 @@ static @real@ @name@_tansig(const @real@ a)
     const @real@ bounded = (value < @1@) ? value : @1@; /* makes the bound provable; rounding never exceeds it */
     return (a < @0@) ? -bounded : bounded;
 }
-==== weighted_sum.c
-/* w[0] x[0] + w[1] x[1] + .., added in this order */
-static @real@ @name@_weighted_sum(const @real@ *const w, const @real@ *const x, const uint32_t count)
-{
-    @real@ sum = w[0] * x[0];
-    uint32_t i;
-    for (i = 1U; i < count; i++)
-    {
-        sum = sum + (w[i] * x[i]);
-    }
-    return sum;
-}

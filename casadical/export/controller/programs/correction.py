@@ -50,7 +50,7 @@ class Tooled:
 class Cell:
     """The robots that a program is corrected for, and what the program does not say of its frames.
 
-    sources, steps, orientation, limit_mm : as of `command_of`
+    sources, steps, orientation : as of `command_of`
     root : the controller's root frame in the robot file's base frame; flange : its flange in the last link's frame;
         each (4, 4) [m]
     nearest : a pose without a configuration is reached as near as possible to the target before it
@@ -62,7 +62,6 @@ class Cell:
     sources: Sources | None
     steps: int = 2
     orientation: bool = False
-    limit_mm: float | None = None
     root: Array = field(default_factory=lambda: np.eye(4))
     flange: Array = field(default_factory=lambda: np.eye(4))
     nearest: bool = False
@@ -101,13 +100,13 @@ class Cell:
         held = self.flange @ tool
         of_real = frame(held[:3, :3], real.tool.T[:3, 3]) if files.tool == "own" else held
         robots = [replace(r, tool=replace(r.tool, T=T), knowledge=None) for r, T in ((real, of_real), (nominal, held))]
-        return replace(files, robot=robots[0], nominal=robots[1], tool="own", tcp_mm=files.doubt_mm)
+        return replace(files, robot=robots[0], nominal=robots[1], tool="own")
 
     def _tooled(self, sources: Sources) -> Tooled:
-        plain = command_of(sources, self.steps, limit_mm=self.limit_mm)
+        plain = command_of(sources, self.steps)
         corrector = model_corrector(plain)
         if self.orientation:
-            whole = command_of(sources, self.steps, orientation=True, limit_mm=self.limit_mm)
+            whole = command_of(sources, self.steps, orientation=True)
             corrector = model_corrector(whole, corrector)
         real, nominal, turn = own_robots(sources)
         return Tooled(
@@ -125,7 +124,6 @@ class Result:
     texts : the new text of each number, and of each word that says the turns
     moved_mm : how far the real tool is moved; off_mm, off_deg : how far the real tool is from the nominal one's
         position and orientation, before and after, with the numbers as they are written; None: not known
-    bound_mm : below it 95 % of the errors are that remain in position; None: not known
     q : joints of the target, before and after [rad or m], each shape (n,); None: not known
     """
 
@@ -136,7 +134,6 @@ class Result:
     moved_mm: float | None = None
     off_mm: tuple[float, float] | None = None
     off_deg: tuple[float, float] | None = None
-    bound_mm: float | None = None
     q: tuple[Array, Array] | None = None
 
     @property
@@ -322,11 +319,10 @@ def _written(
 
 def _off(made: Tooled, old: Array, new: Array) -> dict[str, Array]:
     """Figures of `Result` for joints before and after, each shape (k,) or (k, 2)."""
-    columns = {} if made.corrector.bound is None else {"bound_mm": made.corrector.bound(old)}
     if made.real is None or made.nominal is None:
-        return columns | {"moved_mm": _apart(made.corrector.position(old), made.corrector.position(new))}
+        return {"moved_mm": _apart(made.corrector.position(old), made.corrector.position(new))}
     wanted, was, now = _poses(made.nominal, old), _poses(made.real, old), _poses(made.real, new)
-    columns["moved_mm"] = _apart(was[:, :3, 3], now[:, :3, 3])
+    columns = {"moved_mm": _apart(was[:, :3, 3], now[:, :3, 3])}
     columns["off_mm"] = np.stack([_apart(T[:, :3, 3], wanted[:, :3, 3]) for T in (was, now)], axis=1)
     columns["off_deg"] = np.stack([_angle(T[:, :3, :3], wanted[:, :3, :3]) for T in (was, now)], axis=1)
     return columns

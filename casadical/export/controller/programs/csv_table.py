@@ -13,7 +13,7 @@ from casadical.export.controller.programs.target import DEG, MM, Given, Number, 
 from casadical.measurements.columns import Columns
 from casadical.measurements.raw_table import RawTable, read_table
 
-STATUS, BOUND = "correction_status", "correction_bound_mm"
+STATUS = "correction_status"
 
 _TO_SI = {"rad": {"_deg": DEG, "_rad": 1.0}, "m": {"_mm": MM, "_m": 1.0}}
 _DIGITS = {"_deg": 7, "_rad": 9, "_mm": 6, "_m": 9}  # decimals: some nanometres at the tool
@@ -49,12 +49,11 @@ class CsvTable(ProgramLanguage):
 
     def written(self, source: str, text: str, results: Sequence[Any]) -> bytes:
         table = _table(source)
-        bounded = any(r.bound_mm is not None for r in results)
-        rows = [[*table.header, STATUS, *([BOUND] if bounded else [])]]
+        rows = [[*table.header, STATUS]]
         for cells, r in zip(map(list, table.cells), results, strict=True):
             for number, new in zip(r.target.numbers, r.texts, strict=False):
                 cells[number.stop] = new
-            rows.append([*cells, r.status, *(["" if r.bound_mm is None else f"{r.bound_mm:.4f}"] if bounded else [])])
+            rows.append([*cells, r.status])
         return csv_text(rows).encode()
 
     def matrix(self, values: Array) -> NoReturn:

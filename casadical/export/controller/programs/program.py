@@ -15,8 +15,8 @@ from casadical.core.reading import missing, read_bytes
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import Result
 from casadical.export.c.manifest import read_manifest
-from casadical.export.controller.c_export import OfCommand, no_bound, poses_of, unreached, wants_pose
-from casadical.export.controller.commands import Sources, about_tool, followed, measured_range, robot_of
+from casadical.export.controller.c_export import OfCommand, poses_of, unreached, wants_pose
+from casadical.export.controller.commands import Sources, followed, measured_range, robot_of
 from casadical.export.controller.correction import FINE, MEANINGS, SHOWN, kernel_corrector, position_only
 from casadical.export.controller.programs import correction as c
 from casadical.export.controller.programs.correction import Cell, refuse_accuracy
@@ -27,7 +27,7 @@ from casadical.export.controller.programs.target import Given, Target
 REPORT = ".correction.csv"  # after the name of a corrected program
 _HEADER = (
     "line", "target", "kind", "status", "why", "frames", "was", "is", "moved_mm", "off_mm_before", "off_mm_after",
-    "off_deg_before", "off_deg_after", "bound_mm",
+    "off_deg_before", "off_deg_after",
 )  # fmt: skip
 _MEANINGS = MEANINGS | {
     c.LEFT: "left as it is",
@@ -155,7 +155,7 @@ def _numbers(target: Target) -> str:
 
 def _row(r: c.Result) -> list[str]:
     texts = [t if n.differs(t) else n.text for n, t in zip(r.target.numbers, r.texts, strict=False)]
-    figures = [r.moved_mm, *(r.off_mm or (None, None)), *(r.off_deg or (None, None)), r.bound_mm]
+    figures = [r.moved_mm, *(r.off_mm or (None, None)), *(r.off_deg or (None, None))]
     return [
         str(r.target.line), r.target.name, "joints" if r.target.joints else "pose", r.status,
         "" if r.fine else r.why or _MEANINGS[r.status], r.target.about, _numbers(r.target), " ".join(texts),
@@ -164,7 +164,7 @@ def _row(r: c.Result) -> list[str]:
 
 
 def _figures(fine: Sequence[c.Result]) -> dict[str, Array]:
-    tables = {name: [getattr(r, name) for r in fine] for name in ("moved_mm", "off_mm", "off_deg", "bound_mm")}
+    tables = {name: [getattr(r, name) for r in fine] for name in ("moved_mm", "off_mm", "off_deg")}
     known = {name: [v for v in values if v is not None] for name, values in tables.items()}
     return {name: np.array(values) for name, values in known.items() if values}
 
@@ -181,9 +181,6 @@ def _moved(fine: Sequence[c.Result], units: Sequence[str]) -> list[Table]:
         title = "the real tool off the nominal one, by the model, with the numbers as written"
         off = {"before [mm]": before, "after [um]": 1e3 * after}
         made.append(_table(title, "off by", {**off, "before [mdeg]": turned[0], "after [mdeg]": turned[1]}))
-    if "bound_mm" in known:
-        title = "95 % of the errors that remain are below, by what was measured (where the tool is alike)"
-        made.append(_table(title, "", {"bound [mm]": known["bound_mm"]}))
     return made
 
 
@@ -268,7 +265,6 @@ def correct_file(
         None if folder else sources,
         asked.steps,
         oriented,
-        asked.limit_mm,
         root=np.eye(4) if language.root is None else spoken.transform("--root", language.root),
         flange=np.eye(4) if language.flange is None else spoken.transform("--flange", language.flange),
         nearest=language.nearest,
@@ -292,7 +288,7 @@ def _of_sources(sources: Sources, oriented: bool) -> list[str]:
     robot = robot_of(sources.robot)
     lines = [f"LEFT OUT {line}" for line in followed(sources)[1]]
     lines += filter(None, [poses_of(robot) if oriented else "", unreached(robot)])
-    return [*lines, *measured_range(robot), *about_tool(sources), *no_bound(sources)]
+    return [*lines, *measured_range(robot)]
 
 
 def _transforms(language: ProgramLanguage, option: str, entries: Sequence[str] | None) -> dict[str, Array]:

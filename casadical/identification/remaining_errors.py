@@ -1,11 +1,7 @@
-"""Learns the bound of the error that remains after an identification (see `casadical.robot.error_bound`).
+"""Learns the errors that may remain after an identification (see `casadical.robot.robot.RemainingErrors`).
 
-The second moment of the unknown errors is that of their posterior, mean included, given what the fit left: parameters
-have the robot's priors, the first harmonic of each joint a prior size that the residuals show (Tipping 2001, by
-expectation and maximisation). The factor is the quantile of held-out residuals, predicted by an identification (in one
-Gauss-Newton step) and a posterior of the other poses: of five folds at random, or of regions of the joints where that
-is greater. The form was chosen on splits of the UR10's series C and on simulated campaigns, and frozen before it was
-judged on the series A and B and on the UR5.
+Their second moment is that of their posterior, mean included, given the residuals: parameters have the robot's priors,
+the first harmonic of each joint a prior size that the residuals show (Tipping 2001, by expectation and maximisation).
 """
 
 import math
@@ -21,17 +17,14 @@ from casadical.identification.reduction import TELLING
 from casadical.identification.residuals import make_block
 from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements, unmeasured
-from casadical.robot.error_bound import doubted
-from casadical.robot.robot import ErrorBound, Robot
+from casadical.robot.remaining_errors import doubted
+from casadical.robot.robot import RemainingErrors, Robot
 
-LEVEL = 0.95  # share of errors that the bound is to hold
-FOLDS = 5
-LEAST = 30  # poses, of which one held-out residual in twenty is to be known
+LEAST = 30  # poses; fewer do not tell what no parameter explains
 # What no instrument falls short of at a coordinate [mm]; poses that were made up without noise do.
 EXACT = 1e-3
-MOST = 20_000  # poses: so many, drawn at random, tell a bound as well as more, in less memory
+MOST = 20_000  # poses: so many, drawn at random, tell the errors as well as more, in less memory
 ROUNDS = 12  # of expectation and maximisation: sizes that the poses do not determine are still of usual size then
-_DIRECTIONS, _END = 6, 0.3  # of the regions that are held out: how many, and the share of poses at each end
 _DIGITS = 4  # of a factor, behind the first one of its greatest entry: more were a processor's rounding
 _LOST = 0.05  # share of the mean square that may be lost at a pose where the factor of the moment is cut
 _SAMPLES = 500  # random poses at which that holds
@@ -51,8 +44,8 @@ class Doubts:
     joints: tuple[Array, ...]
 
 
-def learn_bound(found: Identification, most: int = MOST) -> ErrorBound:
-    """The bound of the error that remains, from the poses with a measured position that were used.
+def learn_remaining(found: Identification, most: int = MOST) -> RemainingErrors:
+    """Return the errors that remain, from the poses with a measured position that were used.
 
     most : poses, drawn at random from more
     Raises InputError where they are too few, nothing measured a position, or error curves were identified.
@@ -60,9 +53,7 @@ def learn_bound(found: Identification, most: int = MOST) -> ErrorBound:
     sets = [m.positions_alone() for m in found.used if m.position is not None]
     poses = sum(map(len, sets))
     if poses < LEAST:
-        raise InputError(
-            f"a bound of the remaining error needs {LEAST} poses with a measured position; there are {poses}"
-        )
+        raise InputError(f"the errors that remain need {LEAST} poses with a measured position; there are {poses}")
     if poses > most:
         share = most / poses
         sets = [m.split({"some": share})["some"] for m in sets if share * len(m) >= 1]
@@ -70,37 +61,15 @@ def learn_bound(found: Identification, most: int = MOST) -> ErrorBound:
     robot = doubted(found.robot)
     gone = [n for n in found.names if n not in robot.parameters.names]
     if gone:
-        raise InputError(f"a bound of the remaining error cannot hold the curve that {gone[0]} is part of")
+        raise InputError(f"the errors that remain cannot hold the curve that {gone[0]} is part of")
     doubts = doubts_of(robot, found.names)
-    # Five seeded parts, poses at the same readings together.
-    cut = [m.split({str(k): 1 / FOLDS for k in range(FOLDS)}) for m in sets]
-    parts = [(k, part) for k in range(FOLDS) for folds in cut if len(part := folds[str(k)])]
-    label = np.concatenate([np.full(len(m), k) for k, m in parts])
-    r, J = evaluated(robot, [m for _, m in parts], doubts.names)
+    r, J = evaluated(robot, sets, doubts.names)
     whole = normal_sums(r, J)
-    left_out = [label == k for k in np.unique(label)], _by_region(np.concatenate([m.q for _, m in parts]))
-    scores = [np.concatenate([_scores(r, J, out, whole, doubts) for out in outs]) for outs in left_out]
-    times = max(float(np.quantile(s, min(1.0, LEVEL * (1 + 1 / len(s))))) for s in scores)
-    s2, M = _moment(whole, doubts)
+    s2, mean, S, _ = posterior_of(whole, doubts)
+    M = np.outer(mean, mean) + S
     factor = _cut(M, 3 * s2, np.concatenate([J, _anywhere(robot, doubts.names)]))
     scale = np.array([robot.parameters[n].scale for n in doubts.names])
-    return ErrorBound(doubts.names, scale[:, None] * factor, float(_MM * np.sqrt(3 * s2)), times, poses)
-
-
-def _scores(r: Array, J: Array, out: Array, whole: NormalSums, doubts: Doubts) -> Array:
-    """Distances at poses that were left out, in units of what the others predict; out : boolean, shape (n,)."""
-    others = whole.less(normal_sums(r[out], J[out]))
-    d = _refitted(others, doubts)
-    s2, M = _moment(others.moved(d), doubts)
-    return np.asarray(np.linalg.norm(r[out] + J[out] @ d, axis=1) / np.sqrt(3 * s2 + _spread(J[out], M)))
-
-
-def _by_region(q: Array) -> list[Array]:
-    """Masks of the 30 % of poses at both ends of six seeded directions of the joints."""
-    directions = np.random.default_rng(0).normal(size=(_DIRECTIONS, q.shape[1]))
-    along = (q - q.mean(axis=0)) / np.maximum(q.std(axis=0), 1e-9) @ directions.T
-    low, high = np.quantile(along, [_END, 1 - _END], axis=0)
-    return [mask for mask in (*(along <= low).T, *(along >= high).T) if not mask.all()]
+    return RemainingErrors(doubts.names, scale[:, None] * factor, float(_MM * np.sqrt(3 * s2)), poses)
 
 
 def doubts_of(robot: Robot, solved: Sequence[str]) -> Doubts:
@@ -130,21 +99,6 @@ def _anywhere(robot: Robot, names: tuple[str, ...]) -> Array:
     q = np.random.default_rng(0).uniform(lower, upper, (_SAMPLES, robot.n))
     J = evaluated(robot, [unmeasured(q)], names)[1]
     return np.asarray(J[np.isfinite(J).all(axis=(1, 2))])
-
-
-def _refitted(sums: NormalSums, doubts: Doubts) -> Array:
-    """Departures at which the identified parameters fit these poses; zero for the others."""
-    at = doubts.solved
-    d = np.zeros(len(doubts.names))
-    weak = sums.square / sums.count * np.diag(doubts.sigma[at] ** -2.0)
-    d[at] = -scaled_inverse(sums.H[np.ix_(at, at)] + weak) @ sums.g[at]
-    return d
-
-
-def _moment(sums: NormalSums, doubts: Doubts) -> tuple[float, Array]:
-    """Variance of a coordinate that nothing explains [mm^2], second moment of the departures, shape (k, k)."""
-    s2, mean, S, _ = posterior_of(sums, doubts)
-    return s2, np.outer(mean, mean) + S
 
 
 def posterior_of(sums: NormalSums, doubts: Doubts, rounds: int = ROUNDS) -> tuple[float, Array, Array, Array]:
