@@ -70,6 +70,7 @@ def measure(
     from casadical.core.reading import load_toml
     from casadical.project.live.session import TABLE, LiveSession, finished
     from casadical.project.live.sources import NAME, SimulatedSource, journal, source_of
+    from casadical.project.live.view import summary
 
     console = plain(quiet)
     refuse_of_others(context, [*SOURCES][not simulate], SOURCES)
@@ -106,23 +107,26 @@ def measure(
         console.print(finished(session))
         suggest(console, "to learn what is left", "diagnose", folder)
     else:
-        tell(console, *session.view().blocks())
+        tell(console, *summary(session.state()))
         suggest(console, "to look for slips before a calibration", "check", folder)
 
 
 def _follow(session: LiveSession, source: Source, console: Console, pause: float) -> None:
     """Take what comes, until the source ends."""
+    from casadical.project.live.view import answer, outlook
+
     last = time.monotonic()
     while True:
         ended = getattr(source, "ended", False)
         numbers, said = session.feed(source)
-        for text in (*said, *map(session.view().answer, numbers)):
+        state = session.state()
+        for text in (*said, *(answer(state, number) for number in numbers)):
             console.print(text)
         if numbers:
             if session.doubted():
                 session.check()
             session.look_ahead()
-            console.print("\n".join(f"   {line}" for line in session.view().outlook()))
+            console.print("\n".join(f"   {line}" for line in outlook(session.state())))
         if ended:
             return
         if numbers or pause > SILENT:

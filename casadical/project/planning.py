@@ -28,6 +28,7 @@ from casadical.pose_selection.pose_search import forecast, place_instrument, sel
 from casadical.pose_selection.selection import Selection
 from casadical.pose_selection.workspace import Workspace, read_workspace
 from casadical.project.iso9283 import planned_test, words_of_plan
+from casadical.project.new.new import one_turn
 from casadical.project.problem import Carried, read_campaign, read_campaign_robot
 from casadical.project.problem_file import tables_of
 from casadical.robot.robot import Robot
@@ -259,6 +260,37 @@ def plan(
     if chosen and order:
         chosen = chosen.ordered()
     return MeasurementPlan(ahead, chosen, target, workspace is not None, instrument, noise or Noise())
+
+
+def poses_ahead(robot: Robot, folder: Path, workspace: Workspace | None, target: float | None) -> tuple[Array, str]:
+    """Poses to measure, as many as are enough, in order, shape (n, joints) [rad or m], and what is to be said of them.
+
+    folder : whose tables may declare the noise; target : accuracy that is wanted [m]
+    workspace : None: above the plane that the robot stands on. Raises InputError where no pose is allowed.
+    """
+    own = replace(robot.with_only(e for e in robot.effects if not isinstance(e, Session)), targets=(), tool_name="")
+    own = one_turn(own if workspace else replace(own, base=replace(own.base, T=np.eye(4))))
+    # The axes of some robots lie in the plane that they stand on.
+    above = [Workspace(floor=0.0, clearance=0.05), Workspace(floor=0.0, clearance=-1e-6)]
+    noise = Noise(1e-3 * (declared(folder, robot)[1] or TRACKER_MM))
+    rooms = [workspace] if workspace else [*above, Workspace()]
+    for k, room in enumerate(rooms, 1):
+        how: dict[str, Any] = {"workspace": room, "noise": noise, "free": ("kinematic", "compliance"), "pool": 300}
+        try:
+            course = forecast(own, 100, **how)
+            enough = course.enough(target) if target else course.stop()
+            n = enough or int(course.poses[-1])
+            chosen = select_poses(own, None, n, restarts=1, **how).ordered()
+        except InputError:
+            if k == len(rooms):
+                raise
+            continue
+        said = f"{n} are planned, of which {1e3 * chosen.accuracy:.3f} mm are to expect"
+        if target and not enough:
+            said += f"; they are not enough for {1e3 * target:.3g} mm"
+        unchecked = k == 3
+        return chosen.q, said + ("; floor and obstacles were not checked: --room FILE.toml" if unchecked else "")
+    raise AssertionError
 
 
 def poses_of_changes(

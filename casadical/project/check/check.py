@@ -17,8 +17,8 @@ from casadical.measurements.measurements import Measurements
 from casadical.project.check import plausible as facts
 from casadical.project.check.information import Outlook, outlook
 from casadical.project.check.plausible import Finding
-from casadical.project.check.repair import MIRRORED, OF_LENGTHS, in_words, left_mm, other_lengths
 from casadical.project.check.result import Precheck
+from casadical.project.check.slip_list import MIRRORED, OF_LENGTHS, in_words, left_mm, other_lengths
 from casadical.project.check.slips import Slips, search_slips
 from casadical.project.check.targets import Targets, WrongNames, middles, recognised, whole_table, wrong_names
 from casadical.project.planning import more_poses

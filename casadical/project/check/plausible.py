@@ -25,7 +25,8 @@ from casadical.identification.plausibility import least_margins
 from casadical.measurements.columns import RADIANS
 from casadical.measurements.measurements import Measurements, same_readings
 from casadical.project.check.slip_fit import Fit, Hypothesis
-from casadical.project.check.slips import WORTH, outside, single_slips, slip_fit
+from casadical.project.check.slip_list import single_slips, undone
+from casadical.project.check.slips import WORTH, outside, slip_fit
 from casadical.project.robot_columns import some_rows
 from casadical.robot.kinematics import LEAST_MARGIN
 from casadical.robot.robot import Robot
@@ -74,11 +75,9 @@ def plausible(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> tu
     before = Fit(none, median_error(rigid(robot), some))
     tried = [before]
     for fit in single_slips(robot, len(others)):
-        h = fit.hypothesis
-        turns = np.array([*fit.scale]) * [1, -1 if fit.mirrored else 1, 1]
-        meant = replace(some, q=h.readings(some.q), position=(place := some.position * turns))
-        free = rigid([robot, *others][h.rows])
-        measured, moved = (np.linalg.norm(np.ptp(p, axis=0)) for p in (place, predicted(free, meant)[0]))
+        meant, free = undone(fit, some), rigid([robot, *others][fit.hypothesis.rows])
+        assert meant.position is not None
+        measured, moved = (np.linalg.norm(np.ptp(p, axis=0)) for p in (meant.position, predicted(free, meant)[0]))
         if measured > LEAST_SPREAD * moved:  # shrunk positions would fit anything
             tried.append(replace(fit, error=median_error(free, meant)))
     return _simplest(robot, some, tried)

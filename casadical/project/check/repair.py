@@ -1,8 +1,8 @@
-"""Slips in words, and their repair in problem.toml and in the robot file."""
+"""The repair of slips and names of targets, in problem.toml and in the robot file."""
 
 import difflib
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,103 +17,13 @@ from casadical.measurements.columns import ORIENTATION, Source
 from casadical.measurements.raw_table import read_table
 from casadical.project.check.result import Precheck
 from casadical.project.check.slip_fit import Fit
+from casadical.project.check.slip_list import MIRRORED, left_mm, meant_length, other_lengths
 from casadical.project.problem import read_problem_robot
 from casadical.project.problem_file import as_toml
 from casadical.project.robot_columns import understood
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
 from casadical.robot.urdf import read_urdf
-
-# Robots reach so far [m].
-REACHES = (0.1, 20.0)
-# A length that is wrong by a thousand, within this share, is in another unit.
-THOUSAND = 0.05
-_UNITS = {1e3: "metres", 25.4: "inches", 10.0: "centimetres"}
-
-
-def in_words(fit: Fit, robot: Robot, standard: bool = False) -> list[str]:
-    """Every slip of an explanation, as what is wrong and what to do; standard : the rows of the robot file are."""
-    return [*_of_readings(fit, robot), *_of_positions(fit, robot), *_of_rows(fit, robot, standard)]
-
-
-MIRRORED = (
-    "no instrument has a left-handed frame: y was written with another sign, or joints count the other way, which "
-    "positions do not distinguish; look which way joint 1 turns before a program is corrected by it"
-)
-
-OF_LENGTHS = (
-    "Lengths fit the mirror image of a robot as well: look which way joint 1 turns before a program is corrected by it"
-)
-
-
-def _of_readings(fit: Fit, robot: Robot) -> Iterator[str]:
-    h = fit.hypothesis
-    for i, k in enumerate(h.source):
-        if k > i:
-            yield f"columns q{i + 1} and q{k + 1} are swapped"
-    factors = {f for f in h.factor if f != 1.0}
-    whole = len(factors) == 1 and sum(f != 1.0 for f in h.factor) > 2
-    for i, f in enumerate(h.factor):
-        names = ("radians", "degrees") if f > 1 else ("degrees", "radians")
-        if whole and f != 1.0:
-            meant = [k for k, factor in enumerate(h.factor, 1) if factor != 1.0]
-            all_of_them = meant == [*robot.revolute]
-            which = "the joint readings are" if all_of_them else f"{', '.join(f'q{k}' for k in meant)} are"
-            yield f"{which} {names[0]} under names of {names[1]}"
-            break
-        if f != 1.0:
-            yield f"q{i + 1} alone holds {names[0]} under a name of {names[1]}"
-    for i, (sign, zero, add) in enumerate(zip(h.sign, h.zero, h.add, strict=True), 1):
-        if sign < 0:
-            yield f"joint {i} counts the other way (turn the sign of q{i})"
-        if zero:
-            degrees = float(np.rad2deg(zero))
-            yield f"the zero of joint {i} is {abs(degrees):.4g} deg off (add {degrees:.4g} to q{i}_deg)"
-        if add < 0:
-            yield f"q{i} counts from the horizontal, not from link {i - 1} (subtract q{i - 1})"
-        if add > 0:
-            yield f"q{i} is counted the other way against link {i - 1} (add q{i - 1})"
-    if h.shift:
-        after = "after" if h.shift > 0 else "before"
-        yield f"the readings stand {abs(h.shift)} row {after} their positions"
-
-
-def other_lengths(fit: Fit, robot: Robot) -> float:
-    """The factor that gives a robot of usual size, where its lengths are in another unit, not the positions; else 0."""
-    s = fit.scale[0]
-    if set(fit.scale) != {s} or s == 1.0 or REACHES[0] < robot.reach < REACHES[1]:
-        return 0.0
-    return 1 / s if REACHES[0] < robot.reach / s < REACHES[1] else 0.0
-
-
-def left_mm(fit: Fit, robot: Robot) -> str:
-    """What an explanation leaves [mm], in millimetres of the robot as it is meant."""
-    return f"{1e3 * fit.error * (other_lengths(fit, robot) or 1.0):.3g} mm"
-
-
-def _of_positions(fit: Fit, robot: Robot) -> Iterator[str]:
-    scaled = [(c, s) for c, s in zip("xyz", fit.scale, strict=True) if s != 1.0]
-    if other := other_lengths(fit, robot):
-        yield f"the lengths in the robot file are in another unit (times {other:.6g})"
-    elif len(scaled) == 3 and len({s for _, s in scaled}) == 1:
-        s = scaled[0][1]
-        named = f"{_UNITS[s]} under names of millimetres" if s in _UNITS else "in another unit"
-        yield f"the positions are {named} (times {s:.6g})"
-    else:
-        yield from (f"{c} alone is in another unit (times {s:.6g})" for c, s in scaled)
-    if fit.mirrored:
-        yield "the measuring frame is left-handed (turn the sign of y)"
-
-
-def _of_rows(fit: Fit, robot: Robot, standard: bool) -> Iterator[str]:
-    if fit.hypothesis.rows:
-        said = ("standard", "modified") if standard else ("modified", "standard")
-        yield f"the DH rows are of the {said[1]} convention, not {said[0]} (convention in the robot file)"
-    for name, i, departure in fit.hypothesis.lengths:
-        value = getattr(robot.joints[i], name)
-        meant = _meant(value, departure) / (other_lengths(fit, robot) or 1.0)
-        row = i if (standard != bool(fit.hypothesis.rows)) and name == "a" else i + 1  # the file's row
-        yield f"{name} of row {row} is {1e3 * meant:.1f} mm, not {1e3 * value:.4g} mm"
 
 
 def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
@@ -195,14 +105,6 @@ def _simple(source: Source) -> Source:
     return source
 
 
-def _meant(value: float, departure: float) -> float:
-    """A length as it is meant: a thousand times what it was, where it departs from that by little."""
-    for unit in (1e3, 1e-3):
-        if value and abs((value + departure) / (unit * value) - 1) < THOUSAND:
-            return unit * value
-    return value + departure
-
-
 def _repaired_robot(path: Path, fit: Fit, times: float) -> str:
     """The robot file with the repair of its rows; times : of all lengths, where they are in another unit."""
     if path.suffix != ".toml":
@@ -217,7 +119,7 @@ def _repaired_robot(path: Path, fit: Fit, times: float) -> str:
         # Standard rows have the a of the next modified row.
         row = rows[i - 1 if convention == "standard" and name == "a" else i]
         key, factor = (f"{name}_m", 1.0) if f"{name}_m" in row else (f"{name}_mm", 1e3)
-        value = factor * _meant(float(row.get(key, 0.0)) / factor, departure)
+        value = factor * meant_length(float(row.get(key, 0.0)) / factor, departure)
         row[key] = round(value, 4 if factor == 1.0 or times != 1.0 else 1)
     for table in (*rows, document.get("tool", {})) if times != 1.0 else ():
         for key in [k for k in table if re.fullmatch(r"(a|d|b|xyz)_mm?", k)]:

@@ -14,13 +14,13 @@ from casadical.core.basics import Array, Show, silent
 from casadical.core.statistics import ranked
 from casadical.measurements.measurements import Measurements
 from casadical.project.check.slip_fit import Fit, Hypothesis, LengthFit, SlipFit
+from casadical.project.check.slip_list import QUARTERS, inner, moves
 from casadical.robot.robot import Robot
 
 POSES, FEWEST, FEWEST_TO_A_PLACE = 60, 15, 6
 MOST_SLIPS = 4
 # States that are kept of each combination of shift and convention; of which so many are placed.
 OF_EACH, PLACED = 120, 20
-QUARTERS = tuple(np.deg2rad(v) for v in (0.0, 90.0, -90.0, 180.0))
 # Of the reach: errors below it are the nominal model's own; departures of a length below it are calibration's.
 OWN, LENGTH = 0.001, 0.02
 # Zeros that are off by less are calibration's [rad].
@@ -92,15 +92,6 @@ def slip_fit(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> Sli
     return None if few else LengthFit(m.q, np.column_stack([m.distance, which]), rows, robot.reach)
 
 
-def single_slips(robot: Robot, others: int) -> Iterator[Fit]:
-    """Every single slip, as an explanation whose error is not known; others : ways to read the robot's rows."""
-    none = Hypothesis.none(robot.n)
-    yield from (Fit(none, np.inf, (scale,) * 3) for scale in (1e3, 1e-3, 25.4))
-    yield Fit(none, np.inf, mirrored=True)
-    turning = [j.kind == "revolute" for j in robot.joints]
-    yield from (Fit(h, np.inf) for h in set(_moves(none, turning, (0,), 1 + others)) if h.slips == 1)
-
-
 def outside(h: Hypothesis, robot: Robot, q: Array) -> bool:
     lower, upper = robot.limits
     meant = h.readings(q)
@@ -150,18 +141,13 @@ def _all_moves(
 ) -> Iterator[Hypothesis]:
     lengths = fit.departures(parents)
     for h, of_each in zip(parents, lengths, strict=True):
-        yield from _moves(h, turning, shifts, len(fit.rows))
+        yield from moves(h, turning, shifts, len(fit.rows))
         yield from _length_moves(h, of_each, robot)
-    for i in _inner(turning):
+    for i in inner(turning):
         for sign in (1, -1):
             turned = [h.at("sign", i, sign * h.sign[i]) for h in parents]
             for h, more in zip(turned, fit.zeros(turned, i), strict=True):
                 yield h.at("zero", i, _zero(h.zero[i] + more))
-
-
-def _inner(turning: Sequence[bool]) -> list[int]:
-    """Turning joints but the first and the last, whose zeros are those of base and tool."""
-    return [i for i in range(1, len(turning) - 1) if turning[i]]
 
 
 def _zero(angle: float) -> float:
@@ -180,28 +166,6 @@ def _kept(level: Sequence[Hypothesis], share: Array, beam: int) -> list[int]:
         if of_each[key] <= min(OF_EACH, beam) and k not in kept:
             kept.append(k)
     return kept
-
-
-def _moves(h: Hypothesis, turning: Sequence[bool], shifts: Sequence[int], rows: int) -> Iterator[Hypothesis]:
-    n = len(turning)
-    yield from (h._replace(shift=shift) for shift in shifts if shift != h.shift)
-    yield from (h._replace(rows=k) for k in range(rows) if k != h.rows)
-    for factor in (1.0, 180 / np.pi, np.pi / 180):
-        yield h._replace(factor=tuple(factor if t else 1.0 for t in turning))
-    for i in range(n):
-        for sign in (1, -1):
-            for zero in QUARTERS if i in _inner(turning) else (0.0,):
-                if (sign, zero) != (h.sign[i], h.zero[i]):
-                    yield h.at("sign", i, sign).at("zero", i, zero)
-        if turning[i]:
-            for factor in (1.0, 180 / np.pi):
-                if factor != h.factor[i]:
-                    yield h.at("factor", i, factor)
-        if i and turning[i] and turning[i - 1]:
-            yield from (h.at("add", i, a) for a in (-1, 0, 1) if a != h.add[i])
-        for k in range(i + 1, n):
-            if turning[i] == turning[k]:
-                yield h.at("source", i, h.source[k]).at("source", k, h.source[i])
 
 
 def _length_moves(h: Hypothesis, lengths: Array, robot: Robot) -> Iterator[Hypothesis]:

@@ -42,8 +42,6 @@ WIDTHS = np.array([0.1, 0.25, 0.6, 1.5])
 RATIOS = np.geomspace(0.3, 30.0, 7)
 # One sigma of base, tool and points about where they were put [mm, mrad]: they are not known.
 FREE = 1e3
-# One sigma of a coordinate, and of base and tool in units of scale, before readings tell them.
-NOISE, STANDS_IN = 5e-5, 30.0
 # Steps of the fit, and most of them where unknown points still move by more than this [mm].
 STEPS, MOST, MOVES = 3, 15, 0.1
 # A reading is not judged where the others predict it with a sigma of more than this [mm].
@@ -93,12 +91,6 @@ class Estimate:
         return len(self.m)
 
     @property
-    def known(self) -> tuple[tuple[str, ...], Array, float]:
-        """Names, their information in units of scale, and the noise [m]."""
-        p = len(self.names)
-        return self.names, np.linalg.inv(self.covariance[:p, :p]), self.sigma
-
-    @property
     def left_out_mm(self) -> Array:
         """How far each reading is from the model of the others, of those that these predict, shape (k,) [mm]."""
         left = np.linalg.norm(self.left_out, axis=1) / MM
@@ -131,9 +123,8 @@ class Estimate:
         square[rows[closed]] = np.einsum("ni,ni->n", r, np.linalg.solve(C, r[..., None])[..., 0])
         return off, square
 
-    def expected(self, task: Measurements, more: int = 0) -> Array:
-        """Root mean square error of the robot itself to expect over a task [m], shape (more + 1,): now, and after each
-        of so many further readings, as good as those until now are in the mean.
+    def expected(self, task: Measurements) -> float:
+        """Root mean square error of the robot itself to expect over a task [m].
 
         Where readings do not tell where the base is, it is where the task has it.
         """
@@ -141,20 +132,12 @@ class Estimate:
         base = [k for k, name in enumerate(self.names) if self.robot.parameters[name].group == "base"]
         if not base or self.covariance[base, base].max() > UNTOLD**2:
             J = without_base(self.robot, J, task)
-        W, seen = np.einsum("kip,kiq->pq", J, J, optimize=True) / len(J), np.zeros_like(self.covariance)
-        if more:
-            kind = find_kind(self.m.kind)
-            turns = np.where(np.arange(kind.numbers) < kind.lengths, 1, 1 / self.ratio)
-            own = observed(self.robot, self.names, self.m, points=self.points).J * turns[:, None]
-            seen = np.einsum("kip,kiq->pq", own, own, optimize=True) * (MM / self.sigma) ** 2 / len(own)
-        now = np.linalg.inv(self.covariance)
-        each = (np.linalg.inv(now + k * seen)[:p, :p] if k else self.covariance[:p, :p] for k in range(more + 1))
-        return np.asarray(MM * np.sqrt([np.sum(W * C) for C in each]))
+        return MM * float(np.sqrt(np.einsum("kip,pq,kiq->", J, self.covariance[:p, :p], J, optimize=True) / len(J)))
 
 
-def names_of(robot: Robot, m: Measurements | None) -> tuple[str, ...]:
+def names_of(robot: Robot, m: Measurements) -> tuple[str, ...]:
     """What is estimated: geometry, compliance, tool, and the base where readings see something at rest."""
-    held = () if m is None or find_kind(m.kind).at_rest(m.arrays) else ("base",)
+    held = () if find_kind(m.kind).at_rest(m.arrays) else ("base",)
     sessions = (n for n in robot.parameters.names if n.startswith(PREFIX))
     names = (*robot.parameters.select(("kinematic", "compliance")), *sessions)
     return tuple(name for name in names if robot.parameters[name].group not in held)
@@ -187,20 +170,6 @@ def observed(
         r = np.where(turned[:, None] & (np.arange(r.shape[1]) >= 3), np.pi / (MM * ratio), r)
     separated = (-apart[0].ravel() if apart else np.zeros(0), J[r.size :])
     return Seen(-r, J[: r.size].reshape(*r.shape, -1), dict(zip(labels, problem.points, strict=True)), separated)
-
-
-def known_at_first(robot: Robot, m: Measurements | None) -> tuple[tuple[str, ...], Array, float]:
-    """As `Estimate.known` of readings that are too few for one: by the robot's own priors."""
-    names = names_of(robot, m)
-    own = [robot.parameters[name] for name in names]
-    width = np.array([STANDS_IN * MM / p.scale if _is_frame(p) else p.prior / p.scale for p in own])
-    if m is None:
-        return names, np.diag(width**-2), NOISE
-    seen = observed(robot, names, m)
-    J, points = seen.J.reshape(seen.off.size, -1), 3 * len(seen.points)
-    information = J.T @ J / (NOISE / MM) ** 2 + np.diag(np.append(width, np.full(points, FREE)) ** -2)
-    of_parameters = np.linalg.inv(information)[: len(names), : len(names)]
-    return names, np.linalg.inv(of_parameters) if points else information, NOISE
 
 
 def estimate(robot: Robot, m: Measurements, placed: Robot | None = None) -> Estimate:

@@ -19,6 +19,7 @@ from urllib.parse import urlsplit
 from casadical.core.basics import ConvergenceError, InputError, optional
 from casadical.project.live.session import LiveSession, finished
 from casadical.project.live.sources import Source
+from casadical.project.live.view import answer
 
 if TYPE_CHECKING:
     from starlette.applications import Starlette
@@ -74,7 +75,7 @@ class LivePage:
     async def _follow(self) -> None:
         while True:
             try:
-                if self.session.ahead is None:
+                if self.session.plan is None:
                     await self._plan()
                 await self._look()
             except Exception as error:  # a bug must not end what keeps the readings
@@ -154,25 +155,25 @@ class LivePage:
     async def _do(self, request: Request) -> Response:
         """One command: type, strike, restore, repeat or finish. Its faults are sentences."""
         json_response = optional("starlette.responses", NEEDED).JSONResponse
-        answer: Response
+        response: Response
         try:
             body = await request.body()
             asked = json.loads(body) if len(body) < LONGEST else None
             if not isinstance(asked, dict):
                 raise InputError("a command is a JSON object of less than 100,000 characters")
             said = await asyncio.to_thread(self._done, asked)
-            answer = json_response({"said": said})
+            response = json_response({"said": said})
         except (InputError, ConvergenceError, ValueError, KeyError, TypeError) as error:
-            answer = json_response({"error": str(error)}, 400)
+            response = json_response({"error": str(error)}, 400)
         else:
             await self._plan()
-        return answer
+        return response
 
     def _done(self, asked: dict[str, Any]) -> str:
         session, do = self.session, asked.get("do")
         if do == "type":
             number = session.type_in({str(name): str(value) for name, value in asked["values"].items()})
-            return session.view().answer(number) if number else "this reading is there already"
+            return answer(session.state(), number) if number else "this reading is there already"
         if do == "finish":
             self.finished = finished(session)
             return self.finished

@@ -7,7 +7,6 @@ that the folder can be calibrated at any time, and again after the process was k
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from threading import RLock
 from typing import Any
@@ -27,15 +26,15 @@ from casadical.measurements.derived_columns import clock_faults
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.raw_table import read_table
-from casadical.pose_selection.candidates import expected
+from casadical.pose_selection.candidates import draw, expected
 from casadical.pose_selection.workspace import Workspace, read_workspace
 from casadical.project.calibration import calibrate
 from casadical.project.check.check import precheck
-from casadical.project.live.ahead import Ahead, arms, in_base, look_ahead, task_readings
+from casadical.project.check.slip_list import slips_of_reading
 from casadical.project.live.estimate import FEW, Estimate, counted
-from casadical.project.live.reading_slips import slips_of
 from casadical.project.live.sources import Add, Course, Reading, Row, Source
-from casadical.project.live.view import FOR_QUANTILE, LiveView
+from casadical.project.live.view import FOR_QUANTILE, with_words
+from casadical.project.planning import poses_ahead
 from casadical.project.problem import read_campaign, read_problem_robot
 from casadical.project.problem_file import DataTable, problem_file
 from casadical.project.robot_columns import refuse_nameless, understood, with_known_targets
@@ -73,17 +72,18 @@ class LiveSession:
         self.room: Workspace | None = read_workspace(room, self.robot) if room else None
         self.lock = RLock()
         self.estimate: Estimate | None = None
-        self.ahead: Ahead | None = None
+        self.plan: Array | None = None  # poses, shape (n, joints), and what is to be said of them
+        self._of_plan = ""
         self.said: list[str] = []
         self.checked: tuple[int, list[str]] = (0, [])
         self.m: Measurements | None = None
         self.unread = ""
-        self._task, self._in_base = task_readings(self.robot), in_base(self.robot)
+        # At 150 readings all over the joints' ranges the error to expect is stated.
+        self._task = draw(self.robot, 150, Workspace(), np.random.default_rng(1))
         self._odd: dict[int, str] = {}  # rows that cannot be read, and why
         self._doubtful: dict[int, bool] = {}
         self._words: dict[int, str] = {}
         self._off: dict[int, float] = {}
-        self._shift: tuple[int, Array] | None = None
         self._wish: Array | None = None
         self._seen = {r.cells for r in course.readings}
         if course.readings:
@@ -111,6 +111,7 @@ class LiveSession:
             if cells in self._seen:
                 return None
             self._seen.add(cells)
+            self._wish = None
             self._add("read", cells=cells, **{"from": row.source})
             number = len(self.course.readings)
             self._doubtful[number] = True  # until it is found plausible
@@ -189,7 +190,7 @@ class LiveSession:
             self._known(number)
             if number not in (read := self._read()):
                 raise InputError(f"reading {number}: its joints cannot be read; type the pose")
-            self._wish = read[number][0]
+            self._wish = read[number]
 
     def _known(self, number: int) -> Reading:
         try:
@@ -197,12 +198,9 @@ class LiveSession:
         except ValueError:
             raise InputError(f"there is no reading {number}; the last is {len(self.course.readings)}") from None
 
-    def _read(self) -> dict[int, tuple[Array, Array | None]]:
-        """Joints and, where it was measured, position by number, of the readings that can be read."""
-        if self.m is None:
-            return {}
-        places = [None] * len(self.m) if self.m.position is None else self.m.position
-        return dict(zip(map(self._number, self.m.row), zip(self.m.q, places, strict=True), strict=True))
+    def _read(self) -> dict[int, Array]:
+        """Joints by number, of the readings that can be read."""
+        return {} if self.m is None else dict(zip(map(self._number, self.m.row), self.m.q, strict=True))
 
     def _number(self, row: int) -> int:
         return int(row) - 1 - bool(self.course.units)
@@ -306,7 +304,9 @@ class LiveSession:
             if not out[i]:
                 self._words.pop(n, None)
             elif estimate is not None and (n == new or n not in was or n not in self._words):
-                self._words[n] = self._slip_words(estimate, m[inside], i, n)
+                points = [*estimate.points]
+                words = slips_of_reading(estimate.robot, m[inside], i, estimate.misses, estimate.limit, points)
+                self._words[n] = words
         for k in np.flatnonzero(outside):
             words = "outside of the joints' ranges"
             try:
@@ -322,33 +322,26 @@ class LiveSession:
                 )
                 self._doubtful[numbers[k]], self._words[numbers[k]] = True, words
 
-    def _slip_words(self, found: Estimate, m: Measurements, k: int, number: int) -> str:
-        """Which slip a doubtful reading looks like, in a sentence."""
-        before = self._shift[1] if self._shift and self._shift[0] != number else None
-        slips = slips_of(found, m, k, before)
-        if slips and slips[0].shift is not None:
-            self._shift = (number, slips[0].shift)
-        if not slips:
-            return (
-                "no single slip explains it: is the target seated, the beam free, the robot at rest? Measure it again"
-            )
-        return "; or ".join(s.words for s in slips)
-
     def look_ahead(self) -> None:
-        """Plan the next poses with what is known by now; takes some tenths of a second."""
-        with self.lock:
-            estimate, wish, m = self.estimate, self._wish, self.m
-        ahead = look_ahead(estimate.robot if estimate else self.robot, estimate, self.room, self.target, m)
-        with self.lock:
-            self.ahead = ahead if wish is None else replace(ahead, q=np.vstack([wish, ahead.q]))
-            self._wish = None
+        """Plan the poses to measure, once; takes a second or two. Raises InputError where the room allows none."""
+        if self.plan is None:
+            self.plan, self._of_plan = poses_ahead(self.robot, self.folder, self.room, self.target)
+
+    def _left(self) -> Array:
+        """Those poses of the plan at which no reading counts yet, shape (k, joints); one to repeat first."""
+        assert self.plan is not None
+        counting = [q for n, q in self._read().items() if not self._doubtful.get(n)]
+        measured = np.array(counting).reshape(-1, 1, self.robot.n)
+        left = self.plan[(np.abs(self.plan - measured).max(axis=2) > 0.02).all(axis=0)]  # rad or m
+        return left if self._wish is None else np.vstack([self._wish, left])
 
     def next_pose(self) -> Array:
-        """Joints of the pose to measure next, shape (joints,) [rad or m]; planned now where nothing is."""
-        if self.ahead is None:
-            self.look_ahead()
-        assert self.ahead is not None
-        return np.asarray(self.ahead.q[0])
+        """Joints of the pose to measure next, shape (joints,) [rad or m]; after the whole plan it begins again."""
+        self.look_ahead()
+        assert self.plan is not None
+        with self.lock:
+            left = self._left()
+            return np.asarray(left[0] if len(left) else self.plan[len(self.course.readings) % len(self.plan)])
 
     def doubted(self) -> bool:
         """Whether the whole table is to be checked for slips now (see `check`)."""
@@ -401,23 +394,17 @@ class LiveSession:
 
     def state(self) -> dict[str, Any]:
         """All that a page shows, as plain data; angles [deg], lengths [mm]."""
-        return self.view().to_json()
-
-    def view(self) -> LiveView:
-        """What is told by now."""
         with self.lock:
-            read = self._read()
-            places = arms(self._in_base, np.array([q for q, _ in read.values()]))[:, -1].tolist() if read else []
-            points = dict(zip(read, places, strict=True))
-            readings = [{**self._reading_json(r, read), "point": points.get(r.number)} for r in self.course.readings]
-            estimate, ahead = self.estimate, self.ahead
-            return LiveView({
+            read, estimate = self._read(), self.estimate
+            readings = [self._reading_json(r, read.get(r.number)) for r in self.course.readings]
+            touches = self.m is not None and find_kind(self.m.kind).touches  # what the tool is to touch is not planned
+            return with_words({
                 "robot": self.robot.name, "folder": self.folder.resolve().name,
                 "data": self.course.data if readings else self._data, "fields": self.fields, "readings": readings,
                 "said": [*([self.unread] if self.unread else []), *self.said[-5:], *self._of_table],
                 "table": self._of_table,
                 "known": None if estimate is None else self._known_json(estimate),
-                "next": None if ahead is None else self._next_json(ahead),
+                "next": None if self.plan is None or touches else self._next_json(),
             })  # fmt: skip
 
     @property
@@ -425,9 +412,8 @@ class LiveSession:
         """What is wrong with the whole table, as it was checked last, and with its clock now."""
         return [*self.checked[1], *(clock_faults(self.m) if self.m is not None else ())]
 
-    def _reading_json(self, r: Reading, read: Mapping[int, tuple[Array, Array | None]]) -> dict[str, Any]:
-        """A reading; read : joints and positions by number."""
-        at, where = read.get(r.number, (None, None))
+    def _reading_json(self, r: Reading, at: Array | None) -> dict[str, Any]:
+        """A reading; at : its joints, None where they cannot be read."""
         state = "struck" if r.struck else "doubtful" if self._doubtful.get(r.number) else "good"
         if at is None and not r.struck:
             state = "unread"
@@ -437,7 +423,6 @@ class LiveSession:
             "why": r.struck or self._odd.get(r.number) or self._words.get(r.number, lost),
             "off_mm": round(1e3 * self._off[r.number], 4) if r.number in self._off else None,
             "joints": None if at is None else self._joints(at),
-            "position_mm": None if where is None else (1e3 * where).round(3).tolist(),
         }  # fmt: skip
 
     def _joints(self, q: Array) -> list[float]:
@@ -447,19 +432,16 @@ class LiveSession:
         left, task = found.left_out_mm, expected(found.robot, self._task, {}, "task")
         enough = len(left) >= FOR_QUANTILE
         return {
-            "readings": len(found), "noise_mm": 1e3 * found.sigma, "expected_mm": 1e3 * float(found.expected(task)[0]),
+            "readings": len(found), "noise_mm": 1e3 * found.sigma, "expected_mm": 1e3 * found.expected(task),
             "left_out_mean_mm": float(left.mean()) if len(left) >= FEW else None,
             "promise_mm": float(np.quantile(left, 0.95, method="higher")) if enough else None,
         }  # fmt: skip
 
-    def _next_json(self, ahead: Ahead) -> dict[str, Any]:
-        last, poses = None if self.m is None else self.m.q[-1:], [self._joints(q) for q in ahead.q]
-        return {
-            "poses": poses, "program": self._move(poses[0]) if self._move else "", "to_go": ahead.to_go,
-            "words": ahead.words, "touch": ahead.touch, "arm": arms(self._in_base, ahead.q[:1])[0].tolist(),
-            "points": arms(self._in_base, ahead.q)[:, -1].tolist(),
-            "arm_now": None if last is None or not len(last) else arms(self._in_base, last)[0].tolist(),
-        }  # fmt: skip
+    def _next_json(self) -> dict[str, Any]:
+        poses, left = [self._joints(q) for q in (self.next_pose(), *self._left()[1:])], len(self._left())
+        words = f"{left} planned poses are left" if left else "all planned poses are measured"
+        program = self._move(poses[0]) if self._move else ""
+        return {"poses": poses, "program": program, "to_go": left, "words": f"{words}; {self._of_plan}"}
 
 
 def finished(session: LiveSession) -> str:

@@ -1,89 +1,75 @@
-"""What a live session tells, made of its plain data: blocks, and sentences that its page shows as they are."""
+"""What a live session says, from its plain data (angles [deg], lengths [mm]): on its page and in a terminal."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 from casadical.core.telling.blocks import Table, Words
-from casadical.core.telling.result import Result
 from casadical.project.live.estimate import FEWEST
 
-# A share of readings of which 95 % lie below is stated from so many on.
+# A share of readings of which 95 % lie below is stated from so many readings on.
 FOR_QUANTILE = 20
 
 
-@dataclass(frozen=True, eq=False)
-class LiveView(Result):
-    """Readings, what is known of the robot by now, and the next pose.
+def with_words(data: Mapping[str, Any]) -> dict[str, Any]:
+    """The data of a session with its sentences, as `casadical measure --json` keeps it."""
+    known = data["known"]
+    good = sum(r["state"] == "good" for r in data["readings"])
+    origin = "measured" if data["data"] == "real" else "SYNTHETIC"
+    readings = []
+    for reading in data["readings"]:
+        soon = f"judged from reading {FEWEST + 1} on" if known is None and reading["state"] == "good" else ""
+        readings.append({**reading, "words": "; ".join(filter(None, (_off(reading), reading["why"], soon)))})
+    known_words = f"{FEWEST} readings are needed"
+    if known is not None:
+        known_words = f"{known['readings']} readings tell of the robot; they scatter by {known['noise_mm']:.3f} mm a "
+        known_words += "coordinate" + (f"; a promise from {FOR_QUANTILE} on" if known["promise_mm"] is None else "")
+    return {
+        **data,
+        "about": f"{data['folder']}, {origin}: {good} of {len(readings)} readings count",
+        "readings": readings,
+        "known": known and {**known, "figures": _figures(known)},
+        "known_words": known_words,
+    }
 
-    data : of `casadical measure --json` without its sentences, angles [deg], lengths [mm]
-    """
 
-    kept_as: ClassVar[str] = "live"
-    data: Mapping[str, Any]
+def summary(state: Mapping[str, Any]) -> list[Words | Table]:
+    """What is known and what was doubted, at the end of a session."""
+    known = state["known"]
+    blocks: list[Words | Table] = [Words(f"{state['about']}.", "verdict"), Words(f"{state['known_words']}.")]
+    blocks += [Table("", ("known by now", ""), known["figures"], frozenset({1}))] if known else []
+    blocks += [Words(answer(state, r["number"]), "warning") for r in state["readings"] if r["state"] != "good"]
+    return [*blocks, *(Words(text, "warning") for text in state["table"])]
 
-    def to_json(self) -> dict[str, Any]:
-        known = self.data["known"]
-        return {
-            **self.data,
-            "about": self.about,
-            "readings": [{**r, "words": self.words(r)} for r in self.data["readings"]],
-            "known": known and {**known, "figures": _figures(known)},
-            "known_words": _known_words(known),
-        }
 
-    def blocks(self) -> list[Words | Table]:
-        known = self.data["known"]
-        blocks: list[Words | Table] = [Words(f"{self.about}.", "verdict"), Words(f"{_known_words(known)}.")]
-        blocks += [Table("", ("known by now", ""), _figures(known), frozenset({1}))] if known else []
-        blocks += [Words(self.answer(r["number"]), "warning") for r in self.data["readings"] if r["state"] != "good"]
-        return [*blocks, *(Words(text, "warning") for text in self.data["table"])]
+def answer(state: Mapping[str, Any], number: int) -> str:
+    """What a reading told, in a line or two."""
+    reading = next(r for r in state["readings"] if r["number"] == number)
+    left = state["known"] and state["known"]["left_out_mean_mm"]
+    words = {"good": "plausible", "doubtful": "DOUBTFUL"}.get(reading["state"], reading["state"])
+    text = f"{number}: {words}"
+    if off := _off(reading):
+        text += f" ({off})"
+    if words != "plausible":
+        text += f": {reading['why']}"
+    elif state["known"] is None:
+        text += f"; judged from reading {FEWEST + 1} on"
+    if reading["state"] in ("good", "doubtful") and left is not None:
+        text += f"; {left:.3f} mm mean of readings left out one by one"
+    return text
 
-    @property
-    def about(self) -> str:
-        """Which campaign it is, and how many of its readings count."""
-        good = sum(r["state"] == "good" for r in self.data["readings"])
-        origin = "measured" if self.data["data"] == "real" else "SYNTHETIC"
-        return f"{self.data['folder']}, {origin}: {good} of {len(self.data['readings'])} readings count"
 
-    def words(self, reading: Mapping[str, Any]) -> str:
-        """What there is to say of a reading besides its state."""
-        return "; ".join(text for text in (_off(reading), reading["why"], self._soon(reading)) if text)
-
-    def _soon(self, reading: Mapping[str, Any]) -> str:
-        return "" if self.data["known"] or reading["state"] != "good" else f"judged from reading {FEWEST + 1} on"
-
-    def answer(self, number: int) -> str:
-        """What a reading told, in a line or two."""
-        reading = next(r for r in self.data["readings"] if r["number"] == number)
-        left = self.data["known"] and self.data["known"]["left_out_mean_mm"]
-        judged = reading["state"] in ("good", "doubtful") and left is not None
-        state = {"good": "plausible", "doubtful": "DOUBTFUL"}.get(reading["state"], reading["state"])
-        text = f"{number}: {state}" + (f" ({off})" if (off := _off(reading)) else "")
-        text += "" if state == "plausible" else f": {reading['why']}"
-        means = f"{left:.3f} mm mean of readings left out one by one" if judged else ""
-        return "; ".join(part for part in (text, self._soon(reading), means) if part)
-
-    def outlook(self) -> list[str]:
-        """What is wrong with the whole table, and the next pose, in lines."""
-        lines, ahead = [*self.data["table"]], self.data["next"]
-        if ahead is not None:
-            pairs = zip(self.data["fields"], ahead["poses"][0], strict=False)  # first the joints
-            touch = f"  touching {ahead['touch']}" if ahead["touch"] else ""
-            lines += [ahead["words"], "next: " + "  ".join(f"{name} {value:.3f}" for name, value in pairs) + touch]
-            lines += [ahead["program"]] * bool(ahead["program"])
-        return lines
+def outlook(state: Mapping[str, Any]) -> list[str]:
+    """What is wrong with the whole table, and the next pose, in lines."""
+    lines, ahead = [*state["table"]], state["next"]
+    if ahead is not None:
+        pairs = zip(state["fields"], ahead["poses"][0], strict=False)  # first the joints
+        lines += [ahead["words"], "next: " + "  ".join(f"{name} {value:.3f}" for name, value in pairs)]
+        lines += [ahead["program"]] * bool(ahead["program"])
+    return lines
 
 
 def _off(reading: Mapping[str, Any]) -> str:
     return "" if reading["off_mm"] is None else f"{reading['off_mm']:.3f} mm off what the others predict"
-
-
-def _known_words(known: Mapping[str, Any] | None) -> str:
-    if known is None:
-        return f"{FEWEST} readings are needed"
-    text = f"{known['readings']} readings tell of the robot; they scatter by {known['noise_mm']:.3f} mm a coordinate"
-    return f"{text}; a promise from {FOR_QUANTILE} on" if known["promise_mm"] is None else text
 
 
 def _figures(known: Mapping[str, float | None]) -> list[tuple[str, str]]:

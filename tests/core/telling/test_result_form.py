@@ -24,7 +24,6 @@ from casadical.project.certificate import Certificate
 from casadical.project.check import precheck
 from casadical.project.diagnosis import CampaignDiagnosis, diagnose_campaign, read_campaigns
 from casadical.project.iso9283 import Iso9283
-from casadical.project.live.view import LiveView
 
 ROOT = Path(__file__).parents[3]
 PLANAR, RUN = ROOT / "problems" / "planar", ROOT / "data" / "withheld" / "second"
@@ -51,19 +50,6 @@ def results(calibrated, diagnosis):
         RobotCheck("arm", 24, 1e-5, 2, (), (), {}, (), {}),
         score(RUN, RUN, RUN / "answers.diagnosis.jsonl"),
         casadical.robot_model(PLANAR / "robot.toml", "mjcf"),
-        LiveView(
-            {
-                "robot": "arm",
-                "folder": "arm",
-                "data": "real",
-                "fields": ["q1_deg"],
-                "said": [],
-                "table": [],
-                "readings": [],
-                "known": None,
-                "next": None,
-            }
-        ),
         Export(
             Path("c"),
             ("arm.c", "manifest.json"),

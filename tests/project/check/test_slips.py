@@ -15,8 +15,9 @@ import first_hour
 
 from casadical import Measurements, calibrate
 from casadical.project.check import precheck
-from casadical.project.check.repair import MIRRORED, OF_LENGTHS, repaired
+from casadical.project.check.repair import repaired
 from casadical.project.check.slip_fit import Hypothesis
+from casadical.project.check.slip_list import MIRRORED, OF_LENGTHS
 from casadical.project.check.targets import recognised
 from casadical.project.new import new_problem
 from casadical.project.problem import read_problem

@@ -20,11 +20,12 @@ from casadical.core.basics import InputError
 from casadical.core.files import csv_text
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import unmeasured
-from casadical.pose_selection.candidates import draw, held_in
+from casadical.pose_selection.candidates import draw, expected, held_in
 from casadical.pose_selection.workspace import Workspace
 from casadical.project.live import LiveSession
 from casadical.project.live.session import finished
 from casadical.project.live.sources import FileSource, FolderSource, Row, SimulatedSource, StreamSource, journal
+from casadical.project.live.view import answer, outlook
 from casadical.project.new.new import NOISE, as_built
 
 ROOT = Path(__file__).parents[3]
@@ -106,8 +107,8 @@ def behind(v: list[float]) -> list[float]:
     [
         (swapped, "axes are swapped: x holds y, y holds x"),
         (in_metres, "its position is in m"),
-        (negative, "joint 3 stood at .* its sign is wrong"),
-        (behind, r"joint 2 stood at .* did not arrive( \(|, or)"),  # not where the reading before left it
+        (negative, "joint 3 counts the other way"),
+        (behind, r"joint 2 stood at .* did not arrive"),
     ],
 )
 def test_a_slip_is_named_when_it_comes_and_the_others_are_plausible(arm: Path, slip, words: str) -> None:
@@ -145,8 +146,6 @@ def test_full_poses_are_judged_by_their_orientation_too(arm: Path, slip, words: 
     assert doubted(told["readings"]) == [15]
     assert words in told["readings"][14]["why"]
     assert told["fields"][7:] == ["x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg"]
-    # The same figure in the words about the next poses, by another sample of the robot's ranges.
-    assert float(told["next"]["words"].split()[0]) == pytest.approx(told["known"]["expected_mm"], rel=0.2)
     assert (casadical.calibrate(arm).problem.sets["identify"][0].kind) == "pose"
 
 
@@ -162,7 +161,6 @@ def test_distances_to_known_places_are_followed(arm: Path) -> None:
     told = followed(arm, [head, *made])
     assert doubted(told["readings"]) == [36]
     assert "its distance is to -1500, -1500, 1000 mm" in told["readings"][35]["why"]
-    assert told["next"]["to_go"] is None or told["next"]["to_go"] > 0
 
 
 @cache
@@ -224,9 +222,7 @@ def test_every_kind_is_followed_and_its_slips_are_named(arm: Path, kind: str, co
     assert doubted(told["readings"]) == [bad]
     assert words in told["readings"][bad - 1]["why"]
     assert told["known"]["noise_mm"] < 0.1
-    assert float(told["next"]["words"].split()[0]) == pytest.approx(told["known"]["expected_mm"], rel=0.2)
-    if kind in ("point", "plane", "dial"):
-        assert told["next"]["touch"] in "ABC"
+    assert (told["next"] is None) == (kind in ("point", "plane", "dial"))
 
 
 def test_rows_wait_for_those_without_which_they_tell_nothing(arm: Path) -> None:
@@ -247,7 +243,7 @@ def test_rows_wait_for_those_without_which_they_tell_nothing(arm: Path) -> None:
         for count, cells in enumerate([[*row, "a"] for row in rows[1:12]] + turned, 1):
             number = take(session, [*rows[0], "session"], cells)
             if count == 13:
-                assert "session 'b' has 2 poses" in session.view().answer(number)
+                assert "session 'b' has 2 poses" in answer(session.state(), number)
         session.look_ahead()
         assert {r["state"] for r in session.state()["readings"]} == {"good"}
 
@@ -421,12 +417,12 @@ def test_a_clock_that_goes_back_and_another_robots_table_are_said_in_the_termina
     with begun(arm) as session:
         for k, cells in enumerate(rows[1:]):
             take(session, [*rows[0], "time_s"], [*cells, str(10 * k - 100 * (k == 4))])
-        assert "time_s goes back from 30 to -60 s" in "\n".join(session.view().outlook())
+        assert "time_s goes back from 30 to -60 s" in "\n".join(outlook(session.state()))
         assert any("goes back" in text for text in session.state()["said"])
     (arm / "measured.jsonl").unlink()
     with begun(arm) as session:
         take(session, [*rows[0], "q7_rad"], [*rows[1], "0.1"])
-        said = session.view().answer(1)
+        said = answer(session.state(), 1)
         assert said.startswith("1: unread: measured.csv: column 'q7_rad': this robot has only 6 joints")
 
 
@@ -456,7 +452,7 @@ def test_a_four_bar_that_cannot_close_on_the_way_to_an_explanation_stops_nothing
             take(session, [*units, "x_mm", "y_mm", "z_mm"], [f"{v:.6f}" for v in cells])
         told = session.state()["readings"]
     assert doubted(told) == [11]
-    assert "joint 1 stood at -96.29, not 96.29 deg: its sign is wrong" in told[10]["why"]
+    assert "joint 1 counts the other way" in told[10]["why"]
 
 
 def test_poses_stay_above_the_plane_that_the_robot_stands_on(arm: Path) -> None:
@@ -465,8 +461,9 @@ def test_poses_stay_above_the_plane_that_the_robot_stands_on(arm: Path) -> None:
         shutil.copy(ROOT / f"problems/{name}/robot.toml", arm)
         with begun(arm) as session:
             session.look_ahead()
-            told = session.state()["next"]
-        assert min(point[2] for point in told["points"]) >= 0.0, name
+            told, robot = session.state()["next"], session.robot
+        tool = expected(robot, session.plan, {}, "plan").position - robot.base.T[:3, 3]
+        assert (tool @ robot.base.T[:3, :3])[:, 2].min() >= -1e-6, name
         assert "not checked" not in told["words"]
 
 

@@ -1,0 +1,282 @@
+"""The list of slips: what may be wrong with a table, or with one reading of it that the others contradict; in words.
+
+A table is judged with base and tool free, so that swapped axes, or two that are turned, are no slip of it. One
+reading is judged by where the others say that base, tool and robot are: it may have these, too, and others.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import combinations, permutations
+from typing import Any
+
+import numpy as np
+
+from casadical.core.basics import Array
+from casadical.measurements.kinds.registry import find_kind
+from casadical.measurements.measurements import FIELDS, Measurements
+from casadical.project.check.slip_fit import Fit, Hypothesis
+from casadical.robot.robot import Robot
+
+QUARTERS = tuple(np.deg2rad(v) for v in (0.0, 90.0, -90.0, 180.0))
+
+
+def single_slips(robot: Robot, others: int) -> Iterator[Fit]:
+    """Every single slip, as an explanation whose error is not known; others : ways to read the robot's rows."""
+    none = Hypothesis.none(robot.n)
+    yield from (Fit(none, np.inf, (scale,) * 3) for scale in (1e3, 1e-3, 25.4))
+    yield Fit(none, np.inf, mirrored=True)
+    turning = [j.kind == "revolute" for j in robot.joints]
+    yield from (Fit(h, np.inf) for h in set(moves(none, turning, (0,), 1 + others)) if h.slips == 1)
+
+
+def undone(fit: Fit, m: Measurements) -> Measurements:
+    """Measured positions with an explanation's slips undone."""
+    assert m.position is not None
+    turns = np.array([*fit.scale]) * [1, -1 if fit.mirrored else 1, 1]
+    return replace(m, q=fit.hypothesis.readings(m.q), position=m.position * turns)
+
+
+def inner(turning: Sequence[bool]) -> list[int]:
+    """Turning joints but the first and the last, whose zeros are those of base and tool."""
+    return [i for i in range(1, len(turning) - 1) if turning[i]]
+
+
+def moves(h: Hypothesis, turning: Sequence[bool], shifts: Sequence[int], rows: int) -> Iterator[Hypothesis]:
+    n = len(turning)
+    yield from (h._replace(shift=shift) for shift in shifts if shift != h.shift)
+    yield from (h._replace(rows=k) for k in range(rows) if k != h.rows)
+    for factor in (1.0, 180 / np.pi, np.pi / 180):
+        yield h._replace(factor=tuple(factor if t else 1.0 for t in turning))
+    for i in range(n):
+        for sign in (1, -1):
+            for zero in QUARTERS if i in inner(turning) else (0.0,):
+                if (sign, zero) != (h.sign[i], h.zero[i]):
+                    yield h.at("sign", i, sign).at("zero", i, zero)
+        if turning[i]:
+            for factor in (1.0, 180 / np.pi):
+                if factor != h.factor[i]:
+                    yield h.at("factor", i, factor)
+        if i and turning[i] and turning[i - 1]:
+            yield from (h.at("add", i, a) for a in (-1, 0, 1) if a != h.add[i])
+        for k in range(i + 1, n):
+            if turning[i] == turning[k]:
+                yield h.at("source", i, h.source[k]).at("source", k, h.source[i])
+
+
+def in_words(fit: Fit, robot: Robot, standard: bool = False) -> list[str]:
+    """Every slip of an explanation, as what is wrong and what to do; standard : the rows of the robot file are."""
+    return [*_of_readings(fit, robot), *_of_positions(fit, robot), *_of_rows(fit, robot, standard)]
+
+
+MIRRORED = (
+    "no instrument has a left-handed frame: y was written with another sign, or joints count the other way, which "
+    "positions do not distinguish; look which way joint 1 turns before a program is corrected by it"
+)
+
+OF_LENGTHS = (
+    "Lengths fit the mirror image of a robot as well: look which way joint 1 turns before a program is corrected by it"
+)
+
+
+def _of_readings(fit: Fit, robot: Robot) -> Iterator[str]:
+    h = fit.hypothesis
+    for i, k in enumerate(h.source):
+        if k > i:
+            yield f"columns q{i + 1} and q{k + 1} are swapped"
+    factors = {f for f in h.factor if f != 1.0}
+    whole = len(factors) == 1 and sum(f != 1.0 for f in h.factor) > 2
+    for i, f in enumerate(h.factor):
+        names = ("radians", "degrees") if f > 1 else ("degrees", "radians")
+        if whole and f != 1.0:
+            meant = [k for k, factor in enumerate(h.factor, 1) if factor != 1.0]
+            all_of_them = meant == [*robot.revolute]
+            which = "the joint readings are" if all_of_them else f"{', '.join(f'q{k}' for k in meant)} are"
+            yield f"{which} {names[0]} under names of {names[1]}"
+            break
+        if f != 1.0:
+            yield f"q{i + 1} alone holds {names[0]} under a name of {names[1]}"
+    for i, (sign, zero, add) in enumerate(zip(h.sign, h.zero, h.add, strict=True), 1):
+        if sign < 0:
+            yield f"joint {i} counts the other way (turn the sign of q{i})"
+        if zero:
+            degrees = float(np.rad2deg(zero))
+            yield f"the zero of joint {i} is {abs(degrees):.4g} deg off (add {degrees:.4g} to q{i}_deg)"
+        if add < 0:
+            yield f"q{i} counts from the horizontal, not from link {i - 1} (subtract q{i - 1})"
+        if add > 0:
+            yield f"q{i} is counted the other way against link {i - 1} (add q{i - 1})"
+    if h.shift:
+        after = "after" if h.shift > 0 else "before"
+        yield f"the readings stand {abs(h.shift)} row {after} their positions"
+
+
+def other_lengths(fit: Fit, robot: Robot) -> float:
+    """The factor that gives a robot of usual size, where its lengths are in another unit, not the positions; else 0."""
+    s = fit.scale[0]
+    if set(fit.scale) != {s} or s == 1.0 or 0.1 < robot.reach < 20:
+        return 0.0
+    return 1 / s if 0.1 < robot.reach / s < 20 else 0.0
+
+
+def left_mm(fit: Fit, robot: Robot) -> str:
+    """What an explanation leaves [mm], in millimetres of the robot as it is meant."""
+    return f"{1e3 * fit.error * (other_lengths(fit, robot) or 1.0):.3g} mm"
+
+
+def _of_positions(fit: Fit, robot: Robot) -> Iterator[str]:
+    scaled = [(c, s) for c, s in zip("xyz", fit.scale, strict=True) if s != 1.0]
+    if other := other_lengths(fit, robot):
+        yield f"the lengths in the robot file are in another unit (times {other:.6g})"
+    elif len(scaled) == 3 and len({s for _, s in scaled}) == 1:
+        s = scaled[0][1]
+        units = {1e3: "metres", 25.4: "inches", 10.0: "centimetres"}
+        named = f"{units[s]} under names of millimetres" if s in units else "in another unit"
+        yield f"the positions are {named} (times {s:.6g})"
+    else:
+        yield from (f"{c} alone is in another unit (times {s:.6g})" for c, s in scaled)
+    if fit.mirrored:
+        yield "the measuring frame is left-handed (turn the sign of y)"
+
+
+def _of_rows(fit: Fit, robot: Robot, standard: bool) -> Iterator[str]:
+    if fit.hypothesis.rows:
+        said = ("standard", "modified") if standard else ("modified", "standard")
+        yield f"the DH rows are of the {said[1]} convention, not {said[0]} (convention in the robot file)"
+    for name, i, departure in fit.hypothesis.lengths:
+        value = getattr(robot.joints[i], name)
+        meant = meant_length(value, departure) / (other_lengths(fit, robot) or 1.0)
+        row = i if (standard != bool(fit.hypothesis.rows)) and name == "a" else i + 1  # the file's row
+        yield f"{name} of row {row} is {1e3 * meant:.1f} mm, not {1e3 * value:.4g} mm"
+
+
+def meant_length(value: float, departure: float) -> float:
+    """A length as it is meant: a thousand times what it was, where it departs by 5 %."""
+    for unit in (1e3, 1e-3):
+        if value and abs((value + departure) / (unit * value) - 1) < 0.05:
+            return unit * value
+    return value + departure
+
+
+# What readings miss the prediction by, shape (n, lengths) [m], and its square in units of its covariance, shape (n,).
+Misses = Callable[[Measurements], tuple[Array, Array]]
+
+
+def slips_of_reading(robot: Robot, m: Measurements, k: int, misses: Misses, limit: float, known: Sequence[str]) -> str:
+    """What the k-th reading looks like, in words: those slips that, undone, make it plausible.
+
+    misses : by what the others tell; limit : of the square of a plausible one; known : labels that the others have
+    """
+    listed: list[tuple[str, dict[str, Any]]] = [*_of_observed(m, k), *_of_names(m, k, known), *_of_joints(robot, m, k)]
+    found = misses(_changed(m, k, [changed for _, changed in listed]))[1]
+    if "orientation" in m.arrays:
+        words = "its position is plausible, its orientation is not: the target turned, or its angles are others"
+        listed.append((words, {}))
+        found = np.append(found, misses(replace(m[[k]], kind="position", orientation=None))[1])
+    good = [listed[i][0] for i in np.argsort(found.round(9), kind="stable") if found[i] <= limit]
+    if unmoved := [words for words in good if words.startswith("neither robot")]:
+        return str(unmoved[0])
+    if good:
+        return "; or ".join(good[:3])
+    if find_kind(m.kind).lengths == 3 and (elsewhere := _joints_elsewhere(robot, m, k, misses, limit)):
+        return "; or ".join(elsewhere[:3])
+    more = "no single slip explains it: is the target seated, the beam free, the robot at rest?"
+    if m.kind == "position" and (away := float(np.linalg.norm(misses(m[[k]])[0]))) < 0.6:
+        more = f"another target, {1e3 * away:.4g} mm from the usual one? Or it is not seated, or the beam is not free"
+    return f"{more}; measure it again"
+
+
+def _changed(m: Measurements, k: int, changes: Sequence[Mapping[str, Any]]) -> Measurements:
+    """The k-th reading once for each change, which is arrays and columns of one reading by name."""
+    some = replace(m[np.full(len(changes), k)], separations=())
+    given = {"q": some.q, **some.arrays, **some.conditions}
+    made = {}
+    for name in {name for change in changes for name in change}:
+        values = made[name] = given[name].copy()
+        for i, change in enumerate(changes):
+            values[i] = change.get(name, values[i])
+    fields: dict[str, Any] = {name: made[name] for name in made if name in ("q", *FIELDS)}
+    extra = {name: made.get(name, values) for name, values in some.extra.items()}
+    conditions = {name: made.get(name, values) for name, values in some.conditions.items()}
+    return replace(some, extra=extra, conditions=conditions, **fields)
+
+
+def _of_observed(m: Measurements, k: int) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Axes swapped, signs and units of what was observed; of full poses also the inverse."""
+    vectors_and_lengths: tuple[str, ...] = ("position", "shift", "distance", "reading")
+    name = next((n for n in vectors_and_lengths if n in m.arrays), None)
+    if name is None:
+        return
+    y = m.arrays[name][k]
+    units = {1e3: "m", 1e-3: "mm", 25.4: "inches", 1 / 25.4: "mm under a name of inches", 10.0: "cm"}
+    yield from ((f"its {name} is in {unit}", {name: y * factor}) for factor, unit in units.items())
+    if name == "reading":
+        yield "the sign of its reading is wrong", {name: -y}
+    if np.shape(y) != (3,):
+        return
+    for order in permutations(range(3)):
+        if order != (0, 1, 2):
+            said = ", ".join(f"{'xyz'[i]} holds {'xyz'[order.index(i)]}" for i in range(3) if order[i] != i)
+            yield f"its axes are swapped: {said}", {name: y[list(order)]}
+    for axes in (each for size in (1, 2, 3) for each in combinations(range(3), size)):
+        turned = y * np.where(np.isin(range(3), axes), -1, 1)
+        yield f"the sign of {' and '.join('xyz'[i] for i in axes)} is wrong", {name: turned}
+    if (turn := next((n for n in ("orientation", "turn") if n in m.arrays), None)) is not None:
+        R = m.arrays[turn][k]
+        other = "the fixed frame as the tool sees it" if name == "position" else "the other pose as this one sees it"
+        yield f"it is the inverse pose: of {other}", {name: -R.T @ y, turn: R.T}
+        yield f"its orientation is the inverse: of {other}", {turn: R.T}
+
+
+def _of_names(m: Measurements, k: int, known: Sequence[str]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Another target, session, touched thing or far end than the columns say."""
+    for kind, word in (("tool_", "target"), ("session_", "session")):
+        names = [name for name in m.conditions if name.startswith(kind)]
+        for other in (name for name in names if not m.conditions[name][k]):
+            flags = {name: float(name == other) for name in names}
+            yield f"it is of the {word} {other.removeprefix(kind)}", flags
+    if m.target is not None:
+        ends = np.unique(m.target, axis=0)
+        for end in ends[np.linalg.norm(ends - m.target[k], axis=1) > 4e-3]:
+            yield f"its distance is to {', '.join(f'{1e3 * c:.0f}' for c in end)} mm", {"target": end}
+    elif labels := list(find_kind(m.kind).point_names(m.arrays)):
+        yield from ((f"it is of {name}, not of {labels[k]}", {"label": name}) for name in known if name != labels[k])
+
+
+def _of_joints(robot: Robot, m: Measurements, k: int) -> Iterator[tuple[str, dict[str, Any]]]:
+    """The slips of a table's joints, at one reading; and the robot that did not move."""
+    for fit in single_slips(robot, 0):
+        if fit.hypothesis.slips:
+            yield "; ".join(in_words(fit, robot)), {"q": fit.hypothesis.readings(m.q[[k]])[0]}
+    measured = [values for name, values in m.arrays.items() if name not in ("label", "target")]
+    if k and np.abs(m.q[k] - m.q[k - 1]).max() > 4e-3 and any((each[k] != each[k - 1]).any() for each in measured):
+        yield "neither robot nor target moved: the position is that of the reading before", {"q": m.q[k - 1]}
+
+
+def _joints_elsewhere(robot: Robot, m: Measurements, k: int, misses: Misses, limit: float) -> list[str]:
+    """Single joints that stood elsewhere than they read, in words: Gauss-Newton steps from the best of 121 places."""
+    n, read = robot.n, m.q[k]
+    lower, upper = np.maximum(robot.limits[0], -2 * np.pi), np.minimum(robot.limits[1], 2 * np.pi)
+
+    def missed(stood: Array) -> tuple[Array, Array]:
+        """Misses where joint i stands at stood[i], shape (n, places), and all others as they read."""
+        q = np.tile(read, (*stood.shape, 1))
+        q[np.arange(n), :, np.arange(n)] = stood
+        off, square = misses(_changed(m, k, [{"q": each} for each in q.reshape(-1, n)]))
+        return off.reshape(*stood.shape, -1), square.reshape(stood.shape)
+
+    places = np.linspace(lower, upper, 121).T
+    away = np.nan_to_num(np.linalg.norm(missed(places)[0], axis=2), nan=np.inf)
+    at = places[np.arange(n), away.round(9).argmin(axis=1)]
+    for _ in range(6):
+        off = missed(np.stack([at, at + 1e-6], axis=1))[0]
+        slope = (off[:, 1] - off[:, 0]) / 1e-6
+        step = -(slope * off[:, 0]).sum(axis=1) / np.maximum((slope**2).sum(axis=1), 1e-12)
+        at = at + np.nan_to_num(np.clip(step, -0.1, 0.1))
+    square = missed(at[:, None])[1][:, 0]
+    within = (at > lower - 0.02) & (at < upper + 0.02) & (np.abs(at - read) > 1e-3)
+    words = []
+    for i in (i for i in np.argsort(square.round(9), kind="stable") if square[i] <= limit and within[i]):
+        unit, factor = ("deg", 180 / np.pi) if robot.joints[i].kind == "revolute" else ("mm", 1e3)
+        where = f"joint {i + 1} stood at {at[i] * factor:.2f}, not {read[i] * factor:.2f} {unit}"
+        words.append(f"{where}: it did not arrive, or its number is wrong")
+    return words
