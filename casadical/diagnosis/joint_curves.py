@@ -1,13 +1,14 @@
 """The joint error curves of a diagnosis, each with its band and its share; as rows and as plain data."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.fit import Fit
+from casadical.core.telling.plain import WRITTEN, Key, written
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.result import Cause, Diagnosis
@@ -31,16 +32,18 @@ class JointCurve:
     middle : frequencies between which the middle half of the curve's square lies [cycles a turn]
     """
 
-    joint: int
+    derived: ClassVar[tuple[Key, ...]] = (Key("covered", "covered_parts", "deg", 1),)
+
+    joint: int = field(metadata=WRITTEN)
     angle: Array
     value: Array
     error: Array
     covered: Array
-    rms: float
-    rms_error: float
-    lost: float
-    share: float
-    middle: tuple[float, float]
+    rms: float = field(metadata=written("rms", "urad", 2))
+    rms_error: float = field(metadata=written("rms_error", "urad", 2))
+    lost: float = field(metadata=written("log_evidence_lost", digits=2))
+    share: float = field(metadata=written(digits=4))
+    middle: tuple[float, float] = field(metadata=written("middle_half_cycles"))
 
     @property
     def seen(self) -> bool:
@@ -58,8 +61,8 @@ class JointCurve:
 class JointCurves:
     """The curves of all joints in their order; orders : highest harmonic of the curves."""
 
-    joints: tuple[JointCurve, ...]
-    orders: int
+    joints: tuple[JointCurve, ...] = field(metadata=WRITTEN)
+    orders: int = field(metadata=written("harmonics"))
 
     def rows(self) -> list[tuple[str, str, str]]:
         """A row for each joint under `COLUMNS`, the greatest share first.
@@ -72,24 +75,6 @@ class JointCurves:
             size = f"{rms:.0f} +- {error:.0f}" if c.seen else f"< {rms + 2 * error:.0f}"
             rows.append((str(c.joint), size, f"{100 * c.share:.0f} %"))
         return rows
-
-    def to_json(self) -> dict[str, Any]:
-        """The curves as plain data; angles in degrees, errors in urad."""
-        return {
-            "harmonics": self.orders,
-            "joints": [
-                {
-                    "joint": c.joint,
-                    "rms_urad": round(1e6 * c.rms, 2),
-                    "rms_error_urad": round(1e6 * c.rms_error, 2),
-                    "share": round(c.share, 4),
-                    "log_evidence_lost": round(c.lost, 2),
-                    "covered_deg": [[round(float(np.rad2deg(v)), 1) for v in part] for part in c.covered_parts],
-                    "middle_half_cycles": list(c.middle),
-                }
-                for c in self.joints
-            ],
-        }
 
 
 def joint_curves(found: Diagnosis) -> JointCurves:

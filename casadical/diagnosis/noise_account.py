@@ -1,15 +1,16 @@
 """What a diagnosis took as noise, beside what was declared and what repeated poses say, and which of them rules."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from math import floor, log
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 from scipy.special import fdtrc
 
 from casadical.core.basics import Array
 from casadical.core.telling.blocks import mm
+from casadical.core.telling.plain import WRITTEN, Key, written
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_floor import Replicates, scatter_of_coordinate
 from casadical.diagnosis.noise_forms import FOLLOWING, best_following
@@ -46,18 +47,26 @@ class NoiseAccount:
     structures : what it follows; like_noise : whether it looks like noise besides
     """
 
-    taken: float
+    derived: ClassVar[tuple[Key, ...]] = (
+        Key("declared", lambda noise: noise.declared or None, "mm", 5, if_known=True),
+        Key("datasheet", lambda noise: noise.sheet or None, "mm", 5, if_known=True),
+        Key("repeats", lambda noise: noise.repeats if noise.freedom else None, "mm", 5, if_known=True),
+        Key("repeats_freedom", lambda noise: noise.freedom or None, if_known=True),
+        Key("form", lambda noise: noise.form or None, if_known=True),
+    )
+
+    taken: float = field(metadata=written("taken", "mm", 5))
     sigma: float
     repeatability: float
     declared: float
     sheet: float
     repeats: float
     freedom: int
-    rules: Rule
-    excess: float
+    rules: Rule = field(metadata=WRITTEN)
+    excess: float = field(metadata=written("excess", "mm", 5))
     form: str
-    structures: tuple[Structure, ...]
-    like_noise: bool
+    structures: tuple[Structure, ...] = field(metadata=written("structure"))
+    like_noise: bool = field(metadata=WRITTEN)
 
     @property
     def anchored(self) -> bool:
@@ -126,28 +135,6 @@ class NoiseAccount:
             for s in self.structures
         ]
         return "; ".join(said)
-
-    def to_json(self) -> dict[str, Any]:
-        """Keys of the answer's `noise`, lengths in mm."""
-        account: dict[str, Any] = {"taken_mm": round(1e3 * self.taken, 5), "rules": self.rules}
-        if self.declared:
-            account["declared_mm"] = round(1e3 * self.declared, 5)
-        if self.sheet:
-            account["datasheet_mm"] = round(1e3 * self.sheet, 5)
-        if self.freedom:
-            account |= {"repeats_mm": round(1e3 * self.repeats, 5), "repeats_freedom": self.freedom}
-        account |= {"form": self.form} if self.form else {}
-        account |= {"excess_mm": round(1e3 * self.excess, 5), "like_noise": self.like_noise}
-        structure = [
-            {
-                "over": s.over,
-                "along": s.along,
-                "share": round(s.share, 4),
-                "log10_chance": round(s.log_chance / log(10), 1),
-            }
-            for s in self.structures
-        ]
-        return {**account, "structure": structure}
 
 
 def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates) -> NoiseAccount:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 import pandas as pd
@@ -14,6 +14,7 @@ from casadical.core.basics import Array
 from casadical.core.linear_gaussian.marginals import NONE
 from casadical.core.statistics import ranked
 from casadical.core.telling.blocks import Table, Words, mm
+from casadical.core.telling.plain import WRITTEN, Key, written
 from casadical.core.telling.result import Result
 from casadical.diagnosis.cross_validation import fitted_without, partitioned_errors
 from casadical.diagnosis.linear_problem import Case
@@ -60,9 +61,9 @@ class Gap:
 class Outlier:
     """A pose that was left out: line of the source, distance from the model [m], and in sigmas of the noise."""
 
-    row: int
-    distance: float
-    sigmas: float
+    row: int = field(metadata=WRITTEN)
+    distance: float = field(metadata=written("distance", "mm", 5))
+    sigmas: float = field(metadata=written(digits=2))
 
 
 def settings_of(effect: Effect) -> dict[str, float]:
@@ -93,30 +94,25 @@ class Cause:
     ['cos1', 'cos2', 'sin1', 'sin2']
     """
 
-    effect: str
-    joint: int | None
-    confidence: float
-    shrink: float
-    shrink_interval: tuple[float, float]
-    indistinguishable: tuple[str, ...]
+    derived: ClassVar[tuple[Key, ...]] = (
+        Key("settings", lambda cause: [settings_of(effect) for effect in cause.effects]),
+        Key("parameters"),
+    )
+
+    effect: str = field(metadata=WRITTEN)
+    joint: int | None = field(metadata=WRITTEN)
+    confidence: float = field(metadata=written(digits=4))
+    shrink: float = field(metadata=written(digits=4))
+    shrink_interval: tuple[float, float] = field(metadata=written(digits=4))
+    indistinguishable: tuple[str, ...] = field(metadata=WRITTEN)
     effects: tuple[Effect, ...] = ()
     estimates: dict[str, tuple[float, float, str]] | None = None
 
-    def to_json(self) -> dict[str, Any]:
-        """As plain data; parameters in SI."""
-        return {
-            "effect": self.effect,
-            "joint": self.joint,
-            "confidence": round(self.confidence, 4),
-            "shrink": round(self.shrink, 4),
-            "shrink_interval": [round(v, 4) for v in self.shrink_interval],
-            "indistinguishable": list(self.indistinguishable),
-            "settings": [settings_of(e) for e in self.effects],
-            "parameters": {
-                name: {"value": value, "std_error": error, "unit": unit}
-                for name, (value, error, unit) in (self.estimates or {}).items()
-            },
-        }
+    @property
+    def parameters(self) -> dict[str, dict[str, float | str]]:
+        """Return the estimates as plain data [SI]."""
+        names = ("value", "std_error", "unit")
+        return {k: dict(zip(names, each, strict=True)) for k, each in (self.estimates or {}).items()}
 
     @property
     def label(self) -> str:
@@ -141,9 +137,16 @@ class CauseSet:
     further_gap : error on poses held out with the best of them beside the named ones [m]
     """
 
-    probability: float
-    one_more: float
-    members: Mapping[str, float]
+    derived: ClassVar[tuple[Key, ...]] = (
+        Key("others", lambda s: [{"causes": labels, "probability": p} for labels, p in s.others], digits=4),
+        Key("names", lambda s: s.names or None, digits=4, if_known=True),
+        Key("further", lambda s: s.further or None, digits=4, if_known=True),
+        Key("further_gap", lambda s: s.further_gap if s.further else None, "mm", 5, if_known=True),
+    )
+
+    probability: float = field(metadata=written(digits=4))
+    one_more: float = field(metadata=written(digits=4))
+    members: Mapping[str, float] = field(metadata=written(digits=4))
     others: tuple[tuple[tuple[str, ...], float], ...] = ()
     names: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     further: Mapping[str, float] = field(default_factory=dict)
@@ -154,9 +157,9 @@ class CauseSet:
 class Change:
     """One effect, or its part in one joint; probability : that its parameters are no longer those of the prior"""
 
-    effect: str
-    joint: int | None
-    probability: float
+    effect: str = field(metadata=WRITTEN)
+    joint: int | None = field(metadata=WRITTEN)
+    probability: float = field(metadata=written(digits=4))
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,12 +171,16 @@ class Unlisted:
     shrink, shrink_interval : share by which it falls, and 95 % of it; beside : what is most probable beside these forms
     """
 
-    labels: tuple[str, ...]
+    derived: ClassVar[tuple[Key, ...]] = (
+        Key("gap", lambda forms: {"before": forms.before, "after": forms.after}, "mm", 5),
+    )
+
+    labels: tuple[str, ...] = field(metadata=written("forms"))
     effects: tuple[Effect, ...]
     before: float
     after: float
     shrink: float
-    shrink_interval: tuple[float, float]
+    shrink_interval: tuple[float, float] = field(metadata=written(digits=4))
     beside: Ranking | None = None
 
 
@@ -222,8 +229,13 @@ class Diagnosis(Result):
     'gear_eccentricity@2'
     """
 
-    verdict: Verdict
-    causes: tuple[Cause, ...]
+    derived: ClassVar[tuple[Key, ...]] = (
+        Key("in_part_only", lambda d: (d.verdict == "explained" and d.has_rest) or None, if_known=True),
+        Key("gap", lambda d: {k: getattr(d.gap, k) for k in ("before", "after", "floor")}, "mm", 5),
+    )
+
+    verdict: Verdict = field(metadata=WRITTEN)
+    causes: tuple[Cause, ...] = field(metadata=WRITTEN)
     gap: Gap
     noise: Noise
     account: NoiseAccount
@@ -263,12 +275,6 @@ class Diagnosis(Result):
     def bars(self) -> list[tuple[str, float]]:
         """Mean errors on held-out poses."""
         return [("gap, held out", self.gap.kept), ("with the causes", self.gap.after), ("noise alone", self.gap.floor)]
-
-    def to_json(self) -> dict[str, Any]:
-        """Verdict, errors [mm] and causes, as they stand in the answer of `casadical diagnose --json`."""
-        gap = {name: round(1e3 * getattr(self.gap, name), 5) for name in ("before", "after", "floor")}
-        part = {"in_part_only": True} if self.verdict == "explained" and self.has_rest else {}
-        return {"verdict": self.verdict, **part, "gap_mm": gap, "causes": [c.to_json() for c in self.causes]}
 
     @property
     def in_question(self) -> tuple[str, ...]:

@@ -11,10 +11,11 @@ the other.
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
 from math import lgamma, log
+from typing import ClassVar
 
 import numpy as np
 from scipy.special import gammaincc, log_ndtr
@@ -22,6 +23,7 @@ from scipy.special import gammaincc, log_ndtr
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.model import axes_of_base
 from casadical.core.statistics import first_of_best
+from casadical.core.telling.plain import WRITTEN, Key, written
 from casadical.diagnosis.cross_validation import fitted_without
 from casadical.diagnosis.evidence import REPEATABILITY, joint_noise
 from casadical.diagnosis.linear_problem import Case
@@ -63,9 +65,11 @@ class Structure:
     line : cycles a turn of a sine of a joint's own angle along this joint, and the joint
     """
 
-    along: str
-    over: str
-    share: float
+    derived: ClassVar[tuple[Key, ...]] = (Key("log10_chance", lambda found: found.log_chance / log(10), digits=1),)
+
+    along: str = field(metadata=WRITTEN)
+    over: str = field(metadata=WRITTEN)
+    share: float = field(metadata=written(digits=4))
     log_chance: float
     line: tuple[int, float] | None = None
 

@@ -1,9 +1,9 @@
 """What a comparison of campaigns found, and its words, tables and plain data."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.special import fdtrc
@@ -12,6 +12,7 @@ from casadical.core.basics import Array
 from casadical.core.statistics import best_of, ranked
 from casadical.core.telling.blocks import Page, Section, Table, Tile, Words, mm, next_step, shown
 from casadical.core.telling.figure import Axis, Figure, Series, Span
+from casadical.core.telling.plain import WRITTEN, Key, plain, written
 from casadical.core.telling.result import Result
 from casadical.fleet.estimates import Estimate
 from casadical.fleet.evidence import ROBOT, Candidate, Course
@@ -49,6 +50,7 @@ FEWEST = 6
 SMALL = 0.005
 # Data are said to be so many times more probable, as a power of ten, at most.
 MOST = 100
+_SEEN = ("cause", "size", "unit")
 # See `casadical.fleet.comparison.FAR`.
 NOT_SEEN = "not below 30 times its usual size"
 
@@ -57,20 +59,20 @@ NOT_SEEN = "not below 30 times its usual size"
 class Amount:
     """How far one parameter moved, with its standard error; of a drift, in a year or in 12 campaigns [unit]."""
 
-    name: str
-    value: float
-    std_error: float
-    unit: str
+    name: str = field(metadata=written("parameter"))
+    value: float = field(metadata=written("change"))
+    std_error: float = field(metadata=WRITTEN)
+    unit: str = field(metadata=WRITTEN)
 
 
 @dataclass(frozen=True, eq=False)
 class Rival:
     """One cause that explains a change, as joint_zero@2: its most probable course, first campaign and probability."""
 
-    label: str
-    course: Course
+    label: str = field(metadata=written("cause"))
+    course: Course = field(metadata=WRITTEN)
     since: int
-    probability: float
+    probability: float = field(metadata=written(digits=5))
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,15 +87,17 @@ class Change:
         standard error
     """
 
+    derived: ClassVar[tuple[Key, ...]] = (Key("cause", "cause.label"), Key("named"), Key("words"))
+
     cause: Candidate
-    course: Course
+    course: Course = field(metadata=WRITTEN)
     since: int
     between: tuple[int, int]
-    probability: float
-    p_course: float
-    log_odds: float
+    probability: float = field(metadata=written(digits=5))
+    p_course: float = field(metadata=written("course_probability", digits=5))
+    log_odds: float = field(metadata=written(digits=3))
     rivals: tuple[Rival, ...]
-    amounts: tuple[Amount, ...]
+    amounts: tuple[Amount, ...] = field(metadata=WRITTEN)
     course_of: Array
 
     @property
@@ -137,14 +141,25 @@ class Comparison(Result):
     'March'
     """
 
-    campaigns: tuple[Estimate, ...]
+    derived: ClassVar[tuple[Key, ...]] = (
+        Key("robot", lambda found: found.campaigns[0].robot.name),
+        Key("changed"),
+        Key("unexplained"),
+        Key("next", "commands"),
+        Key("sure_from_log_odds", lambda _: np.log(SURE), digits=3),
+        Key("changes", lambda found: [_as_plain(c, [e.label for e in found.campaigns]) for c in found.changes]),
+        Key("placements", lambda found: dict(found.placements)),
+        Key("seen_from", lambda found: [dict(zip(_SEEN, row, strict=True)) for row in found.seen_from]),
+    )
+
+    campaigns: tuple[Estimate, ...] = field(metadata=WRITTEN)
     names: tuple[str, ...]
     changes: tuple[Change, ...]
-    log_odds: float
+    log_odds: float = field(metadata=written("log_odds_of_one_more", digits=3))
     seen_from: tuple[tuple[str, float, str], ...]
     placements: tuple[tuple[str, str], ...]
-    notes: tuple[str, ...] = ()
-    name: str = ""
+    notes: tuple[str, ...] = field(default=(), metadata=WRITTEN)
+    name: str = field(default="", metadata=WRITTEN)
     sources: tuple[Path, ...] = ()
 
     @property
@@ -239,36 +254,6 @@ class Comparison(Result):
         tiles = [Tile("Changes", str(len(causes)), "", ", ".join(causes) or "none")]
         tiles += [] if sigma is None else [Tile("Left, last campaign", mm(sigma), "mm", "of one coordinate")]
         return Page(f"{name}: what changed", name, f"{kind}: {self.span}", sections, tiles, files=read)
-
-    def to_json(self) -> dict[str, Any]:
-        """The same as plain data, as `casadical compare --json` writes it."""
-        labels = [c.label for c in self.campaigns]
-        return {
-            "robot": self.campaigns[0].robot.name,
-            "name": self.name,
-            "changed": self.changed,
-            "unexplained": list(self.unexplained),
-            "next": [step.code for step in self.next],
-            "log_odds_of_one_more": round(self.log_odds, 3),
-            "sure_from_log_odds": round(float(np.log(SURE)), 3),
-            "changes": [_change_json(c, labels) for c in self.changes],
-            "campaigns": [
-                {
-                    "label": c.label,
-                    "day": c.day,
-                    "poses": c.poses,
-                    "left_mm": None if c.sigma is None else 1e3 * c.sigma,
-                    "misfit": round(c.misfit, 4),
-                    "notes": list(c.notes),
-                }
-                for c in self.campaigns
-            ],
-            "placements": dict(self.placements),
-            "seen_from": [
-                {"cause": name, "size": v if np.isfinite(v) else None, "unit": unit} for name, v, unit in self.seen_from
-            ],
-            "notes": list(self.notes),
-        }
 
 
 def leaves_more(own: tuple[float, float], others: Sequence[tuple[float, float]], alarms: float) -> float:
@@ -382,27 +367,12 @@ def left_figure(
     return Figure(name, "Left in each campaign", series, x, y, **figure)
 
 
-def _change_json(c: Change, labels: list[str]) -> dict[str, Any]:
-    amounts = [{"parameter": a.name, "change": a.value, "std_error": a.std_error, "unit": a.unit} for a in c.amounts]
+def _as_plain(c: Change, labels: list[str]) -> dict[str, Any]:
+    """Return a change as plain data, campaigns by their labels."""
     course = [{"campaign": n, "size": s, "std_error": e} for n, (s, e) in zip(labels, c.course_of, strict=True)]
-    return {
-        "cause": c.cause.label,
-        "named": c.named,
-        "words": c.words,
-        "probability": round(c.probability, 5),
-        "course": c.course,
-        "course_probability": round(c.p_course, 5),
-        "since": labels[c.since],
-        "between": [labels[k] for k in c.between],
-        "log_odds": round(c.log_odds, 3),
-        "rivals": [
-            {"cause": r.label, "course": r.course, "since": labels[r.since], "probability": round(r.probability, 5)}
-            for r in c.rivals
-            if r.probability >= SMALL
-        ],
-        "amounts": amounts,
-        "course_of": course,
-    }
+    rivals = [{**plain(r), "since": labels[r.since]} for r in c.rivals if r.probability >= SMALL]
+    between = [labels[k] for k in c.between]
+    return {**plain(c), "since": labels[c.since], "between": between, "rivals": rivals, "course_of": course}
 
 
 MEANT: dict[Course, dict[str, str]] = {

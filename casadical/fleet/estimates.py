@@ -11,7 +11,7 @@ the noise of a coordinate to the instrument: all campaigns tell of these togethe
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import fdtrc
@@ -19,6 +19,7 @@ from scipy.special import fdtrc
 from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.normal_equations import without_others
 from casadical.core.statistics import best_of
+from casadical.core.telling.plain import WRITTEN, written
 from casadical.core.telling.result import Shown
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.identification import identify
@@ -66,12 +67,12 @@ class Estimate(Shown):
     information: Array
     score: Array
     spread: Array
-    label: str = ""
-    day: float | None = None
-    poses: int = 0
-    sigma: float | None = None
-    misfit: float = 1.0
-    notes: tuple[str, ...] = ()
+    label: str = field(default="", metadata=WRITTEN)
+    day: float | None = field(default=None, metadata=WRITTEN)
+    poses: int = field(default=0, metadata=WRITTEN)
+    sigma: float | None = field(default=None, metadata=written("left", "mm"))
+    misfit: float = field(default=1.0, metadata=written(digits=4))
+    notes: tuple[str, ...] = field(default=(), metadata=WRITTEN)
     readings: Array | None = None
     fit: WideFit | None = None
     freedom: float | None = None

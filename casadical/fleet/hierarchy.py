@@ -16,10 +16,10 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations, islice
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -28,6 +28,7 @@ from casadical.core.basics import Array, CasadicalError, InputError
 from casadical.core.linear_gaussian.normal_equations import inverse_of
 from casadical.core.parameters import Parameter
 from casadical.core.reading import load_toml
+from casadical.core.telling.plain import WRITTEN, Key, written
 from casadical.project.problem import read_problem_robot
 from casadical.project.problem_file import problem_file
 from casadical.robot.robot import Covariance, Knowledge, Robot
@@ -61,9 +62,19 @@ class Common:
     covariance : Array, shape (k, k): of the mean
     """
 
-    type: str
-    name: str
-    count: int
+    derived: ClassVar[tuple[Key, ...]] = (
+        Key("common_faults", lambda common: [name for name, _, _ in common.faults]),
+        Key(
+            "parameters",
+            lambda common: [
+                dict(zip(("name", "mean", "std_error", "spread", "unit"), row, strict=True)) for row in common.rows
+            ],
+        ),
+    )
+
+    type: str = field(metadata=WRITTEN)
+    name: str = field(metadata=WRITTEN)
+    count: int = field(metadata=written("robots"))
     names: tuple[str, ...]
     mean: Array
     std_error: Array
@@ -91,16 +102,6 @@ class Common:
         """Name, mean, standard error, spread and unit of each parameter, as reported."""
         every = zip(self.names, self.mean, self.std_error, self.spread, strict=True)
         return [(name, *self.readable(name, *figures)) for name, *figures in every]
-
-    def to_json(self) -> dict[str, Any]:
-        """What robots of the type share, as plain data: mean, standard error, spread of each parameter, as reported."""
-        listed = [
-            {"name": name, "mean": float(mean), "std_error": float(error), "spread": float(spread), "unit": unit}
-            for name, mean, error, spread, unit in self.rows
-        ]
-        faults = [name for name, _, _ in self.faults]
-        about = {"type": self.type, "name": self.name, "robots": self.count}
-        return {**about, "common_faults": faults, "parameters": listed}
 
     def prior_of(self, robot: Robot) -> Robot:
         """A drawn robot with the common departures, their spread as covariance: for `calibrate --prior-effects all`."""

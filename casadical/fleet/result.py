@@ -5,13 +5,14 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass, field, replace
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
 
 from casadical.core.telling.blocks import Block, Page, Section, Table, Tile, Words, next_step, shown
 from casadical.core.telling.figure import Axis, Figure, Note, Series
+from casadical.core.telling.plain import WRITTEN, Key, plain
 from casadical.core.telling.result import Result
 from casadical.fleet.changes import ALARMS, leaves_more, left_figure
 from casadical.fleet.estimates import date_text
@@ -63,12 +64,19 @@ class Fleet(Result):
     {}
     """
 
+    derived: ClassVar[tuple[Key, ...]] = (
+        Key("fleet", lambda fleet: len(fleet.robots)),
+        Key("robots", "_listed"),
+        Key("types", "_shared_by_type"),
+        Key("next", "commands"),
+    )
+
     robots: pd.DataFrame
     commons: tuple[Common, ...]
-    outliers: tuple[str, ...]
-    notes: tuple[str, ...] = ()
+    outliers: tuple[str, ...] = field(metadata=WRITTEN)
+    notes: tuple[str, ...] = field(default=(), metadata=WRITTEN)
     drawings: Mapping[str, Drawing] = field(default_factory=dict)
-    computed: int | None = None
+    computed: int | None = field(default=None, metadata=WRITTEN)
 
     @property
     def _line(self) -> str:
@@ -230,22 +238,18 @@ class Fleet(Result):
         if noted:
             yield Table(f"Odd about the campaigns of others ({len(noted)})", ("robot", "note"), noted[:SHOWN])
 
-    def to_json(self) -> dict[str, Any]:
-        """The same as plain data."""
+    @property
+    def _listed(self) -> list[dict[str, Any]]:
+        """Return a row of each robot as plain data."""
         words = ["robot", "folder", "status", "error", "type", "type_name", "method", "verdict", "causes", "changes",
                  "at_bounds", "notes", "poses", "campaigns", "before_mm", "after_mm", "seconds"]  # fmt: skip
-        listed = [{k: _plain(v) for k, v in r.items()} for r in records(self.robots[words])]
-        corrections = [{name: self._correction(c, name) for name, _, _ in c.faults} for c in self.commons]
-        types = [{**c.to_json(), "corrections": own} for c, own in zip(self.commons, corrections, strict=True)]
-        return {
-            "fleet": len(self.robots),
-            "robots": listed,
-            "outliers": list(self.outliers),
-            "types": types,
-            "notes": list(self.notes),
-            "next": [step.code for step in self.next],
-            "computed": self.computed,
-        }
+        return records(self.robots[words])
+
+    @property
+    def _shared_by_type(self) -> list[dict[str, Any]]:
+        """Return what robots of each type share, and how its drawing would be corrected."""
+        own = [{name: self._correction(c, name) for name, _, _ in c.faults} for c in self.commons]
+        return [{**plain(c), "corrections": each} for c, each in zip(self.commons, own, strict=True)]
 
 
 def _found_in(row: Mapping[str, Any]) -> str:
@@ -271,12 +275,6 @@ def grown(left: Sequence[float], freedom: Sequence[float] | float | None, alarms
     pairs = [*zip(known.tolist(), free.tolist(), strict=True)]
     before = leaves_more(pairs[-1], pairs[:-1], alarms) if pairs else 0.0
     return f"the last campaign leaves {known[-1]:.3f} mm a coordinate, those before {before:.3f}" if before else ""
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, float):
-        return value if np.isfinite(value) else None
-    return value.item() if isinstance(value, np.generic) else value
 
 
 def fleet_of(

@@ -1,10 +1,10 @@
 """Five touches a day: which poses tell most of what usually changes, and what the touches say of a calibrated robot."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import pandas as pd
@@ -16,6 +16,7 @@ from casadical.core.reading import load_json
 from casadical.core.statistics import best_of, first_of_best
 from casadical.core.telling.blocks import Page, Section, Table, Tile, Words, mm, next_step
 from casadical.core.telling.figure import Axis, Figure, Rule, Series
+from casadical.core.telling.plain import IN_MM, WRITTEN, Key
 from casadical.core.telling.result import Result
 from casadical.fleet.campaigns import day_of, without_copies
 from casadical.fleet.estimates import date_text
@@ -41,6 +42,8 @@ ELSEWHERE = 0.03
 # Days that are taken into account.
 LAST = 30
 FEWEST, MORE = 2, 2
+_MOVED = ("name", "value", "std_error", "unit")
+_COLUMNS = ("day", "table", "touches", "rms_mm", "T2", "limit", "temperature_degC", "within")
 Verdict = Literal["valid", "open", "changed"]
 
 
@@ -58,12 +61,30 @@ class Touches(Result):
     update : where the corrected robot is to be written, if it is better
     """
 
+    derived: ClassVar[tuple[Key, ...]] = (
+        Key("touches", lambda found: len(found.model.days[-1])),
+        Key("robot", "given.name"),
+        Key("verdict"),
+        Key("probability"),
+        Key("error", lambda found: np.quantile(found.errors, [0.025, 0.975]), "mm"),
+        Key("stated_mm", "model.stated"),
+        Key("changes", "outcomes"),
+        Key("moved", lambda found: [dict(zip(_MOVED, row, strict=True)) for row in found.moved]),
+        Key("correction"),
+        Key(
+            "more_deg_or_mm",
+            lambda found: [] if found.more is None else [list(map(float, r)) for r in found._more().rows],
+        ),
+        Key("chart", lambda found: [dict(zip(_COLUMNS, row, strict=True)) for row in found.rows()]),
+        Key("next", "commands"),
+    )
+
     given: Robot
     model: TouchModel
     draws: Draws
-    tolerance: float
+    tolerance: float = field(metadata=IN_MM)
     more: pd.DataFrame | None = None
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = field(default=(), metadata=WRITTEN)
     sources: tuple[Path, ...] = ()
     update: Path | None = None
 
@@ -218,27 +239,17 @@ class Touches(Result):
             return ()
         return (next_step("when ten poses are measured anywhere", "compare", robot, "TEN.csv"),)
 
-    def to_json(self) -> dict[str, Any]:
-        """The same as plain data; lengths in mm."""
-        low, high = np.quantile(self.errors, [0.025, 0.975])
-        before, after, sure = self.gain
+    @property
+    def outcomes(self) -> dict[str, float]:
+        """Return the share of the draws by what changed."""
         labels, counts = np.unique(self.draws.label.astype(str), return_counts=True)
-        return {
-            "touches": len(self.model.days[-1]),
-            "robot": self.given.name,
-            "verdict": self.verdict,
-            "probability": self.probability,
-            "tolerance_mm": MM * self.tolerance,
-            "error_mm": [MM * float(low), MM * float(high)],
-            "stated_mm": self.model.stated,
-            "changes": {str(n) or "nothing": float(c / counts.sum()) for n, c in zip(labels, counts, strict=True)},
-            "moved": [{"name": n, "value": v, "std_error": s, "unit": u} for n, v, s, u in self.moved],
-            "correction": {"before_mm": MM * before, "after_mm": MM * after, "better": sure, "written": self.better},
-            "more_deg_or_mm": [] if self.more is None else [list(map(float, r)) for r in self._more().rows],
-            "chart": [dict(zip(_COLUMNS, row, strict=True)) for row in self.rows()],
-            "notes": list(self.notes),
-            "next": [step.code for step in self.next],
-        }
+        return {str(n) or "nothing": float(c / counts.sum()) for n, c in zip(labels, counts, strict=True)}
+
+    @property
+    def correction(self) -> dict[str, float | bool]:
+        """Return what a correction would change, lengths in mm."""
+        before, after, sure = self.gain
+        return {"before_mm": MM * before, "after_mm": MM * after, "better": sure, "written": self.better}
 
     def rows(self) -> list[tuple[str, str, int, float, float, float, float | str, str]]:
         """A row a day: see the columns of the chart."""
@@ -291,7 +302,6 @@ _WORDS = {
     CRASH: "zeros and tool together, as after a crash", UNKNOWN: "nothing that usually changes explains it",
     "lengths": "all lengths, as by warmth", "joint_zero": "zero",
 }  # fmt: skip
-_COLUMNS = ("day", "table", "touches", "rms_mm", "T2", "limit", "temperature_degC", "within")
 
 
 def _wider(known: Knowledge | None, names: Sequence[str], C: Array) -> Knowledge | None:

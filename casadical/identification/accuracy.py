@@ -1,12 +1,13 @@
 """Position errors of a model against measurements, and the figures that sum them up."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.telling.blocks import mm
+from casadical.core.telling.plain import IN_MM, WRITTEN
 from casadical.core.telling.result import Shown
 from casadical.measurements.kinds.base import PositionsAt
 from casadical.measurements.kinds.registry import find_kind
@@ -21,22 +22,17 @@ class Accuracy(Shown):
     n : number of poses
     """
 
-    n: int
-    mean: float
-    max: float
-    std: float
-    rms: float
-    p95: float
+    n: int = field(metadata=WRITTEN)
+    mean: float = field(metadata=IN_MM)
+    max: float = field(metadata=IN_MM)
+    std: float = field(metadata=IN_MM)
+    rms: float = field(metadata=IN_MM)
+    p95: float = field(metadata=IN_MM)
 
     @property
     def _line(self) -> str:
         mean, top, p95 = mm(self.mean), mm(self.max), mm(self.p95)
         return f" of {self.n} poses: mean {mean} mm, 95 % below {p95} mm, max {top} mm"
-
-    def to_json(self) -> dict[str, float | int]:
-        """As plain data, lengths in mm."""
-        figures = asdict(self)
-        return {"n": figures.pop("n")} | {f"{name}_mm": 1e3 * value for name, value in figures.items()}
 
 
 def summarise(errors: Array) -> Accuracy:

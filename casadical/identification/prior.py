@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.parameters import Parameter
+from casadical.core.telling.plain import Key, plain
 from casadical.core.telling.result import Shown
 from casadical.effects import Effect
 from casadical.identification.least_squares import FRAMES
@@ -45,6 +46,13 @@ class Prior(Shown):
     labels : of the effects that were carried over; knowledge : of the campaign that they come from
     frozen : whether they are held at their values (then there is nothing in free, means and known)
     """
+
+    derived: ClassVar[tuple[Key, ...]] = (
+        Key("campaign", "knowledge.campaign"),
+        Key("effects", "labels"),
+        Key("parameters", lambda prior: len(prior.free)),
+        Key("frozen"),
+    )
 
     free: tuple[str, ...] = ()
     means: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -120,15 +128,9 @@ class Prior(Shown):
         return text + (covered if len(self.knowledge.readings) else "")
 
     def to_json(self, sets: Sequence[Measurements]) -> dict[str, Any]:
-        """The same as plain data."""
-        return {
-            "campaign": self.knowledge.campaign,
-            "effects": list(self.labels),
-            "parameters": len(self.free),
-            "frozen": self.frozen,
-            "same_data": self.learnt_from(sets),
-            "uncovered": {name: round(share, 4) for name, share in self.uncovered(sets).items()},
-        }
+        """Return it as plain data, with the shares of these measurements that its ranges do not cover."""
+        uncovered = {name: round(share, 4) for name, share in self.uncovered(sets).items()}
+        return {**plain(self), "same_data": self.learnt_from(sets), "uncovered": uncovered}
 
 
 def _shares(uncovered: Mapping[str, float]) -> str:

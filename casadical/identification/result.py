@@ -1,10 +1,9 @@
 """What an identification found: parameters with their standard errors, accuracy, predictions."""
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -12,6 +11,7 @@ from scipy.special import stdtrit
 
 from casadical.core.basics import Array, InputError
 from casadical.core.telling.blocks import Table, Words, mm
+from casadical.core.telling.plain import IN_MM, WRITTEN, Key
 from casadical.core.telling.result import Result
 from casadical.identification.accuracy import Accuracy, errors, predicted, summarise
 from casadical.identification.identifiability import Identifiability
@@ -34,9 +34,9 @@ AS_BEFORE = "as the prior has it; these poses tell no more of it"
 class LeftOut:
     """A pose that was not used: its source and row there, and what the calibrated model leaves at it [m]."""
 
-    source: str
-    row: int
-    error: float
+    source: str = field(metadata=WRITTEN)
+    row: int = field(metadata=WRITTEN)
+    error: float = field(metadata=IN_MM)
 
 
 def rows_in_words(rows: Sequence[LeftOut], most: int = 8, of: Iterable[str] = ()) -> str:
@@ -54,9 +54,9 @@ class Tried:
     outliers : (set, pose) indices of the poses that the compliant model calls outliers; None where it saw not all poses
     """
 
-    rigid: float
-    compliant: float
-    kept: bool
+    rigid: float = field(metadata=IN_MM)
+    compliant: float = field(metadata=IN_MM)
+    kept: bool = field(metadata=WRITTEN)
     outliers: tuple[tuple[int, int], ...] | None = ()
 
     def in_words(self, method: str) -> str:
@@ -67,10 +67,6 @@ class Tried:
         if self.kept and method == "KM":
             end = "the standard errors of KM are too small; SKCM has it"
         return f"rigid joints leave {mm(self.rigid)} mm a coordinate, compliant ones {mm(self.compliant)}: {end}"
-
-    def to_json(self) -> dict[str, Any]:
-        """The same as plain data."""
-        return {"rigid_mm": 1e3 * self.rigid, "compliant_mm": 1e3 * self.compliant, "kept": self.kept}
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +105,19 @@ class Identification(Result):
     '# Calibrated by casadical.'
     """
 
+    derived: ClassVar[tuple[Key, ...]] = (
+        Key("verdict"),
+        Key("optimal", lambda found: found.is_optimal()),
+        Key("condition", "identifiability.condition"),
+        Key("degrees_of_freedom"),
+        Key("iterations", lambda found: len(found.solution.history) - 1),
+        Key("loss"),
+        Key("left_out"),
+        Key("unknown_places"),
+        Key("parameters", "shown"),
+        Key("modified_dh", lambda found: modified_dh(found.robot)),
+    )
+
     given: Robot
     start: Robot
     robot: Robot
@@ -142,25 +151,8 @@ class Identification(Result):
         head = ("parameter", "nominal", "value", "std error", "unit", "status")
         return [Words(self.verdict), Table("All parameters", head, rows, frozenset({1, 2, 3}), folded=True)]
 
-    def to_json(self) -> dict[str, Any]:
-        """Verdict, course of the fit, poses that were left out, parameters; lengths in mm."""
-        return {
-            "verdict": self.verdict,
-            "optimal": self.is_optimal(),
-            "condition": self.identifiability.condition,
-            "degrees_of_freedom": self.degrees_of_freedom,
-            "iterations": len(self.solution.history) - 1,
-            "loss": self.loss,
-            "left_out": [{"source": o.source, "row": o.row, "error_mm": 1e3 * o.error} for o in self.left_out],
-            "unknown_places": self._places(),
-            "parameters": [
-                {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in row.items()}
-                for row in self.shown.to_dict("records")
-            ],
-            "modified_dh": modified_dh(self.robot),
-        }
-
-    def _places(self) -> list[dict[str, Any]]:
+    @property
+    def unknown_places(self) -> list[dict[str, Any]]:
         """Places that were identified too, such as far ends of wires, in the frame of the measurements."""
         places = []
         for label, xyz in self.unknown_points.items():

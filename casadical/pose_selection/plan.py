@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
@@ -11,6 +11,7 @@ import pandas as pd
 from casadical.core.files import json_text
 from casadical.core.statistics import thirds
 from casadical.core.telling.blocks import Table, Words
+from casadical.core.telling.plain import Key
 from casadical.core.telling.result import Result
 from casadical.measurements.measurements import Noise
 from casadical.pose_selection.instruments import Instrument
@@ -28,6 +29,15 @@ class MeasurementPlan(Result):
     target : accuracy that is wanted [m]; checked_for_obstacles : whether a workspace said where poses may lie
     instrument : what is read in place of positions, at the places chosen; noise : that was planned with
     """
+
+    derived: ClassVar[tuple[Key, ...]] = (
+        Key("poses", lambda plan: plan.selection and len(plan.selection), if_known=True),
+        Key("expected_error", "selection.accuracy", "mm", if_known=True),
+        Key("expected_reading", "selection.reading_error", "mm", if_known=True),
+        Key("forecast", lambda plan: plan.forecast.table.to_dict("list")),
+        Key("wires", lambda plan: plan.places_of("wires"), if_known=True),
+        Key("sockets", lambda plan: plan.places_of("sockets"), if_known=True),
+    )
 
     forecast: Forecast
     selection: Selection | None = None
@@ -52,18 +62,12 @@ class MeasurementPlan(Result):
             _errors(plan),
         ]
 
-    def to_json(self) -> dict[str, Any]:
-        """The figures as plain data: poses, expected error [mm], the forecast's two columns."""
-        forecast: dict[str, Any] = {"forecast": self.forecast.table.to_dict("list")}
-        if self.instrument is not None:
-            forecast |= {self.instrument.kind: (1e3 * self.instrument.places).round(3).tolist()}
-        plan = self.selection
-        if plan is None:
-            return forecast
-        of_poses = {"poses": len(plan), "expected_error_mm": 1e3 * plan.accuracy}
-        if plan.reading_error is not None:
-            of_poses |= {"expected_reading_mm": 1e3 * plan.reading_error}
-        return of_poses | forecast
+    def places_of(self, kind: str) -> list[list[float]] | None:
+        """Return the places of an instrument of this kind, shape (n, 3) [mm]; None for another one."""
+        if self.instrument is None or self.instrument.kind != kind:
+            return None
+        places: list[list[float]] = (1e3 * self.instrument.places).round(3).tolist()
+        return places
 
     def files(self, folder: str | Path) -> dict[Path, str]:
         """Texts by path, in a folder or beside a table FILE.csv: poses, expected standard errors, error map, figures.

@@ -5,13 +5,14 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from casadical.compensator.saving import compensator_text
 from casadical.core.basics import ConvergenceError, InputError, Show, silent
 from casadical.core.files import claimed, json_text, write_together
 from casadical.core.telling.blocks import Page, Table, Words, mm, next_step
 from casadical.core.telling.figure import Figure
+from casadical.core.telling.plain import Key, plain
 from casadical.core.telling.result import Result, html, plain_text
 from casadical.diagnosis.localisation import Localisation
 from casadical.identification.accuracy import Accuracy
@@ -74,6 +75,22 @@ class Calibration(Result):
     ['KM.parameters.csv', 'KM.robot.toml', 'result.json']
     >>> calibration.write("results")
     """
+
+    derived: ClassVar[tuple[Key, ...]] = (
+        Key("problem", "problem.folder.name"),
+        Key("title", "problem.title"),
+        Key("data", "problem.data"),
+        Key("robot", "problem.robot.name"),
+        Key("tables", "problem.tables"),
+        Key("kinds", "_kinds"),
+        Key("methods", lambda c: {method: c._method(method) for method in c.identifications}),
+        Key("compliance_tried", "identification.tried", if_known=True),
+        Key("refit_poses", lambda c: sum(map(len, c.problem.whole)) if c.refitted else None, if_known=True),
+        Key("trained_on", "networks.trained_on", if_known=True),
+        Key("networks", "networks.results", if_known=True),
+        Key("prior", "_prior", if_known=True),
+        Key("paper", "problem.paper", if_known=True),
+    )
 
     problem: Problem
     identifications: Mapping[str, Identification]
@@ -185,48 +202,33 @@ class Calibration(Result):
         """Words, tables and figures as `casadical calibrate --report` writes them."""
         return calibration_page(self.problem, self.identifications, self.accuracies, self.networks, self.figures())
 
-    def to_json(self) -> dict[str, Any]:
-        """The same as plain data: per method and set the error figures, per parameter value, error, unit, status."""
-        problem, kinds = self.problem, {name: m.kind for name, m in self.problem.parts()}
-        figures: dict[str, Any] = {
-            "problem": problem.folder.name,
-            "title": problem.title,
-            "data": problem.data,
-            "robot": problem.robot.name,
-            "tables": [dict(table) for table in problem.tables],
-            "kinds": {name: kinds[names[0]] for name, names in together(kinds).items()},
-            "methods": {method: self._method_json(method) for method in self.identifications},
-        }
-        if self.identification.tried:
-            figures["compliance_tried"] = self.identification.tried.to_json()
-        if self.refitted:
-            figures["refit_poses"] = sum(len(m) for m in problem.whole)
-        if self.networks:
-            figures["trained_on"] = self.networks.trained_on
-            figures["networks"] = {name: result.to_json() for name, result in self.networks.results.items()}
-        if problem.prior:
-            figures["prior"] = problem.prior.to_json([m for _, m in problem.parts()])
-            if self.without_prior is not None:
-                figures["prior"]["without_mean_mm"] = 1e3 * self.without_prior.mean
-        if problem.paper:
-            figures["paper"] = problem.paper.to_json()
-        return figures
-
-    def _method_json(self, method: str) -> dict[str, Any]:
-        """A method with its errors on every set; where poses are far off, without these, too."""
+    def _method(self, method: str) -> dict[str, Any]:
+        """Return a method's figures; of sets with poses that are far off, those without these, too."""
         usual = outcome.usual_held_out(self.problem, self.identifications[method].robot)
-        written = self.written[method].to_json()
-        last = {key: written.pop(key) for key in ("parameters", "modified_dh")}
         sets = {
             name: {
-                **states["calibrated"].to_json(),
-                "before_nominal": states["nominal"].to_json(),
-                "before_placed": states["placed"].to_json(),
-                **({"without_far_off": usual[name].to_json()} if name in usual else {}),
+                **plain(states["calibrated"]),
+                "before_nominal": states["nominal"],
+                "before_placed": states["placed"],
+                **({"without_far_off": usual[name]} if name in usual else {}),
             }
             for name, states in self.accuracies[method].items()
         }
-        return {**written, "sets": sets, **last}
+        return {**plain(self.written[method]), "sets": sets}
+
+    @property
+    def _prior(self) -> dict[str, Any] | None:
+        """Return the prior, and the error that held-out poses would have without it [mm]."""
+        if not self.problem.prior:
+            return None
+        figures = self.problem.prior.to_json([m for _, m in self.problem.parts()])
+        alone = self.without_prior
+        return figures if alone is None else {**figures, "without_mean_mm": 1e3 * alone.mean}
+
+    @property
+    def _kinds(self) -> dict[str, str]:
+        kinds = {name: m.kind for name, m in self.problem.parts()}
+        return {name: kinds[names[0]] for name, names in together(kinds).items()}
 
     def files(self, folder: str | Path) -> dict[Path, str]:
         """What is kept, by file in a folder: all figures, of each method robot and parameters, or compensator."""

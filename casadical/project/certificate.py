@@ -4,11 +4,11 @@ It is data for a certificate, in the form that an auditor asks for. It never say
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import date
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -20,6 +20,7 @@ from casadical.core.telling.blocks import Page, Section, Table, Words, mm
 from casadical.core.telling.figure import Axis, Figure, Series
 from casadical.core.telling.page import provenance_of
 from casadical.core.telling.pdf import pdf_of
+from casadical.core.telling.plain import WRITTEN, Key, written
 from casadical.core.telling.result import Result
 from casadical.identification.accuracy import errors
 from casadical.identification.plausibility import check_against
@@ -115,15 +116,23 @@ class Certificate(Result):
     refit : poses to which the robot file was fitted once it was judged; 0: it is the one that was judged
     """
 
+    derived: ClassVar[tuple[Key, ...]] = (
+        Key("certificate", "details.number"),
+        Key("robot", "problem.robot.name"),
+        Key("data", "problem.data"),
+        Key("decision"),
+        Key("missing"),
+    )
+
     problem: Problem
-    method: str
-    details: Details
-    before: Budget
-    after: Budget
+    method: str = field(metadata=WRITTEN)
+    details: Details = field(metadata=WRITTEN)
+    before: Budget = field(metadata=WRITTEN)
+    after: Budget = field(metadata=WRITTEN)
     places: Array
     files_: tuple[Path, ...]
-    iso9283: Iso9283 | None = None
-    refit: int = 0
+    iso9283: Iso9283 | None = field(default=None, metadata=WRITTEN)
+    refit: int = field(default=0, metadata=written("refit_poses"))
 
     @property
     def decision(self) -> Literal["", "conforms", "open", "fails"]:
@@ -197,21 +206,6 @@ class Certificate(Result):
             f" Certificate data of {self.problem.robot.name}: rms position error {_stated(self.before)} before, "
             f"{_stated(self.after)} after ({self.method}, {self.after.n} held-out poses)."
         )
-
-    def to_json(self) -> dict[str, Any]:
-        """The same as plain data; lengths in mm, squares in mm^2."""
-        return {
-            "certificate": self.details.number,
-            "robot": self.problem.robot.name,
-            "method": self.method,
-            "data": self.problem.data,
-            **{name: _budget_json(b) for name, b in (("before", self.before), ("after", self.after))},
-            "decision": self.decision,
-            "missing": self.missing,
-            "refit_poses": self.refit,
-            "details": self.details.model_dump(),
-            "iso9283": self.iso9283.to_json() if self.iso9283 else None,
-        }
 
     def _fields(self, w: Mapping[str, str]) -> Table:
         d, c, i = self.details, self.details.conditions, self.details.instrument
@@ -291,14 +285,6 @@ def _stated(b: Budget) -> str:
 
 def _many(freedom: float) -> str:
     return f"{freedom:.0f}" if freedom < 1000 else "> 1000"
-
-
-def _budget_json(b: Budget) -> dict[str, Any]:
-    lines = [{"source": c.source, "type": c.kind, "adds_mm2": 1e6 * c.square, "u_mm2": 1e6 * c.u,
-              "freedom": c.freedom, "stated": c.stated} for c in b.lines]  # fmt: skip
-    return {"error_mm": 1e3 * b.error, "U_mm": 1e3 * b.expanded, "k": b.factor, "freedom": b.freedom,
-            "resolved": b.resolved, "poses": b.n, "rms_mm": 1e3 * b.rms, "worst_mm": 1e3 * b.worst,
-            "budget": lines}  # fmt: skip
 
 
 def certificate(

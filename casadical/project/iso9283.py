@@ -11,16 +11,17 @@ x_mm, y_mm, z_mm. Formulas, with a bar for the mean over a pose's n visits and c
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array, InputError
 from casadical.core.telling.blocks import Table, Words, mm
+from casadical.core.telling.plain import IN_MM, WRITTEN, Key, plain, written
 from casadical.core.telling.result import Result
 from casadical.identification.accuracy import predicted
 from casadical.measurements.columns import Columns
@@ -142,11 +143,11 @@ def _table(robot: Robot, q: Array, command: Array) -> pd.DataFrame:
 class PoseFigures:
     """Of one pose and n visits [m]: accuracy AP with its parts, shape (3,), repeatability RP."""
 
-    pose: int
-    n: int
-    AP: float
-    parts: tuple[float, float, float]
-    RP: float
+    pose: int = field(metadata=WRITTEN)
+    n: int = field(metadata=WRITTEN)
+    AP: float = field(metadata=IN_MM)
+    parts: tuple[float, float, float] = field(metadata=IN_MM)
+    RP: float = field(metadata=IN_MM)
 
 
 def pose_figures(pose: int, p: Array, command: Array) -> PoseFigures:
@@ -169,18 +170,30 @@ class Iso9283(Result):
     at the mean places; promised : rms that the calibration states
     """
 
-    robot: str
+    derived: ClassVar[tuple[Key, ...]] = (
+        Key("poses"),
+        Key("dAP", lambda test: test.drift and test.drift[0], "mm"),
+        Key("dRP", lambda test: test.drift and test.drift[1], "mm"),
+    )
+
+    robot: str = field(metadata=WRITTEN)
     accuracy: tuple[PoseFigures, ...]
     directions: Mapping[int, float]
     drift: tuple[float, float] | None = None
-    model: float | None = None
-    promised: float | None = None
-    notes: tuple[str, ...] = ()
+    model: float | None = field(default=None, metadata=written("model_rms", "mm"))
+    promised: float | None = field(default=None, metadata=written("promised_rms", "mm"))
+    notes: tuple[str, ...] = field(default=(), metadata=WRITTEN)
 
     @property
     def worst(self) -> tuple[float, float]:
         """Greatest AP and RP [m]."""
         return max(f.AP for f in self.accuracy), max(f.RP for f in self.accuracy)
+
+    @property
+    def poses(self) -> list[dict[str, float | None]]:
+        """Return the figures of each pose as plain data, with its variation over the approaches."""
+        vAP = {pose: 1e3 * metres for pose, metres in self.directions.items()}
+        return [{**plain(f), "vAP_mm": vAP.get(f.pose)} for f in self.accuracy]
 
     def blocks(self) -> list[Words | Table]:
         """As `casadical verify --iso9283` prints it."""
@@ -205,22 +218,6 @@ class Iso9283(Result):
         ]  # fmt: skip
         head = ("pose", "n", "AP [mm]", "APx", "APy", "APz", "RP [mm]", "vAP [mm]")
         return Table("ISO 9283:1998", head, rows, frozenset(range(1, 8)))
-
-    def to_json(self) -> dict[str, Any]:
-        """The same as plain data; lengths in mm."""
-        return {
-            "robot": self.robot,
-            "poses": [
-                {"pose": f.pose, "n": f.n, "AP_mm": 1e3 * f.AP, "parts_mm": [1e3 * v for v in f.parts],
-                 "RP_mm": 1e3 * f.RP, "vAP_mm": 1e3 * self.directions[f.pose] if f.pose in self.directions else None}
-                for f in self.accuracy
-            ],
-            "dAP_mm": 1e3 * self.drift[0] if self.drift else None,
-            "dRP_mm": 1e3 * self.drift[1] if self.drift else None,
-            "model_rms_mm": None if self.model is None else 1e3 * self.model,
-            "promised_rms_mm": None if self.promised is None else 1e3 * self.promised,
-            "notes": list(self.notes),
-        }  # fmt: skip
 
 
 def evaluated_table(path: Path, robot: Robot, promised: float | None = None) -> Iso9283:

@@ -1,9 +1,9 @@
 """The paper's network methods on a problem: a network learns the error left by SKCM (section 5)."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from casadical.compensator import Compensator
 from casadical.compensator.compensator import Progress
 from casadical.compensator.trainers.known import network_methods
 from casadical.core.basics import Array, Show, silent
+from casadical.core.telling.plain import Key
 from casadical.identification.accuracy import Accuracy, residual_mm, summarise
 from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
@@ -32,6 +33,17 @@ class NetworkResult:
         corrected (what it would have done: `compensator.training`, `.choice`, `.validation`)
     """
 
+    derived: ClassVar[tuple[Key, ...]] = (
+        Key("verdict"),
+        Key("helps"),
+        Key("trainer", "compensator.trainer", if_known=True),
+        Key("settings", "compensator.settings", if_known=True),
+        Key("seed", "compensator.seed", if_known=True),
+        Key("chosen_by", "compensator.chosen_by", if_known=True),
+        Key("sets", lambda result: result.compensator and result.errors, if_known=True),
+        Key("as_trained", if_known=True),
+    )
+
     method: str
     compensator: Compensator | None
     why: str
@@ -45,20 +57,13 @@ class NetworkResult:
     def verdict(self) -> str:
         return f"{self.method}: {self.why if self.compensator is None else self.compensator.verdict}"
 
-    def to_json(self) -> dict[str, Any]:
-        answer: dict[str, Any] = {"verdict": self.verdict, "helps": self.helps}
-        c = self.compensator
-        if c is None:
-            return answer
+    @property
+    def as_trained(self) -> dict[str, Any] | None:
+        """Return the errors before and after, by set, also of a network that was refused."""
+        if (c := self.compensator) is None:
+            return None
         parts = {"train": c.training, "choose": c.choice, "report": c.validation}
-        return answer | {
-            "trainer": c.trainer,
-            "settings": c.settings,
-            "seed": c.seed,
-            "chosen_by": c.chosen_by,
-            "sets": {name: a.to_json() for name, a in self.errors.items()},
-            "as_trained": {name: asdict(part) for name, part in parts.items() if part},
-        }
+        return {name: part for name, part in parts.items() if part}
 
 
 @dataclass(frozen=True, eq=False)

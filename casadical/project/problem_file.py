@@ -8,7 +8,17 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
 import tomlkit
-from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, Tag, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    field_serializer,
+    field_validator,
+    model_validator,
+)
 
 from casadical.compensator.trainers.known import network_methods
 from casadical.core.basics import InputError, shown
@@ -201,6 +211,10 @@ class Paper(_Strict):
     calibration: dict[str, Triple] = {}
     validation: dict[str, Triple] = {}
 
+    @field_serializer("calibration", "validation")
+    def _named(self, table: dict[str, Triple]) -> dict[str, dict[str, float]]:
+        return {m: dict(zip(("mean_mm", "max_mm", "std_mm"), f, strict=True)) for m, f in table.items()}
+
     @model_validator(mode="after")
     def _known(self) -> Paper:
         for table in ("calibration", "validation"):
@@ -208,12 +222,6 @@ class Paper(_Strict):
                 if name not in ("before", *all_methods()):
                     raise FaultError((table, name), f"allowed: before, {', '.join(all_methods())}")
         return self
-
-    def to_json(self) -> dict[str, Any]:
-        return {"source": self.source} | {
-            name: {m: dict(zip(("mean_mm", "max_mm", "std_mm"), f, strict=True)) for m, f in table.items()}
-            for name, table in (("calibration", self.calibration), ("validation", self.validation))
-        }
 
 
 class LogsTable(_Strict):

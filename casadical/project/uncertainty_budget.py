@@ -14,12 +14,14 @@ Student's t for 95.45 % at the effective degrees of freedom (Welch and Satterthw
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 from scipy.special import stdtrit
 
 from casadical.core.basics import Array, InputError
+from casadical.core.telling.plain import WRITTEN, Key, written
 from casadical.identification.accuracy import errors, residual_mm
 from casadical.identification.identification import calibrated, prepare
 from casadical.identification.remaining_errors import evaluated
@@ -61,17 +63,29 @@ class Contribution:
     square : what it adds to E^2 [m^2]; u : its standard uncertainty there [m^2]; freedom : its degrees of freedom
     """
 
-    source: str
-    kind: str
-    square: float
-    u: float
-    freedom: float = ENDLESS
-    stated: bool = True
+    source: str = field(metadata=WRITTEN)
+    kind: str = field(metadata=written("type"))
+    square: float = field(metadata=written("adds", "mm2"))
+    u: float = field(metadata=written(unit="mm2"))
+    freedom: float = field(default=ENDLESS, metadata=WRITTEN)
+    stated: bool = field(default=True, metadata=WRITTEN)
 
 
 @dataclass(frozen=True, eq=False)
 class Budget:
     """E with its uncertainty [m]; errors : held out, as the instrument reads, shape (n,); lines : of the budget."""
+
+    derived: ClassVar[tuple[Key, ...]] = (
+        Key("error", unit="mm"),
+        Key("U", "expanded", "mm"),
+        Key("k", "factor"),
+        Key("freedom"),
+        Key("resolved"),
+        Key("poses", "n"),
+        Key("rms", unit="mm"),
+        Key("worst", unit="mm"),
+        Key("budget", "lines"),
+    )
 
     errors: Array
     lines: tuple[Contribution, ...]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.special import chdtri
@@ -14,6 +14,7 @@ from scipy.special import chdtri
 from casadical.core.basics import Array, InputError, shown
 from casadical.core.reading import load_json, number_fault
 from casadical.core.telling.blocks import Table, Words, mm, next_step
+from casadical.core.telling.plain import IN_MM, WRITTEN, Key, written
 from casadical.core.telling.result import Result
 from casadical.identification.accuracy import errors
 from casadical.identification.identification import Prepared, calibrated, prepare
@@ -57,20 +58,26 @@ class Verification(Result):
     (True, 40, 'STILL VALID')
     """
 
-    robot: str
-    promised: float
-    found: float
-    limit: float
-    n: int
-    far: tuple[LeftOut, ...]
-    without: float | None = None
+    derived: ClassVar[tuple[Key, ...]] = (
+        Key("valid"),
+        Key("left_out", lambda check: [row for _, row in check.lost]),
+        Key("next", "commands"),
+    )
+
+    robot: str = field(metadata=WRITTEN)
+    promised: float = field(metadata=written("promised_rms", "mm"))
+    found: float = field(metadata=written("found_rms", "mm"))
+    limit: float = field(metadata=IN_MM)
+    n: int = field(metadata=written("poses"))
+    far: tuple[LeftOut, ...] = field(metadata=WRITTEN)
+    without: float | None = field(default=None, metadata=written("without_far", "mm"))
     lost: tuple[tuple[str, int], ...] = ()
-    tables: tuple[str, ...] = ()
+    tables: tuple[str, ...] = field(default=(), metadata=WRITTEN)
     again: str = "Base and tool were"
-    gone: tuple[str, ...] = ()
-    seen: float = float("nan")
+    gone: tuple[str, ...] = field(default=(), metadata=written("without_effects"))
+    seen: float = field(default=float("nan"), metadata=written("seen_from", "mm"))
     sources: tuple[Path, ...] = ()
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = field(default=(), metadata=WRITTEN)
 
     @property
     def valid(self) -> bool:
@@ -118,25 +125,6 @@ class Verification(Result):
         if few and self.without is not None and self.without <= self.limit:
             return (next_step("when the rows that are far off are measured again", "verify", *self.sources),)
         return (next_step("to learn what changed", "compare", problem_of(robot) or robot, *tables),)
-
-    def to_json(self) -> dict[str, Any]:
-        """The same as plain data."""
-        return {
-            "robot": self.robot,
-            "valid": self.valid,
-            "promised_rms_mm": 1e3 * self.promised,
-            "found_rms_mm": 1e3 * self.found,
-            "limit_mm": 1e3 * self.limit,
-            "seen_from_mm": 1e3 * self.seen,
-            "poses": self.n,
-            "without_far_mm": None if self.without is None else 1e3 * self.without,
-            "left_out": [row for _, row in self.lost],
-            "far": [{"source": out.source, "row": out.row, "error_mm": 1e3 * out.error} for out in self.far],
-            "tables": list(self.tables),
-            "without_effects": list(self.gone),
-            "notes": list(self.notes),
-            "next": [step.code for step in self.next],
-        }
 
 
 def verify(

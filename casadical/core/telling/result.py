@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 from casadical.core.basics import visible
 from casadical.core.telling.blocks import Block, Table, Words, mm
 from casadical.core.telling.figure import Figure
+from casadical.core.telling.plain import Key, plain
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
@@ -178,22 +179,31 @@ def _bars(bars: Sequence[tuple[str, float]]) -> str:
 class Result(Shown):
     """A result; terminal, notebook, report and JSON are made of what it has, and showing it computes nothing.
 
-    ``blocks`` and ``to_json`` are its own. ``kept_as`` : name of its files, without the ending
+    ``blocks`` is its own. ``kept_as`` : name of its files, without the ending; ``derived`` : keys of its plain data
+    that are no marked fields
     """
 
     kept_as: ClassVar[str] = "result"
+    derived: ClassVar[tuple[Key, ...]] = ()
 
     def blocks(self) -> Sequence[Block]:
         """In words, tables and figures."""
         raise NotImplementedError
 
     def to_json(self) -> dict[str, Any]:
-        raise NotImplementedError
+        """Return the result as plain data, in the units that its keys name (see `plain`)."""
+        data: dict[str, Any] = plain(self)
+        return data
 
     @property
     def next(self) -> tuple[Words, ...]:
         """The one command to go on with, where the result suggests one (see `next_step`); the last of its blocks."""
         return ()
+
+    @property
+    def commands(self) -> list[str]:
+        """Return the commands of `next`, as they are typed."""
+        return [step.code for step in self.next]
 
     def files(self, folder: str | Path) -> Mapping[Path, str]:
         """What is kept of it, by file, in a folder: plain data and words."""

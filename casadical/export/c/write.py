@@ -9,7 +9,7 @@ import re
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -19,6 +19,8 @@ from casadical.core.basics import Array, CasadicalError, InputError
 from casadical.core.files import claimed, write_together
 from casadical.core.reading import json_of, read_bytes
 from casadical.core.telling.blocks import Words
+from casadical.core.telling.plain import WRITTEN, Key
+from casadical.core.telling.plain import written as named
 from casadical.core.telling.result import Result
 from casadical.export.c.c_language import comparison_inputs, functions, inside
 from casadical.export.c.c_source import SCHEMA
@@ -152,10 +154,12 @@ class Export(Result):
 
     kept_as: ClassVar[str] = "export"
 
-    folder: Path
-    written: tuple[str, ...]
+    derived: ClassVar[tuple[Key, ...]] = (Key("verified"), Key("operations", "operations.count"))
+
+    folder: Path = field(metadata=WRITTEN)
+    written: tuple[str, ...] = field(metadata=named("files"))
     comparisons: tuple[Comparison, ...]
-    figures: dict[str, float]
+    figures: dict[str, float] = field(metadata=WRITTEN)
     operations: Operations
     about: tuple[str, ...] = ()
 
@@ -183,12 +187,6 @@ class Export(Result):
         lines += [self.operations.text(), f"{len(self.written)} files in {self.folder}"]
         lines += ["precondition: the controller's own absolute-accuracy option is off"]
         return [*map(Words, self.about), Words(head, "verdict"), *map(Words, lines)]
-
-    def to_json(self) -> dict[str, Any]:
-        return {
-            "folder": str(self.folder), "files": list(self.written), "verified": self.verified,
-            "figures": self.figures, "operations": self.operations.count,
-        }  # fmt: skip
 
 
 def write_c(

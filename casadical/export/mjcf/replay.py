@@ -5,9 +5,9 @@ causes. All are identified from one part of the poses and replayed at the others
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
@@ -15,6 +15,7 @@ import pandas as pd
 from casadical.core.basics import Array, ConvergenceError, InputError, Show, silent
 from casadical.core.telling.blocks import Block, Table, Words, mm
 from casadical.core.telling.figure import Axis, Figure, Note, Rule, Series, ticks_of_decades
+from casadical.core.telling.plain import WRITTEN, Key
 from casadical.core.telling.result import Result
 from casadical.diagnosis.refit import refit
 from casadical.diagnosis.result import Diagnosis
@@ -64,8 +65,14 @@ class Replay(Result):
     diagnosis : whose causes are in the last model
     """
 
+    derived: ClassVar[tuple[Key, ...]] = (
+        Key("stages", "table"),
+        Key("written", lambda replay: replay.stages[-1].export.written),
+        Key("left_out", lambda replay: replay.stages[-1].export.left_out),
+    )
+
     source: str
-    robot: str
+    robot: str = field(metadata=WRITTEN)
     stages: tuple[ReplayedModel, ...]
     diagnosis: Diagnosis | None = None
 
@@ -87,16 +94,6 @@ class Replay(Result):
         rows = [[f"{v:.4f}" if isinstance(v, float) else str(v) for v in row] for row in table.itertuples(index=False)]
         left_out = (Words(f"LEFT OUT {text}") for text in self.stages[-1].export.left_out)
         return [Table("", list(map(str, table)), rows, frozenset(range(1, table.shape[1]))), *left_out]
-
-    def to_json(self) -> dict[str, Any]:
-        """The replay as plain data: its table, and what became of each effect in the last model."""
-        last = self.stages[-1].export
-        return {
-            "robot": self.robot,
-            "stages": self.table.to_dict("records"),
-            "written": list(last.written),
-            "left_out": list(last.left_out),
-        }
 
 
 def replay(robot: Robot, m: Measurements, name: str = "model") -> ReplayedModel:

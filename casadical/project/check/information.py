@@ -6,11 +6,13 @@ the model lacks comes on top where it was measured, too.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
 from casadical.core.basics import Array
+from casadical.core.telling.plain import WRITTEN, Key, written
 from casadical.identification.identifiability import Unidentifiable, drop_poor
 from casadical.identification.least_squares import SIGMA_ANGLE_GUESS, SIGMA_GUESS, LeastSquares
 from casadical.identification.reduction import independent_parameters
@@ -43,12 +45,20 @@ class Outlook:
     errors : standard errors to expect of `names` [SI]; accuracy : rms position error of them to expect [m], NaN of none
     """
 
+    derived: ClassVar[tuple[Key, ...]] = (
+        Key("held", lambda view: {u.name: u.reason for u in view.held}),
+        Key("scatter", lambda view: view.scatter if view.enough else None, "mm"),
+        Key("expected_held_out_mean", "held_out", "mm"),
+        Key("expected_accuracy", lambda view: view.accuracy if view.enough and view.names else None, "mm"),
+        Key("std_error", lambda view: dict(zip(view.names, view.errors, strict=True))),
+    )
+
     method: str
-    names: tuple[str, ...]
+    names: tuple[str, ...] = field(metadata=written("identifiable"))
     held: tuple[Unidentifiable, ...]
-    numbers: int
+    numbers: int = field(metadata=WRITTEN)
     unknowns: int
-    condition: float
+    condition: float = field(metadata=WRITTEN)
     scatter: float
     noise: float
     of_points: bool

@@ -1,11 +1,12 @@
 """What was found of a problem before a solve; as words and tables, and as plain data to keep."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import ClassVar
 
 from casadical.core.telling.blocks import Table, Words, next_step
+from casadical.core.telling.plain import IN_MM, WRITTEN, Key, written
 from casadical.core.telling.result import Result
 from casadical.project.check.information import Outlook
 from casadical.project.check.plausible import Finding, JointCoverage, Level
@@ -32,15 +33,23 @@ class Precheck(Result):
     tables : given in place of the folder's own; more : the step that plans more poses
     """
 
+    derived: ClassVar[tuple[Key, ...]] = (
+        Key("problem", "folder.name"),
+        Key("ok"),
+        Key("next", "commands"),
+        Key("poses", lambda check: dict(check.poses)),
+        Key("methods", lambda check: {view.method: view for view in check.outlooks}),
+    )
+
     folder: Path
-    findings: tuple[Finding, ...]
-    title: str = ""
-    robot: str = ""
+    findings: tuple[Finding, ...] = field(metadata=WRITTEN)
+    title: str = field(default="", metadata=WRITTEN)
+    robot: str = field(default="", metadata=WRITTEN)
     poses: tuple[tuple[str, int], ...] = ()
-    noise: float | None = None
-    noise_source: str = ""
-    joints: tuple[JointCoverage, ...] = ()
-    margin: float | None = None
+    noise: float | None = field(default=None, metadata=IN_MM)
+    noise_source: str = field(default="", metadata=WRITTEN)
+    joints: tuple[JointCoverage, ...] = field(default=(), metadata=WRITTEN)
+    margin: float | None = field(default=None, metadata=written("four_bar_margin"))
     outlooks: tuple[Outlook, ...] = ()
     nominal: Robot | None = None
     slips: Slips | None = None
@@ -109,34 +118,6 @@ class Precheck(Result):
             rows.append((str(c.joint), f"{c.low:.1f}", f"{c.high:.1f} {c.unit}", limits, covered))
         columns = ("joint", "from", "to", "limits", "covered")
         return Table("Readings of the poses that are fitted", columns, rows, frozenset(range(5)))
-
-    def to_json(self) -> dict[str, Any]:
-        return {
-            "problem": self.folder.name,
-            "ok": self.ok,
-            "next": [step.code for step in self.next],
-            "title": self.title,
-            "robot": self.robot,
-            "poses": dict(self.poses),
-            "findings": [asdict(f) for f in self.findings],
-            "joints": [asdict(c) for c in self.joints],
-            "four_bar_margin": self.margin,
-            "noise_mm": None if self.noise is None else 1e3 * self.noise,
-            "noise_source": self.noise_source,
-            "methods": {
-                view.method: {
-                    "identifiable": list(view.names),
-                    "held": {u.name: u.reason for u in view.held},
-                    "numbers": view.numbers,
-                    "condition": view.condition,
-                    "scatter_mm": 1e3 * view.scatter if view.enough else None,
-                    "expected_held_out_mean_mm": None if view.held_out is None else 1e3 * view.held_out,
-                    "expected_accuracy_mm": 1e3 * view.accuracy if view.enough and view.names else None,
-                    "std_error": dict(zip(view.names, view.errors.tolist(), strict=True)),
-                }
-                for view in self.outlooks
-            },
-        }
 
 
 def _findings(findings: Iterable[Finding]) -> list[Words]:

@@ -13,6 +13,7 @@ from casadical.core.basics import Array, InputError
 from casadical.core.files import csv_text
 from casadical.core.reading import missing, read_bytes
 from casadical.core.telling.blocks import Table, Words
+from casadical.core.telling.plain import Key, plain
 from casadical.core.telling.result import Result
 from casadical.export.c.manifest import read_manifest
 from casadical.export.controller.c_export import OfCommand, poses_of, unreached, wants_pose
@@ -57,6 +58,17 @@ class CorrectedProgram(Result):
     """A program and what became of its targets; units : rad or m of each joint's reading."""
 
     kept_as: ClassVar[str] = "correction"
+    derived: ClassVar[tuple[Key, ...]] = (
+        Key("language", "program.language.name"),
+        Key("targets", lambda made: len(made.results)),
+        Key("corrected", lambda made: len(made.fine)),
+        Key(
+            "refused",
+            lambda made: [
+                {"line": r.target.line, "name": r.target.name, "status": r.status, "why": r.why} for r in made.refused
+            ],
+        ),
+    )
 
     program: TargetProgram
     results: tuple[c.Result, ...]
@@ -77,20 +89,21 @@ class CorrectedProgram(Result):
     def to_csv(self) -> str:
         return csv_text([_HEADER, *map(_row, self.results)])
 
-    def to_json(self) -> dict[str, Any]:
-        """The summary as plain data: targets, corrected ones, refused ones by line, errors [mm, deg]."""
-        refused = [
-            {"line": r.target.line, "name": r.target.name, "status": r.status, "why": r.why} for r in self.refused
-        ]
-        answer = {"language": self.program.language.name, "targets": len(self.results), "corrected": len(self.fine)}
-        figures: dict[str, Any] = {}
+    @property
+    def changes(self) -> dict[str, dict[str, float]]:
+        """Return how far joints and tool move, and by how much the tool misses its targets [mm, deg]."""
+        figures: dict[str, dict[str, float]] = {}
         for name, table in _figures(self.fine).items():
             if table.ndim == 1:
                 figures[name] = {"mean": float(table.mean()), "max": float(table.max())}
             else:
                 before, after = table.max(axis=0)
                 figures[f"off_nominal_{name[4:]}_max"] = {"before": float(before), "after": float(after)}
-        return {**answer, "refused": refused, **figures}
+        return figures
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the summary: targets, corrected ones, refused ones by line, and `changes`."""
+        return {**plain(self), **self.changes}
 
     def blocks(self) -> list[Words | Table]:
         """The number of corrected targets, the others with their reasons, and how far joints and tool move."""
