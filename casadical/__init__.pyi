@@ -26,6 +26,8 @@ from casadical.measurements.reading import from_table as from_table
 from casadical.measurements.reading import read_measurements as read_measurements
 from casadical.pose_selection.pose_search import select_poses as select_poses
 from casadical.pose_selection.selection import Selection as Selection
+from casadical.project.acceptance.verification import Verification as Verification
+from casadical.project.acceptance.verification import verify as verify
 from casadical.project.calibration import Calibration as Calibration
 from casadical.project.calibration import calibrate as calibrate
 from casadical.project.problem import Problem as Problem
@@ -34,8 +36,6 @@ from casadical.project.problem import read_campaign_robot as read_campaign_robot
 from casadical.project.problem import read_problem as read_problem
 from casadical.project.telling import plot as plot
 from casadical.project.telling import report as report
-from casadical.project.verification import Verification as Verification
-from casadical.project.verification import verify as verify
 from casadical.robot.robot import Robot as Robot
 from casadical.robot.robot_file import read_robot as read_robot
 from casadical.robot.robot_file import write_robot as write_robot

@@ -4,10 +4,10 @@ import json
 import secrets
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from io import StringIO
 from statistics import median
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
@@ -27,6 +27,7 @@ from casadical.blind_check.worker_pool import completed, workers
 from casadical.core.basics import Array, ConvergenceError, InputError
 from casadical.core.parts import with_estimated_masses, without_masses
 from casadical.core.telling.blocks import Block, Table, Words
+from casadical.core.telling.plain import WRITTEN, Key, written
 from casadical.core.telling.result import Result
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
@@ -163,15 +164,46 @@ class RobotCheck(Result):
     not_logged : columns that the campaigns lack
     """
 
-    robot: str
-    poses: int
-    noise: float
-    seed: int
-    not_logged: tuple[str, ...]
-    assumed: tuple[str, ...]
-    not_drawn: dict[str, str]
+    derived: ClassVar[tuple[Key, ...]] = (
+        Key("versions", lambda _: engine_versions()),
+        Key("withheld", "figures"),
+        Key(
+            "effects",
+            lambda check: {
+                name: {
+                    "listed": name in LISTED,
+                    "campaigns": len(part),
+                    "noticed": sum(t.detected for t in part),
+                    "named": sum(_named(name, t) for t in part),
+                }
+                for name, part in check.by_effect.items()
+            },
+        ),
+        Key(
+            "campaigns",
+            lambda check: [
+                {
+                    "name": t.name,
+                    "kind": t.kind,
+                    "hidden": t.truth or t.effects,
+                    "signal": t.signal,
+                    "verdict": t.verdict,
+                    "named": t.named,
+                }
+                for t in check.outcomes
+            ],
+        ),
+    )
+
+    robot: str = field(metadata=WRITTEN)
+    poses: int = field(metadata=WRITTEN)
+    noise: float = field(metadata=written(unit="um"))
+    seed: int = field(metadata=WRITTEN)
+    not_logged: tuple[str, ...] = field(metadata=WRITTEN)
+    assumed: tuple[str, ...] = field(metadata=WRITTEN)
+    not_drawn: dict[str, str] = field(metadata=WRITTEN)
     outcomes: tuple[Outcome, ...]
-    failed: dict[str, str]
+    failed: dict[str, str] = field(metadata=WRITTEN)
 
     @property
     def figures(self) -> dict[str, Estimate]:
@@ -227,40 +259,6 @@ class RobotCheck(Result):
         first = f"{right.hits} of {right.n} claims are right" if right.n else "No cause is claimed"
         many = "campaigns that hide" if alarms.n > 1 else "campaign that hides"
         return f"{first}; {alarms.hits} false alarms in {alarms.n} {many} nothing."
-
-    def to_json(self) -> dict[str, Any]:
-        return {
-            "robot": self.robot,
-            "poses": self.poses,
-            "noise_um": 1e6 * self.noise,
-            "seed": self.seed,
-            "not_logged": list(self.not_logged),
-            "assumed": list(self.assumed),
-            "not_drawn": self.not_drawn,
-            "versions": engine_versions(),
-            "withheld": {name: dict(e.__dict__) for name, e in self.figures.items()},
-            "effects": {
-                name: {
-                    "listed": name in LISTED,
-                    "campaigns": len(part),
-                    "noticed": sum(t.detected for t in part),
-                    "named": sum(_named(name, t) for t in part),
-                }
-                for name, part in self.by_effect.items()
-            },
-            "campaigns": [
-                {
-                    "name": t.name,
-                    "kind": t.kind,
-                    "hidden": list(t.truth or t.effects),
-                    "signal": t.signal,
-                    "verdict": t.verdict,
-                    "named": list(t.named),
-                }
-                for t in self.outcomes
-            ],
-            "failed": self.failed,
-        }
 
 
 def _interval(e: Estimate) -> str:

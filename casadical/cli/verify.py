@@ -3,13 +3,16 @@
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Context, Exit, Option
 
 from casadical.cli.options import Effects, Json, Quiet, Report, refuse_of_others
 from casadical.cli.terminal import DIAGNOSIS, NOT_VALID, html, keep, plain, suggest, tell, with_json, working, wrapped
 from casadical.core.basics import InputError
+
+if TYPE_CHECKING:
+    from casadical.project.acceptance.acceptance import Acceptance
 
 # Each with what it has beside robot, tables and quiet; the first that is asked for counts.
 MODES = {
@@ -88,21 +91,19 @@ def verify(
         asked = {"tolerance_mm": tolerance_mm, "noise_mm": noise_mm, "fleet": fleet, "seed": seed or 0}
         _touched(robot, tables, asked, update, chart, report_file, json_file, quiet)
         return
-    from casadical.project import verification
+    from casadical.project.acceptance import verification
 
     console = wrapped(quiet)
-    if iso9283:
-        iso = verification.iso9283(robot, tables)
-        tell(console, *iso.blocks())
-        keep(with_json({}, json_file, iso.to_json()), console)
-        folder = robot if robot.is_dir() else robot.parent
-        suggest(console, "to put it into a certificate", "certificate", folder, "--iso9283", tables[0])
-        return
     with working(quiet, "fitting base and tool", tables[0].name):
-        checked = verification.verify(robot, tables, promised_mm)
+        checked: Acceptance = (
+            verification.iso9283(robot, tables) if iso9283 else verification.verify(robot, tables, promised_mm)
+        )
     tell(console, *checked.blocks())
     keep(with_json({}, json_file, checked.to_json()), console)
-    if not checked.valid:
+    if iso9283:
+        folder = robot if robot.is_dir() else robot.parent
+        suggest(console, "to put it into a certificate", "certificate", folder, "--iso9283", tables[0])
+    if checked.accepted is False:
         raise Exit(NOT_VALID)
 
 
@@ -178,7 +179,7 @@ def certificate(
     problem : What was calibrated; default: as result.json names it.
     iso9283 : A test that `casadical plan --iso9283` planned.
     """
-    from casadical.project.certificate import certificate as certified
+    from casadical.project.acceptance.certificate import certificate as certified
 
     console = wrapped(quiet)
     with working(quiet, "uncertainty"):

@@ -26,7 +26,7 @@ from casadical.fleet.estimates import readings_of
 from casadical.fleet.evidence import FREQUENCY, KAPPAS, Candidate, candidates_of, daily, log_evidence
 from casadical.identification.remaining_errors import evaluated
 from casadical.measurements.measurements import STANDS, Measurements, same_readings, unmeasured
-from casadical.project.uncertainty_budget import covariance_root
+from casadical.project.acceptance.budget import covariance_root
 from casadical.robot.remaining_errors import doubted
 from casadical.robot.robot import Robot
 

@@ -23,10 +23,10 @@ from casadical.fleet.estimates import date_text
 from casadical.fleet.touch_model import CRASH, GROWTH, MM, OFTEN, UNKNOWN, Draws, TouchModel
 from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements, Noise
+from casadical.project.acceptance.verification import without_instrument
 from casadical.project.planning import poses_of_changes
 from casadical.project.problem import read_campaign
 from casadical.project.problem_file import result_in
-from casadical.project.verification import without_instrument
 from casadical.robot.robot import Covariance, Knowledge, RemainingErrors, Robot
 from casadical.robot.robot_file import read_robot, to_toml
 

@@ -27,7 +27,7 @@ from casadical.pose_selection.plan import MeasurementPlan
 from casadical.pose_selection.pose_search import forecast, place_instrument, select_poses, select_with_places
 from casadical.pose_selection.selection import Selection
 from casadical.pose_selection.workspace import Workspace, read_workspace
-from casadical.project.iso9283 import planned_test, words_of_plan
+from casadical.project.acceptance.iso9283 import planned_test, words_of_plan
 from casadical.project.new.new import one_turn
 from casadical.project.problem import Carried, read_campaign, read_campaign_robot
 from casadical.project.problem_file import tables_of

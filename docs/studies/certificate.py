@@ -28,9 +28,9 @@ from casadical import Measurements, Robot, identify, read_problem
 from casadical.core.basics import Array
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import STANDS, same_readings, unmeasured
+from casadical.project.acceptance.budget import Conditions, budget_of, repeats_of
+from casadical.project.acceptance.iso9283 import pose_figures
 from casadical.project.calibration import with_knowledge
-from casadical.project.iso9283 import pose_figures
-from casadical.project.uncertainty_budget import Conditions, budget_of, repeats_of
 
 ROOT = Path(__file__).parents[2]
 NOISE, REPEAT, SCALE, RANGE, GROWTH = 3e-5, 1e-5, 5e-6, 2.0, 12e-6

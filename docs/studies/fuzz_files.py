@@ -114,14 +114,14 @@ def kinds(place: Path) -> dict[str, Kind]:
     from casadical.fleet.touches import changes_in_fleet, touched
     from casadical.measurements.logs.reading import is_log, read_log
     from casadical.pose_selection.workspace import read_workspace
-    from casadical.project.certificate import certificate
-    from casadical.project.iso9283 import evaluated_table
+    from casadical.project.acceptance.certificate import certificate
+    from casadical.project.acceptance.iso9283 import evaluated_table
+    from casadical.project.acceptance.verification import promised_rms
     from casadical.project.live import LiveSession
     from casadical.project.live.sources import FileSource, journal, rows_of
     from casadical.project.new.new import new_problem
     from casadical.project.problem import read_problem
     from casadical.project.problem_file import result_in, tables_of
-    from casadical.project.verification import promised_rms
 
     arm = casadical.read_robot(place / "in/p/robot.toml")
     planar = (place / "in/p/robot.toml").read_bytes()

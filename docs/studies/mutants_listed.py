@@ -32,7 +32,7 @@ LISTED = (
      "return self.q[: n - shift], self.y[shift:]", "alignment of a shift"),
     ("project/check/slip_fit.py", "(moved + 1) // 2", "moved", "count of swaps"),
     ("project/check/targets.py", "DISAGREE, SAME = 0.5, 0.7", "DISAGREE, SAME = 0.5, 0.07", "cut-off of targets"),
-    ("project/verification.py", "(freedom + made_up) / freedom", "freedom / (freedom + made_up)",
+    ("project/acceptance/verification.py", "(freedom + made_up) / freedom", "freedom / (freedom + made_up)",
      "`made_up` of verify"),
 )  # fmt: skip
 

@@ -15,9 +15,9 @@ from casadical.core.telling.blocks import Table
 from casadical.core.telling.figure import Figure
 from casadical.identification import errors, predicted
 from casadical.measurements.measurements import unmeasured
-from casadical.project.certificate import certificate
+from casadical.project.acceptance.budget import Conditions, budget_of, repeats_of
+from casadical.project.acceptance.certificate import certificate
 from casadical.project.new import new_problem
-from casadical.project.uncertainty_budget import Conditions, budget_of, repeats_of
 
 PLANAR = ROOT / "problems" / "planar"
 MARKUP = "<b>Lab</b> & **Sons** {x} %s [link](http://x)"

@@ -12,7 +12,7 @@ from casadical import InputError, read_robot
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import unmeasured
 from casadical.pose_selection.workspace import Workspace
-from casadical.project.iso9283 import evaluated_table, planned_test, poses_in
+from casadical.project.acceptance.iso9283 import evaluated_table, planned_test, poses_in
 
 ROBOT = ROOT / "problems" / "ur10e" / "robot.toml"
 # The sheet, in mm: visits of P1, commanded to (100, 200, 300), and of P2, commanded to (0, 0, 0).

@@ -13,9 +13,9 @@ from casadical.core.telling.result import plain_text
 from casadical.effects import WireDrift
 from casadical.identification.accuracy import Accuracy, errors, predicted, summarise
 from casadical.measurements.measurements import unmeasured
+from casadical.project.acceptance.verification import promised_rms, verify
 from casadical.project.calibration import Calibration
 from casadical.project.outcome import methods_worse
-from casadical.project.verification import promised_rms, verify
 from casadical.robot.robot_file import read_robot, to_toml
 
 ROBOT = Path(__file__).parents[2] / "problems" / "planar" / "robot.toml"

@@ -13,9 +13,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "cli"))
 import first_hour
 
 from casadical import InputError, calibrate
+from casadical.project.acceptance.verification import verify
 from casadical.project.check import precheck
 from casadical.project.new import new_problem
-from casadical.project.verification import verify
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ Blocks on a terminal: words and tables, by rich; figures are left out.
 
 from __future__ import annotations
 
+import inspect
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from casadical.core.basics import visible
 from casadical.core.telling.blocks import Block, Table, Words, mm
 from casadical.core.telling.figure import Figure
 from casadical.core.telling.plain import Key, plain
+from casadical.core.telling.template import told
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
@@ -179,16 +181,22 @@ def _bars(bars: Sequence[tuple[str, float]]) -> str:
 class Result(Shown):
     """A result; terminal, notebook, report and JSON are made of what it has, and showing it computes nothing.
 
-    ``blocks`` is its own. ``kept_as`` : name of its files, without the ending; ``derived`` : keys of its plain data
-    that are no marked fields
+    report : file of its sentences, a template beside the code
+    kept_as : name of its files, without the ending
+    derived : keys of its plain data that are no marked fields
     """
 
+    report: ClassVar[str]
     kept_as: ClassVar[str] = "result"
     derived: ClassVar[tuple[Key, ...]] = ()
 
     def blocks(self) -> Sequence[Block]:
-        """In words, tables and figures."""
-        raise NotImplementedError
+        """Return words, tables and figures."""
+        return self._told(brief=False)
+
+    def _told(self, **more: Any) -> list[Block]:
+        """Return the blocks of the template `report`; more : values that it needs."""
+        return told(Path(inspect.getfile(type(self))).parent / self.report, self, **more)
 
     def to_json(self) -> dict[str, Any]:
         """Return the result as plain data, in the units that its keys name (see `plain`)."""

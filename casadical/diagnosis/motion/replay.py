@@ -4,7 +4,7 @@ Its figures: errors over time, joint by joint and as a map, friction, hysteresis
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -16,6 +16,7 @@ from casadical.core.basics import Array, Show, silent
 from casadical.core.statistics import best_of
 from casadical.core.telling.blocks import Block, Table, Words
 from casadical.core.telling.figure import Axis, Figure, Panel, Series
+from casadical.core.telling.plain import WRITTEN, Key
 from casadical.core.telling.result import Result
 from casadical.diagnosis.motion.response import Response, fitted
 from casadical.diagnosis.motion.signals import arm_of, torque_of
@@ -42,10 +43,24 @@ class Replay(Result):
 
     kept_as: ClassVar[str] = "replay"
 
+    derived: ClassVar[tuple[Key, ...]] = (
+        Key("runs", lambda replay: [run.source for run in replay.runs]),
+        Key("fitted", "response.fitted"),
+        Key(
+            "joints",
+            lambda replay: [
+                {"joint": name, "before_rad": b, "after_rad": a}
+                for name, b, a in zip(replay.runs[0].joints, replay.before, replay.after, strict=True)
+            ],
+        ),
+        Key("torque_Nm", "torque"),
+        Key("drive", lambda replay: replay.response.drive().table()),
+    )
+
     response: Response
     runs: tuple[JointLog, ...]
     predicted: tuple[Array, ...]
-    held_out: bool
+    held_out: bool = field(metadata=WRITTEN)
 
     @cached_property
     def before(self) -> Array:
@@ -158,19 +173,6 @@ class Replay(Result):
         )
         columns = ("joint", "kp", "F", "F / kp", "b", "rotor", "delay", "const")
         yield Table(title, columns, drives, frozenset(range(1, 8)))
-
-    def to_json(self) -> dict[str, Any]:
-        return {
-            "held_out": self.held_out,
-            "runs": [run.source for run in self.runs],
-            "fitted": list(self.response.fitted),
-            "joints": [
-                {"joint": name, "before_rad": float(b), "after_rad": float(a)}
-                for name, b, a in zip(self.runs[0].joints, self.before, self.after, strict=True)
-            ],
-            "torque_Nm": None if self.torque is None else [each.tolist() for each in self.torque],
-            "drive": self.response.drive().table(),
-        }
 
     def files(self, folder: str | Path) -> Mapping[Path, str]:
         """Plain data, words, and the robot with its drives."""

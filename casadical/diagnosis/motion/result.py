@@ -1,7 +1,7 @@
 """The diagnosis of a joint log as a result: the residual of each joint, where it is greatest, what fits, how sure."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -9,6 +9,7 @@ import numpy as np
 from casadical.core.basics import Array, InputError, Show
 from casadical.core.statistics import first_of_best, known_digits
 from casadical.core.telling.blocks import Table, Words
+from casadical.core.telling.plain import WRITTEN, Key
 from casadical.core.telling.result import Result
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.motion.base import COMMANDED, LOAD, MEASURED, Look, look
@@ -39,13 +40,28 @@ class LogDiagnosis(Result):
 
     kept_as: ClassVar[str] = "log_diagnosis"
 
+    derived: ClassVar[tuple[Key, ...]] = (
+        Key("log", "log.source"),
+        Key("verdict"),
+        Key("causes"),
+        Key("fits", lambda d: [_plain(f.label, f.probability) for f in d.fitting if f not in d.claims]),
+        Key("alike", lambda d: [_plain(label, p) for label, p in d.outcome.alike]),
+        Key("gap", lambda d: d.figures["gap"]),
+        Key("joints", lambda d: d.figures["joints"]),
+        Key("ranking"),
+        Key("none", lambda d: d.outcome.rankings[0].none),
+        Key("payload_kg", lambda d: (p := d.payload()) and dict(zip(("beyond", "sigma"), p, strict=True))),
+        Key("findings", "log.findings"),
+        Key("cannot_tell", lambda d: cannot_tell(d.log, d.arm, bool(d.reference))),
+    )
+
     log: JointLog
     arm: Arm
     outcome: Outcome
     faults: tuple[Fault, ...]
-    reference: str = ""
-    contradictions: tuple[str, ...] = ()
-    determined: tuple[str, ...] = ()
+    reference: str = field(default="", metadata=WRITTEN)
+    contradictions: tuple[str, ...] = field(default=(), metadata=WRITTEN)
+    determined: tuple[str, ...] = field(default=(), metadata=WRITTEN)
 
     @property
     def fitting(self) -> tuple[Found, ...]:
@@ -178,35 +194,29 @@ class LogDiagnosis(Result):
         notes += [t for t in cannot_tell(self.log, self.arm, bool(self.reference)) if still not in t]
         yield from (Words(text, "note") for text in notes)
 
-    def to_json(self) -> dict[str, Any]:
-        """The verdict and all figures."""
+    @property
+    def figures(self) -> dict[str, Any]:
+        """Return the rms errors of the whole log and of each joint."""
         (nominal, before, after), kept = self.gap(), self.gap_unfitted()
-        ranking = self.outcome.rankings[0]
-        causes = [{"effect": f.name, "joint": None, "probability": 1.0} for f in self.faults]
-        causes += [_plain(f.label, f.probability) for f in self.claims]
-        total = {"before": float(np.sqrt((before**2).mean())), "after": float(np.sqrt((after**2).mean()))}
+        total = {"before": np.sqrt((before**2).mean()), "after": np.sqrt((after**2).mean())}
+        names = ("joint", "model", "usual", "after", "usual_left_out", "after_left_out")
+        each = zip(self.log.joints, nominal, before, after, *kept, strict=False)
         return {
-            "log": self.log.source,
-            "reference": self.reference,
-            "verdict": self.verdict,
-            "causes": causes,
-            "fits": [_plain(f.label, f.probability) for f in self.fitting if f not in self.claims],
-            "alike": [_plain(label, p) for label, p in self.outcome.alike],
             "gap": {**total, "unit": self.outcome.case.unit or "rad"},
-            "joints": [
-                dict(zip(("joint", "model", "usual", "after", "usual_left_out", "after_left_out"), each, strict=True))
-                for each in zip(self.log.joints, *(v.tolist() for v in (nominal, before, after, *kept)), strict=False)
-            ],
-            "ranking": [
-                {**_plain(k, ranking.probability[k]), "log_evidence": ranking.log_factor[k]} for k in ranking.order[:10]
-            ],
-            "none": ranking.none,
-            "payload_kg": dict(zip(("beyond", "sigma"), payload, strict=True)) if (payload := self.payload()) else None,
-            "contradictions": list(self.contradictions),
-            "findings": list(self.log.findings),
-            "determined": list(self.determined),
-            "cannot_tell": list(cannot_tell(self.log, self.arm, bool(self.reference))),
+            "joints": [dict(zip(names, row, strict=True)) for row in each],
         }
+
+    @property
+    def causes(self) -> list[dict[str, Any]]:
+        """Return faults of the log itself, and the causes that are named."""
+        faults: list[dict[str, Any]] = [{"effect": f.name, "joint": None, "probability": 1.0} for f in self.faults]
+        return faults + [_plain(f.label, f.probability) for f in self.claims]
+
+    @property
+    def ranking(self) -> list[dict[str, Any]]:
+        """Return the ten most probable causes of the first step."""
+        first = self.outcome.rankings[0]
+        return [{**_plain(k, first.probability[k]), "log_evidence": first.log_factor[k]} for k in first.order[:10]]
 
 
 def _plain(label: str, probability: float) -> dict[str, Any]:

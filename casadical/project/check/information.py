@@ -12,6 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from casadical.core.basics import Array
+from casadical.core.telling.blocks import Table
 from casadical.core.telling.plain import WRITTEN, Key, written
 from casadical.identification.identifiability import Unidentifiable, drop_poor
 from casadical.identification.least_squares import SIGMA_ANGLE_GUESS, SIGMA_GUESS, LeastSquares
@@ -64,6 +65,12 @@ class Outlook:
     of_points: bool
     errors: Array
     accuracy: float
+
+    @property
+    def reasons(self) -> list[Table]:
+        """Return why each parameter is held, where any is."""
+        rows = [(u.name, u.reason) for u in self.held]
+        return [Table("", ("held", "why"), rows)] if rows else []
 
     @property
     def held_out(self) -> float | None:

@@ -20,10 +20,10 @@ from casadical.export.mjcf.replay import Replay
 from casadical.fleet.changes import Comparison
 from casadical.fleet.touches import Touches
 from casadical.pose_selection.plan import MeasurementPlan
-from casadical.project.certificate import Certificate
+from casadical.project.acceptance.certificate import Certificate
+from casadical.project.acceptance.iso9283 import Iso9283
 from casadical.project.check import precheck
 from casadical.project.diagnosis import CampaignDiagnosis, diagnose_campaign, read_campaigns
-from casadical.project.iso9283 import Iso9283
 
 ROOT = Path(__file__).parents[3]
 PLANAR, RUN = ROOT / "problems" / "planar", ROOT / "data" / "withheld" / "second"

@@ -22,13 +22,13 @@ import pandas as pd
 from casadical.core.basics import Array, InputError
 from casadical.core.telling.blocks import Table, Words, mm
 from casadical.core.telling.plain import IN_MM, WRITTEN, Key, plain, written
-from casadical.core.telling.result import Result
 from casadical.identification.accuracy import predicted
 from casadical.measurements.columns import Columns
 from casadical.measurements.measurements import unmeasured
 from casadical.measurements.raw_table import read_table
 from casadical.pose_selection.candidates import draw, expected, held_in
 from casadical.pose_selection.workspace import Workspace
+from casadical.project.acceptance.acceptance import Acceptance
 from casadical.robot.robot import Robot
 
 CYCLES, PATHS, GROUPS, OF_GROUP = 30, 3, 49, 10
@@ -163,7 +163,7 @@ def pose_figures(pose: int, p: Array, command: Array) -> PoseFigures:
 
 
 @dataclass(frozen=True, eq=False)
-class Iso9283(Result):
+class Iso9283(Acceptance):
     """What a table says by the standard, beside what the calibration says of the same visits; lengths in m.
 
     accuracy : of each pose; directions : vAP by pose; drift : dAP and dRP; model : rms error of the calibrated model
@@ -195,19 +195,15 @@ class Iso9283(Result):
         vAP = {pose: 1e3 * metres for pose, metres in self.directions.items()}
         return [{**plain(f), "vAP_mm": vAP.get(f.pose)} for f in self.accuracy]
 
-    def blocks(self) -> list[Words | Table]:
-        """As `casadical verify --iso9283` prints it."""
-        AP, RP = self.worst
-        said = f"ISO 9283 figures of {self.robot}: AP {mm(AP)} mm, RP {mm(RP)} mm (the greatest of the poses)"
-        said += f", vAP {mm(max(self.directions.values()))} mm" if self.directions else ""
-        said += f", dAP {mm(self.drift[0])} mm, dRP {mm(self.drift[1])} mm" if self.drift else ""
-        blocks: list[Words | Table] = [Words(f"{said}.", "verdict"), self.table()]
-        if self.model is not None:
-            text = f"The calibrated model leaves {mm(self.model)} mm rms at the mean places"
-            if self.promised:
-                text += f"; its calibration stated {mm(self.promised)} mm for single held-out poses"
-            blocks.append(Words(f"{text}. AP is the error of the commands, RP that of the robot in itself."))
-        return [*blocks, *(Words(f"note: {note}.", "note") for note in self.notes)]
+    report: ClassVar[str] = "iso9283.j2"
+
+    @property
+    def error(self) -> float:
+        return self.worst[0]
+
+    @property
+    def accepted(self) -> None:
+        """Return None: the standard states figures and no limit."""
 
     def table(self) -> Table:
         """A row a pose."""

@@ -3,10 +3,11 @@
 It is data for a certificate, in the form that an auditor asks for. It never says that a laboratory is accredited.
 """
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import date
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -21,18 +22,17 @@ from casadical.core.telling.figure import Axis, Figure, Series
 from casadical.core.telling.page import provenance_of
 from casadical.core.telling.pdf import pdf_of
 from casadical.core.telling.plain import WRITTEN, Key, written
-from casadical.core.telling.result import Result
 from casadical.identification.accuracy import errors
 from casadical.identification.plausibility import check_against
 from casadical.measurements.measurements import Measurements
+from casadical.project.acceptance.acceptance import Acceptance
+from casadical.project.acceptance.budget import Budget, Conditions, budget_of, repeats_of
+from casadical.project.acceptance.iso9283 import Iso9283
+from casadical.project.acceptance.verification import iso9283 as iso9283_test
+from casadical.project.acceptance.verification import problem_of
 from casadical.project.calibration import calibrate, with_knowledge
-from casadical.project.certificate_words import words_of
-from casadical.project.iso9283 import Iso9283
 from casadical.project.problem import Problem, read_problem
 from casadical.project.problem_file import result_in
-from casadical.project.uncertainty_budget import Budget, Conditions, budget_of, repeats_of
-from casadical.project.verification import iso9283 as iso9283_test
-from casadical.project.verification import problem_of
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
@@ -102,7 +102,7 @@ class Details(TomlTable):
 
 
 @dataclass(frozen=True, eq=False)
-class Certificate(Result):
+class Certificate(Acceptance):
     """Certificate data of a robot's calibration.
 
     problem : whose results they are
@@ -133,6 +133,16 @@ class Certificate(Result):
     files_: tuple[Path, ...]
     iso9283: Iso9283 | None = field(default=None, metadata=WRITTEN)
     refit: int = field(default=0, metadata=written("refit_poses"))
+
+    report: ClassVar[str] = "certificate.j2"
+
+    @property
+    def error(self) -> float:
+        return self.after.error
+
+    @property
+    def accepted(self) -> bool | None:
+        return {"conforms": True, "fails": False}.get(self.decision)
 
     @property
     def decision(self) -> Literal["", "conforms", "open", "fails"]:
@@ -194,18 +204,12 @@ class Certificate(Result):
                 raise InputError(f"issued = {self.details.issued!r}: write the day as 2026-03-14") from None
         return pdf_of(self.pages(), language=self.details.language, day=day)
 
-    def blocks(self) -> list[Words | Table]:
-        """What the terminal shows: results, decision and budget, in English."""
-        w = words_of("en")
-        return [Words(self._line.strip(), "verdict"), *self._refit(w), *self._decided(w), self.budget_table(w),
-                *(Words(w[f"no_{key}"], "warning") for key in self.missing)]  # fmt: skip
-
     @property
-    def _line(self) -> str:
-        return (
-            f" Certificate data of {self.problem.robot.name}: rms position error {_stated(self.before)} before, "
-            f"{_stated(self.after)} after ({self.method}, {self.after.n} held-out poses)."
-        )
+    def findings(self) -> list[Words | Table]:
+        """Return decision, budget and what is not stated, in English."""
+        w = words_of("en")
+        missing = [Words(w[f"no_{key}"], "warning") for key in self.missing]
+        return [*self._refit(w), *self._decided(w), self.budget_table(w), *missing]
 
     def _fields(self, w: Mapping[str, str]) -> Table:
         d, c, i = self.details, self.details.conditions, self.details.instrument
@@ -228,7 +232,7 @@ class Certificate(Result):
 
     def _results(self, w: Mapping[str, str]) -> Table:
         both = (("before", self.before), ("after", self.after))
-        rows = [(w[name], _stated(b), mm(b.rms), mm(b.worst), str(b.n)) for name, b in both]
+        rows = [(w[name], b.stated, mm(b.rms), mm(b.worst), str(b.n)) for name, b in both]
         return Table("", ("", w["error"], w["rms"], w["worst"], "n"), rows, frozenset({2, 3, 4}), frozenset({1}))
 
     def _refit(self, w: Mapping[str, str]) -> list[Words]:
@@ -278,9 +282,12 @@ class Certificate(Result):
         return Figure(name, title, [series], Axis(across), Axis(height), caption=w["caption"])
 
 
-def _stated(b: Budget) -> str:
-    """E +- U, or its upper limit where it is not resolved."""
-    return f"{mm(b.error)} ± {mm(b.expanded)} mm" if b.resolved else f"<= {mm(b.error + b.expanded)} mm"
+@cache
+def words_of(language: Literal["en", "de"]) -> Mapping[str, str]:
+    """Return all sentences of a language by their keys."""
+    text = Path(__file__).with_name("certificate_words.toml").read_text(encoding="utf-8")
+    words: dict[str, dict[str, str]] = tomllib.loads(text)
+    return words[language]
 
 
 def _many(freedom: float) -> str:

@@ -21,6 +21,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from casadical.core.basics import Array, InputError
+from casadical.core.telling.blocks import mm
 from casadical.core.telling.plain import WRITTEN, Key, written
 from casadical.identification.accuracy import errors, residual_mm
 from casadical.identification.identification import calibrated, prepare
@@ -135,6 +136,13 @@ class Budget:
     def resolved(self) -> bool:
         """Whether E is seen beside its uncertainty; where not, only its upper limit is."""
         return self.square > self.factor * self.u_square
+
+    @property
+    def stated(self) -> str:
+        """Return E +- U in words, or its upper limit where it is not resolved."""
+        if self.resolved:
+            return f"{mm(self.error)} ± {mm(self.expanded)} mm"
+        return f"<= {mm(self.error + self.expanded)} mm"
 
     def u(self, line: Contribution | None = None) -> float:
         """Standard uncertainty of E, or the share of one line in it [m]."""

@@ -13,16 +13,16 @@ from scipy.special import chdtri
 
 from casadical.core.basics import Array, InputError, shown
 from casadical.core.reading import load_json, number_fault
-from casadical.core.telling.blocks import Table, Words, mm, next_step
+from casadical.core.telling.blocks import Words, next_step
 from casadical.core.telling.plain import IN_MM, WRITTEN, Key, written
-from casadical.core.telling.result import Result
 from casadical.identification.accuracy import errors
 from casadical.identification.identification import Prepared, calibrated, prepare
 from casadical.identification.result import LeftOut, rows_in_words
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.reading import refuse_shared_rows
+from casadical.project.acceptance.acceptance import Acceptance
+from casadical.project.acceptance.iso9283 import Iso9283, evaluated_table
 from casadical.project.check.targets import with_targets_of_rows
-from casadical.project.iso9283 import Iso9283, evaluated_table
 from casadical.project.problem import read_campaign
 from casadical.project.problem_file import result_in
 from casadical.robot.robot import Robot
@@ -40,7 +40,7 @@ RMS_OF_MEAN = float(np.sqrt(3 * np.pi / 8))
 
 
 @dataclass(frozen=True)
-class Verification(Result):
+class Verification(Acceptance):
     """What a check with later poses says.
 
     promised : rms position error on held-out poses of the calibration [m]
@@ -84,31 +84,20 @@ class Verification(Result):
         """Whether the error still is what was promised."""
         return self.found <= self.limit
 
-    def blocks(self) -> list[Words | Table]:
-        text = f"{'STILL VALID' if self.valid else 'NO LONGER VALID'}: {mm(self.found)} mm rms on {self.n} poses"
-        blocks = [
-            Words(f"{text}, promised {mm(self.promised)} mm ({self.found / self.promised:.2f} times)", "verdict"),
-            Words(
-                f"Up to {mm(self.limit)} mm would be chance; {self.n} poses show an error of {mm(self.seen)} mm "
-                f"or more in nine of ten cases. {self.again} fitted again; the share of that in the error is made up "
-                "for. Both errors are as the instrument reads them, its noise included; that of the robot itself, "
-                "which casadical plan expects, is smaller."
-            ),
-        ]
-        if self.gone:
-            text = f"{', '.join(self.gone)}: what the instrument of the calibration did is left out of the model."
-            blocks.append(Words(text, "note"))
-        blocks += [Words(f"note: {note}.", "note") for note in self.notes]
-        if self.far:
-            text = f"Far off: {rows_in_words(self.far, of=self.tables)}"
-            if self.without is not None:
-                text += f"; without them it is {mm(self.without)} mm{', as promised' * (self.without <= self.limit)}"
-            blocks.append(Words(f"{text}.", "warning"))
-        if self.lost:
-            several = len(self.tables) > 1
-            listed = ", ".join(f"{row} of {source}" if several else str(row) for source, row in self.lost)
-            blocks.append(Words(f"Left out, a cell is no number: row {listed}.", "warning"))
-        return [*blocks, *self.next]
+    report: ClassVar[str] = "verification.j2"
+
+    @property
+    def error(self) -> float:
+        return self.found
+
+    @property
+    def accepted(self) -> bool:
+        return self.valid
+
+    @property
+    def far_rows(self) -> str:
+        """Return the rows that are far off, with their errors."""
+        return rows_in_words(self.far, of=self.tables)
 
     @property
     def next(self) -> tuple[Words, ...]:
