@@ -59,7 +59,6 @@ OWN_FILES = {
     "core/telling/page.py": "templates of the package",
     "diagnosis/formula_cache.py": "the package's own code, for its hash",
     "measurements/vocabulary.py": "a list of the package",
-    "measurements/table_parts.py": "reads regular files of any size in parts",
     "export/c/emit.py": "templates of the package",
     "project/live/server.py": "the package's own page",
     "cli/terminal.py": "the null device",

@@ -21,13 +21,12 @@ import pandas as pd
 from casadical import __version__
 from casadical.core.basics import CasadicalError, InputError, optional, shown
 from casadical.core.files import json_text, locked, write_together
-from casadical.core.reading import MOST_NUMBERS, foreign, read_bytes
+from casadical.core.reading import foreign, read_bytes
 from casadical.fleet.campaigns import estimates_of, in_order, later_tables, other_regions
 from casadical.fleet.changes import in_words
 from casadical.fleet.cluster import NEEDED
 from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate
-from casadical.measurements.table_parts import values_of
 from casadical.project.calibration import calibrate
 from casadical.project.diagnosis import CampaignDiagnosis, diagnose_campaign, read_campaigns
 from casadical.project.outcome import judged_on
@@ -277,8 +276,6 @@ def _read(path: Path, columns: Sequence[str] | None, damaged: list[str] | None) 
             version = (schema.metadata or {}).get(KEY, b"").decode(errors="replace")
             if version == str(VERSION):
                 _refuse_malformed(schema, parquet.read_metadata(blob).num_rows)
-                if (count := values_of(blob)) > MOST_NUMBERS:
-                    raise ValueError(f"it has {count} values; at most {MOST_NUMBERS} are read")
                 table = parquet.read_table(blob, columns=[n for n in schema.names if columns is None or n in columns])
                 table.validate(full=True)  # its texts, too
                 if lost := [name for name in table.column_names if table[name].null_count]:

@@ -9,18 +9,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array, InputError, optional
 from casadical.core.reading import MOST_CELLS, MOST_NUMBERS, archive_of, foreign, read_bytes, text_fault, unpacked
 from casadical.measurements import table_form
 
-# Characters of a heading, columns, and numbers of a text that is split at once, which takes 200 bytes for each.
-LONGEST_HEADING, MOST_COLUMNS, MOST_AT_ONCE = 1000, 2000, 10_000_000
-# What a workbook has in a cell whose formula failed.
-_FAILED = ("#NULL!", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#N/A")
-# Rows and cells in the XML of a sheet.
-_CELLS = re.compile(rb"<(?:\w+:)?(?:row|c)[\s/>]")
+MAX_HEADING_CHARACTERS = 1000
+MAX_COLUMNS = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,62 +44,103 @@ class RawTable:
 
 def _refuse_header(header: Sequence[str], path: Path) -> None:
     """Raises InputError for too many headings, and for a long one or control characters in one."""
-    if len(header) > MOST_COLUMNS:
-        raise InputError(f"{path}: has {len(header)} columns; at most {MOST_COLUMNS} are read")
+    if len(header) > MAX_COLUMNS:
+        raise InputError(f"{path}: has {len(header)} columns; at most {MAX_COLUMNS} are read")
     for k, name in enumerate(header, 1):
-        if len(name) > LONGEST_HEADING:
+        if len(name) > MAX_HEADING_CHARACTERS:
             raise InputError(
                 f"{path}: the heading of column {k} has {len(name)} characters, {name[:30]!r}...; allowed: up to "
-                f"{LONGEST_HEADING}; is it a table?"
+                f"{MAX_HEADING_CHARACTERS}; is it a table?"
             )
         if fault := text_fault(name):
             raise InputError(f"{path}: the heading of column {k} {fault}")
 
 
-def read_table(path: str | Path, data: bytes | None = None) -> RawTable:
-    """A table with headings: text in any usual encoding, separator and decimal sign, or a workbook (.xlsx).
+def read_table(path: str | Path, data: bytes | None = None, *, large_bytes: int = 4_000_000) -> RawTable:
+    """Read a table: text in any usual encoding, separator and decimal sign, .xlsx (openpyxl) or .parquet (pyarrow).
 
-    The file may be gzipped. Comments, titles above the headings, a row of units, repeated headings and blank lines
-    are no rows. data : the content, where it was read already
+    The file may be gzipped. Comments, titles above the headings, a row of units, repeated headings and
+    blank lines are no rows.
+
+    data : the content, where it was read already
+    large_bytes : plain numbers under one line of headings are read without keeping their text, in a
+        tenth of the time, where the text has more bytes
+
     Raises InputError that names the file, and the row where one is wrong: no such file, neither text nor a workbook,
     a name twice in the header, no rows, too many numbers, or a row with more cells than the header.
     """
     path = Path(path)
+    packed = read_bytes(path) if data is None else data
+    if path.suffix.lower() == ".parquet":
+        return _parquet(path, packed)
+    data = unpacked(packed, str(path))
+    if len(data) > large_bytes and (plain := _plain(path, data)) is not None:
+        return plain
+    sheet = ""
     try:
-        data = unpacked(read_bytes(path) if data is None else data, str(path))
-        text, encoding, sheet = _text(path, data)
+        if data.startswith(b"PK\x03\x04"):
+            text, encoding, sheet = _sheet(path, data)
+        elif data.startswith(b"\xd0\xcf\x11\xe0"):
+            raise InputError(f"{path}: a workbook of the old format; save it as .xlsx or as CSV")
+        else:
+            text, encoding = table_form.decoded(data)
         separator = "," if sheet else table_form.separator_of(text)
-        if not sheet:
-            refuse_many(path, text.count(separator) + max(text.count("\n"), text.count("\r")), at_once=True)
+        if not sheet:  # a text that is split takes 200 bytes for each number
+            numbers = text.count(separator) + max(text.count("\n"), text.count("\r"))
+            refuse_many(path, numbers, 10_000_000, "; of plain numbers under one line of headings more are read")
+        records = table_form.records_of(text, separator)
     except UnicodeDecodeError as error:
         row = error.object.count(b"\n", 0, error.start) + 1
         why = f"row {row} is no text in {error.encoding}; save it as UTF-8"
         raise InputError(f"{path}: not a readable CSV table: {why}") from None
-    return table_of(path, records_in(path, text, separator), encoding, separator, sheet=sheet)
-
-
-def records_in(path: Path, text: str, separator: str) -> list[table_form.Record]:
-    """As `records_of`. Raises InputError: a quote that is never closed, a cell that is too long."""
-    try:
-        return table_form.records_of(text, separator)
     except csv.Error as error:
         raise InputError(f"{path}: not a readable CSV table: {error}") from None
+    return _table_of(path, records, encoding, separator, sheet)
 
 
-def _text(path: Path, data: bytes) -> tuple[str, str, str]:
-    """Text, its encoding, and the sheet that it is from. Raises UnicodeDecodeError, InputError."""
-    if data.startswith(b"PK\x03\x04"):
-        return _sheet(path, data)
-    if data.startswith(b"\xd0\xcf\x11\xe0"):
-        raise InputError(f"{path}: a workbook of the old format; save it as .xlsx or as CSV")
-    return (*table_form.decoded(data), "")
+def refuse_many(path: str | Path, numbers: int, most: int = MOST_NUMBERS, remedy: str = "") -> None:
+    """Raises InputError for more numbers than memory should hold."""
+    if numbers > most:
+        raise InputError(f"{path}: has more than {most} numbers; split it, or leave columns and rows out{remedy}")
 
 
-def refuse_many(path: str | Path, numbers: int, *, at_once: bool = False) -> None:
-    """Raises InputError for more numbers than memory should hold; at_once : of a text that is not read in parts."""
-    if numbers > (most := MOST_AT_ONCE if at_once else MOST_NUMBERS):
-        plainer = "; of a CSV in UTF-8 without quotes, not gzipped, more are read" if at_once else ""
-        raise InputError(f"{path}: has more than {most} numbers; split it, or leave columns and rows out{plainer}")
+def plain_headings(line: bytes) -> tuple[str, ...]:
+    """Return the headings of a line in ASCII, commas between them and nothing quoted; none of another line."""
+    usual = line.isascii() and re.fullmatch(rb"[^\n\"]*[A-Za-z][^\n\"]*,[^\n\"]*", line.strip())
+    return tuple(word.strip() for word in line.decode().split(",")) if usual else ()
+
+
+def _plain(path: Path, data: bytes) -> RawTable | None:
+    """Read plain numbers under one line of headings; return None for another text."""
+    header = plain_headings(data[: data.find(b"\n") + 1])
+    blank = b"\n\n" in data or b"\n\r" in data or b"\r\r" in data  # rows are counted by their lines
+    if not 0 < len(header) <= MAX_COLUMNS or len({*header}) < len(header) or blank:
+        return None
+    refuse_many(path, data.count(b",") + data.count(b"\n"))
+    try:
+        frame = pd.read_csv(io.BytesIO(data), skipinitialspace=True, low_memory=False)
+    except ValueError:
+        return None
+    numeric = len(frame) and all(map(pd.api.types.is_numeric_dtype, frame.dtypes))
+    if not numeric or frame.shape[1] != len(header) or not isinstance(frame.index, pd.RangeIndex):
+        return None
+    return RawTable(path, header, (), frame.set_axis(header, axis=1), np.arange(len(frame)) + 2)
+
+
+def _parquet(path: Path, data: bytes) -> RawTable:
+    """Read a Parquet file; its rows count as in a text, from 2 on. Raises InputError for whatever Arrow raises."""
+    parquet = optional("pyarrow.parquet", f"{path}: reading Parquet needs pyarrow: pip install 'casadical[fleet]'")
+    with foreign(f"{path}: not a readable table", "write it again"), parquet.ParquetFile(io.BytesIO(data)) as file:
+        refuse_many(path, file.metadata.num_rows * len(file.schema_arrow.names))
+        table = file.read()
+        refuse_many(path, table.nbytes // 8)  # lists and texts, too
+        table.validate(full=True)  # else pandas finds texts that are none where they are looked at
+        header = tuple(str(name).strip() for name in table.column_names)
+        refuse_repeated_names(header, str(path))
+        frame = table.to_pandas(ignore_metadata=True).set_axis(header, axis=1)
+    if not len(frame):
+        raise InputError(f"{path}: no rows; at least one is needed")
+    return RawTable(path, header, (), frame, np.arange(len(frame)) + 2, table_form.Form("parquet"))
 
 
 def _sheet(path: Path, data: bytes) -> tuple[str, str, str]:
@@ -114,7 +152,7 @@ def _sheet(path: Path, data: bytes) -> tuple[str, str, str]:
         with zipfile.ZipFile(content) as archive:  # openpyxl reads a sheet to its end before it gives the first row
             for name in archive.namelist():
                 if name.endswith(".xml"):
-                    _refuse_cells(path, sum(1 for _ in _CELLS.finditer(archive.read(name))))
+                    _refuse_cells(path, len(re.findall(rb"<(?:\w+:)?(?:row|c)[\s/>]", archive.read(name))))
         for sheet in openpyxl.load_workbook(content, read_only=True, data_only=True).worksheets:
             sheet.reset_dimensions()  # what it says of its size need not be true
             out, numbers = io.StringIO(newline=""), 0
@@ -134,21 +172,21 @@ def _refuse_cells(path: Path, cells: int) -> None:
 
 
 def _cell(value: Any) -> str:
-    """As text; a formula that failed is an empty cell."""
-    if value is None or value in _FAILED:
+    """Return a cell as text; that of a formula that failed is empty."""
+    if value is None or value in ("#NULL!", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#N/A"):
         return ""
     return " ".join(str(int(value) if isinstance(value, float) and value.is_integer() else value).split())
 
 
-def table_of(
-    path: Path, records: list[table_form.Record], encoding: str, separator: str, decimal: str = "", sheet: str = ""
+def _table_of(
+    path: Path, records: list[table_form.Record], encoding: str, separator: str, sheet: str
 ) -> RawTable:
-    """Headings and rows out of all records; decimal : sign, where it is known. Raises InputError."""
+    """Return headings and rows out of all records. Raises InputError."""
     if not records:
         raise InputError(f"{path}: not a readable CSV table: it is empty; a header and at least one row are needed")
     comments = [(line, cells) for line, cells in records if table_form.commented(cells)]
     rest = [record for record in records if not table_form.commented(record[1])]
-    decimal = decimal or table_form.decimal_of(rest)
+    decimal = table_form.decimal_of(rest)
     if not rest:
         rest, comments = comments, []
     place, header, units = _headings(rest, comments)
@@ -163,8 +201,8 @@ def table_of(
     rows = []
     last = next((k for k in reversed(range(len(body))) if table_form.is_data(body[k][1])), len(body) - 1)
     for k, (line, cells) in enumerate(body):
-        few = sum(bool(cell.strip()) for cell in cells) < 2 and len(names) > 1
-        if (k > last and few) or tuple(c.strip() for c in cells) == names:
+        few = k > last and sum(bool(cell.strip()) for cell in cells) < 2 and len(names) > 1
+        if few or (cells[0].strip() == names[0] and tuple(c.strip() for c in cells) == names):
             skipped.append((line, cells))
         else:
             rows.append((line, cells))
@@ -187,7 +225,7 @@ def table_of(
     csv.writer(text).writerows([names, *plain])
     text.seek(0)
     lines, said = tuple(line for line, _ in rows), tuple(" ".join(cells) for _, cells in comments)
-    return RawTable(path, names, plain, pd.read_csv(text), lines, form, said)
+    return RawTable(path, names, plain, pd.read_csv(text, low_memory=False), lines, form, said)
 
 
 def _headings(

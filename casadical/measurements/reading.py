@@ -2,10 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
-from itertools import chain
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
@@ -16,8 +13,7 @@ from casadical.measurements.columns import MOST_TURNS, RADIANS, Columns, Source
 from casadical.measurements.headings import Understanding, understand
 from casadical.measurements.kinds.registry import find_kind, kind_of, kinds
 from casadical.measurements.measurements import FIELDS, Measurements
-from casadical.measurements.raw_table import RawTable
-from casadical.measurements.table_parts import USUAL, Portion, joined, read_columns, table_parts
+from casadical.measurements.raw_table import RawTable, read_table
 
 _POSITIONS = {f"{c}{u}" for c in "xyz" for u in ("_mm", "_m")}
 
@@ -32,11 +28,7 @@ def read_measurements(
     sigma_mm: float | None = None,
     sigma_deg: float | None = None,
 ) -> Measurements:
-    """Measurements from a table of any size in a file (see `casadical.measurements.raw_table`).
-
-    A table of more than some megabytes is read some rows at a time, and its numbers stand in temporary files that the
-    system maps (see `casadical.measurements.table_parts`), unless what a row says depends on others: rows of points and
-    relative poses, tools, sessions, columns that are moved by some rows.
+    """Read measurements from a table in a file (see `casadical.measurements.raw_table`).
 
     path : table, as text in any usual form, .xlsx (needs openpyxl) or .parquet (needs pyarrow)
     joints : number of joints, or the kind of each ("revolute", "prismatic")
@@ -52,39 +44,8 @@ def read_measurements(
     >>> poses.kind, poses.position.shape
     ('position', (40, 3))
     """
-    return read_in_portions(path, USUAL, joints, kind, columns or {}, point_from, sigma_mm, sigma_deg)
-
-
-def read_in_portions(
-    path: str | Path,
-    portion: Portion,
-    joints: int | Sequence[str],
-    kind: str | None = None,
-    columns: Mapping[str, str | Source] = MappingProxyType({}),
-    point_from: Sequence[str] = (),
-    sigma_mm: float | None = None,
-    sigma_deg: float | None = None,
-) -> Measurements:
-    """As `read_measurements`, so much of the table at a time. Raises InputError."""
-    parts = table_parts(path, portion)
-    first = next(parts)
-    sources = _sources(first, joints, columns, kind)
-    named = Columns.of_file(first).mapped(sources, point_from)
-    further = next(parts, None)
-    if further is None:
-        return from_columns(named, joints, kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
-
-    measured = partial(_measured, joints=joints, kind=kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
-    start = measured(named)
-    by_name = start.label is not None or any(name.startswith(("tool_", "session_")) for name in start.conditions)
-    moved = any(isinstance(source, Source) and source.rows for source in sources.values())
-    if find_kind(start.kind).by_row and not by_name and not moved:
-        others = (measured(Columns.of_file(part).mapped(sources)) for part in chain([further], parts))
-        whole = joined(chain([start], others))
-        if whole is not None:
-            _refuse_other_unit(whole.q, _kinds(joints, named.source), named, whole.row)
-            return _without_copies(whole, portion.rows)
-    named = Columns.of_file(read_columns(path, portion)).mapped(sources, point_from)
+    raw = read_table(path)
+    named = Columns.of_file(raw).mapped(_sources(raw, joints, columns or {}, kind), point_from)
     return from_columns(named, joints, kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
 
 
@@ -143,27 +104,7 @@ def from_columns(
     sigma_mm: float | None = None,
     sigma_deg: float | None = None,
 ) -> Measurements:
-    """Measurements from columns under our names; arguments and errors (Raises InputError) as of `read_measurements`."""
-    return _without_copies(_measured(columns, joints, kind, sigma_mm, sigma_deg, whole=True))
-
-
-def _kinds(joints: int | Sequence[str], source: str) -> list[str]:
-    """Of each joint. Raises InputError."""
-    kinds = ["revolute"] * joints if isinstance(joints, int) else list(joints)
-    if not kinds or set(kinds) - {"revolute", "prismatic"}:
-        raise InputError(f"{source}: joints {joints!r}; allowed: their number, or 'revolute' or 'prismatic' for each")
-    return kinds
-
-
-def _measured(
-    columns: Columns,
-    joints: int | Sequence[str],
-    kind: str | None,
-    sigma_mm: float | None,
-    sigma_deg: float | None,
-    whole: bool = False,
-) -> Measurements:
-    """As `from_columns`, copies included; whole : these are all rows, which tell the unit of angles."""
+    """Return measurements from columns under our names; arguments and errors as of `read_measurements`."""
     source, each = columns.source, _kinds(joints, columns.source)
     observed = find_kind(kind, source) if kind else kind_of(columns)
     patterns = [k.pattern for k in kinds().values()]
@@ -171,12 +112,11 @@ def _measured(
     q = columns.joints(each)
     if not len(q):
         raise InputError(f"{source}: no row is left; at least one pose is needed")
-    if whole:
-        _refuse_other_unit(q, each, columns, columns.row)
+    _refuse_other_unit(q, each, columns, columns.row)
     arrays = observed.read(columns, q)
     counted = arrays.pop("counted", np.ones(len(q)))
     conditions = with_gravity(columns.conditions(patterns), columns) | columns.tools() | columns.sessions()
-    return Measurements(
+    m = Measurements(
         q=q,
         kind=observed.name,
         conditions=conditions,
@@ -189,6 +129,15 @@ def _measured(
         extra={name: values for name, values in arrays.items() if name not in FIELDS},
         **{name: values for name, values in arrays.items() if name in FIELDS},  # type: ignore[arg-type]
     )
+    return _without_copies(m)
+
+
+def _kinds(joints: int | Sequence[str], source: str) -> list[str]:
+    """Of each joint. Raises InputError."""
+    kinds = ["revolute"] * joints if isinstance(joints, int) else list(joints)
+    if not kinds or set(kinds) - {"revolute", "prismatic"}:
+        raise InputError(f"{source}: joints {joints!r}; allowed: their number, or 'revolute' or 'prismatic' for each")
+    return kinds
 
 
 def _refuse_other_unit(q: Array, kinds: Sequence[str], columns: Columns, row: Array) -> None:
@@ -240,25 +189,17 @@ def readings_alone(columns: Columns, joints: int | Sequence[str]) -> Measurement
     return from_columns(replace(columns, table=table.assign(x_m=0.0, y_m=0.0, z_m=0.0)), joints, "position")
 
 
-def _without_copies(m: Measurements, rows: int = USUAL.rows) -> Measurements:
-    """A row copied whole is no second measurement: it is counted once; rows : that are moved at a time."""
-    numbers = _numbers(m)
-    # Only rows with equal hashes can be copies: of a table greater than memory these few are compared.
-    hashes = _hashes(numbers, rows)
-    hashes.sort()
-    twice = hashes[1:][hashes[1:] == hashes[:-1]]
-    if not len(twice):
+def _without_copies(m: Measurements) -> Measurements:
+    """Count a row that was copied whole once: it is no second measurement."""
+    hashes = _hashes(_numbers(m))
+    alike = np.flatnonzero(pd.Series(hashes).duplicated(keep=False))
+    if not len(alike):
         return m
-    alike = np.flatnonzero(np.isin(_hashes(numbers, rows), twice))
-    some = np.concatenate([values[alike].astype(float) for values in numbers], axis=1)
+    some = np.concatenate([values[alike].astype(float) for values in _numbers(m)], axis=1)
     copied = np.setdiff1d(alike, alike[np.unique(some, axis=0, return_index=True)[1]])
     if not len(copied):
         return m
-    kept = np.setdiff1d(np.arange(len(m)), copied)
-    pieces = np.array_split(kept, 1 + len(kept) // rows)
-    once = m[kept] if m.label is not None or len(pieces) == 1 else joined(m[piece] for piece in pieces)
-    assert once is not None
-    return replace(once, copies=tuple(m.row[copied].tolist()))
+    return replace(m[np.setdiff1d(np.arange(len(m)), copied)], copies=tuple(m.row[copied].tolist()))
 
 
 def _numbers(m: Measurements) -> list[Array]:
@@ -293,10 +234,9 @@ def refuse_shared_rows(sets: Sequence[Measurements]) -> None:
         seen.append((alike, hashes, m))
 
 
-def _hashes(numbers: Sequence[Array], rows: int = USUAL.rows) -> Array:
-    """A number for each row of some arrays, the same for equal rows, shape (n,); rows : that are taken at a time."""
+def _hashes(numbers: Sequence[Array]) -> Array:
+    """Return a number for each row of some arrays, the same for equal rows, shape (n,)."""
     hashes = np.zeros(len(numbers[0]), dtype=np.uint64)
-    for some in (slice(k, k + rows) for k in range(0, len(hashes), rows)):
-        for column in (column[some] for values in numbers for column in values.T):
-            hashes[some] = hashes[some] * np.uint64(1_000_003) ^ pd.util.hash_array(column + 0.0)  # -0.0 is 0.0
+    for column in (column for values in numbers for column in values.T):
+        hashes = hashes * np.uint64(1_000_003) ^ pd.util.hash_array(column + 0.0)  # -0.0 is 0.0
     return hashes

@@ -11,6 +11,7 @@ import re
 import unicodedata
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 from casadical.measurements.vocabulary import UNITS, hits
@@ -70,36 +71,26 @@ class Form:
         return ", ".join(parts)
 
 
-def marked_encoding(data: bytes) -> str:
-    """The encoding that the first bytes of a text show; utf-8 where they show none."""
-    for mark, name in _MARKS.items():
-        if data.startswith(mark):
-            return name
-    if b"\0" in data[:1000]:
-        return "utf-16-le" if data[1:1000:2].count(0) > data[0:1000:2].count(0) else "utf-16-be"
-    return "utf-8"
-
-
 def decoded(data: bytes) -> tuple[str, str]:
-    """The text of a file and its encoding. Raises UnicodeDecodeError where none fits."""
-    name = marked_encoding(data)
-    if name != "utf-8":
+    """Return the text of a file and its encoding. Raises UnicodeDecodeError where none fits.
+
+    A text that is not Unicode is read in the encoding that finds most known headings. (charset-normalizer
+    takes "q1 [°]" in cp1252 for big5: it needs longer texts than headings are.)
+    """
+    name = next((name for mark, name in _MARKS.items() if data.startswith(mark)), "utf-8")
+    if name == "utf-8" and b"\0" in data[:1000]:
+        name = "utf-16-le" if data[1:1000:2].count(0) > data[0:1000:2].count(0) else "utf-16-be"
+    try:
         return data.decode(name), name.removesuffix("-sig")
-    try:
-        return data.decode("utf-8"), "utf-8"
-    except UnicodeDecodeError as error:
-        heads = {name: text[:20000] for name in ENCODINGS if (text := _tried(data, name)) is not None}
-        if not heads:
-            raise error
-        name = max(heads, key=lambda name: hits(heads[name]))
-        return data.decode(name), name
-
-
-def _tried(data: bytes, name: str) -> str | None:
-    try:
-        return data.decode(name)
     except UnicodeDecodeError:
-        return None
+        heads = {}
+        for other in ENCODINGS if name == "utf-8" else ():
+            with suppress(UnicodeDecodeError):
+                heads[other] = data.decode(other)[:20_000]
+        if not heads:
+            raise
+    name = max(heads, key=lambda name: hits(heads[name]))
+    return data.decode(name), name
 
 
 def records_of(text: str, separator: str) -> list[Record]:
@@ -168,6 +159,8 @@ def decimal_of(rows: Sequence[Record]) -> str:
 
 def as_plain_number(cell: str, decimal: str) -> str:
     """A number with a decimal point and nothing else; a cell that is no number as it stands."""
+    if len(cell) < MOST_FIGURES and _POINT.fullmatch(cell):
+        return cell
     text = clean(cell)
     if decimal == "," and _COMMA.fullmatch(text):
         text = text.replace(".", "").replace(",", ".")

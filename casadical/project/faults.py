@@ -16,8 +16,8 @@ from casadical.measurements.columns import Columns
 from casadical.measurements.headings import understand
 from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.logs.reading import is_log
+from casadical.measurements.raw_table import read_table
 from casadical.measurements.reading import from_columns
-from casadical.measurements.table_parts import USUAL, read_columns
 from casadical.project.problem_file import DataTable, ProblemFile, UrdfTable, robot_of_file, table_like, tables_of
 from casadical.project.robot_columns import understood
 from casadical.robot.robot import Robot
@@ -121,7 +121,7 @@ def _robot(found: _Collected, path: Path, urdf: UrdfTable) -> tuple[Robot | None
 
 def _beside(source: Path, table: Path, robot: Robot | None, joints: Sequence[str], later: bool) -> None:
     """As `_read`, of a table that is understood as those of a problem or robot file are."""
-    raw = read_columns(table)
+    raw = read_table(table)
     try:
         data = table_like(source, raw, tables_of(source))
     except InputError:
@@ -131,9 +131,9 @@ def _beside(source: Path, table: Path, robot: Robot | None, joints: Sequence[str
 
 def _read(path: Path, data: DataTable, robot: Robot | None, joints: Sequence[str], later: bool) -> None:
     """Raises InputError for what is wrong with a table; without a robot, for cells alone."""
-    if path.is_file() and path.stat().st_size > USUAL.characters:
+    if path.is_file() and path.stat().st_size > 4_000_000:
         return
-    raw = read_columns(path)
+    raw = read_table(path)
     of_file = [j if j in ("revolute", "prismatic") else "revolute" for j in joints]
     if robot is None and not of_file:
         return

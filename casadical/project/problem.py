@@ -21,9 +21,8 @@ from casadical.measurements.columns import Columns
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import SETS, Measurements
-from casadical.measurements.raw_table import RawTable
+from casadical.measurements.raw_table import RawTable, read_table
 from casadical.measurements.reading import from_columns, readings_alone, refuse_open, refuse_shared_rows
-from casadical.measurements.table_parts import read_columns
 from casadical.project.faults import each_of, every_fault
 from casadical.project.problem_file import (
     BaseMethod,
@@ -291,7 +290,7 @@ def read_campaign(
     >>> len(casadical.read_campaign("problems/planar", "data/planar/planar.csv", robot))
     40
     """
-    folder, raw = Path(folder), read_columns(path)
+    folder, raw = Path(folder), read_table(path)
     data = table_like(folder, raw, tables_of(folder))
     columns, joints = _columns(raw, data, robot), [j.kind for j in robot.joints]
     lost = (columns.lost_rows if words else columns.empty_rows) if later else ()
@@ -332,7 +331,7 @@ def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> tuple
     path = folder / data.file
     if not path.exists():
         raise InputError(f"{path}: no such file; it is named in {folder / 'problem.toml'}")
-    columns = _columns(read_columns(path), data, robot)
+    columns = _columns(read_table(path), data, robot)
     joints = [j.kind for j in robot.joints]
     m = _with_noise(columns, joints, data)
     if data.point_from and m.label is None:

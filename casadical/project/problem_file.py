@@ -29,8 +29,7 @@ from casadical.identification.residuals import AnyLoss
 from casadical.measurements.columns import Source
 from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.measurements import SETS
-from casadical.measurements.raw_table import RawTable
-from casadical.measurements.table_parts import read_columns
+from casadical.measurements.raw_table import RawTable, read_table
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot, with_tools
 from casadical.robot.robot_schema import ToolTable
@@ -292,7 +291,7 @@ def file_with_tables(source: Path, tables: Sequence[str | Path]) -> ProblemFile:
         file = file.model_copy(update={"robot": file.of_campaigns, "title": "", "paper": None})
     own = tables_of(source)
     measured = [
-        table_like(source, read_columns(t), own).model_copy(update={"file": str(Path(t).resolve())}) for t in tables
+        table_like(source, read_table(t), own).model_copy(update={"file": str(Path(t).resolve())}) for t in tables
     ]
     return file.model_copy(update={"measurements": measured, "data": None})
 

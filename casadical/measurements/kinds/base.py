@@ -82,7 +82,6 @@ class MeasurementKind(ABC):
     lengths, angles : numbers that are observed at a pose [m] and [rad], at least one and at most six together
     places : whether its unknown points are places, between which distances may be known
     touches : whether the tool touches what is measured, so that poses must hold it there
-    by_row : whether `read` takes each row on its own, so that a table greater than memory can be read in parts
     has_scale : whether it determines the scale: not where robots of one shape and any size fit alike
 
     Examples
@@ -121,7 +120,6 @@ class MeasurementKind(ABC):
     places: ClassVar[bool] = True
     touches: ClassVar[bool] = False
     has_scale: ClassVar[bool] = True
-    by_row: ClassVar[bool] = False
 
     @property
     def numbers(self) -> int:

@@ -33,7 +33,6 @@ class Distance(OfPoints):
     signs: ClassVar[tuple[str, ...]] = ("distance_mm?",)
     arrays: ClassVar[tuple[str, ...]] = ("distance",)
     lengths = 1
-    by_row: ClassVar[bool] = True
     known = "target"
     alone = "far end"
 

@@ -24,7 +24,6 @@ class Position(MeasurementKind):
     signs: ClassVar[tuple[str, ...]] = ("x_mm?",)
     arrays: ClassVar[tuple[str, ...]] = ("position",)
     lengths = 3
-    by_row: ClassVar[bool] = True
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
         return {"position": columns.vector("")}
@@ -65,7 +64,6 @@ class PositionCovariance(Position):
     pattern = "[xyz]_mm?|cov_(xx|xy|xz|yy|yz|zz)_mm2"
     signs = ("x_mm?", "cov_xx_mm2")
     arrays: ClassVar[tuple[str, ...]] = ("position", "whitening")
-    by_row = False  # the typical sigma is that of all rows
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
         xx, xy, xz, yy, yz, zz = (1e-6 * columns.column(f"cov_{entry}_mm2") for entry in _ENTRIES)

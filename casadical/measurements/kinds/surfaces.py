@@ -92,7 +92,6 @@ class Sphere(Distance):
     pattern = "sphere|radius_mm?"
     signs = ("sphere",)
     arrays: ClassVar[tuple[str, ...]] = ("distance", "label")
-    by_row = False
     touches = True
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:

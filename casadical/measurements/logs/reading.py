@@ -1,7 +1,6 @@
 """Logs from files: the contract's tables, and those of other systems, as one `JointLog`."""
 
 import gzip
-import io
 import re
 import zlib
 from collections.abc import Sequence
@@ -10,19 +9,16 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import pandas as pd
 
 from casadical.core.basics import Array, InputError
 from casadical.core.parts import Arm
-from casadical.core.reading import read_bytes, unpacked
 from casadical.measurements.columns import RADIANS
 from casadical.measurements.headings import words_of
 from casadical.measurements.logs.columns import FACTORS, LENGTHS, NAMES, Logged, is_number, logged, meaning
 from casadical.measurements.logs.findings import found_in, refuse_frozen, refuse_other_units, with_signs
 from casadical.measurements.logs.log import CHANNELS, JointLog
 from casadical.measurements.logs.systems import BAGS, STATE, STATES, bag, lerobot, sage
-from casadical.measurements.raw_table import MOST_COLUMNS, RawTable, refuse_many, refuse_repeated_names
-from casadical.measurements.table_parts import read_columns, table_parts
+from casadical.measurements.raw_table import plain_headings, read_table
 from casadical.measurements.vocabulary import WORDS
 
 # Rows of a motion lie at most so far apart, and after so long a pause another run begins [s].
@@ -31,9 +27,6 @@ SLOWEST, PAUSE = 0.5, 600.0
 DRIVEN = ("command", "torque", "current")
 # Channels in units of angle or length.
 _OF_MOTION = ("position", "command", "speed", "command_speed")
-# Characters of a line of headings that are looked at.
-MOST_HEAD = 100_000
-_HEADINGS = re.compile(r'[^\n"]*[A-Za-z][^\n"]*,[^\n"]*')
 
 
 def read_log(
@@ -76,7 +69,7 @@ def is_log(path: str | Path) -> bool:
     if path.name == STATE or path.suffix.lower() in BAGS or any((path / n).exists() for n in (STATE, "metadata.yaml")):
         return True
     try:
-        headings = _plain_headings(path) or next(table_parts(path)).header
+        headings = _plain_headings(path) or read_table(path).header
     except InputError:
         return False
     if {"x_mm", "x_m", "distance_mm"} & {*headings}:  # measured poses
@@ -94,11 +87,11 @@ def _plain_headings(path: Path) -> tuple[str, ...]:
         return ()
     try:
         with (gzip.open if path.suffix.lower() == ".gz" else open)(path, "rb") as file:
-            head, first = (file.readline(MOST_HEAD).decode("ascii").strip() for _ in range(2))
-        [float(cell or "nan") for cell in first.split(",")]
+            head, first = (file.readline(100_000) for _ in range(2))  # of longer lines no more is looked at
+        [float(cell.strip() or "nan") for cell in first.decode("ascii").split(",")]
     except (OSError, EOFError, zlib.error, ValueError):
         return ()
-    return tuple(word.strip() for word in head.split(",")) if _HEADINGS.fullmatch(head) else ()
+    return plain_headings(head)
 
 
 def _logged(path: Path, names: Sequence[str], unit: str | None) -> Logged:
@@ -109,29 +102,10 @@ def _logged(path: Path, names: Sequence[str], unit: str | None) -> Logged:
         return sage(path.parent if path.name == STATE else path)
     if path.is_dir():
         raise InputError(f"{path}: a folder without {STATE} (SAGE) and metadata.yaml (ROS 2); name the file of the log")
-    table = _table(path)
+    table = read_table(path, large_bytes=0)
     if STATES.keys() & {*table.header}:
         return lerobot(path, table, unit)
     return logged(table, names)
-
-
-def _table(path: Path) -> RawTable:
-    """A table; one of plain numbers under a line of headings is read in a tenth of the time."""
-    if path.suffix.lower() != ".parquet" and path.is_file():
-        data = unpacked(read_bytes(path), str(path))
-        refuse_many(path, data.count(b",") + data.count(b"\n"))
-        head = data[: data.find(b"\n") + 1]
-        if head.count(b",") < MOST_COLUMNS and head.isascii() and _HEADINGS.fullmatch(head.decode().strip()):
-            refuse_repeated_names((name.strip() for name in head.decode().split(",")), str(path))
-            try:
-                frame = pd.read_csv(io.BytesIO(data), skipinitialspace=True)
-            except (ValueError, pd.errors.ParserError):
-                return read_columns(path)
-            header = tuple(str(name).strip() for name in frame)
-            plain = len({*header}) == head.count(b",") + 1 and isinstance(frame.index, pd.RangeIndex)
-            if plain and len(frame) and all(map(pd.api.types.is_numeric_dtype, frame.dtypes)):
-                return RawTable(path, header, (), frame.set_axis(header, axis=1), np.arange(len(frame)) + 2)
-    return read_columns(path)
 
 
 def assembled(log: Logged, robot: Arm | None, unit: str | None = None) -> JointLog:
