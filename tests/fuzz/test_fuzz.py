@@ -21,6 +21,7 @@ sys.path.insert(0, str(ROOT / "docs" / "studies"))
 import fuzz  # noqa: E402
 import fuzz_files  # noqa: E402
 
+pytestmark = pytest.mark.slow  # hundreds of commands
 FOUND = sorted((Path(__file__).parent / "found").iterdir())
 
 

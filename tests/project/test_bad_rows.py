@@ -33,6 +33,7 @@ def arm(folder: Path, spoiled: dict[int, float]) -> Path:
     return folder / "arm"
 
 
+@pytest.mark.slow
 def test_clean_data_lose_nothing(tmp_path: Path) -> None:
     """The same digits as plain least squares."""
     clean = arm(tmp_path, {})
@@ -83,6 +84,7 @@ def test_every_row_left_out_is_named(tmp_path: Path) -> None:
     assert all(f"{row} (" in warned for row in expected - {20})
 
 
+@pytest.mark.slow
 def test_worse_than_before_is_an_error_with_its_remedy(tmp_path, monkeypatch, capfd):
     (tmp_path / "clean").mkdir()
     fitted = read_problem(arm(tmp_path / "clean", {})).sets["identify"][0].row
@@ -109,6 +111,7 @@ def test_rows_without_numbers_are_left_out_by_new_and_named(tmp_path: Path) -> N
     assert json.dumps("Messwert X [mm]") in text
 
 
+@pytest.mark.slow
 def test_a_calibration_that_hardly_helps_says_which_data_would(tmp_path: Path) -> None:
     """Few poses near the robot's rest, of a robot of which only the DH table is known."""
     q, _ = first_hour.measured(90)
@@ -124,6 +127,7 @@ def test_a_calibration_that_hardly_helps_says_which_data_would(tmp_path: Path) -
     assert "compliant" not in said.partition("would need")[2]  # it was tried
 
 
+@pytest.mark.slow
 def test_wider_ranges_are_no_advice_where_the_poses_determine_the_robot(tmp_path: Path) -> None:
     """An instrument that drifts, joints that move over a part of their ranges, many poses."""
     q, _ = first_hour.measured(200)

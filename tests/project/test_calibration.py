@@ -103,6 +103,7 @@ def test_what_is_written_is_fitted_to_all_poses_and_judged_before(tmp_path: Path
     assert told["methods"]["KM"]["parameters"] == again.written["KM"].to_json()["parameters"]
 
 
+@pytest.mark.slow
 def test_compliance_that_the_fitted_poses_are_too_few_for_shows_in_all(tmp_path: Path) -> None:
     """Fifty lengths by three wires, two of them wrong, of an arm that sags: there the compliant fit does not end."""
     user = replace(users.drawn(413), slips={"rows": 2})

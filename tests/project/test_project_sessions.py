@@ -98,6 +98,7 @@ def test_what_is_anew_is_one_of_two_words(folder: Path) -> None:
         read_problem(folder)
 
 
+@pytest.mark.slow
 def test_sessions_are_known_to_the_check_the_verification_and_the_plan(folder: Path) -> None:
     both = pd.concat([pd.read_csv(folder / f"{name}.csv").assign(session=name) for name in ("May", "June")])
     both.to_csv(folder / "both.csv", index=False)

@@ -85,14 +85,6 @@ def test_what_the_robot_file_does_not_name_is_refused(arm: Path, tmp_path: Path)
         read_campaign(arm, table(tmp_path, 40), replace(robot, targets=(), tool_name=""))
 
 
-def test_the_three_commands_of_the_readme(tmp_path, monkeypatch, capfd):
-    folder, data = tmp_path / "arm", table(tmp_path, 60)
-    assert main(monkeypatch, "new", folder, "--dh", tmp_path / "dh.csv", "--data", data, "--yes") == 0
-    assert "Column 'tool' names 3 measured points" in " ".join(capfd.readouterr().out.split())
-    assert main(monkeypatch, "check", folder, "--repair") == 0
-    assert "+++" not in capfd.readouterr().out
-
-
 def nest_table(folder: Path, *, sign: int = 1, named: bool = False, poses: int = 25) -> Path:
     """Three reflectors at every pose, as a German table; in which no column names them, unless `named`."""
     q, p, which = first_hour.nested(poses)
@@ -115,9 +107,10 @@ def distances(points: list[np.ndarray]) -> np.ndarray:
 NEST = np.sort([np.linalg.norm(a - b) for k, a in enumerate(first_hour.NEST) for b in first_hour.NEST[:k]])
 
 
-@pytest.mark.parametrize("sign", [1, -1], ids=["clean", "a sign turned"])
-def test_reflectors_that_nobody_named_are_recognised_from_repeats(sign, tmp_path, monkeypatch, capfd):
-    arm, data = tmp_path / "arm", nest_table(tmp_path, sign=sign)
+@pytest.mark.slow
+def test_reflectors_that_nobody_named_are_recognised_from_repeats(tmp_path, monkeypatch, capfd):
+    """In a table in which a sign is turned, too."""
+    arm, data = tmp_path / "arm", nest_table(tmp_path, sign=-1)
     said = f"repeats disagree: 3 targets on one flange, distances {', '.join(f'{d:.1f}' for d in NEST)} mm between them"
     assert main(monkeypatch, "new", arm, "--dh", tmp_path / "dh.csv", "--data", data, "--yes") == 0
     assert said[:43] in " ".join(capfd.readouterr().out.split())
@@ -139,6 +132,7 @@ def test_reflectors_that_nobody_named_are_recognised_from_repeats(sign, tmp_path
     assert "no column names the targets; as they lie, target" in " ".join(capfd.readouterr().out.split())
 
 
+@pytest.mark.slow
 def test_targets_at_one_stop_are_in_one_set_and_no_repeats(tmp_path: Path) -> None:
     """Readings of a stop differ by thousandths of a degree, or not at all."""
     new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=nest_table(tmp_path, named=True))
@@ -165,6 +159,7 @@ def test_a_station_that_moved_is_no_second_target(tmp_path: Path) -> None:
     assert any("the station was moved between them" in f.text for f in found.of_level("warning"))
 
 
+@pytest.mark.slow
 def test_several_targets_on_the_tip_of_a_urdf(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Named by a column, and recognised from repeats; the calibrated URDF has a link for each."""
     pytest.importorskip("yourdfpy", reason="the extra urdf is not installed")
@@ -184,6 +179,7 @@ def test_several_targets_on_the_tip_of_a_urdf(tmp_path: Path, monkeypatch: pytes
         assert text.count('<link name="casadical_measured_point') == 3
 
 
+@pytest.mark.slow
 def test_names_swapped_halfway_are_found_and_repaired(tmp_path, monkeypatch, capfd):
     path = table(tmp_path, 80)
     lines = path.read_text().splitlines()
@@ -221,6 +217,7 @@ def test_targets_that_the_table_or_the_robot_file_lacks(tmp_path: Path) -> None:
         calibrate(tmp_path / "arm")
 
 
+@pytest.mark.slow
 def test_a_target_that_is_only_held_out_is_refused_with_its_rows(tmp_path: Path) -> None:
     new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=table(tmp_path, 60))
     report = read_problem(tmp_path / "arm").sets["report"][0]
@@ -288,6 +285,7 @@ def one_target(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "arm"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("calibrated", ["arm", "one_target"])
 @pytest.mark.parametrize(("n", "named"), [(60, False), (60, True), (12, False)])
 def test_a_later_table_needs_no_names_of_its_targets(calibrated, n, named, request, tmp_path):
@@ -315,6 +313,7 @@ def test_a_later_table_needs_no_names_of_its_targets(calibrated, n, named, reque
     assert not same.unexplained
 
 
+@pytest.mark.slow
 def test_robot_files_of_three_targets_are_compared(arm: Path, tmp_path: Path) -> None:
     results = arm.parent / "results"
     assert not compare_files([results, results / "KM.robot.toml"]).changed
@@ -324,6 +323,7 @@ def test_robot_files_of_three_targets_are_compared(arm: Path, tmp_path: Path) ->
     )
 
 
+@pytest.mark.slow
 def test_nothing_changed_is_not_said_over_a_gap(arm: Path, tmp_path, monkeypatch, capfd):
     """An instrument ten times worse; a robot file and few poses; campaigns that leave what no calibrated robot does."""
     few, noisy = later_table(tmp_path / "few.csv", 12), later_table(tmp_path / "noisy.csv", named=True, noise=0.3)
