@@ -75,7 +75,7 @@ def fleet(
     Exit codes: 0 done, also where single robots failed, 2 bad input or no scheduler, 70 a bug in casadical.
 
     folders : Problem folders, one a robot, or folders that hold them.
-    store : Folder of parquet files, a row of each robot; continued.
+    store : Folder with a Parquet file of each robot's row; continued.
     scheduler : Dask scheduler, as tcp://host:8786; default: this machine's cores.
     workers : Processes of this machine; default: one a core.
     diagnose : Diagnose every robot, which takes longest.

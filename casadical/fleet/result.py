@@ -1,7 +1,7 @@
 """The result of a fleet: a row of each robot, outliers, trends, what robots of one type share; and its figures."""
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import takewhile
 from pathlib import Path
@@ -16,8 +16,8 @@ from casadical.core.telling.plain import WRITTEN, Key, plain
 from casadical.core.telling.result import Result
 from casadical.fleet.changes import ALARMS, leaves_more, left_figure
 from casadical.fleet.estimates import date_text
-from casadical.fleet.hierarchy import LEAST, MOST, Common, Drawing, common_of, drawings_of, near, nearly_one
-from casadical.fleet.store import NOTHING, records
+from casadical.fleet.hierarchy import LEAST, Common, Drawing, common_of, drawings_of, near, nearly_one
+from casadical.fleet.store import records
 from casadical.project.problem import read_problem_robot
 from casadical.robot.robot_file import to_toml
 
@@ -25,9 +25,6 @@ from casadical.robot.robot_file import to_toml
 FAR = 4.0
 # Of a campaign that could not be used, in a robot's notes.
 LEFT_OUT = "is left out:"
-# Of a stored row, what robots of one type share is learnt from; and what is kept in memory of every robot.
-SHARED = ("robot", "type", "type_name", "names", "score", "information", "spread", "scale", "identified")
-KEPT = tuple(n for n in NOTHING if n not in (*SHARED[3:], "departure", "details"))
 # Of fewer robots the 95 % quantile is no more than the worst of them.
 MANY = 20
 # Rows that the terminal shows, and letters of an error that a table shows.
@@ -40,9 +37,7 @@ LISTED, FEWER_LETTERS = 2000, 60
 class Fleet(Result):
     """All robots of a fleet.
 
-    robots : a row of each, as the store keeps it; without what its campaigns tell of single parameters (`details`,
-        `names`, `departure`, `score`, `information`, `spread`, `scale`, `identified`), which `pandas.read_parquet`
-        reads
+    robots : a row of each, as the store keeps it
     commons : what robots of one type share, of types with five robots or more
     outliers : robots whose error stands out from that of their type
     notes : what was assumed
@@ -280,19 +275,15 @@ def grown(left: Sequence[float], freedom: Sequence[float] | float | None, alarms
 def fleet_of(
     robots: pd.DataFrame,
     notes: Sequence[str] = (),
-    told: Callable[[Sequence[str]], Iterable[Mapping[str, Any]]] | None = None,
     computed: int | None = None,
 ) -> Fleet:
-    """The result of the rows of a store; told : gives the columns SHARED of some robots, which `robots` lacks."""
+    """The result of the rows of a store."""
     names = {kind: name_of_type(list(some)) for kind, some in robots.groupby("type")["type_name"]}
     robots = robots.assign(type_name=robots["type"].map(names))
     good = robots[robots["status"] == "ok"]
     types = [some for _, some in good.groupby("type", sort=False) if len(some) >= LEAST]
     outliers = [name for some in types for name in _outliers(some)]
-    commons = [
-        replace(common_of(told(list(some["robot"][:MOST])) if told else records(some)), name=some["type_name"].iloc[0])
-        for some in types
-    ]
+    commons = [replace(common_of(records(some)), name=some["type_name"].iloc[0]) for some in types]
     drawings = drawings_of(good)
     said = (*notes, *nearly_one(drawings))
     return Fleet(robots, tuple(commons), tuple(outliers), said, drawings, computed)

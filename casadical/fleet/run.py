@@ -1,22 +1,25 @@
 """A fleet: every robot's folder calibrated, diagnosed and compared on a cluster, and what the robots have in common."""
 
+import os
+import re
+import signal
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import islice
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from time import monotonic
+from pydoc import locate
 from typing import Any
 
 import pandas as pd
 
-from casadical.core.basics import InputError, Show, shown, silent
-from casadical.fleet.cluster import SchedulerLostError, client_of, results
-from casadical.fleet.result import KEPT, SHARED, Fleet, fleet_of
-from casadical.fleet.store import NOTHING, add, each, fingerprint, name_of, one_robot, opened, rows
+from casadical import __version__
+from casadical.core.basics import InputError, Show, optional, shown, silent
+from casadical.core.files import claimed
+from casadical.fleet.result import Fleet, fleet_of
+from casadical.fleet.store import NOTHING, add, fingerprint, name_of, one_robot, records, rows
 
-# Rows are written when there are so many, or after so many seconds.
-ROWS, SECONDS = 50, 20.0
-# Of a stored row, what says whether a robot is to be computed again.
-_LOOKED_AT = ("robot", "folder", "status", "fingerprint", "verdict")
+NEEDED = "a fleet needs dask, distributed and pyarrow; install them: pip install 'casadical[fleet]'"
+# A robot whose worker dies is given to another worker so often.
+RETRIES = 2
 
 
 def run_fleet(
@@ -31,7 +34,7 @@ def run_fleet(
     """Calibrate, diagnose and compare every robot of a fleet; what a store has already is not computed again.
 
     folders : problem folders, one a robot, or folders that hold them
-    store : folder of parquet files that keeps a row of each robot
+    store : folder that keeps a Parquet file with the row of each robot
     scheduler : address of a Dask scheduler, as tcp://host:8786; None: processes of this machine
     workers : how many processes of this machine; None: one a core
     with_diagnosis : whether every robot is diagnosed, which takes longest
@@ -47,24 +50,39 @@ def run_fleet(
     (['planar'], ['ok'])
     """
     robots, place = robots_in(folders), Path(store)
-    with opened(place):
-        damaged: list[str] = []
-        known = rows(place, _LOOKED_AT, damaged).set_index("robot")
+    optional("pyarrow", NEEDED)
+    with claimed([place]):
+        if foreign := [p.name for p in place.iterdir() if not (p.name.startswith(".") or p.suffix == ".parquet")]:
+            raise InputError(
+                f"{shown(place)}: holds {shown(min(foreign))}, which is no part of a store; a store is a folder "
+                "of its own: give another name with --store"
+            )
+        if not os.access(place, os.W_OK):
+            raise InputError(f"{shown(place)}: this store cannot be written to; change its permissions or its place")
+        stored, damaged = rows(place)
+        known = stored.set_index("robot")
         robots, prints, notes = _without_copies(robots, known)
-        left, renamed = _to_compute(robots, prints, known, with_diagnosis, place)
-        notes += renamed
-        show(f"robot {len(robots) - len(left)} of {len(robots)}")
-        if left:
-            with client_of(scheduler, workers) as client:
-                tasks = [(str(robots[name].resolve()), with_diagnosis) for name in left]
-                _compute(results(client, one_robot, tasks), place, len(robots), len(left), show)
-        whole = rows(place, KEPT, damaged=[])
+        left, renamed, said = _to_compute(robots, prints, known, with_diagnosis)
+        for row in records(stored[stored["robot"].isin(renamed)]):
+            name = renamed[row["robot"]]
+            add(place, {**row, "robot": name, "folder": str(robots[name].resolve())})
+        count, total = len(robots) - len(left), len(robots)
+        again = f"robots are in {shown(place)}: run the same command again, it continues there"
+        show(f"robot {count} of {total}")
+        try:
+            for row in _computed(left, robots, scheduler, workers, with_diagnosis) if left else ():
+                add(place, row)
+                count += 1
+                show(f"robot {count} of {total}")
+        except InputError as error:
+            raise InputError(
+                f"{error}; {count} of {total} {again}" if count > total - len(left) else f"{error}"
+            ) from None
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"interrupted; {count} of {total} {again}") from None
+        whole, _ = rows(place)
     whole = whole[whole["robot"].isin(robots)].sort_values("robot", ignore_index=True)
-    if gone := len(robots) - len(whole):
-        notes.append(
-            f"rows of {gone} robots are gone: {shown(place)} was changed meanwhile; run the same command again"
-        )
-    return fleet_of(whole, (*damaged, *notes), lambda some: each(place, some, SHARED), len(left))
+    return fleet_of(whole, (*damaged, *notes, *said), len(left))
 
 
 def robots_in(folders: Iterable[str | Path]) -> dict[str, Path]:
@@ -105,9 +123,9 @@ def _without_copies(robots: dict[str, Path], known: pd.DataFrame) -> tuple[dict[
 
 
 def _to_compute(
-    robots: dict[str, Path], prints: dict[str, str], known: pd.DataFrame, with_diagnosis: bool, place: Path
-) -> tuple[list[str], list[str]]:
-    """Robots that are to be computed; a row whose folder was renamed is taken over under the new name."""
+    robots: dict[str, Path], prints: dict[str, str], known: pd.DataFrame, with_diagnosis: bool
+) -> tuple[list[str], dict[str, str], list[str]]:
+    """Return the robots to compute, the new names of stored ones by the old, and the renamed ones in words."""
     left: list[str] = []
     renamed: dict[str, str] = {}
     gone = {now: str(name) for name, now in known["fingerprint"].items() if name not in prints and now}
@@ -117,40 +135,84 @@ def _to_compute(
             renamed[gone[now]] = name
         elif row is None or row.fingerprint != now or row.status != "ok" or (with_diagnosis and not row.verdict):
             left.append(name)
-    same = (
-        {**old, "robot": renamed[old["robot"]], "folder": str(robots[renamed[old["robot"]]].resolve())}
-        for old in each(place, renamed)
-    )
-    while some := list(islice(same, ROWS)):
-        add(place, some)
-    return left, [
-        f"{name} has the files of {old}, whose folder is not there: taken for it, renamed"
-        for old, name in renamed.items()
-    ]
+    words = "{} has the files of {}, whose folder is not there: taken for it, renamed"
+    return left, renamed, [words.format(name, old) for old, name in renamed.items()]
 
 
-def _compute(
-    done: Iterator[tuple[tuple[Any, ...], dict[str, Any] | Exception]], place: Path, total: int, left: int, show: Show
-) -> None:
-    """Keeps the rows as they come. Raises SchedulerLostError with how to go on."""
-    waiting: list[dict[str, Any]] = []
-    count, written = total - left, monotonic()
-    again = f"robots are in {shown(place)}: run the same command again, it continues there"
-    try:
-        for (folder, _), record in done:
-            if isinstance(record, Exception):
-                why = f"the processes that computed it ended: {type(record).__name__}: {str(record).splitlines()[0]}"
-                place_of = {"robot": name_of(Path(folder)), "folder": name_of(Path(folder), whole=True)}
-                record = {**NOTHING, **place_of, "status": "lost", "error": why}
-            waiting.append(record)
-            count += 1
-            show(f"robot {count} of {total}")
-            if len(waiting) >= ROWS or monotonic() - written > SECONDS:
-                add(place, waiting)
-                waiting, written = [], monotonic()
-    except SchedulerLostError as error:
-        raise SchedulerLostError(f"{error}; {count} of {total} {again}") from None
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"interrupted; {count} of {total} {again}") from None
-    finally:
-        add(place, waiting)
+def _computed(
+    names: Sequence[str], robots: dict[str, Path], scheduler: str | None, workers: int | None, with_diagnosis: bool
+) -> Iterator[dict[str, Any]]:
+    """Yield the row of each robot as it is computed on a cluster. Raises InputError if the scheduler is lost."""
+    distributed = optional("distributed", NEEDED)
+    with client_of(scheduler, workers) as client:
+        folders = [robots[name].resolve() for name in names]
+        options = {"with_diagnosis": with_diagnosis, "pure": False, "retries": RETRIES}
+        of = dict(zip(client.map(one_robot, [str(folder) for folder in folders], **options), folders, strict=True))
+        for future, row in distributed.as_completed(of, with_results=True, raise_errors=False):
+            folder = of.pop(future)
+            if future.cancelled():
+                raise InputError("the scheduler no longer answers")
+            if future.status == "error":
+                why = f"the processes that computed it ended: {type(row[1]).__name__}: {str(row[1]).splitlines()[0]}"
+                about = {"robot": name_of(folder), "folder": name_of(folder, whole=True)}
+                row = {**NOTHING, **about, "status": "lost", "error": why}
+            yield row
+
+
+@contextmanager
+def client_of(scheduler: str | None, workers: int | None) -> Iterator[Any]:
+    """A client of a scheduler, or of processes of this machine, one core each. Raises InputError."""
+    distributed = optional("distributed", NEEDED)  # first: its own settings must not take the place of these
+    dask = optional("dask", NEEDED)
+    if scheduler is not None:
+        _refuse_address(scheduler)
+    settings = {
+        "distributed.comm.timeouts.connect": "10s",
+        # Dask keeps the call stacks of each second of the last hour: hundreds of megabytes.
+        "distributed.worker.profile.enabled": False,
+        "distributed.worker.preload": [__name__],
+    }
+    with ExitStack() as stack:
+        stack.enter_context(dask.config.set(settings))
+        try:
+            if scheduler is not None:
+                client = stack.enter_context(distributed.Client(scheduler, timeout="10s"))
+                _refuse_other_versions(client, scheduler)
+            else:  # on the loopback interface; by default Dask serves its pages on all
+                host = "127.0.0.1"
+                options = {"host": host, "dashboard_address": f"{host}:0", "silence_logs": 50}
+                cluster = distributed.LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, **options)
+                client = stack.enter_context(distributed.Client(stack.enter_context(cluster)))
+        except (OSError, TimeoutError) as error:
+            raise InputError(f"{scheduler or 'local cluster'}: no scheduler answers: {error}") from None
+        yield client
+
+
+def _refuse_address(scheduler: str) -> None:
+    """Raises InputError for what is no address of a scheduler that this command can talk to."""
+    if scheduler.startswith("tls://"):
+        raise InputError(
+            f"--scheduler {shown(scheduler)}: an encrypted one asks for certificates, which this command cannot give; "
+            "start the scheduler with tcp:// on a network that you trust, or reach it through an SSH tunnel"
+        )
+    parts = re.fullmatch(r"(tcp://)?(\[[0-9a-fA-F:.]+\]|[\w.-]+):(\d{1,5})", scheduler)
+    if not parts or int(parts[3]) > 65535:
+        raise InputError(f"--scheduler {shown(scheduler)}: is no address; an address is tcp://host:8786")
+
+
+def _refuse_other_versions(client: Any, scheduler: str) -> None:
+    """Raises InputError where there are no workers, or one with another casadical."""
+    versions = client.run(locate, "casadical.__version__")
+    if not versions:
+        raise InputError(f"{scheduler}: no worker is connected; start one there: dask worker {scheduler}")
+    for worker, version in versions.items():
+        if version != __version__:
+            raise InputError(
+                f"worker {worker} has {f'casadical {version}' if version else 'no casadical'}; this is casadical "
+                f"{__version__}: install the same one there, and start the worker again"
+            )
+
+
+def dask_setup(_worker: Any) -> None:
+    """Called by Dask in each process of this machine: Ctrl-C is for the command, which ends them."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

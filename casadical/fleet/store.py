@@ -1,16 +1,13 @@
-"""A store of rows, one a robot: a folder of parquet files that is only added to, so that nothing is lost midway.
+"""A store of rows, one a robot: a folder with a Parquet file of each, so that nothing is lost midway.
 
 All that is computed of one robot of a fleet: calibrated, diagnosed, compared; an error is a row, too.
 """
 
 import hashlib
-import io
-import os
 import time
 import traceback
-import uuid
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,12 +16,11 @@ import numpy as np
 import pandas as pd
 
 from casadical import __version__
-from casadical.core.basics import CasadicalError, InputError, optional, shown
-from casadical.core.files import json_text, locked, write_together
-from casadical.core.reading import foreign, read_bytes
+from casadical.core.basics import CasadicalError, InputError, shown
+from casadical.core.files import json_text, write_together
+from casadical.core.reading import read_bytes
 from casadical.fleet.campaigns import estimates_of, in_order, later_tables, other_regions
 from casadical.fleet.changes import in_words
-from casadical.fleet.cluster import NEEDED
 from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate
 from casadical.project.calibration import calibrate
@@ -159,145 +155,28 @@ def shared_columns(e: Estimate, drawn: Robot) -> dict[str, Any]:
     }
 
 
-VERSION = 1
-# Key of the version in the metadata of every file.
-KEY = b"casadical_fleet"
-# Columns that files of this version may lack.
-ADDED = ("left_free",)
-# Rows of a file; one is written for `casadical.fleet.run.ROWS` robots at most.
-MOST_ROWS = 10_000
-AGAIN = "the robots in it are computed again; remove it"
+def add(folder: Path, row: Mapping[str, Any]) -> None:
+    """Write the row of one robot into a store: a file of its name, whole or not at all.
 
-
-@contextmanager
-def opened(folder: Path) -> Iterator[None]:
-    """A store that this process alone writes to. Raises InputError: another one does, no folder, another version."""
-    optional("pyarrow", NEEDED)
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{shown(folder)}: is a file; a store is a folder: give another name with --store")
-    made = not folder.exists()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with ExitStack() as stack:
-            handle = os.open(folder, os.O_RDONLY)
-            stack.callback(os.close, handle)
-            if not locked(handle):
-                raise InputError(f"{shown(folder)}: another casadical is writing to this store; wait for it")
-            if not os.access(folder, os.W_OK):
-                raise InputError(
-                    f"{shown(folder)}: this store cannot be written to; change its permissions or its place"
-                )
-            foreign = [p.name for p in folder.iterdir() if not p.name.startswith((".", "part-"))]
-            if foreign:
-                raise InputError(
-                    f"{shown(folder)}: holds {shown(min(foreign))}, which is no part of a store; a store is a folder "
-                    "of its own: give another name with --store"
-                )
-            yield
-    except OSError as error:
-        raise InputError(f"{shown(folder)}: cannot be used as a store: {error.strerror or error}") from None
-    finally:
-        if made:  # and nothing was written into it
-            with suppress(OSError):
-                folder.rmdir()
-
-
-def add(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Add rows as one more file, which appears completely or not at all. Raises InputError."""
-    if not rows:
-        return
-    arrow, parquet = optional("pyarrow", NEEDED), optional("pyarrow.parquet", NEEDED)
-    columns = {name: [row.get(name, empty) for row in rows] for name, empty in NOTHING.items()}
-    table = arrow.table({name: arrow.array(values, _type(NOTHING[name])) for name, values in columns.items()})
-    blob = io.BytesIO()
-    parquet.write_table(table.replace_schema_metadata({KEY: str(VERSION).encode()}), blob, compression="zstd")
-    number = 1 + max((int(p.name[5:11]) for p in parts(folder)), default=0)
-    try:
-        write_together({folder / f"part-{number:06d}-{uuid.uuid4().hex[:8]}.parquet": blob.getvalue()})
-    except InputError as error:
-        raise InputError(
-            f"{error} of {len(rows)} robots; those written before are kept: run the command again"
-        ) from None
-
-
-def _type(empty: Any) -> Any:
-    arrow = optional("pyarrow", NEEDED)
-    if isinstance(empty, list):
-        return arrow.list_(
-            arrow.string() if empty is NOTHING["names"] or empty is NOTHING["identified"] else arrow.float64()
-        )
-    return {str: arrow.string(), int: arrow.int64(), float: arrow.float64()}[type(empty)]
-
-
-def parts(folder: Path) -> list[Path]:
-    return sorted(folder.glob("part-" + 6 * "[0-9]" + "-*.parquet"))
-
-
-def rows(folder: Path, columns: Sequence[str] | None = None, damaged: list[str] | None = None) -> pd.DataFrame:
-    """The last row of every robot. Raises InputError for files of another version.
-
-    damaged : files that cannot be read are named here and passed over; where it is not given they raise InputError, too
+    Raises InputError: no space, no permission.
     """
-    tables = [
-        table.to_pandas(ignore_metadata=True)
-        for path in parts(folder)
-        if (table := _read(path, columns, damaged)) is not None
-    ]
-    empty = pd.DataFrame({name: [] for name in columns or NOTHING})
-    whole = pd.concat(tables, ignore_index=True) if tables else empty
-    return whole.drop_duplicates("robot", keep="last", ignore_index=True)
+    kind = {"names": str, "identified": str}  # of a list, which may be empty: all files have columns of the same types
+    lists = {n: np.array(row[n], dtype=kind.get(n, float)) for n, empty in NOTHING.items() if isinstance(empty, list)}
+    write_together({folder / f"{row['robot']}.parquet": pd.DataFrame([{**row, **lists}]).to_parquet()})
 
 
-def each(folder: Path, robots: Collection[str], columns: Sequence[str] | None = None) -> Iterator[dict[str, Any]]:
-    """The last row of some robots, one by one: of the store, one file at a time is in memory."""
-    left = set(robots)
-    for path in reversed(parts(folder)):
-        names = _read(path, ["robot"], [])
-        if names is None or left.isdisjoint(names["robot"].to_pylist()):
-            continue
-        if (table := _read(path, columns, [])) is None:
-            continue
-        last = {name: k for k, name in enumerate(names["robot"].to_pylist()) if name in left}
-        left -= last.keys()
-        yield from records(table.take(list(last.values())).to_pandas(ignore_metadata=True))
+def rows(folder: Path) -> tuple[pd.DataFrame, list[str]]:
+    """Return the rows of a store, one a robot, and which of its files cannot be read."""
+    tables, damaged = [pd.DataFrame(columns=list(NOTHING))], list[str]()
+    for path in sorted(folder.glob("*.parquet")):
+        try:
+            tables.append(pd.read_parquet(path)[list(NOTHING)])
+        except Exception as error:  # of pandas and of pyarrow, as many kinds as a file may be damaged
+            why = str(error).splitlines()[0] if str(error) else type(error).__name__
+            damaged.append(f"{shown(path)}: holds no row of a robot: {why}; its robot is computed again")
+    whole = pd.concat(tables[1:] or tables, ignore_index=True)
+    return whole.drop_duplicates("robot", keep="last", ignore_index=True), damaged
 
 
 def records(robots: pd.DataFrame) -> list[dict[str, Any]]:
     return [{str(k): v for k, v in r.items()} for r in robots.to_dict("records")]
-
-
-def _read(path: Path, columns: Sequence[str] | None, damaged: list[str] | None) -> Any:
-    """Table of a file; None where it cannot be read, which `damaged` then says. Raises InputError."""
-    parquet = optional("pyarrow.parquet", NEEDED)
-    blob = io.BytesIO(read_bytes(path))
-    try:
-        with foreign(f"{shown(path)}: is no part of a store", AGAIN):
-            schema = parquet.read_schema(blob)
-            version = (schema.metadata or {}).get(KEY, b"").decode(errors="replace")
-            if version == str(VERSION):
-                _refuse_malformed(schema, parquet.read_metadata(blob).num_rows)
-                table = parquet.read_table(blob, columns=[n for n in schema.names if columns is None or n in columns])
-                table.validate(full=True)  # its texts, too
-                if lost := [name for name in table.column_names if table[name].null_count]:
-                    raise ValueError(f"a cell of column {lost[0]!r} is empty")
-                return table
-    except InputError as error:
-        if damaged is None:
-            raise
-        damaged.append(str(error))
-        return None
-    raise InputError(
-        f"{shown(path)}: a store of version {version or 'unknown'}; this casadical reads version {VERSION}: "
-        "give another --store, or use the casadical that wrote it. Nothing was changed"
-    )
-
-
-def _refuse_malformed(schema: Any, count: int) -> None:
-    """Raises ValueError where a file has too many rows, or its columns are not those of a row."""
-    if count > MOST_ROWS:
-        raise ValueError(f"it has {count} rows; at most {MOST_ROWS} are read")
-    for name, empty in NOTHING.items():
-        if name not in schema.names and name not in ADDED:
-            raise ValueError(f"column {name!r} is missing")
-        if name in schema.names and schema.field(name).type != _type(empty):
-            raise ValueError(f"column {name!r} is of type {schema.field(name).type}, not {_type(empty)}")

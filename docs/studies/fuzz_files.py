@@ -202,7 +202,7 @@ def kinds(place: Path) -> dict[str, Kind]:
         ),
         Kind("w/withheld.json", [json.dumps(WITHHELD).encode()], lambda p: read_withheld(p.parent)),
         Kind("answers.jsonl", [ANSWER.encode() * 3], read_answers),
-        Kind("store/part-000001-a.parquet", [_parquet()], lambda p: rows(p.parent), 1),
+        Kind("store/a.parquet", [_parquet()], lambda p: rows(p.parent), 1),
         *(Kind(name, [(here / name).read_bytes()], log, 3) for name in ("log.csv", "rtde.csv", "log.parquet")),
         *(Kind(name, [(here / name).read_bytes()], log_folder(up), 2) for name, up in SYSTEMS.items()),
         Kind("drive.toml", [DRIVE.encode()], lambda p: read_drive(p, 2), 2),
@@ -234,13 +234,11 @@ def _columns(table: bytes) -> bytes:
 
 
 def _parquet() -> bytes:
-    from casadical.fleet.store import add, parts
+    from casadical.fleet.store import NOTHING, add
 
     with tempfile.TemporaryDirectory() as name:
-        with suppress(Exception):
-            add(Path(name), [{"robot": "a", "fingerprint": "b", "status": "ok"}])
-        found = parts(Path(name))
-        return found[0].read_bytes() if found else b"PAR1"
+        add(Path(name), {**NOTHING, "robot": "a", "fingerprint": "b", "status": "ok"})
+        return Path(name, "a.parquet").read_bytes()
 
 
 # --- mutations ----------------------------------------------------------------------------------------------------

@@ -99,8 +99,7 @@ def test_what_robots_corrected_before_have_is_said_so_that_all_become_one_type(t
 
 def test_the_command_says_what_it_took_and_which_priors_are_old(tmp_path: Path, monkeypatch, capsys) -> None:
     folder, store, priors = planar(tmp_path / "plant" / "arm", 0), tmp_path / "fleet.parquet", tmp_path / "priors"
-    store.mkdir()
-    add(store, [one_robot(str(folder), False)])
+    add(store, one_robot(str(folder), False))
     priors.mkdir()
     for name in ("0123456789ab.robot.toml", "my.robot.toml"):
         shutil.copy(folder / "robot.toml", priors / name)

@@ -1,14 +1,9 @@
-"""A fleet on a real local cluster: resumed, one bad robot, a worker that is killed, a scheduler that dies."""
+"""A fleet of simulated arms: rows, what stands out, what a type shares; and its command on a real local cluster."""
 
 import json
-import os
 import shutil
-import signal
-import socket
 import subprocess
 import sys
-import time
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -21,15 +16,12 @@ from plugin_site import broken_kind
 from casadical import InputError, plot, read_robot
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.drawing import COLOURS
-from casadical.fleet.cluster import client_of, results
 from casadical.fleet.hierarchy import Common, common_of, learnt
 from casadical.fleet.result import APART, LABELS, Fleet, fleet_of, name_of_type
 from casadical.fleet.run import run_fleet
-from casadical.fleet.store import KEY, NOTHING, add, each, fingerprint, one_robot, parts, records, rows
+from casadical.fleet.store import NOTHING, add, fingerprint, one_robot, records, rows
 
-distributed = pytest.importorskip("distributed", reason="distributed (Dask) is not installed")
-parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
-arrow = pytest.importorskip("pyarrow")
+pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
 
 
 @pytest.fixture(scope="module")
@@ -50,153 +42,125 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def done(plant: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
-    """The command on one worker of this machine."""
-    place = tmp_path_factory.mktemp("done")
-    files = ("--json", place / "fleet.json", "--report", place / "fleet.html", "--priors", place / "priors")
-    return place, run(
-        "fleet", plant, "--store", place / "fleet.parquet", "--workers", 1, "--no-diagnose", *files, width=120
-    )
+def store(plant: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store with the rows of all."""
+    store = tmp_path_factory.mktemp("done") / "fleet.parquet"
+    store.mkdir()
+    for folder in sorted(plant.iterdir()):
+        add(store, one_robot(str(folder), False))
+    return store
 
 
-def test_one_command_does_all_and_one_bad_robot_stops_nobody(
-    done,
-):
-    place, command = done
-    assert command.returncode == 0, command.stderr
-    assert "6 of 7 robots calibrated" in command.stdout
-    assert "7 computed now, 0 from the store." in command.stdout.replace("\n", " ")
-    assert "a1 is +0.4" in command.stdout.replace("\n", " ")
-    assert "\n    [[joint]] 2: a_mm = 400.4" in command.stdout
-    figures = json.loads((place / "fleet.json").read_text())
+@pytest.fixture
+def good(store: Path) -> pd.DataFrame:
+    """Rows of the robots that were calibrated."""
+    whole, damaged = rows(store)
+    assert damaged == []
+    return whole[whole["status"] == "ok"].sort_values("robot", ignore_index=True)
+
+
+def test_what_is_done_is_not_done_again_and_one_bad_robot_stops_nobody(plant, store, tmp_path):
+    here = tmp_path / "plant"
+    shutil.copytree(plant, here)
+    shutil.rmtree(here / "broken")
+    place = Path(shutil.copytree(store, tmp_path / "fleet.parquet"))
+    before = rows(place)[0].set_index("robot")["finished"]
+    (here / "arm0").rename(here / "left arm")
+    fleet = run_fleet([here], place, with_diagnosis=False)
+    after = fleet.robots.set_index("robot")["finished"]
+    assert fleet.computed == 0
+    assert set(after.index) == {"left arm", *(f"arm{k}" for k in range(1, 6))}
+    assert (after["left arm"], after["arm1"]) == (before["arm0"], before["arm1"])
+    assert fleet.notes == ("left arm has the files of arm0, whose folder is not there: taken for it, renamed",)
+    assert [(c.count, c.faults[0][0]) for c in fleet.commons] == [(6, "a1")]
+
+
+def test_a_fleet_of_rows(store: Path) -> None:
+    assert set(pd.read_parquet(store)["robot"]) == {"broken", *(f"arm{k}" for k in range(6))}
+    found = fleet_of(rows(store)[0], computed=7)
+    figures, said = found.to_json(), " ".join(b.text for b in found.blocks() if isinstance(b, Words))
+    assert "6 of 7 robots calibrated" in said
+    assert "7 computed now, 0 from the store." in said
+    assert "a1 is +0.4" in said
     by_name = {r["robot"]: r for r in figures["robots"]}
     assert by_name["broken"]["status"] == "failed"
     assert "title: is missing" in by_name["broken"]["error"]
-    assert figures["computed"] == 7
     assert figures["types"][0]["corrections"]["a1"].startswith("[[joint]] 2: a_mm = 400.4")
     assert by_name["arm5"]["changes"].startswith("lengths, a jump since 2026-02-01: ")
     assert by_name["arm5"]["campaigns"] == 4
     assert "2026-04-01.csv is left out: 2026-04-01.csv: positions" in by_name["arm5"]["notes"]
-    assert "2026-04-01.csv is left out" in command.stdout.replace("\n", " ")
     assert "2026-05-01.csv is left out: 2026-05-01.csv: row 5, column 'q1_deg': 'l" in by_name["arm5"]["notes"]
     assert all(by_name[f"arm{k}"]["after_mm"] < 0.1 < by_name[f"arm{k}"]["before_mm"] for k in range(6))
-    page = (place / "fleet.html").read_text()
-    assert "Map of accuracies" in page
-    table = page[page.index("Mean errors of held-out poses") :]
-    assert table.index(">error<") < table.index(">before<")
-    (prior,) = (place / "priors").glob("*.robot.toml")
+    every = next(b for s in found.page().sections for b in s.blocks if getattr(b, "title", "").startswith("Mean err"))
+    assert every.columns.index("error") < every.columns.index("before")
+    ((_, prior),) = found.prior_files("priors").items()
+    assert "6 robots of one fleet" in prior
+
+
+@pytest.mark.slow
+def test_the_command_on_a_worker_of_this_machine(plant: Path, tmp_path: Path) -> None:
+    files = ("--json", tmp_path / "fleet.json", "--report", tmp_path / "fleet.html", "--priors", tmp_path / "priors")
+    options = ("--store", tmp_path / "fleet.parquet", "--workers", 1, "--no-diagnose", *files)
+    command = run("fleet", plant, *options, width=120)
+    assert command.returncode == 0, command.stderr
+    assert "6 of 7 robots calibrated" in command.stdout
+    assert "7 computed now, 0 from the store." in command.stdout.replace("\n", " ")
+    assert "\n    [[joint]] 2: a_mm = 400.4" in command.stdout
+    assert "2026-04-01.csv is left out" in command.stdout.replace("\n", " ")
+    assert json.loads((tmp_path / "fleet.json").read_text())["computed"] == 7
+    assert "Map of accuracies" in (tmp_path / "fleet.html").read_text()
+    (prior,) = (tmp_path / "priors").glob("*.robot.toml")
     common = read_robot(prior)
     assert common.parameters["a1"].value == pytest.approx(A1, abs=2e-4)
     assert common.knowledge is not None
     assert common.knowledge.robots == 6
 
 
-def test_what_is_done_is_not_done_again_but_what_changed_is(plant, done, tmp_path):
-    store = tmp_path / "fleet.parquet"
-    shutil.copytree(done[0] / "fleet.parquet", store)
-    here = tmp_path / "plant"
-    shutil.copytree(plant, here)
-    shutil.rmtree(here / "broken")
-    before = rows(store).set_index("robot")["finished"]
-    (here / "arm0").rename(here / "left arm")
-    again = run_fleet([here], store, workers=1, with_diagnosis=False)
-    after = again.robots.set_index("robot")["finished"]
-    assert set(after.index) == {"left arm", *(f"arm{k}" for k in range(1, 6))}
-    assert after["left arm"] == before["arm0"]
-    assert set(rows(store)) - set(again.robots) == {
-        "details", "departure", "names", "score", "information", "spread", "scale", "identified"
-    }  # fmt: skip
-    assert [(c.count, c.faults[0][0]) for c in again.commons] == [(6, "a1")]
-    assert again.to_json()["computed"] == 0
-    assert after["arm1"] == before["arm1"]
-    assert again.notes == ("left arm has the files of arm0, whose folder is not there: taken for it, renamed",)
+@pytest.mark.slow
+def test_a_worker_that_is_killed_midway_loses_nothing(plant: Path, tmp_path: Path) -> None:
+    import psutil
 
+    killed: list[int] = []
 
-def test_a_store_of_another_version_is_refused_and_kept(plant: Path, tmp_path: Path) -> None:
-    store = tmp_path / "old.parquet"
-    store.mkdir()
-    table = arrow.table({"robot": ["x"]}).replace_schema_metadata({KEY: b"99"})
-    parquet.write_table(table, store / "part-000001-a.parquet")
-    with pytest.raises(InputError, match="version 99; this casadical reads version 1"):
-        run_fleet([plant], store, workers=1)
-    assert [p.name for p in store.iterdir()] == ["part-000001-a.parquet"]
-    (tmp_path / "file.parquet").write_text("")
-    with pytest.raises(InputError, match="is a file; a store is a folder"):
-        run_fleet([plant], tmp_path / "file.parquet", workers=1)
-    with pytest.raises(InputError, match="neither a problem folder"):
-        run_fleet([tmp_path], tmp_path / "new.parquet")
+    def kill(text: str) -> None:
+        workers = [p for p in psutil.Process().children(recursive=True) if "spawn_main" in " ".join(p.cmdline())]
+        if text.startswith("robot 1 ") and workers:
+            killed.append(workers[0].pid)
+            workers[0].kill()
 
-
-def test_rows_of_a_store_are_those_that_were_added_last(tmp_path: Path) -> None:
-    add(tmp_path, [{**NOTHING, "robot": "a", "after_mm": 1.0, "names": ["a1"], "score": [2.0]}])
-    add(tmp_path, [{**NOTHING, "robot": "b"}, {**NOTHING, "robot": "a", "after_mm": 3.0}])
-    found = rows(tmp_path).set_index("robot")
-    assert found["after_mm"]["a"] == 3.0
-    assert len(parts(tmp_path)) == 2
-    assert sorted(rows(tmp_path, ["robot"])["robot"]) == ["a", "b"]
-    add(tmp_path, [{**NOTHING, "robot": "c"}])
-    assert [(row["robot"], row["after_mm"]) for row in each(tmp_path, ["a", "d"], ["robot", "after_mm"])] == [
-        ("a", 3.0)
-    ]
-
-
-def slow(name: str, folder: str, seconds: float) -> dict[str, object]:
-    """A row after a while; says which process makes it."""
-    Path(folder, f"{name}.{os.getpid()}").touch()
-    time.sleep(seconds)
-    return {**NOTHING, "robot": name, "status": "ok"}
-
-
-def test_a_worker_that_is_killed_midway_loses_nothing(tmp_path: Path) -> None:
-    tasks = [(f"robot{k}", str(tmp_path), 0.2) for k in range(12)]
-    found, killed = [], 0
-    with client_of(None, 2) as client:
-        client.run(_can_import, str(Path(__file__).parent))
-        for task, row in results(client, slow, tasks):
-            assert isinstance(row, dict), row
-            found.append(row["robot"])
-            if len(found) == 2:
-                (killed, *_) = {int(p.suffix[1:]) for p in tmp_path.iterdir()}
-                os.kill(killed, signal.SIGKILL)
-            assert task[0] == row["robot"]
-    assert sorted(found) == sorted(name for name, _, _ in tasks)
+    found = run_fleet([plant], tmp_path / "fleet.parquet", workers=2, with_diagnosis=False, show=kill)
     assert killed
+    assert sorted(found.robots["status"]) == ["failed", *["ok"] * 6]
 
 
-def _can_import(folder: str) -> None:
-    sys.path.insert(0, folder)
-
-
+@pytest.mark.slow
 def test_a_scheduler_that_dies_is_said_and_what_was_done_is_kept(plant: Path, tmp_path: Path) -> None:
     """A scheduler and a worker of their own processes; the scheduler is killed after the first row."""
     code = (
         "from distributed import LocalCluster\nimport time\n"
         "if __name__ == '__main__':\n"
-        "    c = LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None)\n"
+        "    c = LocalCluster(n_workers=1, threads_per_worker=1, processes=False, protocol='tcp://',"
+        " dashboard_address=None)\n"
         "    print(c.scheduler_address, flush=True)\n    time.sleep(600)\n"
     )
-    code = code.replace("processes=False,", "processes=False, protocol='tcp://',")
+    store = tmp_path / "fleet.parquet"
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as process:
-        try:
-            assert process.stdout is not None
-            address = process.stdout.readline().strip()
-            store = tmp_path / "fleet.parquet"
+        assert process.stdout is not None
+        address = process.stdout.readline().strip()
 
-            def kill(text: str) -> None:
-                if text.startswith("robot 1 "):
-                    process.kill()
+        def kill(text: str) -> None:
+            if text.startswith("robot 1 "):
+                process.kill()
 
-            with pytest.raises(InputError, match=r"no longer answers.*robots are in .*run the same command again"):
-                run_fleet([plant], store, scheduler=address, with_diagnosis=False, show=kill)
-            assert len(rows(store)) >= 1
-        finally:
-            process.kill()
-    kept, said = len(rows(store)), []
+        with pytest.raises(InputError, match=r"no longer answers.*robots are in .*run the same command again"):
+            run_fleet([plant], store, scheduler=address, with_diagnosis=False, show=kill)
+    kept, said = len(rows(store)[0]), []
+    assert kept >= 1
     with pytest.raises(InputError, match="no scheduler answers"):
         run_fleet([plant], store, scheduler=address, with_diagnosis=False, show=said.append)
-    good = int((rows(store)["status"] == "ok").sum())
+    good = int((rows(store)[0]["status"] == "ok").sum())
     assert said == [f"robot {good} of 7"]  # it continues with the others
-    assert len(rows(store)) == kept
+    assert len(rows(store)[0]) == kept
 
 
 def test_tables_and_robots_elsewhere_count_as_the_robots_own(plant: Path, tmp_path: Path) -> None:
@@ -215,16 +179,6 @@ def test_tables_and_robots_elsewhere_count_as_the_robots_own(plant: Path, tmp_pa
         found.append(fingerprint(folder))
     assert len(set(found)) == 3
     assert fingerprint(folder) == found[-1]
-
-
-def test_two_fleets_run_at_a_time() -> None:
-    """The port of Dask's pages is taken by another one, which is no reason for a warning."""
-    with socket.socket() as other:
-        with suppress(OSError):
-            other.bind(("127.0.0.1", 8787))
-            other.listen()
-        with client_of(None, 1) as client:
-            assert client.submit(abs, -1).result(timeout=60) == 1
 
 
 def test_a_bug_in_one_robot_is_a_row(plant: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -279,20 +233,7 @@ def test_the_spread_of_few_robots_is_near_that_of_like_parameters() -> None:
     assert pooled.max() < 0.1
 
 
-def test_a_store_from_before_a_column_was_added_is_read(tmp_path: Path) -> None:
-    add(tmp_path, [{**NOTHING, "robot": "a", "left_mm": [0.1], "left_free": [40.0]}])
-    (path,) = parts(tmp_path)
-    parquet.write_table(parquet.read_table(path).drop_columns(["left_free"]), path)
-    damaged: list[str] = []
-    (row,) = records(rows(tmp_path, ["robot", "left_mm", "left_free"], damaged))
-    assert not damaged
-    assert "left_free" not in row
-    assert row["left_mm"].tolist() == [0.1]
-
-
-def test_robots_that_stand_out(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
-    whole = rows(done[0] / "fleet.parquet")
-    good = whole[whole["status"] == "ok"].reset_index(drop=True)
+def test_robots_that_stand_out(good: pd.DataFrame) -> None:
     assert fleet_of(good).outliers == ()
     good.loc[good["robot"] == "arm3", "after_mm"] = 0.5
     assert fleet_of(good).outliers == ("arm3",)
@@ -306,9 +247,7 @@ def test_robots_that_stand_out(done: tuple[Path, subprocess.CompletedProcess[str
         common_of(records(good.iloc[:4]))
 
 
-def test_what_is_odd_about_campaigns_is_printed(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
-    whole = rows(done[0] / "fleet.parquet")
-    good = whole[whole["status"] == "ok"].sort_values("robot", ignore_index=True)
+def test_what_is_odd_about_campaigns_is_printed(good: pd.DataFrame) -> None:
     twice, outlier = "two campaigns of one day, both used: b", "b: 1 pose left out as outliers"
     good["notes"] = [f"{outlier}; {twice}", outlier, *good["notes"][2:]]
     (table,) = (b for b in fleet_of(good).blocks() if isinstance(b, Table) and b.title.startswith("Odd about"))
@@ -317,9 +256,7 @@ def test_what_is_odd_about_campaigns_is_printed(done: tuple[Path, subprocess.Com
     assert "arm5" not in {row[0] for row in table.rows}  # among those to check first
 
 
-def test_a_type_has_one_name_in_all_outputs(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
-    whole = rows(done[0] / "fleet.parquet")
-    good = whole[whole["status"] == "ok"].reset_index(drop=True)
+def test_a_type_has_one_name_in_all_outputs(good: pd.DataFrame) -> None:
     found = fleet_of(good.assign(type_name=[f"Planar arm SN {9 - k}" for k in range(len(good))]))
     ((_, text),) = found.prior_files("priors").items()
     assert 'name = "Planar arm SN"' in text
@@ -349,11 +286,7 @@ def test_what_a_type_shares_is_the_same_in_any_order_of_parameters_and_whatever_
     assert common_of(row | {"identified": names} for row in rows_).mean == pytest.approx([0.3, -0.2, 0.1], abs=0.1)
 
 
-def test_a_course_without_days_is_not_drawn_among_days_and_what_grew_is_named(
-    done,
-):
-    whole = rows(done[0] / "fleet.parquet")
-    good = whole[whole["status"] == "ok"].reset_index(drop=True)
+def test_a_course_without_days_is_not_drawn_among_days_and_what_grew_is_named(good):
     days, none = [20000.0, 20030.0, 20060.0], float("nan")
     lives = {
         "arm0": ([none, *days[1:]], [0.02, 0.02, 0.05]),

@@ -5,7 +5,6 @@ import os
 import re
 import shutil
 import signal
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,12 +13,10 @@ import pandas as pd
 import pytest
 from fleet_plants import planar
 
-import casadical
 from casadical import InputError, report
 from casadical.fleet.campaigns import compare_files
-from casadical.fleet.cluster import Limits, SchedulerLostError, client_of, results
-from casadical.fleet.run import robots_in, run_fleet
-from casadical.fleet.store import NOTHING, add, each, one_robot, parts, rows
+from casadical.fleet.run import client_of, robots_in, run_fleet
+from casadical.fleet.store import NOTHING, add, one_robot, rows
 
 distributed = pytest.importorskip("distributed", reason="distributed (Dask) is not installed")
 psutil = pytest.importorskip("psutil", reason="psutil (of Dask) is not installed")
@@ -49,40 +46,6 @@ def spoil(table: Path, start: int, columns: list[str], factor: float) -> None:
     found.to_csv(table, index=False)
 
 
-def _kept(dask_worker: Any) -> tuple[bool, bool]:
-    return "profile" in dask_worker.periodic_callbacks, signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-
-
-@pytest.fixture(scope="module")
-def own() -> Iterator[Any]:
-    """A client of a process of this machine."""
-    with client_of(None, 1) as client:
-        yield client
-
-
-def test_workers_keep_no_call_stacks_and_leave_an_interrupt_to_the_command(own: Any) -> None:
-    assert list(own.run(_kept).values()) == [(False, True)]
-
-
-def test_no_port_is_open_beyond_loopback(own: Any) -> None:
-    """All that the command and its processes listen on: scheduler, worker, their dashboards."""
-    this = psutil.Process()
-    asked = [c for p in (this, *this.children(recursive=True)) for c in p.net_connections("inet")]
-    listening = {c.laddr.ip for c in asked if c.status == psutil.CONN_LISTEN}
-    assert listening == {"127.0.0.1"}
-
-
-def test_a_worker_with_another_version_is_said(own: Any) -> None:
-    own.run(_grow_old)
-    with pytest.raises(InputError, match=r"has casadical 0\.0\.1; this is casadical .*: install the same one there"):
-        _connect(own.cluster.scheduler_address)
-
-
-def _grow_old() -> None:
-    """In a worker's process: as if an older casadical were installed there."""
-    casadical.__version__ = "0.0.1"
-
-
 def here(workers: int = 1) -> Any:
     """A cluster within this process, which takes no time to begin."""
     options = {"processes": False, "protocol": "tcp://", "dashboard_address": "127.0.0.1:0"}
@@ -105,28 +68,7 @@ def test_an_interrupt_says_what_is_kept(arms: Path, tmp_path: Path, near: str) -
 
     with pytest.raises(KeyboardInterrupt, match=r"interrupted; 1 of 3 robots are in .*: run the same command again"):
         run_fleet([arms], store, scheduler=near, with_diagnosis=False, show=stop)
-    assert list(rows(store)["status"]) == ["ok"]
-
-
-def test_files_of_a_store_that_were_cut_or_deleted_are_said_and_their_robots_computed_again(arms, tmp_path, near):
-    store = tmp_path / "fleet.parquet"
-    for k in range(3):
-        add(store, [one_robot(str(arms / f"arm{k}"), False)])
-    cut, deleted, _ = parts(store)
-    cut.write_bytes(cut.read_bytes()[:300])
-    with pytest.raises(InputError, match="is no part of a store"):
-        rows(store)
-
-    def delete(text: str) -> None:
-        if text == "robot 2 of 3":
-            deleted.unlink()
-
-    found = run_fleet([arms], store, scheduler=near, with_diagnosis=False, show=delete)
-    assert list(found.robots["robot"]) == ["arm0", "arm2"]
-    said, gone = found.notes
-    assert said.startswith(str(cut))
-    assert said.endswith("the robots in it are computed again; remove it")
-    assert gone.startswith("rows of 1 robots are gone")
+    assert "ok" in list(rows(store)[0]["status"])
 
 
 def test_a_copy_of_a_folder_is_no_robot_also_where_the_first_was_renamed(arms, tmp_path, near):
@@ -151,31 +93,12 @@ def test_a_copy_of_a_folder_is_no_robot_also_where_the_first_was_renamed(arms, t
     assert found.computed == 0
 
 
-def test_a_full_or_read_only_disk_is_said(tmp_path: Path, arms: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    row = {**NOTHING, "robot": "a"}
-    add(tmp_path, [row])
-    with monkeypatch.context() as patch:
-        patch.setattr("os.write", _full)
-        patch.setattr("os.replace", _full)
-        with pytest.raises(InputError, match=r"No space left.*of 2 robots; those written before are kept"):
-            add(tmp_path, [row, row])
-    assert len(rows(tmp_path)) == 1
-    monkeypatch.setattr("os.access", lambda _path, _mode: False)
-    with pytest.raises(InputError, match="this store cannot be written to"):
-        run_fleet([arms], tmp_path, workers=1)
-
-
-def _full(*_: object) -> None:
-    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-
 def test_an_address_that_is_none_and_no_worker_are_said() -> None:
     for address in ("nonsense", "http://localhost:80"):
-        with (
-            pytest.raises(InputError, match=f"--scheduler {address}: .* an address is tcp://host:8786"),
-            client_of(address, None),
-        ):
-            pass
+        with pytest.raises(InputError, match=f"--scheduler {address}: .* an address is tcp://host:8786"):
+            _connect(address)
+    with pytest.raises(InputError, match="an encrypted one asks for certificates"):
+        _connect("tls://here:8786")
     with here(workers=0) as cluster:
         with pytest.raises(InputError, match="no worker is connected; start one there: dask worker tcp://"):
             _connect(cluster.scheduler_address)
@@ -185,59 +108,23 @@ def test_an_address_that_is_none_and_no_worker_are_said() -> None:
         _connect(cluster.scheduler_address)
 
 
-def _after(seconds: float) -> dict[str, object]:
-    time.sleep(seconds)
-    return dict(NOTHING)
+def test_a_worker_with_another_version_is_said(near: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("casadical.fleet.run.__version__", "0.0.1")
+    with pytest.raises(InputError, match=r"has casadical .*; this is casadical 0\.0\.1: install the same one there"):
+        _connect(near)
 
 
-@pytest.mark.parametrize("seconds_before", [0.0, 0.5])
-def test_workers_that_all_leave_are_said(seconds_before: float) -> None:
-    """While they work, and when they are done with what was not fetched yet."""
-    with here() as cluster, client_of(cluster.scheduler_address, None) as client:
-        done = results(client, _after, [(0.05,)] * 40, Limits(patience=0.3, lonely=1.0))
-        next(done)
-        time.sleep(seconds_before)
-        cluster.scale(0)
-        with pytest.raises(SchedulerLostError, match="the scheduler has had no worker for 1 s"):
-            list(done)
+@pytest.mark.slow
+def test_workers_of_this_machine_listen_on_loopback_alone_and_leave_an_interrupt_to_the_command() -> None:
+    this = psutil.Process()
+    with client_of(None, 1) as client:
+        asked = [c for p in (this, *this.children(recursive=True)) for c in p.net_connections("inet")]
+        assert {c.laddr.ip for c in asked if c.status == psutil.CONN_LISTEN} == {"127.0.0.1"}
+        assert list(client.run(_kept).values()) == [(False, True)]
 
 
-def test_what_a_worker_had_done_when_it_left_is_done_again() -> None:
-    with here() as cluster, client_of(cluster.scheduler_address, None) as client:
-        done = results(client, _after, [(0.05,)] * 12)
-        next(done)
-        time.sleep(0.5)  # the worker is done with all that it was given
-        cluster.scale(0)
-        while client.scheduler_info(n_workers=-1)["workers"]:
-            time.sleep(0.05)
-        cluster.scale(1)
-        assert [found.keys() for _, found in done if isinstance(found, dict)] == [NOTHING.keys()] * 11
-
-
-def _all_but(number: int, bad: int) -> dict[str, object]:
-    if number == bad:
-        raise ValueError(f"robot {number}")
-    return {"robot": str(number)}
-
-
-def test_with_very_many_workers_a_task_is_several_robots_and_a_bad_one_is_lost_alone(
-    monkeypatch,
-):
-    five_times = Limits(workers=0.2)  # of one worker
-    tasks, sizes = [(k, 13) for k in range(30)], []
-    with here() as cluster, client_of(cluster.scheduler_address, None) as client:
-        submit = client.submit
-
-        def counted(function: Any, *args: Any, **options: Any) -> Any:
-            sizes.append(len(args[1]))
-            return submit(function, *args, **options)
-
-        monkeypatch.setattr(client, "submit", counted)
-        done = {task[0]: found for task, found in results(client, _all_but, tasks, five_times)}
-    assert sorted(done) == list(range(30))
-    assert {k for k, found in done.items() if not isinstance(found, dict)} == {13}
-    assert all(done[k] == {"robot": str(k)} for k in done if k != 13)
-    assert sorted(sizes) == [1] * 5 + [5] * 6
+def _kept(dask_worker: Any) -> tuple[bool, bool]:
+    return "profile" in dask_worker.periodic_callbacks, signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 
 
 def _connect(address: str) -> None:
@@ -252,8 +139,8 @@ def test_a_folder_whose_name_is_not_utf_8_stops_nobody(first: Path, tmp_path: Pa
     assert row["status"] == "failed"
     assert row["error"].endswith("a name that is not UTF-8; rename the folder")
     assert list(robots_in([tmp_path, tmp_path])) == [row["robot"]]
-    add(tmp_path / "store", [row])
-    assert len(rows(tmp_path / "store")) == 1
+    add(tmp_path / "store", row)
+    assert len(rows(tmp_path / "store")[0]) == 1
 
 
 def test_a_table_whose_name_is_not_utf_8_has_a_page_and_one_that_is_not_there_is_said(first, tmp_path):
@@ -295,56 +182,45 @@ def test_the_first_campaign_needs_no_day_and_its_copy_gives_one(first: Path) -> 
     assert again["changes"] == row["changes"]
 
 
-def test_an_encrypted_scheduler_is_refused_with_a_way_out() -> None:
-    with (
-        pytest.raises(InputError, match="an encrypted one asks for certificates"),
-        client_of("tls://here:8786", None),
-    ):
-        pass
+def test_a_file_of_a_store_that_holds_no_row_is_said_and_its_robot_computed_again(arms, tmp_path, near):
+    store = tmp_path / "fleet.parquet"
+    for k in range(3):
+        add(store, one_robot(str(arms / f"arm{k}"), False))
+    (store / "arm0.parquet").write_bytes((store / "arm0.parquet").read_bytes()[:300])
+    pd.DataFrame({"robot": ["arm1"]}).to_parquet(store / "arm1.parquet")
+    (kept,), damaged = rows(store)[0]["robot"], rows(store)[1]
+    assert kept == "arm2"
+    assert [re.sub(": (.*);", ":;", words) for words in damaged] == [
+        f"{store / name}.parquet:; its robot is computed again" for name in ("arm0", "arm1")
+    ]
+    found = run_fleet([arms], store, scheduler=near, with_diagnosis=False)
+    assert list(found.robots["status"]) == ["ok"] * 3
+    assert (found.computed, found.notes, rows(store)[1]) == (2, tuple(damaged), [])
 
 
-@pytest.mark.parametrize(
-    ("spoil", "said"),
-    [
-        (lambda t: t.drop_columns(["robot"]), "column 'robot' is missing"),
-        (lambda t: t.drop_columns(["fingerprint"]), "column 'fingerprint' is missing"),
-        (lambda t: t.set_column(t.column_names.index("robot"), "robot", pyarrow.array([["a"]])), "is of type list<"),
-        (lambda t: t.set_column(t.column_names.index("names"), "names", pyarrow.array(["a"])), "is of type string"),
-        (
-            lambda t: t.set_column(2, "status", pyarrow.array([None], pyarrow.string())),
-            "a cell of column 'status' is e",
-        ),
-        (
-            lambda t: t.set_column(2, "status", pyarrow.array([b"\xff"]).view(pyarrow.string())),
-            "UTF8",
-        ),
-        (lambda t: t.take([0] * 10_001), "it has 10001 rows; at most 10000 are read"),
-    ],
-    ids=[
-        "robot",
-        "fingerprint",
-        "a list for a word",
-        "a word for a list",
-        "an empty cell",
-        "no text",
-        "rows",
-    ],
-)
-def test_a_part_of_a_store_that_is_none_is_said(spoil, said, tmp_path: Path) -> None:
-    add(tmp_path, [{**NOTHING, "robot": "a"}])
-    add(tmp_path, [{**NOTHING, "robot": "b"}])
-    part, _ = parts(tmp_path)
-    pyarrow.parquet.write_table(spoil(pyarrow.parquet.read_table(part)), part)
-    with pytest.raises(InputError, match=f"is no part of a store: .*{said}"):
-        rows(tmp_path)
-    damaged: list[str] = []
-    assert list(rows(tmp_path, damaged=damaged)["robot"]) == ["b"]
-    assert re.search(said, damaged[0])
-    assert [row["robot"] for row in each(tmp_path, ["a", "b"])] == ["b"]
-
-
-def test_a_folder_of_other_files_is_no_store(arms: Path) -> None:
+def test_a_place_that_is_no_store_is_refused(arms: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    row = {**NOTHING, "robot": "a"}
+    add(tmp_path / "full", row)
+    with monkeypatch.context() as patch:
+        patch.setattr("os.fsync", _full)
+        with pytest.raises(InputError, match="No space left"):
+            add(tmp_path / "full", {**row, "robot": "b"})
+    assert [path.name for path in (tmp_path / "full").iterdir()] == ["a.parquet"]
+    (tmp_path / "file.parquet").write_text("")
     before = sorted(p.name for p in (arms / "arm1").iterdir())
-    with pytest.raises(InputError, match=r"arm1: holds poses.csv, which is no part of a store"):
-        run_fleet([arms], arms / "arm1", workers=1, with_diagnosis=False)
+    for place, said in (
+        (arms / "arm1", "arm1: holds poses.csv, which is no part of a store"),
+        (tmp_path / "file.parquet", "file.parquet: cannot be written: .*exists"),
+    ):
+        with pytest.raises(InputError, match=said):
+            run_fleet([arms], place, workers=1, with_diagnosis=False)
     assert sorted(p.name for p in (arms / "arm1").iterdir()) == before
+    with pytest.raises(InputError, match="neither a problem folder"):
+        run_fleet([tmp_path], tmp_path / "new.parquet")
+    monkeypatch.setattr("os.access", lambda _path, _mode: False)
+    with pytest.raises(InputError, match="this store cannot be written to"):
+        run_fleet([arms], tmp_path / "full", workers=1)
+
+
+def _full(*_: object) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
