@@ -15,6 +15,7 @@ from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.pose_selection.information import by_joints
 from casadical.pose_selection.workspace import Workspace
+from casadical.robot.inverse_kinematics import solve_joints
 from casadical.robot.robot import Robot
 
 _TIMED = re.compile(r"progress|time_s|temperature_degC|warmth_\d+s")
@@ -105,6 +106,15 @@ def expected(robot: Robot, q: Array, conditions: Mapping[str, Array], source: st
     """Measurements at readings q, shape (n, joints) [rad or m], as the model predicts them."""
     m = unmeasured(q, conditions, source)
     return replace(m, position=predicted(robot, m)[0])
+
+
+def one_turn(robot: Robot) -> Robot:
+    """Joints that turn more than once are driven within half a turn to either side."""
+    joints = (
+        replace(j, lower=max(j.lower, -np.pi), upper=min(j.upper, np.pi)) if j.upper - j.lower > 2 * np.pi else j
+        for j in robot.joints
+    )
+    return replace(robot, joints=tuple(joints))
 
 
 def draw(robot: Robot, count: int, workspace: Workspace, rng: np.random.Generator, *, to_ends: bool = False) -> Array:
@@ -256,15 +266,6 @@ def _later(name: str, logged: Array | None, warm: Array, states: Array, rng: np.
     return rng.choice(np.unique(logged), len(warm))
 
 
-STEPS, CLOSE = 40, 1e-7
-# Readings tried for each that is wanted.
-TRIED = 4
-# Of a step [rad or m], and the share of the Jacobian's greatest singular value from which on a direction counts.
-LONGEST, LEAST = 0.3, 1e-2
-# A socket that fewer poses hold, of 8 times as many tried, is out of reach.
-FEWEST = 4
-
-
 def held_in(
     robot: Robot, places: Array, count: int, workspace: Workspace, rng: np.random.Generator
 ) -> tuple[Array, Array]:
@@ -273,19 +274,17 @@ def held_in(
     Places that the robot hardly reaches have none.
     """
     each = -(-count // len(places))
-    lower, upper = workspace.ranges(robot)
     held, which = [], []
     for k, place in enumerate(places):
-        q = draw(robot, TRIED * each, workspace, rng)
-        for _ in range(STEPS):
+
+        def off(q: Array, _: Array, place: Array = place) -> tuple[Array, Array]:
             m = unmeasured(q)
-            left = place - predicted(robot, m)[0]
-            U, s, Vt = np.linalg.svd(by_joints(robot, m), full_matrices=False)
-            inverse = np.where(s > LEAST * s[:, :1], 1 / np.maximum(s, 1e-12), 0.0)
-            step = np.einsum("nki,nk,njk,nj->ni", Vt, inverse, U, left)
-            q = robot.coupled(np.clip(q + np.clip(step, -LONGEST, LONGEST), lower, upper))
-        left = np.linalg.norm(predicted(robot, unmeasured(q))[0] - place, axis=1)
-        good = np.flatnonzero((left < CLOSE) & workspace.allows(robot, q))[:each]
+            return place - predicted(robot, m)[0], by_joints(robot, m)
+
+        start = draw(robot, 4 * each, workspace, rng)
+        q = solve_joints(off, start, 40, 0.3, limits=workspace.ranges(robot), coupled=robot.coupled, least=1e-2)
+        left = np.linalg.norm(off(q, np.arange(len(q)))[0], axis=1)
+        good = np.flatnonzero((left < 1e-7) & workspace.allows(robot, q))[:each]
         held.append(q[good])
         which.append(np.full(len(good), float(k)))
     return np.concatenate([np.zeros((0, robot.n)), *held]), np.concatenate([np.zeros(0), *which])
@@ -293,8 +292,9 @@ def held_in(
 
 def reached(robot: Robot, places: Array, count: int, workspace: Workspace, rng: np.random.Generator) -> Array:
     """Those of the places, shape (k, 3) [m], that the robot reaches well. Raises InputError where they are fewer."""
-    _, which = held_in(robot, places, 2 * FEWEST * len(places), workspace, rng)
-    there = np.bincount(which.astype(int), minlength=len(places)) >= FEWEST
+    # A socket that fewer than 4 poses hold, of 8 times as many tried, is out of reach.
+    _, which = held_in(robot, places, 8 * len(places), workspace, rng)
+    there = np.bincount(which.astype(int), minlength=len(places)) >= 4
     if there.sum() < count:
         out = int(np.argmin(there))
         text = ", ".join(f"{1e3 * x:.0f}" for x in places[out])

@@ -21,14 +21,13 @@ from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.measurements.raw_table import read_table
-from casadical.pose_selection.candidates import Circumstances
+from casadical.pose_selection.candidates import Circumstances, one_turn
 from casadical.pose_selection.instruments import usual_places
 from casadical.pose_selection.plan import MeasurementPlan
 from casadical.pose_selection.pose_search import forecast, place_instrument, select_poses, select_with_places
 from casadical.pose_selection.selection import Selection
 from casadical.pose_selection.workspace import Workspace, read_workspace
 from casadical.project.acceptance.iso9283 import planned_test, words_of_plan
-from casadical.project.new.new import one_turn
 from casadical.project.problem import Carried, read_campaign, read_campaign_robot
 from casadical.project.problem_file import tables_of
 from casadical.robot.robot import Robot

@@ -27,11 +27,11 @@ from casadical.core.basics import Array
 from casadical.core.transforms import from_rpy
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements
-from casadical.pose_selection.candidates import draw, expected
+from casadical.pose_selection.candidates import draw, expected, one_turn
 from casadical.pose_selection.workspace import Workspace
 from casadical.project.live import LiveSession
 from casadical.project.live.sources import FileSource, Row, journal, rows_of
-from casadical.project.new.new import NOISE, as_built, one_turn
+from casadical.project.new.new import NOISE, as_built
 from casadical.robot.robot import Robot
 
 ROOT = Path(__file__).parents[2]

@@ -1,8 +1,6 @@
 """Inverse kinematics of any robot, the calibrated one with its deflections included: damped Newton, many poses at once.
 
-The step is J^T (J J^T + lambda^2 I)^-1 r with lambda proportional to the error r (Levenberg and Marquardt; Nakamura
-and Hanafusa 1986), so that it stays finite near singular poses and is Newton's at the end. With seven joints it is the
-one of least norm: the elbow stays where it was started.
+The damping falls with the error (see `solve_joints`): steps are finite near singular poses and Newton's at the end.
 
 Then the arms that reach a pose: which posture joints are in, and the joints that have a posture and turns.
 """
@@ -19,12 +17,12 @@ from casadical.core.basics import Array, InputError
 from casadical.export.c.chord import LENGTH, residual
 from casadical.export.controller.functions import pose_of
 from casadical.export.controller.programs.target import Posture
+from casadical.robot.inverse_kinematics import solve_joints
 from casadical.robot.kinematics import link_frames
 from casadical.robot.robot import Robot
 
 REACHED_M, REACHED_RAD = 1e-6, 1e-6
 SINGULAR_POSE = 0.02  # m/rad: of six directions the weakest is weaker, in a pose that counts as singular
-_STEPS, _LARGEST_STEP, _DAMPING, _DONE = 60, 0.4, 0.1, 1e-13
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,17 +103,13 @@ class Newton:
         self._function = _residual_and_jacobian(pose, pose.numel_in(0), oriented)
 
     def solved(self, p: Array, R: Array | None, start: Array, limits: tuple[Array, Array]) -> Inverse:
-        k, n = start.shape
+        k = len(start)
         target = np.hstack([p, np.zeros((k, 9)) if R is None else np.swapaxes(R, 1, 2).reshape(k, 9)])
-        q, r, J = np.array(start, float), np.full((k, 6), np.inf), np.zeros((k, 6, n))
-        active = np.arange(k)
-        for _ in range(_STEPS):
-            r[active], J[active] = self.evaluated(q[active], target[active])
-            size = np.linalg.norm(np.nan_to_num(r[active], nan=np.inf), axis=1)
-            active = active[(size > _DONE) & np.isfinite(size)]
-            if not len(active):
-                break
-            q[active] += _steps(J[active], r[active])
+
+        def off(q: Array, which: Array) -> tuple[Array, Array]:
+            return self.evaluated(q, target[which])
+
+        q = solve_joints(off, start, 60, 0.4, damping=1e-15, of_error=0.1, done=1e-13)
         r, J = self.evaluated(q, target)
         far = np.where(np.isfinite(r), r, np.inf)
         weakest = np.linalg.svd(np.nan_to_num(J[:, : 6 if self.oriented else 3]), compute_uv=False)[:, -1]
@@ -127,14 +121,6 @@ class Newton:
         """Residuals, shape (k, 6) [m], and Jacobians, shape (k, 6, n); target : position and columns of R, (k, 12)."""
         r, J = self._function.map(len(q))(q.T, target.T)
         return r.full().T, J.full().reshape(6, *q.shape).transpose(1, 0, 2)
-
-
-def _steps(J: Array, r: Array) -> Array:
-    """Damped steps, no joint by more than `_LARGEST_STEP`."""
-    damping = _DAMPING * np.sum(r**2, axis=1) + 1e-15
-    A = J @ np.swapaxes(J, 1, 2) + damping[:, None, None] * np.eye(6)
-    step = (np.swapaxes(J, 1, 2) @ np.linalg.solve(A, r[:, :, None]))[:, :, 0]
-    return np.asarray(step / np.maximum(1.0, np.abs(step).max(axis=1, keepdims=True) / _LARGEST_STEP))
 
 
 def _residual_and_jacobian(pose: ca.Function, n: int, oriented: bool) -> ca.Function:

@@ -29,14 +29,14 @@ from casadical.measurements.raw_table import read_table
 from casadical.pose_selection.candidates import draw, expected, held_in
 from casadical.pose_selection.workspace import Workspace
 from casadical.project.acceptance.acceptance import Acceptance
+from casadical.robot.inverse_kinematics import solve_joints
 from casadical.robot.robot import Robot
 
 CYCLES, PATHS, GROUPS, OF_GROUP = 30, 3, 49, 10
 # Sides of the standard's cube [m], and where P2 to P5 lie on its diagonals: 10 % from the ends (section 6.8).
 CUBES, INWARDS = (1.0, 0.63, 0.4, 0.25), 0.1
-# Centres tried for each size; readings that hold P1, from which the others are reached by damped Newton steps.
+# Centres tried for each size; readings that hold P1, from which the others are reached.
 CENTRES, EACH = 12, 20
-STEPS, STEP, DAMPED, CLOSE = 30, 1e-6, 1e-8, 1e-6
 TESTS = ("accuracy", "directions", "drift")
 FEWEST = 2
 
@@ -78,29 +78,26 @@ def planned_test(
 def _one_orientation(robot: Robot, q: Array, places: Array, room: Workspace) -> Array | None:
     """Readings, (5, joints), at the places in the orientation of the first, which q, (k, joints), holds; or None."""
     R = predicted(robot, unmeasured(q))[1]
-    rows, (lower, upper) = 6 if robot.n >= 6 else 3, room.ranges(robot)
+    rows, limits = 6 if robot.n >= 6 else 3, room.ranges(robot)
     held, good = [q], np.ones(len(q), dtype=bool)
     for place in places[1:]:
-        now = held[0]
-        for _ in range(STEPS):
-            r = _off(robot, now, place, R)[:, :rows]
-            J = np.stack([_off(robot, now + STEP * e, place, R)[:, :rows] - r for e in np.eye(robot.n)], axis=2) / STEP
-            Jt = J.transpose(0, 2, 1)
-            step = Jt @ np.linalg.solve(J @ Jt + DAMPED * np.eye(rows), r[:, :, None])
-            now = robot.coupled(np.clip(now - np.clip(step[:, :, 0], -0.3, 0.3), lower, upper))
-        good &= (np.abs(_off(robot, now, place, R)[:, :rows]).max(axis=1) < CLOSE) & room.allows(robot, now)
+
+        def off(q: Array, which: Array, place: Array = place) -> tuple[Array, Array]:
+            """Distance from the place and turn from the orientation, shape (k, 6) [m and rad]; by differences."""
+            p, now = predicted(robot, unmeasured(np.concatenate([q, *(q + 1e-6 * e for e in np.eye(robot.n))])))
+            turned = R[np.tile(which, robot.n + 1)]
+            turn = 0.5 * np.cross(turned.transpose(0, 2, 1), now.transpose(0, 2, 1)).sum(axis=1)
+            r = np.hstack([place - p, -turn])[:, :rows].reshape(robot.n + 1, len(q), rows)
+            return r[0], (r[0] - r[1:]).transpose(1, 2, 0) / 1e-6
+
+        now = solve_joints(off, held[0], 30, 0.3, limits=limits, coupled=robot.coupled, damping=1e-8)
+        good &= (np.abs(off(now, np.arange(len(now)))[0]).max(axis=1) < 1e-6) & room.allows(robot, now)
         held.append(now)
     some = np.flatnonzero(good)
     if not len(some):
         return None
     every = np.stack(held)[:, some]
     return np.asarray(every[:, int(np.argmin(np.ptp(every, axis=0).max(axis=1)))])
-
-
-def _off(robot: Robot, q: Array, place: Array, R: Array) -> Array:
-    """Distance from a place and turn from orientations, shape (k, 6) [m and rad]."""
-    p, now = predicted(robot, unmeasured(q))
-    return np.hstack([p - place, 0.5 * np.cross(R.transpose(0, 2, 1), now.transpose(0, 2, 1)).sum(axis=1)])
 
 
 def words_of_plan(robot: Robot, table: pd.DataFrame, centre: Array, side: float) -> list[Words]:

@@ -24,7 +24,7 @@ from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.measurements.reading import from_columns
 from casadical.pose_selection import Workspace
-from casadical.pose_selection.candidates import draw, expected
+from casadical.pose_selection.candidates import draw, expected, one_turn
 from casadical.project.check.targets import unnamed_targets
 from casadical.project.faults import each_of
 from casadical.project.new.dh_table import robot_text
@@ -56,15 +56,6 @@ def synthetic_poses(robot: Robot, seed: int = 0) -> str:
 def reading_cells(robot: Robot, q: Array, position: Array) -> list[str]:
     """A row of a table: joints, shape (joints,) [rad or m], in the units of their names; position, shape (3,) [m]."""
     return [*(f"{v:.6f}" for v in q / list(robot.reading_units.values())), *(f"{v:.4f}" for v in 1e3 * position)]
-
-
-def one_turn(robot: Robot) -> Robot:
-    """Joints that turn more than once are driven within half a turn to either side."""
-    joints = (
-        replace(j, lower=max(j.lower, -np.pi), upper=min(j.upper, np.pi)) if j.upper - j.lower > 2 * np.pi else j
-        for j in robot.joints
-    )
-    return replace(robot, joints=tuple(joints))
 
 
 def as_built(robot: Robot, rng: np.random.Generator) -> Robot:
