@@ -178,9 +178,7 @@ def _cell(value: Any) -> str:
     return " ".join(str(int(value) if isinstance(value, float) and value.is_integer() else value).split())
 
 
-def _table_of(
-    path: Path, records: list[table_form.Record], encoding: str, separator: str, sheet: str
-) -> RawTable:
+def _table_of(path: Path, records: list[table_form.Record], encoding: str, separator: str, sheet: str) -> RawTable:
     """Return headings and rows out of all records. Raises InputError."""
     if not records:
         raise InputError(f"{path}: not a readable CSV table: it is empty; a header and at least one row are needed")

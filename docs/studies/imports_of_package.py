@@ -1,19 +1,13 @@
-"""The modules of a package, read with `ast`: their imports, circles, repeated lines and the names that they speak."""
+"""The modules of a package and what they import, read with `ast`; nothing is run."""
 
 from __future__ import annotations
 
 import ast
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-
-import networkx as nx
-
-# The blind check is left out: its simulators have their own list of causes on purpose.
-INDEPENDENT = {"blind_check", "withheld", "engine", "simulation"}
-REPEATED = 6  # lines
 
 
 @dataclass(frozen=True)
@@ -36,30 +30,6 @@ class Source:
     @cached_property
     def nodes(self) -> tuple[ast.AST, ...]:
         return tuple(ast.walk(self.tree))
-
-    @cached_property
-    def words(self) -> set[str]:
-        """Names and strings of its code, docstrings left out."""
-        docs = {
-            id(node.body[0].value)
-            for node in self.nodes
-            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
-            and node.body
-            and isinstance(node.body[0], ast.Expr)
-        }
-        found = {self.name.rpartition(".")[2]}
-        for node in self.nodes:
-            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docs:
-                found |= {node.value, *node.value.split(":")[-1:]}
-            elif isinstance(node, ast.Name):
-                found.add(node.id)
-            elif isinstance(node, ast.ClassDef):
-                found.add(node.name)
-            elif isinstance(node, ast.Attribute):
-                found.add(node.attr)
-            elif isinstance(node, ast.alias):
-                found |= {node.name, node.asname or node.name}
-        return found
 
 
 @dataclass(frozen=True)
@@ -133,103 +103,10 @@ class House:
         return found
 
     @cached_property
-    def circles(self) -> list[list[str]]:
-        """Modules that import each other in a loop, the largest first."""
-        graph = nx.DiGraph((name, other) for name, others in self.imports.items() for other in others)
-        found = (sorted(circle) for circle in nx.strongly_connected_components(graph) if len(circle) > 1)
-        return sorted(found, key=lambda circle: (-len(circle), circle))
-
-    def typed_names(self) -> tuple[int, int]:
-        """Public names at the top that a type checker sees as what they are, and all."""
-        tree = self.modules[""].tree
-        typed = {alias.asname for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) for alias in n.names}
-        typed |= {n.name for n in tree.body if isinstance(n, ast.FunctionDef | ast.ClassDef)}
-        names = _public(tree) or typed - {None}  # with a stub, the stub is the list
-        return len(names & typed), len(names)
-
-
-def _public(tree: ast.Module) -> set[str]:
-    """Names in `__all__`, literal or made of a dictionary's keys; dunders left out."""
-    values = {
-        t.id: n.value for n in tree.body if isinstance(n, ast.Assign) for t in n.targets if isinstance(t, ast.Name)
-    }
-    values |= {
-        n.target.id: n.value
-        for n in tree.body
-        if isinstance(n, ast.AnnAssign) and isinstance(n.target, ast.Name) and n.value
-    }
-
-    def strings(node: ast.expr) -> Iterator[str]:
-        for part in ast.walk(node):
-            if isinstance(part, ast.Dict):
-                yield from (k.value for k in part.keys if isinstance(k, ast.Constant))
-                return
-            if isinstance(part, ast.Name) and part.id in values:
-                yield from strings(values[part.id])
-            elif isinstance(part, ast.Constant) and isinstance(part.value, str):
-                yield part.value
-
-    listed = values.get("__all__")
-    return {name for name in strings(listed) if not name.startswith("__")} if listed else set()
-
-
-def classes(house: House, folder: str, base: str) -> dict[str, set[str]]:
-    """Classes on this base in the files of a folder, each with its registered name."""
-    found = {}
-    for name, module in house.modules.items():
-        for node in module.tree.body if name.startswith(f"{folder}.") else ():
-            if isinstance(node, ast.ClassDef) and base in {getattr(b, "id", "") for b in node.bases}:
-                found[node.name] = {node.name, *_named(node)}
-    return found
-
-
-def defined(house: House) -> dict[str, set[str]]:
-    """Effects that are tables of a file, by class, each with both names."""
-    names = {name for said in _data_files(house) for name in said}
-    return {(kind := name.title().replace("_", "")): {kind, name} for name in sorted(names)}
-
-
-def _data_files(house: House) -> list[set[str]]:
-    """Names of the effects that each file of data defines."""
-    files = sorted(house.folder.rglob("*.effect.toml"))
-    return [{d["name"] for d in tomllib.loads(file.read_text(encoding="utf-8"))["definition"]} for file in files]
-
-
-def _named(node: ast.ClassDef) -> Iterator[str]:
-    for n in node.body:
-        target = n.target if isinstance(n, ast.AnnAssign) else n.targets[0] if isinstance(n, ast.Assign) else None
-        if getattr(target, "id", "") == "name" and isinstance(n.value, ast.Constant):
-            yield n.value.value
-
-
-def files_naming(house: House, members: dict[str, set[str]]) -> list[int]:
-    """Of each member the number of files that name it, its own among them."""
-    spoken = [m.words for m in house.modules.values() if m.name and m.room not in INDEPENDENT]
-    spoken += _data_files(house)
-    return [sum(bool(names & said) for said in spoken) for names in members.values()]
-
-
-def repeated_lines(house: House) -> int:
-    """Code lines in a block of six or more that occurs again; imports, comments and docstrings are left out."""
-    places: dict[tuple[str, ...], list[tuple[str, int]]] = {}
-    for module in house.modules.values():
-        left_out = {
-            k
-            for n in module.nodes
-            if isinstance(n, ast.Import | ast.ImportFrom)
-            or (isinstance(n, ast.Expr) and isinstance(n.value, ast.Constant) and isinstance(n.value.value, str))
-            for k in range(n.lineno, (n.end_lineno or n.lineno) + 1)
-        }
-        code = [
-            (k, line.strip())
-            for k, line in enumerate(module.text.splitlines(), 1)
-            if k not in left_out and line.strip() and not line.strip().startswith("#")
-        ]
-        for at in range(len(code) - REPEATED + 1):
-            block = code[at : at + REPEATED]
-            if sum(len(line) > 2 for _, line in block) == REPEATED:  # no runs of closing brackets
-                places.setdefault(tuple(line for _, line in block), []).append((module.name, at))
-    marked = {
-        (name, at + k) for found in places.values() if len(found) > 1 for name, at in found for k in range(REPEATED)
-    }
-    return len(marked)
+    def circle(self) -> list[str]:
+        """Modules that import each other in a loop, or none."""
+        try:
+            TopologicalSorter(self.imports).prepare()
+        except CycleError as error:
+            return list(error.args[1])
+        return []

@@ -1,4 +1,4 @@
-"""What a parameter passes on its way through calls, and who calls whom, read with `ast`; nothing is run.
+"""What a parameter passes on its way through calls, read with `ast`; nothing is run.
 
 The parameter is followed into every function of the package that is given it, an attribute of it, or a name made of it,
 in the order in which the code is written; into each function once. It ends where it is put into an object: from there
@@ -8,7 +8,6 @@ on the object goes. A station is a stay in one file, a climb an entry on a highe
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from itertools import pairwise
@@ -20,11 +19,10 @@ Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 @dataclass
 class Walk:
-    """The way of a parameter; entries : modules of the functions that it enters; names : that it bears."""
+    """The way of a parameter; entries : modules of the functions that it enters."""
 
     house: House
     entries: list[str] = field(default_factory=list)
-    names: set[str] = field(default_factory=set)
     passed: set[tuple[str, str]] = field(default_factory=set)
 
     @cached_property
@@ -51,7 +49,6 @@ class Walk:
         node = self._definitions(module)[name]
         self.entries.append(module)
         self.passed.add((module, name))
-        self.names |= {*parameters}
         borne = set(parameters)
         for statement in node.body:
             self._pass_through(statement, module, name, borne, _types(node))
@@ -62,9 +59,7 @@ class Walk:
             value = node.iter if isinstance(node, ast.For | ast.comprehension) else node.value
             if value is not None and _mentions(value, borne) and not self._is_put_down(value, module):
                 targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-                made = {n.id for t in targets for n in ast.walk(t) if isinstance(n, ast.Name)}
-                borne |= made
-                self.names |= made
+                borne |= {n.id for t in targets for n in ast.walk(t) if isinstance(n, ast.Name)}
         for child in ast.iter_child_nodes(node):
             self._pass_through(child, module, name, borne, types)
         if isinstance(node, ast.Call):
@@ -147,23 +142,3 @@ def _is_of(value: ast.expr, names: set[str]) -> bool:
     while isinstance(value, ast.Attribute | ast.Subscript | ast.Starred):
         value = value.value
     return isinstance(value, ast.Name) and value.id in names
-
-
-def callers(house: House, function: str) -> list[str]:
-    """Places that call a function of this name, as MODULE:LINE; its own module's calls of itself are none."""
-
-    def calls() -> Iterator[str]:
-        for name, module in house.modules.items():
-            own = {n.name for n in module.tree.body if isinstance(n, Function)}
-            meant = {
-                alias.asname or alias.name
-                for node in module.nodes
-                if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(house.folder.name)
-                for alias in node.names
-                if alias.name == function
-            } - own
-            for node in module.nodes:
-                if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in meant:
-                    yield f"{name}:{node.lineno}"
-
-    return sorted(calls())

@@ -3,7 +3,6 @@ first call: python walked.py WAY FOLDER. A process of its own, so that nothing i
 """
 
 import json
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -38,23 +37,6 @@ def diagnose(folder: Path) -> None:
     command("diagnose", PROBLEMS / "kr210", campaign, "--effects", "payload_error,backlash", "--json", answer, "-q")
 
 
-def fleet(folder: Path) -> None:
-    """The row of one robot, in this process: a worker of a cluster does no more."""
-    import pandas as pd
-
-    from casadical.fleet.store import one_robot
-
-    arm = folder / "arm"
-    shutil.copytree(PROBLEMS / "planar", arm)
-    (table,) = (ROOT / "data" / "planar").glob("*.csv")
-    (arm / "problem.toml").write_text((arm / "problem.toml").read_text().replace("../../data/planar/", ""))
-    shutil.copy(table, arm)
-    (arm / "campaigns").mkdir()
-    pd.read_csv(table).iloc[:30].to_csv(arm / "campaigns" / "2026-05-01.csv", index=False)
-    row = one_robot(str(arm), True)
-    assert row["status"] == "ok", row["error"]
-
-
 def verify(folder: Path) -> None:
     results, table = folder / "results", folder / "later.csv"
     calibrated = ["calibrate", PROBLEMS / "planar", "--out", results, "--quiet"]
@@ -77,23 +59,6 @@ def effect(folder: Path) -> None:
     kept = casadical.read_robot(folder / "found.toml")
     assert "payload_error" in mjcf(kept).text
     write_c(command_of(Sources(kept, robot)), folder / "c", name="arm", vectors=200)
-
-
-def network(folder: Path) -> None:
-    import numpy as np
-
-    import casadical
-    from casadical.compensator import load_compensator, save_compensator
-    from casadical.export import Sources, command_of, write_c
-
-    robot = casadical.read_robot(PROBLEMS / "hh800" / "robot.toml")
-    limits = np.array([(j.lower, j.upper) for j in robot.joints]).T
-    q = np.random.default_rng(0).uniform(*limits, (60, 6))
-    residual_mm = 0.2 * np.sin(q[:, :3])
-    trained = casadical.Compensator.fit(q[:40], residual_mm[:40], choose=(q[40:], residual_mm[40:]))
-    save_compensator(trained, folder / "net.json")
-    kept = load_compensator(folder / "net.json")
-    write_c(command_of(Sources(robot.with_values({"a2": 1.6}), robot, kept)), folder / "c", name="arm", vectors=200)
 
 
 def entered(way: Callable[[Path], None], folder: Path) -> list[str]:
