@@ -27,6 +27,10 @@ class NormalSums:
     def plus(self, other: NormalSums) -> NormalSums:
         return NormalSums(self.H + other.H, self.g + other.g, self.square + other.square, self.count + other.count)
 
+    def less(self, other: NormalSums) -> NormalSums:
+        """Without the rows of another one."""
+        return NormalSums(self.H - other.H, self.g - other.g, self.square - other.square, self.count - other.count)
+
     def moved(self, x: Array) -> NormalSums:
         """With y + A x as the residual."""
         return NormalSums(self.H, self.g + self.H @ x, self.square + 2 * x @ self.g + x @ self.H @ x, self.count)
