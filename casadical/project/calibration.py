@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 from casadical.compensator.saving import compensator_text
 from casadical.core.basics import ConvergenceError, InputError, Show, silent
 from casadical.core.files import claimed, json_text, write_together
-from casadical.core.telling.blocks import Page, Table, Words, mm, next_step
+from casadical.core.telling.blocks import Block, Page, Words, mm, next_step
 from casadical.core.telling.figure import Figure
 from casadical.core.telling.plain import Key, plain
 from casadical.core.telling.result import Result, html, plain_text
@@ -35,7 +35,7 @@ from casadical.project import outcome
 from casadical.project.calibration_page import calibration_figures, calibration_page, used_poses, where_left
 from casadical.project.check.targets import unnamed_targets
 from casadical.project.networks import Networks, train_networks
-from casadical.project.outcome import Accuracies, error_tables, judged_on, network_tables, paper_tables, verdict
+from casadical.project.outcome import Accuracies, error_tables, judged_on, network_tables, paper_tables
 from casadical.project.planning import more_poses
 from casadical.project.problem import Carried, Problem, nothing_carried, read_problem, together
 from casadical.project.problem_file import BASE_METHODS, all_methods, base_methods
@@ -134,41 +134,37 @@ class Calibration(Result):
             return next_step("to keep the result", "calibrate", source, *tables, "--out", "results")
         return next_step("to learn what is left", "diagnose", source, *tables)
 
-    def brief(self) -> Sequence[Words | Table]:
-        """What counts, in at most 20 lines of 80 columns: verdict, errors before and after, three things to know."""
-        problem = self.problem
-        return [
-            Words(problem.title, "title"),
-            *outcome.assumptions(problem, self.accuracies, self.without_prior),
-            *list(verdict(problem, self.accuracies))[:1],
-            *outcome.compliance_words(self.identification),
-            *error_tables(problem, self.accuracies, self.networks)[:1],
-            *outcome.methods_worse(self.accuracies),
-            *outcome.things_to_know(problem, self.identification, self.networks, self.accuracies),
-            *outcome.refit_words(self.refitted),
-        ]
+    def brief(self) -> Sequence[Block]:
+        """Return what counts, in at most 20 lines of 80 columns: verdict, errors, three things to know."""
+        return self._told(brief=True)
 
-    def blocks(self) -> Sequence[Words | Table]:
-        problem, last = self.problem, self.identification
-        return [
-            Words(problem.title, "title"),
-            Words(f"{problem.robot.name}; {problem.origin}"),
-            *(Words(f"note: {note}", "note") for note in problem.robot.notes),
-            *outcome.assumptions(problem, self.accuracies, self.without_prior),
-            *outcome.unused_columns(problem),
-            *verdict(problem, self.accuracies),
-            *(Words(result.verdict) for result in self.identifications.values()),
-            *outcome.methods_worse(self.accuracies),
-            *outcome.refit_words(self.refitted),
+    def blocks(self) -> Sequence[Block]:
+        return self._told(brief=False)
+
+    def _told(self, **more: Any) -> list[Block]:
+        problem, last, networks = self.problem, self.identification, self.networks
+        parameters = [
             how_sure(last),
             *outcome.left_out_table(self.identifications),
-            *error_tables(problem, self.accuracies, self.networks),
-            *(network_tables(self.networks) if self.networks else []),
-            *paper_tables(problem.paper, self.accuracies, self.networks),
+            *error_tables(problem, self.accuracies, networks),
+            *(network_tables(networks) if networks else []),
+            *paper_tables(problem.paper, self.accuracies, networks),
             *parameter_tables(last),
             held_table(last),
             *correlated(last),
         ]
+        return outcome.told_of(
+            problem,
+            self.accuracies,
+            it=self,
+            last=last,
+            networks=networks,
+            without_prior=self.without_prior,
+            parameters=parameters,
+            tables=error_tables(problem, self.accuracies, networks),
+            things=outcome.things_to_know(problem, last, networks, self.accuracies),
+            **more,
+        )
 
     @property
     def _line(self) -> str:
@@ -240,7 +236,8 @@ class Calibration(Result):
         for name, result in self.written.items():
             origin = f"Calibrated by casadical, method {name}, from {problem.title} ({problem.origin})."
             robot = with_knowledge(result)
-            said = [words.text for words in outcome.made_readings(problem) if words.text not in robot.notes]
+            made = outcome.told_of(problem, self.accuracies, block="made_readings")
+            said = [b.text for b in made if isinstance(b, Words) and b.text not in robot.notes]
             noted = replace(robot, notes=(*robot.notes, *said))
             texts[folder / f"{name}.robot.toml"] = to_toml(noted, f"{origin}\n{result.verdict}", known_alone=True)
             if problem.urdf:

@@ -40,7 +40,7 @@ from casadical.project.outcome import (
     left_out_table,
     network_tables,
     paper_tables,
-    verdict,
+    told_of,
 )
 from casadical.project.problem import Problem
 from casadical.project.telling import problem_files
@@ -242,8 +242,8 @@ def _tiles(accuracies: Accuracies) -> Iterator[Tile]:
 
 def _verdict(
     problem: Problem, results: Identifications, accuracies: Accuracies, networks: Networks | None
-) -> Iterator[Words]:
-    yield from verdict(problem, accuracies)
+) -> Iterator[Block]:
+    yield from told_of(problem, accuracies, block="verdict")
     for result in results.values():
         bad = result.at_bounds or "DOES NOT FIT" in result.verdict
         yield Words(result.verdict, "warning" if bad else "text")

@@ -2,12 +2,14 @@
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from casadical.core.basics import Array, shown
-from casadical.core.telling.blocks import Table, Words, mm
+from casadical.core.telling.blocks import Block, Table, Words, mm
+from casadical.core.telling.template import told
 from casadical.identification.accuracy import Accuracy, errors, summarise
 from casadical.identification.gravity import in_words
 from casadical.identification.result import AS_BEFORE, Identification, LeftOut, rows_in_words
@@ -31,15 +33,8 @@ _FIGURES = ("mean", "max", "std", "rms", "95 %")
 _WITH_NETWORKS = {"train": "networks learn", "choose": "networks are judged"}
 # A held-out pose with more than so many times the median error is far off, and so is a fitted one.
 FAR, OFF = 10.0, 4.0
-THINGS = 3
-# So many rows are named in the short answer.
-NAMED = 12
 # By these a unit is another; other factors turn a reading round or scale it.
 _UNIT_FACTORS = [*(factor for _, factor in UNITS.values()), np.pi / 180, 180 / np.pi, 1e3, 1e-3]
-# Parameters are determined well if held-out poses are no worse than so many times the fitted ones.
-WELL = 1.25
-# A mean error that falls by less, as a share, is hardly better; a joint that covers less of its range moves little.
-LITTLE, NARROW = 0.1, 0.5
 
 
 def judged_on(accuracies: Accuracies) -> tuple[str, Accuracy, Accuracy, bool]:
@@ -55,24 +50,25 @@ def _judging(states: Iterable[str]) -> str:
     return next((name for name in names if name.startswith("report")), names[0])
 
 
-def verdict(problem: Problem, accuracies: Accuracies) -> Iterator[Words]:
-    """How much the error falls on the poses that count, and what must be known of them."""
-    method, before, after, held_out = judged_on(accuracies)
-    name = _judging(accuracies[method])
-    change = 100 * (1 - after.mean / before.mean)
-    poses = f"{after.n} poses that were held out" if held_out else f"the {after.n} poses it was identified from"
-    yield Words(
-        f"On {poses}, the mean {_error(problem, name)} {'falls' if change > 0 else 'grows'} from "
-        f"{mm(before.mean)} mm to {mm(after.mean)} mm with {method} ({abs(change):.0f} % "
-        f"{'less' if change > 0 else 'more'}). Before means: with only base and tool frames fitted.",
-        "verdict",
-    )
-    if not held_out:
-        yield Words("No poses were held out: on new poses the error will be greater.", "warning")
-    if problem.data == "synthetic":
-        yield Words(
-            "The data are synthetic: they show that the method works, not how accurate a real robot is.", "note"
-        )
+def told_of(
+    problem: Problem | None,
+    accuracies: Accuracies,
+    *,
+    block: str = "",
+    it: Any = None,
+    brief: bool = False,
+    **more: Any,
+) -> list[Block]:
+    """Return the blocks of calibration.j2, or of one block of it; more : values that it needs."""
+    path = Path(__file__).with_name("calibration.j2")
+    return told(path, it, block, problem=problem, accuracies=accuracies, brief=brief, **_SAYS, **more)
+
+
+def things_to_know(
+    problem: Problem, last: Identification, networks: Networks | None, accuracies: Accuracies
+) -> list[Block]:
+    """Return at most three things, the most important first; last : by the method that counts."""
+    return told_of(problem, accuracies, block="things", last=last, networks=networks)[:3]
 
 
 def error_tables(problem: Problem, accuracies: Accuracies, networks: Networks | None = None) -> list[Table]:
@@ -180,86 +176,11 @@ def left_out_table(identifications: Mapping[str, Identification]) -> list[Table]
     return [Table(title, ("file", "row", *methods), cells, frozenset(range(1, 2 + len(methods))))]
 
 
-def things_to_know(
-    problem: Problem, last: Identification, networks: Networks | None, accuracies: Accuracies
-) -> Iterator[Words]:
-    """At most three, the most important first; last : by the method that counts."""
-    things = [*_doubts(problem, last), *no_better(problem, last, accuracies), *_notes(problem, last, networks)]
-    yield from things[:THINGS]
-
-
-def refit_words(refitted: Mapping[str, Identification]) -> Iterator[Words]:
-    """That what is written is fitted to more poses than what is judged."""
-    for last in list(refitted.values())[-1:]:
-        poses = sum(map(len, last.measurements)) - len(last.outliers)
-        text = f"Robot files and parameters are fitted again, to all {poses} poses; errors are of the fit before that."
-        yield Words(text, "note")
-
-
-def compliance_words(last: Identification) -> Iterator[Words]:
-    """What trying a compliance that no file declares gave, and how far gravity deflects a robot of unknown masses."""
-    if last.tried:
-        yield Words(f"Tried with compliance: {last.tried.in_words(last.method)}.", "note")
-    if text := in_words(last):
-        yield Words(f"{text.partition(';')[0].capitalize()}.", "note")
-
-
-def _doubts(problem: Problem, last: Identification) -> Iterator[Words]:
-    if "DOES NOT FIT" in last.verdict:
-        yield Words("The model does not fit: run casadical check, it searches for slips of the table.", "warning")
-    if last.left_out:
-        yield Words(f"Left out as outliers: {rows_in_words(last.left_out, NAMED, last.sources)}.", "warning")
-    held = _held_out(problem, last.robot)
-    if far := sorted((out for _, some in held.values() for out in some), key=lambda out: -out.error):
-        worst, without = rows_in_words(far, 3, last.sources), np.mean(np.concatenate([e for e, _ in held.values()]))
-        text = f"Held-out poses far off, in the figures above: {worst}; without them the mean is {mm(without)} mm."
-        yield Words(text, "warning")
-    for text in undetermined(last.measurements, last.unknown_points):
-        yield Words(f"These readings cannot {text}.", "warning")
-    if last.at_bounds:
-        yield Words(f"At bounds: {', '.join(last.at_bounds)}: widen the bounds or doubt the model.", "warning")
-    if not any(name.startswith("report") for name in problem.sets):
-        yield Words("No poses were held out: on new poses the error will be greater.", "warning")
-
-
-def no_better(problem: Problem, last: Identification, accuracies: Accuracies) -> Iterator[Words]:
-    """Where calibration hardly helps though held-out poses are clearly worse than fitted ones: data that would help."""
-    _, before, after, held_out = judged_on(accuracies)
-    if not held_out or after.mean < (1 - LITTLE) * before.mean:
-        return
-    robot, sets = problem.robot, problem.sets["identify"]
-    missing = []
-    fitted = np.concatenate([errors(last.robot, m) for m in last.used]).mean()
-    open_still = after.mean > WELL * fitted
-    if last.degrees_of_freedom < 2 * len(last.names):
-        missing.append(f"more poses ({len(last.names)} parameters from {sum(len(m) for m in sets)}; casadical plan)")
-    narrow = [c.joint for c in coverage(robot, sets[0]) if c.share < NARROW]
-    if narrow and open_still:
-        which = "all joints" if len(narrow) == robot.n else f"joint {', '.join(map(str, narrow))}"
-        missing.append(f"wider ranges of {which} (less than half of the limits is covered)")
-    if not missing or not open_still:
-        missing.append("what the model lacks: casadical diagnose names it")
-    text = "The calibration hardly helps. It"
-    if after.mean > before.mean:
-        text = f"Held-out poses are worse than before, perhaps by chance of {after.n} poses: keep the nominal robot. "
-        text += "The calibration"
-    yield Words(f"{text} would need {'; '.join(missing)}.", "warning")
-
-
-def _notes(problem: Problem, last: Identification, networks: Networks | None) -> Iterator[Words]:
-    if problem.data == "synthetic":
-        yield Words("The data are synthetic: they do not show how accurate a real robot is.", "note")
-    for trained in networks.results.values() if networks else ():
-        if trained.helps:
-            yield Words(f"{trained.method} makes it better on poses that it did not learn; it is in the table.", "note")
-    held = len(last.identifiability.held)
-    known, table = len(last.identified), last.parameters
-    before = int((table["reason"] == AS_BEFORE)[table["name"].isin(last.identified)].sum())
-    knowledge = f" ({before} as the prior has them)" if before else ""
-    poses = sum(len(m) for m in last.measurements) - len(last.outliers)
-    yield Words(f"{known} parameters identified from {poses} poses{knowledge}, {held} are not identifiable.", "note")
-    if problem.data is None:
-        yield Words("It is not said whether the data are real or synthetic (data in problem.toml).", "note")
+def far_held_out(problem: Problem, robot: Robot) -> tuple[list[LeftOut], float]:
+    """Return held-out poses that are far off, the farthest first, and the mean error of the others [m]."""
+    held = _held_out(problem, robot)
+    far = sorted((out for _, some in held.values() for out in some), key=lambda out: -out.error)
+    return far, float(np.mean(np.concatenate([e for e, _ in held.values()]))) if far else 0.0
 
 
 def usual_held_out(problem: Problem, robot: Robot) -> dict[str, Accuracy]:
@@ -289,16 +210,15 @@ def chance_of(before: Accuracy, after: Accuracy) -> float:
     return float(2 * np.hypot(before.std, after.std) / np.sqrt(after.n)) if after.n > 1 else 0.0
 
 
-def methods_worse(accuracies: Accuracies) -> Iterator[Words]:
-    """Of methods before the last one: those with which held-out poses are worse than before."""
+def worse_methods(accuracies: Accuracies) -> Iterator[tuple[str, Accuracy, Accuracy]]:
+    """Yield methods before the last one with which held-out poses are worse, with errors before and after."""
     *others, (_, last) = accuracies.items()
     for method, states in others:
         name = _judging(states)
         if name.startswith("report"):  # the robot as given may bend, which KM's own start does not
             before, after = last[name]["placed"], states[name]["calibrated"]
             if after.mean > before.mean + chance_of(before, after):
-                text = f"{method} makes held-out poses worse: {mm(after.mean)} mm, {mm(before.mean)} mm before"
-                yield Words(f"{text}; do not use {method}.robot.toml.", "warning")
+                yield method, before, after
 
 
 def worse_than_before(result: Identification, before: Accuracy, after: Accuracy) -> str:
@@ -322,38 +242,15 @@ def worse_than_before(result: Identification, before: Accuracy, after: Accuracy)
     return f"{text}: the nominal model is better than what these poses tell; measure more, or keep the nominal robot"
 
 
-def assumptions(problem: Problem, accuracies: Accuracies, without_prior: Accuracy | None) -> Iterator[Words]:
-    """What a result rests on besides the measurements; without_prior : of the poses that it is judged by, if known."""
-    yield from _prior_words(problem, accuracies, without_prior)
-    carried = problem.prior.labels if problem.prior else ()
-    robot = problem.robot.with_only(e for e in problem.robot.effects if e.label not in carried)
-    if robot.effects:
-        text = "Effects of the robot file are in the model, held at their values:"
-        yield Words(f"{text} {robot.effects_in_words}.", "note")
+def _weighs_nothing(problem: Problem) -> bool:
+    """Return whether a payload was logged that a robot which bends does not have in its model."""
     payloads = [m.conditions["payload_kg"] for _, m in problem.parts() if "payload_kg" in m.conditions]
     gives = problem.robot.payload is None and any(j.compliance is not None for j in problem.robot.joints)
-    if gives and any(np.any(p != 0) for p in payloads):
-        text = "The tables log a payload (payload_kg), but the robot file has no [payload] with its mass centre "
-        yield Words(f"{text}(com_mm): its weight is not in the model. Add it to the robot file.", "warning")
-    yield from made_readings(problem)
+    return gives and any(np.any(p != 0) for p in payloads)
 
 
-def _prior_words(problem: Problem, accuracies: Accuracies, without: Accuracy | None) -> list[Words]:
-    if problem.prior is None:
-        return []
-    whole = [m for _, m in problem.parts()]
-    words = [Words(problem.prior.in_words(whole), "warning" if problem.prior.learnt_from(whole) else "note")]
-    if without is None:
-        return words
-    _, _, after, held_out = judged_on(accuracies)
-    text = f"Without the prior the mean error {'of these held-out poses' if held_out else ''} is {mm(without.mean)} mm"
-    worse = after.mean > without.mean + chance_of(without, after)
-    doubt = f", with it {mm(after.mean)} mm: the robot may have changed since; leave out --prior" if worse else ""
-    return [*words, Words(f"{' '.join(text.split())}{doubt}.", "warning" if worse else "note")]
-
-
-def made_readings(problem: Problem) -> list[Words]:
-    """Joint readings that problem.toml turns round or shifts: the controller's own are others than the model's."""
+def changed_readings(problem: Problem) -> list[str]:
+    """Return joint readings that problem.toml turns round or shifts, in words."""
     changed, columns = [], dict[str, Any]()
     for table in problem.tables:
         columns |= table.get("columns", {})
@@ -363,20 +260,42 @@ def made_readings(problem: Problem) -> list[Words]:
             unit_alone = np.isclose(source.times, _UNIT_FACTORS, rtol=1e-6).any()
             if not unit_alone or source != Source(source.name, source.times):
                 changed.append(f"{name.partition('_')[0]} = {source.words}")
-    if not changed:
-        return []
-    text = f"The model's readings are made by problem.toml: {', '.join(changed)}. The robot file, the C and programs"
-    return [Words(f"{text} take the model's, not the controller's.", "warning")]
+    return changed
 
 
-def unused_columns(problem: Problem) -> list[Words]:
-    """Columns that the tables have and the calibration does not use, and rows that it counts once."""
-    used = {*problem.robot.conditions, "pose", "time_s", "point"}
+def unused_columns(problem: Problem) -> dict[str, str]:
+    """Return columns that the tables have and the calibration does not use, each with its table."""
+    used = {*problem.robot.conditions, "pose", "time_s", "point", problem.set_column}
     left = {name: m.source for _, m in problem.parts() for name in (*m.conditions, *m.unused) if name not in used}
-    left = {name: source for name, source in left.items() if not name.startswith(("tool_", "session_"))}
-    left.pop(problem.set_column or "", None)
-    copies = [Words(text, "note") for text in dict.fromkeys(m.copies_in_words for _, m in problem.parts()) if text]
-    if not left:
-        return copies
-    text = f"Columns that are not used: {', '.join(map(shown, left))} (in {', '.join(sorted(set(left.values())))})."
-    return [Words(text, "note"), *copies]
+    return {shown(name): table for name, table in left.items() if not name.startswith(("tool_", "session_"))}
+
+
+def _with_own_effects(problem: Problem) -> Robot:
+    """Return the robot with the effects of its file alone, without those of a prior."""
+    carried = problem.prior.labels if problem.prior else ()
+    return problem.robot.with_only(e for e in problem.robot.effects if e.label not in carried)
+
+
+# What the template asks for beside the calibration.
+_SAYS: dict[str, Any] = {
+    "judged_on": judged_on,
+    "chance_of": chance_of,
+    "with_own_effects": _with_own_effects,
+    "weighs_nothing": _weighs_nothing,
+    "changed_readings": changed_readings,
+    "unused_columns": unused_columns,
+    "error_of": lambda problem, accuracies: _error(problem, _judging(list(accuracies.values())[-1])),
+    "in_words": in_words,
+    "worse_methods": worse_methods,
+    "rows_in_words": rows_in_words,
+    "far_held_out": far_held_out,
+    "undetermined": undetermined,
+    "reports": lambda problem: any(name.startswith("report") for name in problem.sets),
+    "fitted_mean": lambda last: np.concatenate([errors(last.robot, m) for m in last.used]).mean(),
+    "narrow_joints": lambda problem: [
+        c.joint for c in coverage(problem.robot, problem.sets["identify"][0]) if c.share < 0.5
+    ],
+    "as_before": lambda last: int(
+        (last.parameters["reason"] == AS_BEFORE)[last.parameters["name"].isin(last.identified)].sum()
+    ),
+}

@@ -21,7 +21,7 @@ from casadical.project.check.result import Precheck
 from casadical.project.check.slip_fit import Hypothesis
 from casadical.project.check.slips import outside
 from casadical.project.new.texts import Given, with_measured
-from casadical.project.outcome import made_readings, no_better
+from casadical.project.outcome import changed_readings, told_of
 from casadical.project.planning import declared, plan
 from casadical.project.problem import read_problem
 
@@ -127,7 +127,7 @@ def test_an_error_is_localised_in_positions_of_one_set_only(calibrated: Any) -> 
     for sets in ((m, m), (distances,)):
         assert where_left(replace(result, measurements=sets)) is None
     # It was made ten times better, so no data are asked for.
-    assert list(no_better(planar.problem, result, planar.accuracies)) == []
+    assert not told_of(planar.problem, planar.accuracies, block="no_better", last=result)
 
 
 def test_readings_that_problem_toml_makes_are_said_with_the_result(planar: Problem) -> None:
@@ -139,11 +139,11 @@ def test_readings_that_problem_toml_makes_are_said_with_the_result(planar: Probl
         "q5_deg": {"from": "Achse 5", "times": 0.5, "add": {"Achse 2": -2.0}, "rows": -1},
         "x_mm": {"from": "X", "times": -1.0},
     }
-    (words,) = made_readings(replace(planar, tables=({"file": "poses.csv", "columns": made},)))
+    (words,) = told_of(replace(planar, tables=({"file": "poses.csv", "columns": made},)), {}, block="made_readings")
     assert "q1 = -'Achse 1', q2 = 'Achse 2' +90, q4 = 0.5 x 'column_m' -0.706, " in words.text
     assert "q5 = 0.5 x 'Achse 5' - 2 x 'Achse 2', 1 row above. " in words.text
     assert "Achse 3" not in words.text
-    assert made_readings(planar) == []
+    assert changed_readings(planar) == []
 
 
 @pytest.mark.parametrize("key", ["identify", "train", "choose", "report"])

@@ -4,9 +4,11 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeAlias
 
 from casadical.core.telling.figure import Figure
+
+Kind: TypeAlias = Literal["title", "text", "note", "warning", "error", "verdict"]
 
 
 @dataclass(frozen=True)
@@ -14,7 +16,7 @@ class Words:
     """A paragraph; code : a command to show beneath it; mark : a word before it, which alone looks as its kind does."""
 
     text: str
-    kind: Literal["title", "text", "note", "warning", "error", "verdict"] = "text"
+    kind: Kind = "text"
     code: str = ""
     mark: str = ""
 

@@ -134,10 +134,10 @@ class Shown:
         return f"<{line if len(line) <= LINE else line[: LINE - 3] + '...'}>"
 
 
-def html(blocks: Sequence[Words | Table], bars: Sequence[tuple[str, float]] = (), title: str = "") -> str:
+def html(blocks: Sequence[Block], bars: Sequence[tuple[str, float]] = (), title: str = "") -> str:
     """Blocks, beneath them a bar for each (words, length [m]); a table that is folded on a page is folded here, too."""
     parts = [f"<b>{escape(title)}</b>"] if title else []
-    parts += [_table(b) if isinstance(b, Table) else _words(b) for b in blocks]
+    parts += [_table(b) if isinstance(b, Table) else _words(b) for b in blocks if not isinstance(b, Figure)]
     return f"<div>{''.join(parts)}{_bars(bars) if bars else ''}</div>"
 
 
@@ -227,5 +227,4 @@ class Result(Shown):
 
     def _repr_html_(self) -> str:
         """For a notebook."""
-        shown = [block for block in self.blocks() if not isinstance(block, Figure)]
-        return html(shown, self.bars(), repr(self)[1:-1])
+        return html(self.blocks(), self.bars(), repr(self)[1:-1])

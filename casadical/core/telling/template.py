@@ -8,20 +8,19 @@ in as they are, with the spaces and line ends that they have.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
-from casadical.core.telling.blocks import Block, Table, Words, mm
+from casadical.core.telling.blocks import Block, Kind, Table, Words, mm
 from casadical.core.telling.figure import Figure
 
 if TYPE_CHECKING:
-    from jinja2 import Template
+    from jinja2 import Environment
 
-_BEGINS = re.compile(r"^\[(title|text|note|warning|error|verdict)\]$", re.MULTILINE)
 # Characters for private use stand for the ends of a tag, and for spaces and line ends of values.
-_TAG = re.compile("\ue000([a-z]+) ?(\\d*)\ue001([^\ue000]*)")
+_TAG = re.compile("\ue000([^\ue001]*)\ue001([^\ue000]*)")
 _KEPT = str.maketrans({" ": "\ue002", "\n": "\ue003", "\ue000": "", "\ue001": ""})
 _GIVEN_BACK = str.maketrans({"\ue002": " ", "\ue003": "\n"})
 
@@ -30,11 +29,21 @@ class _Tag(str):
     """A tag that stays as it is where a template puts it in."""
 
 
+def tag(kind: str) -> str:
+    """Return what begins a paragraph of a kind in a template, where the kind depends on the result."""
+    return _Tag(f"\ue000{kind}\ue001")
+
+
 @cache
-def _template(path: Path) -> Template:
-    from jinja2 import Environment, StrictUndefined  # late: showing nothing, physics need none
+def _environment(folder: Path) -> Environment:
+    from jinja2 import Environment, FunctionLoader, StrictUndefined  # late: showing nothing, physics need none
+
+    def load(name: str) -> str:
+        source = (folder / name).read_text(encoding="utf-8")
+        return re.sub(r"(?m)^\[([A-Za-z]+!?)\]$", lambda found: tag(found[1]), source)
 
     environment = Environment(
+        loader=FunctionLoader(load),
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=StrictUndefined,
@@ -42,23 +51,47 @@ def _template(path: Path) -> Template:
         autoescape=False,
     )
     environment.filters |= {"mm": mm, "f": lambda value, form: format(value, form)}
-    source = path.read_text(encoding="utf-8")
-    return environment.from_string(_BEGINS.sub(lambda tag: f"\ue000{tag[1]}\ue001", source))
+    environment.globals |= {"tag": tag}
+    return environment
 
 
-def told(path: Path, result: Any, **more: Any) -> list[Block]:
-    """Return the blocks of a template; result : `it` of the template; more : other values that it needs."""
+def sentence(path: Path, result: Any, block: str = "", **more: Any) -> str:
+    """Return the text of a template without paragraphs; the arguments are those of `paragraphs`."""
+    return _text(_rendered(path, block, it=result, **more))
+
+
+def paragraphs(path: Path, result: Any, block: str = "", **more: Any) -> Iterator[tuple[str, str]]:
+    """Yield kind and text of each paragraph.
+
+    result : `it` of the template; more : other values that it needs
+    block : of the template, in place of all of it
+    """
+    yield from ((kind, _text(text)) for kind, text in _TAG.findall(_rendered(path, block, it=result, **more)))
+
+
+def _rendered(path: Path, block: str, **known: Any) -> str:
+    template = _environment(path.parent).get_template(path.name)
+    context = template.new_context(known)
+    return "".join((template.blocks[block] if block else template.root_render_func)(context))
+
+
+def _text(rendered: str) -> str:
+    return " ".join(rendered.split()).translate(_GIVEN_BACK)
+
+
+def told(path: Path, result: Any, block: str = "", **more: Any) -> list[Block]:
+    """Return the blocks of a template; the arguments are those of `paragraphs`."""
     made: list[Block | Sequence[Block]] = []
 
-    def put(blocks: Block | Sequence[Block]) -> _Tag:
+    def put(blocks: Block | Sequence[Block]) -> str:
         made.append(blocks)
-        return _Tag(f"\ue000put {len(made) - 1}\ue001")
+        return tag(f"put {len(made) - 1}")
 
-    blocks: list[Block] = []
-    for kind, number, text in _TAG.findall(_template(path).render(it=result, put=put, **more)):
-        if kind == "put":
-            found = made[int(number)]
-            blocks += [found] if isinstance(found, Words | Table | Figure) else found
+    told: list[Block] = []
+    for kind, text in paragraphs(path, result, block, put=put, **more):
+        if kind.startswith("put "):
+            found = made[int(kind[4:])]
+            told += [found] if isinstance(found, Words | Table | Figure) else found
         else:
-            blocks.append(Words(" ".join(text.split()).translate(_GIVEN_BACK), kind))
-    return blocks
+            told.append(Words(text, cast(Kind, kind)))
+    return told
