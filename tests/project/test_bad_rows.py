@@ -148,7 +148,7 @@ def test_a_method_that_is_worse_than_nothing_is_named(tmp_path: Path) -> None:
     accuracies = {"KM": {"report": states[0]}, "SKCM": {"report": states[1]}}
     (words,) = told_of(None, accuracies, block="methods_worse")
     assert words.text == "KM makes held-out poses worse: 1.500 mm, 1.000 mm before; do not use KM.robot.toml."
-    assert not told_of(None, dict.fromkeys(("KM", "SKCM"), {"report": states[1]}), block="methods_worse")
+    assert not told_of(None, {key: {"report": states[1]} for key in ("KM", "SKCM")}, block="methods_worse")
 
 
 def test_check_looks_at_the_compliance_that_calibrate_tries(tmp_path: Path) -> None:
