@@ -69,6 +69,7 @@ def test_refuses_noise_in_words_and_corrects_nothing(refused):
     np.testing.assert_array_equal(np.asarray(function(np.ones(6))).ravel(), np.zeros(3))
 
 
+@pytest.mark.slow
 def test_noise_is_seldom_taken_for_a_residual():
     """Of 20 data sets of pure noise at most 5 pass (with the margin of one standard error, 16 % if it were exact)."""
     q, residual = smooth(30, 0)

@@ -41,6 +41,7 @@ def test_the_process_finds_which_joints_matter() -> None:
     assert np.std(truth - process.mean(other / 2)) < 1.3 * 0.1  # the noise itself is 0.1
 
 
+@pytest.mark.slow
 def test_on_few_poses_the_taught_network_beats_the_ridge() -> None:
     held_out = one_joint(500, 99)
     gains = {}

@@ -11,7 +11,8 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from bench import FIRST, batches, campaign, moved_by, robot, with_columns
+from bench import batches, campaign, moved_by, robot, with_columns
+from marks import slow
 
 from casadical.blind_check.mujoco_physics import Plant
 from casadical.blind_check.mujoco_physics.cause import link_angles
@@ -45,12 +46,13 @@ def compare(name: str, effects: list[Effect]) -> None:
     assert wrong == {}
 
 
-@pytest.mark.parametrize("name", FIRST)
+@pytest.mark.parametrize("name", ["kr210", *slow("hh800", "ur10e")])
 def test_signature_is_the_models_derivative(name: str) -> None:
     for effects in batches(name):
         compare(name, effects)
 
 
+@pytest.mark.slow
 def test_signature_of_the_unknown_is_the_models_derivative() -> None:
     for effects in batches("ur10e", listed=False):
         compare("ur10e", effects)

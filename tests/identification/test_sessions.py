@@ -49,6 +49,7 @@ def apart() -> Identification:
     return identify(OWN, made()[:2], method="KM")
 
 
+@pytest.mark.slow
 def test_base_and_tool_are_found_anew_and_the_robot_is_shared() -> None:
     first, second, held, held_later = made()
     found = apart()

@@ -211,6 +211,7 @@ def test_few_poses_of_a_rigid_robot_converge_with_unknown_masses() -> None:
     assert found.is_optimal()
 
 
+@pytest.mark.slow
 def test_all_poses_decide_on_compliance_where_the_written_robot_is_fitted_to_all(tmp_path) -> None:
     """Of 13 poses to identify from none shows; what is held out judges both models, and does not choose."""
     robot, fit, held = sagging()

@@ -96,6 +96,7 @@ def test_readings_that_hold_the_tool_in_a_socket_are_as_many_as_asked_for(robot)
     np.testing.assert_allclose(expected(robot, q, {}, "test").position, SOCKETS[which.astype(int)], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_chosen_sockets_promise_more_than_others_and_poses_lie_in_them(robot) -> None:
     places = usual_places(robot, "sockets")[::6]
     chosen = select_with_places(robot, 40, "sockets", places, 2, noise=Noise(SIGMA), pool=150, restarts=1)

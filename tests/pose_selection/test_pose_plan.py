@@ -90,6 +90,7 @@ def test_without_a_room_poses_below_the_base_are_said_and_with_one_not(monkeypat
     assert "below the base" not in " ".join(capsys.readouterr().out.split())
 
 
+@pytest.mark.slow
 def test_payloads_of_the_measured_poses_are_planned_where_effects_are_to_be_told(monkeypatch, tmp_path) -> None:
     practice = ROOT / "data" / "campaigns" / "practice" / "kr210-P05.csv"
     words = (ROOT / "problems" / "kr210", "-n", 10, "--measured", practice, "--no-order", "--out")

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import main, own_planar
+from marks import slow
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "cli"))
 import first_hour
@@ -78,7 +79,7 @@ def folder_of(tmp_path: Path, slip: Callable[..., Table] | None) -> Path:
     return tmp_path / "arm"
 
 
-@pytest.mark.parametrize("slip", CASES, ids=lambda s: s.__name__)
+@pytest.mark.parametrize("slip", [heavy_arm, *slow(*CASES.keys() - {heavy_arm})], ids=lambda s: s.__name__)
 def test_slips_are_found_together_and_repaired(slip, tmp_path):
     folder = folder_of(tmp_path, slip)
     found = precheck(folder)
@@ -104,7 +105,7 @@ def in_metres(q: np.ndarray, p: np.ndarray) -> Table:
     return q, p / 1e3
 
 
-@pytest.mark.parametrize("slip", [mirrored, in_metres], ids=lambda s: s.__name__)
+@pytest.mark.parametrize("slip", [in_metres, *slow(mirrored)], ids=lambda s: s.__name__)
 def test_a_slip_of_the_positions_alone_is_repaired(slip, tmp_path, monkeypatch):
     folder = folder_of(tmp_path, slip)
     assert main(monkeypatch, "check", folder, "--repair", "-q") == 0
@@ -181,6 +182,7 @@ def test_a_clean_table_is_left_alone(tmp_path, monkeypatch, capfd):
     assert {path: path.read_bytes() for path in folder.iterdir()} == texts
 
 
+@pytest.mark.slow
 def test_what_a_coupled_reading_counts_from_may_be_wrong_itself(tmp_path: Path) -> None:
     """Joint 3 counts from the horizontal; then joint 2 was written with another sign, and columns 2 and 5 swapped."""
 
@@ -217,6 +219,7 @@ def test_a_slip_of_lengths_that_moves_little_is_found(sign: int, tmp_path: Path)
     assert ("joint 6 counts the other way" in " ".join(f.text for f in found.findings)) == (sign < 0)
 
 
+@pytest.mark.slow
 def test_slips_of_a_table_of_lengths_are_found_and_repaired(tmp_path):
     """The second joint turned, the fourth shifted by a quarter turn."""
     q, p = first_hour.measured(90)

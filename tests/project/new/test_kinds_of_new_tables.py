@@ -101,6 +101,7 @@ def test_what_an_orientation_is_is_asked_again_when_the_readings_are_repaired(fo
     np.testing.assert_allclose(whole.orientation, R.as_matrix(), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_table_of_camera_poses_is_calibrated_from_a_urdf_with_and_without_a_folder(tmp_path, monkeypatch, capfd):  # type: ignore[no-untyped-def]
     """Readings by the names of the URDF's joints, as ROS writes them, in another order; time as stamps."""
     pytest.importorskip("yourdfpy", reason="the extra urdf is not installed")
