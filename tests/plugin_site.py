@@ -4,14 +4,12 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import command_line
 import pytest
-
-from casadical.measurements.kinds.registry import kinds
 
 ROOT = Path(__file__).parents[1]
 
@@ -59,20 +57,3 @@ def found_in(monkeypatch: pytest.MonkeyPatch, known: Any, site: Path) -> Iterato
         known.cache_clear()
         for module in modules:
             sys.modules.pop(module, None)
-
-
-# A kind of measurement that fails as only a mistake in a program does.
-BROKEN_KIND = """
-from casadical.measurements import MeasurementKind
-
-class Broken(MeasurementKind):
-    name = "broken"
-    read = residual = errors = None
-    numbers = property(lambda self: 1 / 0)
-"""
-
-
-def broken_kind(monkeypatch: pytest.MonkeyPatch, folder: Path) -> AbstractContextManager[None]:
-    """The process of the test with a bug in all that reads measurements."""
-    point = "broken = broken_kind:Broken"
-    return found_in(monkeypatch, kinds, installed(folder, "casadical.measurement_kinds", point, BROKEN_KIND))

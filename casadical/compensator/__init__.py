@@ -5,8 +5,8 @@ from casadical.compensator.iwo import InvasiveWeeds, IwoSettings, iwo_minimise
 from casadical.compensator.layout import JointBox, Layout
 from casadical.compensator.network import Network, make_task
 from casadical.compensator.saving import load_compensator, save_compensator
+from casadical.compensator.trainers import *  # noqa: F403 - every trainer, by its line there
 from casadical.compensator.trainers.base import Trainer
-from casadical.compensator.trainers.registry import *  # noqa: F403 - every trainer, by its line there
 
 __all__ = [
     "Compensator",

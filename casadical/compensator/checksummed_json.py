@@ -1,19 +1,15 @@
 """JSON files that carry their own sha256, written in one piece and refused when anything in them was changed.
 
-The checksum protects from damage and careless edits, not from someone who computes a new one. Arrays in them lose no
-bit.
+The checksum protects from damage and careless edits, not from someone who computes a new one.
 """
 
 import hashlib
 import json
 import os
-from base64 import b64decode, b64encode
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from casadical.core.basics import Array, InputError
+from casadical.core.basics import InputError
 from casadical.core.files import json_text, write_whole
 from casadical.core.reading import MOST_JSON, json_of, read_text
 
@@ -62,14 +58,3 @@ def _intact(document: dict[str, Any], text: str) -> bool:
         return document.get("sha256") == digest(body) and json_text(document) == text
     except ValueError:  # NaN or Infinity, which such a file never holds
         return False
-
-
-def pack(array: Array) -> dict[str, Any]:
-    """Return an array as its shape and its little-endian doubles in base64."""
-    return {"shape": list(array.shape), "base64": b64encode(array.astype("<f8").tobytes()).decode("ascii")}
-
-
-def unpack(value: dict[str, Any]) -> Array:
-    """Return the array that `pack` packed."""
-    flat = np.frombuffer(b64decode(value["base64"], validate=True), dtype="<f8")
-    return flat.astype(np.float64).reshape(value["shape"])

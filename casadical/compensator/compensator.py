@@ -1,31 +1,25 @@
 """The compensator of the error left after calibration (paper, section 4); it is kept only if it helps.
 
 Sign: the residual is measured minus computed position (paper, eq. 9), and the correction is added to the computed one.
-Trainings are run to their end, with progress and checkpoints from which they resume.
 """
 
 import hashlib
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadical.compensator.checksummed_json import digest, pack, read_checksummed, unpack, write_checksummed
 from casadical.compensator.layout import JointBox, Layout, box_around
 from casadical.compensator.network import Loss, Network, Task, joint_angles, make_task, residuals, training_masks
 from casadical.compensator.report import BeforeAfter, table
-from casadical.compensator.trainers.base import Run, Trainer
+from casadical.compensator.trainers.base import Trainer
 from casadical.compensator.trainers.known import trainer_named
 from casadical.core.basics import Array, InputError
 
 if TYPE_CHECKING:
     import casadi
-
-_KIND, _VERSION = "casadical-training-checkpoint", 1
 
 
 @dataclass(frozen=True)
@@ -60,13 +54,12 @@ def train(
     trainer: Trainer,
     *,
     seed: int = 0,
-    checkpoint: str | os.PathLike[str] | None = None,
     every: int = 50,
     progress: Callable[[Progress], None] | None = None,
 ) -> Training:
     """Train one network; see `train_all`.
 
-    task : the training problem; trainer, seed, checkpoint, every, progress : as of `train_all`
+    task : the training problem; trainer, seed, every, progress : as of `train_all`
 
     Examples
     --------
@@ -76,7 +69,7 @@ def train(
     >>> train(task, known_trainers()["lm"](), seed=1).weights.shape
     (33,)
     """
-    return train_all([task], trainer, seed=seed, checkpoint=checkpoint, every=every, progress=progress)[0]
+    return train_all([task], trainer, seed=seed, every=every, progress=progress)[0]
 
 
 def train_all(
@@ -84,7 +77,6 @@ def train_all(
     trainer: Trainer,
     *,
     seed: int = 0,
-    checkpoint: str | os.PathLike[str] | None = None,
     every: int = 50,
     progress: Callable[[Progress], None] | None = None,
 ) -> list[Training]:
@@ -93,72 +85,27 @@ def train_all(
     tasks : training problems
     trainer : with its settings
     seed : of everything random
-    checkpoint : file to write the state to. If it exists, the job continues from it and ends with exactly the weights
-        of an uninterrupted one (on the same machine and libraries). It is kept when the job is done
-    every : steps between two calls of ``progress``, two checkpoints and two entries of the history
+    every : steps between two calls of ``progress`` and two entries of the history
     progress : called with where the job stands
-    Raises InputError: the checkpoint is damaged or belongs to other data, settings or seed.
     """
     if every < 1:
         raise InputError(f"every must be at least 1 step; got {every}")
-    tasks, mark = list(tasks), _fingerprint(tasks, trainer, seed, every)
     done: list[Training] = []
-    history: list[tuple[int, float]] = []
-    run: Run | None = None
-    if checkpoint is not None and Path(checkpoint).exists():
-        done, history, state = _restored(checkpoint, mark)
-        if state is not None and len(done) < len(tasks):
-            run = trainer.resume(tasks[len(done)], seed, state)
-    while len(done) < len(tasks):
-        number, task = len(done) + 1, tasks[len(done)]
-        if run is None:
-            run, history = trainer.begin(task, seed), []
-        for _ in range(every):
-            if run.reasons():
-                break
-            run.step()
-        weights = run.best()
-        history.append((run.steps, float(task.losses(weights[None])[0])))
-        if reasons := run.reasons():
-            done.append(Training(weights, history[-1][1], run.steps, reasons, run.note(), tuple(history)))
-            run = None
-        if checkpoint is not None:
-            packed = [asdict(training) | {"weights": pack(training.weights)} for training in done]
-            state = {"fingerprint": mark, "done": packed, "run": None if run is None else run.state()}
-            write_checksummed(checkpoint, _KIND, _VERSION, state | {"history": history})
-        if progress is not None:
-            progress(Progress(number, len(tasks), *history[-1]))
+    for number, task in enumerate(tasks, 1):
+        run = trainer.begin(task, seed)
+        history: list[tuple[int, float]] = []
+        while len(done) < number:
+            for _ in range(every):
+                if run.reasons():
+                    break
+                run.step()
+            weights = run.best()
+            history.append((run.steps, float(task.losses(weights[None])[0])))
+            if reasons := run.reasons():
+                done.append(Training(weights, history[-1][1], run.steps, reasons, run.note(), tuple(history)))
+            if progress is not None:
+                progress(Progress(number, len(tasks), *history[-1]))
     return done
-
-
-def _restored(
-    path: str | os.PathLike[str], mark: str
-) -> tuple[list[Training], list[tuple[int, float]], dict[str, Any] | None]:
-    """Trainings that are done, history and state of the one in progress."""
-    state = read_checksummed(path, _KIND, _VERSION)
-    if state["fingerprint"] != mark:
-        raise InputError(
-            f"checkpoint {path} belongs to another training: data, settings or seed differ; "
-            "name another file, or delete this one to start afresh"
-        )
-    done = []
-    for item in state["done"]:
-        history = tuple((int(step), float(loss)) for step, loss in item["history"])
-        rest = {"reasons": tuple(item["reasons"]), "history": history, "weights": unpack(item["weights"])}
-        done.append(Training(**(item | rest)))
-    return done, [(int(step), float(loss)) for step, loss in state["history"]], state["run"]
-
-
-def _fingerprint(tasks: list[Task], trainer: Trainer, seed: int, every: int) -> str:
-    settings = {"trainer": trainer.name, "settings": asdict(trainer), "seed": seed, "every": every}
-    sums = [
-        [asdict(task.layout), asdict(task.loss), task.scale_mm, _sum(task.inputs), _sum(task.targets)] for task in tasks
-    ]
-    return digest(settings | {"tasks": sums})
-
-
-def _sum(array: Array) -> str:
-    return hashlib.sha256(repr(array.shape).encode() + array.astype("<f8").tobytes()).hexdigest()
 
 
 Data = tuple[ArrayLike, ArrayLike]
@@ -228,7 +175,6 @@ class Compensator:
         seed: int = 0,
         folds: int = 5,
         margin: float = 1.0,
-        checkpoint: str | os.PathLike[str] | None = None,
         progress: Callable[[Progress], None] | None = None,
     ) -> Self:
         """Train a network on residuals and keep it only where it helps.
@@ -245,7 +191,7 @@ class Compensator:
         seed : of everything random
         folds : trainings of the cross-validation, where `choose` is not given
         margin : the gain must exceed so many of its standard errors
-        checkpoint, progress : see `train_all`
+        progress : see `train_all`
         Returns the network, or the null compensator where it does not help
         Raises InputError: arrays of wrong shape or with values that are not finite, and for fewer than 10 poses.
         """
@@ -261,7 +207,7 @@ class Compensator:
         masks = training_masks(len(rows), folds, seed) if choose is None else np.empty((0, len(rows)), dtype=bool)
         parts = [*masks, np.ones(len(rows), dtype=bool)]
         tasks = [make_task(size, box, rows[m], targets[m], scale_mm=scale, loss=loss) for m in parts]
-        outcomes = train_all(tasks, how, seed=seed, checkpoint=checkpoint, progress=progress)
+        outcomes = train_all(tasks, how, seed=seed, progress=progress)
         networks = [Network(size, box, outcome.weights, scale) for outcome in outcomes]
 
         network, last = networks[-1], outcomes[-1]

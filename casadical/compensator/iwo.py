@@ -9,12 +9,11 @@ by zero when all members are equally fit; then every member counts as a best one
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import isfinite
-from typing import Any, Literal, Self
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadical.compensator.checksummed_json import pack, unpack
 from casadical.core.basics import Array, InputError
 
 
@@ -127,9 +126,6 @@ class InvasiveWeeds:
     ...     search.tell((search.ask() ** 2).sum(axis=1))
     >>> search.result().loss < 1e-2
     True
-    >>> again = InvasiveWeeds.restore(2, IwoSettings(iterations=30), search.state())
-    >>> again.result().loss == search.result().loss
-    True
     """
 
     def __init__(
@@ -202,29 +198,6 @@ class InvasiveWeeds:
             raise InputError("nothing has been evaluated yet: call ask() and tell() first")
         history = IwoHistory(*(tuple(column) for column in zip(*self._log, strict=True)))
         return IwoResult(self.members[0].copy(), float(self.losses[0]), self.stop(), self.evaluations, history)
-
-    def state(self) -> dict[str, Any]:
-        """Return all that a search needs to go on, in JSON types. Raises InputError: between ask() and tell()."""
-        if self._asked is not None:
-            raise InputError("state() between ask() and tell(): tell the losses first")
-        return {
-            "start": pack(self._start),
-            "members": pack(self.members),
-            "losses": pack(self.losses),
-            "log": pack(np.array(self._log, dtype=float).reshape(-1, 4)),
-            "counts": [self.iteration, self.evaluations, self._stalled],
-            "random": self._random.bit_generator.state,
-        }
-
-    @classmethod
-    def restore(cls, dimension: int, settings: IwoSettings, state: dict[str, Any]) -> Self:
-        """Return the search whose `state` this was; it goes on bit for bit as the first one would have."""
-        search = cls(dimension, settings, start=unpack(state["start"]))
-        search.members, search.losses = unpack(state["members"]), unpack(state["losses"])
-        search._log = [(int(n), float(b), float(w), float(s)) for n, b, w, s in unpack(state["log"])]
-        search.iteration, search.evaluations, search._stalled = state["counts"]
-        search._random.bit_generator.state = state["random"]
-        return search
 
     def _first_colony(self) -> Array:
         missing = max(self.settings.initial - len(self._start), 0)

@@ -8,9 +8,9 @@ A plug-in is a class in another package, under the entry point group `casadical.
 
 from collections.abc import Iterable, Mapping
 from functools import cache
+from importlib.metadata import EntryPoint, entry_points
 
 from casadical.core.basics import InputError
-from casadical.core.plugins import members
 from casadical.effects import registry
 from casadical.effects.base import Effect
 from casadical.effects.definition import DefinedEffect, Definition, effect_classes
@@ -20,8 +20,32 @@ GROUP = "casadical.effects"
 
 @cache
 def known_effects() -> Mapping[str, type[Effect]]:
-    """Every effect of the package and of installed plug-ins, by name. Raises InputError for a faulty plug-in."""
-    return members(GROUP, Effect, (kind for kind in vars(registry).values() if isinstance(kind, type)))
+    """Return every effect by name: those of the package, then those of installed plug-ins, by name.
+
+    Raises InputError that names the entry point where one cannot be loaded, is no effect, or has a name
+    that is taken.
+    """
+    own: list[type[Effect]] = [kind for kind in vars(registry).values() if isinstance(kind, type)]
+    classes = {kind.name: kind for kind in own}
+    for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
+        origin = f"plug-in {point.name} = {point.value!r}" + (f" of {point.dist.name}" if point.dist else "")
+        kind = _loaded(point, origin)
+        if point.name != kind.name:
+            raise InputError(f"{origin}: its class is named {kind.name!r}; both need the same name")
+        if kind.name in classes:
+            raise InputError(f"{origin}: there is a {kind.name!r} already; rename it, or uninstall one")
+        classes[kind.name] = kind
+    return classes
+
+
+def _loaded(point: EntryPoint, origin: str) -> type[Effect]:
+    try:
+        kind = point.load()
+    except Exception as error:  # whatever another package's module raises
+        raise InputError(f"{origin}: cannot be loaded ({error!r}); repair or uninstall it") from error
+    if not (isinstance(kind, type) and issubclass(kind, Effect)):
+        raise InputError(f"{origin}: is {kind!r}; it must be a subclass of {Effect.__module__}.{Effect.__name__}")
+    return kind
 
 
 def find_effect(name: str, own: Iterable[type[Effect]] = ()) -> type[Effect]:

@@ -149,22 +149,6 @@ def test_every_trainer_by_name(name):
     assert compensator.helps
 
 
-def test_cut_fit_resumes_to_the_same_compensator(tmp_path):
-    whole = Compensator.fit(*smooth(40, 0), trainer=QUICK, seed=2)
-    calls = []
-
-    def cut(progress):
-        calls.append(progress)
-        if len(calls) == 4:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        Compensator.fit(*smooth(40, 0), trainer=QUICK, seed=2, checkpoint=tmp_path / "c", progress=cut)
-    resumed = Compensator.fit(*smooth(40, 0), trainer=QUICK, seed=2, checkpoint=tmp_path / "c")
-    assert resumed.network.weights.tobytes() == whole.network.weights.tobytes()
-    assert str(resumed) == str(whole)
-
-
 def test_inside_the_trained_box(helping):
     low, high = np.array(helping.trained_box.lower), np.array(helping.trained_box.upper)
     np.testing.assert_array_equal(helping.inside(np.array([low, high, high + 1e-9])), [True, True, False])

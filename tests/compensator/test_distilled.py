@@ -5,11 +5,9 @@ import pytest
 from scipy.optimize import approx_fprime
 from scipy.stats import multivariate_normal
 
-from casadical.compensator import Compensator, Layout, LevenbergMarquardt, Taught, train
+from casadical.compensator import Compensator, Layout, LevenbergMarquardt, Taught
 from casadical.compensator.trainers.distilled import GaussianProcess, cost_and_slope
 from casadical.core.basics import InputError
-
-from problems import small_task  # isort: skip
 
 
 def one_joint(poses: int, seed: int):
@@ -50,20 +48,6 @@ def test_on_few_poses_the_taught_network_beats_the_ridge() -> None:
         gains[trainer.name] = [fit.choice.gain for fit in fits]
     assert all(fit > 0.3 for fit in gains["taught"])
     assert np.median(gains["taught"]) > np.median(gains["lm"]) + 0.05
-
-
-def test_it_resumes_to_the_same_weights() -> None:
-    task, trainer = small_task(), Taught(lessons=40, lm=LevenbergMarquardt(restarts=2, iterations=30, ridges=(1e-5,)))
-    whole = trainer.begin(task, 3)
-    for _ in range(5):
-        whole.step()
-    again = trainer.resume(task, 3, whole.state())
-    while not whole.reasons():
-        whole.step()
-    while not again.reasons():
-        again.step()
-    assert np.array_equal(whole.best(), again.best())
-    assert np.array_equal(train(task, trainer, seed=3).weights, whole.best())
 
 
 def test_what_it_cannot_do_it_refuses() -> None:

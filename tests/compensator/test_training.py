@@ -1,14 +1,12 @@
-"""Loss, trainers and resume against hand numbers, finite differences and scipy."""
+"""Loss and trainers against hand numbers, finite differences and scipy."""
 
 import dataclasses
-from functools import cache
 
 import numpy as np
 import pytest
 from scipy.optimize import least_squares, minimize
 
 from casadical.compensator import Backprop, Iwo, IwoSettings, IwoThenLm, LevenbergMarquardt, train
-from casadical.compensator.compensator import train_all
 from casadical.compensator.network import Loss, forward, random_weights, training_masks
 from casadical.compensator.trainers.levenberg_marquardt import advance, begin_batch
 from casadical.core.basics import InputError
@@ -156,61 +154,6 @@ def test_every_trainer_lowers_the_loss_and_repeats(name):
     assert first.loss_mm2 == float(task.losses(first.weights[None])[0])
     assert first.reasons
     assert train(task, QUICK[name], seed=6).weights.tobytes() != first.weights.tobytes()
-
-
-class CutError(Exception):
-    pass
-
-
-TASKS = [small_task(), small_task(poses=30, seed=1)]
-
-
-@cache
-def trained(name):
-    return train_all(TASKS, QUICK[name], seed=3, every=10)
-
-
-@pytest.mark.parametrize("calls", [1, 3, 5, 9])
-@pytest.mark.parametrize("name", QUICK)
-def test_cut_training_resumes_to_the_same_bits(name, calls, tmp_path):
-    seen = []
-
-    def cut(progress):
-        seen.append(progress)
-        if len(seen) == calls:
-            raise CutError
-
-    with pytest.raises(CutError):
-        train_all(TASKS, QUICK[name], seed=3, every=10, checkpoint=tmp_path / "run.json", progress=cut)
-    steps = []
-    resumed = train_all(TASKS, QUICK[name], seed=3, every=10, checkpoint=tmp_path / "run.json", progress=steps.append)
-    for one, other in zip(trained(name), resumed, strict=True):
-        assert one.weights.tobytes() == other.weights.tobytes()
-        for what in ("loss_mm2", "steps", "reasons", "note", "history"):
-            assert getattr(one, what) == getattr(other, what)
-    # it really went on from the cut: the first report after it is not one already seen
-    assert (steps[0].training, steps[0].step) > (seen[-1].training, seen[-1].step)
-
-
-def test_finished_checkpoint_is_not_trained_again(tmp_path):
-    task, steps = small_task(), []
-    first = train(task, QUICK["lm"], checkpoint=tmp_path / "c.json")
-    again = train(task, QUICK["lm"], checkpoint=tmp_path / "c.json", progress=steps.append)
-    assert again.weights.tobytes() == first.weights.tobytes()
-    assert steps == []
-
-
-@pytest.mark.parametrize("change", ["seed", "trainer", "data", "loss"])
-def test_checkpoint_of_another_training_is_refused(change, tmp_path):
-    task = small_task()
-    train(task, QUICK["iwo"], seed=0, checkpoint=tmp_path / "c.json")
-    other = {
-        "data": dataclasses.replace(task, targets=task.targets + 1e-9),
-        "loss": dataclasses.replace(task, loss=Loss(1.0, 0.5)),
-    }.get(change, task)
-    trainer = Iwo(IwoSettings(iterations=151)) if change == "trainer" else QUICK["iwo"]
-    with pytest.raises(InputError, match="another training"):
-        train(other, trainer, seed=int(change == "seed"), checkpoint=tmp_path / "c.json")
 
 
 def test_progress_reports_a_falling_loss():

@@ -16,7 +16,7 @@ FURTHER = ["casadical.blind_check.mujoco_physics"]  # its page lists a part of i
 # Pages about the inside of the package, for whoever changes it or runs its blind check: they name modules.
 ABOUT_THE_INSIDE = ("linear-gaussian.md", "blind-check.md")
 # Members of families: public in their package by their line in the registry, and listed on the page from there.
-REGISTRIES = {"casadical.effects": "effects.registry", "casadical.compensator": "compensator.trainers.registry"}
+REGISTRIES = {"casadical.effects": "effects.registry", "casadical.compensator": "compensator.trainers"}
 
 
 @cache

@@ -1,1 +1,8 @@
-"""The ways to train a network, one small file each."""
+"""The ways to train a network, one small file each, in the order in which their methods run."""
+# ruff: noqa: I001
+
+from casadical.compensator.trainers.backprop import Backprop as Backprop
+from casadical.compensator.trainers.iwo import Iwo as Iwo
+from casadical.compensator.trainers.levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
+from casadical.compensator.trainers.iwo import IwoThenLm as IwoThenLm
+from casadical.compensator.trainers.distilled import Taught as Taught

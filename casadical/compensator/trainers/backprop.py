@@ -1,11 +1,10 @@
 """Back-propagation, the paper's baseline: one gradient run from one random start."""
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from casadical.compensator.checksummed_json import pack, unpack
 from casadical.compensator.network import Task, forward, gradient, random_weights
 from casadical.compensator.trainers.base import Trainer
 from casadical.core.basics import Array
@@ -32,21 +31,16 @@ class Backprop(Trainer):
 
     def begin(self, task: Task, seed: int) -> "BackpropRun":
         weights = random_weights(task.layout, np.random.default_rng(seed), 1)
-        return BackpropRun(self, task, weights, np.zeros_like(weights), self.rate, 0)
-
-    def resume(self, task: Task, seed: int, state: dict[str, Any]) -> "BackpropRun":  # noqa: ARG002 (the state holds it)
-        weights, velocity, kept = (unpack(state[name]) for name in ("weights", "velocity", "kept"))
-        run = BackpropRun(self, task, weights, velocity, state["rate"], state["steps"])
-        run.kept, run.kept_loss = kept, state["kept_loss"]
-        return run
+        return BackpropRun(self, task, weights)
 
 
 class BackpropRun:
     """One descent; a step is one gradient."""
 
-    def __init__(self, trainer: Backprop, task: Task, weights: Array, velocity: Array, rate: float, steps: int):
+    def __init__(self, trainer: Backprop, task: Task, weights: Array):
         self.trainer, self.task = trainer, task
-        self.weights, self.velocity, self.rate, self.steps = weights, velocity, rate, steps
+        self.weights, self.velocity = weights, np.zeros_like(weights)
+        self.rate, self.steps = trainer.rate, 0
         self.loss, self.slope = self._value_and_slope(weights)
         self.kept, self.kept_loss = weights, self.loss
 
@@ -80,7 +74,3 @@ class BackpropRun:
 
     def note(self) -> str:
         return ""
-
-    def state(self) -> dict[str, Any]:
-        packed = {"weights": pack(self.weights), "velocity": pack(self.velocity), "kept": pack(self.kept)}
-        return packed | {"kept_loss": self.kept_loss, "rate": self.rate, "steps": self.steps}

@@ -1,8 +1,8 @@
-"""The interface of a trainer: a training step by step, which can be continued from its state."""
+"""The interface of a trainer: a training step by step."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol, Self
+from typing import ClassVar, Protocol, Self
 
 from casadical.compensator.network import Task
 from casadical.core.basics import Array
@@ -27,9 +27,6 @@ class Run(Protocol):
     def note(self) -> str:
         """Return in words what the trainer chose by itself, or an empty string."""
 
-    def state(self) -> dict[str, Any]:
-        """Return all it needs to go on, in JSON types."""
-
 
 @dataclass(frozen=True)
 class Trainer(ABC):
@@ -49,9 +46,8 @@ class Trainer(ABC):
     >>> task = make_task(Layout(2), JointBox((-3.0, -3.0), (3.0, 3.0)), poses.q, residual_mm)
     >>> run = trainer.begin(task, seed=0)
     >>> run.step()
-    >>> again = trainer.resume(task, 0, run.state())
-    >>> again.state() == run.state()
-    True
+    >>> run.steps
+    1
     """
 
     name: ClassVar[str]
@@ -66,7 +62,3 @@ class Trainer(ABC):
     @abstractmethod
     def begin(self, task: Task, seed: int) -> Run:
         """Start a training."""
-
-    @abstractmethod
-    def resume(self, task: Task, seed: int, state: dict[str, Any]) -> Run:
-        """Take a training up again from its `Run.state`; it goes on bit for bit as it would have."""

@@ -7,7 +7,7 @@ at poses drawn in the box of the measured ones is then what Levenberg-Marquardt 
 """
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -108,10 +108,6 @@ class Taught(Trainer):
     def begin(self, task: Task, seed: int) -> LmRun:
         lessons, note = self._lessons(task, seed)
         return self.lm.begin(lessons, seed).noted(note)
-
-    def resume(self, task: Task, seed: int, state: dict[str, Any]) -> LmRun:
-        lessons, note = self._lessons(task, seed)  # the same ones: nothing in it is left to chance
-        return self.lm.resume(lessons, seed, state).noted(note)
 
     def _lessons(self, task: Task, seed: int) -> tuple[Task, str]:
         """The task to learn from, and what the process found."""

@@ -1,7 +1,7 @@
 """Training by invasive weed optimisation, the paper's method (section 4), alone or before Levenberg-Marquardt."""
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -34,9 +34,6 @@ class Iwo(Trainer):
     def begin(self, task: Task, seed: int) -> "IwoRun":
         return IwoRun(self, task, InvasiveWeeds(task.layout.count, self.settings, seed=seed))
 
-    def resume(self, task: Task, seed: int, state: dict[str, Any]) -> "IwoRun":  # noqa: ARG002 (the state holds it)
-        return IwoRun(self, task, InvasiveWeeds.restore(task.layout.count, self.settings, state))
-
 
 class IwoRun:
     """One search; a step is one generation."""
@@ -63,9 +60,6 @@ class IwoRun:
     def note(self) -> str:
         return ""
 
-    def state(self) -> dict[str, Any]:
-        return self.search.state()
-
 
 @dataclass(frozen=True)
 class IwoThenLm(Trainer):
@@ -79,12 +73,6 @@ class IwoThenLm(Trainer):
 
     def begin(self, task: Task, seed: int) -> "IwoThenLmRun":
         return IwoThenLmRun(self, task, seed, self.iwo.begin(task, seed))
-
-    def resume(self, task: Task, seed: int, state: dict[str, Any]) -> "IwoThenLmRun":
-        part = {"iwo": self.iwo, "lm": self.lm}[state["part"]]
-        run = IwoThenLmRun(self, task, seed, part.resume(task, seed, state["state"]))  # type: ignore[arg-type]
-        run.done = state["done"]
-        return run
 
 
 class IwoThenLmRun:
@@ -111,7 +99,3 @@ class IwoThenLmRun:
 
     def note(self) -> str:
         return self.run.note()
-
-    def state(self) -> dict[str, Any]:
-        part = "iwo" if isinstance(self.run, IwoRun) else "lm"
-        return {"part": part, "done": self.done, "state": self.run.state()}

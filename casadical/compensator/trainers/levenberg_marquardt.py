@@ -16,7 +16,6 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from casadical.compensator.checksummed_json import pack, unpack
 from casadical.compensator.network import Task, forward, outputs_and_jacobian, random_weights, training_masks
 from casadical.compensator.trainers.base import Trainer
 from casadical.core.basics import Array, InputError
@@ -33,13 +32,6 @@ class Batch:
     growth: Array
     cost: Array
     active: Array
-
-    def state(self) -> dict[str, Any]:
-        return {name: pack(value) for name, value in vars(self).items()}
-
-    @classmethod
-    def restore(cls, state: dict[str, Any]) -> Self:
-        return cls(**{name: unpack(value) for name, value in state.items()})
 
 
 def begin_batch(task: Task, weights: Array, samples: Array, ridge: Array) -> Batch:
@@ -144,13 +136,6 @@ class LevenbergMarquardt(Trainer):
         """Start a training; ``starts``, shape (k, count) [scaled], replaces the random starts of the final training."""
         return LmRun(self, task, seed, starts)
 
-    def resume(self, task: Task, seed: int, state: dict[str, Any]) -> "LmRun":
-        run = LmRun(self, task, seed, None if state["starts"] is None else unpack(state["starts"]))
-        run.steps, run.level, run.inner, run.ridge = state["counts"]
-        run.scores, run.batch = list(state["scores"]), Batch.restore(state["batch"])
-        run.set_problem(len(run.batch.weights))
-        return run
-
 
 class LmRun:
     """One training; a step is one damped step of all its problems together."""
@@ -197,14 +182,6 @@ class LmRun:
         if not self.scores:
             return f"ridge {self.ridge:g}, given"
         return f"ridge {self.ridge:g}, chosen by {self.folds}-fold cross-validation from {len(self.scores)} candidates"
-
-    def state(self) -> dict[str, Any]:
-        return {
-            "counts": [self.steps, self.level, self.inner, self.ridge],
-            "scores": self.scores,
-            "batch": self.batch.state(),
-            "starts": None if self.starts is None else pack(self.starts),
-        }
 
     def set_problem(self, count: int) -> None:
         """Set sample weights and ridges of a batch of so many: folds while choosing, then all poses."""

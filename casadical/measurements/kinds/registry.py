@@ -1,38 +1,36 @@
-"""All kinds of measurement: ours, and those of installed packages."""
+"""All kinds of measurement."""
 
 from collections.abc import Mapping
 from functools import cache
 
 from casadical.core.basics import InputError
-from casadical.core.plugins import members
 from casadical.measurements.columns import Columns
 from casadical.measurements.kinds.base import MeasurementKind
-
-# Entry points of other packages: `name = "module:Class"`, the class derived from `MeasurementKind`.
-GROUP = "casadical.measurement_kinds"
-# Tried on a table in this order, so that a kind comes before those that need fewer columns; plug-ins come last.
-_OURS = (
-    "casadical.measurements.kinds.position:Pose",
-    "casadical.measurements.kinds.position:PositionCovariance",
-    "casadical.measurements.kinds.position:Position",
-    "casadical.measurements.kinds.distance:PairDistance",
-    "casadical.measurements.kinds.distance:Distance",
-    "casadical.measurements.kinds.surfaces:Dial",
-    "casadical.measurements.kinds.surfaces:Sphere",
-    "casadical.measurements.kinds.surfaces:Plane",
-    "casadical.measurements.kinds.contact:Contact",
-    "casadical.measurements.kinds.position:RelativePose",
-)
+from casadical.measurements.kinds.contact import Contact
+from casadical.measurements.kinds.distance import Distance, PairDistance
+from casadical.measurements.kinds.position import Pose, Position, PositionCovariance, RelativePose
+from casadical.measurements.kinds.surfaces import Dial, Plane, Sphere
 
 
 @cache
 def kinds() -> Mapping[str, MeasurementKind]:
-    """Every kind by its name. Raises InputError for a faulty plug-in."""
-    kinds = {name: member() for name, member in members(GROUP, MeasurementKind, _OURS).items()}  # type: ignore[type-abstract]
-    for kind in kinds.values():
-        if not 1 <= kind.numbers <= 6:
-            raise InputError(f"kind {kind.name!r} observes {kind.numbers} numbers at a pose; allowed: 1 to 6")
-    return kinds
+    """Return every kind by its name, in the order in which they are tried on a table.
+
+    A kind comes before those that need fewer columns.
+    """
+    order = (
+        Pose,
+        PositionCovariance,
+        Position,
+        PairDistance,
+        Distance,
+        Dial,
+        Sphere,
+        Plane,
+        Contact,
+        RelativePose,
+    )
+    return {kind.name: kind() for kind in order}
 
 
 def find_kind(name: str, source: str = "measurements") -> MeasurementKind:
