@@ -10,7 +10,7 @@ from scipy.special import fdtrc
 
 from casadical.core.basics import Array
 from casadical.core.statistics import best_of, ranked
-from casadical.core.telling.blocks import Page, Section, Table, Tile, Words, mm, next_step, shown
+from casadical.core.telling.blocks import Block, Page, Section, Table, Tile, Words, mm, next_step, shown
 from casadical.core.telling.figure import Axis, Figure, Series, Span
 from casadical.core.telling.plain import WRITTEN, Key, plain, written
 from casadical.core.telling.result import Result
@@ -141,6 +141,7 @@ class Comparison(Result):
     'March'
     """
 
+    report: ClassVar[str] = "changes.j2"
     derived: ClassVar[tuple[Key, ...]] = (
         Key("robot", lambda found: found.campaigns[0].robot.name),
         Key("changed"),
@@ -202,23 +203,12 @@ class Comparison(Result):
         first, last = (c.date or c.label for c in (self.campaigns[0], self.campaigns[-1]))
         return f"{len(self.campaigns)} campaigns, {first} to {last}"
 
-    def blocks(self) -> list[Words | Table]:
-        blocks: list[Words | Table] = []
-        for change in self.changes:
-            blocks += [*_change(self, change)]
-        if self.unexplained:
-            text = f"{'. '.join(self.unexplained)}."
-            unclear = Words(f"NOT CLEAR whether anything changed: {text}", "verdict")
-            blocks.append(Words(text, "warning") if self.changes else unclear)
-        elif not self.changes:
-            text = f"NOTHING CHANGED in the robot that {len(self.campaigns)} campaigns would show."
-            chance = f"Probability {1 - probability_of_change(self.log_odds):.3f}"
-            blocks += [Words(text, "verdict"), Words(f"{chance}, if one robot in ten changes between two campaigns.")]
-        blocks += [Words(f"{what}: {how}.") for what, how in self.placements]
-        blocks += [Words(f"note: {note}.", "note") for note in self.notes]
+    def blocks(self) -> list[Block]:
         rows = [(name, f"{v:.2g} {unit}" if np.isfinite(v) else NOT_SEEN) for name, v, unit in self.seen_from]
         seen = Table("A jump before the last campaign would be seen from", ("cause", "size"), rows, folded=True)
-        return [*blocks, _campaigns(self), seen, *self.next]
+        functions = (in_words, times_in_words, probability_of_change)
+        named = {function.__name__: function for function in functions}
+        return self._told(tables=[_campaigns(self), seen], tables_of=_tables_of, **named)
 
     @property
     def next(self) -> tuple[Words, ...]:
@@ -294,24 +284,17 @@ def _per(found: Comparison, change: Change) -> str:
     return "" if change.course != "drift" else " a year" if found.campaigns[0].day is not None else " in 12 campaigns"
 
 
-def _change(found: Comparison, change: Change) -> Iterable[Words | Table]:
-    yield Words(f"CHANGED: {in_words(found, change)}.", "verdict")
-    since, per = found.campaigns[change.since].label, _per(found, change)
-    words = f"{change.words[0].upper()}{change.words[1:]}."
-    more = times_in_words(change.log_odds)
-    yield Words(f"{words} The data are {more} times more probable with a change than without.")
-    if len(found.campaigns) > 2:
-        first, last = (found.campaigns[k].label for k in change.between)
-        when = f"First seen at {since}" + (f", 95 % between {first} and {last}" if first != last else "")
-        yield Words(f"{when}; {change.course}: probability {change.p_course:.3f}.")
+def _tables_of(found: Comparison, change: Change) -> list[Table]:
+    """Return the causes that explain a change, and by how much each parameter moved."""
     rows = [(r.label, r.course, found.campaigns[r.since].label, f"{r.probability:.3f}") for r in change.rivals[:RIVALS]]
     rows = [row for k, row in enumerate(rows) if k == 0 or change.rivals[k].probability >= SMALL]
-    yield Table("Causes", ("cause", "course", "since", "probability"), rows, frozenset({3}), strong=frozenset({0}))
+    causes = Table("Causes", ("cause", "course", "since", "probability"), rows, frozenset({3}), strong=frozenset({0}))
     amounts: Sequence[Amount] = change.amounts
     if len(amounts) > AMOUNTS:
         amounts = [amounts[k] for k in ranked([_sureness(a) for a in amounts])[:AMOUNTS]]
+    per = _per(found, change)
     cells = [(a.name, f"{a.value:+.3g}", f"{a.std_error:.2g}", a.unit + per) for a in amounts]
-    yield Table("By how much", ("parameter", "change", "std error", "unit"), cells, frozenset({1, 2}))
+    return [causes, Table("By how much", ("parameter", "change", "std error", "unit"), cells, frozenset({1, 2}))]
 
 
 def times_in_words(log_odds: float) -> str:

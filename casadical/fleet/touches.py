@@ -14,7 +14,7 @@ from casadical.core.basics import Array, InputError
 from casadical.core.files import csv_text
 from casadical.core.reading import load_json
 from casadical.core.statistics import best_of, first_of_best
-from casadical.core.telling.blocks import Page, Section, Table, Tile, Words, mm, next_step
+from casadical.core.telling.blocks import Block, Page, Section, Table, Tile, Words, mm, next_step
 from casadical.core.telling.figure import Axis, Figure, Rule, Series
 from casadical.core.telling.plain import IN_MM, WRITTEN, Key
 from casadical.core.telling.result import Result
@@ -61,6 +61,7 @@ class Touches(Result):
     update : where the corrected robot is to be written, if it is better
     """
 
+    report: ClassVar[str] = "touches.j2"
     derived: ClassVar[tuple[Key, ...]] = (
         Key("touches", lambda found: len(found.model.days[-1])),
         Key("robot", "given.name"),
@@ -73,7 +74,7 @@ class Touches(Result):
         Key("correction"),
         Key(
             "more_deg_or_mm",
-            lambda found: [] if found.more is None else [list(map(float, r)) for r in found._more().rows],
+            lambda found: [list(map(float, row)) for table in found.more_touches for row in table.rows],
         ),
         Key("chart", lambda found: [dict(zip(_COLUMNS, row, strict=True)) for row in found.rows()]),
         Key("next", "commands"),
@@ -160,7 +161,7 @@ class Touches(Result):
         scale = np.array([self.model.robot.parameters[n].scale for n in self.model.names])
         values = {n: self.given.parameters[n].value + v for n, v in zip(self.model.names, d * scale, strict=True)
                   if v and n in self.given.parameters.names}  # fmt: skip
-        note = f"Corrected by touches of {self.model.days[-1].source}: {self._change_in_words}"
+        note = f"Corrected by touches of {self.model.days[-1].source}: {self.change_in_words}"
         robot = replace(self.given.with_values(values), notes=(*self.given.notes, note))
         return replace(robot, knowledge=_wider(self.given.knowledge, self.model.names, C * np.outer(scale, scale)),
                        remaining=_wider_remaining(self.given.remaining, self.model.names, C, scale))  # fmt: skip
@@ -179,7 +180,7 @@ class Touches(Result):
         return to_toml(self.corrected(), f"Corrected by casadical from {len(self.model.days[-1])} touches.")
 
     @property
-    def _change_in_words(self) -> str:
+    def change_in_words(self) -> str:
         label = self.label
         sure = f"probability {self.draws.share(label):.2f}"
         if not label:
@@ -188,41 +189,24 @@ class Touches(Result):
         since = int(np.median(self.draws.since[self.draws.label == label]))
         return f"{words} ({sure}, since {self.model.days[since - 1].source})"
 
-    def blocks(self) -> list[Words | Table]:
-        head = {"valid": "STILL VALID", "changed": "NO LONGER VALID", "open": "NOT CERTAIN"}[self.verdict]
-        low, high = np.quantile(self.errors, [0.025, 0.975])
-        known = float(np.quantile(self.errors, VALID))
-        blocks: list[Words | Table] = [
-            Words(
-                f"{head}: the rms error is within {mm(self.tolerance)} mm with a probability of {self.probability:.3f} "
-                f"({len(self.model.days[-1])} touches of {self.model.days[-1].source})",
-                "verdict",
-            ),
-            Words(
-                f"Error to expect over the poses on which the robot was learnt: {mm(low)} to {mm(high)} mm (95 %), "
-                f"below {mm(known)} mm with 99 %; the robot file states {mm(self.model.stated / MM)} mm."
-            ),
-            Words(f"Most probable: {self._change_in_words}."),
-        ]
-        if self.moved:
-            rows = [(n, f"{v:+.4g}", f"{s:.2g}", unit) for n, v, s, unit in self.moved[:8]]
-            blocks.append(Table("What moved", ("parameter", "by", "std error", "unit"), rows, frozenset({1, 2})))
-        before, after, sure = self.gain
-        if self.better:
-            text = f"Corrected, {mm(after)} mm of {mm(before)} mm of change would be left"
-            hint = "" if self.update else ": --update"
-            blocks.append(Words(f"{text} (better with a probability of {sure:.3f}){hint}."))
-        if self.more is not None:
-            blocks.append(self._more())
-        blocks += [Words(f"note: {note}.", "note") for note in self.notes]
-        return [*blocks, *self.next]
+    def blocks(self) -> list[Block]:
+        return self._told(quantiles=np.quantile(self.errors, [0.025, 0.975, VALID]))
 
-    def _more(self) -> Table:
-        assert self.more is not None
+    @property
+    def what_moved(self) -> list[Table]:
+        """Return the parameters that moved most surely, where any did."""
+        rows = [(n, f"{v:+.4g}", f"{s:.2g}", unit) for n, v, s, unit in self.moved[:8]]
+        return [Table("What moved", ("parameter", "by", "std error", "unit"), rows, frozenset({1, 2}))] if rows else []
+
+    @property
+    def more_touches(self) -> list[Table]:
+        """Return the touches that would tell more, where these are not enough."""
+        if self.more is None:
+            return []
         keys = list(self.given.reading_units)
         rows = [tuple(f"{v:.3f}" for v in row) for row in self.more[keys].to_numpy(dtype=float)]
         title = f"These are not enough to decide; touch {len(rows)} more and add them to the table"
-        return Table(title, tuple(keys), rows, frozenset(range(len(keys))))
+        return [Table(title, tuple(keys), rows, frozenset(range(len(keys))))]
 
     @property
     def next(self) -> tuple[Words, ...]:

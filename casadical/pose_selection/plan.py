@@ -1,16 +1,15 @@
 """A plan: poses to measure with the accuracy to expect, as text, as data and as files."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
 
 from casadical.core.files import json_text
 from casadical.core.statistics import thirds
-from casadical.core.telling.blocks import Table, Words
+from casadical.core.telling.blocks import Block, Table
 from casadical.core.telling.plain import Key
 from casadical.core.telling.result import Result
 from casadical.measurements.measurements import Noise
@@ -30,6 +29,7 @@ class MeasurementPlan(Result):
     instrument : what is read in place of positions, at the places chosen; noise : that was planned with
     """
 
+    report: ClassVar[str] = "plan.j2"
     derived: ClassVar[tuple[Key, ...]] = (
         Key("poses", lambda plan: plan.selection and len(plan.selection), if_known=True),
         Key("expected_error", "selection.accuracy", "mm", if_known=True),
@@ -46,21 +46,15 @@ class MeasurementPlan(Result):
     instrument: Instrument | None = None
     noise: Noise | None = None
 
-    def blocks(self) -> list[Words | Table]:
-        plan = self.selection
-        if plan is None:
-            return [*_places(self), Words(_how_many(self))]
-        turned = np.rad2deg(travel(plan.robot, plan.q))
-        return [
-            Words(_verdict(plan), "verdict"),
-            *_readings(plan),
-            Words(f"Travel {turned:.0f} deg."),
-            *_places(self),
-            Words(_how_many(self)),
-            *([] if self.checked_for_obstacles else _below_the_base(plan)),
-            _map(plan),
-            _errors(plan),
-        ]
+    def blocks(self) -> list[Block]:
+        plan, forecast = self.selection, self.forecast
+        more: dict[str, Any] = {"shown": np.unique(np.linspace(0, len(forecast.poses) - 1, 6).astype(int))}
+        if plan is not None:
+            assert plan.m.position is not None
+            height = ((plan.m.position - plan.robot.base.T[:3, 3]) @ plan.robot.base.T[:3, :3])[:, 2]
+            more |= {"below": int((height < 0).sum()), "lowest": -height.min()}
+            more |= {"travel": np.rad2deg(travel(plan.robot, plan.q)), "tables": [_map(plan), _errors(plan)]}
+        return self._told(**more)
 
     def places_of(self, kind: str) -> list[list[float]] | None:
         """Return the places of an instrument of this kind, shape (n, 3) [mm]; None for another one."""
@@ -89,70 +83,6 @@ class MeasurementPlan(Result):
             where = pd.DataFrame((1e3 * self.instrument.places).round(1), columns=["x_mm", "y_mm", "z_mm"])
             texts[path.with_suffix(".places.csv")] = where.to_csv(index=False, float_format="%.6g")
         return texts
-
-
-def _places(plan: MeasurementPlan) -> list[Words]:
-    """Where wires or sockets go, and what is taken for granted of them."""
-    instrument = plan.instrument
-    if instrument is None:
-        return []
-    each = "; ".join("({:.0f}, {:.0f}, {:.0f})".format(*p) for p in 1e3 * instrument.places)
-    letter, name = ("", "Wires end") if instrument.kind == "wires" else ("S1 first: ", "Sockets are")
-    text = f"{name} at {letter}{each} mm in the measuring frame"
-    if instrument.known:
-        return [Words(f"{text}; measure these places, the plan takes them as known.")]
-    text += "; some centimetres beside them will do, as they are identified too"
-    if instrument.kind == "sockets" and len(instrument.places) > 1:
-        text += "; measure the distance between the two farthest, it gives the scale"
-    return [Words(f"{text}. Expected errors are those of the robot in itself: where its base stands is not measured.")]
-
-
-def _verdict(plan: Selection) -> str:
-    before = 0 if plan.measured is None else len(plan.measured)
-    of = "a distance" if plan.instrument and plan.instrument.kind == "wires" else "a coordinate"
-    noise = f"{1e3 * plan.noise.sigma:.3g} mm {of}"
-    if plan.noise.repeatability:
-        noise += f", {1e6 * plan.noise.repeatability:.3g} urad a joint"
-    return (
-        f"{len(plan)} measurements for {plan.robot.name}" + (f", after {before} measured ones" if before else "") + ": "
-        f"{1e3 * plan.accuracy:.4f} mm rms position error to expect of the calibrated model over the task, "
-        f"from noise of {noise}; {len(plan.names)} parameters."
-    )
-
-
-def _readings(plan: Selection) -> Iterator[Words]:
-    """What `casadical verify` will say of it."""
-    if plan.reading_error is not None:
-        read = f"{1e3 * plan.reading_error:.4f} mm rms"
-        yield Words(
-            f"That is the error of the robot itself; an instrument of that noise will read {read}, which casadical "
-            "verify states. Errors that the model does not have come on top of both."
-        )
-
-
-def _below_the_base(plan: Selection) -> Iterator[Words]:
-    """A warning of poses below the base frame's plane, where a floor may be."""
-    assert plan.m.position is not None
-    height = ((plan.m.position - plan.robot.base.T[:3, 3]) @ plan.robot.base.T[:3, :3])[:, 2]
-    if low := int((height < 0).sum()):
-        lowest = f"the lowest by {-1e3 * height.min():.0f} mm; no workspace was given, so floor and obstacles were not"
-        yield Words(f"{low} of {len(plan)} poses lie below the base frame's plane, {lowest} checked: --room FILE.toml")
-
-
-def _how_many(plan: MeasurementPlan) -> str:
-    forecast, target = plan.forecast, plan.target
-    at = np.unique(np.linspace(0, len(forecast.poses) - 1, 6).astype(int))
-    course = ", ".join(f"{forecast.poses[k]}: {1e3 * forecast.error[k]:.4f}" for k in at)
-    noise = f", from noise of {1e3 * plan.noise.sigma:.3g} mm" if plan.noise and plan.selection is None else ""
-    text = f"Expected error [mm] of the robot itself against poses{noise}: {course}. "
-    stop, gains = forecast.stop(), "Ten more poses still gain more than 10 % everywhere"
-    text += f"{gains if stop is None else f'From {stop} poses on, ten more gain less than 10 %'}. "
-    if target is None:
-        return text
-    if enough := forecast.enough(target):
-        return f"{text}{enough} poses are enough for {1e3 * target:.4g} mm."
-    most = forecast.poses[-1]
-    return f"{text}Not even {most} poses give {1e3 * target:.4g} mm: measure with less noise, or more."
 
 
 def _map(plan: Selection) -> Table:
