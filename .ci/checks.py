@@ -34,6 +34,7 @@ FOREIGN_OPTIONS = {
 # Names of other programs and of data that are described, not used.
 FOREIGN_NAMES = {
     *("PDispOn", "kinematics_params_file", "DelayedPDActuatorCfg", "figure.write_html"),
+    "ur_description",
     *("joint1_rpy", "voltage_V", "kernel.units"),  # composed of a name and a number or unit; of generated code
     *("goal_x_m", "goal_yaw_rad", "current1_abs", "current6_abs"),
 }
@@ -57,9 +58,12 @@ OWN_FILES = {
     "core/lazy.py": "a stub of the package",
     "core/version.py": "the package's own version",
     "core/telling/page.py": "templates of the package",
+    "core/telling/template.py": "templates of the package",
     "diagnosis/formula_cache.py": "the package's own code, for its hash",
+    "measurements/raw_table.py": "Parquet of bytes that core/reading.py has read",
     "measurements/vocabulary.py": "a list of the package",
     "export/c/emit.py": "templates of the package",
+    "project/acceptance/certificate.py": "words of the package",
     "project/live/server.py": "the package's own page",
     "cli/terminal.py": "the null device",
 }

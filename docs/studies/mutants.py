@@ -89,7 +89,7 @@ def trace(path: Path, tests: Sequence[str]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     found = [str(Path(__file__).parent), str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = {**os.environ, "MUTANTS_MAP": str(path.resolve()), "PYTHONPATH": os.pathsep.join(found)}
-    command = [sys.executable, "-m", "pytest", "-p", "mutants_tests", "-q", *tests]
+    command = [sys.executable, "-m", "pytest", "-p", "mutants_tests", "-q", "-m", "slow or not slow", *tests]
     subprocess.run(command, cwd=ROOT, env=environment, check=True)
 
 

@@ -202,5 +202,6 @@ def _in_child(tests: list[str], bench: Bench, limit: int) -> int:
     resource.setrlimit(resource.RLIMIT_CPU, (spent + limit, spent + 3 * limit))
     order = Ordered(tests, bench.known.seconds, bench.failed)
     files = list(dict.fromkeys(test.partition("::")[0] for test in tests))
-    options = ["-x", "-q", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning"]  # loaded before
+    options = ["-x", "-q", "-m", "slow or not slow", "-p", "no:cacheprovider"]
+    options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]  # loaded before
     return int(pytest.main([*options, *files], plugins=[order])) if files else 0
