@@ -12,6 +12,7 @@ from itertools import product
 import numpy as np
 
 from casadical.core.basics import Array, ConvergenceError
+from casadical.core.levenberg_marquardt import Evaluated, levenberg_marquardt
 from casadical.core.statistics import best_of
 from casadical.core.transforms import frame, from_xyz, nearest_rotation, to_xyz
 from casadical.identification.accuracy import predicted
@@ -23,8 +24,6 @@ OWN_TOOL, TURN, SHIFT = 0.1, 0.3, 100.0
 MODEL, ENOUGH = 3e-3, 30
 # A direction that readings determine so many times better than the priors, as a ratio of variances, is freed of them.
 FREE = 100.0
-# Of Gauss-Newton; a step that lowers the cost by less than this share is the last.
-STEPS, SAME = 40, 1e-9
 # (a @ _CROSS).reshape(3, 3) is the matrix that takes t to a x t from the right.
 _CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).reshape(3, 9)
 
@@ -121,29 +120,27 @@ class Held:
             square += weight * float((left**2).sum())
         return H, g, square
 
-    def _cost(self, at: Placed, prior: Array) -> float:
-        off = self._off(at)
-        return self._sums(at)[2] + float(off @ prior @ off)
+    def _refined(self, start: Placed, prior: Array) -> Placed:
+        """Return the optimum that Levenberg and Marquardt's method finds from a start."""
 
-    def _refined(self, at: Placed, prior: Array) -> Placed:
-        """Levenberg and Marquardt from a start."""
-        cost, damping = self._cost(at, prior), 1e-6
-        for _ in range(STEPS):
-            H, g, _ = self._sums(at)
-            normal = H + prior
-            step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), g - prior @ self._off(at))
-            turned = nearest_rotation(from_xyz(step[:3]) @ at.R)
-            tried = Placed(turned, at.p + step[3:6], at.t + step[6:])
-            lower = self._cost(tried, prior)
-            if lower >= cost:
-                damping *= 10
-                if damping > 1e6:
-                    break
-                continue
-            at, gained, cost, damping = tried, cost - lower, lower, damping / 3
-            if gained < SAME * (cost + 1):
-                break
-        return Placed(at.R, at.p, at.t, cost)
+        def placed(x: Array, cost: float = np.inf) -> Placed:
+            return Placed(x[:9].reshape(3, 3), x[9:12], x[12:], cost)
+
+        def evaluate(x: Array) -> Evaluated:
+            at = placed(x[0])
+            (H, g, square), off = self._sums(at), self._off(at)
+            return np.array([square + float(off @ prior @ off)]), lambda better: (
+                (H + prior)[None][better],
+                (g - prior @ off)[None][better],
+            )
+
+        def move(x: Array, step: Array) -> Array:
+            turned = nearest_rotation(from_xyz(step[0, :3]) @ x[0, :9].reshape(3, 3))
+            return np.concatenate([turned.ravel(), x[0, 9:] + step[0, 3:]])[None]
+
+        first = np.concatenate([start.R.ravel(), start.p, start.t])[None]
+        best, cost = levenberg_marquardt(evaluate, first, 41, move=move, least_gain=1e-9)
+        return placed(best[0], float(cost[0]))
 
 
 # Singular values of less than this share of the greatest are noise: the directions stay as they are.

@@ -14,6 +14,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from casadical.core.basics import Array
+from casadical.core.levenberg_marquardt import Evaluated, levenberg_marquardt
 from casadical.core.parts import Joint
 from casadical.core.transforms import nearest_rotation
 from casadical.identification.placement import solve_placement
@@ -284,27 +285,26 @@ class LengthFit(SlipFit):
         """Lengths less those of the fitted tool and places, shape (k, n); kept : rows that are fitted."""
         length, place = y[:, 0], np.eye(int(y[:, 1].max()) + 1)[y[:, 1].astype(int)]
         weight = np.ones(len(y)) if kept is None else kept.astype(float)
-        x, damping, best = self._start(p, length, place), np.full(len(p), 1e-3), np.full(len(p), np.inf)
-        tried, left, least = x, np.empty(p.shape[:2]), np.empty(p.shape[:2])
-        A, b = np.zeros((len(p), x.shape[1], x.shape[1])), np.zeros((*x.shape, 1))
-        for _ in range(steps):
-            line = p + (R @ tried[:, None, :3, None])[..., 0] - place @ tried[:, 3:].reshape(len(p), -1, 3)
-            size = np.maximum(np.linalg.norm(line, axis=2), 1e-9)
+
+        def lines(x: Array) -> tuple[Array, Array]:
+            line = p + (R @ x[:, None, :3, None])[..., 0] - place @ x[:, 3:].reshape(len(p), -1, 3)
+            return line, np.maximum(np.linalg.norm(line, axis=2), 1e-9)
+
+        def evaluate(x: Array) -> Evaluated:
+            line, size = lines(x)
             left = length - size
-            cost = (weight * left**2).sum(axis=1)
-            better = cost < best
-            least[better], x, best = left[better], np.where(better[:, None], tried, x), np.minimum(cost, best)
-            # Never none: what no length tells, as a planar arm of its tool, would have no step.
-            damping = np.where(better, np.maximum(damping / 5, 1e-9), damping * 10)
-            along = (weight[:, None] * line / size[..., None])[better]
-            J = np.concatenate(
-                [np.einsum("kni,knij->knj", along, R[better])]
-                + [-(along * place[:, [k]]) for k in range(place.shape[1])], axis=2,
-            )  # fmt: skip
-            A[better], b[better] = np.swapaxes(J, 1, 2) @ J, np.swapaxes(J, 1, 2) @ left[better][..., None]
-            ridge = damping[:, None, None] * (np.eye(x.shape[1]) * (1e-6 * len(y) + A))
-            tried = x + np.linalg.solve(A + ridge, b)[..., 0]
-        return least
+
+            def sums(better: Array) -> tuple[Array, Array]:
+                along = (weight[:, None] * line / size[..., None])[better]
+                of_places = [-(along * place[:, [k]]) for k in range(place.shape[1])]
+                J = np.concatenate([np.einsum("kni,knij->knj", along, R[better]), *of_places], axis=2)
+                return np.swapaxes(J, 1, 2) @ J, (np.swapaxes(J, 1, 2) @ left[better][..., None])[..., 0]
+
+            return (weight * left**2).sum(axis=1), sums
+
+        # The floor: what no length tells, as a planar arm of its tool, would have no step.
+        best, _ = levenberg_marquardt(evaluate, self._start(p, length, place), steps, floor=1e-6 * len(y))
+        return np.asarray(length - lines(best)[1])
 
     @staticmethod
     def _start(p: Array, length: Array, place: Array) -> Array:
