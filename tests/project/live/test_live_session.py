@@ -13,7 +13,7 @@ from threading import Timer
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import main
 
 import casadical
 from casadical.core.basics import InputError
@@ -29,25 +29,38 @@ from casadical.project.live.view import answer, outlook
 from casadical.project.new.new import NOISE, as_built
 
 ROOT = Path(__file__).parents[3]
-SERIES = ROOT / "data/ur10_laser_tracker/series_C_random_poses.csv"
 JOINTS = [f"q{i}_rad" for i in range(1, 7)]
+
+
+def folder_of(folder: Path, problem: str) -> Path:
+    """A problem folder with the robot of one of the committed ones, without measurements."""
+    folder.mkdir()
+    shutil.copy(ROOT / f"problems/{problem}/robot.toml", folder)
+    (folder / "problem.toml").write_text('casadical = 1\ntitle = "t"\nmethods = ["KM"]\nloss = "linear"\n')
+    return folder
 
 
 @pytest.fixture
 def arm(tmp_path: Path) -> Path:
-    """A problem folder of the UR10 without measurements."""
-    folder = tmp_path / "arm"
-    folder.mkdir()
-    shutil.copy(ROOT / "problems/ur10/robot.toml", folder)
-    (folder / "problem.toml").write_text('casadical = 1\ntitle = "UR10"\nrobot = "robot.toml"\nloss = "linear"\n')
-    return folder
+    return folder_of(tmp_path / "arm", "ur10")
 
 
-def series(count: int, first: int = 0) -> list[list[str]]:
-    """Header and rows of real readings: joints and positions."""
-    lines = [line.split(",") for line in SERIES.read_text().splitlines()]
+@pytest.fixture
+def small(tmp_path: Path) -> Path:
+    return folder_of(tmp_path / "small", "planar")
+
+
+def series(count: int) -> list[list[str]]:
+    """Header and rows of real readings of the UR10: joints and positions."""
+    text = (ROOT / "data/ur10_laser_tracker/series_C_random_poses.csv").read_text()
+    lines = [line.split(",") for line in text.splitlines()[: count + 1]]
     kept = [lines[0].index(name) for name in (*JOINTS, "x_mm", "y_mm", "z_mm")]
-    return [[line[k] for k in kept] for line in (lines[0], *lines[1 + first : 1 + first + count])]
+    return [[line[k] for k in kept] for line in lines]
+
+
+def planar(count: int) -> list[list[str]]:
+    """Header and rows of the planar arm's table."""
+    return [line.split(",") for line in (ROOT / "data/planar/planar.csv").read_text().splitlines()[: count + 1]]
 
 
 @contextmanager
@@ -79,10 +92,12 @@ def doubted(readings: list[dict]) -> list[int]:
 
 
 def measured(folder: Path, rows: list[list[str]], wrong: Callable[[int, list[float]], list[float]]) -> list[dict]:
-    """The readings of a session in which `wrong` spoils some."""
+    """The readings of a session in which `wrong` spoils some, judged when the last two have come."""
     spoilt = [list(map(repr, wrong(k, [float(c) for c in cells]))) for k, cells in enumerate(rows[1:], 1)]
     with begun(folder) as session:
-        take(session, rows[0], *spoilt)
+        for cells in spoilt[:-2]:
+            session.take(Row(tuple(rows[0]), (), tuple(cells), "test"), judge=False)
+        take(session, rows[0], *spoilt[-2:])
         return session.state()["readings"]
 
 
@@ -112,7 +127,7 @@ def behind(v: list[float]) -> list[float]:
     ],
 )
 def test_a_slip_is_named_when_it_comes_and_the_others_are_plausible(arm: Path, slip, words: str) -> None:
-    readings = measured(arm, series(12), lambda k, v: slip(v) if k == 10 else v)
+    readings = measured(arm, series(10), lambda k, v: slip(v) if k == 10 else v)
     assert doubted(readings) == [10]
     assert re.search(words, readings[9]["why"]), readings[9]["why"]
 
@@ -239,12 +254,15 @@ def test_rows_wait_for_those_without_which_they_tell_nothing(arm: Path) -> None:
     (arm / "measured.jsonl").unlink()
     rows = series(21)
     turned = [[*row[:6], row[7], repr(-float(row[6])), row[8], "b"] for row in rows[12:]]
+    every = [*([*row, "a"] for row in rows[1:12]), *turned]
     with begun(arm) as session:
-        for count, cells in enumerate([[*row, "a"] for row in rows[1:12]] + turned, 1):
-            number = take(session, [*rows[0], "session"], cells)
-            if count == 13:
-                assert "session 'b' has 2 poses" in answer(session.state(), number)
-        session.look_ahead()
+        for cells in every[:12]:
+            session.take(Row((*rows[0], "session"), (), tuple(cells), "test"), judge=False)
+        number = take(session, [*rows[0], "session"], every[12])
+        assert "session 'b' has 2 poses" in answer(session.state(), number)
+        for cells in every[13:-1]:
+            session.take(Row((*rows[0], "session"), (), tuple(cells), "test"), judge=False)
+        take(session, [*rows[0], "session"], every[-1])
         assert {r["state"] for r in session.state()["readings"]} == {"good"}
 
 
@@ -266,68 +284,77 @@ def test_several_targets_are_followed_and_a_wrong_one_is_named(arm: Path) -> Non
     assert told["fields"][-1] == "tool"
 
 
-def test_the_only_reading_may_be_struck_out(arm: Path) -> None:
-    rows = series(2)
-    with begun(arm) as session:
-        take(session, *rows[:2])
-        session.strike(1, "the target was loose")
-        assert session.state()["readings"][0]["state"] == "struck"
-        take(session, rows[0], rows[2])
-        assert [r["state"] for r in session.state()["readings"]] == ["struck", "good"]
-
-
-def test_it_goes_on_where_it_was_and_ends_as_if_the_table_had_come_whole(arm: Path, tmp_path: Path) -> None:
-    rows = series(60)
-    whole = tmp_path / "whole"
-    shutil.copytree(arm, whole)
+def test_it_goes_on_where_it_was_and_ends_as_if_the_table_had_come_whole(small: Path, tmp_path: Path) -> None:
+    rows, whole, table = planar(40), tmp_path / "whole", small / "tracker.csv"
+    shutil.copytree(small, whole)
     (whole / "measured.csv").write_text(csv_text(rows))
-    (whole / "problem.toml").write_text(
-        (arm / "problem.toml").read_text() + '\n[[measurements]]\nfile = "measured.csv"\n'
-    )
-    table = arm / "tracker.csv"
-    for count in (25, 60):  # a process that ends between the two
+    with (whole / "problem.toml").open("a") as file:
+        file.write('\n[[measurements]]\nfile = "measured.csv"\n')
+    for count in (15, 40):  # a process that ends between the two
         table.write_text(csv_text(rows[: 1 + count]))
-        with journal(arm) as (course, add):
-            session = LiveSession(arm, course, add)
-            assert len(course.readings) == (0 if count == 25 else 25)
+        with begun(small) as session:
+            assert len(session.course.readings) == (0 if count == 15 else 15)
             session.feed(FileSource(table))
-    with (arm / "measured.jsonl").open("a") as file:
+    with (small / "measured.jsonl").open("a") as file:
         file.write('{"do": "read", "at"')  # killed while it wrote
-    with journal(arm) as (course, add):
-        assert len(course.readings) == 60
-    assert (arm / "measured.csv").read_text() == csv_text(rows)
-    ours, given = casadical.calibrate(arm, method="KM"), casadical.calibrate(whole, method="KM")
+    with journal(small) as (course, _):
+        assert len(course.readings) == 40
+    assert (small / "measured.csv").read_text() == csv_text(rows)
+    ours, given = casadical.calibrate(small), casadical.calibrate(whole)
     name = Path("results/KM.parameters.csv")
     assert ours.files("results")[name] == given.files("results")[name]
 
 
-def test_a_reading_is_struck_out_with_its_reason_and_restored(arm: Path) -> None:
-    rows = series(8)
-    with begun(arm) as session:
-        take(session, *rows)
+def test_a_reading_is_struck_out_with_its_reason_and_restored(small: Path) -> None:
+    rows = planar(8)
+    with begun(small) as session:
+        take(session, *rows[:2])
+        session.strike(1, "the target was loose")
+        assert session.state()["readings"][0]["state"] == "struck"
+        session.restore(1)
+        take(session, rows[0], *rows[2:])
         with pytest.raises(InputError, match="reason"):
             session.strike(3, " ")
         session.strike(3, "the target <b>was</b> loose")
-        assert "leave_out = [4] # 4: the target" in (arm / "problem.toml").read_text()
+        assert "leave_out = [4] # 4: the target" in (small / "problem.toml").read_text()
         assert session.state()["known"]["readings"] == 7
         session.restore(3)
         assert session.state()["known"]["readings"] == 8
+    assert sum(len(parts[0]) for parts in casadical.read_problem(small).sets.values()) == 8
+
+
+def test_the_plan_goes_on_where_a_reading_counts_and_a_pose_may_be_repeated(small: Path) -> None:
+    with begun(small) as session:
+        source = SimulatedSource(session.robot, session.next_pose, 8)
+        for _ in range(6):
+            session.feed(source)
+        count = len(session.plan)
+        told = session.state()["next"]
+        assert (told["to_go"], len(told["poses"])) == (count - 6, count - 6)
+        assert told["words"].startswith(f"{count - 6} planned poses are left; {count} are planned, of which 0.0")
+        pose = session.next_pose()
+        cells = [*(pose / list(session.robot.reading_units.values())), 1.0, 2.0, 3.0]  # no place of this robot
+        take(session, [*session.robot.reading_units, "x_mm", "y_mm", "z_mm"], [repr(float(v)) for v in cells])
+        assert session.state()["readings"][-1]["state"] == "doubtful"
+        np.testing.assert_array_equal(session.next_pose(), pose)
         session.repeat(2)
-        session.look_ahead()
         assert session.state()["next"]["poses"][0] == session.state()["readings"][1]["joints"]
-    assert sum(len(parts[0]) for parts in casadical.read_problem(arm).sets.values()) == 8
+        session.feed(source)
+        assert session.state()["next"]["to_go"] == count - 6  # the pose that was repeated is no further one
+        session.plan = session.plan[:2]
+        assert session.state()["next"]["words"].startswith("all planned poses are measured")
 
 
 def test_typed_readings_count_beside_those_of_a_file_in_other_units(arm: Path) -> None:
-    rows = series(6)
+    rows = series(3)
     with begun(arm) as session:
-        take(session, *rows[:6])
-        last = [float(c) for c in rows[6]]
+        take(session, *rows[:3])
+        last = [float(c) for c in rows[3]]
         values = dict(zip(session.fields, map(repr, map(float, [*np.rad2deg(last[:6]), *last[6:]])), strict=True))
         with pytest.raises(InputError, match="q2_deg: give a value"):
             session.type_in({**values, "q2_deg": "nan"})
-        assert session.type_in(values) == 6
-        assert session.state()["readings"][5]["state"] == "good"
+        assert session.type_in(values) == 3
+        assert session.state()["readings"][2]["state"] == "good"
         assert session.type_in(values) is None  # the same again
 
 
@@ -341,11 +368,11 @@ def test_a_refused_end_names_the_readings_that_were_doubted(arm: Path) -> None:
             finished(session)
 
 
-def test_files_as_others_write_them(arm: Path, tmp_path: Path) -> None:
-    rows = series(9)
+def test_files_as_others_write_them(small: Path, tmp_path: Path) -> None:
+    rows = planar(9)
     table, folder = tmp_path / "t.csv", tmp_path / "many"
-    with journal(arm) as (course, add):
-        session, source = LiveSession(arm, course, add), FileSource(table)
+    with begun(small) as session:
+        source = FileSource(table)
         assert session.feed(source) == ([], [])  # not there yet
         text = csv_text(rows[:4])
         table.write_text(text[:-9])  # the last line half written
@@ -369,133 +396,126 @@ def test_files_as_others_write_them(arm: Path, tmp_path: Path) -> None:
         found, said = session.feed(FolderSource(folder))
         assert len(found) == 1
         assert "has the columns" in said[0]
-        assert len(course.readings) == 7
+        assert len(session.course.readings) == 7
 
 
-def test_one_process_measures_into_a_folder_and_never_over_measurements(arm: Path) -> None:
-    with journal(arm), pytest.raises(InputError, match="another casadical"), journal(arm):
+def test_one_process_measures_into_a_folder_and_never_over_measurements(small: Path) -> None:
+    with journal(small), pytest.raises(InputError, match="another casadical"), journal(small):
         pass
-    (arm / "problem.toml").write_text('casadical = 1\ntitle = "t"\ndata = "real"\n[[measurements]]\nfile = "old.csv"\n')
-    with journal(arm) as (course, add), pytest.raises(InputError, match=r"old\.csv"):
-        LiveSession(arm, course, add)
+    table = '[[measurements]]\nfile = "old.csv"\n'
+    (small / "problem.toml").write_text(f'casadical = 1\ntitle = "t"\ndata = "real"\n{table}')
+    with pytest.raises(InputError, match=r"old\.csv"), begun(small):
+        pass
 
 
-def test_a_pose_beyond_the_limits_is_doubted_and_a_lost_cell_is_said(arm: Path) -> None:
-    rows = series(8)
-    rows[6][1] = "44.0"
-    rows[7][6] = ""
-    with begun(arm) as session:
+def test_a_pose_beyond_the_limits_is_doubted_and_a_lost_cell_is_said(small: Path) -> None:
+    rows = planar(8)
+    rows[6][1] = "2400.0"
+    rows[7][2] = ""
+    with begun(small) as session:
         take(session, *rows)
         told = session.state()["readings"]
     assert told[5]["state"] != "good"
-    assert "44" in told[5]["why"] or "degrees" in told[5]["why"]
+    assert "2400" in told[5]["why"]
     assert (told[6]["state"], told[6]["why"]) == ("unread", "a cell is empty or no number")
     assert [told[k]["why"] for k in (0, 1, 2, 3, 4, 7)] == [""] * 6
     assert {told[k]["state"] for k in (0, 1, 2, 3, 4, 7)} == {"good"}
 
 
-def test_positions_that_no_robot_reaches_are_doubted(arm: Path) -> None:
-    told = measured(arm, series(7), lambda k, v: [*v[:6], *(1e3 * x for x in v[6:])])
+def test_positions_that_no_robot_reaches_are_doubted(small: Path) -> None:
+    told = measured(small, planar(7), lambda k, v: [*v[:2], *(1e3 * x for x in v[2:])])
     assert sum(r["state"] == "doubtful" for r in told) >= 5
     assert any("from the others, and the robot reaches" in r["why"] for r in told if r["state"] == "doubtful")
 
 
-def test_what_the_command_writes_is_not_followed(arm: Path) -> None:
-    done = run("measure", arm, "--no-page", "--follow", arm / "measured.csv")
-    assert done.returncode == 2
-    assert "measured.csv: is what this command writes itself; name what the instrument writes" in done.stderr
-
-
-def test_a_folder_that_is_not_there_is_not_made(tmp_path: Path) -> None:
-    done = run("measure", "none", "--no-page", "--simulate", "1", folder=tmp_path)
-    assert (done.returncode, [*tmp_path.iterdir()]) == (2, [])
-    assert "none/problem.toml: no such file" in done.stderr
-
-
-def test_a_clock_that_goes_back_and_another_robots_table_are_said_in_the_terminal_too(arm: Path) -> None:
-    rows = series(5)
-    with begun(arm) as session:
+def test_a_clock_that_goes_back_and_another_robots_table_are_said_in_the_terminal_too(small: Path) -> None:
+    rows = planar(5)
+    with begun(small) as session:
         for k, cells in enumerate(rows[1:]):
             take(session, [*rows[0], "time_s"], [*cells, str(10 * k - 100 * (k == 4))])
         assert "time_s goes back from 30 to -60 s" in "\n".join(outlook(session.state()))
         assert any("goes back" in text for text in session.state()["said"])
-    (arm / "measured.jsonl").unlink()
-    with begun(arm) as session:
-        take(session, [*rows[0], "q7_rad"], [*rows[1], "0.1"])
+    (small / "measured.jsonl").unlink()
+    with begun(small) as session:
+        take(session, [*rows[0], "q3_rad"], [*rows[1], "0.1"])
         said = answer(session.state(), 1)
-        assert said.startswith("1: unread: measured.csv: column 'q7_rad': this robot has only 6 joints")
+        assert said.startswith("1: unread: measured.csv: column 'q3_rad': this robot has only 2 joints")
 
 
-def test_the_journal_is_lines_of_json(arm: Path) -> None:
-    with (arm / "problem.toml").open("a") as file:  # how the table is to be understood, said beforehand
+def test_the_journal_is_lines_of_json(small: Path) -> None:
+    with (small / "problem.toml").open("a") as file:  # how the table is to be understood, said beforehand
         file.write('[[measurements]]\nfile = "measured.csv"\nkind = "position"\n')
-    measured(arm, series(2), lambda _, v: v)
-    events = [json.loads(line) for line in (arm / "measured.jsonl").read_text().splitlines()]
+    measured(small, planar(2), lambda _, v: v)
+    events = [json.loads(line) for line in (small / "measured.jsonl").read_text().splitlines()]
     assert [e["do"] for e in events] == ["begin", "read", "read"]
-    assert casadical.read_problem(arm).data == "real"
-    (arm / "measured.jsonl").write_text('{"do": "strike", "at": "", "id": 5, "why": "x"}\n')
-    with pytest.raises(InputError, match="line 1: no reading 5"), journal(arm):
+    assert casadical.read_problem(small).data == "real"
+    (small / "measured.jsonl").write_text('{"do": "strike", "at": "", "id": 5, "why": "x"}\n')
+    with pytest.raises(InputError, match="line 1: no reading 5"), journal(small):
         pass
 
 
 def test_a_four_bar_that_cannot_close_on_the_way_to_an_explanation_stops_nothing(tmp_path: Path) -> None:
-    folder = tmp_path / "hh800"
-    folder.mkdir()
-    shutil.copy(ROOT / "problems/hh800/robot.toml", folder)
-    (folder / "problem.toml").write_text('casadical = 1\ntitle = "t"\n')
     m = casadical.read_problem(ROOT / "problems/hh800").sets["identify"][0]
-    with begun(folder) as session:
-        units = session.robot.reading_units
-        for k in range(11):
-            q = m.q[k] * np.where((k == 10) & (np.arange(session.robot.n) == 0), -1, 1)
-            cells = [*(q / list(units.values())), *(1e3 * m.position[k])]
-            take(session, [*units, "x_mm", "y_mm", "z_mm"], [f"{v:.6f}" for v in cells])
-        told = session.state()["readings"]
+    units = casadical.read_robot(ROOT / "problems/hh800/robot.toml").reading_units
+    rows = [[*units, "x_mm", "y_mm", "z_mm"]]
+    rows += [[repr(float(v)) for v in (*(m.q[k] / list(units.values())), *(1e3 * m.position[k]))] for k in range(11)]
+    told = measured(folder_of(tmp_path / "a", "hh800"), rows, lambda k, v: [-v[0], *v[1:]] if k == 11 else v)
     assert doubted(told) == [11]
     assert "joint 1 counts the other way" in told[10]["why"]
 
 
-def test_poses_stay_above_the_plane_that_the_robot_stands_on(arm: Path) -> None:
+@pytest.mark.parametrize("name", ["ur10", "kr210", "planar"])
+def test_poses_stay_above_the_plane_that_the_robot_stands_on(tmp_path: Path, name: str) -> None:
     """Also where an axis lies in that plane, as the KR 210's and the planar arm's do."""
-    for name in ("ur10", "kr210", "planar"):
-        shutil.copy(ROOT / f"problems/{name}/robot.toml", arm)
-        with begun(arm) as session:
-            session.look_ahead()
-            told, robot = session.state()["next"], session.robot
-        tool = expected(robot, session.plan, {}, "plan").position - robot.base.T[:3, 3]
-        assert (tool @ robot.base.T[:3, :3])[:, 2].min() >= -1e-6, name
-        assert "not checked" not in told["words"]
+    with begun(folder_of(tmp_path / "a", name)) as session:
+        session.look_ahead()
+        told, robot = session.state()["next"], session.robot
+    tool = expected(robot, session.plan, {}, "plan").position - robot.base.T[:3, 3]
+    assert (tool @ robot.base.T[:3, :3])[:, 2].min() >= -1e-6
+    assert "not checked" not in told["words"]
 
 
-def test_the_command_prints_answers_and_keeps_its_figures(arm: Path) -> None:
-    table, kept = arm / "t.csv", arm / "state.json"
-    table.write_text(csv_text(series(3)))
-    assert run("measure", arm, "--no-page").returncode == 2
-    both = run("measure", arm, "--no-page", "--follow", table, "--simulate", 3)
-    assert "give one of them" in both.stderr
-    for given, words in (
-        (("--follow", table, "--every", 5), "--every: is for --simulate, not for readings that are measured"),
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ((), "--follow FILE, DIR or -, or --simulate N: give one of them"),
+        (("--follow", "t.csv", "--simulate", 3), "give one of them"),
+        (("--follow", "t.csv", "--every", 5), "--every: is for --simulate, not for readings that are measured"),
         (("--simulate", 1, "--port", 8000), "--port: is for the page, not for --no-page"),
-    ):
-        refused = run("measure", arm, "--no-page", *given)
-        assert (refused.returncode, words in refused.stderr) == (2, True), refused.stderr
+        (("--follow", "measured.csv"), "measured.csv: is what this command writes itself; name what the instrument"),
+    ],
+)
+def test_the_command_refuses(small: Path, monkeypatch, capfd, words, said: str) -> None:
+    monkeypatch.chdir(small)
+    assert main(monkeypatch, "measure", ".", "--no-page", *words) == 2
+    assert said in " ".join(capfd.readouterr().err.split())
+
+
+def test_the_command_makes_no_folder(tmp_path: Path, monkeypatch, capfd) -> None:
+    assert main(monkeypatch, "measure", tmp_path / "none", "--no-page", "--simulate", 1) == 2
+    assert [*tmp_path.iterdir()] == []
+    assert "none/problem.toml: no such file" in capfd.readouterr().err
+
+
+def test_the_command_prints_answers_and_keeps_its_figures(small: Path, monkeypatch, capfd) -> None:
+    kept = small / "state.json"
     for _ in range(2):
-        ended = run("measure", arm, "--no-page", "--simulate", 1, "--program", "krl", "--json", kept)
-        assert (ended.returncode, ended.stderr) == (0, "")
-        assert "PTP {A1" in ended.stdout
+        words = ("--simulate", 1, "--program", "krl", "--json", kept)
+        assert main(monkeypatch, "measure", small, "--no-page", *words) == 0
+        told = capfd.readouterr()
+        assert "PTP {A1" in told.out
     assert [r["state"] for r in json.loads(kept.read_text())["readings"]] == ["good", "good"]
-    assert "goes on after 1 readings" in ended.stdout
+    assert "goes on after 1 readings" in told.out
 
 
-def test_a_pipe_is_followed_until_its_writer_closes_it(arm: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_pipe_is_followed_until_its_writer_closes_it(small: Path, monkeypatch) -> None:
     out, into = os.pipe()
-    os.write(into, csv_text(series(2)).encode())
-    Timer(1.0, os.close, [into]).start()
+    os.write(into, csv_text(planar(2)).encode())
+    Timer(0.3, os.close, [into]).start()
     with os.fdopen(out) as stream:
         monkeypatch.setattr("sys.stdin", stream)
-        done = run("measure", arm, "--no-page", "--follow", "-")
-    assert (done.returncode, done.stderr) == (0, "")
-    assert len((arm / "measured.csv").read_text().splitlines()) == 3
+        assert main(monkeypatch, "measure", small, "--no-page", "--follow", "-") == 0
+    assert len((small / "measured.csv").read_text().splitlines()) == 3
 
 
 def test_a_stream_that_cannot_be_read_ends_and_says_so(tmp_path: Path) -> None:
