@@ -14,7 +14,7 @@ from casadical.blind_check import protocol
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, Plant
 from casadical.blind_check.mujoco_physics.table import MEASURED, TRUE
 from casadical.blind_check.prediction import nominal
-from casadical.blind_check.recording import COLUMNS, MUJOCO, POSES, Plan, Record, Simulator, Subject, draw_plans, record
+from casadical.blind_check.recording import COLUMNS, POSES, Plan, Record, Subject, draw_plans, record
 from casadical.blind_check.worker_pool import completed, workers
 from casadical.core.basics import Array, ConvergenceError, InputError
 from casadical.core.files import claimed, write_together
@@ -46,7 +46,6 @@ def unabsorbed_rms(J: Array, shift: Array) -> float:
 
 UNSEEN = 50
 LEAST_POSES = 20
-REDRAWN = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,14 +143,22 @@ def _subject(project: Path, robot: str) -> Subject:
     return Subject(drawing, to_toml(read_campaign_robot(project / "problems" / robot)))
 
 
-def campaign_of(subject: Subject, plan: Plan, simulator: Simulator = MUJOCO) -> Campaign:
+def campaign_of(subject: Subject, plan: Plan) -> Campaign:
     """One campaign of a plan; runs in a worker."""
     rng = np.random.default_rng([plan.seed, 2])
     # Among the others, so that nothing has to be predicted beyond the campaign's time and temperature.
     kept = np.ones(plan.poses + UNSEEN, dtype=bool)
     kept[1 + rng.choice(len(kept) - 2, UNSEEN, replace=False)] = False
     poses = None if subject.poses is None else with_poses_between(subject.poses, kept)
-    plan, recorded = _recorded(subject, plan, poses, simulator)
+    # If a session finds no equilibrium, all except the plan is drawn again, at most five times.
+    for retry in range(6):
+        plan = replace(plan, seed=plan.seed + min(retry, 1))
+        try:
+            recorded = record(subject, plan, plan.poses + UNSEEN, poses)
+            break
+        except ConvergenceError:
+            if retry == 5:
+                raise
     struck = [c for word in plan.not_logged for c in recorded.session if str(c).startswith(COLUMNS[word])]
     shown = recorded.session.drop(columns=[*struck, *TRUE])
     unseen = recorded.session[~kept]
@@ -183,18 +190,6 @@ def with_poses_between(poses: pd.DataFrame, kept: Array) -> pd.DataFrame:
         if name == "payload_kg":
             columns[name] = values[before]
     return pd.DataFrame(columns)
-
-
-def _recorded(
-    subject: Subject, plan: Plan, poses: pd.DataFrame | None, simulator: Simulator, left: int = REDRAWN
-) -> tuple[Plan, Record]:
-    """The session of a plan. If it finds no equilibrium, all except the plan is drawn again, a few times."""
-    try:
-        return plan, record(subject, plan, plan.poses + UNSEEN, poses, simulator)
-    except ConvergenceError:
-        if not left:
-            raise
-        return _recorded(subject, replace(plan, seed=plan.seed + 1), poses, simulator, left - 1)
 
 
 def _secret(plan: Plan, recorded: Record, kept: Array, model: str, unseen: pd.DataFrame) -> protocol.Secret:

@@ -1,6 +1,6 @@
 """Measuring sessions of planned campaigns: a robot as built in a physics, what is hidden in it, and its table."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -129,17 +129,6 @@ class Subject:
 
 
 @dataclass(frozen=True, eq=False)
-class Simulator:
-    """What measures robots: draw gives an effect by its name for a campaign of so many poses, campaign its table."""
-
-    draw: Callable[[Plant, str, np.random.Generator, int], Hidden]
-    campaign: Callable[..., pd.DataFrame]
-
-
-MUJOCO = Simulator(draw_effect, campaign)
-
-
-@dataclass(frozen=True, eq=False)
 class Record:
     """A measuring session as it was, and as it would have been with less.
 
@@ -153,7 +142,7 @@ class Record:
     alone: tuple[pd.DataFrame, ...]
 
 
-def record(subject: Subject, plan: Plan, n: int, poses: pd.DataFrame | None, simulator: Simulator = MUJOCO) -> Record:
+def record(subject: Subject, plan: Plan, n: int, poses: pd.DataFrame | None) -> Record:
     """The session of a plan, of n poses; poses : of all of them, as of `Subject`."""
     rng = np.random.default_rng(plan.seed)
     plant = subject.built(int(rng.integers(1 << 30)))
@@ -171,11 +160,11 @@ def record(subject: Subject, plan: Plan, n: int, poses: pd.DataFrame | None, sim
         options["payload_states"] = [plant.payload_kg]
         if poses is not None:
             options["given"] = poses.drop(columns="payload_kg", errors="ignore")
-    hidden = tuple(simulator.draw(plant, effect, rng, lasting) for effect in plan.effects)
+    hidden = tuple(draw_effect(plant, effect, rng, lasting) for effect in plan.effects)
     seed = int(rng.integers(1 << 30))
 
     def session(*acting: Hidden) -> pd.DataFrame:
-        return simulator.campaign(plant, acting, n, seed, **options)
+        return campaign(plant, acting, n, seed, **options)
 
     return Record(
         hidden=hidden,

@@ -1,22 +1,22 @@
-"""Effects beside their counterparts in the simulators of the blind check: one robot in both worlds, and a pair."""
+"""Effects beside their counterparts in the engine of the blind check: one robot in both worlds, and a pair."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from acting import Disturbance, acting
 from campaign_robots import machine
 
 from casadical import Placement, Robot
-from casadical.blind_check import mujoco_physics
 from casadical.blind_check.mujoco_physics import Hidden, Plant
+from casadical.blind_check.mujoco_physics.campaigns import positions
 from casadical.blind_check.mujoco_physics.cause import rated_torque
 from casadical.blind_check.mujoco_physics.fourbar import unfolded
+from casadical.blind_check.mujoco_physics.hidden import causes
 from casadical.blind_check.mujoco_physics.stops import Stops, Warmup, draw_poses, draw_stops
 from casadical.core.basics import Array
 from casadical.core.transforms import frame
@@ -26,12 +26,6 @@ from casadical.effects import (
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import unmeasured
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
-
-from numpy_physics.disturbance import Disturbance
-from numpy_physics.statics import positions
-
-ROOT = Path(__file__).parents[2]
 ROBOTS = ("hh800", "kr210", "ur10e")
 Values = Mapping[str, float]
 
@@ -47,13 +41,18 @@ class Bench:
 
     @cached_property
     def rated(self) -> Array:
-        """Rated torque of each joint as the numpy physics means it, shape (6,) [N m]."""
+        """Rated torque of each joint as the engine's effects mean it, shape (6,) [N m]."""
         return rated_torque(self.plant)
 
     @cached_property
     def great(self) -> Array:
         """Great torque of each joint as the effects mean it, shape (6,) [N m]."""
         return self.robot.torque_scale
+
+    @cached_property
+    def clean(self) -> Array:
+        """Where the engine has the reflector without any effect, shape (n, 3) [m]."""
+        return positions(self.plant, (), self.stops)
 
     def along(self, link: int) -> Array:
         """Share of a link's own three axes along it (1) and across it (0), shape (3,)."""
@@ -73,15 +72,16 @@ class Pair:
     """An effect and its counterpart with the same parameters.
 
     effects, values : in the model; columns : what was logged besides the payload
-    numpy, mujoco : counterparts in each simulator; bench : with which they are compared
+    hidden : counterparts in the engine; other : fields of the drawing that are otherwise in the engine
+    bench : with which they are compared
     """
 
     bench: Bench
     effects: Sequence[Effect]
     values: Values
     columns: Mapping[str, Array] = field(default_factory=dict)
-    numpy: Sequence[Disturbance] = ()
-    mujoco: Sequence[Hidden] = ()
+    hidden: Sequence[Hidden | Disturbance] = ()
+    other: Mapping[str, Any] = field(default_factory=dict)
 
     def moved(self) -> Array:
         """How far the effects move the tool of the model, shape (n, 3) [m]."""
@@ -90,22 +90,20 @@ class Pair:
         m = unmeasured(b.stops.q, {"payload_kg": b.stops.payload_kg, **self.columns})
         return np.asarray(predicted(with_them, m)[0] - predicted(b.robot, m)[0])
 
-    def moved_there(self, world: str) -> Array:
-        """How far the counterpart in "numpy" or "MuJoCo" moves it, shape (n, 3) [m]."""
+    @cached_property
+    def there(self) -> Array:
+        """How far the counterpart moves it in the engine, shape (n, 3) [m]."""
         b = self.bench
-        if world == "MuJoCo":
-            there = mujoco_physics.campaigns.positions
-            return np.asarray(there(b.plant, self.mujoco, b.stops) - there(b.plant, (), b.stops))
-        clean = positions(b.plant, (), b.stops)
-        rng = np.random.default_rng(0)
-        seen = positions(b.plant, self.numpy, b.stops)
-        for d in self.numpy:
-            seen = d.measured(seen, b.stops, rng)
-        return np.asarray(seen - clean)
+        hidden = [h if isinstance(h, Hidden) else acting(h, b.plant) for h in self.hidden]
+        seen = positions(replace(b.plant, **self.other), hidden, b.stops)
+        for cause in causes(hidden, b.plant.n):
+            seen = cause.measured(seen, b.stops, np.random.default_rng(0))
+        return np.asarray(seen - b.clean)
 
-    def apart(self, world: str) -> tuple[float, float]:
-        """Relative distance of the two, and the greatest motion of the counterpart there [m]."""
-        here, there = self.moved(), self.moved_there(world)
+    def apart(self, there: Array | None = None) -> tuple[float, float]:
+        """Relative distance of the two, and the greatest motion of the counterpart [m]; there : known already."""
+        there = self.there if there is None else there
+        here = self.moved()
         return float(np.linalg.norm(here - there) / np.linalg.norm(there)), float(np.linalg.norm(there, axis=1).max())
 
 

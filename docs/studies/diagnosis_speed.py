@@ -25,12 +25,8 @@ import pandas as pd
 from campaign_robots import machine
 
 from casadical import diagnose
-from casadical.blind_check.mujoco_physics import perturb
+from casadical.blind_check.mujoco_physics import Hidden, campaign, perturb
 from casadical.project.problem import read_campaign, read_campaign_robot
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
-
-from numpy_physics import campaign, draw_disturbance
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "data" / "ur10_laser_tracker"
@@ -89,9 +85,9 @@ def command(folder: Path) -> None:
 
 def simulated_campaign(name: str, poses: int, seed: int) -> pd.DataFrame:
     """A campaign of a robot of the blind check with backlash in one joint."""
-    hidden = (draw_disturbance("backlash", seed, joint=2, scale=1.0),)
+    hidden = (Hidden("backlash", 2, {"size": 60e-6, "friction": 0.02}),)
     plant = perturb(machine(name)[1], seed)
-    return campaign(plant, poses, disturbances=hidden, noise_mm=0.02, repeatability_urad=4.0, seed=seed)
+    return campaign(plant, hidden, poses, noise_mm=0.02, repeatability_urad=4.0, seed=seed)
 
 
 def series(folder: Path, letter: str) -> None:

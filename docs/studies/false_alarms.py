@@ -4,23 +4,18 @@ Clean synthetic campaigns of the independent simulator; 1000 bootstrap draws of 
 each (see casadical.diagnosis.bootstrap), judged as `diagnose` judges. Some ten minutes of one core.
 """
 
-import sys
 from pathlib import Path
 
 import numpy as np
 from campaign_robots import machine
 
-from casadical.blind_check.mujoco_physics import perturb
+from casadical.blind_check.mujoco_physics import campaign, perturb
 from casadical.diagnosis.bootstrap import noise_odds
 from casadical.diagnosis.candidates import standard_candidates
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.diagnosis.thresholds import DETECT
 from casadical.identification.identification import identify
 from casadical.measurements.reading import from_table
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
-
-from numpy_physics import campaign
 
 ROOT = Path(__file__).parents[2]
 ROBOTS, POSES, CAMPAIGNS, DRAWS = ("hh800", "kr210", "ur10e"), (15, 20, 30, 40, 60, 100, 200), 3, 500
@@ -33,7 +28,7 @@ def case(robot_name: str, poses: int, number: int) -> Case:
     rng = np.random.default_rng([278, ROBOTS.index(robot_name), poses, number])
     plant = perturb(nominal, int(rng.integers(1 << 30)))
     noise, urad = float(rng.choice([0.01, 0.02, 0.03])), float(rng.uniform(2, 8))
-    table = campaign(plant, poses, noise_mm=noise, repeatability_urad=urad, seed=int(rng.integers(1 << 30)))
+    table = campaign(plant, (), poses, noise_mm=noise, repeatability_urad=urad, seed=int(rng.integers(1 << 30)))
     m = from_table(table, 6, "position")
     found = identify(robot, m, ("kinematic", "compliance"), loss="huber", priors=True, screen=False)
     return make_case(found, standard_candidates(robot))

@@ -1,26 +1,20 @@
 """Effects of machines and of their measuring set-ups, written by an author who has not read the diagnosis.
 
-The author knew the simulator in numpy, and neither the diagnosis nor the causes that it can name. `FOREIGN` has the
-kinds by their words, `draw_foreign` draws one, and `SAYS` has what a right statement about each would be. Thresholds
-are angles and times of the machine, not of the campaign: another campaign of the same machine meets the same effect.
+The author knew a simulator, and neither the diagnosis nor the causes that it can name. `FOREIGN` has the kinds by their
+words, `draw_foreign` draws one, and `SAYS` has what a right statement about each would be. Thresholds are angles and
+times of the machine, not of the campaign: another campaign of the same machine meets the same effect.
 """
 
 import re
-import sys
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from acting import Disturbance, State
 
 from casadical.blind_check.mujoco_physics.fourbar import close_loop
 from casadical.blind_check.mujoco_physics.plant import Array, Plant, back, motion, move, point, random_vector, slide
 from casadical.blind_check.mujoco_physics.stops import Stops, only
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
-
-from numpy_physics.disturbance import Disturbance
-from numpy_physics.state import GRAVITY, State
 
 Direction = tuple[float, float, float]
 _ZERO = np.zeros(3)
@@ -303,7 +297,7 @@ class SloshingTank(Disturbance):
         flange, along = state.bodies[6], np.asarray(self.towards)
         down = -flange[:, 2, :3]
         run = point(flange, self.size * (down - (down @ along)[:, None] * along))
-        about = np.cross(run, GRAVITY * state.stops.payload_kg[:, None] * _DOWN)
+        about = np.cross(run, 9.81 * state.stops.payload_kg[:, None] * _DOWN)
         tau = np.stack([np.sum(state.axis(joint)[0] * about, -1) for joint in range(1, 7)], -1)
         if state.plant.four_bar is not None:
             tau[:, 2] *= close_loop(state.plant, state.angles[:, 2] - state.angles[:, 1]).lever

@@ -1,4 +1,4 @@
-"""Synthetic campaigns of both physics as instruments other than a tracker measure them, with what they hide known.
+"""Synthetic campaigns of the engine as instruments other than a tracker measure them, with what they hide known.
 
 The physics says where points of the flange are at given readings. From that are made distances to three places,
 full poses (three points of the flange, seen with noise of positions and of angles), mixed sets, and touches: of
@@ -8,9 +8,7 @@ touches them. Every instrument has noise of its own, and the joints do not repea
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,21 +18,17 @@ from instrument_touches import TOUCHED, touched
 from scipy.stats import ncx2
 from sessions import UNLISTED, Session
 
-from casadical.blind_check.mujoco_physics import Plant, perturb
+from casadical.blind_check.mujoco_physics import LISTED, Plant, perturb
 from casadical.core.basics import Array, ConvergenceError, InputError
 from casadical.identification.placement import place_frames
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
-
-from numpy_physics import disturbances
-
 NAMES = ("hh800", "kr210", "ur10e")
 KINDS = ("distances", "sockets", "poses", "mixed", "distances", "planes", "poses", "mixed", "distances", "balls")
 SHARES = {"none": 0.3, "one": 0.55, "unlisted": 0.15}
 # What an instrument alone does is not in the robot.
-WORDS = [w for w in disturbances.LISTED if w != "outliers"]
+WORDS = [w for w in LISTED if w != "outliers"]
 # One sigma of a length [mm] that is drawn, and of an angle [rad] per metre of it.
 NOISES, ANGLE = (0.02, 0.05, 0.1), 3.0
 REPEATABILITIES = (4.0, 8.0)
@@ -50,7 +44,6 @@ class Campaign:
 
     robot: Robot
     kind: str
-    physics: str
     hidden: str
     truth: tuple[str, ...]
     sets: tuple[Measurements, ...]
@@ -63,13 +56,12 @@ class Campaign:
         return float(ncx2.sf(edge, 3, self.noncentrality))
 
 
-def drawn(physics: str, plant: Plant, poses: int, hidden: str, rng: np.random.Generator) -> tuple[tuple[str, ...], Any]:
+def drawn(plant: Plant, poses: int, hidden: str, rng: np.random.Generator) -> tuple[tuple[str, ...], Any]:
     """Labels of what is hidden, and the effect."""
     if hidden == "none":
         return (), None
-    of_physics = [word for where, word in UNLISTED if where == physics]
-    word = str(rng.choice(WORDS if hidden == "one" else of_physics))
-    label, effect = Session(physics, plant, poses, 0).drawn(word, rng)
+    word = str(rng.choice(WORDS if hidden == "one" else UNLISTED))
+    label, effect = Session(plant, poses, 0).drawn(word, rng)
     return (label,) if hidden == "one" else (), effect
 
 
@@ -84,14 +76,14 @@ def campaign(number: int, seed: int) -> Campaign:
 
 
 def _campaign(number: int, rng: np.random.Generator) -> Campaign:
-    kind, physics = KINDS[number % len(KINDS)], ("numpy", "mujoco")[number // len(KINDS) % 2]
+    kind = KINDS[number % len(KINDS)]
     given, nominal = machine(NAMES[int(rng.integers(len(NAMES)))])
     hidden = str(rng.choice([*SHARES], p=[*SHARES.values()]))
     poses, sigma = int(rng.choice([60, 100])), 1e-3 * float(rng.choice(NOISES))
     repeatability = float(rng.choice(REPEATABILITIES))
     plant = perturb(nominal, int(rng.integers(1 << 30)))
-    truth, effect = drawn(physics, plant, poses, hidden, rng)
-    own = Machine(physics, plant, int(rng.integers(1 << 30)), effect)
+    truth, effect = drawn(plant, poses, hidden, rng)
+    own = Machine(plant, int(rng.integers(1 << 30)), effect)
     signal = float(np.exp(rng.uniform(*np.log(SIGNAL)))) if effect is not None else 0.0
     # Where the robot and its tool are: as a tracker would have it, for what is touched and what could be seen.
     robot = place_frames(given, blank(given, own.table(None, 40, None, POINTS[0], 0.0)))
@@ -100,7 +92,7 @@ def _campaign(number: int, rng: np.random.Generator) -> Campaign:
     else:
         sets, found = seen(own, robot, kind, poses, sigma, repeatability, signal, rng)
     numbers = sum(m.residuals for m in sets)
-    return Campaign(given, kind, physics, hidden, truth, sets, np.sqrt(found / numbers), found)
+    return Campaign(given, kind, hidden, truth, sets, np.sqrt(found / numbers), found)
 
 
 def places(robot: Robot, rng: np.random.Generator) -> Array:

@@ -1,10 +1,8 @@
-"""A robot as built in one of the physics, its nominal model, and what an instrument could see of a difference."""
+"""A robot as built in the engine, its nominal model, and what an instrument could see of a difference."""
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,33 +19,26 @@ from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import from_table
 from casadical.robot.robot import Robot
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
-
-import numpy_physics
-
 # Points of the flange that tell its orientation [m].
 POINTS = np.array([[0.0, 0.0, 0.0], [0.15, 0.0, 0.0], [0.0, 0.15, 0.0]])
 
 
 @dataclass(frozen=True, eq=False)
 class Machine:
-    """A robot as built in one of the physics, at any readings; a hidden effect acts by a factor on what it shifts."""
+    """A robot as built in the engine, at any readings; a hidden effect acts by a factor on what it shifts."""
 
-    physics: str
     plant: Plant
     seed: int
     hidden: Any = None
     factor: float = 0.0
 
     def table(self, q: Array | None, n: int, hidden: Any, point: Array, repeatability: float) -> pd.DataFrame:
-        make: Any = mujoco_physics.campaign if self.physics == "mujoco" else numpy_physics.campaign
-        acting = () if hidden is None else (hidden,)
-        given = {"disturbances": acting} if self.physics == "numpy" else {"hidden": acting}
         readings = None if q is None else np.rad2deg(q)
         plant = replace(self.plant, reflector=self.plant.reflector + point)
-        return make(
-            plant, n=n, seed=self.seed, noise_mm=0.0, repeatability_urad=repeatability, q_deg=readings, **given
-        )  # fmt: skip
+        acting = () if hidden is None else (hidden,)
+        return mujoco_physics.campaign(
+            plant, acting, n, self.seed, noise_mm=0.0, repeatability_urad=repeatability, q_deg=readings
+        )
 
     def positions(self, q: Array, point: Array = POINTS[0], repeatability: float = 0.0) -> tuple[Array, Array]:
         """Where a point of the flange is [m], and by how much a hidden effect alone shifts it, shapes (n, 3)."""

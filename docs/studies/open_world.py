@@ -1,9 +1,10 @@
 """Where the diagnosis meets what it was not built on: python docs/studies/open_world.py --seeds judge > open_world.txt
 
-Synthetic campaigns of the blind check's two simulators (numpy and MuJoCo, in turn), which share no formula with the
-candidates; robots, joints, sizes and poses by chance. Each effect is scaled to a signal: rms of a coordinate that the
-base model cannot absorb, over the instrument's noise. Declared masses are wrong in the robot that is given; noise is
-made here. Rules were developed on seeds "develop" and "develop 2", and judged on "judge" and, after the changes that
+Synthetic campaigns of the blind check's engine MuJoCo, which shares no formula with the candidates (half of those of
+the print, by the commit that it names, came from a simulator in numpy); robots, joints, sizes and poses by chance. Each
+effect is scaled to a signal: rms of a coordinate that the base model cannot absorb, over the instrument's noise.
+Declared masses are wrong in the robot that is given; noise is made here. Rules were developed on seeds "develop" and
+"develop 2", and judged on "judge" and, after the changes that
 followed, on "judge 2" to "judge 9", which nobody had seen before the commit that froze them. The same script, run with
 PYTHONPATH at an earlier commit, gives the figures before. The part "foreign" has effects (foreign_effects.py) written
 by an author who has read neither the diagnosis nor its effects; "one beside a foreign one" has one of these beside a
@@ -12,42 +13,36 @@ listed one.
 --share 4 makes four times as many campaigns; --keep FILE keeps finished ones, to go on after a break; --masses nuisance
 has the masses of links in the base model; --laws asks, too, whether a law would be claimed in place of all causes (one
 process; some 5 s a campaign). "Limit" is the power of a test that knows each effect's signature, all others and the
-noise, at the false alarms that are allowed (diagnosis_scores.power).
+noise, at the false alarms that are allowed (`power`).
 """
 
 import argparse
 import os
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import pandas as pd
+from acting import acting
 from campaign_robots import machine
-from diagnosis_scores import power
 from foreign_effects import FOREIGN
 from kept import add_options, rows_of
-from scipy import signal
+from scipy import signal, stats
 from sessions import UNLISTED, Scatter, Session
 
 from casadical.blind_check.generation import base_jacobian, unabsorbed_rms
 from casadical.blind_check.metrics import Estimate, mean, share
-from casadical.blind_check.mujoco_physics import perturb
+from casadical.blind_check.mujoco_physics import LISTED, perturb
 from casadical.blind_check.mujoco_physics.table import MEASURED
 from casadical.core.basics import Array, InputError
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.laws.contest import laws_before_causes, replaces_causes
 from casadical.measurements.reading import from_table
 from casadical.robot.robot import Robot
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
-
-from numpy_physics import disturbances
 
 ROBOTS = ("hh800", "kr210", "ur10e")
 NAMES = ("develop", "judge", "develop 2", *(f"judge {k}" for k in range(2, 10)))
@@ -130,19 +125,17 @@ def trial(part: str, number: int, seeds: str, options: dict[str, Any], *, laws: 
     """One campaign, hidden, measured and diagnosed; laws : whether one would be claimed in place of all causes."""
     rng = np.random.default_rng([SEEDS[seeds], list(PARTS).index(part), number])
     robot, nominal = machine(ROBOTS[number % 3])
-    physics = "mujoco" if number % 2 else "numpy"
-    words = [str(w) for w in rng.permutation([w for w in disturbances.LISTED if w != "outliers"])]
+    words = [str(w) for w in rng.permutation([w for w in LISTED if w != "outliers"])]
     if part == "unlisted":
-        physics, word = UNLISTED[int(np.random.default_rng(SEEDS[seeds]).permutation(len(UNLISTED))[number % 22])]
-        words = [word]
+        words = [UNLISTED[int(np.random.default_rng(SEEDS[seeds]).permutation(len(UNLISTED))[number % len(UNLISTED)])]]
     if part == "foreign":
-        physics, words = "numpy", [list(FOREIGN)[number % len(FOREIGN)]]
+        words = [list(FOREIGN)[number % len(FOREIGN)]]
     if part == BESIDE:
-        physics, words = "numpy", [words[0], list(FOREIGN)[number % len(FOREIGN)]]
+        words = [words[0], list(FOREIGN)[number % len(FOREIGN)]]
     kind = str(rng.choice(IMPERFECT)) if part == "one, imperfect" else part
-    physics = "numpy" if kind == "one scattering joint" else physics
-    session = Session(physics, perturb(nominal, int(rng.integers(1 << 30))), int(rng.choice([60, 100])), number + 7)
-    also = [Scatter(int(rng.integers(1, 7)), number)] if kind == "one scattering joint" else []
+    plant = perturb(nominal, int(rng.integers(1 << 30)))
+    session = Session(plant, int(rng.choice([60, 100])), number + 7)
+    also = [acting(Scatter(int(rng.integers(1, 7)), number), plant)] if kind == "one scattering joint" else []
     clean = session.table(*also)
     m0 = from_table(session.table(), 6, "position")
     sizes = signals(part, rng)
@@ -166,7 +159,7 @@ def trial(part: str, number: int, seeds: str, options: dict[str, Any], *, laws: 
         limits = (0.03, 0.1, 0.02) if "3-10" in part else (0.1, 0.3, 0.03)
         robot = wrong_masses(robot, *limits, rng)
     began = time.process_time()
-    answer = {"part": part, "kind": kind, "physics": physics, "robot": robot.name, "missing": missing}
+    answer = {"part": part, "kind": kind, "robot": robot.name, "missing": missing}
     answer |= {"truth": truth, "signals": visible, "poses": len(table)}
     try:
         found = diagnose(robot, from_table(table, 6, "position"), **options)
@@ -221,6 +214,13 @@ def first_right(t: dict[str, Any]) -> bool:
 
 def recall(part: Sequence[dict[str, Any]]) -> Estimate:
     return share([k in t["named"] for t in part for k, s in zip(t["truth"], t["signals"], strict=True) if s >= 0.35])
+
+
+def power(visible: float, poses: int) -> float:
+    """Of chi-square tests of every cause (69 labels of a six-axis robot) that know its signature, to three numbers, and
+    the noise, at one false alarm in a hundred in all."""
+    edge = stats.chi2.ppf(1 - 0.01 / 69, 3)
+    return float(stats.ncx2.sf(edge, 3, 3 * poses * visible**2))
 
 
 def limit(part: Sequence[dict[str, Any]], least: float = 0.35) -> Estimate:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from acting import Disturbance, State
 from counterpart_pairs import Bench, Pair, approach, named, progress
 
+from casadical.blind_check.mujoco_physics import Hidden
 from casadical.blind_check.mujoco_physics.plant import motion, move, slide
 from casadical.blind_check.mujoco_physics.stops import Stops, only
 from casadical.core.basics import Array
@@ -27,22 +27,25 @@ from casadical.effects.registry import BacklashByLoad, FrameSettling
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import unmeasured
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
 
-from numpy_physics import disturbances, disturbances_rare
-from numpy_physics.disturbance import Disturbance
+class FootSlip(Disturbance):
+    """The foot slips once, in all directions: from then on everything is shifted and turned."""
+
+    shift, turn = 60e-6 * np.array([0.6, -0.64, 0.48]), 30e-6 * np.array([0.48, 0.6, -0.64])
+
+    def outboard(self, link: int, state: State) -> Array | None:
+        when = (state.stops.progress > 0.5).astype(float)
+        return motion(np.outer(when, self.turn), np.outer(when, self.shift), np.zeros(3)) if link == 0 else None
 
 
 def slipped_foot(b: Bench) -> Pair:
     """A body's motion about the robot's origin, seen in the measuring frame: the frame moves with the base."""
-    there = disturbances_rare.FootSlip(0, 60e-6, (0.6, -0.64, 0.48), 0.5)
-    x, y, z = there.towards
+    there = FootSlip()
     base = b.plant.base
-    turn = base[:3, :3] @ (30e-6 * np.array((z, x, y)))
-    shift = base[:3, :3] @ (60e-6 * np.array(there.towards))
+    turn, shift = base[:3, :3] @ there.turn, base[:3, :3] @ there.shift
     shift = shift - np.cross(turn, base[:3, 3])
     v = dict(zip(("x", "y", "z", "rx", "ry", "rz"), (*shift, *turn), strict=True))
-    return Pair(b, [FrameStep(None, 0.5)], named("frame_step", v), progress(b), numpy=[there])
+    return Pair(b, [FrameStep(None, 0.5)], named("frame_step", v), progress(b), hidden=[there])
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,7 @@ def slipped_flange(b: Bench) -> Pair:
     shift, turn = np.array([30e-6, -32e-6, 24e-6]), np.array([19e-6, 24e-6, 26e-6])
     v = dict(zip(("x", "y", "z", "rx", "ry", "rz"), (*shift, *turn), strict=True))
     there = Displaced(3, shift, turn, (b.stops.progress > 0.5).astype(float))
-    return Pair(b, [FrameStep(3, 0.5)], named("frame_step@3", v), progress(b), numpy=[there])
+    return Pair(b, [FrameStep(3, 0.5)], named("frame_step@3", v), progress(b), hidden=[there])
 
 
 def bent_link(b: Bench) -> Pair:
@@ -76,7 +79,7 @@ def bent_link(b: Bench) -> Pair:
     warmth = b.stops.warmth_after(10.0)
     there = Displaced(2, np.zeros(3), per_K * np.array([0.8, -0.6, 0.0]), warmth)
     v = {"rx": 0.8 * per_K, "ry": -0.6 * per_K}
-    return Pair(b, [ThermalBend(2)], named("thermal_bend@2", v), {"warmth_600s": warmth}, numpy=[there])
+    return Pair(b, [ThermalBend(2)], named("thermal_bend@2", v), {"warmth_600s": warmth}, hidden=[there])
 
 
 @dataclass(frozen=True)
@@ -102,7 +105,7 @@ def too_soon(b: Bench) -> Pair:
     for k in range(1, len(q)):
         left[k] = (left[k - 1] + q[k - 1] - q[k]) * (1 - 8.0 / steps) ** steps
     values = {"settling_lag@3.share": float(np.exp(-8.0))}
-    return Pair(b, [SettlingLag(3)], values, derived(b, "move3"), numpy=[Misread(3, left)])
+    return Pair(b, [SettlingLag(3)], values, derived(b, "move3"), hidden=[Misread(3, left)])
 
 
 def presliding(b: Bench) -> Pair:
@@ -114,27 +117,22 @@ def presliding(b: Bench) -> Pair:
         states[k] = np.sign(move_by) + (states[k - 1] - np.sign(move_by)) * (1 - abs(move_by) / way / steps) ** steps
     there = Misread(3, -half * states)
     values = {"friction_memory@3.half": half}
-    return Pair(b, [FrictionMemory(3, 1000)], values, derived(b, "memory3_1000mrad"), numpy=[there])
+    return Pair(b, [FrictionMemory(3, 1000)], values, derived(b, "memory3_1000mrad"), hidden=[there])
 
 
 def play_by_load(b: Bench) -> Pair:
-    """The simulator's backlash, approached from either side: its mean without friction."""
-    there, width = disturbances.Backlash(4, 60e-6, 0.1), 0.1 * b.rated[3] / b.great[3]
-
-    class Either(Disturbance):
-        def twist(self, state: Any) -> Array:
-            zero = replace(state, stops=replace(state.stops, approach=np.zeros_like(state.stops.approach)))
-            return there.twist(zero)
-
+    """Play between soft flanks, approached from either side: its mean without friction."""
+    width = 0.1 * b.rated[3] / b.great[3]
+    there = Given(4, lambda s: 60e-6 * np.tanh(s.load[:, 3] / (0.1 * s.rated[3])))
     effect = BacklashByLoad(4, 0.0, width)
-    return Pair(b, [effect], {"backlash_by_load@4.half": 60e-6}, numpy=[Either()])
+    return Pair(b, [effect], {"backlash_by_load@4.half": 60e-6}, hidden=[there])
 
 
 def hysteresis(b: Bench) -> Pair:
     """Friction in proportion to the load: the part of the simulator's windup that grows with it."""
-    there = disturbances.FrictionWindup(3, 1e-6, 60.0)
+    there = Hidden("friction_windup", 3, {"size": 1e-6, "load_share": 60.0})
     values = {"load_hysteresis@3.half": 60e-6 * b.great[2] / b.rated[2]}
-    return Pair(b, [LoadHysteresis(3, 1)], values, approach(b, 3), numpy=[there])
+    return Pair(b, [LoadHysteresis(3, 1)], values, approach(b, 3), hidden=[there])
 
 
 @dataclass(frozen=True)
@@ -152,14 +150,14 @@ def inner_friction(b: Bench) -> Pair:
     """Rayleigh: the branches of a loop lie apart by the square of the load."""
     there = Given(3, lambda s: -40e-6 * s.stops.approach[:, 2] * (s.load[:, 2] / b.great[2]) ** 2)
     values = {"load_hysteresis@3.half": 40e-6}
-    return Pair(b, [LoadHysteresis(3, 2)], values, approach(b, 3), numpy=[there])
+    return Pair(b, [LoadHysteresis(3, 2)], values, approach(b, 3), hidden=[there])
 
 
 def off_diagonal(b: Bench) -> Pair:
     """A compliance matrix with a term off its diagonal [rad/(N m)]."""
     per_Nm = 60e-6 / b.great[1]
     there = Given(3, lambda s: per_Nm * s.load[:, 1])
-    return Pair(b, [CrossCoupling(3, 2)], {"cross_coupling@3.k2": 60e-6}, numpy=[there])
+    return Pair(b, [CrossCoupling(3, 2)], {"cross_coupling@3.k2": 60e-6}, hidden=[there])
 
 
 class Newton(Disturbance):
@@ -177,7 +175,7 @@ class Newton(Disturbance):
 def settling_frame(b: Bench) -> Pair:
     v = dict(zip("xyz", Newton.shift, strict=True)) | {f"r{c}": t for c, t in zip("xyz", Newton.turn, strict=True)}
     effect = FrameSettling(None, settles=Newton.settles)
-    return Pair(b, [effect], named("frame_settling", v), progress(b), numpy=[Newton()])
+    return Pair(b, [effect], named("frame_settling", v), progress(b), hidden=[Newton()])
 
 
 class OffCentre(Disturbance):
@@ -197,4 +195,4 @@ class OffCentre(Disturbance):
 def reflector(b: Bench) -> Pair:
     v = dict(zip(("along", "across", "above"), OffCentre.offset, strict=True))
     effect = SmrOffset(None, tuple(float(x) for x in OffCentre.station))
-    return Pair(b, [effect], named("smr_offset", v), numpy=[OffCentre()])
+    return Pair(b, [effect], named("smr_offset", v), hidden=[OffCentre()])

@@ -17,7 +17,7 @@ from campaign_robots import plant_of
 from scipy.stats import chi2
 
 from casadical import identify, read_robot
-from casadical.blind_check.mujoco_physics import perturb
+from casadical.blind_check.mujoco_physics import campaign, perturb
 from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.measurements.reading import from_table
 from casadical.pose_selection import Noise, Workspace, forecast
@@ -26,10 +26,6 @@ from casadical.pose_selection.experimental_design import inverse
 from casadical.pose_selection.information import noise_covariance, scaled_jacobian
 from casadical.pose_selection.pose_search import select_poses
 from casadical.pose_selection.workspace import Box, Tracker
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
-
-from numpy_physics import campaign
 
 HERE = Path(__file__).parent
 PROBLEMS = HERE.parents[1] / "problems"
@@ -67,7 +63,7 @@ robot     n  random  V       less             mean   wins"""
 def measured(plant, q, seed, payload):
     """A campaign at readings q, shape (n, 6) [rad], and the true points [m]."""
     table = campaign(
-        plant, len(q), seed, q_deg=np.rad2deg(q), payload_states=[payload], noise_mm=1e3 * SIGMA,
+        plant, (), len(q), seed, q_deg=np.rad2deg(q), payload_states=[payload], noise_mm=1e3 * SIGMA,
         repeatability_urad=1e6 * REPEATABILITY, truth=True,
     )  # fmt: skip
     return from_table(table.drop(columns=TRUE), 6, sigma_mm=None), 1e-3 * table[TRUE].to_numpy()

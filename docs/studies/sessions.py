@@ -1,15 +1,14 @@
-"""Measuring sessions of both physics without noise, and what may be hidden in them that is on no list."""
+"""Measuring sessions in the engine without noise, and what may be hidden in them that is on no list."""
 
 import os
-import sys
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import pandas as pd
+from acting import Disturbance, acting
 from foreign_effects import FOREIGN, draw_foreign
 
 from casadical.blind_check import mujoco_physics
@@ -18,12 +17,6 @@ from casadical.blind_check.mujoco_physics.plant import random_vector
 from casadical.blind_check.mujoco_physics.stops import Stops, only
 from casadical.core.basics import Array
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
-
-import numpy_physics
-from numpy_physics import Disturbance, disturbances, draw_disturbance
-
-ROOT = Path(__file__).parents[2]
 REPEATABILITY_URAD = 4.0
 
 
@@ -88,44 +81,33 @@ class Scatter(Disturbance):
 
 
 OWN = {"belt": Belt, "remembered_friction": RememberedFriction, "late_settling": LateSettling, "foot": SlippedFoot}
-UNLISTED = [
-    *(("numpy", word) for word in [*OWN, *disturbances.UNLISTED]),
-    *(("mujoco", word) for word in mujoco_physics.UNLISTED),
-]
+UNLISTED = [*OWN, *mujoco_physics.UNLISTED]
 
 
 @dataclass(frozen=True, eq=False)
 class Session:
-    """A measuring session in one of the physics without the instrument's noise."""
+    """A measuring session in the engine without the instrument's noise."""
 
-    physics: str
     plant: Plant
     poses: int
     seed: int
 
-    def table(self, *acting: Any) -> pd.DataFrame:
-        make: Any = mujoco_physics.campaign if self.physics == "mujoco" else numpy_physics.campaign
-        hidden = {"disturbances": acting} if self.physics == "numpy" else {"hidden": acting}
-        return make(
-            self.plant, n=self.poses, seed=self.seed, noise_mm=0.0, repeatability_urad=REPEATABILITY_URAD,
-            approach="motion", **hidden,
+    def table(self, *hidden: Any) -> pd.DataFrame:
+        return mujoco_physics.campaign(
+            self.plant, hidden, self.poses, self.seed, noise_mm=0.0, repeatability_urad=REPEATABILITY_URAD,
+            approach="motion",
         )  # fmt: skip
 
     def drawn(self, word: str, rng: np.random.Generator) -> tuple[str, Any]:
         """An effect by its word, and its label."""
-        if self.physics == "mujoco":
-            found = mujoco_physics.draw_effect(self.plant, word, rng, poses=self.poses)
-            joint = found.joint
+        if word in FOREIGN:
+            effect = draw_foreign(word, int(rng.integers(1 << 30)), self.plant)
+            found, joint = acting(effect, self.plant), getattr(effect, "joint", None)
+        elif word in OWN:
+            given = {"joint": int(rng.integers(2, 7)), "seed": int(rng.integers(1 << 30))}
+            effect = OWN[word](**{f.name: given[f.name] for f in fields(OWN[word])})
+            found, joint = acting(effect, self.plant), getattr(effect, "joint", None)
         else:
-            kind = (OWN | FOREIGN | disturbances.LISTED | disturbances.UNLISTED)[word]
-            names = {f.name for f in fields(kind)}
-            joint = int(rng.integers(2, 7)) if "joint" in names else None
-            seed = int(rng.integers(1 << 30))
-            if word in FOREIGN:
-                found = draw_foreign(word, seed, self.plant)
-            elif word in OWN:
-                found = kind(**{k: v for k, v in (("joint", joint), ("seed", seed)) if k in names})
-            else:
-                found = draw_disturbance(word, seed, joint=joint)
-        joint = 2 if word == "gravity_compensator" else joint
+            found = mujoco_physics.draw_effect(self.plant, word, rng, poses=self.poses)
+            joint = 2 if word == "gravity_compensator" else found.joint
         return word if joint is None else f"{word}@{joint}", found

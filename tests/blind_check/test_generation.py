@@ -11,10 +11,11 @@ import pandas as pd
 import pytest
 from checks import ROOT, Here, N
 
+from casadical.blind_check import mujoco_physics, recording
 from casadical.blind_check.generation import UNSEEN, campaign_of, make, unabsorbed_rms
 from casadical.blind_check.own_robot import subject_of
 from casadical.blind_check.protocol import Manifest, read_key, read_manifest
-from casadical.blind_check.recording import MUJOCO, Simulator, draw_plans, in_shares
+from casadical.blind_check.recording import draw_plans, in_shares
 from casadical.core.basics import ConvergenceError, InputError
 from casadical.project.problem import read_campaign_robot
 
@@ -78,18 +79,19 @@ def test_columns_that_depend_on_others_absorb_no_more() -> None:
     assert unabsorbed_rms(twice, shift) == pytest.approx(expected)
 
 
-def test_a_session_without_rest_is_drawn_again() -> None:
+def test_a_session_without_rest_is_drawn_again(monkeypatch) -> None:
     seeds: list[int] = []
 
     def restless(plant, hidden, poses, seed, **options) -> pd.DataFrame:
         seeds.append(seed)
         if len(seeds) < 3:
             raise ConvergenceError("no rest")
-        return MUJOCO.campaign(plant, hidden, poses, seed, **options)
+        return mujoco_physics.campaign(plant, hidden, poses, seed, **options)
 
+    monkeypatch.setattr(recording, "campaign", restless)
     subject, _ = subject_of(read_campaign_robot(ROOT / "problems" / "planar"))
     plan = replace(draw_plans(4, 1, (["joint_scale"], ["encoder_pit"]), (20,))[0], kind="one", effects=("joint_scale",))
-    found = campaign_of(subject, plan, Simulator(MUJOCO.draw, restless))
+    found = campaign_of(subject, plan)
     assert len(set(seeds[:3])) == 3
     assert [h.effect for h in found.secret.hidden] == ["joint_scale"]
 

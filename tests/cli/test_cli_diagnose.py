@@ -4,11 +4,11 @@ import json
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 from command_line import main, run
-from numpy_physics import campaign
-from numpy_physics.disturbances_rare import SlippedMark
+from planted import campaign, misread
 
 from casadical import read_robot
 from casadical.blind_check.mujoco_physics import Plant, perturb
@@ -159,7 +159,9 @@ def stepped(tmp_path: Path) -> Path:
     """A campaign of a robot whose joint 2 is off by 250 urad beyond one reading."""
     drawing = json.loads((ROOT / "data" / "campaigns" / "robots" / "ur10e.json").read_text())
     plant = perturb(Plant.from_dict(drawing), 12)
-    table = campaign(plant, 60, 12, disturbances=[SlippedMark(2, 250e-6)], noise_mm=0.02, approach="motion")
+    # A reference mark is read twice: beyond the median of its readings joint 2 is off by a constant.
+    mark = misread(2, lambda stops: 250e-6 * (stops.q[:, 1] > np.median(stops.q[:, 1])))
+    table = campaign(plant, 60, 12, [mark], noise_mm=0.02, approach="motion")
     table.to_csv(tmp_path / "stepped.csv", index=False)
     return tmp_path / "stepped.csv"
 

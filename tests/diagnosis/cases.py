@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 from bench import robot
-from numpy_physics import Disturbance, campaign
+from planted import campaign
 
 import casadical
-from casadical.blind_check.mujoco_physics import perturb
+from casadical.blind_check.mujoco_physics import Hidden, perturb
+from casadical.blind_check.mujoco_physics.cause import Cause
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.linear_problem import Case, make_case
@@ -65,10 +66,10 @@ def case(name: str, *effects: str) -> Case:
 
 
 def simulated(
-    name: str, seed: int, *disturbances: Disturbance, n: int = 100, drop: tuple[str, ...] = (), noise_mm: float = 0.015
+    name: str, seed: int, *hidden: Hidden | Cause, n: int = 100, drop: tuple[str, ...] = (), noise_mm: float = 0.015
 ):
-    """A campaign of a serial robot from the simulator, as measurements; drop : columns that were not logged."""
-    table = campaign(perturb(plant(robot(name)), seed), n, seed, disturbances=disturbances, noise_mm=noise_mm)
+    """A campaign of a serial robot from the engine, as measurements; drop : columns that were not logged."""
+    table = campaign(perturb(plant(robot(name)), seed), n, seed, hidden, noise_mm=noise_mm)
     return from_table(table.drop(columns=[c for c in table if c.startswith(drop)] if drop else []), 6)
 
 

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cases import ANSWERS, PRACTICE, ROOT, diagnose, diagnosed, practice, robot, simulated
-from numpy_physics import disturbances
+from planted import planted
 
+from casadical.blind_check.mujoco_physics import Hidden
 from casadical.diagnosis.details import analyse
 from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.json_answer import as_json
@@ -72,10 +73,10 @@ def test_same_seed_same_answer() -> None:
 
 
 CAUSES = [
-    ("kr210", 11, disturbances.Backlash(2, 120e-6), {("backlash", 2)}),
-    ("ur10e", 12, disturbances.FrictionWindup(2, 90e-6), {("friction_windup", 2)}),
-    ("kr210", 13, disturbances.FrameDrift(120e-6, 40e-6), {("frame_drift", None)}),
-    ("ur10e", 14, disturbances.JointZeroStep(2, 150e-6), {("joint_zero_step", 2)}),
+    ("kr210", 11, planted("gear_eccentricity", 4, size=200e-6), {("gear_eccentricity", 4)}),
+    ("ur10e", 12, planted("friction_windup", 2, size=90e-6), {("friction_windup", 2)}),
+    ("kr210", 13, planted("frame_drift"), {("frame_drift", None)}),
+    ("ur10e", 14, planted("joint_zero_step", 2, size=150e-6), {("joint_zero_step", 2)}),
 ]
 
 
@@ -83,7 +84,7 @@ CAUSES = [
 @pytest.mark.parametrize(
     ("name", "seed", "cause", "expected"), CAUSES, ids=lambda v: getattr(v, "__class__", v).__name__
 )
-def test_simulated_cause_is_found(name: str, seed: int, cause: disturbances.Disturbance, expected: set) -> None:
+def test_simulated_cause_is_found(name: str, seed: int, cause: Hidden, expected: set) -> None:
     d = diagnose(robot(name), simulated(name, seed, cause), laws=True)
     assert d.verdict == "explained"
     assert named(d) == expected
@@ -95,7 +96,7 @@ def test_simulated_cause_is_found(name: str, seed: int, cause: disturbances.Dist
 def test_what_several_joints_do_is_one_cause() -> None:
     """Drives of one make stay wound up alike: no single joint explains it; those that do not are left out."""
     sizes = {1: 50, 2: 40, 4: 90, 5: 80}
-    wound = [disturbances.FrictionWindup(j, 1e-6 * size) for j, size in sizes.items()]
+    wound = [planted("friction_windup", j, size=1e-6 * size) for j, size in sizes.items()]
     d = diagnose(robot("ur10e"), simulated("ur10e", 15, *wound))
     assert (d.verdict, named(d)) == ("explained", {("friction_windup", None)})
     assert {e.joint for e in d.effects()} == {*sizes}
@@ -104,7 +105,7 @@ def test_what_several_joints_do_is_one_cause() -> None:
     assert "explained: friction_windup (joints 1, 2, 4 and 5); " in page_of(d)
     assert set(d.causes[0].estimates) == {f"{name}@{j}" for name in ("constant", "load") for j in sizes}
     # Beside something on no list: what is left is not described by one of these joints again.
-    d = diagnose(robot("ur10e"), simulated("ur10e", 15, *wound, disturbances.HoseDrag(400e-6)))
+    d = diagnose(robot("ur10e"), simulated("ur10e", 15, *wound, planted("hose_pull", size=400e-6)))
     left = describe_unlisted(d)
     assert (d.verdict, named(d), left.labels[0]) == ("unknown", {("friction_windup", None)}, "hose_drag")
     assert not {f"friction_windup@{j}" for j in sizes} & {*left.beside.order}
@@ -121,7 +122,7 @@ def test_nothing_is_claimed_where_there_is_nothing(name: str, seed: int) -> None
 
 @pytest.mark.slow
 def test_hose_is_unknown_to_the_standard_list_and_found_by_the_extended_one() -> None:
-    m = simulated("ur10e", 31, disturbances.HoseDrag(500e-6))
+    m = simulated("ur10e", 31, planted("hose_pull", size=500e-6))
     d = diagnose(robot("ur10e"), m)
     assert (d.verdict, d.causes, d.cause_set) == ("unknown", (), None)
     assert not {c.label: c for c in d.case.candidates}[d.rankings[0].order[0]].listed
@@ -136,7 +137,7 @@ def test_hose_is_unknown_to_the_standard_list_and_found_by_the_extended_one() ->
 
 @pytest.mark.slow
 def test_loose_flange_is_unknown_to_the_standard_list_and_found_by_the_extended_one() -> None:
-    m = simulated("ur10e", 32, disturbances.LooseFlange(250e-6))
+    m = simulated("ur10e", 32, planted("loose_flange", size=250e-6))
     d = diagnose(robot("ur10e"), m)
     assert (d.verdict, d.causes) == ("unknown", ())
     assert "most like bearing_play@6" in " ".join(page_of(d).split())
@@ -182,7 +183,7 @@ def test_outliers_along_one_joint_are_no_single_points() -> None:
 
 @pytest.mark.slow
 def test_missing_columns_are_reported_and_never_fatal() -> None:
-    drift = disturbances.FrameDrift(120e-6, 40e-6)
+    drift = planted("frame_drift")
     d = diagnose(robot("kr210"), simulated("kr210", 13, drift, drop=("temp", "time")))
     assert {"thermal_growth", *(f"thermal_zero_drift@{j}" for j in range(1, 7))} == set(d.missing)
     assert all(c.startswith("warmth") for c in d.missing["thermal_growth"])
@@ -195,7 +196,7 @@ def test_missing_columns_are_reported_and_never_fatal() -> None:
 
 @pytest.mark.slow
 def test_a_wrong_payload_is_found_though_it_was_not_logged() -> None:
-    wrong = disturbances.PayloadError(size=0.1, shift_m=(0.04, 0.0, 0.02))
+    wrong = planted("payload_error", size=0.1, shift_m=(0.04, 0.0, 0.02))
     m = simulated("ur10e", 14, wrong)
     always = {k: v for k, v in m.conditions.items() if k != "payload_kg"}
     mounted = m.conditions["payload_kg"] > 0

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cases import ROOT, case, diagnose, practice, robot, simulated
-from numpy_physics import disturbances
+from planted import planted
 
 from casadical import InputError
 from casadical.compensator import LevenbergMarquardt
@@ -30,7 +30,7 @@ NOTHING = np.zeros(0, dtype=np.int64)
 @pytest.fixture(scope="module")
 def half() -> tuple[Diagnosis, Measurements]:
     """A diagnosis of 100 poses of a robot with friction in joint 2, and 60 poses that it never saw."""
-    m = simulated("ur10e", 12, disturbances.FrictionWindup(2, 90e-6), n=160)
+    m = simulated("ur10e", 12, planted("friction_windup", 2, size=90e-6), n=160)
     m, _ = derive(m, [f"approach{i}" for i in range(1, 7)])
     return diagnose(robot("ur10e"), m[:100], FEW), m[100:]
 
@@ -119,7 +119,7 @@ def test_one_function_takes_robot_or_identification(half: tuple[Diagnosis, Measu
 
 @pytest.mark.slow
 def test_full_poses_are_diagnosed() -> None:
-    m = simulated("ur10e", 12, disturbances.FrictionWindup(2, 90e-6))
+    m = simulated("ur10e", 12, planted("friction_windup", 2, size=90e-6))
     pose = replace(m, kind="pose", orientation=predicted(robot("ur10e"), m)[1], sigma_angle=1e-3, sigma=2e-5)
     d = diagnose(robot("ur10e"), pose, FEW)
     assert [c.label for c in d.causes] == ["friction_windup@2"]
@@ -148,7 +148,7 @@ def test_coarse_instrument_is_diagnosed_on_a_wider_grid() -> None:
 
 @pytest.mark.slow
 def test_cause_is_found_with_a_coarse_instrument() -> None:
-    d = diagnose(robot("ur10e"), rougher(simulated("ur10e", 12, disturbances.FrictionWindup(2, 3e-3)), 6e-4), FEW)
+    d = diagnose(robot("ur10e"), rougher(simulated("ur10e", 12, planted("friction_windup", 2, size=3e-3)), 6e-4), FEW)
     assert [c.label for c in d.causes] == ["friction_windup@2"]
     np.testing.assert_allclose(scatter(d), 6e-4, rtol=0.1)
 
@@ -185,7 +185,7 @@ def test_noise_of_repeated_poses() -> None:
 
 @pytest.mark.slow
 def test_floor_is_that_of_repeated_poses() -> None:
-    m = simulated("ur10e", 12, disturbances.FrictionWindup(2, 90e-6))
+    m = simulated("ur10e", 12, planted("friction_windup", 2, size=90e-6))
     once = diagnose(robot("ur10e"), repeated(m, 3, 5e-6), ["joint_scale@5"])
     assert once.replicates.enough
     assert once.gap.floor < 0.5 * diagnose(robot("ur10e"), m, ["joint_scale@5"]).gap.floor

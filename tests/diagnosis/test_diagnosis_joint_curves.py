@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cases import case, diagnose, planar, plant, robot, simulated, small_problem
-from numpy_physics import campaign, disturbances
+from planted import campaign, planted
 from scipy.stats import multivariate_normal
 
 from casadical import InputError
@@ -123,7 +123,7 @@ def test_a_robot_without_curves_has_none() -> None:
 
 @pytest.mark.slow
 def test_one_ripple_is_no_curve_of_all_joints() -> None:
-    m = simulated("ur10e", 24, disturbances.TransmissionRipple(2, 80e-6, 7), n=100)
+    m = simulated("ur10e", 24, planted("transmission_ripple", 2, size=80e-6, cycles=7), n=100)
     d = diagnose(robot("ur10e"), m)
     assert d.causes[0].label == "transmission_ripple@2"
     assert d.rankings[0].log_factor["joint_error_curve"] < d.rankings[0].log_factor["transmission_ripple@2"] - 10

@@ -9,14 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cases import case, following_noise, plant, robot
-from numpy_physics import campaign
-from numpy_physics.disturbance import Disturbance
-from numpy_physics.disturbances_drive import GearEccentricity
-from numpy_physics.disturbances_rare import CableStop
+from planted import campaign, misread, planted
 from scipy.integrate import solve_ivp
 
 from casadical import Discovery, diagnose, discover
 from casadical.blind_check.mujoco_physics import perturb
+from casadical.blind_check.mujoco_physics.stops import Stops
 from casadical.core.basics import Array, InputError
 from casadical.core.telling.blocks import Words
 from casadical.core.telling.result import plain_text
@@ -65,20 +63,35 @@ from casadical.robot.robot_file import read_robot
 
 NAME = "kr210"
 NONE = np.zeros(0, dtype=np.int64)
-STOP = CableStop(3, -360e-6, share=0.9)
+STOP_RAD = -360e-6
+STOP_SHARE = 0.7  # of the poses, in which the cable is slack
 
 
-def table(seed: int, *disturbances: Disturbance, poses: int = 80):
+def cable_stop(stops: Stops) -> Array:
+    """Error of joint 3, shape (n,) [rad]: a cable becomes taut beyond an angle of joint 4 and pulls from there on."""
+    q = stops.q[:, 3]
+    return 2 * STOP_RAD * np.maximum(0.0, q - np.quantile(q, STOP_SHARE)) / np.ptp(q)
+
+
+HIDDEN = {
+    "stop": (misread(3, cable_stop),),
+    "eccentric": (planted("gear_eccentricity", 2, size=90e-6),),
+    "two eccentric": (planted("gear_eccentricity", 2, size=160e-6), planted("gear_eccentricity", 4, size=250e-6)),
+    "nothing": (),
+}
+
+
+def table(seed: int, hidden: str = "nothing", poses: int = 80):
     p = perturb(plant(robot(NAME)), seed)
-    return campaign(p, poses, seed, disturbances=disturbances, noise_mm=0.02, approach="motion")
+    return campaign(p, poses, seed, HIDDEN[hidden], noise_mm=0.02, approach="motion")
 
 
 laws_alone = cache(lambda c: search_laws(c, NONE))
 
 
 @cache
-def discovered(seed: int, *disturbances: Disturbance) -> Discovery:
-    return discover(robot(NAME), from_table(table(seed, *disturbances), 6))
+def discovered(seed: int, hidden: str = "nothing") -> Discovery:
+    return discover(robot(NAME), from_table(table(seed, hidden), 6))
 
 
 @pytest.mark.parametrize(
@@ -371,13 +384,13 @@ def test_the_columns_of_a_law_are_those_of_its_effect() -> None:
 
 
 def test_a_cable_that_stops_a_joint_is_found() -> None:
-    found = discovered(5, STOP)
+    found = discovered(5, "stop")
     (s,) = found.laws
     assert (s.law.place, s.tried.driver.text, s.tried.form.name) == ("joint 3", "q4", "hinge")
     q4 = found.case.m.q[:, 3]
-    where = np.quantile(q4, 0.25 + 0.5 * STOP.share)
+    where = np.quantile(q4, STOP_SHARE)
     assert s.settings[0] == pytest.approx(where, abs=3 * s.errors[0])
-    (value, error, unit), slope = found.values[f"{s.law.label}.a"], 2 * STOP.size / np.ptp(q4)
+    (value, error, unit), slope = found.values[f"{s.law.label}.a"], 2 * STOP_RAD / np.ptp(q4)
     assert unit == "rad"
     assert value == pytest.approx(slope, abs=4 * error + 0.2 * abs(slope))
     assert found.gap["law"] < min(found.gap["base"], found.gap.get("smooth", 1.0))
@@ -442,7 +455,7 @@ def test_several_tables_have_no_head_of_one_instrument() -> None:
 
 @pytest.mark.slow
 def test_what_predicts_best_goes_into_the_robot() -> None:
-    found = discovered(5, STOP)
+    found = discovered(5, "stop")
     m = found.case.m
     left = [np.linalg.norm(m.position - predicted(r, m)[0], axis=1).mean() for r in (found.apply(), found.case.robot)]
     assert left[0] < 0.75 * left[1]
@@ -459,7 +472,7 @@ def test_what_touches_the_robot_has_no_beam() -> None:
 
 @pytest.mark.slow
 def test_a_law_that_is_a_listed_effect_by_another_name_is_said_as_such() -> None:
-    case = discovered(7, GearEccentricity(2, 90e-6)).diagnosis.case
+    case = discovered(7, "eccentric").diagnosis.case
     ranking, first = rank(case, NONE), search_laws(case, NONE)[0]
     assert ranking.order[0] == "gear_eccentricity@2"
     assert "gear_eccentricity@2" in aliases(case, NONE, first, ranking.variant)
@@ -560,7 +573,7 @@ def test_noise_that_follows_itself_has_rivals_of_its_own() -> None:
 
 
 def test_noise_is_a_rival_of_every_law() -> None:
-    (first, *_) = discovered(5, STOP).rounds
+    (first, *_) = discovered(5, "stop").rounds
     assert first.claimed
     assert first.noise[0] in ("noise that follows itself", "noise with heavy tails", "scatter of joint 3")
     assert not replace(first, noise=("noise that follows itself", first.best.score)).claimed
@@ -568,7 +581,7 @@ def test_noise_is_a_rival_of_every_law() -> None:
 
 @pytest.mark.slow
 def test_laws_of_a_large_campaign_are_searched_on_some_of_its_poses() -> None:
-    found = laws_beside(replace(discovered(5, STOP).diagnosis, law=None), poses=36)
+    found = laws_beside(replace(discovered(5, "stop").diagnosis, law=None), poses=36)
     assert found.thinned == (36, 80)
     assert found.case.kept.sum() == 36
     assert [s.law.place for s in found.laws] == ["joint 3"]
@@ -580,7 +593,7 @@ def test_laws_of_a_large_campaign_are_searched_on_some_of_its_poses() -> None:
 
 
 def test_a_diagnosis_that_is_unknown_says_the_law() -> None:
-    found = discovered(5, STOP)
+    found = discovered(5, "stop")
     assert found.diagnosis.verdict == "unknown"
     more = Details(laws=found)
     assert "LAW      joint 3 += " in diagnosis_page(found.diagnosis, more)
@@ -594,7 +607,7 @@ def test_a_diagnosis_that_is_unknown_says_the_law() -> None:
 
 @pytest.mark.slow
 def test_laws_are_searched_beside_a_curve_alone_unless_they_are_declined() -> None:
-    found = diagnose(robot(NAME), from_table(table(5, STOP), 6), ["joint_error_curve"])
+    found = diagnose(robot(NAME), from_table(table(5, "stop"), 6), ["joint_error_curve"])
     assert found.verdict == "unknown"
     assert laws_beside(found).laws
     assert analyse(found, laws=False).laws is None
@@ -602,13 +615,13 @@ def test_laws_are_searched_beside_a_curve_alone_unless_they_are_declined() -> No
 
 @pytest.mark.slow
 def test_a_cause_that_a_law_explains_better_is_not_named() -> None:
-    alone = diagnose(robot(NAME), from_table(table(5, STOP), 6), laws=False)
-    held = discovered(5, STOP).diagnosis
+    alone = diagnose(robot(NAME), from_table(table(5, "stop"), 6), laws=False)
+    held = discovered(5, "stop").diagnosis
     assert [c.label for c in alone.causes] == ["joint_coupling@3"]
     assert (held.verdict, held.causes) == ("unknown", ())
     assert held.law is not None
     assert held.law.best.law.place == "joint 3"
-    right = discovered(7, GearEccentricity(2, 90e-6)).diagnosis
+    right = discovered(7, "eccentric").diagnosis
     assert right.law is None  # none is claimed
     assert [c.label for c in right.causes] == ["gear_eccentricity@2"]
 
@@ -616,7 +629,7 @@ def test_a_cause_that_a_law_explains_better_is_not_named() -> None:
 @pytest.mark.slow
 def test_a_law_takes_the_place_of_causes_only_where_it_predicts_better() -> None:
     """A right flexure was replaced by a law of more evidence that was worse on poses held out."""
-    right = discovered(7, GearEccentricity(2, 90e-6)).diagnosis
+    right = discovered(7, "eccentric").diagnosis
     law = contest.laws_before_causes(right)
     sure = replace(law.best, score=1e6)
     claimed = replace(law, laws=(sure,), listed=("", 0.0), smooth=("", 0.0), noise=("", 0.0), alias=())
@@ -631,7 +644,7 @@ def test_a_law_takes_the_place_of_causes_only_where_it_predicts_better() -> None
 
 @pytest.mark.slow
 def test_a_law_and_causes_under_two_noises_are_compared_over_the_same() -> None:
-    right = discovered(7, GearEccentricity(2, 160e-6), GearEccentricity(4, 250e-6)).diagnosis
+    right = discovered(7, "two eccentric").diagnosis
     assert len(right.causes) == 2
     case, none = contest.thinned(right.case, 600), ("", -1e9)
     bare = replace(right, causes=tuple(replace(c, effects=()) for c in right.causes))  # held-out errors are not asked
@@ -656,7 +669,7 @@ def test_a_law_and_causes_under_two_noises_are_compared_over_the_same() -> None:
 
 
 def test_noise_alone_is_that_beside_the_best_model_that_is_told() -> None:
-    found = discovered(5, STOP)
+    found = discovered(5, "stop")
     more = Details(laws=found, floor=0.5 * found.diagnosis.gap.floor)
     words = diagnosis_page(found.diagnosis, more)
     assert f"noise floor {500 * found.diagnosis.gap.floor:.3f}" in words
@@ -689,7 +702,7 @@ def test_a_line_a_person_can_read() -> None:
 
 
 def test_the_files_are_read_again(tmp_path: Path) -> None:
-    found = discovered(5, STOP)
+    found = discovered(5, "stop")
     for path, text in found.files(tmp_path, "stop").items():
         path.write_text(text)
     whole, alone = read_robot(tmp_path / "discovered.robot.toml"), read_effects(tmp_path / "law.effect.toml")

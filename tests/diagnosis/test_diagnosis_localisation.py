@@ -6,8 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from cases import case, diagnosed, robot, simulated
-from numpy_physics import Disturbance, disturbances
+from planted import planted
 
+from casadical.blind_check.mujoco_physics import Hidden
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.linear_problem import Case, make_case
@@ -28,7 +29,7 @@ NOISE = Noise(15e-6, 6e-6)
 NONE = np.zeros(0, dtype=np.int64)
 
 
-def planted(name: str, seed: int, *causes: Disturbance) -> Localisation:
+def localised(name: str, seed: int, *causes: Hidden) -> Localisation:
     r = robot(name)
     found = identify(r, simulated(name, seed, *causes), loss="huber", priors=True, screen=False)
     return localise_residual(make_case(found, candidates_of(r, ["joint_scale"])), NOISE, NONE)
@@ -39,17 +40,17 @@ def share(table: pd.DataFrame, part: str) -> float:
 
 
 PLACES = [
-    ("kr210", 11, disturbances.Backlash(2, 120e-6), "joint 2"),
-    ("ur10e", 12, disturbances.FrictionWindup(2, 90e-6), "joint 2"),
-    ("ur10e", 14, disturbances.JointZeroStep(3, 150e-6), "joint 3"),
-    ("ur10e", 3, disturbances.TransmissionRipple(3, size=80e-6, cycles=7), "joint 3"),
-    ("kr210", 13, disturbances.FrameDrift(120e-6, 40e-6), "base"),
+    ("kr210", 11, planted("gear_eccentricity", 4, size=200e-6), "joint 4"),
+    ("ur10e", 12, planted("friction_windup", 2, size=90e-6), "joint 2"),
+    ("ur10e", 14, planted("joint_zero_step", 3, size=150e-6), "joint 3"),
+    ("ur10e", 3, planted("transmission_ripple", 3, size=80e-6, cycles=7), "joint 3"),
+    ("kr210", 13, planted("frame_drift"), "base"),
 ]
 
 
 @pytest.mark.parametrize(("name", "seed", "cause", "place"), PLACES, ids=lambda v: getattr(v, "__class__", v).__name__)
-def test_gap_is_found_where_it_was_planted(name: str, seed: int, cause: Disturbance, place: str) -> None:
-    w = planted(name, seed, cause)
+def test_gap_is_found_where_it_was_planted(name: str, seed: int, cause: Hidden, place: str) -> None:
+    w = localised(name, seed, cause)
     table = w.joints if place.startswith("joint") else w.links
     assert share(table, place) > 0.7
     assert table["part"][table["share"].argmax()] == place
@@ -62,16 +63,16 @@ def test_gap_is_found_where_it_was_planted(name: str, seed: int, cause: Disturba
 def test_which_way_axes_point_changes_nothing(monkeypatch) -> None:
     """The signs of eigenvectors are a processor's choice: what is drawn by chance along them must not follow it."""
     name, seed, cause, _ = PLACES[0]
-    before, eigh = planted(name, seed, cause), np.linalg.eigh
+    before, eigh = localised(name, seed, cause), np.linalg.eigh
     monkeypatch.setattr(np.linalg, "eigh", lambda M: (eigh(M)[0], -eigh(M)[1]))
-    after = planted(name, seed, cause)
+    after = localised(name, seed, cause)
     for one, other in ((before.joints, after.joints), (before.links, after.links)):
         pd.testing.assert_frame_equal(one, other, rtol=1e-6)
 
 
 def test_what_causes_explain_goes_to_their_joints_and_no_further() -> None:
     """Error curves of all joints hid in base and links before, as 28 % of the base on a real UR10."""
-    ripples = [disturbances.TransmissionRipple(j, size=120e-6, cycles=c) for j, c in ((2, 9), (3, 17), (2, 4), (3, 6))]
+    ripples = [planted("transmission_ripple", j, size=120e-6, cycles=c) for j, c in ((2, 9), (3, 17), (2, 4), (3, 6))]
     found = diagnose(robot("ur10e"), simulated("ur10e", 3, *ripples), ["joint_error_curve"], laws=False)
     assert [c.label for c in found.causes] == ["joint_error_curve"]
     where = localise(found)

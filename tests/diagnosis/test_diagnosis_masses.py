@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cases import diagnose, robot, simulated
-from numpy_physics import disturbances
+from planted import planted
 
 from casadical.core.basics import InputError
 from casadical.core.parts import Body, BodyWidth, Joint
@@ -42,7 +42,7 @@ def test_wrong_masses_are_named_as_such_and_a_cause_beside_them_is_found() -> No
     assert (d.verdict, [c.label for c in d.causes]) == ("explained", ["link_masses"])
     assert d.causes[0].estimates == {}
     assert d.effects()[0].summary[0] == ("one sigma of each mass", "20, 20, 20, 20, 20, 20", "%")
-    beside = diagnose(declared, simulated("kr210", 21, disturbances.GearEccentricity(4, 200e-6), n=70))
+    beside = diagnose(declared, simulated("kr210", 21, planted("gear_eccentricity", 4, size=200e-6), n=70))
     assert {c.label for c in beside.causes} == {"link_masses", "gear_eccentricity@4"}
     # Refitted, masses come nearer to the true ones where gravity shows them.
     refit = d.refit()

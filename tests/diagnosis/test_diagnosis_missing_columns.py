@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 from cases import diagnose, robot, simulated
-from numpy_physics import disturbances
+from planted import planted
 
 from casadical.diagnosis.candidates import choose, standard_candidates
 from casadical.diagnosis.json_answer import as_json
@@ -14,7 +14,7 @@ from casadical.effects import BacklashByLoad
 
 def test_backlash_is_in_question_without_the_approaches_and_they_are_said_to_be_taken_from_the_order() -> None:
     """Play that friction holds needs the approach, which is not that from the order here."""
-    m = simulated("kr210", 5, disturbances.Backlash(2, 60e-6), n=80, drop=("approach",))
+    m = simulated("kr210", 5, planted("backlash", 2, size=60e-6), n=80, drop=("approach",))
     d = diagnose(robot("kr210"), m)
     (cause,) = d.causes
     assert "backlash@2" in (cause.label, *cause.indistinguishable)
@@ -35,7 +35,7 @@ def test_what_stands_for_a_missing_column_is_no_candidate_where_it_was_logged() 
 
 @pytest.mark.slow
 def test_a_robot_that_warms_up_unmeasured_gets_no_cause_that_follows_something_else() -> None:
-    hidden = disturbances.ThermalGrowth(25e-6)
+    hidden = planted("thermal_growth", size=25e-6)
     d = diagnose(robot("kr210"), simulated("kr210", 8, hidden, n=80, drop=("temperature",)))
     assert d.verdict != "explained"
     assert d.causes == ()

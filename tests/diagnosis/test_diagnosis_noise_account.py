@@ -1,14 +1,13 @@
 """What is taken as noise: beside what is declared and repeated, and where it is structure instead."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from cases import diagnose, following_noise, practice, robot, simulated
-from numpy_physics import Disturbance
+from planted import misread
 from scipy import stats
 
-from casadical.core.basics import Array
 from casadical.diagnosis import page_of
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.laws.discovery import laws_beside
@@ -48,16 +47,6 @@ def found(m: Measurements, declared: float | None = None, name: str = "kr210") -
 
 def words(d: Diagnosis) -> str:
     return " ".join(page_of(d).split())
-
-
-@dataclass(frozen=True)
-class Bevels(Disturbance):
-    """An error of joint 5 that follows the sum of two angles, and neither of them."""
-
-    def misread(self, stops) -> Array:
-        error = np.zeros_like(stops.q)
-        error[:, 4] = 3e-5 * np.sin(stops.q[:, 3] + stops.q[:, 4] + 0.4)
-        return error
 
 
 def test_structure_without_a_form_is_no_noise_where_the_noise_is_declared() -> None:
@@ -107,7 +96,9 @@ def test_a_data_sheet_is_an_upper_end_and_may_be_wrong(times: float, rule: Rule,
 
 
 def test_what_follows_the_sum_of_two_angles_is_structure() -> None:
-    m = with_noise(simulated("hh800", 3, Bevels(), n=100, noise_mm=0.0))
+    # An error of joint 5 that follows the sum of two angles, and neither of them.
+    bevels = misread(5, lambda stops: 3e-5 * np.sin(stops.q[:, 3] + stops.q[:, 4] + 0.4))
+    m = with_noise(simulated("hh800", 3, bevels, n=100, noise_mm=0.0))
     d = diagnose(robot("hh800"), m, ["backlash"])
     assert d.verdict == "unknown"
     assert (d.account.structures[0].over, d.account.structures[0].along) == ("q4 + q5", "joint 5")

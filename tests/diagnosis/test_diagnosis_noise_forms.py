@@ -1,16 +1,16 @@
 """Noise that follows itself, has heavy tails, or comes from one joint: evidence by brute force, and campaigns."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from cases import case, diagnose, robot, simulated
-from numpy_physics import Disturbance, disturbances
+from planted import misread, planted
 from scipy import stats
 from scipy.signal import lfilter
 
-from casadical.blind_check.mujoco_physics.stops import Stops, only
+from casadical.blind_check.mujoco_physics.cause import Cause
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.model import Memory
 from casadical.diagnosis.evidence import RHOS, SIGMAS, Evidence, KnownNoise
@@ -114,20 +114,14 @@ def test_sums_in_parts_are_those_of_all_poses() -> None:
         assert parts.left(f, 1) == pytest.approx(whole.left(f, 1), abs=1e-12)
 
 
-@dataclass(frozen=True)
-class Scatter(Disturbance):
-    """One joint repeats worse than the others, by `size` [rad]."""
-
-    joint: int
-    size: float
-
-    def misread(self, stops: Stops) -> Array:
-        return only(self.joint, self.size * np.random.default_rng(0).standard_normal(len(stops)))
+def scatter(joint: int, size_rad: float) -> Cause:
+    """Return one joint that repeats worse than the others."""
+    return misread(joint, lambda stops: size_rad * np.random.default_rng(0).standard_normal(len(stops)))
 
 
 @pytest.mark.slow
 def test_a_joint_that_scatters_is_no_cause() -> None:
-    d = diagnose(robot("ur10e"), simulated("ur10e", 4, Scatter(2, 80e-6), n=60))
+    d = diagnose(robot("ur10e"), simulated("ur10e", 4, scatter(2, 80e-6), n=60))
     assert (d.verdict, d.causes) == ("unknown", ())
     assert d.rankings[0].order[0] == "scatter of joint 2"
     assert "most like scatter of joint 2" in " ".join(page_of(d).split())
@@ -139,8 +133,8 @@ def test_a_joint_that_scatters_is_no_cause() -> None:
 @pytest.mark.parametrize("size", [250e-6, 600e-6], ids=["smaller than the scatter", "larger"])
 def test_beside_a_cause_a_joint_that_scatters_is_on_no_list(size: float) -> None:
     """The smaller cause is seen only with the scatter in the noise; else the scatter leads and ends the search."""
-    hidden = disturbances.GearEccentricity(4, size)
-    d = diagnose(robot("ur10e"), simulated("ur10e", 4, hidden, Scatter(2, 60e-6), n=60))
+    hidden = planted("gear_eccentricity", 4, size=size)
+    d = diagnose(robot("ur10e"), simulated("ur10e", 4, hidden, scatter(2, 60e-6), n=60))
     assert (d.verdict, [c.label for c in d.causes]) == ("unknown", ["gear_eccentricity@4"])
     assert d.rankings[-1].order[0] == "scatter of joint 2"
     assert "most like scatter of joint 2" in " ".join(page_of(d).split())
@@ -148,7 +142,7 @@ def test_beside_a_cause_a_joint_that_scatters_is_on_no_list(size: float) -> None
 
 
 def test_a_joint_scatters_in_a_ranking_where_its_scatter_leads_and_something_is_there() -> None:
-    d = diagnose(robot("ur10e"), simulated("ur10e", 4, Scatter(2, 80e-6), n=60), ["backlash"])
+    d = diagnose(robot("ur10e"), simulated("ur10e", 4, scatter(2, 80e-6), n=60), ["backlash"])
     assert scattering(d.case, d.rankings[0]) == 2
     assert scattering(d.case, replace(d.rankings[0], none=0.5)) is None
 
@@ -166,7 +160,7 @@ def test_noise_that_follows_itself_is_judged_again_without_the_last_pose() -> No
 
 @pytest.mark.slow
 def test_beside_a_cause_noise_that_follows_itself_is_no_further_one() -> None:
-    m = simulated("ur10e", 5, disturbances.GearEccentricity(4, 150e-6), n=60, noise_mm=0.002)
+    m = simulated("ur10e", 5, planted("gear_eccentricity", 4, size=150e-6), n=60, noise_mm=0.002)
     white = np.random.default_rng(2).standard_normal((90, 3))
     noise = 2e-5 * lfilter([np.sqrt(1 - 0.8**2)], [1, -0.8], white, axis=0)[30:]
     assert m.position is not None

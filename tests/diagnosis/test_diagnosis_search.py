@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cases import case, diagnose, robot, simulated
-from numpy_physics import disturbances
+from planted import planted
 
 from casadical.core.basics import silent
 from casadical.diagnosis import search
@@ -37,7 +37,8 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.mark.slow
 def test_two_are_found_though_their_mixture_looks_like_the_unknown() -> None:
-    hidden = disturbances.JointZeroStep(3, 120e-6), disturbances.FrameDrift(150e-6, 60e-6)
+    drift = planted("frame_drift", shift_m=(90e-6, -96e-6, 72e-6), turn_rad=(29e-6, 36e-6, 38e-6))
+    hidden = planted("joint_zero_step", 3, size=120e-6, at_s=900), drift
     d = diagnose(robot("kr210"), simulated("kr210", 42, *hidden, n=60))
     assert d.rankings[0].order[0] == "smooth in time"  # no single cause explains
     assert d.verdict == "explained"
@@ -49,9 +50,9 @@ def test_two_are_found_though_their_mixture_looks_like_the_unknown() -> None:
 def test_three_that_hide_each_other_are_found_together_with_their_probabilities() -> None:
     """Beside the first, the other two have half of the probability each."""
     hidden = (
-        disturbances.GearEccentricity(5, 150e-6),
-        disturbances.FrictionWindup(2, 90e-6),
-        disturbances.JointScale(3, 150e-6),
+        planted("gear_eccentricity", 5, size=150e-6),
+        planted("friction_windup", 2, size=90e-6),
+        planted("joint_scale", 3, size=150e-6),
     )
     d = diagnose(robot("kr210"), simulated("kr210", 71, *hidden, n=70))
     assert d.verdict == "explained"
@@ -83,7 +84,7 @@ def test_the_sets_that_remain_are_those_that_differ_by_one_cause() -> None:
 
 @cache
 def eccentric() -> Diagnosis:
-    return diagnose(robot("ur10e"), simulated("ur10e", 12, disturbances.GearEccentricity(4, 150e-6), n=60))
+    return diagnose(robot("ur10e"), simulated("ur10e", 12, planted("gear_eccentricity", 4, size=150e-6), n=60))
 
 
 @pytest.mark.parametrize(("odds", "verdict"), [(3.0, "ambiguous"), (0.3, "explained")])
@@ -123,7 +124,7 @@ def test_what_no_joint_shows_beside_the_others_ends_the_search(monkeypatch: pyte
 @pytest.mark.slow
 def test_the_search_goes_on_where_the_last_name_of_a_set_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first of the set's names is in the model then, and the other step is found beside it."""
-    steps = (disturbances.JointZeroStep(2, 1.5e-4, 0.3), disturbances.JointZeroStep(3, 1.5e-4, 0.7))
+    steps = [planted("joint_zero_step", joint, size=1.5e-4, at_s=at) for joint, at in ((2, 720.0), (3, 1680.0))]
     r = robot("ur10e")
     found = identify(r, simulated("ur10e", 5, *steps, n=80), loss="huber", priors=True)
     both = make_case(found, candidates_of(r, ["joint_zero_step", "backlash"]))
@@ -244,7 +245,7 @@ def test_a_jump_of_the_last_poses_among_noise_with_heavy_tails_is_no_cause() -> 
     assert (d.verdict, d.causes) == ("unknown", ())
 
 
-TWO = (disturbances.FrictionWindup(2, 150e-6), disturbances.GearEccentricity(1, 120e-6, 0.7))
+TWO = (planted("friction_windup", 2, size=150e-6), planted("gear_eccentricity", 1, size=120e-6, towards=0.7))
 LABELS = ["friction_windup@2", "gear_eccentricity@1", "backlash@3", "frame_drift"]
 
 

@@ -8,10 +8,8 @@ import casadi as ca
 import numpy as np
 import pytest
 from cases import case, robot, simulated
-from numpy_physics import Disturbance, disturbances
+from planted import misread, planted
 
-from casadical.blind_check.mujoco_physics.stops import Stops, only
-from casadical.core.basics import Array
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.linear_problem import Case, make_case
@@ -50,7 +48,7 @@ def test_refining_never_lowers_the_evidence(label: str) -> None:
 
 
 def test_a_frequency_between_the_grids_is_found() -> None:
-    m = simulated("ur10e", 3, disturbances.TransmissionRipple(2, size=80e-6, cycles=7))
+    m = simulated("ur10e", 3, planted("transmission_ripple", 2, size=80e-6, cycles=7))
     r = robot("ur10e")
     start = make_case(identify(r, m, priors=True), candidates_of(r, ["transmission_ripple@2"]))
     _, (found,) = refined(start, "transmission_ripple@2", (TransmissionRipple(2, 7.5),), NOTHING, Noise(2e-5, 0.0))
@@ -58,7 +56,7 @@ def test_a_frequency_between_the_grids_is_found() -> None:
 
 
 def test_a_step_stands_midway_between_the_poses_that_it_is_seen_between() -> None:
-    r, m = robot("ur10e"), simulated("ur10e", 14, disturbances.JointZeroStep(3, 150e-6))
+    r, m = robot("ur10e"), simulated("ur10e", 14, planted("joint_zero_step", 3, size=150e-6))
     start = make_case(identify(r, m, priors=True), candidates_of(r, ["joint_zero_step@3"]))
     ranking = rank(start, NOTHING)
     variant = start.candidates[0].variants[ranking.variant["joint_zero_step@3"]]
@@ -87,7 +85,7 @@ class Kink(Effect):
 
 
 def test_a_setting_of_another_meaning_is_moved_to_no_pose() -> None:
-    r, m = robot("ur10e"), simulated("ur10e", 14, disturbances.JointZeroStep(3, 150e-6))
+    r, m = robot("ur10e"), simulated("ur10e", 14, planted("joint_zero_step", 3, size=150e-6))
     start = make_case(identify(r, m, priors=True), candidates_of(r, [Kink(2)]))
     found, (kink,) = refined(start, "kink@2", (Kink(2),), NOTHING, Noise(2e-5, 0.0))
     progress = np.unique(start.m.conditions["progress"])
@@ -101,7 +99,8 @@ def test_a_phase_that_runs_with_the_load_is_no_broken_number_of_cycles(run: floa
     r, m = robot("ur10e"), simulated("ur10e", 5)
     w = m.condition_matrix(r.conditions, r.declared)
     torque = r.model.function("torque", ("tau",)).map(len(m))(m.q.T, w.T, r.parameters.values).full()[2]
-    ripple = LoadedRipple(3, tuple(run * torque / r.torque_scale[2]))
+    phase = run * torque / r.torque_scale[2]
+    ripple = misread(3, lambda stops: 90e-6 * np.sin(13 * stops.q[:, 2] + phase))
     start = make_case(
         identify(r, simulated("ur10e", 5, ripple), priors=True), candidates_of(r, ["transmission_ripple@3"])
     )
@@ -110,17 +109,6 @@ def test_a_phase_that_runs_with_the_load_is_no_broken_number_of_cycles(run: floa
     _, (found,) = refined(start, "transmission_ripple@3", variant, NOTHING, ranking.noise["transmission_ripple@3"])
     assert found.cycles == cycles
     assert found.load == pytest.approx(run, abs=0.5 if run else 0.0)
-
-
-@dataclass(frozen=True)
-class LoadedRipple(Disturbance):
-    """13 cycles a turn whose phase runs by `phase` [rad] at each pose."""
-
-    joint: int
-    phase: tuple[float, ...]
-
-    def misread(self, stops: Stops) -> Array:
-        return only(self.joint, 90e-6 * np.sin(13 * stops.q[:, self.joint - 1] + np.array(self.phase)))
 
 
 def test_neighbours_move_one_setting_each() -> None:

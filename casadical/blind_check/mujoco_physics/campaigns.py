@@ -7,24 +7,26 @@ from typing import Any, Unpack
 import numpy as np
 import pandas as pd
 
+from casadical.blind_check.mujoco_physics.cause import Cause
 from casadical.blind_check.mujoco_physics.equilibrium import Engine, Setting, Stop
 from casadical.blind_check.mujoco_physics.hidden import Hidden, causes
 from casadical.blind_check.mujoco_physics.plant import Array, Plant
 from casadical.blind_check.mujoco_physics.robot import mechanism, start
 from casadical.blind_check.mujoco_physics.stops import Stops, Warmup
-from casadical.blind_check.mujoco_physics.table import Machine, Options, approaches, simulate
+from casadical.blind_check.mujoco_physics.table import Options, approaches, simulate
 from casadical.blind_check.mujoco_physics.table import readings as columns_of_readings
 from casadical.core.basics import InputError
 
 
-def campaign(plant: Plant, hidden: Sequence[Hidden], n: int, seed: int, **options: Unpack[Options]) -> pd.DataFrame:
+def campaign(
+    plant: Plant, hidden: Sequence[Hidden | Cause], n: int, seed: int, **options: Unpack[Options]
+) -> pd.DataFrame:
     """As `simulate` of the robot as built ``plant``. Raises InputError for unusable arguments, and without MuJoCo."""
-    machine = Machine(plant, partial(positions, plant, hidden), causes(hidden, plant.n))
-    return simulate(machine, n, seed, **options)
+    return simulate(plant, partial(positions, plant, hidden), causes(hidden, plant.n), n, seed, **options)
 
 
 def measure(
-    plant: Plant, hidden: Sequence[Hidden], readings: pd.DataFrame, *, seed: int, **options: Unpack[Options]
+    plant: Plant, hidden: Sequence[Hidden | Cause], readings: pd.DataFrame, *, seed: int, **options: Unpack[Options]
 ) -> pd.DataFrame:
     """Measure given poses: the table ``readings`` with the positions of the reflector.
 
@@ -44,7 +46,7 @@ def measure(
     return campaign(plant, hidden, n, seed, **options)
 
 
-def positions(plant: Plant, hidden: Sequence[Hidden], stops: Stops, jitter: Array | float = 0.0) -> Array:
+def positions(plant: Plant, hidden: Sequence[Hidden | Cause], stops: Stops, jitter: Array | float = 0.0) -> Array:
     """Where the tracker sees the reflector without noise, (n, 3) [m]; ``jitter`` (n, joints) adds to the readings.
 
     Raises ConvergenceError where the engine finds no rest.

@@ -74,6 +74,10 @@ def cause(hidden: Hidden, joints: int = 6) -> Cause:
     return Cause(kind, given)
 
 
-def causes(hidden: Sequence[Hidden], joints: int = 6) -> list[Cause]:
-    """What hidden effects do in the engine, in the order in which they are built in."""
-    return sorted((cause(h, joints) for h in hidden), key=lambda c: c.kind.name == "joint_coupling")
+def causes(hidden: Sequence[Hidden | Cause], joints: int = 6) -> list[Cause]:
+    """Return what hidden effects do in the engine, in the order in which they are built in.
+
+    A `Cause` that is no effect by name, but written for one campaign, is taken as it is.
+    """
+    acting = (h if isinstance(h, Cause) else cause(h, joints) for h in hidden)
+    return sorted(acting, key=lambda c: c.kind.name == "joint_coupling")

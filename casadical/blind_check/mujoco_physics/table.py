@@ -4,7 +4,6 @@ A physics says where the reflector is; what is drawn, rounded and written does n
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Literal, TypedDict, Unpack
 
 import numpy as np
@@ -36,20 +35,6 @@ def in_si(plant: Plant, shown: Array) -> Array:
     return _per_joint(plant, np.deg2rad(shown), 1e-3 * shown)
 
 
-@dataclass(frozen=True, eq=False)
-class Machine:
-    """A robot as built (see ``perturb``) with its effects, as a physics simulates it.
-
-    positions : where the reflector is, (n, 3) [m], at n stops with errors (n, joints) [rad or m] of the joints
-    instruments : effects, for what they do to the measured positions; true_decimals : of true positions [mm] in a table
-    """
-
-    plant: Plant
-    positions: Callable[[Stops, Array | float], Array]
-    instruments: Sequence[Cause]
-    true_decimals: int = 6
-
-
 class Options(TypedDict, total=False):
     """Keywords of ``simulate`` that have a default.
 
@@ -77,18 +62,28 @@ class Options(TypedDict, total=False):
     truth: bool
 
 
-def simulate(machine: Machine, n: int, seed: int, **options: Unpack[Options]) -> pd.DataFrame:
-    """Measure ``n`` poses of a machine, in a table rounded like a real one; the same seed gives the same table.
+def simulate(
+    plant: Plant,
+    positions: Callable[[Stops, Array | float], Array],
+    instruments: Sequence[Cause],
+    n: int,
+    seed: int,
+    **options: Unpack[Options],
+) -> pd.DataFrame:
+    """Measure ``n`` poses of a robot, in a table rounded like a real one; the same seed gives the same table.
 
     Poses, circumstances and noise do not depend on the effects: the same campaign without them is their absence.
 
     Raises InputError where an argument is not usable, or no pose keeps the loop's limits.
 
-    machine : the robot as built, with its effects
+    plant : the robot as built
+    positions : function that returns where the reflector is, shape (n, 3) [m], at n stops with errors, shape
+        (n, joints) [rad or m], of the joints
+    instruments : effects, for what they do to the measured positions
     n : number of poses
     seed : what everything drawn follows from
     """
-    plant, warmup = machine.plant, options.get("warmup") or Warmup()
+    warmup = options.get("warmup") or Warmup()
     noise_mm, repeatability_urad = options.get("noise_mm", 0.02), options.get("repeatability_urad", 5.0)
     states, ranges_deg = options.get("payload_states"), options.get("ranges_deg")
     if n < 1:
@@ -116,8 +111,8 @@ def simulate(machine: Machine, n: int, seed: int, **options: Unpack[Options]) ->
     drawn = draw_stops(in_si(plant, q_deg), seeds[1:3], states, warmup, options.get("approach", "chance"))
     given = pd.DataFrame() if given is None else given
     stops = with_given(drawn, given, warmup)
-    xyz = machine.positions(stops, joints.normal(0, repeatability_urad * 1e-6, stops.q.shape))
-    for effect in machine.instruments:
+    xyz = positions(stops, joints.normal(0, repeatability_urad * 1e-6, stops.q.shape))
+    for effect in instruments:
         xyz = effect.measured(xyz, stops, instrument)
     shown = np.round(warmup.start_degC + stops.warmth_K + thermometer.normal(0, warmup.sensor_K, n), 2)
     table = pd.DataFrame({"pose": np.arange(1, n + 1), "time_s": np.round(stops.time_s, 1)})
@@ -127,7 +122,7 @@ def simulate(machine: Machine, n: int, seed: int, **options: Unpack[Options]) ->
     table[readings(plant)] = q_deg
     table[MEASURED] = np.round(1e3 * xyz + noise.normal(0, noise_mm, (n, 3)), 4)
     if options.get("truth"):
-        table[TRUE] = np.round(1e3 * machine.positions(stops, 0.0), machine.true_decimals)
+        table[TRUE] = np.round(1e3 * positions(stops, 0.0), 6)
     return table
 
 

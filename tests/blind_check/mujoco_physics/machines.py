@@ -4,15 +4,16 @@ import json
 from pathlib import Path
 
 import numpy as np
-from numpy_physics.statics import settle, tool_point
 
 from casadical.blind_check import mujoco_physics as engine
 from casadical.blind_check.mujoco_physics import Plant, perturb
+from casadical.blind_check.mujoco_physics.cause import reflector, settle
 from casadical.blind_check.mujoco_physics.fourbar import unfolded
 from casadical.blind_check.mujoco_physics.stops import Stops, draw_poses
 
 ROBOTS = ("hh800", "kr210", "ur10e")
 FOLDER = Path(__file__).parents[3] / "data" / "campaigns" / "robots"
+HH800 = json.loads((FOLDER / "hh800.json").read_text())
 
 
 def nominal(name: str) -> Plant:
@@ -42,13 +43,13 @@ def shift(machine: Plant, hidden: engine.Hidden, at: Stops):
 
 
 def axis(machine: Plant, at: Stops, joint: int):
-    """Direction (n, 3) of a joint's axis and a point (n, 3) on it, by the independent simulator."""
+    """Direction (n, 3) of a joint's axis and a point (n, 3) on it, at rest on the joints' springs."""
     return settle(machine, at).axis(joint)
 
 
 def angle_about(machine: Plant, at: Stops, joint: int, moved):
     """Turns (n,) [rad] about a joint's axis that move the reflector by ``moved`` (n, 3), and what they leave (n,)."""
     direction, centre = axis(machine, at, joint)
-    speed = np.cross(direction, tool_point(settle(machine, at)) - centre)
+    speed = np.cross(direction, reflector(settle(machine, at)) - centre)
     angle = np.sum(speed * moved, 1) / np.sum(speed * speed, 1)
     return angle, np.linalg.norm(moved - angle[:, None] * speed, axis=1)

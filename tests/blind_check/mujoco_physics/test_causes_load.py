@@ -3,14 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
-import numpy_physics as simulation
 import pytest
-from numpy_physics.state import moments
-from numpy_physics.statics import positions, settle
 
 from casadical.blind_check import mujoco_physics as engine
 from casadical.blind_check.mujoco_physics import Hidden
-from casadical.blind_check.mujoco_physics.cause import rated_torque
+from casadical.blind_check.mujoco_physics.cause import moments, rated_torque, reflector, settle
 from casadical.blind_check.mujoco_physics.equilibrium import Engine, Stop
 from casadical.blind_check.mujoco_physics.hidden import cause
 from casadical.blind_check.mujoco_physics.robot import start
@@ -107,12 +104,12 @@ def test_a_balancing_spring_gives_the_torque_of_its_energy():
 
 
 @pytest.mark.parametrize("name", ["hh800", "ur10e"])
-def test_a_wrong_payload_is_the_one_of_the_independent_simulator_and_nothing_without_payload(name):
+def test_a_wrong_payload_bends_the_springs_by_its_weight_and_nothing_without_payload(name):
     machine, q = built(name), drawn(built(name), 8)
     hidden = Hidden("payload_error", None, {"size": 0.08, "shift_m": (0.02, -0.01, 0.03)})
-    theirs = simulation.disturbances.PayloadError(size=0.08, shift_m=(0.02, -0.01, 0.03))
+    wrong = replace(machine, payload_factor=1.08, payload_com=machine.payload_com + np.array([0.02, -0.01, 0.03]))
     at = stops(q, machine.payload_kg)
-    moved = positions(machine, [theirs], at) - positions(machine, (), at)
+    moved = reflector(settle(wrong, at)) - reflector(settle(machine, at))
     np.testing.assert_allclose(shift(machine, hidden, at), moved, atol=1e-7)
     assert np.abs(shift(machine, hidden, stops(q, 0.0))).max() < 1e-9
 

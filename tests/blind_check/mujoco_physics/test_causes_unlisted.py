@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy_physics.statics import placed, settle, tool_point
 
 from casadical.blind_check import mujoco_physics as engine
 from casadical.blind_check.mujoco_physics import Hidden
-from casadical.blind_check.mujoco_physics.cause import rated_torque
+from casadical.blind_check.mujoco_physics.cause import placed, rated_torque, reflector, settle
 
 from .machines import angle_about, built, drawn, shift, stops
 
@@ -52,10 +51,9 @@ def test_loose_cargo_lies_against_the_lower_walls(name):
     lies = slide * np.clip(10 * down, -1, 1)
     assert (np.abs(lies) == slide).mean() > 0.7
     expected = [
-        (
-            tool_point(settle(replace(machine, payload_com=machine.payload_com + x), at))
-            - tool_point(settle(machine, at))
-        )[k]
+        (reflector(settle(replace(machine, payload_com=machine.payload_com + x), at)) - reflector(settle(machine, at)))[
+            k
+        ]
         for k, x in enumerate(lies)
     ]
     moved = shift(machine, Hidden("loose_cargo", None, {"size": size}), at)
@@ -75,7 +73,7 @@ def test_a_tight_cable_holds_the_joint_back_towards_its_ends_alone(name, joint):
     assert 5 < (held == 0).sum() < 35
     assert np.abs(moved[held == 0]).max() < 1e-9
     turned = replace(at, q=at.q - held[:, None] * np.eye(6)[joint - 1])
-    expected = tool_point(settle(machine, turned)) - tool_point(settle(machine, at))
+    expected = reflector(settle(machine, turned)) - reflector(settle(machine, at))
     assert np.linalg.norm(moved - expected) < 0.01 * np.linalg.norm(moved)
 
 

@@ -4,17 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy_physics import HH800
-from numpy_physics.state import GRAVITY, State, moments
-from numpy_physics.statics import placed, settle, tool_point
 from pinocchio_arm import PinocchioArm
 from plants import arm, stops_at
 from scipy.optimize import fsolve
 
 from casadical.blind_check.mujoco_physics import Plant, perturb
+from casadical.blind_check.mujoco_physics.cause import State, moments, placed, reflector, settle
 from casadical.blind_check.mujoco_physics.fourbar import close_loop, crank_distance, unfolded
 from casadical.blind_check.mujoco_physics.stops import draw_poses
 from casadical.core.basics import InputError
+
+from .machines import HH800
 
 
 @pytest.fixture(params=[None, 1, 2, 3])
@@ -54,7 +54,7 @@ def test_closure_against_a_numeric_solve(plant: Plant) -> None:
 
 def energy(rest: State) -> np.ndarray:
     mass, centre = rest.weights()
-    return np.sum(GRAVITY * mass * centre[..., 2], 0)
+    return np.sum(9.81 * mass * centre[..., 2], 0)
 
 
 def test_torques_are_the_slope_of_the_energy(plant: Plant) -> None:
@@ -91,7 +91,7 @@ def test_positions_as_a_serial_arm() -> None:
     opened[:, 2] = q[:, 2] - q[:, 1] - np.pi / 2
     oracle = PinocchioArm(HH800, np.eye(4))
     np.testing.assert_allclose(
-        tool_point(placed(plant, stops_at(q, 300.0), q)), [oracle.position(x) for x in opened], atol=1e-12
+        reflector(placed(plant, stops_at(q, 300.0), q)), [oracle.position(x) for x in opened], atol=1e-12
     )
 
 

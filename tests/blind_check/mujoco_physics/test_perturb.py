@@ -1,11 +1,12 @@
 """Perturbed robots: errors of the stated size in all six directions of every link, the base and the reflector."""
 
 import numpy as np
-from numpy_physics import HH800
 from plants import arm
 from scipy.spatial.transform import Rotation
 
 from casadical.blind_check.mujoco_physics import Plant, perturb
+
+from .machines import HH800
 
 
 def link_errors(nominal: Plant, plant: Plant) -> np.ndarray:

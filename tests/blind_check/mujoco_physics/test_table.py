@@ -3,13 +3,15 @@
 import numpy as np
 import pandas as pd
 import pytest
-from numpy_physics import HH800, campaign, disturbances
-from numpy_physics.statics import settle
+from planted import campaign, planted
 from plants import ARM, arm, stops_at
 
 from casadical.blind_check.mujoco_physics import Plant, Warmup, perturb
+from casadical.blind_check.mujoco_physics.cause import settle
 from casadical.blind_check.mujoco_physics.fourbar import crank_distance
 from casadical.core.basics import ConvergenceError, InputError
+
+from .machines import HH800
 
 COLUMNS = [
     *("pose", "time_s", "temperature_degC", "payload_kg"),
@@ -34,18 +36,16 @@ def test_columns_and_rounding() -> None:
 
 def test_same_seed_same_table() -> None:
     plant = perturb(arm(), 1)
-    parts = [disturbances.Outliers(), disturbances.Backlash(2)]
-    pd.testing.assert_frame_equal(
-        campaign(plant, 30, 5, disturbances=parts), campaign(perturb(arm(), 1), 30, 5, disturbances=parts)
-    )
+    parts = [planted("outliers", share=0.1, size=1e-3), planted("backlash", 2, size=60e-6)]
+    pd.testing.assert_frame_equal(campaign(plant, 30, 5, parts), campaign(perturb(arm(), 1), 30, 5, parts))
     assert not campaign(plant, 30, 5).equals(campaign(plant, 30, 6))
     assert not campaign(perturb(arm(), 2), 30, 5).equals(campaign(plant, 30, 5))
 
 
-def test_disturbances_leave_poses_and_noise_alone() -> None:
+def test_effects_leave_poses_and_noise_alone() -> None:
     plant = perturb(arm(), 1)
     clean, disturbed = (
-        campaign(plant, 200, 5, disturbances=d, truth=True) for d in ((), [disturbances.GearEccentricity(2)])
+        campaign(plant, 200, 5, hidden, truth=True) for hidden in ((), [planted("gear_eccentricity", 2)])
     )
     others = [c for c in COLUMNS if c not in XYZ]
     pd.testing.assert_frame_equal(clean[others], disturbed[others])
