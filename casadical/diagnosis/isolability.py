@@ -8,7 +8,7 @@ noise, has noncentrality 3 n r^2.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pandas as pd
@@ -74,13 +74,11 @@ class Isolability(Result):
     missing : label -> columns that would have to be logged
     """
 
+    line: ClassVar[str] = " of {{ it.effects | length }} candidates"
+
     effects: pd.DataFrame
     alike: pd.DataFrame
     missing: dict[str, tuple[str, ...]]
-
-    @property
-    def _line(self) -> str:
-        return f" of {len(self.effects)} candidates"
 
     def rivals(self, label: str, above: float = 0.5) -> dict[str, float]:
         """Candidates that reproduce more than a share of a candidate's visible signal, the worst first."""

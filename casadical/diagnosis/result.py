@@ -13,7 +13,7 @@ import pandas as pd
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.marginals import NONE
 from casadical.core.statistics import ranked
-from casadical.core.telling.blocks import Table, Words, mm
+from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.plain import WRITTEN, Key, written
 from casadical.core.telling.result import Result
 from casadical.diagnosis.cross_validation import fitted_without, partitioned_errors
@@ -229,6 +229,12 @@ class Diagnosis(Result):
     'gear_eccentricity@2'
     """
 
+    line: ClassVar[str] = (
+        " of {{ it.identification.given.name | repr }}: {{ it.verdict }}; "
+        "{{ it.causes | map(attribute='label') | join(', ') or 'no cause named' }}; gap {{ it.gap.kept | mm }}"
+        " -> {{ it.gap.after | mm }} mm, noise alone {{ it.gap.floor | mm }} mm"
+    )
+
     derived: ClassVar[tuple[Key, ...]] = (
         Key("in_part_only", lambda d: (d.verdict == "explained" and d.has_rest) or None, if_known=True),
         Key("gap", lambda d: {k: getattr(d.gap, k) for k in ("before", "after", "floor")}, "mm", 5),
@@ -254,12 +260,6 @@ class Diagnosis(Result):
     cause_set: CauseSet | None = None
     law: Round | None = None
     joint_of_outliers: int | None = None
-
-    @property
-    def _line(self) -> str:
-        named = ", ".join(c.label for c in self.causes) or "no cause named"
-        gap = f"gap {mm(self.gap.kept)} -> {mm(self.gap.after)} mm, noise alone {mm(self.gap.floor)} mm"
-        return f" of {self.identification.given.name!r}: {self.verdict}; {named}; {gap}"
 
     def blocks(self) -> list[Words | Table]:
         """The verdict and the causes; `casadical.diagnosis.page_of` has all that was found."""

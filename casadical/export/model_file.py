@@ -37,6 +37,8 @@ class RobotModel(Result):
     about : the robot, in words; figures : the same as plain data
     """
 
+    line: ClassVar[str] = " of {{ it.about or 'a robot' }}, {{ it.text.splitlines() | length }} lines"
+
     kept_as: ClassVar[str] = "model"
 
     text: str
@@ -50,10 +52,6 @@ class RobotModel(Result):
 
     def to_json(self) -> dict[str, Any]:
         return self.figures
-
-    @property
-    def _line(self) -> str:
-        return f" of {self.about or 'a robot'}, {len(self.text.splitlines())} lines"
 
 
 @dataclass(frozen=True)

@@ -141,6 +141,11 @@ class Comparison(Result):
     'March'
     """
 
+    line: ClassVar[str] = (
+        " of {{ it.campaigns | length }} campaigns of {{ it.campaigns[0].robot.name | repr }}: "
+        "{{ it.changes | map(attribute='cause.label') | join(', ') or 'nothing changed' }}"
+    )
+
     report: ClassVar[str] = "changes.j2"
     derived: ClassVar[tuple[Key, ...]] = (
         Key("robot", lambda found: found.campaigns[0].robot.name),
@@ -162,11 +167,6 @@ class Comparison(Result):
     notes: tuple[str, ...] = field(default=(), metadata=WRITTEN)
     name: str = field(default="", metadata=WRITTEN)
     sources: tuple[Path, ...] = ()
-
-    @property
-    def _line(self) -> str:
-        changed = ", ".join(c.cause.label for c in self.changes) or "nothing changed"
-        return f" of {len(self.campaigns)} campaigns of {self.campaigns[0].robot.name!r}: {changed}"
 
     @property
     def changed(self) -> bool:

@@ -12,6 +12,7 @@ the noise of a coordinate to the instrument: all campaigns tell of these togethe
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 from scipy.special import fdtrc
@@ -61,6 +62,11 @@ class Estimate(Shown):
     freedom : degrees of freedom of sigma
     """
 
+    line: ClassVar[str] = (
+        " {{ it.label | repr }}: {{ it.names | length }} parameters from {{ it.poses }} poses"
+        "{% if it.sigma is not none %}, {{ (1e3 * it.sigma) | f('.3g') }} mm a coordinate left{% endif %}"
+    )
+
     robot: Robot
     names: tuple[str, ...]
     values: Array
@@ -76,11 +82,6 @@ class Estimate(Shown):
     readings: Array | None = None
     fit: WideFit | None = None
     freedom: float | None = None
-
-    @property
-    def _line(self) -> str:
-        noise = "" if self.sigma is None else f", {1e3 * self.sigma:.3g} mm a coordinate left"
-        return f" {self.label!r}: {len(self.names)} parameters from {self.poses} poses{noise}"
 
     @property
     def date(self) -> str:

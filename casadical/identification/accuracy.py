@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
 from casadical.core.basics import Array, InputError
-from casadical.core.telling.blocks import mm
 from casadical.core.telling.plain import IN_MM, WRITTEN
 from casadical.core.telling.result import Shown
 from casadical.measurements.kinds.base import PositionsAt
@@ -22,17 +22,16 @@ class Accuracy(Shown):
     n : number of poses
     """
 
+    line: ClassVar[str] = (
+        " of {{ it.n }} poses: mean {{ it.mean | mm }} mm, 95 % below {{ it.p95 | mm }} mm, max {{ it.max | mm }} mm"
+    )
+
     n: int = field(metadata=WRITTEN)
     mean: float = field(metadata=IN_MM)
     max: float = field(metadata=IN_MM)
     std: float = field(metadata=IN_MM)
     rms: float = field(metadata=IN_MM)
     p95: float = field(metadata=IN_MM)
-
-    @property
-    def _line(self) -> str:
-        mean, top, p95 = mm(self.mean), mm(self.max), mm(self.p95)
-        return f" of {self.n} poses: mean {mean} mm, 95 % below {p95} mm, max {top} mm"
 
 
 def summarise(errors: Array) -> Accuracy:

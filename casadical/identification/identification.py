@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from scipy.special import fdtrc
@@ -48,6 +48,8 @@ class Prepared(Shown):
     tried : whether the data carry a compliance that is not declared, where that was tried
     """
 
+    line: ClassVar[str] = " {{ it.robot.name | repr }} and {{ it.sets | map('length') | sum }} poses"
+
     robot: Robot
     sets: tuple[Measurements, ...]
     free: tuple[str, ...] = ()
@@ -56,10 +58,6 @@ class Prepared(Shown):
     method: Method | None = None
     identification: Identification | None = None
     tried: Tried | None = None
-
-    @property
-    def _line(self) -> str:
-        return f" {self.robot.name!r} and {sum(map(len, self.sets))} poses"
 
     @cached_property
     def start(self) -> Robot:

@@ -47,6 +47,11 @@ class Prior(Shown):
     frozen : whether they are held at their values (then there is nothing in free, means and known)
     """
 
+    line: ClassVar[str] = (
+        " of {{ it.labels | join(', ') or 'geometry and compliance' }}: "
+        "{% if it.frozen %}frozen{% else %}{{ it.free | length }} parameters{% endif %}"
+    )
+
     derived: ClassVar[tuple[Key, ...]] = (
         Key("campaign", "knowledge.campaign"),
         Key("effects", "labels"),
@@ -60,11 +65,6 @@ class Prior(Shown):
     labels: tuple[str, ...] = ()
     knowledge: Knowledge = field(default_factory=Knowledge)
     frozen: bool = False
-
-    @property
-    def _line(self) -> str:
-        how = "frozen" if self.frozen else f"{len(self.free)} parameters"
-        return f" of {', '.join(self.labels) or 'geometry and compliance'}: {how}"
 
     def with_nothing_known(self, wide: Mapping[str, float]) -> Prior:
         """The same, nothing known of some parameters: mean zero; wide : name -> one sigma [SI]."""

@@ -105,6 +105,12 @@ class Identification(Result):
     '# Calibrated by casadical.'
     """
 
+    line: ClassVar[str] = (
+        " {{ it.method }} of {{ it.given.name | repr }}: {{ it.names | length }} parameters from "
+        "{{ it.used | map('length') | sum }} poses, {{ it.identifiability.held | length }} not identifiable, "
+        "{{ (1e3 * it.sigmas | map('first') | max) | f('.3g') }} mm a coordinate left"
+    )
+
     derived: ClassVar[tuple[Key, ...]] = (
         Key("verdict"),
         Key("optimal", lambda found: found.is_optimal()),
@@ -131,15 +137,6 @@ class Identification(Result):
     degrees_of_freedom: int
     outliers: tuple[tuple[int, int], ...] = ()
     tried: Tried | None = None
-
-    @property
-    def _line(self) -> str:
-        used = sum(map(len, self.used))
-        held, left = len(self.identifiability.held), max(1e3 * sigma for sigma, _ in self.sigmas)
-        return (
-            f" {self.method} of {self.given.name!r}: {len(self.names)} parameters from {used} poses, "
-            f"{held} not identifiable, {left:.3g} mm a coordinate left"
-        )
 
     def blocks(self) -> list[Words | Table]:
         """The verdict, and every parameter."""

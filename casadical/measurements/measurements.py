@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -93,6 +94,8 @@ class Measurements(Shown):
     (('A', 'B', 0.25),)
     """
 
+    line: ClassVar[str] = " {{ it.source }}: {{ it | length }} poses of {{ it.q.shape[1] }} joints, {{ it.kind }}"
+
     q: Array
     kind: str
     position: Array | None = None
@@ -130,10 +133,6 @@ class Measurements(Shown):
         if not len(self.row):
             object.__setattr__(self, "row", np.arange(n))
         _refuse_malformed(self)
-
-    @property
-    def _line(self) -> str:
-        return f" {self.source}: {len(self)} poses of {self.q.shape[1]} joints, {self.kind}"
 
     def _repr_html_(self) -> str:
         """For a notebook: ranges of readings, positions and logged columns."""

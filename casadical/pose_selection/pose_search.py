@@ -8,13 +8,12 @@ When to stop measuring: the expected accuracy against the number of poses, given
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array, InputError
-from casadical.core.telling.blocks import mm
 from casadical.core.telling.result import Shown
 from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements, Noise
@@ -134,13 +133,12 @@ def _sources(
 class Forecast(Shown):
     """Expected rms position error over the task, shape (k,) [m], by the number of poses, shape (k,), the best next."""
 
+    line: ClassVar[str] = (
+        ": {{ it.error[0] | mm }} mm from {{ it.poses[0] }} to {{ it.error[-1] | mm }} mm from {{ it.poses[-1] }} poses"
+    )
+
     poses: Array
     error: Array
-
-    @property
-    def _line(self) -> str:
-        first, last = (f"{mm(self.error[k])} mm from {self.poses[k]}" for k in (0, -1))
-        return f": {first} to {last} poses"
 
     def enough(self, target: float) -> int | None:
         """The least number of poses whose expected error is at most target [m]; None where none of these is."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
@@ -111,13 +112,12 @@ class Selection(DesignProblem, Shown):
     0.017 mm to expect over the task
     """
 
+    line: ClassVar[str] = (
+        " of {{ it.m | length }} poses of {{ it.robot.name | repr }}: {{ it.names | length }} parameters"
+    )
+
     chosen: Candidates
     m: Measurements
-
-    @property
-    def _line(self) -> str:
-        poses = f"{len(self.m)} poses of {self.robot.name!r}"
-        return f" of {poses}: {len(self.names)} parameters"
 
     def __len__(self) -> int:
         return len(self.m)

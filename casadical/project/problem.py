@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pandas as pd
@@ -91,6 +91,12 @@ class Problem(Shown):
     problems/planar: its robot is not from a URDF; write its rob
     """
 
+    line: ClassVar[str] = (
+        " {{ it.folder.name }}: {{ it.robot.name }}; "
+        "{% for name, m in it.parts() %}{{ name }} {{ m | length }}{{ '' if loop.last else ', ' }}{% endfor %}"
+        " poses; {{ (it.methods | list + it.networks | list) | join(', ') }}"
+    )
+
     folder: Path
     title: str
     data: Literal["real", "synthetic"] | None
@@ -107,11 +113,6 @@ class Problem(Shown):
     tables: tuple[Mapping[str, Any], ...] = ()
     robot_file: Path = Path("robot.toml")
     whole: tuple[Measurements, ...] = ()
-
-    @property
-    def _line(self) -> str:
-        sets = ", ".join(f"{name} {len(m)}" for name, m in self.parts())
-        return f" {self.folder.name}: {self.robot.name}; {sets} poses; {', '.join((*self.methods, *self.networks))}"
 
     @property
     def origin(self) -> str:

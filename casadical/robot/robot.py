@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import groupby
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -209,6 +209,12 @@ class Robot(Shown, Arm):
     0.402
     """
 
+    line: ClassVar[str] = (
+        " {{ it.name | repr }}: {{ it.n }} joints, reach {{ it.reach | f('.2f') }} m, "
+        "{{ it.parameters | length }} parameters"
+        "{% if it.effects %}, with {{ it.effects | map(attribute='label') | join(', ') }}{% endif %}"
+    )
+
     effects: tuple[Effect, ...] = ()
     effect_values: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
@@ -219,12 +225,6 @@ class Robot(Shown, Arm):
         super().__post_init__()
         for effect in self.effects:
             effect.refuse_joints(self)
-
-    @property
-    def _line(self) -> str:
-        effects = f", with {', '.join(e.label for e in self.effects)}" if self.effects else ""
-        what = f"{self.n} joints, reach {self.reach:.2f} m, {len(self.parameters)} parameters{effects}"
-        return f" {self.name!r}: {what}"
 
     def _repr_html_(self) -> str:
         """For a notebook: the DH table with the limits of each joint."""

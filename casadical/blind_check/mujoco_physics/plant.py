@@ -10,7 +10,7 @@ are, both seen from one frame, ``move(G, x)``.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Self, TypeAlias
+from typing import Any, ClassVar, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,6 +115,8 @@ class Plant(Shown):
     gravity : Array, shape (3,) [m/s^2]: in the measuring frame
     """
 
+    line: ClassVar[str] = " {{ it.name | repr }} of {{ it.home | length }} joints"
+
     name: str
     home: Array
     reflector: Array
@@ -129,10 +131,6 @@ class Plant(Shown):
     payload_factor: float = 1.0
     slides: frozenset[int] = frozenset()
     gravity: Array = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
-
-    @property
-    def _line(self) -> str:
-        return f" {self.name!r} of {len(self.home)} joints"
 
     @classmethod
     def from_dict(cls, robot: Mapping[str, Any]) -> Self:

@@ -20,7 +20,7 @@ from casadical.core.basics import visible
 from casadical.core.telling.blocks import Block, Table, Words, mm
 from casadical.core.telling.figure import Figure
 from casadical.core.telling.plain import Key, plain
-from casadical.core.telling.template import told
+from casadical.core.telling.template import filled, told
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
@@ -117,7 +117,9 @@ LINE = 160
 
 
 class Shown:
-    """A result that Python shows as one line: its class, and `_line`, by default the first of its blocks."""
+    """A result that Python shows as one line: its class and `line`, a template; without one its first words."""
+
+    line: ClassVar[str] = ""
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -125,6 +127,8 @@ class Shown:
 
     @property
     def _line(self) -> str:
+        if self.line:
+            return filled(self.line, self)
         words = [block for block in self.blocks() if isinstance(block, Words)]  # type: ignore[attr-defined]
         words.sort(key=lambda block: block.kind != "verdict")
         return f": {words[0].text}" if words else ""

@@ -17,7 +17,7 @@ from casadical.core.telling.blocks import Block, Kind, Table, Words, mm
 from casadical.core.telling.figure import Figure
 
 if TYPE_CHECKING:
-    from jinja2 import Environment
+    from jinja2 import Environment, Template
 
 # Characters for private use stand for the ends of a tag, and for spaces and line ends of values.
 _TAG = re.compile("\ue000([^\ue001]*)\ue001([^\ue000]*)")
@@ -50,9 +50,19 @@ def _environment(folder: Path) -> Environment:
         finalize=lambda value: value if isinstance(value, _Tag) else str(value).translate(_KEPT),
         autoescape=False,
     )
-    environment.filters |= {"mm": mm, "f": lambda value, form: format(value, form)}
+    environment.filters |= {"mm": mm, "f": lambda value, form: format(value, form), "repr": repr}
     environment.globals |= {"tag": tag}
     return environment
+
+
+def filled(line: str, result: Any) -> str:
+    """Return a template of one line, `it` being the result."""
+    return _line(line).render(it=result).translate(_GIVEN_BACK)
+
+
+@cache
+def _line(source: str) -> Template:
+    return _environment(Path(__file__).parent).from_string(source)
 
 
 def sentence(path: Path, result: Any, block: str = "", **more: Any) -> str:

@@ -38,6 +38,11 @@ class LogDiagnosis(Result):
     contradictions : between the log and the robot's file; determined : by the motion, numbers of the bodies
     """
 
+    line: ClassVar[str] = (
+        " {{ it.log.source }}: {{ it.verdict }}"
+        "{% for f in it.faults %}, {{ f.name }}{% endfor %}{% for f in it.claims %}, {{ f.label }}{% endfor %}"
+    )
+
     kept_as: ClassVar[str] = "log_diagnosis"
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -80,11 +85,6 @@ class LogDiagnosis(Result):
             return "explained"
         verdict = self.outcome.verdict
         return verdict if verdict in ("none", "ambiguous") and not self.fitting else "unknown"
-
-    @property
-    def _line(self) -> str:
-        labels = [*(f.name for f in self.faults), *(f.label for f in self.claims)]
-        return ", ".join([f" {self.log.source}: {self.verdict}", *labels])
 
     @property
     def level(self) -> str:
