@@ -26,12 +26,6 @@ from casadical.robot.robot_file import read_robot
 
 # A date in a name: 2026-03-14, 2026_03_14, 20260314, 2026-03; 1970 is that of a clock that was never set.
 _DATE = re.compile(r"(?<!\d)(1970|20\d\d)[-_.]?([01]\d)(?:[-_.]?([0-3]\d))?(?!\d)")
-# Between two campaigns some are missing where the gap is so many times the usual one.
-GAP = 1.75
-# Two campaigns so many days apart have a wrong date, more likely than that nothing was measured in between.
-FAR = 1100.0
-# Ranges of a joint in two campaigns are other regions where they share less.
-SHARED = 0.5
 # Folder of a problem's later campaigns.
 CAMPAIGNS = "campaigns"
 EPOCH = date(1970, 1, 1).toordinal()
@@ -174,7 +168,8 @@ def other_regions(campaigns: Sequence[Estimate]) -> list[str]:
             continue
         (a, b), (c, d) = first.readings.T, other.readings.T
         shared = (np.minimum(b, d) - np.maximum(a, c)) / np.maximum(np.maximum(b, d) - np.minimum(a, c), 1e-9)
-        if few := [f"joint {j + 1}" for j in np.flatnonzero(shared < SHARED)]:
+        # Ranges of a joint in two campaigns are other regions where they share less.
+        if few := [f"joint {j + 1}" for j in np.flatnonzero(shared < 0.5)]:
             said.append(f"{other.label} ({', '.join(few)})")
     if not said:
         return []
@@ -225,13 +220,16 @@ def in_order(given: Sequence[Estimate], *, begun: bool = False) -> tuple[list[Es
     if twice:
         said.append(f"two campaigns of one day, both used: {', '.join(twice)}")
     for (a, b), step in zip(pairwise(ordered), steps, strict=True):
-        if step > FAR:
+        # Two campaigns so many days apart have a wrong date, more likely than that nothing was
+        # measured in between.
+        if step > 1100.0:
             said.append(
                 f"{b.label} is {step / 365.25:.1f} years after {a.label}, by their names: if a clock was wrong, rename "
                 "the file; drifts are counted in these years"
             )
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-    far = (step > GAP * usual > 0 for step in steps)
+    # Between two campaigns some are missing where the gap is so many times the usual one.
+    far = (step > 1.75 * usual > 0 for step in steps)
     gaps = [(a.label, b.label) for (a, b), gap in zip(pairwise(ordered), far, strict=True) if gap]
     if len(ordered) > 3 and gaps:
         listed = ", ".join(f"{a} and {b}" for a, b in gaps[:3])

@@ -21,8 +21,6 @@ from casadical.identification.prior import probability_of_change
 # A change is said to be there where the data are so many times more probable with one; by chance that happens once in
 # so many lives at most.
 SURE = 100.0
-# One cause is named where it is so probable among all.
-NAMED = 0.95
 # Of another robot those parameters are counted that differ by more than so many standard errors.
 CLEAR = 3
 HOW: dict[Course, str] = {
@@ -51,7 +49,7 @@ SMALL = 0.005
 # Data are said to be so many times more probable, as a power of ten, at most.
 MOST = 100
 _SEEN = ("cause", "size", "unit")
-# See `casadical.fleet.comparison.FAR`.
+# In place of a size, see `casadical.fleet.comparison._seen_from`.
 NOT_SEEN = "not below 30 times its usual size"
 
 
@@ -113,7 +111,8 @@ class Change:
     @property
     def named(self) -> bool:
         """Whether the data distinguish this cause from all others."""
-        return self.probability >= NAMED
+        # One cause is named where it is so probable among all.
+        return self.probability >= 0.95
 
 
 @dataclass(frozen=True, eq=False)

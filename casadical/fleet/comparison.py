@@ -22,22 +22,11 @@ from casadical.robot.parameter_list import SIX
 # Before the data: how the change goes on; how probable it begins at each campaign (see `_onsets`).
 COURSES: dict[Course, float] = {"jump": 0.6, "drift": 0.4, "season": 0.4, "once": 0.4}
 HAZARD = 0.03
-MOST = 4
-# The harmonics of the robot as it is are known so many times less than the residuals of one campaign say: over a short
-# range of a joint high harmonics look like low ones, many times greater, and a prior that the campaigns together
-# contradict looks like a change after the first of them.
-WIDER = 100.0
 # A drift's unit of time: a year, or so many campaigns without a date.
 YEAR, CAMPAIGNS = 365.25, 12.0
-# Standard errors that a change must have to be seen, roughly: what one of a hundred candidates needs.
-SEEN = 5.0
 # A tool is another one from so many standard errors on, root mean square of a coordinate; beyond the smaller figure it,
 # or the base, moved further than noise makes it in one of a hundred pairs.
 OTHER_TOOL, MOVED_TOOL = 4.0, 2.0
-# A change that is seen only from so many times its usual size is not seen.
-FAR = 30.0
-# Within this [m, rad] a base did not move: readings that tell nothing of it leave it where the robot file has it.
-SAME = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +89,11 @@ def shared_information(
         campaigns = [_in_frame_of(first, c) for c in campaigns]
     H, b = (np.array(parts) for parts in zip(*(c.about(names, values) for c in campaigns), strict=True))
     spread = np.sqrt(np.mean([c.spread[[c.names.index(n) for n in names]] ** 2 for c in campaigns], axis=0))
-    spread[[n.startswith("joint_error_curve") for n in names]] *= WIDER
+    # The harmonics of the robot as it is are known so many times less than the residuals of one
+    # campaign say: over a short range of a joint high harmonics look like low ones, many times
+    # greater, and a prior that the campaigns together contradict looks like a change after the
+    # first of them.
+    spread[[n.startswith("joint_error_curve") for n in names]] *= 100.0
     candidates = evidence.candidates_of(first.robot, names)
     information = evidence.SharedInformation(H, b, spread**-2.0).with_jitter(*evidence.daily(candidates))
     return names, information, candidates
@@ -167,7 +160,7 @@ def _chain(
     score = 0.0
     while True:
         best = _best(told, candidates, times, dated, accepted)
-        if best.odds < np.log(SURE) or len(accepted) == MOST:
+        if best.odds < np.log(SURE) or len(accepted) == 4:
             break
         accepted.append(best)
         score += float(best.own.logs.max())
@@ -344,8 +337,11 @@ def _seen_from(
             model = beside(c)
             H, _ = evidence.visible(model, c.columns, evidence.jumps(len(model.shared.score))[-1:])
             p = first.robot.parameters[c.names[0]]
-            size = SEEN / np.sqrt(max(float(H[0, 0, 0]), 1e-30))
-            seen = size < FAR * float(c.sizes[0])
+            # Standard errors that a change must have to be seen, roughly: what one of a hundred
+            # candidates needs.
+            size = 5.0 / np.sqrt(max(float(H[0, 0, 0]), 1e-30))
+            # A change that is seen only from so many times its usual size is not seen.
+            seen = size < 30.0 * float(c.sizes[0])
             yield c.label, p.readable(float(size) * p.scale) if seen else float("inf"), p.readable_unit
 
 
@@ -405,7 +401,9 @@ def _base(before: Estimate, after: Estimate, names: Sequence[str], between: Betw
     if not placing & set(after.names) or placing & set(names):
         return
     T = np.linalg.solve(_placed(before), _placed(after))
-    if np.allclose(T, np.eye(4), rtol=0, atol=SAME):
+    # Within this [m, rad] a base did not move: readings that tell nothing of it leave it where the
+    # robot file has it.
+    if np.allclose(T, np.eye(4), rtol=0, atol=1e-12):
         return  # no reading tells where it stands
     turn = float(np.rad2deg(np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1, 1))))
     words = "the instrument stands elsewhere, or the robot's foot moved"

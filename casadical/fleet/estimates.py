@@ -34,10 +34,6 @@ from casadical.robot.robot import Robot
 
 # Poses that stand for those of a robot file, which does not say which they were.
 DRAWN = 200
-# So many outliers one after another are no slips.
-ROWS = 5
-# A campaign of more poses tells its own noise.
-MANY = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +54,7 @@ class Estimate(Shown):
     notes : what was assumed
     readings : Array, shape (n, 2): range of each joint in which nine of ten poses lie; of a robot file, in which all do
         [rad or m]
-    fit : by which other campaigns may tell of its noise; None of a robot file, and of more poses than `MANY`
+    fit : by which other campaigns may tell of its noise; None of a robot file, and of more than 1000 poses
     freedom : degrees of freedom of sigma
     """
 
@@ -127,6 +123,7 @@ def estimate(
     fit = wide_fit(identified)
     unit = fit.best.s2 * fit.misfit
     noted = [text for m in identified.measurements for text in (*_left_out(m), *clock_faults(m))]
+    # A campaign of more poses tells its own noise.
     return Estimate(
         fit.robot,
         fit.doubts.names,
@@ -141,7 +138,7 @@ def estimate(
         fit.misfit,
         (*_outliers(identified), *noted),
         np.quantile(np.concatenate([m.q for m in identified.used]), [0.05, 0.95], axis=0).T,
-        fit if len(fit.poses) <= MANY else None,
+        fit if len(fit.poses) <= 1000 else None,
         fit.freedom,
     )
 
@@ -154,7 +151,8 @@ def _outliers(found: Identification) -> Iterator[str]:
     rows = sorted(o.row for o in out)
     (kept, *more) = found.used
     between = kept.row[(kept.row > rows[0]) & (kept.row < rows[-1])]
-    if len(rows) >= ROWS and not more and not len(between):
+    # So many outliers one after another are no slips.
+    if len(rows) >= 5 and not more and not len(between):
         said += f", rows {rows[0]} to {rows[-1]} one after another: units, tool or set-up changed there"
     yield said
 
@@ -231,10 +229,6 @@ def readings_of(robot: Robot, n: int) -> Array:
 
 # Instruments are others where what they leave differs more than so many times.
 OTHER = 3.0
-# So often it may look like that where it is one instrument.
-CHANCE = 0.01
-# A joint repeats otherwise than the rest where that makes the campaigns more probable by so much, as a logarithm.
-GAIN = 2.0
 
 
 def with_common_noise(campaigns: Sequence[Estimate]) -> list[Estimate]:
@@ -253,7 +247,8 @@ def _alike(a: Estimate, b: Estimate) -> bool:
     """Whether one instrument may have measured both: of few poses the scatter is known badly."""
     (s, f), (t, g) = ((c.sigma or 1e-12, c.freedom or 1.0) for c in (a, b))
     chances = fdtrc(f, g, (s / t / OTHER) ** 2), fdtrc(g, f, (t / s / OTHER) ** 2)
-    return min(chances) > CHANCE and _own(a).keys() == _own(b).keys()
+    # So often it may look like that where it is one instrument.
+    return min(chances) > 0.01 and _own(a).keys() == _own(b).keys()
 
 
 def _own(c: Estimate) -> dict[str, int]:
@@ -296,6 +291,8 @@ def repeatability(fits: Sequence[WideFit]) -> tuple[float, ...]:
             at = RHOS.index(own)
             for rho in RHOS[max(0, at - 1) : at] + RHOS[at + 1 : at + 2]:
                 other = (*best[:j], rho, *best[j + 1 :])
-                if log_likelihood(other) > log_likelihood(best) + GAIN:
+                # A joint repeats otherwise than the rest where that makes the campaigns more
+                # probable by so much, as a logarithm.
+                if log_likelihood(other) > log_likelihood(best) + 2.0:
                     best, better = other, True
     return best

@@ -37,9 +37,6 @@ from casadical.robot.robot import Covariance, Knowledge, Robot
 LEAST, MOST = 5, 1000
 # Robots whose matrices are in memory at a time.
 BLOCK = 25
-ROUNDS = 300
-# The spread of a parameter does not change by more in the last round.
-STILL = 1e-3
 # So many robots the usual spread of the parameters of one group counts for.
 POOLED = 4.0
 # A common fault is this many standard errors from zero, and this share of the usual size of the parameter (1 mm).
@@ -175,7 +172,7 @@ def learnt(
     C = np.zeros((len(spread), len(spread)))
     _, group = np.unique(np.arange(len(spread)) if groups is None else groups, return_inverse=True)
     at = _numbers(len(spread)) if at is None else at
-    for _ in range(ROUNDS):
+    for _ in range(300):
         w = 1 / tau2
         whole, informed, squares = np.zeros_like(C), np.zeros_like(mean), np.zeros_like(mean)
         for some in (slice(k, k + BLOCK) for k in range(0, len(H), BLOCK)):
@@ -191,15 +188,12 @@ def learnt(
         mean = C @ (w * informed)
         usual = (np.bincount(group, squares) / np.bincount(group))[group]
         before, tau2 = tau2, np.maximum((squares + POOLED * usual / len(H)) / (len(H) + POOLED), NARROWEST**2)
-        if np.abs(np.log(tau2 / before)).max() < STILL:
+        # The spread of a parameter does not change by more in the last round.
+        if np.abs(np.log(tau2 / before)).max() < 1e-3:
             break
     return mean, C, np.sqrt(tau2)
 
 
-# Two drawings are nearly one where so many nominal values differ at most, each by so many sigma of its prior.
-FEW, NEAR = 3, 5.0
-# Types whose drawings are read, the largest first.
-READ = 100
 # Key of a number in a row of a robot file; the first four belong to the row after the number in their name.
 _KEYS = {"alpha": "alpha_deg", "a": "a_mm", "beta": "beta_deg", "b": "b_mm", "theta": "theta_deg", "d": "d_mm"}
 _BARS = {"L5": "crank_mm", "L4": "coupler_mm", "L3": "rocker_mm"}
@@ -254,7 +248,8 @@ class Drawing:
 def drawings_of(good: pd.DataFrame) -> dict[str, Drawing]:
     """Drawings by the word for their type, of the types of which there are most robots; those that can be read."""
     drawings = {}
-    for kind, count in good["type"].value_counts().head(READ).items():
+    # Types whose drawings are read, the largest first.
+    for kind, count in good["type"].value_counts().head(100).items():
         row = good[good["type"] == kind].iloc[0]
         with suppress(CasadicalError, OSError):
             path = Path(row["folder"]) / problem_file(Path(row["folder"])).robot
@@ -286,4 +281,6 @@ def _differences(one: Drawing, other: Drawing) -> list[tuple[Parameter, Paramete
     if [p.name for p in first] != [p.name for p in second]:
         return []
     pairs = [(p, q) for p, q in zip(first, second, strict=True) if f"{p.value:.9g}" != f"{q.value:.9g}"]
-    return pairs if len(pairs) <= FEW and all(abs(q.value - p.value) <= NEAR * p.prior for p, q in pairs) else []
+    # Two drawings are nearly one where so many nominal values differ at most, each by so many sigma
+    # of its prior.
+    return pairs if len(pairs) <= 3 and all(abs(q.value - p.value) <= 5.0 * p.prior for p, q in pairs) else []

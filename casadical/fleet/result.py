@@ -21,8 +21,6 @@ from casadical.fleet.store import records
 from casadical.project.problem import read_problem_robot
 from casadical.robot.robot_file import to_toml
 
-# A robot stands out from its type by so many scaled median absolute deviations of the logarithm of its error.
-FAR = 4.0
 # Of a campaign that could not be used, in a robot's notes.
 LEFT_OUT = "is left out:"
 # Of fewer robots the 95 % quantile is no more than the worst of them.
@@ -301,11 +299,11 @@ def _outliers(some: pd.DataFrame) -> list[str]:
     logs = np.log(some["after_mm"].to_numpy())
     middle = np.median(logs)
     spread = max(1.4826 * float(np.median(np.abs(logs - middle))), 0.02)
-    return [str(name) for name in some["robot"][logs > middle + FAR * spread]]
+    # A robot stands out from its type by so many scaled median absolute deviations of the logarithm
+    # of its error.
+    return [str(name) for name in some["robot"][logs > middle + 4.0 * spread]]
 
 
-# Robots whose course is drawn; robots whose names stand on the axis of the map.
-COURSES, NAMED = 60, 30
 # Names in a figure, and how far apart they are, as a share of its height.
 LABELS, APART = 12, 0.07
 _MAP = (
@@ -337,7 +335,8 @@ def accuracy_map(good: pd.DataFrame, outliers: Collection[str]) -> Figure:
         for state, colour, size in (("before", "grey", 4), ("after", after, 7))
     ]  # fmt: skip
     axis, marks = Axis("robot, by type and error"), []
-    if len(good) <= NAMED:
+    # Robots whose course is drawn; robots whose names stand on the axis of the map.
+    if len(good) <= 30:
         axis = Axis("robot, by type and error", ticks=x, labels=names)
     else:  # names do not fit on the axis
         far = good.assign(x=x)[good["robot"].isin(outliers).to_numpy()].nlargest(LABELS, "after_mm")
@@ -350,7 +349,7 @@ def trends(good: pd.DataFrame, grown: Collection[str]) -> Figure:
     """What each campaign of each robot leaves; grown : robots of which the last one leaves more than those before."""
     several = good[good["campaigns"] > 1]
     striking = (several["changes"] != "") | several["robot"].isin(list(grown))
-    several = several.assign(striking=striking).sort_values("striking", ascending=False, kind="stable").head(COURSES)
+    several = several.assign(striking=striking).sort_values("striking", ascending=False, kind="stable").head(60)
     dated = any(np.isfinite(days).sum() > 1 for days in several["days"])
     lives: list[tuple[str, list[object], list[float], bool]] = []
     for r in records(several):  # by day or, where no robot has days, by number: not both on one axis

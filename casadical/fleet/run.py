@@ -18,8 +18,6 @@ from casadical.fleet.result import Fleet, fleet_of
 from casadical.fleet.store import NOTHING, add, fingerprint, name_of, one_robot, records, rows
 
 NEEDED = "a fleet needs dask, distributed and pyarrow; install them: pip install 'casadical[fleet]'"
-# A robot whose worker dies is given to another worker so often.
-RETRIES = 2
 
 
 def run_fleet(
@@ -146,7 +144,8 @@ def _computed(
     distributed = optional("distributed", NEEDED)
     with client_of(scheduler, workers) as client:
         folders = [robots[name].resolve() for name in names]
-        options = {"with_diagnosis": with_diagnosis, "pure": False, "retries": RETRIES}
+        # A robot whose worker dies is given to another worker so often.
+        options = {"with_diagnosis": with_diagnosis, "pure": False, "retries": 2}
         of = dict(zip(client.map(one_robot, [str(folder) for folder in folders], **options), folders, strict=True))
         for future, row in distributed.as_completed(of, with_results=True, raise_errors=False):
             folder = of.pop(future)

@@ -34,8 +34,6 @@ from casadical.robot.robot import Robot
 USUAL = ("joint_zero", "tool", "foot", "lengths")
 CRASH, UNKNOWN = "crash", "unknown"
 OFTEN = {**{kind: float(FREQUENCY[kind]) for kind in USUAL}, CRASH: 2.0, UNKNOWN: 1.0}
-# Of an unknown change: each coordinate of each pose, one sigma [mm].
-ANYHOW = 0.3
 # Shares of noise in what nothing explains, where nobody states the noise.
 SHARES = (1.0, 0.5, 0.2, 0.08, 0.03, 0.01)
 # Growth of lengths, mean and one sigma [1/K], where the temperature is logged.
@@ -146,7 +144,8 @@ class TouchModel:
         columns, sizes = np.hstack([c.columns for c in parts]), np.concatenate([c.sizes for c in parts])
         crash = Candidate(CRASH, None, tuple(n for c in parts for n in c.names), columns, sizes)
         none = np.zeros((len(self.names), 0))
-        return (*usual, crash, Candidate(UNKNOWN, None, (), none, np.full(3 * self._poses.max() + 3, ANYHOW)))
+        # Of an unknown change: each coordinate of each pose, one sigma [mm].
+        return (*usual, crash, Candidate(UNKNOWN, None, (), none, np.full(3 * self._poses.max() + 3, 0.3)))
 
     @cached_property
     def day(self) -> Array:

@@ -32,15 +32,6 @@ from casadical.robot.robot_file import read_robot, to_toml
 
 # A robot is said to be valid where that is so probable, and not to be where its error is above with this probability.
 VALID, INVALID = 0.99, 0.9
-# A change is named where it is so probable; a correction is written where it is better with this probability, and
-# takes away more than this share of the error that the file states.
-NAMED, BETTER, WORTH = 0.9, 0.95, 0.2
-# Without a tolerance: so many times the error that the robot file states.
-TIMES = 2.0
-# Touches this far from the robot file are those of another frame or another robot [m].
-ELSEWHERE = 0.03
-# Days that are taken into account.
-LAST = 30
 FEWEST, MORE = 2, 2
 _MOVED = ("name", "value", "std_error", "unit")
 _COLUMNS = ("day", "table", "touches", "rms_mm", "T2", "limit", "temperature_degC", "within")
@@ -135,7 +126,9 @@ class Touches(Result):
     def better(self) -> bool:
         """Whether the corrected robot is better than leaving it."""
         before, after, sure = self.gain
-        return sure >= BETTER and before - after > WORTH * self.model.stated / MM
+        # A change is named where it is so probable; a correction is written where it is better with
+        # this probability, and takes away more than this share of the error that the file states.
+        return sure >= 0.95 and before - after > 0.2 * self.model.stated / MM
 
     @cached_property
     def moved(self) -> list[tuple[str, float, float, str]]:
@@ -368,7 +361,7 @@ def touched(
     """What touched points of one or several days say of a calibrated robot, in the frame of its calibration.
 
     robot : as of `plan_touches`; tables : a table a day, the last one is judged, the others are its history
-    tolerance_mm : of the rms error over the poses on which the robot was learnt; None: TIMES what the file states
+    tolerance_mm : of the rms error over the poses on which the robot was learnt; None: twice what the file states
     noise_mm : of a coordinate, None: not known; fleet : what `casadical fleet --json` wrote
     Raises InputError: no positions, fewer than two of them, another frame or robot, a file without covariance.
     """
@@ -394,13 +387,15 @@ def touched(
             notes.append(f"by its date {kept[-1][0].name} is the last day, which is judged")
     else:
         notes.append("no date in every table's name: the days are in the order given")
-    kept = kept[-LAST:]
+    # Days that are taken into account.
+    kept = kept[-30:]
     weights = OFTEN if fleet is None else changes_in_fleet(Path(fleet))
     model = TouchModel.of_robot(arm, [m for _, m in kept], None if noise_mm is None else 1e-3 * noise_mm,
                           weights=weights, dates=tuple(day_of(p) for p, _ in kept))  # fmt: skip
     left = 1e-3 * np.linalg.norm(model.left, axis=1)
     today = left[(model.day == len(kept))[::3]]
-    if (far := float(np.median(today))) > ELSEWHERE:
+    # Touches this far from the robot file are those of another frame or another robot [m].
+    if (far := float(np.median(today))) > 0.03:
         raise InputError(
             f"{kept[-1][0]}: the touches are {mm(far)} mm (median) from where {place.name} has them: the instrument "
             "stands elsewhere, or it is another robot; touch in the frame of the calibration, or measure ten poses "
@@ -409,9 +404,10 @@ def touched(
     if np.isfinite(model.temperatures).any():
         today = f"{1e6 * GROWTH * model.warmer[-1]:+.0f} um/m today, which goes as it cools and is not corrected"
         notes.append(f"temperature is logged: lengths are taken to grow by 12 +- 6 um/m a kelvin, by {today}")
-    touches = Touches(arm, model, model.drawn(seed), 1e-3 * tolerance_mm if tolerance_mm else TIMES * model.stated / MM,
-                    None, tuple(notes), (place, *(p for p, _ in kept)))  # fmt: skip
-    named = not touches.label or touches.draws.share(touches.label) >= NAMED
+    tolerance = 1e-3 * tolerance_mm if tolerance_mm else 2.0 * model.stated / MM
+    sources = (place, *(p for p, _ in kept))
+    touches = Touches(arm, model, model.drawn(seed), tolerance, None, tuple(notes), sources)
+    named = not touches.label or touches.draws.share(touches.label) >= 0.9
     if touches.verdict == "open" or (touches.verdict == "changed" and not named):
         more = plan_touches(place, MORE, noise_mm=noise_mm, touched=kept[-1][1], seed=seed)
         return replace(touches, more=more)

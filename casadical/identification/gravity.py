@@ -8,9 +8,6 @@ from casadical.core.basics import Array
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.result import Identification
 
-# A deflection is named from this many standard errors on; below, what it is at most, with 95 %.
-SURE, AT_MOST = 4.0, 1.645
-
 
 @dataclass(frozen=True)
 class Deflection:
@@ -23,7 +20,9 @@ class Deflection:
     @property
     def sure(self) -> bool:
         """Whether the poses show it with certainty."""
-        return self.change > SURE * self.error > 0
+        # A deflection is named from this many standard errors on; below, what it is at most, with
+        # 95 %.
+        return self.change > 4.0 * self.error > 0
 
 
 def gravity_deflections(found: Identification) -> tuple[Deflection, ...]:
@@ -78,7 +77,7 @@ def in_words(found: Identification) -> str:
         return ""
     why = "the masses are estimates from the reach, so that no stiffness follows"
     if not (deflections := [d for d in every if d.sure]):
-        most = ", ".join(f"{1e3 * (d.change + AT_MOST * d.error):.2g} at joint {d.joint}" for d in every)
+        most = ", ".join(f"{1e3 * (d.change + 1.645 * d.error):.2g} at joint {d.joint}" for d in every)
         return f"deflection under gravity between poses: at most {most} mrad (95 %), none is certain; {why}"
     joints = ", ".join(str(d.joint) for d in deflections)
     sizes = ", ".join(f"{1e3 * d.change:.2g} +- {1e3 * d.error:.1g}" for d in deflections)

@@ -19,14 +19,8 @@ from casadical.core.parameters import Parameter
 
 DEPENDENT = 1e-6
 INVISIBLE = 1e-9
-# A rest below this has lost digits: it is made orthogonal a second time (Daniel et al. 1976).
-CANCELLED = 0.7
 # Condition number from which on some parameters are nearly confounded.
 CONFOUNDED = 1000
-# Parameters whose estimates are more correlated than this are named together.
-CORRELATED = 0.9
-# Cholesky's factors give the inverse faster, and well if no scaled variance is greater than this.
-CERTAIN = 1e8
 NO_EFFECT = "it has no effect on what was measured"
 
 
@@ -108,7 +102,8 @@ def _without(basis: Array, column: Array) -> tuple[float, Array]:
     """Length and rest of a column of unit length less its part in an orthonormal basis, shape (size, rows)."""
     rest = column - (basis @ column) @ basis
     left = math.sqrt(rest @ rest)
-    if left < CANCELLED:
+    # A rest below this has lost digits: it is made orthogonal a second time (Daniel et al. 1976).
+    if left < 0.7:
         rest -= (basis @ rest) @ basis
         left = math.sqrt(rest @ rest)
     return left, rest
@@ -158,7 +153,8 @@ def drop_poor(
         worst = int(np.argmax(ratio))
         share = np.abs(covariance[worst] / (errors[worst] * errors))
         share[worst] = 0.0
-        partners = _strongest(share, [parameters[k].name for k in kept], CORRELATED)
+        # Parameters whose estimates are more correlated than this are named together.
+        partners = _strongest(share, [parameters[k].name for k in kept], 0.9)
         p = parameters[kept[worst]]
         reason = (
             f"these poses determine it only to +/- {p.readable(errors[worst] * p.scale):.3g} {p.readable_unit}, worse "
@@ -178,7 +174,9 @@ def scaled_inverse(H: Array) -> Array:
     with suppress(np.linalg.LinAlgError):
         L = inverse_of_triangle(np.linalg.cholesky(scaled))
         inverse = np.asarray(L.T @ L)
-        if np.diag(inverse).max(initial=0.0) < CERTAIN:  # no direction is at round-off
+        # Cholesky's factors give the inverse faster, and well if no scaled variance is greater than
+        # this.
+        if np.diag(inverse).max(initial=0.0) < 1e8:  # no direction is at round-off
             return np.asarray(inverse / np.outer(root, root))
     eigenvalues, V = np.linalg.eigh(scaled)
     return np.asarray((V / np.maximum(eigenvalues, 1e-15)) @ V.T / np.outer(root, root))

@@ -179,8 +179,6 @@ def prepared_again(found: Identification, sets: Sequence[Measurements] = ()) -> 
     return replace(prepared, free=(*free, *prepared.free))
 
 
-# A compliance is visible where less than this share of the scatter is left with it, and so much by chance so rarely.
-VISIBLE, CHANCE = 0.99, 1e-3
 # Of a set with more poses, so many are enough to see it.
 MOST_TRIED = 1_000
 
@@ -263,7 +261,7 @@ def compliance_tried(prepared: Prepared, progress: Progress | None = None) -> Pr
 
     They do where it leaves visibly less, BIC prefers the compliant model (Schwarz 1978), with the degrees of freedom
     of the rigid one in the place of the numbers, and so much less is left by chance (F-test) with a probability below
-    CHANCE, which few numbers need; the parameters are counted that the data determine, and both models are held back
+    1e-3, which few numbers need; the parameters are counted that the data determine, and both models are held back
     by the robot's priors. Outliers are those of the compliant model: what a rigid one leaves of a robot that sags is
     no wrong row. Of more than MOST_TRIED poses of a set, as many are drawn by chance.
     """
@@ -288,10 +286,12 @@ def compliance_tried(prepared: Prepared, progress: Progress | None = None) -> Pr
         freedom.append(max(float(problem.redundancies(v).sum()), 1.0))
     more, ratio = max(freedom[0] - freedom[1], 1.0), max(squares[0], 1e-300) / max(squares[1], 1e-300)
     chance = fdtrc(more, freedom[1], max(ratio - 1, 0.0) * freedom[1] / more)
-    carried = freedom[0] * math.log(ratio) > more * math.log(freedom[0]) and chance < CHANCE
+    # A compliance is visible where less than this share of the scatter is left with it, and so much
+    # by chance so rarely.
+    carried = freedom[0] * math.log(ratio) > more * math.log(freedom[0]) and chance < 1e-3
     left, least = (sigmas[0][0] * math.sqrt(square / f) for square, f in zip(squares, freedom, strict=True))
     whole = all(len(a) == len(b) for a, b in zip(sets, prepared.sets, strict=True))
-    tried = Tried(left, least, carried and least < VISIBLE * left, full.outliers if whole else None)
+    tried = Tried(left, least, carried and least < 0.99 * left, full.outliers if whole else None)
     return replace(wider if tried.kept else prepared, tried=tried)
 
 

@@ -17,15 +17,8 @@ from casadical.measurements.logs.log import JointLog
 from casadical.robot.dynamics import Dynamics
 from casadical.robot.robot import Robot
 
-# Speeds and accelerations are those of parabolas over this time [s]; so many states at most are looked at.
-WINDOW, STATES = 0.15, 500
-# Joints in another order or sign must lower the sum of logarithms of the shares of torque that are left by this much:
-# true models gained at most .37 in 40 logs. Friction that drives must be so great a share of a joint's torque.
-GAIN, DRIVEN = 0.8, 0.2
 # Torques so many times smaller than the model's stand at the motor's side.
 GEARED = 8.0
-# Coulomb friction turns its sign over such a speed [rad/s or m/s].
-SLOW = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,14 +48,16 @@ def states_of(log: JointLog) -> States | None:
     torque = log.torque if log.torque is not None else None if log.current_unsigned else log.current
     if torque is None:
         return None
-    half = max(2, round(WINDOW / max(log.step, 1e-9) / 2))
+    # Speeds and accelerations are those of parabolas over this time [s]; so many states at most are
+    # looked at.
+    half = max(2, round(0.15 / max(log.step, 1e-9) / 2))
     t = np.arange(-half, half + 1) * log.step
     fit = np.linalg.pinv(np.vander(t, 3, increasing=True)) * np.array([[1.0], [1.0], [2.0]])
     centres = np.arange(half, len(log) - half)
     spans = log.time[centres + half] - log.time[centres - half]
     whole = (log.run[centres + half] == log.run[centres - half]) & (np.abs(spans / (2 * half * log.step) - 1) < 0.1)
     centres = centres[whole]
-    centres = centres[:: max(1, len(centres) // STATES)]
+    centres = centres[:: max(1, len(centres) // 500)]
     if not len(centres):
         return None
     rows = centres[:, None] + np.arange(-half, half + 1)
@@ -95,7 +90,8 @@ def determined(robot: Robot, log: JointLog) -> Identifiability | None:
 
 
 def _friction(v: Array) -> Array:
-    return np.column_stack([np.ones(len(v)), np.tanh(v / SLOW), v])
+    # Coulomb friction turns its sign over such a speed [rad/s or m/s].
+    return np.column_stack([np.ones(len(v)), np.tanh(v / 0.01), v])
 
 
 def contradictions(robot: Robot, log: JointLog) -> tuple[str, ...]:
@@ -159,7 +155,10 @@ def _order(robot: Robot, log: JointLog, states: States) -> Iterator[str]:
     }
     left = {words: _left(dynamics, other) for words, other in tries.items()}
     words, rest = best_of(left.items(), lambda each: float(np.log(plain / each[1]).sum()))
-    if np.log(plain / rest).sum() > GAIN:
+    # Joints in another order or sign must lower the sum of logarithms of the shares of torque that
+    # are left by this much: true models gained at most .37 in 40 logs. Friction that drives must be
+    # so great a share of a joint's torque.
+    if np.log(plain / rest).sum() > 0.8:
         k = int(np.argmax(plain / rest))
         yield (
             f"{words}: so the model explains {100 * (1 - rest[k]):.0f} % of the torque of {names[k]} beside friction, "
@@ -168,7 +167,7 @@ def _order(robot: Robot, log: JointLog, states: States) -> Iterator[str]:
     model = dynamics.torque(states.q, states.v, states.a)
     for k, name in enumerate(names):
         share = _driving(states.v[:, k], states.tau[:, k], model[:, k])
-        if share > DRIVEN and words != against.format(name):
+        if share > 0.2 and words != against.format(name):
             yield (
                 f"{against.format(name)}: its friction would drive it ({100 * share:.0f} % of what it moves by). Turn "
                 "the sign of the column; until then its friction and load are not told"

@@ -28,17 +28,12 @@ from casadical.robot.robot import Robot
 
 # Taken where no sigma is given, until it is estimated from the residuals.
 SIGMA_GUESS, SIGMA_ANGLE_GUESS = 1e-4, 1e-4
-# What one more step gains at an optimum [chi-squared]: a ten-thousandth of a standard error.
-ROUND_OFF = 1e-8
 # The same where a search creeps, for what priors hold is much: guesses, along their common scale, and what another
 # campaign has told; a tenth of a standard error.
 SETTLED = 5e-3
 # Of more parameters than this, held back by priors, not all are tested for independence, and a solve starts where so
 # many steps at most lead.
 WIDE, APPROACH = 200, 8
-# Times that variables are held at bounds again on the way to a step, the first ones all at once; and the share of what
-# is known of a variable below which rounding alone is left of it.
-MOST_HELD, ALL_AT_ONCE, ALONE = 60, 8, 1e-9
 # Groups of parameters that belong to a campaign, not to the robot.
 FRAMES = ("base", "tool")
 
@@ -225,7 +220,9 @@ class LeastSquares:
         solution = minimise(
             self.cost, self.gradient, *self.bounds, scale=scale, start=start, progress=progress, settled=settled
         )
-        sharp = solution.status == ACCEPTABLE and self.decrement(solution.v) < ROUND_OFF
+        # What one more step gains at an optimum [chi-squared]: a ten-thousandth of a standard
+        # error.
+        sharp = solution.status == ACCEPTABLE and self.decrement(solution.v) < 1e-8
         return replace(solution, message=OPTIMUM) if sharp else solution
 
     def _approached(self) -> Array:
@@ -443,7 +440,10 @@ class LeastSquares:
                 gradient += own.T @ y[at == group]
                 information += own.T @ own
         g, H = self.gradient(v)
-        alone = [np.diag(H - information) > ALONE * np.diag(H) for _, information in lost]
+        # Times that variables are held at bounds again on the way to a step, the first ones all at
+        # once; and the share of what is known of a variable below which rounding alone is left of
+        # it.
+        alone = [np.diag(H - information) > 1e-9 * np.diag(H) for _, information in lost]
         return np.stack([self._step(v, g - of[0], H - of[1], some) for of, some in zip(lost, alone, strict=True)])
 
     def _step(self, v: Array, g: Array, H: Array, moves: Array | None = None) -> Array:
@@ -456,7 +456,7 @@ class LeastSquares:
         step, free = np.zeros(self.size), np.ones(self.size, dtype=bool) if moves is None else moves
         held = np.where(-lower < upper, g >= 0, g <= 0) & self.at_bounds(v) & free
         best, least, own = step, 0.0, free
-        for turn in range(MOST_HELD):
+        for turn in range(60):
             free = own & ~held
             step = np.where(free, 0.0, step)
             step[free] = -scaled_inverse(H[np.ix_(free, free)]) @ (g + H @ step)[free]
@@ -468,7 +468,7 @@ class LeastSquares:
             wrong = beyond | drawn
             if not wrong.any():
                 break
-            if turn > ALL_AT_ONCE:  # one at a time never returns to where it was (Murty 1974)
+            if turn > 8:  # one at a time never returns to where it was (Murty 1974)
                 wrong &= np.arange(self.size) == wrong.argmax()
             step, held = np.where(held | beyond & wrong, inside, 0.0), held ^ wrong
         return best
@@ -547,10 +547,6 @@ class LeastSquares:
         return other
 
 
-# Steps of the settling of a robust loss at most, and what the last one gains [chi-squared].
-SETTLING, LAST_GAIN = 10, 1e-3
-
-
 @dataclass(frozen=True, eq=False)
 class Linearised(LeastSquares):
     """A problem whose residuals are those of another one at a point, and linear in v about it.
@@ -577,11 +573,12 @@ class Linearised(LeastSquares):
 
     def settled(self, v: Array) -> Array:
         """The optimum without bounds, by reweighted least squares from v, shape (size,) (Huber and Ronchetti 2009)."""
-        for _ in range(SETTLING):
+        # Steps of the settling of a robust loss at most, and what the last one gains [chi-squared].
+        for _ in range(10):
             g, H = self.gradient(v)
             step = scaled_inverse(H) @ g
             v = v - step
-            if 0.5 * g @ step < LAST_GAIN:
+            if 0.5 * g @ step < 1e-3:
                 break
         return v
 

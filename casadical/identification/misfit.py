@@ -25,16 +25,10 @@ from casadical.robot.robot import Robot
 
 # Harmonics of each joint's error: those that are compared between campaigns, and those that only widen what is known.
 ORDERS, FURTHER = 2, 6
-# Residuals are summed up over so many parts of the poses, by their order and by the region of the joints.
-PARTS = 12
-# So many standard deviations of the misfit factor are taken for chance.
-CHANCE = 2.0
 # Directions of unknown points that are seen by a smaller share of the best seen one are not seen.
 POINT = 1e-9
 # Repeatability of the joints over the noise of a coordinate [rad/m].
 RHOS = (0.0, 0.3, 0.5, 0.8, 1.3, 2.0)
-# Rounds of a fit that begins at the variances of another one.
-AGAIN = 4
 # So many poses are kept with their Jacobians.
 KEPT = 10_000
 _MM = 1e-3
@@ -126,7 +120,8 @@ class WideFit:
         """Of such a fit, begun at the variances of the best one."""
         if rhos not in self._tried:
             doubts = replace(self.doubts, sigma=np.sqrt(self.best.variance))
-            self._tried[rhos] = _at(rhos, self.poses, doubts, AGAIN)[0].log_likelihood
+            # Rounds of a fit that begins at the variances of another one.
+            self._tried[rhos] = _at(rhos, self.poses, doubts, 4)[0].log_likelihood
         return self._tried[rhos]
 
 
@@ -142,7 +137,9 @@ def wide_fit(found: Identification, kept: int = KEPT) -> WideFit:
     poses = _Poses(found, robot, doubts.names, kept)
     rhos, best, mean = _most_probable(poses, doubts)
     n = len(poses)
-    parts = [_sums(rhos, poses, part)[0] for part in (np.arange(n) * min(PARTS, n) // n, _by_region(poses.q))]
+    # Residuals are summed up over so many parts of the poses, by their order and by the region of
+    # the joints.
+    parts = [_sums(rhos, poses, part)[0] for part in (np.arange(n) * min(12, n) // n, _by_region(poses.q))]
     times = _misfit(parts, mean, best.s2, best.variance)
     # A parameter with a prior counts as far as the data determine it (Hastie 1990); with few poses the last round of
     # `posterior_of` still moved s2.
@@ -277,7 +274,8 @@ def _misfit(of_parts: Sequence[Sequence[NormalSums]], mean: Array, s2: float, va
     whole = reduce(NormalSums.plus, of_parts[0])
     inverse = scaled_inverse(whole.H + s2 * np.diag(1 / variance))
     freedom = max(1.0, whole.count - float(np.sum(inverse * whole.H)))
-    chance = CHANCE * np.sqrt(2 / freedom)
+    # So many standard deviations of the misfit factor are taken for chance.
+    chance = 2.0 * np.sqrt(2 / freedom)
     factor = 1.0
     for parts in of_parts:
         pushed = usual = 0.0

@@ -1,7 +1,7 @@
 """A start for the base and tool frames: in closed form, or held by the robot file where readings tell too little.
 
-The tool may be elsewhere than the file says by OWN_TOOL, the base turned by TURN, shifted by SHIFT, one sigma each. A
-model that is not calibrated yet is wrong by MODEL at a pose, and not by chance: more than ENOUGH poses tell no more
+The tool may be elsewhere than the file says by 0.1 m, the base turned by 0.3 rad, shifted by 100 m, one sigma each.
+A model that is not calibrated yet is wrong by 3 mm at a pose, and not by chance: more than 30 poses tell no more
 than so many. What the readings determine is freed of these priors in the end.
 """
 
@@ -20,8 +20,6 @@ from casadical.identification.least_squares import LeastSquares, first_sigmas
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
-OWN_TOOL, TURN, SHIFT = 0.1, 0.3, 100.0
-MODEL, ENOUGH = 3e-3, 30
 # A direction that readings determine so many times better than the priors, as a ratio of variances, is freed of them.
 FREE = 100.0
 # (a @ _CROSS).reshape(3, 3) is the matrix that takes t to a x t from the right.
@@ -65,7 +63,7 @@ class Held:
     def __init__(self, readings: Sequence[Readings], base: Array, tool: Array, *, tool_known: bool) -> None:
         self.readings, self.base, self.tool = readings, base, tool
         # One sigma of the turn, the shift and the tool.
-        sigma = np.repeat([TURN, SHIFT, 1e-6 if tool_known else OWN_TOOL], 3)
+        sigma = np.repeat([0.3, 100.0, 1e-6 if tool_known else 0.1], 3)
         self.prior = np.diag(sigma**-2.0)
 
     def determined(self, at: Placed) -> bool:
@@ -108,7 +106,7 @@ class Held:
         """Normal matrix and right side for a turn in the measuring frame, a shift and the tool; sum of squares."""
         H, g, square = np.zeros((9, 9)), np.zeros(9), 0.0
         total = sum(len(r.p) for r in self.readings)
-        weight = min(total, ENOUGH) / total / MODEL**2
+        weight = min(total, 30) / total / 3e-3**2
         for r in self.readings:
             arm = (r.p + r.R @ at.t) @ at.R.T
             left, toward = r.rows(arm + at.p)
@@ -143,16 +141,10 @@ class Held:
         return placed(best[0], float(cost[0]))
 
 
-# Singular values of less than this share of the greatest are noise: the directions stay as they are.
-UNDETERMINED = 1e-3
 # A start needs no more poses than so many, drawn by chance: every k-th may be alike where a grid was measured.
 START_POSES = 200
-# Of Kabsch's method and the tool in turns.
-ROUNDS = 3
 # Numbers of a start that is held: fewer say nothing.
 FEWEST = 6
-# Weight [m^2] of the rotation before, where the points determine none.
-TIE = 1e-9
 TOOL = ("tool_x", "tool_y", "tool_z")
 
 
@@ -313,17 +305,21 @@ def solve_placement(
     yR = (cR + np.multiply.outer(centre, S)).reshape(9, 3)
     G = np.block([[n * np.eye(3), S.T], [S, n * np.eye(3)]])
     inverse, p_sum = _seen_inverse(G), p.sum(axis=0)
-    for _ in range(ROUNDS):
+    # Of Kabsch's method and the tool in turns.
+    for _ in range(3):
         if known_tool is None:
             e = n * centre @ R_B - p_sum
             before = np.concatenate([t, (e - S @ t) / n])
             t = t + (inverse @ (np.concatenate([R_B.ravel() @ yR - Rp, e]) - G @ before))[:3]
-        R_B = nearest_rotation(cp + cR @ t + n * TIE * R_B)
+        # Weight [m^2] of the rotation before, where the points determine none.
+        R_B = nearest_rotation(cp + cR @ t + n * 1e-9 * R_B)
     return frame(R_B, centre - R_B @ (p.mean(axis=0) + S @ t / n)), t
 
 
 def _seen_inverse(G: Array) -> Array:
     """Inverse of a normal matrix in the directions that it determines; a solution stays as it was in the others."""
     values, V = np.linalg.eigh(G)
-    seen = values > UNDETERMINED**2 * values[-1]
+    # Singular values of less than this share of the greatest are noise: the directions stay as they
+    # are.
+    seen = values > 1e-3**2 * values[-1]
     return np.asarray((V[:, seen] / values[seen]) @ V[:, seen].T)

@@ -16,8 +16,6 @@ from casadical.measurements.measurements import Measurements
 from casadical.robot.kinematics import LEAST_MARGIN
 from casadical.robot.robot import Robot
 
-# About so many poses are enough to see that lengths are in another unit.
-UNIT_POSES = 200
 # Parts of a table in the order of its rows, of which each may have its unit; poses of one, and share of the reach over
 # which the model moves in one, from which on its unit is seen.
 PARTS, LEAST_POSES, MOVED = 5, 6, 0.3
@@ -26,9 +24,6 @@ PARTS, LEAST_POSES, MOVED = 5, 6, 0.3
 TURNED, GIVEN, TIMES = np.deg2rad(10.0), np.deg2rad(1.0), 3.0
 # Orientations that are off by more [rad] with the base where the positions put it are of another frame.
 OTHER_FRAME = np.deg2rad(2.0)
-# Positions with so many times the median error do not count for that, nor any where the model is off by this share of
-# its reach.
-FAR, UNEXPLAINED = 5.0, 0.02
 # Poses that tell it, and rounds in which poses that are far off do not count.
 TURNS, ROUNDS = 200, 3
 # A reading may lie so far beyond a joint's limit [rad or m], as of a pose that was commanded there.
@@ -109,7 +104,8 @@ def _refuse_implausible(robot: Robot, m: Measurements) -> None:
     if fault := fault_of_orientations(robot, m):
         raise InputError(f"{m.source}: {fault}")
     if len(m) > 3:
-        some = m[:: max(1, len(m) // UNIT_POSES)]
+        # About so many poses are enough to see that lengths are in another unit.
+        some = m[:: max(1, len(m) // 200)]
         p, _ = predicted(robot, some)
         if fault := _unit_fault(robot, some, p):
             raise InputError(f"{m.source}: {fault}")
@@ -154,8 +150,10 @@ def of_another_frame(robot: Robot, m: Measurements) -> float:
     for _ in range(ROUNDS):
         placed = place_frames(free, m[kept])
         length = np.linalg.norm(predicted(placed, m)[0] - m.position, axis=1)
-        kept = length <= FAR * np.median(length)
-    if np.median(length) > UNEXPLAINED * robot.reach:
+        # Positions with so many times the median error do not count for that, nor any where the
+        # model is off by this share of its reach.
+        kept = length <= 5.0 * np.median(length)
+    if np.median(length) > 0.02 * robot.reach:
         return 0.0
     off = turned_off(replace(placed, base=replace(placed.base, unknown="none")), m)
     return off if off > max(OTHER_FRAME, TIMES * turned_off(free, m)) else 0.0

@@ -18,19 +18,7 @@ from casadical.robot.kinematics import link_frames
 from casadical.robot.model import base_frame
 from casadical.robot.robot import Robot
 
-# More poses than this are drawn evenly thinned (and said to be), or the file grows and the eye gains nothing.
-MOST_DRAWN, MOST_IN_SPACE = 400, 500
-FEW = 80
-QUANTILES = 201
 LONGEST_NAME = 26
-# Where the medians of two models differ by more, the axis is logarithmic.
-WIDE_APART = 4.0
-# An axis ends at so many times the 95th percentile; what lies beyond is drawn at its edge, with its value.
-BEYOND = 2.5
-# A logarithmic axis begins at this percentile of the smallest errors.
-LEAST = 0.02
-# In the workspace, an error of the 95th percentile is drawn as long as this share of it.
-LENGTH = 0.16
 SETS = {
     "report": "Held-out poses",
     "identify": "Poses that identified",
@@ -120,11 +108,13 @@ def errors_by_pose(poses: PoseErrors, name: str = "errors", caption: str = "", f
     Points, not lines: neighbouring rows need not be neighbouring poses. Poses that were left out are crosses.
     floor : mean error that noise alone leaves [m], drawn as a line
     """
-    some = poses.thinned(MOST_DRAWN)
+    # More poses than this are drawn evenly thinned (and said to be), or the file grows and the eye
+    # gains nothing.
+    some = poses.thinned(400)
     drawn = [left for left in some.models if left.shown]
     low, top, log = _limits([left.length for left in drawn])
     low = min(low, 0.8 * floor) if floor else low
-    size = 6 if len(some) <= FEW else 4.5
+    size = 6 if len(some) <= 80 else 4.5
     series = [_points(some, left, low, top, size) for left in some.models]
     if poses.left_out:
         error = np.array([out.error for out in poses.left_out])
@@ -178,15 +168,19 @@ def _short(source: str) -> str:
 def _limits(lengths: Sequence[Array]) -> tuple[float, float, bool]:
     """Ends of the axis of errors [m] that a few far poses do not move, and whether it is logarithmic."""
     medians = [float(np.median(length)) for length in lengths]
-    log = min(medians) > 0 and max(medians) > WIDE_APART * min(medians)
-    top = max(min(float(x.max()), BEYOND * float(np.quantile(x, 0.95))) for x in lengths)
-    low = min(float(np.quantile(x, LEAST)) for x in lengths) if log else 0.0
+    # Where the medians of two models differ by more, the axis is logarithmic.
+    log = min(medians) > 0 and max(medians) > 4.0 * min(medians)
+    # An axis ends at so many times the 95th percentile; what lies beyond is drawn at its edge, with
+    # its value.
+    top = max(min(float(x.max()), 2.5 * float(np.quantile(x, 0.95))) for x in lengths)
+    # A logarithmic axis begins at this percentile of the smallest errors.
+    low = min(float(np.quantile(x, 0.02)) for x in lengths) if log else 0.0
     return max(low, 1e-3 * top) if log else 0.0, max(top, 1e-9), log
 
 
 def error_distribution(poses: PoseErrors, name: str = "distribution", caption: str = "") -> Figure:
     """Share of the poses [%] with an error below x [mm], of all poses of the set."""
-    share = np.linspace(0, 1, min(QUANTILES, len(poses) + 1))
+    share = np.linspace(0, 1, min(201, len(poses) + 1))
     series = [
         Series(
             "line", np.round(1e3 * np.quantile(left.length, share), 5), 100 * share, name=left.words,
@@ -210,7 +204,7 @@ def workspace(poses: PoseErrors, robot: Robot | None = None, caption: str = "") 
     Each model's vectors are drawn longer by its own factor, which its name in the legend states. robot : drawn as a
     skeleton at one of the poses. Needs measured positions.
     """
-    some = poses.thinned(MOST_IN_SPACE)
+    some = poses.thinned(500)
     assert some.position is not None
     # At first the last model is drawn that is no network.
     first = next((x for x in reversed(some.models) if x.network is None), some.models[-1])
@@ -218,7 +212,9 @@ def workspace(poses: PoseErrors, robot: Robot | None = None, caption: str = "") 
     series: list[Series] = []
     for left in some.models:
         if left.vector is not None and not left.note:
-            factor = round_factor(LENGTH * extent / max(float(np.quantile(left.length, 0.95)), 1e-12))
+            # In the workspace, an error of the 95th percentile is drawn as long as this share of
+            # it.
+            factor = round_factor(0.16 * extent / max(float(np.quantile(left.length, 0.95)), 1e-12))
             series += _vectors(some, left, factor, left is first)
     if robot is not None:
         out = some.position - robot.base.T[:3, 3]

@@ -27,12 +27,6 @@ from casadical.robot.robot import Covariance, Robot
 
 # One sigma of the logarithm of the arm's size, of that of base and tool, and both are looked at so far from one.
 SPREADS, FARTHEST, POINTS = (1.0, 1.5), 50.0, 61
-# Least variance of a residual: readings without noise tell no more.
-EXACT = 1e-12
-# Of a point that nobody knows, one sigma in its units.
-POINT = 1e3
-# What the data tell of a direction beside its prior counts no more than this, so that squares keep their digits.
-CLEAR = 1e8
 
 
 def covariance_of_all(
@@ -73,11 +67,13 @@ def _sizes(whole: LeastSquares, v: Array, variance: float, given: Robot) -> Arra
     elsewhere = {n for block in _blocks(whole) for n in block.names} | effects | whole.given.keys()
     frame, free = np.array([(p.group in FRAMES, p.name not in elsewhere) for p in own]).T
     frames, arm = (np.flatnonzero(free & which) for which in (frame, ~frame))
-    unit = np.concatenate([np.sqrt(np.diag(_known(whole, whole.names))) / whole.scale, [POINT] * (len(v) - len(own))])
+    # Of a point that nobody knows, one sigma in its units.
+    unit = np.concatenate([np.sqrt(np.diag(_known(whole, whole.names))) / whole.scale, [1e3] * (len(v) - len(own))])
     mean = whole.prior_mean / unit
     filed = dict(zip(whole.robot.parameters.names, whole.robot.values_of(given), strict=True))
     mean[frames] = [(filed[own[k].name] - own[k].value) / own[k].prior for k in frames]
-    M, c = _likelihood(whole, v, max(variance, EXACT), unit)
+    # Least variance of a residual: readings without noise tell no more.
+    M, c = _likelihood(whole, v, max(variance, 1e-12), unit)
     grid = np.geomspace(1 / FARTHEST, FARTHEST, POINTS)
     likely = np.add.outer(*(-0.5 * (np.log(grid) / spread) ** 2 for spread in SPREADS[::-1]))
     rest = np.setdiff1d(np.arange(len(v)), arm)
@@ -104,7 +100,9 @@ def _likelihood(whole: LeastSquares, v: Array, variance: float, unit: Array) -> 
     product = (H @ v - g - whole.prior_matrix @ whole.prior_mean) * unit / variance
     value, V = np.linalg.eigh((H - whole.prior_matrix) * np.outer(unit, unit) / variance)
     seen = value > len(v) * np.finfo(float).eps * value[-1]
-    V, kept = V[:, seen], np.minimum(value[seen], CLEAR)
+    # What the data tell of a direction beside its prior counts no more than this, so that squares
+    # keep their digits.
+    V, kept = V[:, seen], np.minimum(value[seen], 1e8)
     return (V * kept) @ V.T, V @ (kept / value[seen] * (V.T @ product))
 
 

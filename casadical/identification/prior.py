@@ -28,8 +28,6 @@ WIDENED = 1.5
 CHANGED = 0.1
 # Probability, before any data, that something has changed between two campaigns.
 USUAL_CHANGE = 0.1
-# Readings that differ by less are the same [rad or m].
-SAME = 1e-9
 
 
 def probability_of_change(log_odds: float) -> float:
@@ -103,7 +101,8 @@ class Prior(Shown):
         if not len(theirs) or not {m.source for m in sets} & set(self.knowledge.campaign.split(", ")):
             return False
         q = np.concatenate([m.q for m in sets])
-        return all(np.abs(q[:, j] - end).min() < SAME for j, ends in enumerate(theirs) for end in ends)
+        # Readings that differ by less are the same [rad or m].
+        return all(np.abs(q[:, j] - end).min() < 1e-9 for j, ends in enumerate(theirs) for end in ends)
 
     def in_words(self, sets: Sequence[Measurements]) -> str:
         """What was carried over, how it is used, and whether its ranges cover these measurements."""

@@ -147,12 +147,6 @@ def solve_by_auto(
     return plain or _solve_with_sigmas(problem, progress, {}), ()
 
 
-# Share of the bound of outliers up to which poses are surely none; of fewer numbers a variable a fit hides some.
-SURELY, TELLING_NUMBERS = 0.9, 3
-# Square of a residual, in units of their spread, with which a pose is an outlier at a glance.
-EVIDENT = 100.0
-
-
 def _surely_without_outliers(problem: LeastSquares, solution: Solution) -> bool:
     """Whether the huber loss would find no outliers, by residuals that are linear in v about the fit without it.
 
@@ -160,8 +154,11 @@ def _surely_without_outliers(problem: LeastSquares, solution: Solution) -> bool:
     another optimum.
     """
     v, (lower, upper) = solution.v, problem.bounds
-    few = problem.residual_count < TELLING_NUMBERS * problem.size
-    far = any(((r**2).sum(axis=1) > EVIDENT * robust_std(r) ** 2).any() for r in problem.residuals(v))
+    # Share of the bound of outliers up to which poses are surely none; of fewer numbers a variable
+    # a fit hides some.
+    few = problem.residual_count < 3 * problem.size
+    # Square of a residual, in units of their spread, with which a pose is an outlier at a glance.
+    far = any(((r**2).sum(axis=1) > 100.0 * robust_std(r) ** 2).any() for r in problem.residuals(v))
     if far or few or problem.at_bounds(v).any() or not _misfit(problem, v) < POOR_FIT * problem.robot.reach:
         return False
     robust = Linearised.about(problem, v, "huber")
@@ -172,7 +169,7 @@ def _surely_without_outliers(problem: LeastSquares, solution: Solution) -> bool:
         robust = robust.with_sigmas(sigmas)
         v = robust.settled(v)
     inside = bool((lower < v).all() and (v < upper).all())
-    return inside and not any(far.any() for far in outlier_masks(robust, replace(solution, v=v), SURELY))
+    return inside and not any(far.any() for far in outlier_masks(robust, replace(solution, v=v), 0.9))
 
 
 def outlier_masks(problem: LeastSquares, solution: Solution, share: float = 1.0) -> list[Array]:

@@ -25,9 +25,6 @@ LEAST = 30  # poses; fewer do not tell what no parameter explains
 EXACT = 1e-3
 MOST = 20_000  # poses: so many, drawn at random, tell the errors as well as more, in less memory
 ROUNDS = 12  # of expectation and maximisation: sizes that the poses do not determine are still of usual size then
-_DIGITS = 4  # of a factor, behind the first one of its greatest entry: more were a processor's rounding
-_LOST = 0.05  # share of the mean square that may be lost at a pose where the factor of the moment is cut
-_SAMPLES = 500  # random poses at which that holds
 _MM = 1e-3
 
 
@@ -96,7 +93,8 @@ def evaluated(robot: Robot, sets: Iterable[Measurements], names: tuple[str, ...]
 def _anywhere(robot: Robot, names: tuple[str, ...]) -> Array:
     """Jacobians at random poses within the joint limits, where the robot has a pose."""
     lower, upper = robot.limits
-    q = np.random.default_rng(0).uniform(lower, upper, (_SAMPLES, robot.n))
+    # random poses at which that holds
+    q = np.random.default_rng(0).uniform(lower, upper, (500, robot.n))
     J = evaluated(robot, [unmeasured(q)], names)[1]
     return np.asarray(J[np.isfinite(J).all(axis=(1, 2))])
 
@@ -136,9 +134,11 @@ def _cut(M: Array, rest: float, J: Array) -> Array:
     moved = J @ whole
     _, _, turn = np.linalg.svd(np.linalg.qr(moved.reshape(-1, moved.shape[2]), mode="r"))
     squares = np.cumsum(((moved @ turn.T) ** 2).sum(axis=1), axis=1)
-    enough = (squares[:, -1:] - squares <= _LOST * (rest + squares[:, -1:])).all(axis=0)
+    # share of the mean square that may be lost at a pose where the factor of the moment is cut
+    enough = (squares[:, -1:] - squares <= 0.05 * (rest + squares[:, -1:])).all(axis=0)
     factor = np.asarray(whole @ turn.T[:, : int(np.argmax(enough)) + 1])
     # Columns that the svd leaves free in sign: the greatest entry is positive. Behind some digits is rounding,
     # and so is the sign of a zero.
     factor = factor * np.sign(np.take_along_axis(factor, np.abs(factor).argmax(axis=0)[None], 0))
-    return np.asarray(factor.round(_DIGITS - math.floor(math.log10(np.abs(factor).max() or 1.0))) + 0.0)
+    # of a factor, behind the first one of its greatest entry: more were a processor's rounding
+    return np.asarray(factor.round(4 - math.floor(math.log10(np.abs(factor).max() or 1.0))) + 0.0)

@@ -25,8 +25,6 @@ from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.robot.robot import Knowledge, Robot, blocks, modified_dh
 from casadical.robot.robot_file import to_toml
 
-# With this share of the standard error that it had before, a parameter was told by the prior alone.
-UNTOLD = 0.98
 AS_BEFORE = "as the prior has it; these poses tell no more of it"
 
 
@@ -266,7 +264,9 @@ class Identification(Result):
                 status, reason = ("at bound", "its bound stops it") if p.name in self._stopped else ("identified", "")
                 if p.name in self._rigid:
                     reason = "zero, the least: no compliance shows"
-                if self.standard_errors[k] >= UNTOLD * before.get(p.name, np.inf):
+                # With this share of the standard error that it had before, a parameter was told by
+                # the prior alone.
+                if self.standard_errors[k] >= 0.98 * before.get(p.name, np.inf):
                     reason = AS_BEFORE
             elif p.name in reasons:
                 status, reason = "not identifiable", reasons[p.name]

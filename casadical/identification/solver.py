@@ -13,16 +13,10 @@ from casadical.core.basics import Array, ConvergenceError
 
 Progress = Callable[[int, float], None]
 
-# At 1e-8 Ipopt reaches the optimum and then spends iterations at round-off level in its line search.
-TOLERANCE = 1e-6
-MAX_ITERATIONS = 200
-TINY_STEP = 1e-6
 # Where the last iterations gained less than this [cost: half of chi-squared], it is asked whether it stands at its
 # optimum: it creeps there along what only priors hold, as the common scale of estimated masses and compliances.
 FLAT, LAST = 1e-3, 10
 
-# Solvers of up to so many variables are kept for the next problem: one of a thousand holds 100 MB and is soon made.
-KEPT_TO = 100
 OPTIMUM, ACCEPTABLE = "Ipopt found an optimum.", "Solved_To_Acceptable_Level"
 STOPPED = "User_Requested_Stop"
 _SENTENCES = {
@@ -131,6 +125,8 @@ class _Solver:
         sizes = {"x": vector, "f": number, "lam_x": vector}
         point = {name: sizes.get(name, ca.Sparsity(0, 1)) for name in ca.nlpsol_out()}
         watch = _Evaluation("watch", point, {"stop": number}, self._stop)
+        # At 1e-8 Ipopt reaches the optimum and then spends iterations at round-off level in its
+        # line search.
         options: dict[str, Any] = {
             "iteration_callback": watch,
             "grad_f": g,
@@ -140,7 +136,7 @@ class _Solver:
             "print_time": False,
             "show_eval_warnings": False,
             "ipopt": {
-                "tol": TOLERANCE,
+                "tol": 1e-6,
                 "max_iter": most,
                 "print_level": 0,
                 "sb": "yes",
@@ -148,7 +144,7 @@ class _Solver:
                 "mu_init": 1e-7,
                 "bound_relax_factor": 0.0,
                 # No search along a step that is a millionth of each scale: the cost is round-off there.
-                "tiny_step_tol": TINY_STEP,
+                "tiny_step_tol": 1e-6,
                 # A step is refined where its residual is great, not always: the next one corrects it.
                 "min_refinement_steps": 0,
                 # Robust losses converge linearly: stop where the cost no longer changes.
@@ -230,8 +226,10 @@ def minimise(
 
     Raises ConvergenceError with a sentence and a remedy if Ipopt does not stop at an optimum.
     """
-    kept = len(lower) <= KEPT_TO
-    ipopt = (_solvers.of if kept else _Solver)(len(lower), MAX_ITERATIONS, settled is not None)
+    # Solvers of up to so many variables are kept for the next problem: one of a thousand holds 100
+    # MB and is soon made.
+    kept = len(lower) <= 100
+    ipopt = (_solvers.of if kept else _Solver)(len(lower), 200, settled is not None)
     ipopt.cost, ipopt.gradient, ipopt.scale, ipopt.progress, ipopt.history = cost, gradient, scale, progress, []
     ipopt.settled = settled
     try:

@@ -12,9 +12,6 @@ from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
-# Places whose second spread is less than this share of the first are in a line.
-IN_LINE = 0.05
-
 
 def undetermined(sets: Sequence[Measurements], where: Mapping[str, Array]) -> Iterator[str]:
     """What these sets cannot tell, each as the end of a sentence: "these data cannot ...".
@@ -43,7 +40,8 @@ def undetermined(sets: Sequence[Measurements], where: Mapping[str, Array]) -> It
         )
         return
     spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
-    if spread[1] < IN_LINE * spread[0]:
+    # Places whose second spread is less than this share of the first are in a line.
+    if spread[1] < 0.05 * spread[0]:
         yield (
             f"see a turn of the whole robot about the line in which the {len(places)} places lie that distances are "
             "measured to; distances to one place beside that line show it"

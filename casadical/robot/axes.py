@@ -16,8 +16,6 @@ from casadical.core.basics import Array
 from casadical.core.parts import NEAR_PARALLEL, Joint
 from casadical.core.transforms import frame, rot_x, rot_y, rot_z, translate
 
-COINCIDENT = 1e-12  # m: nearer axes have no direction between them
-INTERSECTING = 1e-5  # m: a shorter common normal is rounding in the file, its sign means nothing
 NOISE = 1e-14  # of products of sines
 
 
@@ -111,7 +109,8 @@ def _craig(row: Joint, p: Array, z: Array) -> tuple[Joint, Joint]:
     a = p @ normal
     d = (p[2] - (p @ z) * cosine) / sine**2
     theta, alpha = np.arctan2(normal[1], normal[0]), np.arctan2(sine, cosine)
-    backwards = abs(theta) > np.pi / 2 + NOISE if abs(a) < INTERSECTING else a < 0
+    # m: a shorter common normal is rounding in the file, its sign means nothing
+    backwards = abs(theta) > np.pi / 2 + NOISE if abs(a) < 1e-5 else a < 0
     if backwards:
         theta, a, alpha = theta - np.copysign(np.pi, theta), -a, -alpha
     return replace(row, theta=_tidy(theta), d=_tidy(d)), Joint(alpha=_tidy(alpha), a=_tidy(a))
@@ -121,7 +120,8 @@ def _hayati(row: Joint, p: Array, z: Array) -> tuple[Joint, Joint]:
     """By the point where the line p + t z, nearly parallel to the z axis, meets the x-y plane."""
     foot = p - (p[2] / z[2]) * z
     a = np.hypot(foot[0], foot[1])
-    theta = np.arctan2(foot[1], foot[0]) if a > COINCIDENT else 0.0
+    # m: nearer axes have no direction between them
+    theta = np.arctan2(foot[1], foot[0]) if a > 1e-12 else 0.0
     c, s = np.cos(theta), np.sin(theta)
     beta = np.arcsin(c * z[0] + s * z[1])
     alpha = np.arctan2(s * z[0] - c * z[1], z[2])

@@ -24,9 +24,6 @@ Couplings = tuple[Coupling | None, ...]
 BODY = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 # One sigma of the logarithm of a stated inertia, of an estimated one, and of a rotor inertia, stated and estimated.
 INERTIA, GUESSED_INERTIA, ROTOR, GUESSED_ROTOR = 0.3, 1.0, 0.1, 2.0
-# Rotor inertia where none is stated, as a share of the links' at the joint in the middle of its range, and where these
-# are small, of those at the strongest joint.
-ROTOR_SHARE, LEAST_SHARE = 0.3, 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +107,9 @@ class Dynamics:
         middle = np.tile(np.mean(self.robot.limits, axis=0), (n, 1))
         pi = np.concatenate([links, np.zeros(n)])
         inertia = np.diag(self.torque(middle, np.zeros((n, n)), np.eye(n), pi, np.zeros(3)))
-        return np.asarray(np.maximum(ROTOR_SHARE * inertia, LEAST_SHARE * inertia.max()))
+        # Rotor inertia where none is stated, as a share of the links' at the joint in the middle of
+        # its range, and where these are small, of those at the strongest joint.
+        return np.asarray(np.maximum(0.3 * inertia, 0.03 * inertia.max()))
 
     @cached_property
     def sigma(self) -> Array:

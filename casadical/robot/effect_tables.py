@@ -25,14 +25,10 @@ from casadical.effects.definition import Definition, DefinitionFile
 from casadical.effects.plugins import defined_in_files, find_effect, new_effects
 from casadical.robot.robot import Covariance, Knowledge, RemainingErrors, Robot
 
-# A standard error and the variance of its parameter may differ by so much, relative.
-SAME = 1e-6
 # Of a covariance: enough for correlations of 1 - 1e-9, and a quarter less text than all.
 DIGITS = 12
 # Of a value, behind the first digit of its standard error: those behind these are a processor's rounding.
 KNOWN_DIGITS = 6
-# Of a correlation, more than its least eigenvalue has zeros.
-MORE_DIGITS = 3
 
 # Of one effect: a curve of each joint, and more.
 MOST_PARAMETERS = 3000
@@ -166,7 +162,8 @@ def knowledge_of(
                 raise InputError(f"covariance: no parameter {name!r}; there are {', '.join(names)}")
     known = {name: float(np.sqrt(v)) for c in parts for name, v in zip(c.names, np.diag(c.matrix), strict=True)}
     for name, given in errors.items():
-        if abs(known.setdefault(name, given) - given) > SAME * given:
+        # A standard error and the variance of its parameter may differ by so much, relative.
+        if abs(known.setdefault(name, given) - given) > 1e-6 * given:
             raise InputError(
                 f"{name}: std_error = {given:.6g}, but its [[covariance]] says {known[name]:.6g}; leave one out"
             )
@@ -213,7 +210,8 @@ def _triangle(block: Covariance, known_alone: bool) -> Iterator[list[float]]:
     scale = np.sqrt(np.diag(block.matrix))
     sizes = np.outer(scale, scale)
     least = np.linalg.eigvalsh(block.matrix / np.where(sizes > 0, sizes, 1.0))[0]
-    digits = MORE_DIGITS - math.floor(math.log10(max(least, 10.0**-DIGITS)))
+    # Of a correlation, more than its least eigenvalue has zeros.
+    digits = 3 - math.floor(math.log10(max(least, 10.0**-DIGITS)))
     for i, row in enumerate(block.matrix):
         if known_alone and digits < DIGITS:
             yield [known_digits(v, s, max(digits, KNOWN_DIGITS)) for v, s in zip(row[: i + 1], sizes[i], strict=False)]

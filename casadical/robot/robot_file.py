@@ -141,7 +141,6 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
 
 # Decimals of lengths [mm], angles [deg] and accelerations [m/s^2]; digits of stiffnesses.
 _DECIMALS = {"_mm": 8, "_deg": 9, "_s2": 9}
-_OF_STIFFNESS = 7
 
 
 def _known(key: str, value: Any) -> Any:
@@ -153,7 +152,7 @@ def _known(key: str, value: Any) -> Any:
     if not isinstance(value, float):
         return value
     if key.startswith("stiffness"):
-        return known_digits(value, value, _OF_STIFFNESS)
+        return known_digits(value, value, 7)
     return round(value, next((n for end, n in _DECIMALS.items() if key.endswith(end)), 15)) + 0.0
 
 

@@ -33,8 +33,6 @@ from casadical.robot.robot import Robot
 MOST_JOINTS = 100
 # Size of gravity [m/s2]: mm/s2 are none of it.
 MOST_GRAVITY = 30.0
-# Beyond twice the arm's reach a mass centre may be so far from its joint [m].
-FAR_CENTRE = 1.0
 # Twists of a right and a straight angle in radians, read as degrees, to so much [rad].
 TWISTS, NEAR_TWIST = np.deg2rad([np.pi / 2, np.pi]), np.deg2rad(1e-3)
 
@@ -299,7 +297,8 @@ def refuse_far(robot: Robot) -> None:
     """Raises InputError for a mass centre that no link of the arm can have, as one of metres for millimetres."""
     for i, joint in enumerate(robot.joints, 1):
         away = float(np.linalg.norm(joint.body.com)) if joint.body else 0.0
-        if away > (most := 2 * robot.reach + FAR_CENTRE):
+        # Beyond twice the arm's reach a mass centre may be so far from its joint [m].
+        if away > (most := 2 * robot.reach + 1.0):
             raise InputError(
                 f"joint[{i}].body.com: {away:.4g} m from the origin of its frame, of an arm that reaches "
                 f"{robot.reach:.4g} m; allowed: up to {most:.4g} m. Is it in the unit that the key says?"

@@ -15,8 +15,6 @@ from casadical.robot.robot_schema import MOST_JOINTS, refuse_far
 from casadical.robot.urdf.tree import Tree, parse_urdf
 
 _FULL_TURN = 2 * np.pi
-# A revolute joint's range that ends between them [rad] looks like one in degrees: greater ones stand for none.
-_LEAST_DEGREES, _MOST_DEGREES = 25.0, 720.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +124,9 @@ def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfC
     if odd := [k.name for k in massive if np.any(k.inertial.inertia) and _inertia(k) is None]:
         notes.append(f"no body has the inertia of {', '.join(odd)}: it is taken as unknown")
     turning = [j for j in moving if j.type == "revolute" and j.limit]
-    if wide := [j.name for j in turning if _LEAST_DEGREES < max(map(abs, _range(j, str(path)))) <= _MOST_DEGREES]:
+    # A revolute joint's range that ends between them [rad] looks like one in degrees: greater ones
+    # stand for none.
+    if wide := [j.name for j in turning if 25.0 < max(map(abs, _range(j, str(path)))) <= 720.0]:
         notes.append(f"the range of {', '.join(wide)} looks like degrees, and is read as radians, as a URDF has them")
     if not any(bodies):
         notes.append("the URDF states no masses; those of a robot with compliant joints are estimated from its reach")

@@ -17,7 +17,6 @@ DEEPEST_XML = 200
 # Attributes that hold numbers, of elements of a link or a joint; the greatest angle of a frame [rad].
 _NUMBERS = (("origin", "xyz"), ("origin", "rpy"), ("mass", "value"), ("limit", "lower"), ("limit", "upper"),
             ("mimic", "multiplier"), ("mimic", "offset"))  # fmt: skip
-MOST_TURN = 6.3
 
 
 def parse_xml(path: Path, root: str = "robot") -> minidom.Document:
@@ -68,7 +67,7 @@ def _refuse_odd(document: minidom.Document, path: str) -> None:
                 if tag != "limit" and not np.isfinite(numbers).all():
                     raise InputError(f"{where}: is not finite")
                 largest = max(map(abs, numbers), default=0.0)
-                if key == "rpy" and largest > MOST_TURN:
+                if key == "rpy" and largest > 6.3:
                     raise InputError(f"{where}: is more than a turn; a URDF has radians, and this looks like degrees")
                 if tag in ("origin", "mimic", "mass") and largest > LENGTH.most:
                     raise InputError(f"{where}: allowed: up to {LENGTH.most:g}; a URDF has metres and kilograms")

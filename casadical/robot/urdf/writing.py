@@ -17,7 +17,6 @@ from casadical.robot.urdf.reading import UrdfChain, read_chain
 from casadical.robot.urdf.tree import parse_xml
 
 UNCHANGED = 1e-13  # m or rad: an origin nearer than this to its old value keeps its text
-SAME_ROBOT = 1e-9  # m or rad
 # Of a new file.
 TIP = "measured"
 # A URDF asks for them; they say nothing here.
@@ -72,7 +71,8 @@ def _refuse_other_robot(chain: UrdfChain, before: Robot, after: Robot, source: s
         if robot.n != len(chain.moving):
             raise InputError(f"{source}: {len(chain.moving)} joints in the chain, {robot.n} in robot {robot.name!r}")
     for i, (row, joint) in enumerate(zip(chain.dh.rows, before.joints, strict=True), 1):
-        if not np.allclose(row_matrix(row), row_matrix(joint), rtol=0, atol=SAME_ROBOT):
+        # m or rad
+        if not np.allclose(row_matrix(row), row_matrix(joint), rtol=0, atol=1e-9):
             raise InputError(
                 f"{source}: row {i} of robot_before is not that of the file between {chain.base_link!r} and "
                 f"{chain.tip_link!r}; hand in what read_urdf gave for the same file, base_link and tip_link"
