@@ -90,18 +90,31 @@ def correct(
     leave_unreached : Leave poses that the nominal robot does not reach, and correct the others; for right frames only.
     accuracy_off : The controller's own absolute accuracy has been switched off.
     """
-    from casadical.export.controller.c_export import OfCommand
     from casadical.export.controller.commands import Sources
     from casadical.export.controller.programs.csv_table import CsvTable
-    from casadical.export.controller.programs.program import OfLanguage, correct_file
-    from casadical.export.controller.programs.registry import language_of
+    from casadical.export.controller.programs.program import correct_file, language_of
 
     o.refuse_taken(out, overwrite)
     o.refuse_of_others(context, [*MODELS][model.is_dir()], MODELS)
     o.refuse_of_others(context, [*PROGRAMS][isinstance(language_of(program), CsvTable)], PROGRAMS)
     sources = Sources(model, nominal, compensator, payload, tool or "shared", leave_out)  # type: ignore[arg-type]
-    language = OfLanguage(tcp, base, root, flange, data, nearest, external_still, leave_unreached, accuracy_off)
-    made = correct_file(sources, program, out, OfCommand(steps or 2, what), language, trust=trust)
+    made = correct_file(
+        sources,
+        program,
+        out,
+        steps=steps or 2,
+        correct=what,
+        trust=trust,
+        tcp=tcp or (),
+        base=base or (),
+        root=root,
+        flange=flange,
+        data=data or (),
+        nearest=nearest,
+        external_still=external_still,
+        leave_unreached=leave_unreached,
+        accuracy_off=accuracy_off,
+    )
     console = plain(quiet)
     tell(console, *made.blocks())
     keep(with_json(made.texts, json_file, made.to_json()), console)

@@ -60,16 +60,18 @@ def export_c(
     language : Languages to write besides the C, by commas; default: structured text.
     overwrite : Replace files that casadical did not write or that were changed.
     """
-    from casadical.export.controller import c_export
-    from casadical.export.controller.commands import Sources
+    from casadical.export.controller import commands
 
     if (product := f"--what {what}") in PRODUCTS:
         o.refuse_of_others(context, product, PRODUCTS)
-    written = c_export.export_c(
-        Sources(robot, nominal, compensator, payload, tool, leave_out),  # type: ignore[arg-type]
+    times = {"cycle_s": None if cycle is None else 1e-3 * cycle, "rate_rad_s": rate, "ramp_s": ramp}
+    written = commands.export_c(
+        commands.Sources(robot, nominal, compensator, payload, tool, leave_out),  # type: ignore[arg-type]
         out,
         what,
-        c_export.OfCommand(steps or 2, correct, cycle, rate, ramp),
+        steps=steps or 2,
+        correct=correct,
+        limits={key: value for key, value in times.items() if value is not None},
         name=name,
         real=real,
         languages=language.split(",") if language else None,

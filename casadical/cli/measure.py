@@ -77,7 +77,7 @@ def measure(
     refuse_of_others(context, [*SHOWN][no_page], SHOWN)
     move = None
     if program:
-        from casadical.export.controller.programs.registry import language_named
+        from casadical.export.controller.programs.program import language_named
 
         move = language_named(program).move_line
     if (follow and simulate) or (no_page and not (follow or simulate)):

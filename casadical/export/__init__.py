@@ -1,4 +1,4 @@
-"""CasADi functions as guarded, deterministic C99 without a mathematical library, and models for simulators."""
+"""CasADi functions as guarded, deterministic C99 without libm, and models for simulators."""
 
 from casadical.core.lazy import attach
 

@@ -1,4 +1,4 @@
-"""A calibrated robot in another program's file: a MuJoCo model, a URDF, the kinematics of a driver."""
+"""A calibrated robot in another program's file: a MuJoCo model, URDF, driver's kinematics."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,15 +25,14 @@ from casadical.robot.robot_file import read_robot
 from casadical.robot.urdf import new_urdf
 
 FORMS = ("mjcf", "urdf", "actuators", *DRIVERS)
-# Which form a file's ending means.
-ENDINGS = {".xml": "mjcf", ".urdf": "urdf", ".json": "actuators", ".yaml": "ur", ".yml": "ur", ".xacro": "xacro"}
 
 
 @dataclass(frozen=True, eq=False)
 class RobotModel(Result):
     """A robot as another program reads it.
 
-    text : of the file; lines : what it holds beside the geometry, what it leaves out and what that costs
+    text : of the file; lines : what it holds beside the geometry, what it leaves out and what that
+        costs
     about : the robot, in words; figures : the same as plain data
     """
 
@@ -58,8 +57,10 @@ class RobotModel(Result):
 class OfMjcf:
     """What only a MuJoCo model can have.
 
-    campaign : measured poses from which the robot is calibrated and diagnosed; effects : as of `casadical diagnose`
-    into : a user's model, whose joints have these names, by commas; springs : whether it gets springs beside them
+    campaign : measured poses from which the robot is calibrated and diagnosed; effects : as of
+        `casadical diagnose`
+    into : a user's model, whose joints have these names, by commas; springs : whether it gets
+        springs beside them
     """
 
     campaign: Path | None = None
@@ -71,7 +72,9 @@ class OfMjcf:
 
 def form_of(word: str | None, out: Path) -> str:
     """The form that is asked for, or that the file's ending means. Raises InputError."""
-    form = word or ENDINGS.get(out.suffix.lower())
+    endings = {".xml": "mjcf", ".urdf": "urdf", ".json": "actuators", ".xacro": "xacro"}
+    endings |= {".yaml": "ur", ".yml": "ur"}
+    form = word or endings.get(out.suffix.lower())
     if form is None:
         raise InputError(f"{out}: its ending does not say which form is wanted; give --to {'|'.join(FORMS)}")
     if form not in FORMS:
@@ -92,15 +95,17 @@ def robot_model(
     """A calibrated robot as another program reads it.
 
     source : a robot file, taken as it is, or a problem folder, which is calibrated
-    form : mjcf, urdf; actuators, the drives by joint names; kinematics of a driver: ur, standard_dh, modified_dh, xacro
-    nominal : robot file from before the calibration, needed by a driver's kinematics and a user's own model
+    form : mjcf, urdf; actuators, the drives by joint names; kinematics of a driver: ur,
+        standard_dh, modified_dh, xacro
+    nominal : robot file from before the calibration, needed by a driver's kinematics and a user's
+        own model
     of_mjcf : what only a MuJoCo model can have: campaign, effects, into, joints, springs
     checksum : of the controller's own calibration, for `ur`
     leave_out : whether effects that have no place there are left out; else they are refused
     show : called with a line of progress
     Returns `text` of the file, `lines` on what it leaves out and what that costs
-    Raises InputError: what is given has no part in this form, or effects have no place in it; ConvergenceError: Ipopt
-        finds no optimum.
+    Raises InputError: what is given has no part in this form, or effects have no place in it;
+        ConvergenceError: Ipopt finds no optimum.
 
     Examples
     --------
@@ -124,7 +129,13 @@ def robot_model(
         return RobotModel(json_text(drives), ("the drives alone",), drives, f"drives of {robot.name}, by joint names")
     if form == "urdf":
         return _urdf(source, nominal, leave_out, show)
-    return _driver(source, form, nominal, checksum, show)
+    if nominal is None:
+        raise InputError(f"--to {form}: needs the robot file from before the calibration, too: give --nominal")
+    show("calibrating")
+    given = calibrated(source).written_robot if source.is_dir() else source
+    text, lost = driver_file(Sources(given, nominal), form, checksum)
+    figures = {"form": form, "left_out": list(lost)}
+    return RobotModel(text, tuple(f"LEFT OUT {line}" for line in lost), figures)
 
 
 def calibrated(folder: Path) -> Calibration:
@@ -136,7 +147,7 @@ def calibrated(folder: Path) -> Calibration:
 def robot_to_write(
     source: Path, campaign: Path | None = None, effects: str | None = None, show: Show = silent
 ) -> Robot:
-    """A file's robot, or one calibrated from a problem, or from a campaign with its diagnosed causes.
+    """A file's robot, or one calibrated from a problem, or a campaign with its causes.
 
     Raises InputError, ConvergenceError.
     """
@@ -165,9 +176,10 @@ def _mjcf(source: Path, asked: OfMjcf, nominal: Path | None, leave_out: bool, sh
 
 
 def into_users(source: Path, asked: OfMjcf, nominal: Path | None, robot: Robot) -> MjcfExport:
-    """A user's own model with the geometry (and springs) of a robot from `robot_to_write`; effects stay out of it.
+    """A user's own model with the geometry (and springs) of a robot, without effects.
 
-    nominal : robot file from before the calibration, needed where source is a robot file. Raises InputError.
+    nominal : robot file from before the calibration, needed where source is a robot file. Raises
+        InputError.
     """
     assert asked.into is not None
     assert asked.joints is not None
@@ -214,12 +226,3 @@ def _urdf(source: Path, nominal: Path | None, leave_out: bool, show: Show) -> Ro
     kept = {"robot": robot.name, "into": name, "left_out": list(lost), "mean_errors": figures}
     about = f"{robot.name}, {robot.n} joints" + (f", after {name}" if name else "")
     return RobotModel(text, tuple(lines), kept, about)
-
-
-def _driver(source: Path, form: str, nominal: Path | None, checksum: str, show: Show) -> RobotModel:
-    if nominal is None:
-        raise InputError(f"--to {form}: needs the robot file from before the calibration, too: give --nominal")
-    show("calibrating")
-    robot = calibrated(source).written_robot if source.is_dir() else source
-    text, lost = driver_file(Sources(robot, nominal), form, checksum)
-    return RobotModel(text, tuple(f"LEFT OUT {line}" for line in lost), {"form": form, "left_out": list(lost)})

@@ -1,7 +1,6 @@
-"""Effects that an export cannot carry: refused with what would be lost in millimetres, or left out on request."""
+"""Effects that an export cannot carry: refused with their loss in mm, or left out."""
 
 from collections.abc import Collection, Iterable
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,14 +21,21 @@ POSES = 1000
 def left_out(robot: Robot, omissions: Iterable[Omission], target: str, leave_out: bool) -> tuple[str, ...]:
     """A line on each omission with what is lost by it.
 
-    target : what is written, in words. Effects of the measurement are no loss to the robot. Raises InputError for other
-    ones unless `leave_out` is given.
+    target : what is written, in words. Effects of the measurement are no loss to the robot. Raises
+    InputError for other ones unless `leave_out` is given.
     """
     lines, refused = [], []
     for omission in omissions:
-        line = str(omission)
-        if not all(e.of_measurement for e in robot.effects if e.label == omission.label):
-            line += f"; {_loss(robot, omission)}"
+        line, effects = str(omission), [e for e in robot.effects if e.label == omission.label]
+        if not all(e.of_measurement for e in effects):
+            if name := _without_range(robot, effects):
+                line += f"; {_NOT_KNOWN} {name}"
+            else:
+                parts = [n for e in effects for n in e.sizes() if n in omission.parts or not omission.parts]
+                mean, most = lost(robot, [f"{omission.label}.{part}" for part in parts])
+                known = robot.knowledge and len(robot.knowledge.readings)
+                line += f"; lost without it: {1e3 * mean:.4f} mm on average, {1e3 * most:.4f} mm at most"
+                line += f" over the {'learnt range' if known else 'range of the joints'}"
             refused.append(line)
         lines.append(line)
     if refused and not leave_out:
@@ -42,10 +48,10 @@ def left_out(robot: Robot, omissions: Iterable[Omission], target: str, leave_out
 
 
 def rest_of_rigid(robot: Robot) -> tuple[str, ...]:
-    """What a file that holds the geometry alone leaves out of a robot, in words and millimetres; empty for a rigid one.
+    """What a file of the geometry alone leaves out, in millimetres; empty for a rigid robot.
 
-    The lines name the springs and effects, how far the point is off without all of them, and those whose loss is not
-    known. Effects of the measurement are named, but are no loss to the robot.
+    The lines name the springs and effects, how far the point is off without all of them, and those
+    whose loss is not known. Effects of the measurement are named, but are no loss to the robot.
     """
     soft = ", ".join(str(i) for i, j in enumerate(robot.joints, 1) if j.compliance)
     names = [*([f"compliance of joints {soft}"] if soft else []), *(e.label for e in robot.effects)]
@@ -61,34 +67,25 @@ def rest_of_rigid(robot: Robot) -> tuple[str, ...]:
 def rigid_rest(robot: Robot) -> tuple[float, float]:
     """How far the measured point is from that of the rigid geometry alone: mean and maximum [m].
 
-    Over the range on which the robot was learnt, as of `lost`; effects of the measurement are left out of both.
+    Over the range on which the robot was learnt, as of `lost`; effects of the measurement are left
+    out of both.
     """
     robot = robot.with_only(e for e in robot.effects if not e.of_measurement)
     q, w = _poses(robot)
-    bare = geometry_of(robot)
+    bare = robot.with_only(()).rigid
     (p,) = bare.model.evaluate(("p",), q, np.tile(bare.declared, (POSES, 1)), bare.parameters.values)
     return _apart(robot, q, w, p)
 
 
-def geometry_of(robot: Robot) -> Robot:
-    """The rigid robot without effects whose geometry, base and tool are the same."""
-    return rigid(robot.with_only(()))
-
-
-def rigid(robot: Robot) -> Robot:
-    """The robot without springs in its joints, and without what the file knows of its accuracy."""
-    return replace(robot, joints=tuple(replace(j, compliance=None) for j in robot.joints), knowledge=None)
-
-
 def geometry_alone(calibration: "Calibration") -> dict[str, float | int | str]:
-    """Mean errors [mm] at measured poses: of the nominal robot, of the calibrated geometry alone, of the whole model.
+    """Mean errors [mm] at measured poses: nominal, calibrated geometry, whole model.
 
-    The set `report`, which the fit has not seen, else the poses that were identified from; key `set` says which.
-    The nominal robot has its base and tool fitted.
+    The set `report`, which the fit has not seen, else the poses that were identified from; key
+    `set` says which. The nominal robot has its base and tool fitted.
     """
     identified, sets = calibration.identification, calibration.problem.sets
     name = "report" if "report" in sets else "identify"
-    robots = {"nominal": identified.placed, "geometry": geometry_of(identified.robot), "model": identified.robot}
+    robots = {"nominal": identified.placed, "geometry": identified.robot.with_only(()).rigid, "model": identified.robot}
     mean = {key: np.concatenate([errors(robot, m) for m in sets[name]]) for key, robot in robots.items()}
     figures = {f"{key}_mm": 1e3 * float(e.mean()) for key, e in mean.items()}
     return {"set": name, "poses": len(mean["model"]), **figures}
@@ -98,27 +95,17 @@ _NOT_KNOWN = "what would be lost is not known, for the robot file gives no range
 
 
 def _without_range(robot: Robot, effects: Iterable[Effect]) -> str:
-    """A condition that effects follow and whose range the robot file does not give; empty where there is none."""
+    """A condition of the effects whose range the robot file does not give; else empty."""
     known = robot.knowledge.conditions if robot.knowledge else {}
     names = (name for e in effects for name in e.conditions if name not in known)
     return next((name for name in names if not name.startswith(("approach", "progress", "payload_kg"))), "")
 
 
-def _loss(robot: Robot, omission: Omission) -> str:
-    effects = [e for e in robot.effects if e.label == omission.label]
-    if name := _without_range(robot, effects):
-        return f"{_NOT_KNOWN} {name}"
-    parts = [n for e in effects for n in e.sizes() if n in omission.parts or not omission.parts]
-    mean, greatest = lost(robot, [f"{omission.label}.{part}" for part in parts])
-    range_ = "learnt range" if robot.knowledge and len(robot.knowledge.readings) else "range of the joints"
-    return f"lost without it: {1e3 * mean:.4f} mm on average, {1e3 * greatest:.4f} mm at most over the {range_}"
-
-
 def lost(robot: Robot, parameters: Collection[str]) -> tuple[float, float]:
-    """How far the measured point moves if these parameters are zero: mean and maximum [m] over the learnt range.
+    """Mean and maximum [m] of how far the point moves if these parameters are zero.
 
-    Readings and columns are drawn uniformly from the range on which the robot was learnt; where it is not known, from
-    the joints' ranges, either approach, all times, and the declared payload.
+    Readings and columns are drawn uniformly from the range on which the robot was learnt; where it
+    is not known, from the joints' ranges, either approach, all times, and the declared payload.
     """
     q, w = _poses(robot)
     without = robot.parameters.values.copy()
@@ -128,7 +115,7 @@ def lost(robot: Robot, parameters: Collection[str]) -> tuple[float, float]:
 
 
 def _apart(robot: Robot, q: Array, w: Array, other: Array) -> tuple[float, float]:
-    """Mean and largest distance [m] of the measured point from another, shape (3, POSES), where the loops close."""
+    """Mean and largest distance [m] of the point from another, (3, POSES), where loops close."""
     p, margin = robot.model.evaluate(("p", "margin"), q, w, robot.parameters.values)
     closed = (margin.reshape(-1, POSES) > LEAST_MARGIN).all(axis=0)
     moved = np.linalg.norm(p - other, axis=0)[closed]
@@ -136,7 +123,7 @@ def _apart(robot: Robot, q: Array, w: Array, other: Array) -> tuple[float, float
 
 
 def _poses(robot: Robot) -> tuple[Array, Array]:
-    """Readings and conditions of the range on which a robot was learnt, shapes (POSES, n) and (POSES, conditions)."""
+    """Readings (POSES, n) and conditions (POSES, k) of the range on which a robot was learnt."""
     rng = np.random.default_rng(0)
     known = robot.knowledge.readings if robot.knowledge else np.zeros((0, 2))
     lower, upper = known.T if len(known) else robot.limits

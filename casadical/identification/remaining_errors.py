@@ -1,7 +1,8 @@
 """Learns the errors that may remain after an identification (see `casadical.robot.robot.RemainingErrors`).
 
-Their second moment is that of their posterior, mean included, given the residuals: parameters have the robot's priors,
-the first harmonic of each joint a prior size that the residuals show (Tipping 2001, by expectation and maximisation).
+Their second moment is that of their posterior, mean included, given the residuals: parameters have
+the robot's priors, the first harmonic of each joint a prior size that the residuals show (Tipping
+2001, by expectation and maximisation).
 """
 
 import math
@@ -45,7 +46,8 @@ def learn_remaining(found: Identification, most: int = MOST) -> RemainingErrors:
     """Return the errors that remain, from the poses with a measured position that were used.
 
     most : poses, drawn at random from more
-    Raises InputError where they are too few, nothing measured a position, or error curves were identified.
+    Raises InputError where they are too few, nothing measured a position, or error curves were
+    identified.
     """
     sets = [m.positions_alone() for m in found.used if m.position is not None]
     poses = sum(map(len, sets))
@@ -102,8 +104,9 @@ def _anywhere(robot: Robot, names: tuple[str, ...]) -> Array:
 def posterior_of(sums: NormalSums, doubts: Doubts, rounds: int = ROUNDS) -> tuple[float, Array, Array, Array]:
     """Variance of a coordinate that nothing explains [mm^2]; mean, shape (k,), covariance, and prior variances.
 
-    Few poses leave less than TELLING degrees of freedom: those that miss have the variance that the identified
-    parameters alone leave. Otherwise all would be explained, and the poses be taken for exact; so no less than EXACT.
+    Few poses leave less than TELLING degrees of freedom: those that miss have the variance that the
+    identified parameters alone leave. Otherwise all would be explained, and the poses be taken for
+    exact; so no less than EXACT.
     """
     s2 = max(float(sums.square / sums.count), EXACT**2)
     alone: float = sums.square / max(1, sums.count - len(doubts.solved))
@@ -137,8 +140,8 @@ def _cut(M: Array, rest: float, J: Array) -> Array:
     # share of the mean square that may be lost at a pose where the factor of the moment is cut
     enough = (squares[:, -1:] - squares <= 0.05 * (rest + squares[:, -1:])).all(axis=0)
     factor = np.asarray(whole @ turn.T[:, : int(np.argmax(enough)) + 1])
-    # Columns that the svd leaves free in sign: the greatest entry is positive. Behind some digits is rounding,
-    # and so is the sign of a zero.
+    # Columns that the svd leaves free in sign: the greatest entry is positive. Behind some digits
+    # is rounding, and so is the sign of a zero.
     factor = factor * np.sign(np.take_along_axis(factor, np.abs(factor).argmax(axis=0)[None], 0))
     # of a factor, behind the first one of its greatest entry: more were a processor's rounding
     return np.asarray(factor.round(4 - math.floor(math.log10(np.abs(factor).max() or 1.0))) + 0.0)

@@ -14,7 +14,7 @@ def doubted(robot: Robot, orders: int = 1) -> Robot:
 
 
 def refuse_other(robot: Robot, remaining: RemainingErrors) -> None:
-    """Raise InputError where the robot lacks a parameter, and so is not the one that the errors were learnt of."""
+    """Raises InputError where the robot lacks a parameter, and so is not the one that the errors were learnt of."""
     known = doubted(robot).parameters.names
     for name in remaining.names:
         if name not in known:

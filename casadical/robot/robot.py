@@ -355,6 +355,12 @@ class Robot(Shown, Arm):
         remaining = None if gone else self.remaining
         return replace(self, effects=kept, effect_values=values, knowledge=known, remaining=remaining)
 
+    @property
+    def rigid(self) -> Robot:
+        """The robot without springs in its joints, and without what the file knows of its accuracy."""
+        joints = tuple(replace(j, compliance=None) for j in self.joints)
+        return replace(self, joints=joints, knowledge=None)
+
     def with_values(self, values: Mapping[str, float]) -> Robot:
         """A robot whose nominal values are these, by parameter name [SI]; nothing is known of the new ones.
 

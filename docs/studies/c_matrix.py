@@ -29,7 +29,7 @@ from c_bench import (
 from c_proofs import analysers, eva, fuzz, self_tests
 
 from casadical.export import Status, load, write_c
-from casadical.export.c.c_language import inside
+from casadical.export.c.c_source import inside
 from casadical.export.c.kernel import build, compilers
 from casadical.export.c.reference import correct, network
 from casadical.export.c.tape_program import tape_program
@@ -68,7 +68,7 @@ def three_million(folders, count):
         for compiler in compilers():
             folder = folders["network", real]
             sources = [folder / "arm.c", folder / "arm_self_test.c"]
-            out, _ = build(shape_of(program, "arm"), sources, WORK, compiler, (f"-DTIME={real}",)).network(q)
+            out, _ = build(shape_of(program), sources, WORK, compiler, (f"-DTIME={real}",)).network(q)
             line(f"{real}, {compiler.command}", f"{out.size} outputs, {(out != expected).sum()} differ", "0")
 
 

@@ -18,7 +18,7 @@ sys.path.insert(0, str(ROOT / "tests" / "export" / "controller"))
 from controller_arms import nominal_path, planted  # noqa: E402
 
 from casadical.export import Sources, Status, command_of  # noqa: E402
-from casadical.export.c.c_language import inside  # noqa: E402
+from casadical.export.c.c_source import inside  # noqa: E402
 from casadical.export.c.products import mapped  # noqa: E402
 from casadical.export.c.reference import correct  # noqa: E402
 from casadical.export.c.tape_program import tape_program  # noqa: E402

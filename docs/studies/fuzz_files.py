@@ -107,7 +107,7 @@ def kinds(place: Path) -> dict[str, Kind]:
     from casadical.compensator import load_compensator
     from casadical.core.drive import read_drive
     from casadical.effects.definition import read_definitions
-    from casadical.export.c.manifest import read_manifest
+    from casadical.export.c.kernel import Manifest
     from casadical.export.controller.programs.program import read_target_program
     from casadical.export.controller.programs.target import Given
     from casadical.fleet.store import rows
@@ -198,7 +198,7 @@ def kinds(place: Path) -> dict[str, Kind]:
         Kind("net.json", [(place / "in/net.json").read_bytes()], load_compensator, 3),
         Kind("results/result.json", [(place / "in/results/result.json").read_bytes()], stated, 2),
         Kind(
-            "c/manifest.json", [b'{"kernel": {"joints": 2}, "files": {"a.c": "0"}}'], lambda p: read_manifest(p.parent)
+            "c/manifest.json", [b'{"kernel": {"joints": 2}, "files": {"a.c": "0"}}'], lambda p: Manifest.read(p.parent)
         ),
         Kind("w/withheld.json", [json.dumps(WITHHELD).encode()], lambda p: read_withheld(p.parent)),
         Kind("answers.jsonl", [ANSWER.encode() * 3], read_answers),

@@ -24,9 +24,8 @@ import structured_text_in_c as translated  # noqa: E402
 from casadical import calibrate, read_robot  # noqa: E402
 from casadical.export import Sources, command_of, write_c  # noqa: E402
 from casadical.export.c import structured_text as language  # noqa: E402
-from casadical.export.c.c_language import comparison_inputs  # noqa: E402
+from casadical.export.c.c_source import comparison_inputs  # noqa: E402
 from casadical.export.c.kernel import compilers  # noqa: E402
-from casadical.export.c.language import Label  # noqa: E402
 from casadical.export.c.products import Command  # noqa: E402
 from casadical.export.c.reference import correct  # noqa: E402
 from casadical.export.c.runs import WIDTH, plan_of  # noqa: E402
@@ -111,7 +110,7 @@ def main():
     for name, product in products():
         for real in ("double", "float"):
             program = tape_program(product, real)
-            text, plan = language.structured_text(program, Label("arm")), plan_of(program)
+            text, plan = language.structured_text(program), plan_of(program)
             folder = Path(tempfile.mkdtemp(dir=WORK))
             different, passed = compared(text, program, folder, count)
             print(
@@ -130,10 +129,10 @@ def main():
         write_c(arm(), folder / "c", name="arm", real=real, vectors=2000)
         flags = targets.defines(real, "arm_correct", 6, 200)
         found = {"exported C": targets.cortex(board, [folder / "c" / "arm.c"], folder / "c", flags)}
-        found["structured text"] = counted(language.structured_text(program, Label("arm")), program, folder, board)
+        found["structured text"] = counted(language.structured_text(program), program, folder, board)
         language.plan_of = one_by_one
         found["structured text, a run for each operation"] = counted(
-            language.structured_text(program, Label("arm")), program, folder, board
+            language.structured_text(program), program, folder, board
         )
         language.plan_of = plan_of
         for what, it in found.items():

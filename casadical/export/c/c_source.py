@@ -1,51 +1,20 @@
-"""The text of the exported header and source: templates filled with a program's tapes, box and limits."""
+"""The C99 files of a program: templates filled with its tapes, box, limits and known answers."""
 
-from collections.abc import Sequence
 from textwrap import wrap
+from typing import Any
 
+import casadi
 import numpy as np
 
 from casadical.core.basics import Array
 from casadical.export.c.chord import pose_size, prepared_size, residual_size
 from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, Real, literal
 from casadical.export.c.emit import elementary_functions, filled, kernel, template
-from casadical.export.c.language import Label
 from casadical.export.c.products import Command, Product
+from casadical.export.c.reference import StepState, correct, forward, network, step
 from casadical.export.c.tape_program import TapeProgram
 
-SCHEMA = 1
-# FLT_EVAL_METHOD where the type keeps its own precision.
-_METHODS = {"float": (0, 16, 32), "double": (0, 1, 16, 32, 64)}
-
-
-def header(program: TapeProgram, label: Label) -> str:
-    """Text of NAME.h."""
-    values = common_values(program, label)
-    command, network = program.command, program.network
-    parts = [template("network.h")] if network else []
-    parts += [template("command.h")] if command else []
-    values["prototypes"] = "".join(filled(part, values) for part in parts).rstrip("\n") + "\n"
-    values["defines"] = filled(_COMMAND_DEFINES, values) if command else ""
-    values["command_statuses"] = filled(_COMMAND_STATUSES, values) if command else ""
-    values["not_finite_output"] = "; zeros are written"
-    values["title"] = network.title if network and not command else "correction of joint commands"
-    return filled(template("header.h"), values)
-
-
-def source(program: TapeProgram, label: Label) -> str:
-    """Text of NAME.c."""
-    values = common_values(program, label)
-    texts = [filled(template("network.c"), values)] if program.network else []
-    if program.command:
-        texts.append(filled(template("command.c"), values))
-    values["functions"] = "".join(texts)
-    values["elementary"] = elementary_functions(list(program.tapes.values()), label.name, program.real)
-    values["kernels"] = "\n".join(
-        kernel(tape, label.name, f"{name}_values", program.real) for name, tape in sorted(program.tapes.items())
-    )
-    return filled(template("source.c"), values)
-
-
+SCHEMA = 1  # version of the files' form
 _COMMAND_DEFINES = """
 /* Largest correction of a joint [rad or m], and its largest change in one call of @name@_step */
 #define @NAME@_DELTA_LIMIT @delta_decimal@
@@ -59,78 +28,126 @@ _COMMAND_STATUSES = """\
 """
 
 
-def common_values(program: TapeProgram, label: Label) -> dict[str, str]:
+def c_files(program: TapeProgram) -> dict[str, str]:
+    """Return what `write_c` compiles, and what an integrator needs around it, by file name."""
+    name, values = program.name, _values(program)
+    build = {f"CMAKE_INSTALL_{key}": f"@CMAKE_INSTALL_{key}@" for key in ("PREFIX", "LIBDIR", "INCLUDEDIR")}
+    return {
+        f"{name}.h": _header(program, values),
+        f"{name}.c": _source(program, values),
+        f"{name}_self_test.c": _self_test(program, values),
+        f"{name}_example.c": _example(program, values),
+        "CMakeLists.txt": filled(template("CMakeLists.txt"), values),
+        f"{name}.pc.in": filled(template("pkg_config.pc.in"), values | build),
+        f"cross_check/{name}_casadi.c": _casadis_own(program),
+    }
+
+
+def _header(program: TapeProgram, values: dict[str, str]) -> str:
+    command, network = program.command, program.network
+    parts = [template("network.h")] if network else []
+    parts += [template("command.h")] if command else []
+    more = {
+        "prototypes": "".join(filled(part, values) for part in parts).rstrip("\n") + "\n",
+        "defines": filled(_COMMAND_DEFINES, values) if command else "",
+        "command_statuses": filled(_COMMAND_STATUSES, values) if command else "",
+        "title": network.title if network and not command else "correction of joint commands",
+    }
+    return filled(template("header.h"), values | more)
+
+
+def _source(program: TapeProgram, values: dict[str, str]) -> str:
+    parts = [template("network.c")] if program.network else []
+    parts += [template("command.c")] if program.command else []
+    kernels = (
+        kernel(tape, program.name, f"{name}_values", program.real) for name, tape in sorted(program.tapes.items())
+    )
+    more = {
+        "functions": "".join(filled(part, values) for part in parts),
+        "elementary": elementary_functions(list(program.tapes.values()), program.name, program.real),
+        "kernels": "\n".join(kernels),
+    }
+    return filled(template("source.c"), values | more)
+
+
+def _casadis_own(program: TapeProgram) -> str:
+    """C of CasADi's generator (double, math.h): a second way from functions to numbers."""
+    generator = casadi.CodeGenerator(f"{program.name}_casadi", {"with_header": False})
+    functions = {} if program.network is None else {program.network.key: program.network.function}
+    if program.command is not None:
+        functions |= {"nominal": program.command.nominal, "calibrated": program.command.calibrated}
+    for key, function in functions.items():
+        q = [casadi.SX.sym("q", program.n)]
+        generator.add(casadi.Function(f"{program.name}_casadi_{key}", q, function.call(q)))
+    return str(generator.dump())
+
+
+def _values(program: TapeProgram) -> dict[str, str]:
     """Placeholders that every template may use."""
-    real, command = program.real, program.command
-    c = COEFFICIENTS[real]
-    values = vars(label) | {
-        "NAME": label.name.upper(),
+    real, command, network = program.real, program.command, program.network
+    double = real == "double"
+    # values of FLT_EVAL_METHOD with which the type keeps its own precision
+    methods = (0, 1, 16, 32, 64) if double else (0, 16, 32)
+    values = {
+        "name": program.name,
+        "model_sha256": program.model_sha256,
+        "data_sha256": program.data_sha256,
+        "NAME": program.name.upper(),
         "real": real,
         "schema": str(SCHEMA),
-        "bits": "binary32" if real == "float" else "binary64",
+        "bits": "binary64" if double else "binary32",
         "n": str(program.n),
         "steps": str(command.steps if command else 0),
         "box": _box_text(program.product),
         "joint_units": joint_units(program.product),
         "notes": _notes(command.notes) if command else "",
-        "wider": " && ".join(f"(FLT_EVAL_METHOD != {m})" for m in _METHODS[real]),
-        "MANT_DIG": "FLT_MANT_DIG" if real == "float" else "DBL_MANT_DIG",
-        "mant_dig": "24" if real == "float" else "53",
-        "0": literal(0.0, real),
-        "1": literal(1.0, real),
-        "9": literal(9.0, real),
-        "share": literal(box_share(program.n), real),
-        "largest": literal(c.largest, real),
-    }
-    values |= {f"box_table:{key}": _table(pair, real) for key, pair in boxes(program).items()}
-    if program.network is not None:
-        network = program.network
+        "wider": " && ".join(f"(FLT_EVAL_METHOD != {m})" for m in methods),
+        "MANT_DIG": "DBL_MANT_DIG" if double else "FLT_MANT_DIG",
+        "mant_dig": "53" if double else "24",
+        "MAX": "DBL_MAX" if double else "FLT_MAX",
+        "zeros": ", ".join([literal(0.0, real)] * program.n),
+        "share": literal(program.box_share, real),
+        "largest": literal(COEFFICIENTS[real].largest, real),
+    } | {text: literal(float(text), real) for text in ("0", "1", "9")}
+    for key, pair in program.boxes.items():
+        rows = ("{ " + ", ".join(literal(float(v), real) for v in side) + " }" for side in pair)
+        values[f"box_table:{key}"] = "{\n            " + ",\n            ".join(rows) + "\n        }"
+    if network is not None:
         values |= {"function": network.key, "out": network.out, "unit": network.unit, "what": network.title}
         values["n_out"] = str(len(program.network_bounds))
         values["network_bounds"] = "".join(
             f" *   {network.out}[{i}]  {low:.9g} to {high:.9g}\n"
             for i, (low, high) in enumerate(program.network_bounds)
         )
-    return values | (_command_values(command, program, real) if command else {})
+    return values | (_command_values(command, program) if command else {})
 
 
-class CommandNumbers:
-    """A command's limits as the C compares with them: per call, squared where squares are compared."""
-
-    def __init__(self, command: Command) -> None:
-        limits = command.limits
-        self.delta, self.step = limits.delta_rad, limits.step_rad
-        self.change = limits.rate_rad_s * limits.cycle_s
-        self.ramp = min(limits.cycle_s / limits.ramp_s, 1.0)
-        self.tolerance2 = (1e-3 * limits.tolerance_mm) ** 2
-        self.weakness = 1.0 / (limits.singular_m_per_rad**2 + limits.damping**2)
-
-
-def _command_values(command: Command, program: TapeProgram, real: Real) -> dict[str, str]:
-    numbers, n_p, n = CommandNumbers(command), len(program.tapes["forward"].outputs), program.n
-    prepared = prepared_size(command)
+def _command_values(command: Command, program: TapeProgram) -> dict[str, str]:
+    limits, real, n, prepared = command.limits, program.real, program.n, prepared_size(command)
+    n_p = pose_size(command)
     pose = "position p [m]" if n_p == 3 else "position p[0..2] [m], then the columns of the rotation matrix"
     integers = {
         "n_p": n_p,
         "n_prepared": prepared,
-        "n_work": prepared + pose_size(command),
+        "n_work": prepared + n_p,
         "i_weakness": prepared - 1,
         "n_moved": n + 1,
         "i_error": n,
+        "all_cycles": int(np.ceil(2 * limits.ramp_s / limits.cycle_s)),
     }
+    numbers = limits.numbers
     values = {key: str(value) for key, value in integers.items()}
-    values |= {key: repr(getattr(command.limits, key)) for key in ("cycle_s", "ramp_s", "rate_rad_s")}
+    values |= {key: repr(getattr(limits, key)) for key in ("cycle_s", "ramp_s", "rate_rad_s")}
+    values |= {f"limit_{key}": literal(value, real) for key, value in numbers.items()}
+    for key in ("delta", "change"):
+        # for the header, where C++ before 17 takes no hexadecimal constant; read back it is the
+        # same number
+        values[f"{key}_decimal"] = repr(float(DTYPE[real](numbers[key]))) + ("F" if real == "float" else "")
     return values | {
         "pose_text": pose,
         "freedom": _freedom(command),
-        "damping2": f"{command.limits.damping**2:.6g}",
-        "step_limit": literal(numbers.step, real),
-        "tolerance2": literal(numbers.tolerance2, real),
-        "ramp": literal(numbers.ramp, real),
-        "weakness_limit": literal(numbers.weakness, real),
-        "delta_decimal": _decimal(numbers.delta, real),
-        "change_decimal": _decimal(numbers.change, real),
-        "tolerance_mm": f"{command.limits.tolerance_mm:.6g}",
+        "damping2": f"{limits.damping**2:.6g}",
+        "tolerance_mm": f"{limits.tolerance_mm:.6g}",
     }
 
 
@@ -138,18 +155,13 @@ def _freedom(command: Command) -> str:
     """What the joints cannot move, in words."""
     moved, turned = command.freedom
     words = [f"in {moved} of 3 directions"] if moved < 3 else []
-    if residual_size(command) == 6:
-        words += [f"turned in {turned} of 3 directions as near as can be, the position first"] if turned < 3 else []
+    if residual_size(command) == 6 and turned < 3:
+        words += [f"turned in {turned} of 3 directions as near as can be, the position first"]
     return f",\n * {', '.join(words)}: the joints reach no more, and the status is of these" if words else ""
 
 
-def _decimal(value: float, real: Real) -> str:
-    """A constant for the header, where C++ before 17 takes no hexadecimal one; read back it is the same number."""
-    return repr(float(DTYPE[real](value))) + ("F" if real == "float" else "")
-
-
 def joint_units(product: Product) -> str:
-    """Of the joints' readings, in words."""
+    """The units of the joints' readings, in words."""
     linear = [f"q[{i}]" for i, unit in enumerate(product.units) if unit == "m"]
     return f"radians, {', '.join(linear)} in metres" if linear else "radians"
 
@@ -162,29 +174,92 @@ def _box_text(product: Product) -> str:
     return text
 
 
-def _notes(notes: Sequence[str]) -> str:
+def _notes(notes: tuple[str, ...]) -> str:
     """Sentences as lines of a comment, which they cannot end."""
-    safe = (note.encode("ascii", "replace").decode().replace("*/", "* /").replace("/*", "/ *") for note in notes)
-    lines = [line for note in safe for line in wrap(note, 110, initial_indent="  - ", subsequent_indent="    ")]
-    return "".join(f" *{line}\n" for line in (" Notes of the robot file:", *lines)) + " *\n" if notes else ""
+    lines = [" Notes of the robot file:"]
+    for note in notes:
+        safe = note.encode("ascii", "replace").decode().replace("*/", "* /").replace("/*", "/ *")
+        lines += wrap(safe, 110, initial_indent="  - ", subsequent_indent="    ")
+    return "".join(f" *{line}\n" for line in lines) + " *\n" if notes else ""
 
 
-def box_share(n: int) -> float:
-    """A power of two by which n finite numbers can be multiplied so that their sum is finite."""
-    return 2.0 ** -(n - 1).bit_length()
+_SEED = 20201  # of the vectors; the same one each time keeps the files the same
 
 
-def boxes(program: TapeProgram) -> dict[str, tuple[Array, Array]]:
-    """The boxes that inputs are moved into, by what they are for."""
-    limits: dict[str, tuple[Array, Array]] = {}
+def inside(program: TapeProgram, count: int, seed: int = _SEED) -> Array:
+    """Return random joint readings inside the box, shape (count, n)."""
+    lower, upper = program.product.lower, program.product.upper
+    return np.random.default_rng(seed).uniform(lower, upper, (count, program.n)).astype(DTYPE[program.real])
+
+
+def self_test_inputs(program: TapeProgram) -> Array:
+    """Return the middle, 8 corners, 16 random points, and 4 outside the box, shape (29, n)."""
+    lower, upper, n = program.product.lower, program.product.upper, program.n
+    signs = np.random.default_rng(_SEED).integers(0, 2, (8, n))
+    corners = np.where(signs == 1, upper, lower)
+    outside = (lower + upper) / 2 + (upper - lower) * np.array([[0.6], [-0.6], [40.0], [-1e6]])
+    rows: Array = np.vstack([(lower + upper) / 2, corners, inside(program, 16), outside])
+    return rows.astype(DTYPE[program.real])
+
+
+def comparison_inputs(program: TapeProgram, count: int) -> Array:
+    """Return mostly random joints inside the box, shape (count, n).
+
+    One row in eight is outside of it; of these some are far, some not finite, some at corners.
+    """
+    T = DTYPE[program.real]
+    q = inside(program, count, _SEED + 1)
+    rng = np.random.default_rng(_SEED + 2)
+    odd = np.flatnonzero(np.arange(count) % 8 == 7)
+    scales = T(10.0) ** rng.uniform(0, 6, len(odd)).astype(T)
+    q[odd] *= scales[:, None]
+    corner = odd[::4]
+    low = rng.integers(0, 2, (len(corner), program.n)) == 1
+    q[corner] = np.where(low, program.product.lower, program.product.upper)
+    special, number = odd[1::16], np.finfo(T)
+    values = np.array([np.nan, np.inf, -np.inf, number.max, -number.max, number.tiny, -0.0], T)
+    columns = rng.integers(0, program.n, len(special))
+    q[special, columns] = values[rng.integers(0, len(values), len(special))]
+    return q
+
+
+def functions(program: TapeProgram) -> dict[str, Any]:
+    """Return the exported functions of joints by name, each with its reference."""
+    known: dict[str, Any] = {} if program.network is None else {program.network.key: network}
+    return known | ({"forward": forward, "correct": correct} if program.command is not None else {})
+
+
+def _self_test(program: TapeProgram, values: dict[str, str]) -> str:
+    q = self_test_inputs(program)
+    values = values | {"rows": str(len(q)), "inputs": _rows(q, program.real)}
+    parts, checks, bad_checks = [], [], []
+    for name, compute in functions(program).items():
+        out, status = compute(program, q)
+        mine = {"function": name, "size": str(out.shape[1]), "expected": _rows(out, program.real, 8)}
+        mine["statuses"] = ", ".join(f"{int(s)}U" for s in status)
+        parts.append(filled(template("self_test_rows.c"), values | mine))
+        checks.append(f"    passed = passed & {program.name}_test_{name}();")
+        bad_checks.append(f"        passed = passed & {program.name}_test_bad_{name}(q);\n")
     if program.command is not None:
-        lower, upper, reach = program.command.lower, program.command.upper, program.command.limits.delta_rad
-        limits |= {"command": (lower, upper), "reach": (lower - reach, upper + reach)}
-    if program.network is not None:
-        limits["network"] = (program.network.lower, program.network.upper)
-    return limits
+        state, cycles, on_cycles = StepState.start(program), 8, 6
+        given = [step(program, state, q[0], k < on_cycles) for k in range(cycles)]
+        mine = {"cycles": str(cycles), "on_cycles": str(on_cycles)}
+        mine["expected_step"] = _rows(np.array([dq for dq, _ in given]), program.real, 8)
+        mine["statuses_step"] = ", ".join(f"{int(status)}U" for _, status in given)
+        parts.append(filled(template("self_test_step.c"), values | mine))
+        checks.append(f"    passed = passed & {program.name}_test_step();")
+    more = {"functions": "".join(parts), "checks": "\n".join(checks), "bad_checks": "".join(bad_checks)}
+    return filled(template("self_test.c"), values | more)
 
 
-def _table(pair: tuple[Array, Array], real: Real) -> str:
-    rows = ("{ " + ", ".join(literal(float(v), real) for v in side) + " }" for side in pair)
-    return "{\n            " + ",\n            ".join(rows) + "\n        }"
+def _example(program: TapeProgram, values: dict[str, str]) -> str:
+    centre = ", ".join(literal(float(v), program.real) for v in self_test_inputs(program)[0])
+    parts = [template("example_network.c")] if program.network else []
+    parts += [template("example_command.c")] if program.command else []
+    body = "".join(filled(part, values) for part in parts)
+    return filled(template("example.c"), values | {"centre": centre, "body": body})
+
+
+def _rows(table: Array, real: Real, indent: int = 4) -> str:
+    rows = (", ".join(literal(float(v), real) for v in row) for row in table)
+    return ",\n".join(f"{' ' * indent}{{ {row} }}" for row in rows)

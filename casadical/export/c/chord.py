@@ -1,12 +1,14 @@
 """The least-squares algebra of a command, in SX: written here once, for all languages.
 
-The chord step: with J the Jacobian at the commanded joints, factored once as L D L^T = J J^T + lambda^2 I, each step
-solves for y in L D L^T y = r and moves the joints by J^T y. After the last step the model is evaluated again, so that
-the status is the error that is left and no estimate; the step that follows from it costs next to nothing and is taken.
+The chord step: with J the Jacobian at the commanded joints, factored once as L D L^T = J J^T +
+lambda^2 I, each step solves for y in L D L^T y = r and moves the joints by J^T y. After the last
+step the model is evaluated again, so that the status is the error that is left and no estimate; the
+step that follows from it costs next to nothing and is taken.
 
-Where the joints cannot reach every orientation, the position goes first: P = I - J^T (J J^T + lambda^2 I)^-1 J leaves
-the joints their motions that keep the position, and a second least-squares problem takes of the orientation what those
-reach (task priority; Nakamura, Hanafusa and Yoshikawa 1987). The error is then how far the next step would still go.
+Where the joints cannot reach every orientation, the position goes first: P = I - J^T (J J^T +
+lambda^2 I)^-1 J leaves the joints their motions that keep the position, and a second least-squares
+problem takes of the orientation what those reach (task priority; Nakamura, Hanafusa and Yoshikawa
+1987). The error is then how far the next step would still go.
 """
 
 import casadi
@@ -18,10 +20,15 @@ LENGTH = 0.3  # m: by which an error of the orientation [rad] is weighted agains
 
 
 def prepare(command: Command) -> casadi.Function:
-    """q -> nominal position or pose, the factored steps (see `_Step`), weakness, and the calibrated pose at q."""
+    """q -> nominal pose, factored steps (see `_Step`), weakness, and calibrated pose."""
     q = SX.sym("q", len(command.lower))
     step = _step(command)
-    factors, weakness = step.factored(_jacobian(command, q))
+    function = command.jacobian_of if command.jacobian_of is not None else command.calibrated
+    at = q if command.jacobian_at is None else _flat(command.jacobian_at, q)
+    # the mean of both robots' Jacobians: nearly the trapezoidal rule along the step, with half of
+    # the error of one
+    mean = 0.5 * (_slope(command, function, at) + _slope(command, command.nominal, q))
+    factors, weakness = step.factored(mean)
     out = [_flat(command.nominal, q), factors, weakness, _flat(command.calibrated, q)]
     return casadi.Function("prepare", [q], [casadi.densify(casadi.vertcat(*out))], ["q"], ["prepared"])
 
@@ -58,7 +65,7 @@ def _step(command: Command) -> "_Step":
 
 
 class _Step:
-    """Damped least squares of m numbers in n joints. reached : how many of three directions the joints move."""
+    """Damped least squares of m numbers in n joints; `reached` directions of 3 are moved."""
 
     def __init__(self, n: int, m: int, damping: float, reached: int) -> None:
         self.n, self.m, self.damping, self.reached = n, m, damping, reached
@@ -69,7 +76,7 @@ class _Step:
         return self.m * self.n + _factor_size(self.m)
 
     def factored(self, J: SX) -> tuple[SX, SX]:
-        """J (m, n) and what of it is the same in each step; weakness: of at least 1 / (least singular value)^2."""
+        """J (m, n), its factors, and the weakness, at least 1 / (least singular value)^2."""
         L, inverse = self._factors(J)
         lost = 3 - self.reached
         weakness = _weakness(L, inverse)
@@ -87,7 +94,7 @@ class _Step:
 
 
 class _PositionFirst(_Step):
-    """Position, and of the orientation what the joints reach beside it. turned : in how many directions."""
+    """Position, and beside it the orientation in `turned` directions."""
 
     def __init__(self, n: int, m: int, damping: float, reached: int, turned: int) -> None:
         super().__init__(n, m, damping, reached)
@@ -137,13 +144,6 @@ def residual(target: SX, now: SX) -> SX:
     columns = (slice(3 + 3 * k, 6 + 3 * k) for k in range(3))
     turn = sum((casadi.cross(now[i], target[i]) for i in columns), SX.zeros(3))
     return casadi.vertcat(target[:3] - now[:3], 0.5 * LENGTH * turn)
-
-
-def _jacobian(command: Command, q: SX) -> SX:
-    """The mean of both robots' Jacobians: nearly the trapezoidal rule along the step, with half of the error of one."""
-    function = command.jacobian_of if command.jacobian_of is not None else command.calibrated
-    at = q if command.jacobian_at is None else _flat(command.jacobian_at, q)
-    return 0.5 * (_slope(command, function, at) + _slope(command, command.nominal, q))
 
 
 def _slope(command: Command, function: casadi.Function, at: SX) -> SX:

@@ -1,12 +1,14 @@
-"""Numbers of the exported C: constants of elementary functions for each real type, tables of periodic functions.
+"""Numbers of the exported C: constants of elementary functions, tables of periodic ones.
 
-Made by docs/studies/c_coefficients.py: near-minimax polynomials, and pi/2 and ln 2 split so that small multiples of the
-first part are exact. The C templates and the NumPy evaluation read the same numbers.
+Made by docs/studies/c_coefficients.py: near-minimax polynomials, and pi/2 and ln 2 split so that
+small multiples of the first part are exact. The C templates and the NumPy evaluation read the same
+numbers.
 
-A function that repeats every turn is a cubic spline through equally spaced points: the same few operations for any
-number of harmonics. It is made from a function that a CasADi function calls (option `never_inline`), so that CasADi's
-own numbers stay those of the exact function. The error of a cubic spline through samples of one harmonic is known in
-closed form; the sum over the function's harmonics, as if all were greatest at one place, is a bound for every angle.
+A function that repeats every turn is a cubic spline through equally spaced points: the same few
+operations for any number of harmonics. It is made from a function that a CasADi function calls
+(option `never_inline`), so that CasADi's own numbers stay those of the exact function. The error of
+a cubic spline through samples of one harmonic is known in closed form; the sum over the function's
+harmonics, as if all were greatest at one place, is a bound for every angle.
 """
 
 from dataclasses import dataclass
@@ -121,7 +123,7 @@ DTYPE: dict[str, Any] = {"float": np.float32, "double": np.float64}
 
 
 def turn_parts(c: Coefficients, points: int) -> tuple[float, float, float]:
-    """Points per radian of a turn in so many points (a power of two), and their spacing [rad] in two parts."""
+    """Points per radian of a turn, and their spacing [rad] in two parts; points : 2^k."""
     high, low = (4 / points * part for part in c.half_pi)
     return points / 4 * c.two_over_pi, high, low
 
@@ -135,23 +137,25 @@ def literal(value: float, real: Real) -> str:
     return text + ("F" if real == "float" else "")
 
 
-# Largest error of a table, in the unit of the function's outputs: of a joint angle 0.05 urad, a twentieth of a
-# micrometre at 1 m, and less than the last bit of an angle of 1 rad in float.
+# Largest error of a table, in the unit of the function's outputs: of a joint angle 0.05 urad, a
+# twentieth of a micrometre at 1 m, and less than the last bit of an angle of 1 rad in float.
 LARGEST_ERROR = 5e-8
-# Points of a turn; a power of two, so that a bit mask finds the place. More would not be exact in float.
+# Points of a turn; a power of two, so that a bit mask finds the place. More would not be exact in
+# float.
 POINTS = (64, 128, 256, 512, 1024, 2048)
 # Largest angle [rad] that is reduced exactly, by multiples of a turn's fraction in two parts.
 TABLE_LIMIT = 128.0
-# Whole turns that are added to make every place positive: a conversion to integers then rounds down.
+# Whole turns that are added to make every place positive: a conversion to integers then rounds
+# down.
 TURNS = 32
 _SAMPLES = 8192
 
 
 def spline_table(samples: Array) -> tuple[float, ...]:
-    """Coefficients over six of the periodic cubic spline through samples of a turn, shape (N,); N + 3 numbers.
+    """Coefficients / 6 of the periodic cubic spline through samples of a turn, shape (N + 3,).
 
-    Between sample i and the next one, by t from 0 to 1, the spline is the sum of entries i to i + 3 times the cubic
-    B-splines of t times six.
+    Between sample i and the next one, by t from 0 to 1, the spline is the sum of entries i to i + 3
+    times the cubic B-splines of t times six.
     """
     angles = 2 * np.pi * np.fft.rfftfreq(len(samples))
     c = np.fft.irfft(np.fft.rfft(samples) / (2 / 3 + np.cos(angles) / 3), len(samples)) / 6
@@ -160,7 +164,7 @@ def spline_table(samples: Array) -> tuple[float, ...]:
 
 @lru_cache
 def spline_errors(points: int) -> Array:
-    """Largest error of a spline through so many samples of a unit harmonic of order 1, 2, .., shape (4096,)."""
+    """Largest error of a spline through a unit harmonic of order 1, 2, .., shape (4096,)."""
     angle = 2 * np.pi * np.arange(1, _SAMPLES // 2 + 1) / points
     t = np.linspace(-0.01, 1.01, 52)[:, None]  # a rounded place may be a hundredth outside its cell
     weights = ((1 - t) ** 3, 4 - 6 * t**2 + 3 * t**3, 1 + 3 * t + 3 * t**2 - 3 * t**3, t**3)
@@ -169,10 +173,10 @@ def spline_errors(points: int) -> Array:
 
 
 def periodic_tables(function: casadi.Function) -> list[tuple[tuple[float, ...], float]]:
-    """For each output of a function q[n] -> y[n] a table and the bound of its error; a constant has one number.
+    """A table for each output of q[n] -> y[n], and the bound of its error; one number if constant.
 
-    Raises InputError: an output is no periodic function of its own angle alone, has no finite value, or changes too
-    fast for the largest table.
+    Raises InputError: an output is no periodic function of its own angle alone, has no finite
+    value, or changes too fast for the largest table.
     """
     n = function.numel_in(0)
     if (function.n_in(), function.n_out(), function.numel_out(0)) != (1, 1, n):

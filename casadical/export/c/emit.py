@@ -1,8 +1,9 @@
 """C99 text of a tape, and of the elementary functions it calls.
 
-CasADi's own generator with these elementary functions would run as fast (docs/studies/c_matrix.txt, "portable");
-walking the tape gives exact constants, no MISRA findings, guards where they are needed, and a second reader of the same
-list: the NumPy evaluation that the compiled C is compared with.
+CasADi's own generator with these elementary functions would run as fast (docs/studies/c_matrix.txt,
+"portable"); walking the tape gives exact constants, no MISRA findings, guards where they are
+needed, and a second reader of the same list: the NumPy evaluation that the compiled C is compared
+with.
 """
 
 import re
@@ -40,11 +41,23 @@ def filled(text: str, values: dict[str, str]) -> str:
 
 
 def elementary_functions(tapes: list[Tape], name: str, real: Real) -> str:
-    """C text of the static functions that the tapes call, in a fixed order; the same tables once."""
+    """C text of the static functions that the tapes call, each of them once."""
     nodes = [node for tape in tapes for node in tape.nodes]
     values = constants(real) | {"name": name, "real": f"{name}_real"}
-    texts = [filled(template(f"{op}.c"), values) for op in _CALLS if any(node.op == op for node in nodes)]
-    return "\n".join([*texts, *(_periodic(t, values, real) for t in dict.fromkeys(n.table for n in nodes if n.table))])
+    texts = [filled(template(f"{op}.c"), values) for op in _CALLS if any(n.op == op for n in nodes)]
+    for table in dict.fromkeys(n.table for n in nodes if n.table):
+        points = len(table) - 3
+        parts = turn_parts(COEFFICIENTS[real], points)
+        numbers = dict(zip(("per_radian", "step_high", "step_low"), parts, strict=True))
+        numbers |= {"offset": float(coefficients.TURNS * points), "3": 3.0}
+        words = [literal(v, real) for v in table]
+        rows = (", ".join(words[k : k + 6]) for k in range(0, len(words), 6))
+        mine = {"table": table_name(table), "points": str(points)}
+        mine |= {"size": str(len(table)), "mask": str(points - 1)}
+        mine |= {"numbers": ",\n".join(f"        {row}" for row in rows)}
+        mine |= {key: literal(v, real) for key, v in numbers.items()}
+        texts.append(filled(template("periodic.c"), values | mine))
+    return "\n".join(texts)
 
 
 def table_name(table: tuple[float, ...]) -> str:
@@ -52,44 +65,29 @@ def table_name(table: tuple[float, ...]) -> str:
     return f"periodic_{zlib.crc32(repr(table).encode()):08x}"
 
 
-def _periodic(table: tuple[float, ...], values: dict[str, str], real: Real) -> str:
-    points = len(table) - 3
-    numbers = dict(zip(("per_radian", "step_high", "step_low"), turn_parts(COEFFICIENTS[real], points), strict=True))
-    numbers |= {"offset": float(coefficients.TURNS * points), "3": 3.0}
-    mine = {"table": table_name(table), "points": str(points), "size": str(len(table)), "mask": str(points - 1)}
-    mine["numbers"] = _in_rows([literal(v, real) for v in table])
-    return filled(template("periodic.c"), values | mine | {key: literal(v, real) for key, v in numbers.items()})
-
-
 def kernel(tape: Tape, prefix: str, name: str, real: Real) -> str:
-    """C text of the static function PREFIX_NAME that evaluates a tape; it returns 1, or 0 where a guard was touched."""
+    """C text of the static function PREFIX_NAME that evaluates a tape.
+
+    It returns 1, or 0 where a guard was touched.
+    """
     real_name = f"{prefix}_real"
-    names = [_value_name(k, node, real) for k, node in enumerate(tape.nodes)]
-    lines = [_statement(k, node, [names[i] for i in node.args], prefix, real) for k, node in enumerate(tape.nodes)]
+    names = []
+    for k, node in enumerate(tape.nodes):
+        text = literal(node.value, real) if node.op == "const" else f"v{k}"
+        names.append(f"({text})" if text.startswith("-") else text)
     guarded = any(node.op.startswith("guard") for node in tape.nodes)
     arguments = f"const {real_name} in[{tape.n_in}], {real_name} out[{len(tape.outputs)}]"
-    head = f"static uint32_t {prefix}_{name}({arguments})\n{{\n"
     body = ["uint32_t fine = 1U;"] if guarded else []
-    body += [line for line in lines if line]
+    for k, node in enumerate(tape.nodes):
+        if node.op != "const":
+            body.append(_statement(k, node, [names[i] for i in node.args], prefix, real))
     body += [f"out[{i}] = {names[k]};" for i, k in enumerate(tape.outputs)]
     body += ["return fine;" if guarded else "return 1U;"]
-    return head + "".join(f"    {line}\n" for line in "\n".join(body).split("\n")) + "}\n"
-
-
-def _in_rows(words: list[str]) -> str:
-    return ",\n".join("        " + ", ".join(words[k : k + 6]) for k in range(0, len(words), 6))
-
-
-def _value_name(k: int, node: Node, real: Real) -> str:
-    if node.op != "const":
-        return f"v{k}"
-    text = literal(node.value, real)
-    return f"({text})" if text.startswith("-") else text
+    lines = "".join(f"    {line}\n" for line in "\n".join(body).split("\n"))
+    return f"static uint32_t {prefix}_{name}({arguments})\n{{\n{lines}}}\n"
 
 
 def _statement(k: int, node: Node, a: list[str], prefix: str, real: Real) -> str:
-    if node.op == "const":
-        return ""
     if node.op == "sincos":
         return f"{prefix}_real v{k}[2];\n{prefix}_sincos({a[0]}, v{k});"
     text = _expression(node, a, prefix, real)
@@ -128,13 +126,6 @@ def _expression(node: Node, a: list[str], prefix: str, real: Real) -> str:
     }[node.op]()
 
 
-def _polynomial(terms: tuple[float, ...], real: Real, write: Callable[[float, Real], str]) -> str:
-    text = write(terms[-1], real)
-    for term in reversed(terms[:-1]):
-        text = f"({write(term, real)} + (z * {text}))"
-    return text
-
-
 def constants(real: Real, write: Callable[[float, Real], str] = literal) -> dict[str, str]:
     """Every number that the templates of elementary functions name, as a language writes it."""
     c = COEFFICIENTS[real]
@@ -146,7 +137,12 @@ def constants(real: Real, write: Callable[[float, Real], str] = literal) -> dict
     numbers |= {f"guess_{i}": g for i, g in enumerate(coefficients.SQRT_GUESS)}
     numbers |= {text: float(text) for text in ("0", "1", "2", "4", "0.5", "1024", "1024.5")}
     values = {key: write(value, real) for key, value in numbers.items()}
-    values |= {f"poly:{key}": _polynomial(getattr(c, key), real, write) for key in ("sin", "cos", "coth", "atan")}
+    for key in ("sin", "cos", "coth", "atan"):
+        *terms, last = getattr(c, key)
+        text = write(last, real)
+        for term in reversed(terms):
+            text = f"({write(term, real)} + (z * {text}))"
+        values[f"poly:{key}"] = text
     values |= {f"powers:{s}": ", ".join(write(2.0 ** (s * i), real) for i in range(8)) for s in (1, 8)}
     steps = c.sqrt_steps
     values |= {"sqrt_count": str(len(steps)), "sqrt_last": str(len(steps) - 1), "heron": str(c.heron_steps)}

@@ -1,4 +1,4 @@
-"""The compiled C called from Python on many rows at once: for batch correction, and for the comparison at export."""
+"""The compiled C called from Python on many rows at once."""
 
 import ctypes
 import hashlib
@@ -8,8 +8,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partialmethod
 from pathlib import Path
+from typing import Annotated, Literal, Self
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from casadical.core.basics import Array, CasadicalError, InputError
 from casadical.core.cache_folder import private_folder
@@ -45,15 +47,54 @@ def _version(command: str) -> str:
     return run.stdout.splitlines()[0] if run and run.returncode == 0 and run.stdout else ""
 
 
-@dataclass(frozen=True)
-class Shape:
-    """What is needed to call an export: its C name, real type, joints, and number of outputs of each function."""
+class Shape(BaseModel):
+    """What is needed to call an export.
 
-    name: str
+    name : prefix of its C functions; joints : their number, and `units` of their readings, rad
+        where there are none
+    outputs : the number of outputs of each function
+    """
+
+    model_config = ConfigDict(strict=True, extra="ignore", frozen=True)
+
+    # a prefix that is safe in paths, too
+    name: str = Field(pattern="^[a-z][a-z0-9_]{0,23}$")
     real: Real
-    joints: int
-    outputs: dict[str, int]
-    units: tuple[str, ...] = ()  # of the joints' readings, rad where there are none
+    joints: int = Field(ge=1, le=100)
+    outputs: dict[
+        Annotated[str, Field(pattern="^(network|curves|forward|correct)$")],
+        Annotated[int, Field(ge=1, le=100)],
+    ]
+    units: list[Literal["rad", "m"]] = []
+
+    @model_validator(mode="after")
+    def _of_each_joint(self) -> Self:
+        if self.units and len(self.units) != self.joints:
+            raise ValueError(f"{len(self.units)} units of {self.joints} joints")
+        return self
+
+
+class Manifest(BaseModel):
+    """manifest.json of an export, as far as it is read again."""
+
+    model_config = ConfigDict(strict=True, extra="ignore", frozen=True, allow_inf_nan=False)
+
+    kernel: Shape
+    files: dict[str, str]
+    figures: dict[str, float] = {}
+
+    @staticmethod
+    def read(export: Path) -> "Manifest":
+        """Return the manifest of an export folder. Raises InputError."""
+        path = export / "manifest.json"
+        if not path.is_file():
+            raise InputError(f"{export} has no manifest.json; give a folder that `casadical export c` wrote")
+        try:
+            return Manifest.model_validate_json(read_bytes(path))
+        except ValidationError as error:
+            fault = error.errors()[0]
+            place = ".".join(map(str, fault["loc"])) or "the file"
+            raise InputError(f"{path} is damaged ({place}: {fault['msg']}); export again") from None
 
 
 class Kernel:
@@ -74,10 +115,11 @@ class Kernel:
         function : ``network``, ``curves``, ``forward`` or ``correct``, as the export has it
         q : joint readings, shape (k, n) [rad or m], converted to the kernel's real type
 
-        Returns values, shape (k, outputs), and status, shape (k,), a `casadical.export.Status`: of network
-        [mm], of curves what each joint turns beyond its reading and of correct its correction [rad or m], of forward
-        the calibrated position [m], with the rotation where the export has it. Raises InputError: the export has no
-        such function, or q another number of joints.
+        Returns values, shape (k, outputs), and status, shape (k,), a `casadical.export.Status`: of
+        network [mm], of curves what each joint turns beyond its reading and of correct its
+        correction [rad or m], of forward the calibrated position [m], with the rotation where the
+        export has it. Raises InputError: the export has no such function, or q another number of
+        joints.
         """
         shape = self.shape
         if function not in shape.outputs:
@@ -100,7 +142,7 @@ class Kernel:
     correct = partialmethod(rows, "correct")
 
     def steps(self, q: Array, enable: Array) -> tuple[Array, Array]:
-        """``step`` for consecutive cycles from the zero state: corrections, shape (k, n) [rad or m], and status.
+        """``step`` in consecutive cycles from zero: corrections, shape (k, n) [rad or m], and status.
 
         q : readings, shape (k, n) [rad or m]; enable : whether the correction is on, shape (k,)
         """
@@ -132,10 +174,11 @@ def rows_source(shape: Shape) -> str:
 
 
 def build(shape: Shape, sources: list[Path], folder: Path, compiler: Compiler, flags: tuple[str, ...] = ()) -> Kernel:
-    """Compile an export's C99 sources with the loops over rows into a new library in a folder, and load it.
+    """Compile an export's sources and the loops over rows into a new library, and load it.
 
-    Raises CasadicalError: the compiler reports an error or a warning (its output is in the message), does not end, or
-    what it made cannot be loaded; it is loaded in a process of its own first.
+    Raises CasadicalError: the compiler reports an error or a warning (its output is in the
+    message), does not end, or what it made cannot be loaded; it is loaded in a process of its own
+    first.
     """
     how = hashlib.sha256(" ".join(flags).encode()).hexdigest()[:8]
     library = folder / f"{shape.name}_{Path(compiler.command).name}_{how}.so"
@@ -159,9 +202,11 @@ def load(export: str | Path, *, trust: bool = False) -> Kernel:
     """Compile what an export folder holds and load it.
 
     export : folder that ``write_c`` wrote
-    trust : whether the C of a folder that this user did not export on this machine is compiled and run too
-    Raises InputError: the folder has no manifest, is not trusted, or a source is not the one that was written;
-        CasadicalError: there is no C compiler, it fails, or the compiled code fails its self-test.
+    trust : whether the C of a folder that this user did not export on this machine is compiled and
+        run too
+    Raises InputError: the folder has no manifest, is not trusted, or a source is not the one that
+        was written; CasadicalError: there is no C compiler, it fails, or the compiled code fails
+        its self-test.
 
     Examples
     --------
@@ -173,16 +218,14 @@ def load(export: str | Path, *, trust: bool = False) -> Kernel:
     >>> casadical.export.load("curves1").self_test()
     0
     """
-    from casadical.export.c.manifest import read_manifest  # late: pydantic, which to export takes no part in
-
     export = Path(export)
-    manifest = read_manifest(export)
+    manifest = Manifest.read(export)
     if not trust and not exported_here(export):
         raise InputError(
             f"{export}: was not exported here by you, and its C would be compiled and run; read it, and give --trust "
             "(trust=True), or export again from the robot file"
         )
-    shape, contents = Shape(**manifest.kernel.model_dump()), {}
+    shape, contents = manifest.kernel, {}
     for name in (f"{shape.name}.h", f"{shape.name}.c", f"{shape.name}_self_test.c"):
         blob = read_bytes(export / name) if (export / name).is_file() else b""
         digest = hashlib.sha256(blob).hexdigest() if blob else "missing"

@@ -1,4 +1,4 @@
-"""What can be exported: a network or the joints' error curves alone, or the whole correction of a joint command."""
+"""What can be exported: a network, the joints' error curves, or the correction of commands."""
 
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
@@ -19,11 +19,13 @@ class Limits:
     cycle_s : of the controller [s]
     ramp_s : time from none to all of it [s]
     damping : lambda of the least squares [m/rad]
-    singular_m_per_rad : a pose whose weakest direction moves the tool by less than about this is reported [m/rad]
+    singular_m_per_rad : a pose whose weakest direction moves the tool by less than about this is
+        reported [m/rad]
     tolerance_mm : a larger remaining error is reported [mm]
-    Raises InputError: a limit that is not positive, a cycle outside of 0.01 ms to 1 s, a ramp of less than one cycle or
-        more than 100,000 (in float a gain of smaller steps goes wrong), or a rate that in a cycle changes a joint by
-        less than 1e-6 rad or by more than the largest correction.
+    Raises InputError: a limit that is not positive, a cycle outside of 0.01 ms to 1 s, a ramp of
+        less than one cycle or more than 100,000 (in float a gain of smaller steps goes wrong), or a
+        rate that in a cycle changes a joint by less than 1e-6 rad or by more than the largest
+        correction.
     """
 
     delta_rad: float = 0.15
@@ -53,6 +55,18 @@ class Limits:
                 f"{self.delta_rad:g} rad)"
             )
 
+    @property
+    def numbers(self) -> dict[str, float]:
+        """The limits as the C compares with them: per call, squared where squares are compared."""
+        return {
+            "delta": self.delta_rad,
+            "step": self.step_rad,
+            "change": self.rate_rad_s * self.cycle_s,
+            "ramp": min(self.cycle_s / self.ramp_s, 1.0),
+            "tolerance2": (1e-3 * self.tolerance_mm) ** 2,
+            "weakness": 1.0 / (self.singular_m_per_rad**2 + self.damping**2),
+        }
+
 
 @dataclass(frozen=True)
 class NetworkFunction:
@@ -60,7 +74,8 @@ class NetworkFunction:
 
     lower, upper : ends of the box, shape (n,) [rad or m]
     units : "rad" or "m" of each joint's reading; default: all rad
-    key, out, unit, title : the names of the exported function and of its result, its unit, and what it is, in words
+    key, out, unit, title : the names of the exported function and of its result, its unit, and what
+        it is, in words
     Raises InputError: a function of other shapes.
     """
 
@@ -81,7 +96,7 @@ class NetworkFunction:
 
 @dataclass(frozen=True)
 class CurveFunction(NetworkFunction):
-    """The joints' error curves, q[n] -> dq[n]: each joint stands at its reading plus dq [rad]; the box as of its base.
+    """The joints' error curves, q[n] -> dq[n]: a joint stands at its reading plus dq [rad].
 
     Raises InputError: a function of other shapes.
     """
@@ -98,23 +113,25 @@ class CurveFunction(NetworkFunction):
 
 @dataclass(frozen=True)
 class Command:
-    """The correction of joint commands: it moves the real tool to the position of the nominal robot's tool.
+    """The correction of joint commands, which moves the real tool to the nominal one's position.
 
-    nominal, calibrated : q[n] -> p[3] [m], or q[n] -> (p[3], R[3x3]) for position and orientation; the calibrated one
-        is the whole model of the real robot (loop, compliance, network)
-    lower : Array, shape (n,) [rad or m]: box of joint readings that are corrected; of `command_of` the robot's limits,
-        not the range that was measured
+    nominal, calibrated : q[n] -> p[3] [m], or q[n] -> (p[3], R[3x3]) for position and orientation;
+        the calibrated one is the whole model of the real robot (loop, compliance, network)
+    lower : Array, shape (n,) [rad or m]: box of joint readings that are corrected; of `command_of`
+        the robot's limits, not the range that was measured
     upper : Array, shape (n,) [rad or m]: its other end
-    jacobian_of : robot whose Jacobian the chord steps take, a function like ``calibrated``; None: that one. The chain
-        without compliance and network costs a third
+    jacobian_of : robot whose Jacobian the chord steps take, a function like ``calibrated``; None:
+        that one. The chain without compliance and network costs a third
     jacobian_at : joints at which it is taken, as a function of q; None: q
     network : exported with the correction if given
     limits : of the correction, and of what is reported
-    steps : least-squares steps, 1 to 10. The robot is evaluated again after them: NOT_CONVERGED says that the tolerance
-        is passed there. One more step follows where the last one left a third or less of its error
+    steps : least-squares steps, 1 to 10. The robot is evaluated again after them: NOT_CONVERGED
+        says that the tolerance is passed there. One more step follows where the last one left a
+        third or less of its error
     units : "rad" or "m" of each joint's reading; default: all rad
-    freedom : in how many directions the joints move the tool, and in how many they turn it beside that. Fewer than six
-        of a pose: the position goes first, and of the orientation the joints do what they can
+    freedom : in how many directions the joints move the tool, and in how many they turn it beside
+        that. Fewer than six of a pose: the position goes first, and of the orientation the joints
+        do what they can
     notes : sentences for the reader of the header
     Raises InputError: functions of other shapes, or a number of steps that is not allowed.
     """

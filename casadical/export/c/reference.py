@@ -1,7 +1,7 @@
-"""The exported C's arithmetic in NumPy, on many inputs at once: the bits that the compiled C must give.
+"""The exported C's arithmetic in NumPy: the bits that the compiled C must give.
 
-Each function follows the C template of the same name, statuses included, and rounds where the C rounds; nothing here
-calls NumPy's own sin, exp or sqrt.
+Each function follows the C template of the same name, statuses included, and rounds where the C
+rounds; nothing here calls NumPy's own sin, exp or sqrt.
 """
 
 from collections.abc import Callable
@@ -13,7 +13,6 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.export.c import coefficients
-from casadical.export.c.c_source import CommandNumbers, box_share, boxes
 from casadical.export.c.chord import prepared_size
 from casadical.export.c.coefficients import DTYPE
 from casadical.export.c.products import Command
@@ -131,19 +130,17 @@ def _simple(T: Any) -> dict[str, Callable[..., Any]]:
     }
 
 
-_ROWS_AT_ONCE = 4096  # keeps the values of a long tape in the cache
-
-
 def run(tape: Tape, inputs: Array, real: coefficients.Real) -> tuple[Array, Array]:
     """Evaluate a tape on many inputs.
 
     inputs : array, shape (k, n_in), already of the real type
 
-    Returns the outputs, shape (k, n_out), and a boolean array, shape (k,), false where a guard of the tape was touched
-    (no real root, argument out of range).
+    Returns the outputs, shape (k, n_out), and a boolean array, shape (k,), false where a guard of
+    the tape was touched (no real root, argument out of range).
     """
-    starts = range(0, max(len(inputs), 1), _ROWS_AT_ONCE)
-    parts = [_run(tape, inputs[start : start + _ROWS_AT_ONCE], real) for start in starts]
+    size = 4096  # rows at once, which keeps the values of a long tape in the cache
+    starts = range(0, max(len(inputs), 1), size)
+    parts = [_run(tape, inputs[start : start + size], real) for start in starts]
     return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
 
 
@@ -194,7 +191,7 @@ class Status(IntEnum):
     SELF_TEST_FAILED = 8
 
 
-def boxed(q: Array, box: tuple[Array, Array]) -> tuple[Array, Array]:
+def boxed(q: Array, box: tuple[Array, Array], share: float) -> tuple[Array, Array]:
     """Inputs moved into a box of the same real type, and OK, CLAMPED or NOT_FINITE for each row."""
     T = q.dtype.type
     lower, upper = box[0].astype(T), box[1].astype(T)
@@ -204,13 +201,13 @@ def boxed(q: Array, box: tuple[Array, Array]) -> tuple[Array, Array]:
         x = np.where(a < upper, a, upper)
         distance = np.where(x < q, q - x, x - q)
         for i in range(q.shape[1]):
-            moved = moved + T(box_share(q.shape[1])) * distance[:, i]
+            moved = moved + T(share) * distance[:, i]
     status = np.where(moved > 0, Status.CLAMPED, Status.OK)
     return x, np.where(moved <= np.finfo(T).max, status, Status.NOT_FINITE)
 
 
 def network(program: TapeProgram, q: Array) -> tuple[Array, Array]:
-    """Of the network or the curves: its results, shape (k, m), and status, shape (k,), for joints q, shape (k, n)."""
+    """Results of network or curves, shape (k, m), and status, shape (k,), at joints q (k, n)."""
     assert program.network is not None
     return _values(program, q, program.network.key, "network")
 
@@ -221,7 +218,7 @@ def forward(program: TapeProgram, q: Array) -> tuple[Array, Array]:
 
 def _values(program: TapeProgram, q: Array, tape: str, box: str) -> tuple[Array, Array]:
     q = np.ascontiguousarray(q, DTYPE[program.real])
-    x, status = boxed(q, boxes(program)[box])
+    x, status = boxed(q, program.boxes[box], program.box_share)
     values, fine = run(program.tapes[tape], x, program.real)
     status = np.where(fine & np.isfinite(values).all(1), status, Status.NOT_FINITE)
     values[status == Status.NOT_FINITE] = 0
@@ -232,7 +229,7 @@ def correct(program: TapeProgram, q: Array) -> tuple[Array, Array]:
     """Joint corrections dq, shape (k, n), and status, shape (k,)."""
     assert program.command is not None
     q = np.ascontiguousarray(q, DTYPE[program.real])
-    x, status = boxed(q, boxes(program)["command"])
+    x, status = boxed(q, program.boxes["command"], program.box_share)
     dq, chord_status = _chord(program, program.command, x)
     bad = status == Status.NOT_FINITE
     dq[bad] = 0
@@ -252,7 +249,7 @@ def _limited(v: Array, limit: Any) -> tuple[Array, Array]:
 
 
 def _chord(program: TapeProgram, command: Command, x: Array) -> tuple[Array, Array]:
-    T, real, numbers = DTYPE[program.real], program.real, CommandNumbers(command)
+    T, real, numbers = DTYPE[program.real], program.real, command.limits.numbers
     n, end = program.n, prepared_size(command)
     work, fine = run(program.tapes["prepare"], x, real)
     dq = np.zeros_like(x)
@@ -268,14 +265,14 @@ def _chord(program: TapeProgram, command: Command, x: Array) -> tuple[Array, Arr
             moved, fine_now = run(program.tapes["advance"], work, real)
             fine &= fine_now
             wrong = wrong + (moved[:, n] - moved[:, n])
-            moved[:, :n], step_clamped = _limited(moved[:, :n], T(numbers.step))
-            there, limited = _limited(dq + moved[:, :n], T(numbers.delta))
+            moved[:, :n], step_clamped = _limited(moved[:, :n], T(numbers["step"]))
+            there, limited = _limited(dq + moved[:, :n], T(numbers["delta"]))
             taken = (step < command.steps) | (T(9) * moved[:, n] <= before)
             dq = np.where(taken[:, None], there, dq)
         fine &= wrong >= 0
-        status = np.where(step_clamped | (moved[:, n] > T(numbers.tolerance2)), Status.NOT_CONVERGED, Status.OK)
+        status = np.where(step_clamped | (moved[:, n] > T(numbers["tolerance2"])), Status.NOT_CONVERGED, Status.OK)
         status = np.where(limited, Status.LIMITED, status)
-        status = np.where(work[:, end - 1] > T(numbers.weakness), Status.SINGULAR, status)
+        status = np.where(work[:, end - 1] > T(numbers["weakness"]), Status.SINGULAR, status)
     dq[~fine] = 0
     return dq, np.where(fine, status, Status.NOT_FINITE)
 
@@ -287,17 +284,18 @@ class StepState:
     dq: Array
     gain: Any
 
-
-def started(program: TapeProgram) -> StepState:
-    T = DTYPE[program.real]
-    return StepState(np.zeros(program.n, T), T(0))
+    @staticmethod
+    def start(program: TapeProgram) -> "StepState":
+        """No correction, switched off."""
+        T = DTYPE[program.real]
+        return StepState(np.zeros(program.n, T), T(0))
 
 
 def step(program: TapeProgram, state: StepState, q: Array, enable: bool) -> tuple[Array, Status]:
-    """One cycle: the correction for joints q of shape (n,); the state is changed as the C changes it."""
+    """The correction of one cycle for joints q, shape (n,); the state changes as the C's."""
     assert program.command is not None
-    T, numbers = DTYPE[program.real], CommandNumbers(program.command)
-    delta, change_limit, ramp = T(numbers.delta), T(numbers.change), T(numbers.ramp)
+    T, numbers = DTYPE[program.real], program.command.limits.numbers
+    delta, change_limit, ramp = T(numbers["delta"]), T(numbers["change"]), T(numbers["ramp"])
     want, statuses = correct(program, q[None, :])
     status = Status(int(statuses[0]))
     if not (np.isfinite(state.dq).all() and (abs(state.dq) <= delta).all() and T(0) <= state.gain <= T(1)):

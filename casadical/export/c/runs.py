@@ -1,8 +1,9 @@
 """The tapes of a program as runs over one array of values: many equal operations in one loop.
 
-Operations are put into another order that their arguments allow, in which equal ones follow each other. Value k is
-the result of operation k, so that a run needs the places of its arguments only. Each operation is the tape's own: the
-results are the same bits. What `prepare` has in common with `forward`, such as the loads of gravity, is taken from it.
+Operations are put into another order that their arguments allow, in which equal ones follow each
+other. Value k is the result of operation k, so that a run needs the places of its arguments only.
+Each operation is the tape's own: the results are the same bits. What `prepare` has in common with
+`forward`, such as the loads of gravity, is taken from it.
 """
 
 from collections import Counter
@@ -23,7 +24,8 @@ class Plan:
 
     constants : the first values, which the first run sets
     places : the first place of the inputs and of the outputs (`KEY_out`) of each tape
-    operations, starts : of each run, its operation and its first place; one more start is the number of values
+    operations, starts : of each run, its operation and its first place; one more start is the
+        number of values
     first, second : for each place, those of the arguments; 0 where there is none
     spans : the first and the last run of each tape
     tables : of `periodic`, whose number is the second argument
@@ -110,7 +112,7 @@ class _Planner:
                 place[k] = place[node.args[0]] + (node.op == "cos")
 
     def _batch(self, tape: Tape, op: str, batch: list[int], place: dict[int, int], used: Counter[int]) -> None:
-        """Operations that do not follow from each other, those with the same first argument together."""
+        """Operations that are independent, those with the same first argument together."""
         pairs = []
         for k in batch:
             args = tape.nodes[k].args
@@ -154,7 +156,7 @@ def _numbers(node: Node) -> tuple[float, ...]:
 
 
 def _runs(tape: Tape, placed: Collection[int]) -> Iterator[tuple[str, Iterator[list[int]]]]:
-    """Operations and nodes that are not `placed`; each time the operation most are ready for, as long as it goes on."""
+    """Operations and nodes that are not `placed`, each time the one most are ready for."""
     there = frozenset(placed)
     users: list[list[int]] = [[] for _ in tape.nodes]
     waiting = [len(set(node.args) - there) for node in tape.nodes]

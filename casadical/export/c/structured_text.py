@@ -1,32 +1,24 @@
 """IEC 61131-3 structured text of a program, for controllers that take no C.
 
-The model is a list of operations in arrays, which one loop with a CASE goes through run by run (see `runs`); each
-operation is that of the C, so that the results are the same bits.
+The model is a list of operations in arrays, which one loop with a CASE goes through run by run (see
+`runs`); each operation is that of the C, so that the results are the same bits.
 """
 
 import re
 import textwrap
 from collections.abc import Iterable
-from functools import partial
 from itertools import groupby
 
-from casadical.export.c.c_language import self_test_inputs
-from casadical.export.c.c_source import CommandNumbers, box_share, boxes, joint_units
+from casadical.export.c.c_source import joint_units, self_test_inputs
 from casadical.export.c.chord import pose_size, prepared_size
 from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, TURNS, Real, turn_parts
 from casadical.export.c.emit import constants, filled, template
-from casadical.export.c.language import Label, Language
 from casadical.export.c.products import Command
 from casadical.export.c.reference import correct, network
 from casadical.export.c.runs import WIDTH, Plan, plan_of
 from casadical.export.c.tape_program import TapeProgram, operations
 
-_ROWS = (0, 9, 10, 25)  # of the C's self-test: the middle, two random points, one outside the box
-_LINE, _SHORT = 118, 72  # characters of a line, and of a statement that shares its line with its loop
-_CONSTANTS = """\
-IF NOT ready THEN values(from_run := 0, to_run := 0, v := v); END_IF;
-ready := TRUE;
-"""
+_LINE = 118  # characters of a line
 _GUARD = """\
 v[k] := v[first[k]];
 IF NOT (v[k] {} v[second[k]]) THEN fine := FALSE; v[k] := v[second[k]]; END_IF;
@@ -52,84 +44,79 @@ _SIMPLE = {
 }
 
 
-class StructuredText(Language):
-    """Function blocks in one file."""
-
-    name = "structured_text"
-
-    def files(self, program: TapeProgram, label: Label) -> dict[str, str]:
-        return {f"{label.name}.st": structured_text(program, label)}
-
-
-def structured_text(program: TapeProgram, label: Label) -> str:
-    """Text of NAME.st: function blocks for the network, for the correction with ramp and rate limit, and a test."""
-    plan, real = plan_of(program), program.real
-    values = _common(program, plan, label)
-    parts = [filled(template("head.st"), values), _values_block(plan, values, real)]
-    values["constants"] = _CONSTANTS
+def structured_text(program: TapeProgram) -> str:
+    """Return NAME.st: blocks for the network, the correction, its cycles, and a test."""
+    plan = plan_of(program)
+    values = _common(program, plan)
+    parts = [filled(template("head.st"), values), _values_block(plan, values, program.real)]
     parts.append(filled(template("boxed.st"), values))
     if program.network is not None:
-        key = program.network.key
-        mine = {"function": key, "out": program.network.out, "last_out": str(len(program.tapes[key].outputs) - 1)}
-        mine |= {"network_out": str(plan.places[f"{key}_out"]), "evaluate": filled(_ALONE, _span(plan, key))}
+        key, out = program.network.key, program.network.out
+        mine = {"function": key, "out": out, "last_out": str(len(program.tapes[key].outputs) - 1)}
+        mine |= {"network_out": str(plan.places[f"{key}_out"])} | _span(plan, key, "run")
         parts.append(filled(template("network.st"), values | mine | _box(program, "network")))
     if program.command is not None:
-        parts.append(filled(template("command.st"), values | _command(program, program.command, plan)))
-    return _wrapped(_folded("\n".join([*parts, _self_test(program, values)])))
+        mine = _command(program, program.command, plan)
+        parts.append(filled(template("command.st"), values | mine | _box(program, "command")))
+    return _laid_out("\n".join([*parts, _self_test(program, values)]))
 
 
 def number(value: float, real: Real) -> str:
-    """A literal of structured text with the fewest digits: always with a point, exponent after E."""
+    """A literal with the fewest digits, always with a point, the exponent after E."""
     rounded = DTYPE[real](value)
     mantissa, _, exponent = str(float(rounded) if real == "double" else rounded).partition("e")
     mantissa = mantissa if "." in mantissa else mantissa + ".0"
     return mantissa + (f"E{int(exponent)}" if exponent else "")
 
 
-def _operand(value: float, real: Real) -> str:
-    text = number(value, real)
-    return f"({text})" if text.startswith("-") else text
+def _common(program: TapeProgram, plan: Plan) -> dict[str, str]:
+    """Placeholders that every template may use."""
+    cost = operations(program).text()
 
+    def operand(value: float, real: Real) -> str:
+        text = number(value, real)
+        return f"({text})" if text.startswith("-") else text
 
-def _common(program: TapeProgram, plan: Plan, label: Label) -> dict[str, str]:
-    kind = "REAL" if program.real == "float" else "LREAL"
-    known = constants(program.real, _operand) | vars(label)
-    return known | {
-        "kind": kind,
+    return constants(program.real, operand) | {
+        "name": program.name,
+        "model_sha256": program.model_sha256,
+        "data_sha256": program.data_sha256,
+        "kind": "REAL" if program.real == "float" else "LREAL",
         "index": "INT" if plan.size < 2**15 else "DINT",
         "joint_units": joint_units(program.product),
-        "cost": textwrap.fill(operations(program).text(), 116, initial_indent="   ", subsequent_indent="   "),
+        "cost": textwrap.fill(cost, 116, initial_indent="   ", subsequent_indent="   "),
         "n": str(program.n),
         "last": str(program.n - 1),
         "last_value": str(plan.size - 1),
         "joints": str(plan.places["joints"]),
-        "share": number(box_share(program.n), program.real),
+        "share": number(program.box_share, program.real),
     }
 
 
 def _array(name: str, kind: str, entries: Iterable[str]) -> str:
-    """A declaration with initial values; those that occur several times in a row are counted where that is shorter."""
+    """A declaration with initial values, repeated ones counted where that is shorter."""
     counted = [list(same) for _, same in groupby(entries)]
     size = sum(map(len, counted))
     words = (min(f"{len(same)}({same[0]})", ",".join(same), key=len) for same in counted)
     return f"    {name} : ARRAY[0..{size - 1}] OF {kind} := [{','.join(words)}];\n"
 
 
-def _folded(text: str) -> str:
-    """The text with sections of one declaration, and loops and choices of one statement, in a line."""
-    for begin, end in (("VAR[A-Z_ ]*", "END_VAR"), ("FOR [^\n]* DO", "END_FOR;"), ("IF [^\n]* THEN", "END_IF;")):
+def _laid_out(text: str) -> str:
+    """The text with sections of one declaration, and loops and choices of one statement, in a line.
+
+    Lines that are too long are broken.
+    """
+
+    def in_line(found: re.Match[str]) -> str:
+        line = f"{found[1]}{found[2]} {found[3]} {end}"
+        short = len(line) <= _LINE and "ARRAY" not in found[3].partition(":=")[2]
+        return line if short else found[0]
+
+    sections = (("VAR[A-Z_ ]*", "END_VAR"), ("FOR [^\n]* DO", "END_FOR;"), ("IF [^\n]* THEN", "END_IF;"))
+    for begin, end in sections:
         for _ in range(2):  # a loop around a loop
             pattern = rf"^( *)({begin})\n *([^\n]*;)\n\1{end}$"
-            text = re.sub(pattern, partial(_in_line, end=end), text, flags=re.MULTILINE)
-    return text
-
-
-def _in_line(found: re.Match[str], end: str) -> str:
-    line = f"{found[1]}{found[2]} {found[3]} {end}"
-    return line if len(line) <= _LINE and "ARRAY" not in found[3].partition(":=")[2] else found[0]
-
-
-def _wrapped(text: str) -> str:
+            text = re.sub(pattern, in_line, text, flags=re.MULTILINE)
     lines: list[str] = []
     for line in text.split("\n"):
         while len(line) > _LINE:
@@ -163,7 +150,7 @@ def _values_block(plan: Plan, values: dict[str, str], real: Real) -> str:
                     scalars.setdefault(of, {}).update(dict.fromkeys(names.split(", ")))
         mine = {"code": str(code), "op": op, "by": f" BY {WIDTH[op]}" if op in WIDTH else ""}
         body = body.strip()
-        short = "\n" not in body and len(body) < _SHORT
+        short = "\n" not in body and len(body) < 72  # it shares its line with its loop
         body = f" {body} " if short else "\n" + textwrap.indent(body, " " * 8) + "\n    "
         cases += filled(template("case.st"), mine | {"body": body})
     scalars.setdefault(values["kind"], {})["x"] = None
@@ -192,52 +179,46 @@ def tables_of(plan: Plan, real: Real) -> dict[str, str]:
 
 
 def _box(program: TapeProgram, key: str) -> dict[str, str]:
-    kind = "REAL" if program.real == "float" else "LREAL"
-    sides = zip(("lower", "upper"), boxes(program)[key], strict=True)
-    return {"box": "".join(_array(name, kind, (number(float(v), program.real) for v in side)) for name, side in sides)}
+    kind, text = "REAL" if program.real == "float" else "LREAL", ""
+    for name, side in zip(("lower", "upper"), program.boxes[key], strict=True):
+        text += _array(name, kind, (number(float(v), program.real) for v in side))
+    return {"box": text}
 
 
-def _span(plan: Plan, key: str, name: str = "run") -> dict[str, str]:
+def _span(plan: Plan, key: str, name: str) -> dict[str, str]:
     return {f"{name}_from": str(plan.spans[key][0]), f"{name}_to": str(plan.spans[key][1])}
 
 
-_ALONE = """\
-values(from_run := @run_from@, to_run := @run_to@, v := v);
-fine := values.fine;
-"""
-
-
 def _command(program: TapeProgram, command: Command, plan: Plan) -> dict[str, str]:
-    numbers, prepared = CommandNumbers(command), prepared_size(command)
-    limits = ("delta", "step", "change", "ramp", "tolerance2", "weakness")
-    places = {
+    limits, prepared = command.limits, prepared_size(command)
+    integers = {
         "at": plan.places["at"],
         "look_out": plan.places["forward_out"],
         "advance_out": plan.places["advance_out"],
         "now": plan.places["prepare_out"] + prepared,
         "weakness_at": plan.places["prepare_out"] + prepared - 1,
         "error_at": plan.places["advance_out"] + program.n,
+        "steps": command.steps,
+        "last_p": pose_size(command) - 1,
     }
-    return (
-        {key: str(value) for key, value in places.items()}
-        | {f"limit_{key}": number(getattr(numbers, key), program.real) for key in limits}
-        | {key: f"{getattr(command.limits, key):.6g}" for key in ("cycle_s", "ramp_s", "rate_rad_s")}
-        | {"steps": str(command.steps), "last_p": str(pose_size(command) - 1)}
-        | _span(plan, "prepare", "prepare") | _span(plan, "forward", "look") | _span(plan, "advance", "advance")
-        | _box(program, "command")
-    )  # fmt: skip
+    values = {key: str(value) for key, value in integers.items()}
+    values |= {f"limit_{key}": number(v, program.real) for key, v in limits.numbers.items()}
+    values |= {key: f"{getattr(limits, key):.6g}" for key in ("cycle_s", "ramp_s", "rate_rad_s")}
+    for key, name in (("prepare", "prepare"), ("forward", "look"), ("advance", "advance")):
+        values |= _span(plan, key, name)
+    return values
 
 
 def _self_test(program: TapeProgram, values: dict[str, str]) -> str:
     """A block with known answers: of the correction, or of the network alone."""
-    q = self_test_inputs(program)[list(_ROWS)]
+    q = self_test_inputs(program)[[0, 9, 10, 25]]  # the middle, two random points, one outside the box
     out, status = (correct if program.command else network)(program, q)
     tables = _array("statuses", "INT", (str(int(s)) for s in status))
     for name, table in (("inputs", q), ("expected", out)):
         tables += _array(name, values["kind"], (number(float(v), program.real) for v in table.ravel()))
-    name, result = ("correct", "dq") if program.network is None or program.command else (
-        program.network.key, program.network.out
-    )  # fmt: skip
+    name, result = "correct", "dq"
+    if program.network is not None and not program.command:
+        name, result = program.network.key, program.network.out
     mine = {"tested": name, "result": result, "tables": tables, "n_tested": str(out.shape[1])}
     mine |= {"last_tested": str(out.shape[1] - 1), "last_row": str(len(q) - 1)}
     return filled(template("self_test.st"), values | mine)

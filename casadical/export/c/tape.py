@@ -1,10 +1,11 @@
 """A CasADi SX function as a tape: a list of plain real operations in single-assignment form.
 
-Equal operations on equal arguments are stored once, sines and cosines of one angle share an operation, and a tansig is
-recognised however it is written. Where an operation takes only some numbers (square root, exp, sine of a huge angle) a
-guard stands before it; what an interval analysis proves to be needless is removed (see intervals.py). A function that
-is called (CasADi's option `never_inline`) becomes a table for each of its outputs (see coefficients.py). The C emitter
-and the NumPy evaluation both read this list only.
+Equal operations on equal arguments are stored once, sines and cosines of one angle share an
+operation, and a tansig is recognised however it is written. Where an operation takes only some
+numbers (square root, exp, sine of a huge angle) a guard stands before it; what an interval analysis
+proves to be needless is removed (see intervals.py). A function that is called (CasADi's option
+`never_inline`) becomes a table for each of its outputs (see coefficients.py). The C emitter and the
+NumPy evaluation both read this list only.
 """
 
 from collections.abc import Callable
@@ -25,9 +26,10 @@ COMMUTATIVE = {"add", "mul"}
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """One operation: its name, the positions of its arguments on the tape, and a constant or an input position.
+    """One operation: its name, its arguments' positions, a constant or an input's position.
 
-    table : of the operation `periodic`, whose value is the bound of the table's error (see `spline_table`)
+    table : of the operation `periodic`, whose value is the bound of the table's error (see
+        `spline_table`)
     """
 
     op: str
@@ -38,7 +40,7 @@ class Node:
 
 @dataclass(frozen=True)
 class Tape:
-    """A function as plain real operations in order of evaluation; outputs : which nodes are the results."""
+    """Plain real operations in order of evaluation; outputs : nodes that are results."""
 
     nodes: tuple[Node, ...]
     n_in: int
@@ -77,7 +79,7 @@ class _Builder:
         return self.add("periodic", self.within(angle, TABLE_LIMIT), value=bound, table=table)
 
     def other_side(self, x: int) -> int:
-        """Of a right-angled triangle with the hypotenuse 1: one atan2 serves asin, acos and atan."""
+        """sqrt(1 - x^2), with which one atan2 serves asin, acos and atan."""
         one = self.constant(1.0)
         return self.root(self.add("mul", self.add("sub", one, x), self.add("add", one, x)))
 
@@ -93,7 +95,7 @@ class _Builder:
         return self.add(_PLAIN[name], *args) if known is None else known
 
     def tansig(self, op: str, args: tuple[int, ...]) -> int | None:
-        """Recognise 2/(1+exp(-2a))-1 and 1-2/(exp(2a)+1) when the last operation is about to be added."""
+        """Recognise 2/(1+exp(-2a))-1 and 1-2/(exp(2a)+1) at their last operation."""
         if op not in ("sub", "add"):
             return None
         unit = 1.0 if op == "sub" else -1.0
@@ -116,7 +118,7 @@ class _Builder:
         return None
 
     def _half(self, k: int, negate: bool) -> int:
-        """The argument a of exp(-2a) (or of exp(2a) negated), without a multiplication where the 2 is still visible."""
+        """The a of exp(-2a), or of exp(2a) negated, undoing the 2 where it is visible."""
         node = self.nodes[k]
         if node.op == "neg":
             return self._half(node.args[0], not negate)
@@ -150,13 +152,27 @@ _COMPOSED: dict[str, Callable[..., int]] = {
 def tape_of(function: casadi.Function) -> Tape:
     """The tape of a CasADi function of SX type (an MX function is expanded first).
 
-    All inputs are taken as one vector in the order of the function's arguments, and so are the outputs.
+    All inputs are taken as one vector in the order of the function's arguments, and so are the
+    outputs.
 
-    Raises InputError: the function cannot be expanded, has sparse arguments, uses an operation that the generated C
-    does not have, or calls a function that cannot be a table.
+    Raises InputError: the function cannot be expanded, has sparse arguments, uses an operation that
+    the generated C does not have, or calls a function that cannot be a table.
     """
-    function = _expanded(function)
-    _refuse_sparse(function)
+    if not function.is_a("SXFunction"):
+        try:
+            function = function.expand()
+        except RuntimeError as error:
+            raise InputError(
+                f"function {function.name()!r} cannot be written as scalar operations (SX): {error}; "
+                "build it without solvers, interpolants or callbacks"
+            ) from error
+    arguments = [function.sparsity_in(i) for i in range(function.n_in())]
+    for sparsity in (*arguments, *(function.sparsity_out(i) for i in range(function.n_out()))):
+        if not sparsity.is_dense():
+            raise InputError(
+                f"function {function.name()!r} has an argument of sparsity {sparsity.dim(True)}; "
+                "only dense ones can be exported; use casadi.densify"
+            )
     sizes = [function.numel_in(i) for i in range(function.n_in())]
     builder = _Builder()
     inputs = iter([builder.add("input", value=float(k)) for k in range(sum(sizes))])
@@ -178,7 +194,17 @@ def tape_of(function: casadi.Function) -> Tape:
         zero=builder.constant(0.0),
         call=_call(builder, function),
     )
-    return _live(builder.nodes, sum(sizes), [node for output in outputs for node in output])
+    results = [node for output in outputs for node in output]
+    needed = set(results)
+    for k in reversed(range(len(builder.nodes))):
+        if k in needed:
+            needed.update(builder.nodes[k].args)
+    place = {old: new for new, old in enumerate(sorted(needed))}
+    kept = []
+    for k in place:
+        node = builder.nodes[k]
+        kept.append(replace(node, args=tuple(place[a] for a in node.args)))
+    return Tape(tuple(kept), sum(sizes), tuple(place[k] for k in results))
 
 
 def _call(builder: _Builder, function: casadi.Function) -> Callable[[list[int]], list[int]]:
@@ -191,35 +217,3 @@ def _call(builder: _Builder, function: casadi.Function) -> Callable[[list[int]],
         )
     tables = periodic_tables(called[0]) if called else []
     return lambda args: [builder.periodic(a, *table) for a, table in zip(args, tables, strict=True)]
-
-
-def _expanded(function: casadi.Function) -> casadi.Function:
-    if function.is_a("SXFunction"):
-        return function
-    try:
-        return function.expand()
-    except RuntimeError as error:
-        raise InputError(
-            f"function {function.name()!r} cannot be written as scalar operations (SX): {error}; "
-            "build it without solvers, interpolants or callbacks"
-        ) from error
-
-
-def _refuse_sparse(function: casadi.Function) -> None:
-    arguments = [function.sparsity_in(i) for i in range(function.n_in())]
-    for sparsity in (*arguments, *(function.sparsity_out(i) for i in range(function.n_out()))):
-        if not sparsity.is_dense():
-            raise InputError(
-                f"function {function.name()!r} has an argument of sparsity {sparsity.dim(True)}; "
-                "only dense ones can be exported; use casadi.densify"
-            )
-
-
-def _live(nodes: list[Node], n_in: int, outputs: list[int]) -> Tape:
-    needed = set(outputs)
-    for k in reversed(range(len(nodes))):
-        if k in needed:
-            needed.update(nodes[k].args)
-    place = {old: new for new, old in enumerate(sorted(needed))}
-    kept = tuple(replace(nodes[k], args=tuple(place[a] for a in nodes[k].args)) for k in sorted(needed))
-    return Tape(kept, n_in, tuple(place[k] for k in outputs))

@@ -1,8 +1,10 @@
 """The tapes of a product: what every controller language writes.
 
-Interval analysis of a tape: bounds of every value over a box of inputs, and which guards can never be touched.
+Interval analysis of a tape: bounds of every value over a box of inputs, and which guards can never
+be touched.
 
-Bounds are outward: each operation's result is widened by more than the rounding of the real type it will run in.
+Bounds are outward: each operation's result is widened by more than the rounding of the real type it
+will run in.
 """
 
 import math
@@ -20,7 +22,6 @@ from casadical.export.c.tape import Node, Tape, tape_of
 
 Interval = tuple[float, float]
 _EVERYTHING: Interval = (-math.inf, math.inf)
-_WIDEN = {"float": 2.0**-21, "double": 2.0**-50}  # at least four roundings
 
 
 def _products(a: Interval, b: Interval) -> Interval:
@@ -69,7 +70,8 @@ def _bound(node: Node, args: list[Interval], box: list[Interval], real: Real) ->
     if node.op == "guard_max":
         return min(args[0][0], node.value), min(args[0][1], node.value)
     if node.op == "periodic":
-        # A spline lies between its least and greatest coefficient; a rounded place may be a hundredth outside its cell.
+        # A spline lies between its least and greatest coefficient; a rounded place may be a
+        # hundredth outside its cell.
         low, high = 6 * min(node.table), 6 * max(node.table)
         return low - 1e-3 * (high - low), high + 1e-3 * (high - low)
     if node.op == "mul" and node.args[0] != node.args[1]:
@@ -82,13 +84,14 @@ def _bound(node: Node, args: list[Interval], box: list[Interval], real: Real) ->
 
 def _widened(interval: Interval, real: Real) -> Interval:
     """The interval with room for rounding; everything (and NaN) where it could overflow."""
-    c, share = COEFFICIENTS[real], _WIDEN[real]
+    c = COEFFICIENTS[real]
+    share = 2.0**-21 if real == "float" else 2.0**-50  # at least four roundings
     low, high = (v - abs(v) * share * s - c.smallest * s for v, s in zip(interval, (1.0, -1.0), strict=True))
     return (low, high) if low >= -c.largest and high <= c.largest else _EVERYTHING
 
 
 def bounds(tape: Tape, lower: Array, upper: Array, real: Real) -> list[Interval]:
-    """An interval for every node of the tape, for inputs in [lower, upper] (arrays of shape (n_in,)).
+    """An interval for every node, for inputs in [lower, upper], each of shape (n_in,).
 
     The bounds hold for the arithmetic of the real type as well, not only for real numbers.
     """
@@ -120,12 +123,21 @@ def without_needless_guards(tape: Tape, lower: Array, upper: Array, real: Real) 
 
 @dataclass(frozen=True)
 class TapeProgram:
-    """A product ready to be written: its tapes by name."""
+    """A product ready to be written.
+
+    tapes : `network` or `curves`; of a command `forward`, `prepare`, `advance`
+    network_bounds : of each of the network's outputs [its unit], for every input
+    name : prefix of functions and files, a C identifier; model_sha256, data_sha256 : of what it was
+        made from
+    """
 
     product: Product
     real: Real
     tapes: dict[str, Tape]
-    network_bounds: tuple[Interval, ...]  # of each of the network's outputs [its unit], for every input
+    network_bounds: tuple[Interval, ...]
+    name: str
+    model_sha256: str
+    data_sha256: str
 
     @property
     def n(self) -> int:
@@ -134,6 +146,22 @@ class TapeProgram:
     @property
     def command(self) -> Command | None:
         return self.product if isinstance(self.product, Command) else None
+
+    @property
+    def box_share(self) -> float:
+        """A power of two by which n finite numbers are multiplied for a finite sum."""
+        return 2.0 ** -(self.n - 1).bit_length()
+
+    @property
+    def boxes(self) -> dict[str, tuple[Array, Array]]:
+        """The boxes that inputs are moved into, by what they are for."""
+        boxes: dict[str, tuple[Array, Array]] = {}
+        if self.command is not None:
+            lower, upper, reach = self.command.lower, self.command.upper, self.command.limits.delta_rad
+            boxes |= {"command": (lower, upper), "reach": (lower - reach, upper + reach)}
+        if self.network is not None:
+            boxes["network"] = (self.network.lower, self.network.upper)
+        return boxes
 
     @property
     def network(self) -> NetworkFunction | None:
@@ -155,7 +183,6 @@ class Operations:
 
 _KINDS = {"add": "additions", "sub": "additions", "mul": "multiplications", "div": "divisions"}
 _KINDS |= {op: op for op in ("sincos", "sqrt", "exp", "tansig", "atan2", "periodic")}
-_FREE = ("input", "const", "sin", "cos")
 
 
 def operations(program: TapeProgram) -> Operations:
@@ -168,38 +195,38 @@ def operations(program: TapeProgram) -> Operations:
     count: Counter[str] = Counter()
     for tape, times in calls.items():
         for node in program.tapes[tape].nodes:
-            if node.op not in _FREE:
+            if node.op not in ("input", "const", "sin", "cos"):
                 count[_KINDS.get(node.op, "choices")] += times
     return Operations(key, dict(count))
 
 
-def tape_program(product: Product, real: Real) -> TapeProgram:
-    """Tapes of a product: `network` or `curves`; of a command `forward`, `prepare`, `advance`."""
+def tape_program(
+    product: Product,
+    real: Real,
+    name: str = "arm",
+    model_sha256: str = "not given",
+    data_sha256: str = "not given",
+) -> TapeProgram:
+    """Return a product's tapes in a real type, without the guards that its box makes needless."""
     tapes: dict[str, Tape] = {}
     network = product if isinstance(product, NetworkFunction) else product.network
     network_bounds: list[Interval] = []
+
+    def rounded(bound: Array) -> Array:
+        return bound.astype(DTYPE[real]).astype(np.float64)
+
     if network is not None:
-        lower, upper = _rounded(network.lower, real), _rounded(network.upper, real)
+        lower, upper = rounded(network.lower), rounded(network.upper)
         tape = without_needless_guards(tape_of(network.function), lower, upper, real)
         intervals = bounds(tape, lower, upper, real)
         tapes[network.key], network_bounds = tape, [intervals[o] for o in tape.outputs]
     if isinstance(product, Command):
-        tapes |= _command_tapes(product, real)
-    return TapeProgram(product, real, tapes, tuple(network_bounds))
-
-
-def _rounded(bound: Array, real: Real) -> Array:
-    return bound.astype(DTYPE[real]).astype(np.float64)
-
-
-def _command_tapes(command: Command, real: Real) -> dict[str, Tape]:
-    reach = 1.001 * command.limits.delta_rad  # joints and corrections are added in the real type, and rounded
-    boxes: dict[str, tuple[Array, Array]] = {
-        "forward": (_rounded(command.lower, real) - reach, _rounded(command.upper, real) + reach),
-        "prepare": (_rounded(command.lower, real), _rounded(command.upper, real)),
-    }
-    tapes = {"forward": tape_of(command.calibrated), "prepare": tape_of(prepare(command))}
-    tapes = {key: without_needless_guards(tape, *boxes[key], real) for key, tape in tapes.items()}
-    step = tape_of(advance(command))
-    anything = np.full(step.n_in, np.inf)
-    return tapes | {"advance": without_needless_guards(step, -anything, anything, real)}
+        # joints and corrections are added in the real type, and rounded
+        reach = 1.001 * product.limits.delta_rad
+        lower, upper = rounded(product.lower), rounded(product.upper)
+        forward, step = tape_of(product.calibrated), tape_of(advance(product))
+        anything = np.full(step.n_in, np.inf)
+        tapes["forward"] = without_needless_guards(forward, lower - reach, upper + reach, real)
+        tapes["prepare"] = without_needless_guards(tape_of(prepare(product)), lower, upper, real)
+        tapes["advance"] = without_needless_guards(step, -anything, anything, real)
+    return TapeProgram(product, real, tapes, tuple(network_bounds), name, model_sha256, data_sha256)

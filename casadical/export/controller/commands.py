@@ -1,14 +1,20 @@
-"""A calibrated robot as a product of the exporter: CasADi functions of the nominal and of the real robot.
+"""A robot file as C: what is made of it, and what must be said of the files that are written.
 
-Both robots are given in the robot's own base frame. The position of the instrument is not an error of the robot: the
-identified base is removed, and so is a first row with all six numbers, which is the base (paper, Table 1). A first row
-of four numbers on a known base stays: its joint offset is the robot's. Both have the same tool unless told otherwise:
-the measured point is usually a reflector, and where it is mounted is not an error of the robot either.
+A product of the exporter is made of CasADi functions of the nominal and of the real robot.
+
+Both robots are given in the robot's own base frame. The position of the instrument is not an error
+of the robot: the identified base is removed, and so is a first row with all six numbers, which is
+the base (paper, Table 1). A first row of four numbers on a known base stays: its joint offset is
+the robot's. Both have the same tool unless told otherwise: the measured point is usually a
+reflector, and where it is mounted is not an error of the robot either.
 """
 
+import hashlib
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, cast, get_args
 
 import casadi as ca
 import numpy as np
@@ -16,32 +22,35 @@ import numpy as np
 from casadical.compensator import Compensator, load_compensator
 from casadical.core.basics import Array, InputError
 from casadical.core.parts import Body, Placement
+from casadical.core.reading import read_bytes
 from casadical.effects import Effect
 from casadical.effects.base import Omission
-from casadical.export.c.products import Command, CurveFunction, Limits, NetworkFunction, mapped
+from casadical.export.c.products import Command, CurveFunction, Limits, NetworkFunction, Product, mapped
+from casadical.export.c.write import Export, write_c
 from casadical.export.controller import functions
 from casadical.export.controller.inverse import SINGULAR_POSE, freedom_of
-from casadical.export.omission import geometry_of, left_out, rigid
+from casadical.export.omission import left_out
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
 Tool = Literal["shared", "own"]
 
-SAME_ROBOT = 0.1  # m between nominal and calibrated tool, median: above it the files are not of one robot
-
 
 @dataclass(frozen=True, eq=False)
 class Sources:
     """What a product is made of.
 
-    robot : the calibrated robot; a file or a `Robot`, such as `diagnosis.apply()` with its causes in the model
+    robot : the calibrated robot; a file or a `Robot`, such as `diagnosis.apply()` with its causes
+        in the model
     nominal : the one that the controller computes with; a file or a `Robot`
     compensator : the network trained on the calibrated robot's residuals; a file or a `Compensator`
     payload_kg : mass on the flange [kg]; None: as declared
-    tool : "shared": both robots have the calibrated robot's tool. "own": each has its own, so that the difference is
-        corrected too, for a measured point that is the controller's tool centre point itself
-    leave_out : whether effects that a controller cannot follow are left out of the robot; else they are refused
+    tool : "shared": both robots have the calibrated robot's tool. "own": each has its own, so that
+        the difference is corrected too, for a measured point that is the controller's tool centre
+        point itself
+    leave_out : whether effects that a controller cannot follow are left out of the robot; else they
+        are refused
     Raises InputError: another word as tool.
 
     Examples
@@ -63,20 +72,108 @@ class Sources:
             raise InputError(f"--tool {self.tool}: not known; allowed: {', '.join(get_args(Tool))}")
 
 
+def export_c(
+    sources: Sources,
+    folder: Path,
+    what: str = "command",
+    *,
+    steps: int = 2,
+    correct: str = "position",
+    limits: Mapping[str, float] | None = None,
+    name: str | None = None,
+    real: str = "double",
+    languages: Sequence[str] | None = None,
+    overwrite: bool = False,
+    also: Callable[[Export], Mapping[Path, str]] = lambda _written: {},
+) -> Export:
+    """Write what a controller needs of a robot file, compiled and compared before it is kept.
+
+    sources : files, not objects
+    what : `command`, the correction of commands; `network` or `curves`, the compensator or the
+        joints' error curves alone
+    steps : as of `command_of`; correct : position or pose; limits : other ones than the usual
+        `Limits`
+    name : of C functions, None: from the robot's name; real, languages, overwrite, also : as of
+        `write_c`
+    Raises InputError.
+    """
+    if real not in ("float", "double"):
+        raise InputError(f"--real {real}: not known; allowed: float, double")
+    product: Product
+    if what == "command":
+        command = command_of(sources, steps, orientation=wants_pose(correct))
+        product = replace(command, limits=replace(command.limits, **(limits or {})))
+    elif what in ("network", "curves"):
+        product = (network_of if what == "network" else curves_of)(sources)
+    else:
+        raise InputError(f"--what {what}: not known; allowed: network, command, curves")
+    robot = robot_of(sources.robot)
+    files = {"robot": sources.robot, "nominal": sources.nominal, "compensator": sources.compensator}
+    hashes = {
+        label: hashlib.sha256(read_bytes(path)).hexdigest() for label, path in files.items() if isinstance(path, Path)
+    }
+    try:
+        written = write_c(
+            product,
+            folder,
+            name=name or prefix_of(robot.name),
+            real=cast(Any, real),
+            model_sha256=hashes["robot"],
+            data_sha256=hashes.get("compensator", "not given"),
+            languages=languages,
+            overwrite=overwrite,
+            also=also,
+        )
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written: {error.strerror}") from error
+    lines = [f"{what} of {sources.robot}, {real}"]
+    lines += filter(None, [poses_of(robot) if wants_pose(correct) else ""])
+    lines += filter(None, [unreached(robot) if what == "command" else ""])
+    for label, digest in hashes.items():
+        if what == "command" or label != "nominal":
+            lines.append(f"{label}: {files[label]}, sha256 {digest}")
+    if sources.compensator and getattr(product, "network", product) is None:
+        lines.append("the compensator was refused when it was trained: it corrects nothing and is left out")
+    if what == "curves":
+        lines.append("the joints' error curves alone: a joint read as q stands at q + dq, so command q - dq(q)")
+    if isinstance(product, Command):
+        lines += _command_in_words(sources, product.limits, robot)
+    return replace(written, about=tuple(lines))
+
+
+def _command_in_words(sources: Sources, limits: Limits, robot: Robot) -> list[str]:
+    """The effects that are not in a command, where it holds, and its times."""
+    mass = "as declared" if sources.payload_kg is None else f"{sources.payload_kg:g} kg"
+    lines = [f"LEFT OUT {line}" for line in followed(sources)[1]]
+    lines.append("readings within the joint limits of the robot file are corrected, others are CLAMPED")
+    lines += measured_range(robot)
+    if robot.gravity_frame == "logged":
+        lines.append("LEFT OUT the tilt of the base: gravity is as the robot file declares it, the base level")
+    return [
+        *lines,
+        f"payload: {mass}; tool: {sources.tool}; positions in the robot's own base frame",
+        f"cycle {1e3 * limits.cycle_s:g} ms, rate {limits.rate_rad_s:g} rad/s, ramp {limits.ramp_s:g} s: "
+        f"switched on in {limits.ramp_s / limits.cycle_s:.0f} calls of the step function",
+    ]
+
+
 def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -> Command:
-    """The correction that moves the real tool to the position of the nominal robot's, in the robot's own base frame.
+    """The correction that moves the real tool to where the nominal robot has it.
 
-    The nominal robot is rigid and without effects, as a controller computes. The box is the calibrated robot's joint
-    limits [rad or m], within the readings that the compensator's training saw; the measured poses may cover less of it.
+    The nominal robot is rigid and without effects, as a controller computes. The box is the
+    calibrated robot's joint limits [rad or m], within the readings that the compensator's training
+    saw; the measured poses may cover less of it.
 
-    Joints change by the least that is needed; a metre of a linear joint counts as a radian of the others. What the
-    joints cannot move (`freedom_of`) is left.
+    Joints change by the least that is needed; a metre of a linear joint counts as a radian of the
+    others. What the joints cannot move (`freedom_of`) is left.
 
     sources : robots, network and payload
     steps : least-squares steps, 1 to 10
-    orientation : whether the tool's orientation is to be reached as well, by the least change of the joints; fewer than
-        six joints reach the position, and of the orientation what they can beside it
-    Raises InputError: where the files are not of one robot, or the robot cannot be corrected; see `followed`.
+    orientation : whether the tool's orientation is to be reached as well, by the least change of
+        the joints; fewer than six joints reach the position, and of the orientation what they can
+        beside it
+    Raises InputError: where the files are not of one robot, or the robot cannot be corrected; see
+    `followed`.
 
     Examples
     --------
@@ -96,7 +193,7 @@ def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -
         calibrated=functions.tool_function(real, "calibrated", orientation, turn, network),
         lower=lower,
         upper=upper,
-        jacobian_of=functions.tool_function(rigid(functions.without_curves(real)), "chain", orientation),
+        jacobian_of=functions.tool_function(functions.without_curves(real).rigid, "chain", orientation),
         jacobian_at=functions.bent_function(real) if any(j.compliance for j in real.joints) else None,
         network=network,
         limits=Limits(singular_m_per_rad=SINGULAR_POSE) if orientation else Limits(),
@@ -110,14 +207,14 @@ def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -
 
 
 def own_robots(sources: Sources) -> tuple[Robot, Robot, Array]:
-    """Real and nominal robot in their own base frame, and the rotation into it, (3, 3). Raises InputError."""
+    """Both robots in their own base frame, and the rotation into it, (3, 3). Raises InputError."""
     if sources.nominal is None:
         raise InputError(
             "a command needs the controller's model of the robot: give --nominal NOMINAL.toml, "
             "the robot file from before the calibration"
         )
     real, _ = followed(sources)
-    nominal = geometry_of(robot_of(sources.nominal))
+    nominal = robot_of(sources.nominal).with_only(()).rigid
     _refuse_other_robot(real, nominal, sources)
     if sources.tool == "shared":
         nominal = replace(nominal, tool=real.tool)
@@ -126,9 +223,10 @@ def own_robots(sources: Sources) -> tuple[Robot, Robot, Array]:
 
 
 def network_of(sources: Sources) -> NetworkFunction:
-    """The compensator alone: joints [rad] -> what to add to the computed position [mm], in the measuring frame.
+    """The compensator: joints [rad] -> correction of the position [mm] in the measuring frame.
 
-    Raises InputError: where `sources` names no compensator, or one that was refused when it was trained.
+    Raises InputError: where `sources` names no compensator, or one that was refused when it was
+    trained.
     """
     if sources.compensator is None:
         raise InputError("a network needs its file: give --compensator NET.json, as calibrate --out wrote it")
@@ -143,9 +241,10 @@ def network_of(sources: Sources) -> NetworkFunction:
 
 
 def curves_of(sources: Sources) -> CurveFunction:
-    """The error curves of the joints alone: joints [rad] -> what each joint turns beyond its reading [rad].
+    """The joints' error curves: joints [rad] -> what each turns beyond its reading [rad].
 
-    For a controller that has the rest of the calibration in its own kinematics. The box is the robot's joint limits.
+    For a controller that has the rest of the calibration in its own kinematics. The box is the
+    robot's joint limits.
     Raises InputError: where the robot has no `joint_error_curve`.
     """
     robot = robot_of(sources.robot)
@@ -161,9 +260,10 @@ def curves_of(sources: Sources) -> CurveFunction:
 
 
 def in_own_frame(robot: Robot, nominal: Robot) -> tuple[Robot, Array]:
-    """The robot seen from its own base frame, and the rotation into it from the measuring frame, shape (3, 3).
+    """The robot in its own base frame, and the rotation from the measuring frame, (3, 3).
 
-    A first row that is the base becomes the nominal robot's. Gravity keeps its direction against the arm.
+    A first row that is the base becomes the nominal robot's. Gravity keeps its direction against
+    the arm.
     """
     turn = robot.base.T[:3, :3].T
     gravity = turn @ robot.gravity if robot.gravity_frame == "measuring" else robot.gravity
@@ -181,7 +281,7 @@ def in_own_frame(robot: Robot, nominal: Robot) -> tuple[Robot, Array]:
 
 
 def measured_range(robot: Robot) -> tuple[str, ...]:
-    """The readings that the robot file was learnt from, in a sentence; none where the file does not say it."""
+    """A sentence on the readings that the robot was learnt from, where the file says it."""
     known = robot.knowledge.readings if robot.knowledge else np.zeros((0, 2))
     factors = [(1e3, "mm") if unit == "m" else (180 / np.pi, "deg") for unit in robot.units]
     spans = [
@@ -203,9 +303,10 @@ def _word(source: Path | Robot | Compensator | None) -> str:
 
 
 def followed(sources: Sources) -> tuple[Robot, tuple[str, ...]]:
-    """The real robot with the effects that joints and payload decide, and a line on each effect that is left out.
+    """The real robot with effects that joints and payload decide; a line on each other effect.
 
-    Effects of the measurement always are. Raises InputError that says what would be lost, unless `leave_out` is given.
+    Effects of the measurement always are. Raises InputError that says what would be lost, unless
+    `leave_out` is given.
     """
     robot = _loaded(robot_of(sources.robot), sources.payload_kg)
     omissions = [o for e in robot.effects if (o := _not_followed(e))]
@@ -254,17 +355,17 @@ def _refuse_other_robot(real: Robot, nominal: Robot, sources: Sources) -> None:
 def _refuse_far_apart(command: Command, sources: Sources) -> None:
     q = np.random.default_rng(0).uniform(command.lower, command.upper, (200, len(command.lower)))
     apart = np.linalg.norm((mapped(command.calibrated, q) - mapped(command.nominal, q))[:, :3], axis=1)
-    if np.isnan(apart).all() or np.nanmedian(apart) > SAME_ROBOT:
+    if np.isnan(apart).all() or np.nanmedian(apart) > 0.1:
         raise InputError(
             f"{_word(sources.nominal)}: its tool is {1e3 * np.nanmedian(apart):.0f} mm from that of "
             f"{_word(sources.robot)} (median "
-            f"over the joints' ranges); at most {1e3 * SAME_ROBOT:.0f} mm can be corrected: are both files of one "
+            f"over the joints' ranges); at most 100 mm can be corrected: are both files of one "
             "robot, and with --tool own, is the nominal tool really the one that the controller holds?"
         )
 
 
 def _network(sources: Sources, joints: int) -> NetworkFunction | None:
-    """The compensator's network in the box of its training; None without one, or where it was refused."""
+    """The network in the box of its training; None without one, or where it was refused."""
     if sources.compensator is None:
         return None
     source = sources.compensator
@@ -278,3 +379,36 @@ def _network(sources: Sources, joints: int) -> NetworkFunction | None:
     if not compensator.helps:
         return None
     return NetworkFunction(compensator.function(), np.array(box.lower), np.array(box.upper))
+
+
+def prefix_of(name: str) -> str:
+    """A C prefix from a robot's name: lower case, at most 24 characters."""
+    words = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+    return (words if words[:1].isalpha() else f"robot_{words}")[:24].rstrip("_")
+
+
+def wants_pose(word: str) -> bool:
+    """Whether --correct asks for the orientation. Raises InputError for another word."""
+    if word not in ("position", "pose"):
+        raise InputError(f"--correct {word}: not known; allowed: position, pose")
+    return word == "pose"
+
+
+def poses_of(robot: Robot) -> str:
+    """What --correct pose does for an arm, in words."""
+    moved, turned = freedom_of(robot)
+    if (moved, turned) == (3, 3):
+        return "position and orientation are corrected, by the least change of the joints"
+    position = "the position" if moved == 3 else f"the position in {moved} of 3 directions"
+    if not turned:
+        return f"--correct pose: {robot.n} joints cannot turn the tool beside moving it; {position} alone is corrected"
+    return (
+        f"--correct pose: {robot.n} joints reach {position} and, beside it, the orientation in {turned} of 3 "
+        "directions; what is left of it stays"
+    )
+
+
+def unreached(robot: Robot) -> str:
+    """What the joints of an arm cannot move at all, in words; empty for most arms."""
+    moved = freedom_of(robot)[0]
+    return "" if moved == 3 else f"NOT REACHED: the joints move the tool in {moved} of 3 directions; errors across stay"

@@ -16,14 +16,11 @@ from casadical.export.c.reference import Status
 from casadical.export.c.reference import correct as reference_correct
 from casadical.export.c.tape_program import tape_program
 
-LEAVES_BOX = "LEAVES_BOX"
-POSITION_ONLY = "POSITION_ONLY"
-FINE = (Status.OK.name, POSITION_ONLY)  # statuses of what is corrected
-SHOWN = 20  # targets that a summary lists
+FINE = (Status.OK.name, "POSITION_ONLY")  # statuses of what is corrected
 
 MEANINGS = {
     Status.CLAMPED.name: "outside the joint ranges of the model",
-    LEAVES_BOX: "the corrected targets would be outside the joint ranges of the model",
+    "LEAVES_BOX": "the corrected targets would be outside the joint ranges of the model",
     Status.NOT_CONVERGED.name: "an error above the tolerance would remain",
     Status.LIMITED.name: "the correction would exceed its limit",
     Status.SINGULAR.name: "near a pose in which the tool cannot move in some direction",
@@ -36,9 +33,11 @@ class Corrector:
     """A way to correct joint targets: the compiled C of an export, or a model.
 
     joints : number of joints
-    correct : q, shape (k, joints) [rad or m] -> corrections of the same shape, and status, shape (k,)
+    correct : q, shape (k, joints) [rad or m] -> corrections of the same shape, and status, shape
+        (k,)
     position : q -> calibrated tool positions [m], shape (k, 3)
-    fallback : of the position alone, for targets whose pose cannot be corrected; None: they are refused
+    fallback : of the position alone, for targets whose pose cannot be corrected; None: they are
+        refused
     units : "rad" or "m" of each joint's reading; none: all rad
     """
 
@@ -50,7 +49,7 @@ class Corrector:
 
 
 def kernel_corrector(folder: Path, *, trust: bool = False) -> Corrector:
-    """By the C in an export folder, compiled here; trust : as of `load`. Raises InputError: no export, no compiler."""
+    """By the C in a folder, compiled here; trust : as of `load`. Raises InputError."""
     try:
         kernel = load(folder, trust=trust)
     except InputError:
@@ -74,7 +73,7 @@ def kernel_corrector(folder: Path, *, trust: bool = False) -> Corrector:
 
 
 def model_corrector(command: Command, fallback: Corrector | None = None) -> Corrector:
-    """Correction by the export's reference in NumPy: the same bits as the exported double C, without a compiler.
+    """Correction by the reference in NumPy: the bits of the double C, without a compiler.
 
     command : what is corrected
     fallback : as of `Corrector`
@@ -98,22 +97,22 @@ def model_corrector(command: Command, fallback: Corrector | None = None) -> Corr
 
 
 def corrected_joints(corrector: Corrector, q: Array) -> tuple[Array, tuple[str, ...]]:
-    """Corrected joints, shape (k, n) [rad or m], and the names of the statuses; joints without one of `FINE` stay."""
+    """Corrected joints, shape (k, n) [rad or m], and statuses; joints without one of `FINE` stay."""
     dq, status = corrector.correct(q)
     names = [Status(int(s)).name for s in status]
     beyond = corrector.correct(q + dq)[1] == Status.CLAMPED
-    names = [LEAVES_BOX if b and n == Status.OK.name else n for b, n in zip(beyond, names, strict=True)]
+    names = ["LEAVES_BOX" if b and n == Status.OK.name else n for b, n in zip(beyond, names, strict=True)]
     fine = np.array([n == Status.OK.name for n in names])
     new = np.where(fine[:, None], q + dq, q)
     if corrector.fallback is not None and not fine.all():
         other, reached = corrected_joints(corrector.fallback, q[~fine])
         for k, joints, name in zip(np.flatnonzero(~fine), other, reached, strict=True):
             if name in FINE:
-                new[k], names[k] = joints, POSITION_ONLY
+                new[k], names[k] = joints, "POSITION_ONLY"
     return new, tuple(names)
 
 
 def position_only(status: tuple[str, ...]) -> str:
     """How many of the corrected ones are corrected in position only, in words."""
-    count = status.count(POSITION_ONLY)
+    count = status.count("POSITION_ONLY")
     return f" ({count} in position only, near poses in which the orientation cannot be corrected)" if count else ""

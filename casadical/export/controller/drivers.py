@@ -1,6 +1,7 @@
-"""The calibrated geometry as drivers and controllers read it: kinematics YAML of the UR driver, tables, xacro.
+"""The calibrated geometry as drivers read it: YAML of the UR driver, DH tables, xacro.
 
-Each holds the geometry of a rigid arm in the robot's own base frame; what a form cannot hold is told in millimetres.
+Each holds the geometry of a rigid arm in the robot's own base frame; what a form cannot hold is
+told in millimetres.
 """
 
 from collections.abc import Callable
@@ -18,16 +19,17 @@ from casadical.robot.robot import Robot, modified_dh
 
 UR_LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 _UR_TWISTS = np.deg2rad([0, 90, 0, 0, 90, -90])
-_UR_MISFIT = np.deg2rad(3)
 _NEAR_PARALLEL = 1e-9  # sine of the angle between axes that have no common normal of their own
 
 
 def driver_file(sources: Sources, form: str, checksum: str = "") -> tuple[str, tuple[str, ...]]:
-    """The calibrated robot as a driver reads it, and what that does not hold, in words and millimetres.
+    """The robot as a driver reads it, and what that does not hold, in millimetres.
 
-    form : `ur` (kinematics YAML of the UR ROS 2 description), `standard_dh`, `modified_dh` (CSV), or `xacro`
+    form : `ur` (kinematics YAML of the UR ROS 2 description), `standard_dh`, `modified_dh` (CSV),
+        or `xacro`
     checksum : of the controller's own calibration, for `ur`: the driver compares it
-    Raises InputError: another form, a robot with closed loops, or one that has not the structure of the form.
+    Raises InputError: another form, a robot with closed loops, or one that has not the structure of
+    the form.
     """
     if form not in FORMS:
         raise InputError(f"--to {form}: not known; allowed: {', '.join(FORMS)}")
@@ -40,11 +42,12 @@ def driver_file(sources: Sources, form: str, checksum: str = "") -> tuple[str, t
 
 
 def standard_dh(robot: Robot, like: Array) -> tuple[Array, Array, Array]:
-    """Base (4, 4), rows (n, 4) of theta, d, a, alpha [rad, m], and tool (4, 4), with Rz(theta) Tz(d) Tx(a) Rx(alpha).
+    """Base (4, 4), rows (n, 4) of Rz(theta) Tz(d) Tx(a) Rx(alpha) [rad, m], and tool (4, 4).
 
-    The common normals are the exact ones, as makers calibrate: nearly parallel axes have a large d, and its opposite in
-    a later row. like : thetas [rad], shape (n,), of the signs that the normals get. Base and last row take what four
-    numbers for each joint cannot hold. (Denavit and Hartenberg 1955; Hayati 1983 on parallel axes.)
+    The common normals are the exact ones, as makers calibrate: nearly parallel axes have a large d,
+    and its opposite in a later row. like : thetas [rad], shape (n,), of the signs that the normals
+    get. Base and last row take what four numbers for each joint cannot hold. (Denavit and
+    Hartenberg 1955; Hayati 1983 on parallel axes.)
     """
     frames = frames_at_zero(robot.joints)
     z, p = frames[0][:3, 2], frames[0][:3, 3]
@@ -93,11 +96,11 @@ def _aligned(R: Array, z: Array) -> Array:
 
 
 def _ur(real: Robot, nominal: Robot, checksum: str) -> str:
-    """Origins of the links in the link before, at zero readings: the frames of the maker's DH table."""
+    """Origins of the links, at zero readings: the frames of the maker's DH table."""
     twists = np.array([j.alpha for j in nominal.joints])
     if (
         len(twists) != len(UR_LINKS)
-        or np.abs(twists - _UR_TWISTS).max() > _UR_MISFIT
+        or np.abs(twists - _UR_TWISTS).max() > np.deg2rad(3)
         or nominal.joints[0].b is not None
     ):
         raise InputError(

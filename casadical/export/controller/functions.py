@@ -1,8 +1,9 @@
-"""The functions of the joints that a correction is made of: a robot's error curves, its tool, its deflections.
+"""The functions of a correction: a robot's error curves, its tool, its deflections.
 
-The error curves are one function that C calls as a table, in the correction of a command and alone: a curve of 60
-harmonics is some 600 operations, a table some 30. The model takes the curves' values as parameters, so that everything
-else in it (deflections, other effects) follows the readings, as in the robot.
+The error curves are one function that C calls as a table, in the correction of a command and alone:
+a curve of 60 harmonics is some 600 operations, a table some 30. The model takes the curves' values
+as parameters, so that everything else in it (deflections, other effects) follows the readings, as
+in the robot.
 """
 
 from collections.abc import Mapping
@@ -35,9 +36,10 @@ class GivenAngles(Effect):
 
 
 def joint_curves(robot: Robot) -> ca.Function | None:
-    """joint_curves:(q[n] rad)->(dq[n] rad), which another function calls as a whole; None where the robot has no curve.
+    """joint_curves:(q[n] rad)->(dq[n] rad), to be called; None where the robot has no curve.
 
-    A joint whose coefficients are zero has the constant 0. Raises InputError for a coefficient that is not finite.
+    A joint whose coefficients are zero has the constant 0. Raises InputError for a coefficient that
+    is not finite.
     """
     curves = [e for e in robot.effects if isinstance(e, JointErrorCurve)]
     if not curves:
@@ -57,7 +59,7 @@ def without_curves(robot: Robot) -> Robot:
 
 
 def pose_of(robot: Robot, q: ca.SX) -> list[ca.SX]:
-    """p[3] [m] and R[3x3] of the tool at the readings q; the error curves are a call of `joint_curves`."""
+    """p[3] [m] and R[3x3] of the tool at q; error curves are a call of `joint_curves`."""
     curves = joint_curves(robot)
     values = robot.parameters.values
     if curves is None:
@@ -75,7 +77,8 @@ def tool_function(
 ) -> ca.Function:
     """NAME:(q[n] rad or m)->(p[3] m) or (p[3] m, R[3x3]).
 
-    turn : rotation from the measuring frame, in which the network learned, into the robot's, shape (3, 3); None: none
+    turn : rotation from the measuring frame, in which the network learned, into the robot's, shape
+        (3, 3); None: none
     """
     q = ca.SX.sym("q", robot.n)
     p, R = pose_of(robot, q)

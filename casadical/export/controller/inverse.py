@@ -1,8 +1,9 @@
-"""Inverse kinematics of any robot, the calibrated one with its deflections included: damped Newton, many poses at once.
+"""Inverse kinematics of any robot, deflections included: damped Newton, many poses at once.
 
 The damping falls with the error (see `solve_joints`): steps are finite near singular poses and Newton's at the end.
 
-Then the arms that reach a pose: which posture joints are in, and the joints that have a posture and turns.
+Then the arms that reach a pose: which posture joints are in, and the joints that have a posture and
+turns.
 """
 
 from collections.abc import Callable
@@ -21,7 +22,6 @@ from casadical.robot.inverse_kinematics import solve_joints
 from casadical.robot.kinematics import link_frames
 from casadical.robot.robot import Robot
 
-REACHED_M, REACHED_RAD = 1e-6, 1e-6
 SINGULAR_POSE = 0.02  # m/rad: of six directions the weakest is weaker, in a pose that counts as singular
 
 
@@ -32,8 +32,8 @@ class Inverse:
     q : Array, shape (k, n) [rad or m]
     rest_m : Array, shape (k,) [m]: what remains of the position
     rest_rad : Array, shape (k,) [rad]: what remains of the orientation
-    singular : Array, shape (k,): whether the pose is nearly singular: the weakest direction moves the tool by less than
-        0.02 m/rad
+    singular : Array, shape (k,): whether the pose is nearly singular: the weakest direction moves
+        the tool by less than 0.02 m/rad
     inside : Array, shape (k,): whether every joint is in its range
     """
 
@@ -46,20 +46,22 @@ class Inverse:
     @property
     def reached(self) -> Array:
         """Whether the pose is reached to a micrometre and a microradian, boolean, shape (k,)."""
-        return (self.rest_m < REACHED_M) & (self.rest_rad < REACHED_RAD)
+        return (self.rest_m < 1e-6) & (self.rest_rad < 1e-6)
 
 
 def inverse_kinematics(robot: Robot, p: Array, R: Array | None, start: Array) -> Inverse:
-    """Joints that bring the robot's tool to poses, by Newton's method from a start such as the nominal solution.
+    """Joints that bring the tool to poses, by Newton's method from a start.
 
-    The model holds compliance, effects that joints and declared payload decide, and the file's base and tool.
+    The model holds compliance, effects that joints and declared payload decide, and the file's base
+    and tool.
 
     A pose that cannot be reached has a rest; look at `Inverse.reached`.
 
     robot : calibrated robot
     p : shape (k, 3) [m]: positions of the measured point in the measuring frame
     R : shape (k, 3, 3): orientations of the tool frame; None: only the position is to be reached
-    start : joints to start from, shape (k, n) or (n,) [rad or m]; the solution nearest to them, as a rule, is found
+    start : joints to start from, shape (k, n) or (n,) [rad or m]; the solution nearest to them, as
+        a rule, is found
     Raises InputError: arrays of other shapes.
 
     Examples
@@ -84,9 +86,10 @@ def pose_function(robot: Robot) -> ca.Function:
 
 
 def freedom_of(robot: Robot) -> tuple[int, int]:
-    """In how many directions the joints move the tool, and in how many they turn it beside that: 3 and 3 of most arms.
+    """In how many directions the joints move the tool, and beside that turn it: mostly 3, 3.
 
-    A direction counts where the joints move the tool in it by more than a singular pose's, somewhere in their ranges.
+    A direction counts where the joints move the tool in it by more than a singular pose's,
+    somewhere in their ranges.
     """
     poses = np.random.default_rng(0).uniform(*robot.limits, (50, robot.n))
     J = np.nan_to_num(Newton(pose_function(robot)).evaluated(poses, np.zeros((len(poses), 12)))[1])
@@ -96,7 +99,7 @@ def freedom_of(robot: Robot) -> tuple[int, int]:
 
 
 class Newton:
-    """Newton's method for a function pose:(q[n])->(p[3] m, R[3x3]); oriented : whether the orientation counts."""
+    """Newton's method for pose:(q[n])->(p[3] m, R[3x3]); oriented : whether R counts."""
 
     def __init__(self, pose: ca.Function, oriented: bool = True) -> None:
         self.pose, self.oriented = pose, oriented
@@ -118,13 +121,13 @@ class Newton:
         return Inverse(q, np.linalg.norm(far[:, :3], axis=1), turned, np.asarray(weakest < SINGULAR_POSE), inside)
 
     def evaluated(self, q: Array, target: Array) -> tuple[Array, Array]:
-        """Residuals, shape (k, 6) [m], and Jacobians, shape (k, 6, n); target : position and columns of R, (k, 12)."""
+        """Residuals (k, 6) [m] and Jacobians (k, 6, n); target : position, columns of R, (k, 12)."""
         r, J = self._function.map(len(q))(q.T, target.T)
         return r.full().T, J.full().reshape(6, *q.shape).transpose(1, 0, 2)
 
 
 def _residual_and_jacobian(pose: ca.Function, n: int, oriented: bool) -> ca.Function:
-    """newton:(q[n], target[12])->(r[6] m, J[6 x n]); the last three of r are zero where only the position counts."""
+    """newton:(q[n], target[12])->(r[6] m, J[6 x n]); r[3:] is zero for positions alone."""
     q, target = ca.SX.sym("q", n), ca.SX.sym("target", 12)
     p, R = pose(q)
     if oriented:
@@ -141,12 +144,7 @@ def _turning(R: ca.SX, slope: ca.SX, i: int) -> ca.SX:
     return 0.5 * ca.vertcat(W[2, 1] - W[1, 2], W[0, 2] - W[2, 0], W[1, 0] - W[0, 1])
 
 
-SPHERICAL = 1e-4  # m: axes 4, 5 and 6 that miss each other by less have a common point
-_SAMPLES, _SEEDS = 20000, 16
 _TURN = 2 * np.pi
-_ROUNDING = 1e-4  # rad: a joint this near to where a turn is counted may have either count
-_SAME = 1e-5  # rad
-_CLOSE = 0.3  # rad: another arm is farther from the joints asked for
 
 Turns = Callable[[Array], tuple[int, ...]]
 
@@ -155,7 +153,8 @@ Turns = Callable[[Array], tuple[int, ...]]
 class Postures:
     """The nominal robot's solutions of a pose of its flange.
 
-    nominal : in its own base frame, its tool being the flange; root : the controller's root frame in it, (4, 4) [m]
+    nominal : in its own base frame, its tool being the flange; root : the controller's root frame
+        in it, (4, 4) [m]
     """
 
     nominal: Robot
@@ -172,7 +171,7 @@ class Postures:
             return f"a configuration is defined for six turning joints; this robot has {len(self.nominal.revolute)}"
         q = np.random.default_rng(0).uniform(*self._box, (20, 6))
         off = self._signs.map(len(q))(q.T).full()[3]
-        if np.nanmax(off) > SPHERICAL:
+        if np.nanmax(off) > 1e-4:  # m
             return (
                 f"axes 4, 5 and 6 of the nominal robot miss each other by {1e3 * np.nanmax(off):.3g} mm; a "
                 "configuration is defined for a common point"
@@ -180,13 +179,13 @@ class Postures:
         return ""
 
     def sides(self, q: Array) -> Array:
-        """Postures of joints q, shape (k, 6): behind, bent back, wrist negative; boolean, shape (k, 3)."""
+        """Behind, bent back, wrist negative at joints q, (k, 6); boolean, shape (k, 3)."""
         x, bend, wrist, _ = self._signs.map(len(q))(q.T).full()
         return np.stack([x < 0, bend < 0, wrist < 0], axis=1)
 
     @cached_property
     def _signs(self) -> ca.Function:
-        """signs:(q[6])->(x of the wrist before axis 1, bend of the elbow, reading 5, how far the wrist's axes miss).
+        """signs:(q[6])->(wrist before axis 1, bend of the elbow, reading 5, miss of the wrist).
 
         Before axis 1 is the side to which the root frame's x points where joint 1 reads zero.
         """
@@ -217,51 +216,55 @@ class Postures:
 
     @cached_property
     def _samples(self) -> tuple[Array, Array, Array]:
-        """Random joints (N, n), their flange poses (N, 12), and postures (N, 3), or (N, 0) where there are none."""
-        q = np.random.default_rng(1).uniform(*self._box, (_SAMPLES, self.nominal.n))
+        """Random joints (N, n), flange poses (N, 12), and postures (N, 3), or (N, 0) without."""
+        q = np.random.default_rng(1).uniform(*self._box, (20_000, self.nominal.n))
         p, R = self._newton.pose.map(len(q))(q.T)
         T = np.hstack([p.full().T, R.full().reshape(3, len(q), 3).transpose(1, 2, 0).reshape(len(q), 9)])
         fine = np.isfinite(T).all(axis=1)
         return q[fine], T[fine], self.sides(q[fine]) if not self.why_not else np.zeros((int(fine.sum()), 0))
 
     def solutions(self, T: Array, posture: Posture, turns: Turns, wanted: tuple[int, ...]) -> Array:
-        """All joints found that bring the flange to T (4, 4), with this posture and turns; shape (k, n) [rad].
+        """Joints that bring the flange to T (4, 4) with this posture and turns, (k, n) [rad].
 
         wanted : what `turns` gives for them, up to rounding
         """
         reached = self._reached(T, self._seeds(T, posture))
         reached = reached[(self.sides(reached) == np.array(posture)).all(axis=1)] if len(reached) else reached
-        return _different([c for row in reached for c in self._turned(row, turns, wanted)], self.nominal.n)
+        different: list[Array] = []
+        for q in (c for row in reached for c in self._turned(row, turns, wanted)):
+            if all(np.abs(q - other).max() > 1e-5 for other in different):  # rad
+                different.append(q)
+        return np.array(different).reshape(len(different), self.nominal.n)
 
     def _seeds(self, T: Array, posture: Posture | None) -> Array:
-        """The samples whose flange is nearest to a pose, of one posture if it is given; shape (k, n)."""
+        """The samples whose flange is nearest to a pose, of a given posture; shape (k, n)."""
         q, flange, postures = self._samples
         target = np.concatenate([T[:3, 3], T[:3, :3].T.ravel()])
         weight = np.concatenate([np.ones(3), np.full(9, 0.3)])
         far = np.linalg.norm((flange - target) * weight, axis=1)
         if posture is not None:
             far = np.where((postures == np.array(posture)).all(axis=1), far, np.inf)
-        return q[np.argsort(far)[:_SEEDS]]
+        return q[np.argsort(far)[:16]]
 
     def _reached(self, T: Array, start: Array) -> Array:
-        """Joints that Newton's method finds from several starts (k, n), those that reach the pose."""
+        """Joints that Newton's method finds from starts (k, n) and that reach the pose."""
         many = np.broadcast_to(T, (len(start), 4, 4))
         result = self._newton.solved(many[:, :3, 3], many[:, :3, :3], start, self._box)
         return result.q[result.reached]
 
     def nearest(self, T: Array, near: Array) -> list[Array | None]:
-        """The solutions nearest to joints (k, n) of flange poses (k, 4, 4), in the ranges; None: there is none."""
+        """Solutions of flange poses (k, 4, 4) nearest to joints (k, n), in range, or None."""
         direct = self._newton.solved(T[:, :3, 3], T[:, :3, :3], near, self._box)
         nearest: list[Array | None] = []
         for pose, q, reached, wanted in zip(T, direct.q, direct.reached, near, strict=True):
             first = self._towards(q[None], wanted) if reached else []
-            if not first or np.abs(first[0] - wanted).max() >= _CLOSE:
+            if not first or np.abs(first[0] - wanted).max() >= 0.3:  # rad: it may be another arm
                 first += self._towards(self._reached(pose, self._seeds(pose, None)), wanted)
             nearest.append(first[int(np.argmin(np.linalg.norm(np.array(first) - wanted, axis=1)))] if first else None)
         return nearest
 
     def _towards(self, arms: Array, near: Array) -> list[Array]:
-        """The same arms, each joint with the whole turns that bring it nearest to `near` in its range."""
+        """The arms, each joint with the whole turns that bring it nearest to `near`."""
         lower, upper = self.nominal.limits
         most, least = np.floor((upper - arms + 1e-9) / _TURN), np.ceil((lower - arms - 1e-9) / _TURN)
         turned = arms + _TURN * np.clip(np.round((near - arms) / _TURN), least, most)
@@ -270,25 +273,18 @@ class Postures:
         return [q for q, fine in zip(turned, np.all(fits, axis=1).tolist(), strict=True) if fine]
 
     def _turned(self, q: Array, turns: Turns, wanted: tuple[int, ...]) -> list[Array]:
-        """The same arm with whole turns added to joints, in their ranges, where the turns are the wanted ones."""
+        """The arm with whole turns added to joints, in range, where the turns are wanted."""
         choices = []
         for angle, low, high in zip(q, *self.nominal.limits, strict=True):
             first = angle - _TURN * np.floor((angle - low + 1e-9) / _TURN)
             choices.append(np.arange(first, high + 1e-9, _TURN))
 
         def fits(q: Array) -> bool:
-            counts = zip(turns(q - _ROUNDING), turns(q), turns(q + _ROUNDING), strict=True)
+            # a joint that is as near to where a turn is counted may have either count
+            counts = zip(turns(q - 1e-4), turns(q), turns(q + 1e-4), strict=True)
             return all(turn in count for turn, count in zip(wanted, counts, strict=True))
 
         return [c for c in map(np.array, product(*choices)) if fits(c)]
-
-
-def _different(arms: list[Array], n: int) -> Array:
-    kept: list[Array] = []
-    for q in arms:
-        if all(np.abs(q - other).max() > _SAME for other in kept):
-            kept.append(q)
-    return np.array(kept).reshape(len(kept), n)
 
 
 def _nearest(p: ca.SX, d: ca.SX, other: ca.SX, other_d: ca.SX) -> ca.SX:

@@ -1,17 +1,20 @@
 """Elements of MJCF: frames, joints on springs, bodies; links that bend, balancing springs, four-bars.
 
-A link that bends is three pieces with springs at the two Gauss points of its length. The moment is linear from root to
-end; slope and deflection of the end are integrals of the moment times at most the remaining length, a quadratic
-function, which two Gauss points integrate exactly. The link's own mass is distributed over the pieces so that each
-spring has the moment of the beam, and all together the link's mass and mass centre.
+A link that bends is three pieces with springs at the two Gauss points of its length. The moment is
+linear from root to end; slope and deflection of the end are integrals of the moment times at most
+the remaining length, a quadratic function, which two Gauss points integrate exactly. The link's own
+mass is distributed over the pieces so that each spring has the moment of the beam, and all together
+the link's mass and mass centre.
 
-A balancing spring is a tendon between two sites with a zero-length spring and a constant pull. The torque of
-`GravityCompensator`, T (S sin t + C cos t + P sin t / l), is that of a spring without rest length, k a b
-sin(t + phase), and that of a constant pull F along the line from anchor to lever, F a b sin t / length.
+A balancing spring is a tendon between two sites with a zero-length spring and a constant pull. The
+torque of `GravityCompensator`, T (S sin t + C cos t + P sin t / l), is that of a spring without
+rest length, k a b sin(t + phase), and that of a constant pull F along the line from anchor to
+lever, F a b sin t / length.
 
-A four-bar is a closed chain: crank, coupler and rocker with the robot's lengths, closed by equality constraints. The
-loop lies in the plane of the carrier's axis, as in `casadical.robot.fourbar`; the driven link turns with the rocker (a
-second equality), so that a driven axis that is not exactly parallel to the carrier's is as in the robot.
+A four-bar is a closed chain: crank, coupler and rocker with the robot's lengths, closed by equality
+constraints. The loop lies in the plane of the carrier's axis, as in `casadical.robot.fourbar`; the
+driven link turns with the rocker (a second equality), so that a driven axis that is not exactly
+parallel to the carrier's is as in the robot.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -27,16 +30,13 @@ from casadical.effects.base import Balancer, Drive
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Robot
 
-# Time constant [s] with which every spring alone comes to rest; statics depend neither on inertia nor on damping.
+# Time constant [s] with which every spring alone comes to rest; statics depend neither on inertia
+# nor on damping.
 SLOW = 0.02
-# Mass [kg] of a body that has none: MuJoCo moves no body without mass.
-LEAST_MASS = 1e-6
 GAUSS = (0.5 - 0.5 / np.sqrt(3), 0.5 + 0.5 / np.sqrt(3))
 AXES = ("1 0 0", "0 1 0", "0 0 1")
 # Length of the lever [m]: arbitrary, as stiffness and pull are scaled by it.
 LEVER = 0.3
-# Armature of a bar as a share of the drive's; a smaller one makes the constraints soft. Bars have no weight.
-BAR = 0.1
 
 
 def numbers(*values: float) -> str:
@@ -44,7 +44,7 @@ def numbers(*values: float) -> str:
 
 
 def place(T: Array) -> dict[str, str]:
-    """Attributes pos and quat of a frame, to a picometre: the last digits of a double are a processor's rounding."""
+    """Attributes pos and quat of a frame, to a picometre: later digits are rounding."""
     return {"pos": numbers(*T[:3, 3].round(12)), "quat": numbers(*quaternion(T[:3, :3]).round(12))}
 
 
@@ -54,7 +54,7 @@ def add_body(parent: ET.Element, name: str, T: Array) -> ET.Element:
 
 def add_mass(body: ET.Element, mass: float, com: Array) -> None:
     """Mass and mass centre; the inertia is a placeholder."""
-    mass = max(mass, LEAST_MASS)
+    mass = max(mass, 1e-6)  # kg: MuJoCo moves no body without mass
     moment = mass * (0.1 + 0.3 * float(np.linalg.norm(com))) ** 2
     ET.SubElement(body, "inertial", pos=numbers(*com), mass=numbers(mass), diaginertia=numbers(moment, moment, moment))
 
@@ -72,14 +72,16 @@ def inert(stiffness: float) -> dict[str, str]:
 def add_pieces(
     body: ET.Element, name: str, mass: Body, end: Array, stiffness: tuple[float, float, float], spread: bool
 ) -> tuple[ET.Element, Array]:
-    """Pieces of a link, whose body is the first; the last piece, and the link's frame seen from it, shape (4, 4).
+    """Add a link's pieces; return the last one, and the link's frame seen from it, (4, 4).
 
-    end : where the next joint is, shape (3,) [m]; stiffness : of the whole link about its axes [N m/rad]
+    end : where the next joint is, shape (3,) [m]; stiffness : of the whole link about its axes [N
+        m/rad]
     spread : whether the springs see its weight spread along it
     """
     s1, s2 = GAUSS
     com = np.asarray(mass.com)
-    # A third of the mass each; centres from what the springs must see, moments (1 - s) m com or (1 - s)^2 m end / 2.
+    # A third of the mass each; centres from what the springs must see, moments (1 - s) m com or (1
+    # - s)^2 m end / 2.
     lever1, lever2 = ((1 - s) ** 2 * end / 2 if spread else (1 - s) * com for s in GAUSS)
     c2 = s2 * end + 3 * lever2
     c1 = s1 * end + 3 * lever1 - (c2 - s1 * end)
@@ -98,7 +100,7 @@ def add_pieces(
 
 
 def add_sites(balancer: Balancer, before: ET.Element, behind: Array, link: ET.Element, row: Joint) -> None:
-    """The ends of the tendons: anchors on the body before the joint (link frame at `behind`), the lever on the link."""
+    """Add the tendons' ends: anchors before the joint (frame at `behind`), lever on the link."""
     name, b = f"balancer{balancer.joint}", balancer.anchor * LEVER
     T = behind @ row_matrix(replace(row, theta=0.0))
     for suffix, angle in (("spring", balancer.phase - balancer.ahead + np.pi), ("pull", balancer.phase + np.pi)):
@@ -128,9 +130,10 @@ def add_loop(
     drive: Drive,
     drive_joints: Callable[[ET.Element, str, Joint, Drive], None],
 ) -> None:
-    """The bars of a loop, and the free hinge of the driven link; links : bodies by name, up to the driven one.
+    """Add a loop's bars, and the driven link's free hinge; links : bodies by name.
 
-    ends : of base and links, the body on which the next joint stands, and the link's frame in it, shape (4, 4)
+    ends : of base and links, the body on which the next joint stands, and the link's frame in it,
+        shape (4, 4)
     """
     carrier, row = robot.joints[loop.carrier - 1], robot.joints[loop.driven - 1]
     d = loop.driven
@@ -139,7 +142,8 @@ def add_loop(
     drive_joints(crank, f"joint{d}", row, drive)
     coupler = add_body(crank, f"coupler{d}", frame(np.eye(3), np.array([loop.crank, 0.0, 0.0])))
     rocker = add_body(links[f"link{loop.carrier}"], f"rocker{d}", frame(np.eye(3), np.array([row.a, 0.0, 0.0])))
-    heavy = numbers(BAR * drive.stiffness * SLOW**2)
+    # a tenth of the drive's armature; less makes the constraints soft. Bars have no weight.
+    heavy = numbers(0.1 * drive.stiffness * SLOW**2)
     for body, name in ((coupler, "coupler"), (rocker, "rocker")):
         ET.SubElement(body, "joint", name=f"{name}{d}", axis="0 0 1", armature=heavy)
     for body in (crank, coupler, rocker):

@@ -1,7 +1,8 @@
 """Equilibrium of an exported model in MuJoCo at many commands, found by Newton steps.
 
-MuJoCo evaluates every force and constraint (weights, springs, actuators, loops, play); the steps only divide them by
-the stiffness of the coordinate, which converges fast because weights change little over a deflection.
+MuJoCo evaluates every force and constraint (weights, springs, actuators, loops, play); the steps
+only divide them by the stiffness of the coordinate, which converges fast because weights change
+little over a deflection.
 """
 
 from collections.abc import Iterator
@@ -18,10 +19,11 @@ AT_MOST = 100
 
 
 def positions(xml: str, m: Measurements, payload_factor: float = 1.0) -> Array:
-    """Equilibrium position of the site `measured`, shape (n, 3) [m], at readings and conditions that were logged.
+    """Equilibrium of the site `measured`, shape (n, 3) [m], at logged readings and conditions.
 
     xml : as `mjcf` writes it; payload_factor : true mass of the payload over the declared one
-    Raises InputError: MuJoCo is not installed, or readings of another robot; ConvergenceError: a loop cannot close.
+    Raises InputError: MuJoCo is not installed, or readings of another robot; ConvergenceError: a
+    loop cannot close.
     """
     model = EngineModel(xml)
     if model.arm != m.q.shape[1]:
@@ -70,7 +72,7 @@ class EngineModel:
             self.mujoco.mj_setConst(self.m, self.d)
 
     def rest(self, command: Array, approach: Array) -> Array:
-        """The measured point at equilibrium, shape (3,) [m]. Raises ConvergenceError where none is found."""
+        """The measured point at equilibrium, shape (3,) [m]. Raises ConvergenceError."""
         d, m = self.d, self.m  # joints are hinges and slides: the indices of q, of v and of joints agree
         d.qpos[:] = 0.0
         d.qvel[:] = 0.0
@@ -97,7 +99,7 @@ class EngineModel:
         raise ConvergenceError(f"no equilibrium after {AT_MOST} steps, the last one of {size:.1e} rad or m")
 
     def _force(self) -> Array:
-        """Generalized forces, shape (nv,), including those that the loops transmit to the cranks."""
+        """Generalized forces, shape (nv,), with those that loops transmit to the cranks."""
         self.mujoco.mj_fwdPosition(self.m, self.d)
         self.mujoco.mj_fwdVelocity(self.m, self.d)
         self.mujoco.mj_fwdActuation(self.m, self.d)
@@ -122,7 +124,7 @@ class EngineModel:
         return self.d.efc_J.reshape(n, self.m.nv).copy(), self.d.efc_pos[:n].copy()
 
     def _assemble(self, command: Array) -> None:
-        """Close the loops in the configuration in which they are assembled: uncrossed at the middle of the ranges."""
+        """Close the loops as they are assembled: uncrossed at the middle of the ranges."""
         if self._sides is None:
             lower, upper = self.m.actuator_ctrlrange[self.servos].T
             self.d.qpos[self.drives] = (lower + upper) / 2
@@ -153,7 +155,7 @@ class EngineModel:
         return done
 
     def _bars(self, free: Array) -> list[tuple[Array, Array, Array, Array]]:
-        """Of each loop: direction of crank and rocker, from the rocker's pin to the crank's end, axis; each (3,)."""
+        """Of each loop: crank, rocker, from the rocker's pin to the crank's end, axis; each (3,)."""
         self.d.qpos[self.free] = free
         self.mujoco.mj_kinematics(self.m, self.d)
         bars = []

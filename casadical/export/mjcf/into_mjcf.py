@@ -1,7 +1,7 @@
-"""The calibrated geometry written into a user's own MuJoCo model: bodies move; meshes, comments and the rest stay.
+"""The calibrated geometry in a user's own MuJoCo model: bodies move, the rest stays.
 
-The user's link frames may differ from ours: each body keeps its pose relative to our frame of the same link. Only the
-joints' axes must be those of the nominal robot; that is checked.
+The user's link frames may differ from ours: each body keeps its pose relative to our frame of the
+same link. Only the joints' axes must be those of the nominal robot; that is checked.
 """
 
 from collections.abc import Sequence
@@ -19,19 +19,17 @@ from casadical.robot.axes import frames_at_zero
 from casadical.robot.robot import Robot
 from casadical.robot.urdf.tree import parse_xml
 
-SAME_AXIS = 1e-5  # m or rad
-HELD = 1e-9  # m or rad, of the file that was written
-POINT = "casadical_measured"
-
 
 def into_mjcf(nominal: Robot, calibrated: Robot, path: Path, joints: Sequence[str], springs: bool = False) -> str:
     """The user's model with the calibrated geometry, as XML.
 
-    The base stays where it is; the site `casadical_measured` is the measured point. Relative paths of meshes stay too.
+    The base stays where it is; the site `casadical_measured` is the measured point. Relative paths
+    of meshes stay too.
 
     joints : names of the arm's joints in the model, from the base on
-    springs : whether each compliant joint also gets a hinge `NAME_spring` beside it, in the same body Raises
-        InputError: a closed loop, no such joint, or a joint whose axis is not the nominal robot's.
+    springs : whether each compliant joint also gets a hinge `NAME_spring` beside it, in the same
+        body Raises InputError: a closed loop, no such joint, or a joint whose axis is not the
+        nominal robot's.
     """
     if nominal.loops:
         raise InputError(f"{nominal.name!r} has a closed loop; write a new model (without --into)")
@@ -54,7 +52,7 @@ def into_mjcf(nominal: Robot, calibrated: Robot, path: Path, joints: Sequence[st
         before, moved = x, target
     refuse_unmoved(spec, joints, new, str(path))
     site = document.createElement("site")
-    site.setAttribute("name", POINT)
+    site.setAttribute("name", "casadical_measured")
     _write_pose(site, np.linalg.inv(C[-1]) @ calibrated.tool.T)
     _element(document, "body", bodies[-1], str(path)).appendChild(site)
     for name, row in zip(joints, calibrated.joints, strict=True) if springs else ():
@@ -117,7 +115,7 @@ def _pose(body: Any) -> Array:
 
 
 def _zero(spec: Any, joints: Sequence[str], source: str) -> tuple[list[Array], Array, Array, list[str]]:
-    """Of each joint: pose of its body (4, 4), axis (3,), a point on it (3,), and the body's name."""
+    """Of each joint: its body's pose (4, 4), axis (3,), a point on it (3,), the body's name."""
     known = [joint.name for joint in spec.joints]
     missing = [name for name in joints if name not in known]
     if missing:
@@ -132,7 +130,7 @@ def _zero(spec: Any, joints: Sequence[str], source: str) -> tuple[list[Array], A
 
 
 def _foot(N: Sequence[Array], axes: Array, points: Array, joints: Sequence[str], source: str) -> Array:
-    """Pose of our base frame in the model's world at which all joint axes coincide, shape (4, 4)."""
+    """Pose of our base in the model's world at which all axes coincide, shape (4, 4)."""
     z = np.array([T[:3, 2] for T in N])
     p = np.array([T[:3, 3] for T in N])
     if np.linalg.svd(z, compute_uv=False)[1] < 1e-3:
@@ -144,7 +142,7 @@ def _foot(N: Sequence[Array], axes: Array, points: Array, joints: Sequence[str],
     t, _, rank, _ = np.linalg.lstsq(A, b, rcond=1e-6)
     off = np.linalg.norm((A @ t - b).reshape(-1, 3), axis=1) + np.linalg.norm(axes - z @ R.T, axis=1)
     worst = int(np.argmax(off))
-    if rank < 3 or off[worst] > SAME_AXIS:
+    if rank < 3 or off[worst] > 1e-5:
         raise InputError(
             f"{source}: the axis of {joints[worst]!r} is not that of the nominal robot's joint {worst + 1} (off by "
             f"{off[worst]:.3g} m or rad); zeros, signs and lengths must be those of the file that was calibrated"
@@ -153,12 +151,12 @@ def _foot(N: Sequence[Array], axes: Array, points: Array, joints: Sequence[str],
 
 
 def refuse_unmoved(spec: Any, joints: Sequence[str], new: Sequence[Array], source: str) -> None:
-    """Raises InputError if a body is not where it should be, as in a model that nests bodies in frames."""
+    """Raises InputError if a body is not where it should be, as one nested in a frame."""
     model, data = _at_zero(spec, joints)
     for name, target in zip(joints, new, strict=True):
         body = data.body(model.joint(name).bodyid[0])
         off = float(np.abs(_pose(body) - target).max())
-        if off > HELD:
+        if off > 1e-9:
             raise InputError(
                 f"{source}: body {body.name!r} does not move to its target ({off:.3g} m or rad off); is it inside of a "
                 "<frame>, or does it hold two joints? write it as a plain body"

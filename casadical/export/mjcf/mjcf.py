@@ -1,8 +1,8 @@
-"""MJCF, the XML of MuJoCo, of a robot: geometry, masses, joint springs, four-bars as closed loops, effects.
+"""MJCF, the XML of MuJoCo: geometry, masses, joint springs, four-bars, effects.
 
-Drives are position actuators whose gain is the joint's stiffness: the link comes to rest where the spring carries its
-weight. Links and bars have the robot's exact lengths and angles; inertias, damping and armature are placeholders: the
-model is right about positions at rest, not about motion.
+Drives are position actuators whose gain is the joint's stiffness: the link comes to rest where the
+spring carries its weight. Links and bars have the robot's exact lengths and angles; inertias,
+damping and armature are placeholders: the model is right about positions at rest, not about motion.
 """
 
 from collections.abc import Iterable
@@ -32,7 +32,7 @@ _ABOUT = (
 
 @dataclass(frozen=True, eq=False)
 class MjcfExport:
-    """A MuJoCo model: XML, how each effect was written, what has no counterpart and why, what a reader must know."""
+    """A MuJoCo model: XML, how effects were written, what has no counterpart, notes."""
 
     text: str
     written: tuple[str, ...]
@@ -47,8 +47,9 @@ class MjcfExport:
 def mjcf(robot: Robot) -> MjcfExport:
     """A robot, with its compliances and effects, as a MuJoCo model; world is the measuring frame.
 
-    Bodies base, link1 .. linkN, payload; joints joint1 .. (of a four-bar joint3 is the crank, joint3_driven the link),
-    actuators drive1 .. which take the reading as `ctrl`; the site and sensor `measured` are the measured point.
+    Bodies base, link1 .. linkN, payload; joints joint1 .. (of a four-bar joint3 is the crank,
+    joint3_driven the link), actuators drive1 .. which take the reading as `ctrl`; the site and
+    sensor `measured` are the measured point.
 
     Returns its text, and what is not in it
     """
@@ -94,24 +95,20 @@ def describe(root: ET.Element, lines: Iterable[str], written: Iterable[str], lef
 
 
 def counterparts(robot: Robot) -> Counterparts:
-    """Springs for the compliances, then what each effect has for a counterpart; `left_out` names those without one."""
+    """Springs, then what each effect has for a counterpart; `left_out` names those without."""
     drives = tuple(Drive(compliance=j.compliance or 0.0) for j in robot.joints)
     scale = robot.torque_scale
-    load = _mean_torque(robot) / scale if robot.effects else np.zeros(robot.n)
+    load = np.zeros(robot.n)
+    if robot.effects:  # mean size of each joint's gravity torque over its range [N m or N], as a share of the peak
+        bare = robot.with_only(())
+        q = np.random.default_rng(0).uniform(*robot.limits, (256, robot.n))
+        tau: Array = bare.torque.map(256)(q.T, bare.parameters.values).full()
+        load = np.array([np.nanmean(np.abs(row)) for row in tau]) / scale
     parts = Counterparts(drives, scale, load, robot.revolute, tuple(j.body for j in robot.joints), robot.payload)
     # Linear springs first: others bend around them.
     for effect in sorted(robot.effects, key=lambda e: not e.simulated_first):
         parts = effect.counterpart(parts, effect.own_values(robot.effect_values))
     return parts
-
-
-def _mean_torque(robot: Robot) -> Array:
-    """Mean size of each joint's gravity torque over its range, shape (n,) [N m or N]."""
-    bare = robot.with_only(())
-    lower, upper = robot.limits
-    q = np.random.default_rng(0).uniform(lower, upper, (256, robot.n))
-    tau: Array = bare.torque.map(256)(q.T, bare.parameters.values).full()
-    return np.array([np.nanmean(np.abs(row)) for row in tau])
 
 
 def _bodies(world: ET.Element, robot: Robot, parts: Counterparts) -> ET.Element:
@@ -127,7 +124,8 @@ def _bodies(world: ET.Element, robot: Robot, parts: Counterparts) -> ET.Element:
     ends = [(parent, behind)]  # of each link: the piece on which the next joint stands, and the link's frame in it
     for i, (row, drive) in enumerate(zip(robot.joints, parts.drives, strict=True), 1):
         loop = driven.get(i)
-        # A loop's theta turns the crank; the link it drives turns with the rocker, from the offset on.
+        # A loop's theta turns the crank; the link it drives turns with the rocker, from the offset
+        # on.
         place = row_matrix(replace(row, theta=loop.offset) if loop else row)
         body = add_body(parent, f"link{i}", behind @ place)
         if loop is not None:

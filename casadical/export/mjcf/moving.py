@@ -1,9 +1,10 @@
-"""A MuJoCo model that moves as the real arm does: joints and actuators get what `[drive]` of a robot file knows.
+"""A MuJoCo model that moves as the real arm does, by what `[drive]` of a robot file knows.
 
-Of each joint: dry friction, damping, armature; an actuator with the servo's gain, constant torque, limit, filter and
-delay, whose `ctrl` is the command. Bodies get their inertias. A spring between servo and link stands beside the joint.
-A surface on which the tool came to rest is a plane, which a ball at the measured point touches without friction.
-The same numbers by joint names, as JSON, are for actuator models elsewhere (Isaac Lab, Genesis).
+Of each joint: dry friction, damping, armature; an actuator with the servo's gain, constant torque,
+limit, filter and delay, whose `ctrl` is the command. Bodies get their inertias. A spring between
+servo and link stands beside the joint. A surface on which the tool came to rest is a plane, which a
+ball at the measured point touches without friction. The same numbers by joint names, as JSON, are
+for actuator models elsewhere (Isaac Lab, Genesis).
 """
 
 from collections.abc import Iterator
@@ -32,7 +33,7 @@ def knows_motion(robot: Robot) -> bool:
 
 
 def moving_mjcf(robot: Robot) -> MjcfExport:
-    """The model of `mjcf` with drives that follow commands; written and left out: of effects, and of the drives."""
+    """The model of `mjcf` with drives that follow commands, and what of both is left out."""
     assert robot.drive is not None
     still = mjcf(robot)
     root = ET.fromstring(still.text)
@@ -40,38 +41,30 @@ def moving_mjcf(robot: Robot) -> MjcfExport:
     describe(root, about, still.written, (*still.left_out, *_lost(robot)))
     for compiler in root.iter("compiler"):
         compiler.set("balanceinertia", "true")
-    _set_joints(root, robot, robot.drive)
-    _set_inertias(root, robot)
-    _set_floor(root, robot.drive.floor)
-    (actuators,) = root.iter("actuator")
-    for i in robot.numbers:
-        place = next(k for k, node in enumerate(actuators) if node.get("name") == f"drive{i}")
-        actuators[place] = _actuator(robot, robot.drive, i)
-    return MjcfExport(xml_text(root), still.written, still.omitted, (*still.notes, *_lost(robot)))
-
-
-def _set_joints(root: ET.Element, robot: Robot, drive: Drive) -> None:
     bodies = {str(body.get("name")): body for body in root.iter("body")}
     moved = ("rotor_inertia_at_joint", "armature"), ("damping", "damping"), ("friction", "frictionloss")
     for i, row in enumerate(robot.joints, 1):
         body = bodies[f"link{i}"]
         joint = next(node for node in body.iter("joint") if node.get("name") == f"joint{i}")
         for name, attribute in moved:
-            joint.set(attribute, numbers(float(_each(drive, name, robot)[i - 1])))
+            joint.set(attribute, numbers(float(_each(robot.drive, name, robot)[i - 1])))
         if row.compliance:
             add_spring(body, f"joint{i}_spring", "0 0 1", 1 / row.compliance)
-
-
-def _set_inertias(root: ET.Element, robot: Robot) -> None:
     for body in root.iter("body"):
         name = str(body.get("name"))
         if name.startswith("link") and name[4:].isdigit() and (own := robot.joints[int(name[4:]) - 1].body):
             inertial = body.find("inertial")
             pieces = any(str(node.get("name")).startswith(f"{name}_piece") for node in body)
             if inertial is not None and not pieces and own.mass > 0:
-                about = own.likely_inertia
+                inertia = own.likely_inertia
                 inertial.attrib.pop("diaginertia", None)
-                inertial.set("fullinertia", numbers(*np.diag(about), *about[np.triu_indices(3, 1)]))
+                inertial.set("fullinertia", numbers(*np.diag(inertia), *inertia[np.triu_indices(3, 1)]))
+    _set_floor(root, robot.drive.floor)
+    (actuators,) = root.iter("actuator")
+    for i in robot.numbers:
+        place = next(k for k, node in enumerate(actuators) if node.get("name") == f"drive{i}")
+        actuators[place] = _actuator(robot, robot.drive, i)
+    return MjcfExport(xml_text(root), still.written, still.omitted, (*still.notes, *_lost(robot)))
 
 
 def _set_floor(root: ET.Element, height: float | None) -> None:
@@ -134,7 +127,7 @@ def _lost(robot: Robot) -> Iterator[str]:
 
 
 def servos_of(robot: Robot) -> tuple[str, ...]:
-    """What a file with damping and friction alone leaves out of drives that follow commands, in mrad and ms."""
+    """What a file with damping and friction alone leaves out of drives, in mrad and ms."""
     if robot.drive is None or not knows_motion(robot):
         return ()
     droop = 1e3 * float(np.max(robot.torque_scale / _each(robot.drive, "kp", robot)))
@@ -145,9 +138,10 @@ def servos_of(robot: Robot) -> tuple[str, ...]:
 
 
 def actuators_of(robot: Robot) -> dict[str, Any]:
-    """The drives by joint names, SI, for actuator models of other simulators. Raises InputError where none are known.
+    """The drives by joint names, SI, for other simulators. Raises InputError without any.
 
-    `stiffness` and `damping` are those of a PD law with zero target speed, stiffness (command - q) - damping q'.
+    `stiffness` and `damping` are those of a PD law with zero target speed, stiffness (command - q)
+    - damping q'.
     """
     if robot.drive is None or not knows_motion(robot):
         lacking = [name for name in NEEDED if robot.drive is None or getattr(robot.drive, name) is None]

@@ -1,7 +1,8 @@
 """Measured poses replayed in MuJoCo: how far the model's point is from the measured one.
 
-Three models: the nominal robot with fitted base and tool, the calibrated one, and the calibrated one with the diagnosed
-causes. All are identified from one part of the poses and replayed at the others.
+Three models: the nominal robot with fitted base and tool, the calibrated one, and the calibrated
+one with the diagnosed causes. All are identified from one part of the poses and replayed at the
+others.
 """
 
 from collections.abc import Callable, Iterator
@@ -29,15 +30,15 @@ from casadical.project.diagnosis import Campaign, EffectChoice, Options, diagnos
 from casadical.robot.robot import Robot
 
 # Shares of the poses that are fitted, and of those that are replayed.
-DRAWS = 1000
 PARTS = {"identify": 2 / 3, "report": round(0.999 - 2 / 3, 3)}
 
 
 @dataclass(frozen=True, eq=False)
 class ReplayedModel:
-    """One model in the simulator: its distance from the measured points, shape (n,), and from casadical's own [m].
+    """One model in the simulator: distances from measured points and casadical's, (n,) [m].
 
-    lacking : labels of effects that neither the model nor the measured point holds, as the engine has no counterpart
+    lacking : labels of effects that neither the model nor the measured point holds, as the engine
+        has no counterpart
     """
 
     name: str
@@ -54,7 +55,7 @@ class ReplayedModel:
     def interval(self) -> Array:
         """Of the mean error, 95 % by the bootstrap over the poses, shape (2,) [m]."""
         rng, n = np.random.default_rng([0, len(self.errors)]), len(self.errors)
-        drawn = self.errors[rng.integers(0, n, (DRAWS, n))].mean(axis=1)
+        drawn = self.errors[rng.integers(0, n, (1000, n))].mean(axis=1)
         return np.asarray(np.quantile(drawn, [0.025, 0.975]))
 
 
@@ -78,7 +79,7 @@ class Replay(Result):
 
     @property
     def table(self) -> pd.DataFrame:
-        """A row per stage: position error in the simulator [mm], and how far simulator and casadical are apart [um]."""
+        """A row a stage: error in the simulator [mm], its distance from casadical's point [um]."""
         rows = [
             {
                 "model": s.name, "n": s.accuracy.n, "mean_mm": 1e3 * s.accuracy.mean, "max_mm": 1e3 * s.accuracy.max,
@@ -89,7 +90,7 @@ class Replay(Result):
         return pd.DataFrame(rows)
 
     def blocks(self) -> list[Words | Table]:
-        """What `casadical verify --mujoco` prints: the table, and what the last model leaves out."""
+        """What `verify --mujoco` prints: the table, and what the last model leaves out."""
         table = self.table
         rows = [[f"{v:.4f}" if isinstance(v, float) else str(v) for v in row] for row in table.itertuples(index=False)]
         left_out = (Words(f"LEFT OUT {text}") for text in self.stages[-1].export.left_out)
@@ -99,11 +100,11 @@ class Replay(Result):
 def replay(robot: Robot, m: Measurements, name: str = "model") -> ReplayedModel:
     """Replay measured poses with a robot's model in MuJoCo; name : of the stage.
 
-    Effects of the measurement (a frame that drifts, a reflector's offset) are not in the model: they are added to the
-    point that MuJoCo finds.
+    Effects of the measurement (a frame that drifts, a reflector's offset) are not in the model:
+    they are added to the point that MuJoCo finds.
 
-    Raises InputError: MuJoCo is not installed, or readings of another robot; ConvergenceError: the simulator finds no
-    equilibrium.
+    Raises InputError: MuJoCo is not installed, or readings of another robot; ConvergenceError: the
+    simulator finds no equilibrium.
     """
     if m.position is None:
         raise InputError(f"{m.source}: of kind {m.kind}; positions are needed to replay")
@@ -128,8 +129,8 @@ def replay_campaign(
     effects : as of `diagnose`
     seed : of the poses that are held out
     show : called with a line of progress
-    Raises InputError: the measurements cannot carry a diagnosis, or MuJoCo is not installed; ConvergenceError: Ipopt
-        finds no optimum, or the simulator no equilibrium.
+    Raises InputError: the measurements cannot carry a diagnosis, or MuJoCo is not installed;
+        ConvergenceError: Ipopt finds no optimum, or the simulator no equilibrium.
 
     Examples
     --------
@@ -146,14 +147,14 @@ def replay_campaign(
 
 
 def replay_diagnosis(found: Diagnosis) -> Replay:
-    """Replay a campaign with the causes that were found in it, all values identified again from a part of its poses.
+    """Replay a campaign with its causes, all values identified again from part of the poses.
 
-    The outliers are left out, and the other poses replayed: no value has seen them, though they had a part in which
-    causes are named; `replay_campaign` keeps them from that, too.
+    The outliers are left out, and the other poses replayed: no value has seen them, though they had
+    a part in which causes are named; `replay_campaign` keeps them from that, too.
 
     found : a diagnosis
-    Raises InputError: MuJoCo is not installed; ConvergenceError: Ipopt finds no optimum, or the simulator no
-        equilibrium.
+    Raises InputError: MuJoCo is not installed; ConvergenceError: Ipopt finds no optimum, or the
+        simulator no equilibrium.
     """
     case, robot = found.case, found.case.given
     m, _ = derive(case.m, ["progress", *(f"approach{i}" for i in range(1, robot.n + 1))])
@@ -176,7 +177,7 @@ def _stages(
     with_causes: Callable[[], Robot],
     show: Show = silent,
 ) -> tuple[ReplayedModel, ...]:
-    """Nominal robot, calibrated one, and that `with_causes`: all identified from `fitted`, replayed at `held_out`."""
+    """Nominal, calibrated and robot `with_causes`, identified from `fitted`, replayed at `held_out`."""
     show("calibrating")
     rigid = robot.with_values(dict.fromkeys(robot.parameters.select(["compliance"]), 0.0))
     placed = calibrated(prepare(rigid, fitted), ["placement"], loss="huber", screen=False)
@@ -189,7 +190,6 @@ def _stages(
     return tuple(stages)
 
 
-NAMES = ("nominal, placed", "calibrated")
 _CAPTION = (
     "Nominal: the drawing, with base and tool fitted; calibrated: geometry and joint stiffness. Mean over poses that "
     "had no part in the values, with a 95 % interval, on a logarithmic axis: other poses than those of the gap. Noise "
@@ -235,7 +235,7 @@ def _shown(replayed: Replay) -> tuple[ReplayedModel, ...]:
 
 
 def replay_figure(replayed: Replay, floor: float) -> Figure:
-    """Mean distance of the engine's point from the measured one [mm], stage by stage; floor : of the noise [m]."""
+    """Mean error of the engine's point [mm], stage by stage; floor : of the noise [m]."""
     stages, names = _shown(replayed), stage_names(replayed)
     mean, noise = [1e3 * s.accuracy.mean for s in stages], 1e3 * floor
     low, high = 1e3 * np.transpose([s.interval for s in stages])
@@ -257,7 +257,7 @@ def replay_figure(replayed: Replay, floor: float) -> Figure:
 def stage_names(replayed: Replay) -> list[str]:
     stages = _shown(replayed)[2:]
     without = (f", without {' and '.join(s.lacking)}" if s.lacking else "" for s in stages)
-    return [*NAMES, *(f"with {s.name}{w}" for s, w in zip(stages, without, strict=True))]
+    return ["nominal, placed", "calibrated", *(f"with {s.name}{w}" for s, w in zip(stages, without, strict=True))]
 
 
 def _table(replayed: Replay) -> Table:

@@ -1,4 +1,4 @@
-"""Shared exports: each is made once a session."""
+"""Shared exports: each is made once a session, and the double one of each test is the fast one."""
 
 import export_models as models
 import pytest
@@ -27,17 +27,26 @@ def compiler():
 
 @pytest.fixture(scope="session")
 def exported(tmp_path_factory, compiler, network, command):
-    """Folders of written exports by (product, real)."""
-    folders = {}
-    for key, product in (("network", network), ("command", command)):
-        for real in ("float", "double"):
-            folder = tmp_path_factory.mktemp(f"{key}_{real}")
-            write_c(product, folder, name="arm", real=real, vectors=5_000)
-            folders[key, real] = folder
-    return folders
+    """Return folders of exports by (product, real), each written when it is first asked for."""
+
+    class Folders(dict):
+        def __missing__(self, key):
+            folder = tmp_path_factory.mktemp("_".join(key))
+            product = network if key[0] == "network" else command
+            write_c(product, folder, name="arm", real=key[1], vectors=1_000)
+            self[key] = folder
+            return folder
+
+    return Folders()
 
 
 @pytest.fixture(scope="session")
 def kernels(exported):
-    """The exports loaded again from their folders, by (product, real)."""
-    return {key: load(folder) for key, folder in exported.items()}
+    """Return the exports loaded again from their folders, by (product, real)."""
+
+    class Kernels(dict):
+        def __missing__(self, key):
+            self[key] = load(exported[key])
+            return self[key]
+
+    return Kernels()

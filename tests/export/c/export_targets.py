@@ -55,6 +55,14 @@ def missing(*tools):
     return [tool for tool in tools if shutil.which(tool) is None]
 
 
+def need(*tools):
+    """Skip a test for want of tools."""
+    import pytest
+
+    if lacking := missing(*tools):
+        pytest.skip(f"not installed: {', '.join(lacking)} (apt-get install a package that has it)")
+
+
 def defines(real, call, outputs, count, header="arm.h", box=(models.LOWER, models.UPPER)):
     """The bench's macros."""
     flags = [

@@ -12,14 +12,13 @@ from structured_text_in_c import Compiled, parsed
 
 from casadical import read_robot
 from casadical.export import Sources, Status, command_of, load, write_c
-from casadical.export.c.c_language import comparison_inputs
-from casadical.export.c.language import Label
+from casadical.export.c.c_source import comparison_inputs
 from casadical.export.c.products import Command, NetworkFunction
 from casadical.export.c.reference import correct, network
 from casadical.export.c.structured_text import structured_text
 from casadical.export.c.tape_program import operations, tape_program
 
-REALS = ("float", "double")
+REALS = (pytest.param("float", marks=pytest.mark.slow), "double")
 
 
 def bits(values):
@@ -29,7 +28,7 @@ def bits(values):
 @pytest.mark.parametrize("real", REALS)
 def test_structured_text_gives_the_bits_of_the_c(command, kernels, compiler, tmp_path, real):
     program = tape_program(command, real)
-    text, q = structured_text(program, Label("arm")), comparison_inputs(program, 2000)
+    text, q = structured_text(program), comparison_inputs(program, 1000)
     low, high = (q == end.astype(q.dtype) for end in (models.LOWER, models.UPPER))
     assert ((low | high).all(axis=1) & low.any(axis=1) & high.any(axis=1)).any()  # corners are among them
     for block, out, outputs, expected in (
@@ -50,7 +49,7 @@ def test_structured_text_ramps_like_the_c(command, kernels, compiler, tmp_path, 
     q = np.linspace(models.LOWER * 0.5, models.UPPER * 0.5, n)
     q[20] = np.nan
     enable = np.arange(n) < 450
-    text = structured_text(tape_program(command, real), Label("arm"))
+    text = structured_text(tape_program(command, real))
     found = Compiled(text, tmp_path, compiler, "arm", "step", "dq").rows(q, enable)
     expected = kernels["command", real].steps(q, enable)
     assert (bits(found[0]) == bits(expected[0])).all()
@@ -58,6 +57,7 @@ def test_structured_text_ramps_like_the_c(command, kernels, compiler, tmp_path, 
     assert abs(found[0]).max() > 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("cycle_s", "ramp_s", "rate_rad_s", "limited"), [(0.001, 0.5, 0.5, False), (0.02, 1.0, 0.005, True)]
 )
@@ -91,8 +91,8 @@ def test_ramp_and_rate_hold_in_seconds_at_other_cycles(
 def test_structured_text_of_a_loop_gives_the_bits_of_the_reference(compiler, tmp_path, real):
     program = tape_program(Command(models.nominal(), models.with_loop(), models.LOWER, models.UPPER, steps=3), real)
     assert {"atan2", "sqrt", "guard_min"} <= {node.op for node in program.tapes["forward"].nodes}
-    q = comparison_inputs(program, 2000)
-    found = Compiled(structured_text(program, Label("arm")), tmp_path, compiler, "arm", "correct", "dq").rows(q)
+    q = comparison_inputs(program, 1000)
+    found = Compiled(structured_text(program), tmp_path, compiler, "arm", "correct", "dq").rows(q)
     expected = correct(program, q)
     assert (bits(found[0]) == bits(expected[0])).all()
     assert found[1].tolist() == expected[1].tolist()
@@ -107,9 +107,9 @@ def test_structured_text_of_every_other_operation_gives_the_bits_of_the_referenc
     program = tape_program(NetworkFunction(function, models.LOWER, models.UPPER), real)
     used = {node.op for node in program.tapes["network"].nodes}
     assert {"fmin", "fmax", "fabs", "lt", "le", "not", "select", "sign", "exp", "neg", "guard_min"} <= used
-    q = comparison_inputs(program, 2000)
+    q = comparison_inputs(program, 1000)
     q[:100] = np.repeat(np.array([-0.0, 0.0, 1.0, -1.0]), 25)[:, None]
-    text = structured_text(program, Label("arm"))
+    text = structured_text(program)
     found = Compiled(text, tmp_path, compiler, "arm", "network", "dp_mm", outputs=3).rows(q)
     expected = network(program, q)
     assert (bits(found[0]) == bits(expected[0])).all()
@@ -117,7 +117,7 @@ def test_structured_text_of_every_other_operation_gives_the_bits_of_the_referenc
 
 
 def test_the_test_of_the_controller_notices_another_bit(network, compiler, tmp_path):
-    text = structured_text(tape_program(network, "double"), Label("arm"))
+    text = structured_text(tape_program(network, "double"))
     before, numbers = text.split("expected : ARRAY[0..11] OF LREAL := [")
     first = numbers.split(",")[0]
     changed = f"{before}expected : ARRAY[0..11] OF LREAL := [{float(first) * (1 + 1e-15)!r}{numbers[len(first) :]}"
@@ -128,7 +128,7 @@ def test_the_test_of_the_controller_notices_another_bit(network, compiler, tmp_p
 
 
 def test_the_parser_refuses_what_is_no_structured_text(network):
-    text = structured_text(tape_program(network, "float"), Label("arm"))
+    text = structured_text(tape_program(network, "float"))
     assert len(parsed(text).children) > 3
     with pytest.raises(AssertionError):
         parsed(text.replace("END_FOR", "END", 1))
@@ -140,7 +140,7 @@ def test_the_model_takes_few_lines(name, pose, most):
     values = {"hh800": {"a2": 1.6012, "theta3": 0.002, "L5": 0.7995, "c2": 6e-8}}
     robot = read_robot(nominal).with_values(values.get(name, {"a2": 1.1508, "theta3": -1.5690}))
     program = tape_program(command_of(Sources(robot, nominal), orientation=pose), "double")
-    lines = structured_text(program, Label("arm")).splitlines()
+    lines = structured_text(program).splitlines()
     assert len(lines) < most
     assert max(map(len, lines)) <= 120
 

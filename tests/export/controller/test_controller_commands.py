@@ -2,7 +2,6 @@
 
 import csv
 import hashlib
-import inspect
 import json
 
 import numpy as np
@@ -11,11 +10,14 @@ from command_line import FEW
 from command_line import main as run
 from controller_arms import nominal_path, planted, poses, positions, rigid_motion
 
+from casadical import InputError
 from casadical.compensator import Compensator, save_compensator
 from casadical.export import Sources, command_of, load, model_corrector, write_c
 from casadical.export.c.kernel import compilers
-from casadical.export.controller.c_export import prefix_of
+from casadical.export.controller.commands import prefix_of
 from casadical.export.controller.correction import kernel_corrector
+from casadical.export.controller.programs.program import read_target_program
+from casadical.export.controller.programs.target import Given
 from casadical.robot.robot_file import read_robot
 
 needs_compiler = pytest.mark.skipif(not compilers(), reason="no C compiler (gcc, clang, cc) on this machine")
@@ -50,23 +52,12 @@ def table(path):
         return list(csv.DictReader(file))
 
 
-def targets(rows, unit="deg", joints=6):
-    q = np.array([[float(row[f"q{i}_{unit}"]) for i in range(1, joints + 1)] for row in rows])
-    return np.deg2rad(q) if unit == "deg" else q
-
-
-def test_the_export_carries_its_sources_and_is_verified(files, exported):
-    manifest = json.loads((exported / "manifest.json").read_text())
-    assert manifest["model_sha256"] == hashlib.sha256((files / "hh800.toml").read_bytes()).hexdigest()
-    assert manifest["kernel"]["name"] == "hyundai_hh800"
-    assert manifest["verified"] is True
-    assert {c["vectors"] for c in manifest["comparisons"] if c["function"] != "self_test"} == {FEW}
-    assert inspect.signature(write_c).parameters["vectors"].default == 100_000  # unless a test asks for few
-    assert load(exported).self_test() == 0
+def targets(rows):
+    return np.deg2rad([[float(row[f"q{i}_deg"]) for i in range(1, 7)] for row in rows])
 
 
 @needs_compiler
-def test_what_is_printed(files, tmp_path, monkeypatch, capfd):
+def test_what_is_printed_and_what_the_manifest_holds(files, tmp_path, monkeypatch, capfd):
     out = tmp_path / "c"
     arguments = ("export", "c", files / "ur10.toml", "--nominal", nominal_path("ur10"), "--out", out, "--name", "arm")
     assert run(monkeypatch, *arguments, "--real", "float", "--steps", 1) == 0
@@ -91,6 +82,10 @@ def test_what_is_printed(files, tmp_path, monkeypatch, capfd):
     ):
         assert run(monkeypatch, *(arguments if "curves" not in option else arguments[:3] + arguments[5:]), *option) == 2
         assert words in " ".join(capfd.readouterr().err.split())
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert manifest["model_sha256"] == hashlib.sha256((files / "ur10.toml").read_bytes()).hexdigest()
+    assert manifest["verified"] is True
+    assert {c["vectors"] for c in manifest["comparisons"] if c["function"] != "self_test"} == {FEW}
     (out / "arm.c").write_text("mine")
     assert run(monkeypatch, *arguments) == 2
     assert "--overwrite" in capfd.readouterr().err
@@ -111,7 +106,7 @@ def test_without_a_compiler_the_export_is_written_and_called_unverified(files, t
 
 
 def test_a_network_alone_is_exported_and_corrects_no_program(files, tmp_path, monkeypatch, capfd):
-    q = poses(planted("hh800"), 80)
+    q = poses(planted("hh800"), 50)
     made = Compensator.fit(q, 0.3 * np.sin(q[:, :3]), folds=2)
     save_compensator(made, tmp_path / "net.json")
     arguments = ("export", "c", files / "hh800.toml", "--what", "network", "--compensator", tmp_path / "net.json")
@@ -130,14 +125,13 @@ def test_a_network_alone_is_exported_and_corrects_no_program(files, tmp_path, mo
     assert "--what command" in capfd.readouterr().err
 
 
-@pytest.mark.parametrize("unit", ["deg", "rad"])
-def test_a_corrected_program_keeps_all_but_its_targets(unit, files, exported, tmp_path, monkeypatch, capfd):
+def test_a_corrected_program_keeps_all_but_its_targets(files, exported, tmp_path, monkeypatch, capfd):
     robot = read_robot(files / "hh800.toml")
     q = poses(robot, 120, seed=3)
     q[7, 0] = np.deg2rad(121)  # outside of the range
     q[9, 5] = robot.joints[5].upper
     q[20] = q[21]  # a repeated target is no mistake
-    job, new = program(tmp_path / "job.csv", q, unit), tmp_path / "new.csv"
+    job, new = program(tmp_path / "job.csv", q), tmp_path / "new.csv"
     assert run(monkeypatch, "correct", exported, job, "--out", new) == 0
     printed = capfd.readouterr().out
     before, after = table(job), table(new)
@@ -154,7 +148,7 @@ def test_a_corrected_program_keeps_all_but_its_targets(unit, files, exported, tm
     nominal = read_robot(nominal_path("hh800")).with_values(
         {f"tool_{c}": v for c, v in zip("xyz", robot.tool.T[:3, 3], strict=True)}
     )
-    new_q = targets(after, unit)
+    new_q = targets(after)
     rest = rigid_motion(positions(nominal, q)[fine], positions(robot, new_q)[fine])[2]
     stated = json.loads((exported / "manifest.json").read_text())["figures"]["rest_um_worst"]
     assert np.median(rest) < 2e-7
@@ -170,7 +164,7 @@ def test_a_corrected_program_keeps_all_but_its_targets(unit, files, exported, tm
 
 
 def test_the_robot_file_corrects_as_its_export_does(files, exported, tmp_path, monkeypatch, capfd):
-    job = program(tmp_path / "job.csv", poses(planted("hh800"), 50))
+    job = program(tmp_path / "job.csv", poses(planted("hh800"), 50), "rad")
     assert run(monkeypatch, "correct", exported, job, "--out", tmp_path / "a.csv") == 0
     model = ("correct", files / "hh800.toml", "--nominal", nominal_path("hh800"), job, "--out", tmp_path / "b.csv")
     assert run(monkeypatch, *model) == 0
@@ -200,17 +194,13 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize("case", BAD)
-def test_a_bad_program_ends_in_2_and_says_where(case, files, tmp_path, monkeypatch, capfd):
-    text, parts = BAD[case]
-    (tmp_path / "job.csv").write_text(text)
-    model = (files / "hh800.toml", "--nominal", nominal_path("hh800"))
-    assert run(monkeypatch, "correct", *model, tmp_path / "job.csv", "--out", tmp_path / "new.csv") == 2
-    printed = capfd.readouterr()
-    for part in ("job.csv", *parts):
-        assert part in printed.err
-    assert "Traceback" not in printed.err
-    assert not (tmp_path / "new.csv").exists()
+def test_a_bad_program_is_refused_with_its_place(tmp_path):
+    path = tmp_path / "job.csv"
+    for text, parts in BAD.values():
+        path.write_text(text)
+        with pytest.raises(InputError) as error:
+            read_target_program(path, Given(), 6)
+        assert all(part in str(error.value) for part in ("job.csv", *parts))
 
 
 WRONG = {
@@ -224,6 +214,11 @@ WRONG = {
     ),
     "steps": (["export", "c", "ROBOT", "--steps", "11"], "--steps"),
     "name": (["export", "c", "ROBOT", "--nominal", "NOMINAL", "--name", "1-2"], "cannot prefix"),
+    "another word": (
+        ["export", "c", "ROBOT", "--nominal", "NOMINAL", "--correct", "all"],
+        "allowed: position, pose",
+    ),
+    "curves": (["export", "c", "ROBOT", "--what", "curves", "--correct", "pose"], "is for --what command"),
     "no robot": (["export", "c", "none.toml", "--nominal", "NOMINAL"], "none.toml"),
     "no model": (["correct", "nowhere", "job.csv"], "no such folder"),
     "no export": (["correct", "FOLDER", "job.csv"], "no manifest.json"),
@@ -236,41 +231,26 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("case", WRONG)
-def test_a_users_mistake_ends_in_2_and_writes_nothing(case, files, tmp_path, monkeypatch, capfd):
-    words, part = WRONG[case]
+def test_a_users_mistake_ends_in_2_and_writes_nothing(files, tmp_path, monkeypatch, capfd):
     meant = {"ROBOT": files / "hh800.toml", "NOMINAL": nominal_path("hh800"), "FOLDER": files}
     monkeypatch.chdir(tmp_path)
-    assert run(monkeypatch, *(meant.get(w, w) for w in words), "--out", tmp_path / "out") == 2
-    printed = capfd.readouterr()
-    assert part in printed.err
-    assert "Traceback" not in printed.err
-    assert list(tmp_path.iterdir()) == []
+    for words, part in WRONG.values():
+        assert run(monkeypatch, *(meant.get(w, w) for w in words), "--out", tmp_path / "out") == 2
+        printed = capfd.readouterr()
+        assert part in printed.err
+        assert "Traceback" not in printed.err
+        assert list(tmp_path.iterdir()) == []
 
 
-def test_a_damaged_manifest_is_a_users_mistake(tmp_path, monkeypatch, capfd):
-    job = program(tmp_path / "job.csv", poses(planted("hh800"), 3))
-    (tmp_path / "c").mkdir()
-    for text in ("{", "[]", '{"kernel": {}}'):
-        (tmp_path / "c" / "manifest.json").write_text(text)
-        assert run(monkeypatch, "correct", tmp_path / "c", job, "--out", tmp_path / "new.csv") == 2
-        assert "is damaged" in capfd.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("name", "prefix"),
-    [
-        ("Hyundai HH800", "hyundai_hh800"),
-        ("Universal Robots UR10 (CB series)", "universal_robots_ur10_cb"),
-        ("7 axes", "robot_7_axes"),
-        ("机器人", "robot"),
-    ],
-)
-def test_prefixes_are_c_names(name, prefix):
-    assert prefix_of(name) == prefix
+def test_prefixes_are_c_names():
+    assert prefix_of("Hyundai HH800") == "hyundai_hh800"
+    assert prefix_of("Universal Robots UR10 (CB series)") == "universal_robots_ur10_cb"
+    assert prefix_of("7 axes") == "robot_7_axes"
+    assert prefix_of("机器人") == "robot"
 
 
 @needs_compiler
+@pytest.mark.slow
 def test_the_c_of_full_poses_says_what_remains_of_both(files, tmp_path):
     command = command_of(Sources(files / "ur10.toml", nominal_path("ur10")), 3, orientation=True)
     written = write_c(command, tmp_path / "c", name="arm", vectors=500, languages=())
@@ -282,15 +262,6 @@ def test_the_c_of_full_poses_says_what_remains_of_both(files, tmp_path):
     q = poses(read_robot(files / "ur10.toml"), 5)
     assert np.array_equal(corrector.correct(q)[0], model_corrector(command).correct(q)[0])
     assert np.allclose(corrector.position(q), model_corrector(command).position(q), atol=1e-9)
-
-
-def test_another_word_for_what_is_corrected_is_refused(files, tmp_path, monkeypatch, capfd):
-    given = (files / "ur10.toml", "--nominal", nominal_path("ur10"), "--out", tmp_path / "c", "--correct")
-    assert run(monkeypatch, "export", "c", *given, "all") == 2
-    assert "allowed: position, pose" in capfd.readouterr().err
-    curves = ("export", "c", files / "ur10.toml", "--what", "curves", "--out", tmp_path / "c", "--correct", "pose")
-    assert run(monkeypatch, *curves) == 2
-    assert "is for --what command" in capfd.readouterr().err
 
 
 def test_a_table_is_corrected_in_its_poses(files, tmp_path, monkeypatch, capfd):

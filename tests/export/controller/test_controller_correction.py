@@ -14,7 +14,7 @@ from casadical.compensator import Compensator, save_compensator
 from casadical.core.basics import InputError
 from casadical.effects import GearEccentricity, Law, PayloadError, ThermalGrowth
 from casadical.export.controller.commands import Sources, command_of, network_of
-from casadical.export.controller.correction import POSITION_ONLY, corrected_joints, model_corrector
+from casadical.export.controller.correction import corrected_joints, model_corrector
 from casadical.export.controller.programs.correction import Cell
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot_file import read_robot, write_robot
@@ -232,8 +232,8 @@ def test_a_pose_that_cannot_be_corrected_is_corrected_in_its_position_and_says_s
     q[:50, 4] = 0.002 * np.sign(q[:50, 4])  # the axes of joints 4 and 6 are nearly parallel
     moved, names = corrected_joints(both, q)
     alone, its = corrected_joints(plain, q)
-    only = np.array(names) == POSITION_ONLY
-    assert set(np.array(names)[:50]) - {"SINGULAR", "LIMITED"} == {POSITION_ONLY}
+    only = np.array(names) == "POSITION_ONLY"
+    assert set(np.array(names)[:50]) - {"SINGULAR", "LIMITED"} == {"POSITION_ONLY"}
     assert "SINGULAR" not in names[50:] or only[50:].mean() < 0.5
     assert np.array_equal(moved[only], alone[only])
     assert all(its[k] == "OK" for k in np.flatnonzero(only))

@@ -103,6 +103,7 @@ def test_a_robot_file_becomes_curves_in_c(robot, tmp_path, monkeypatch, capfd):
     assert "--what command" in capfd.readouterr().err
 
 
+@pytest.mark.slow
 def test_correct_uses_them_with_the_robot_file_and_with_the_c(robot, tmp_path, monkeypatch, capfd):
     if not compilers():
         pytest.skip("no C compiler (gcc, clang, cc) on this machine")

@@ -17,8 +17,7 @@ from casadical.core.parts import Joint, Placement
 from casadical.core.telling.result import plain_text
 from casadical.export import Sources, Status, command_of, inverse_kinematics, model_corrector, write_c
 from casadical.export.c.kernel import compilers
-from casadical.export.controller.c_export import poses_of, unreached
-from casadical.export.controller.commands import measured_range
+from casadical.export.controller.commands import measured_range, poses_of, unreached
 from casadical.export.controller.correction import kernel_corrector
 from casadical.export.controller.inverse import freedom_of
 from casadical.export.controller.programs.correction import Cell

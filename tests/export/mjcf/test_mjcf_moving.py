@@ -87,6 +87,7 @@ def recorded(mujoco, text, seed, seconds=24.0):
     return replace(log, position=q + rng.normal(0, 5e-4, q.shape), torque=torque)
 
 
+@pytest.mark.slow
 def test_position_torque_and_floor_of_an_arm_in_mujoco_come_back(tmp_path):
     """Found from logs of a planted arm, the exported model gives positions and torques of another run as printed."""
     mujoco = pytest.importorskip("mujoco")

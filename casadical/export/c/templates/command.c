@@ -104,7 +104,7 @@ static @name@_status @name@_chord(const @name@_real x[@NAME@_JOINTS], @name@_rea
         }
         fine = fine & @name@_advance_values(work, moved);
         wrong = wrong + (moved[@i_error@] - moved[@i_error@]);
-        clamped = @name@_limited(moved, @step_limit@);
+        clamped = @name@_limited(moved, @limit_step@);
         for (i = 0U; i < @NAME@_JOINTS; i++)
         {
             moved[i] = dq[i] + moved[i];
@@ -125,7 +125,7 @@ static @name@_status @name@_chord(const @name@_real x[@NAME@_JOINTS], @name@_rea
         }
         status = @NAME@_NOT_FINITE;
     }
-    else if (work[@i_weakness@] > @weakness_limit@)
+    else if (work[@i_weakness@] > @limit_weakness@)
     {
         status = @NAME@_SINGULAR;
     }
@@ -133,7 +133,7 @@ static @name@_status @name@_chord(const @name@_real x[@NAME@_JOINTS], @name@_rea
     {
         status = @NAME@_LIMITED;
     }
-    else if ((clamped != 0U) || (moved[@i_error@] > @tolerance2@))
+    else if ((clamped != 0U) || (moved[@i_error@] > @limit_tolerance2@))
     {
         status = @NAME@_NOT_CONVERGED;
     }
@@ -193,7 +193,7 @@ static @name@_status @name@_corrected(const @name@_real q[@NAME@_JOINTS], @name@
             gain = @0@;
             status = @NAME@_NOT_FINITE;
         }
-        gain = gain + ((enable != 0U) ? @ramp@ : -@ramp@);
+        gain = gain + ((enable != 0U) ? @limit_ramp@ : -@limit_ramp@);
         gain = (gain > @0@) ? gain : @0@;
         gain = (gain < @1@) ? gain : @1@;
         state->gain = gain;

@@ -21,7 +21,7 @@
 @notes@ * Status: when several apply, the highest number is returned.
  *   OK             the result is what the model says
  *   CLAMPED        a joint is outside the box; the result is the one of the nearest point of the box
-@command_statuses@ *   NOT_FINITE     an input is NaN or infinite, or the model has no real value there@not_finite_output@
+@command_statuses@ *   NOT_FINITE     an input is NaN or infinite, or the model has no real value there; zeros are written
  *   NULL_ARG       a pointer is NULL; nothing was written
  *   SELF_TEST_FAILED  this build does not compute what the exporter computed; do not use it
  */

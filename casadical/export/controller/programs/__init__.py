@@ -1,1 +1,1 @@
-"""Programs in a controller's own language: their targets are read and rewritten, every other byte stays."""
+"""Programs in a controller's language: targets are rewritten, every other byte stays."""

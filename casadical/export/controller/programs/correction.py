@@ -1,7 +1,8 @@
 """Targets of a program corrected: what each becomes, and how far off the tool was.
 
-A pose is solved with the nominal robot in its posture, its joints are corrected like any others, and the nominal
-robot's pose at the corrected joints is written: the controller, which solves it with the nominal robot, finds them.
+A pose is solved with the nominal robot in its posture, its joints are corrected like any others,
+and the nominal robot's pose at the corrected joints is written: the controller, which solves it
+with the nominal robot, finds them.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -17,24 +18,16 @@ from casadical.core.parts import Placement
 from casadical.core.transforms import frame
 from casadical.export.c.reference import Status
 from casadical.export.controller.commands import Sources, command_of, own_robots, robot_of
-from casadical.export.controller.correction import FINE, LEAVES_BOX, Corrector, corrected_joints, model_corrector
+from casadical.export.controller.correction import FINE, Corrector, corrected_joints, model_corrector
 from casadical.export.controller.functions import tool_function
 from casadical.export.controller.inverse import Newton, Postures
 from casadical.export.controller.programs.language import ProgramLanguage
 from casadical.export.controller.programs.target import Number, Target
 
-LEFT = "LEFT"  # statuses beside those of the correction
-NO_TOOL, NO_CONFIGURATION, UNREACHABLE = "NO_TOOL", "NO_CONFIGURATION", "UNREACHABLE"
-AMBIGUOUS, CONFIGURATION_CHANGES, EXTERNAL_AXIS = "AMBIGUOUS", "CONFIGURATION_CHANGES", "EXTERNAL_AXIS"
-NEEDS_ROBOT_FILE = "NEEDS_ROBOT_FILE"
-_TRIED = 8  # unreached poses for which other frames are tried
-_NAMED = 5  # of them that a message names
-_OFFERED = 3  # frames that a message offers
-
 
 @dataclass(frozen=True, eq=False)
 class Tooled:
-    """One tool: its correction, and nominal and real robot as functions q[n] -> (p[3] m, R[3x3]); None for a folder."""
+    """One tool: its correction, and both robots as q[n] -> (p[3] m, R[3x3]), None for a folder."""
 
     corrector: Corrector
     nominal: ca.Function | None = None
@@ -51,12 +44,14 @@ class Cell:
     """The robots that a program is corrected for, and what the program does not say of its frames.
 
     sources, steps, orientation : as of `command_of`
-    root : the controller's root frame in the robot file's base frame; flange : its flange in the last link's frame;
-        each (4, 4) [m]
+    root : the controller's root frame in the robot file's base frame; flange : its flange in the
+        last link's frame; each (4, 4) [m]
     nearest : a pose without a configuration is reached as near as possible to the target before it
     external_still : external axes carry neither the robot nor its bases
-    leave_unreached : poses that the nominal robot does not reach are left; else the program is refused
-    folder : the corrector of an export folder, in place of robot files; its tool is that of the export
+    leave_unreached : poses that the nominal robot does not reach are left; else the program is
+        refused
+    folder : the corrector of an export folder, in place of robot files; its tool is that of the
+        export
     """
 
     sources: Sources | None
@@ -83,24 +78,26 @@ class Cell:
         return Postures(replace(own_robots(self.sources)[1], tool=Placement(self.flange)), self.root)
 
     def with_tool(self, tool: Array | None) -> Tooled:
-        """The robots with a tool, (4, 4) [m] in the flange's frame; None: the tool of the robot file."""
+        """The robots with a tool in the flange's frame, (4, 4) [m]; None: the file's tool."""
         if self.folder:
             return Tooled(self.folder)
         assert self.sources is not None
         key = b"" if tool is None else tool.tobytes()
-        if key not in self._made:
-            self._made[key] = self._tooled(self.sources if tool is None else self._holding(self.sources, tool))
+        if key in self._made:
+            return self._made[key]
+        files = self.sources
+        if tool is not None and files.nominal is not None:
+            # where the measured point is the tool's centre, the real robot keeps that point
+            real, nominal, held = robot_of(files.robot), robot_of(files.nominal), self.flange @ tool
+            of_real = frame(held[:3, :3], real.tool.T[:3, 3]) if files.tool == "own" else held
+            files = replace(
+                files,
+                robot=replace(real, tool=replace(real.tool, T=of_real), knowledge=None),
+                nominal=replace(nominal, tool=replace(nominal.tool, T=held), knowledge=None),
+                tool="own",
+            )
+        self._made[key] = self._tooled(files)
         return self._made[key]
-
-    def _holding(self, files: Sources, tool: Array) -> Sources:
-        """The robots with a program's tool; where the measured point is its centre, the real one keeps that point."""
-        if files.nominal is None:
-            return files
-        real, nominal = robot_of(files.robot), robot_of(files.nominal)
-        held = self.flange @ tool
-        of_real = frame(held[:3, :3], real.tool.T[:3, 3]) if files.tool == "own" else held
-        robots = [replace(r, tool=replace(r.tool, T=T), knowledge=None) for r, T in ((real, of_real), (nominal, held))]
-        return replace(files, robot=robots[0], nominal=robots[1], tool="own")
 
     def _tooled(self, sources: Sources) -> Tooled:
         plain = command_of(sources, self.steps)
@@ -120,10 +117,12 @@ class Cell:
 class Result:
     """What becomes of one target.
 
-    status : OK, or why it keeps its numbers; why : the same in words, where the status does not say it
+    status : OK, or why it keeps its numbers; why : the same in words, where the status does not say
+        it
     texts : the new text of each number, and of each word that says the turns
-    moved_mm : how far the real tool is moved; off_mm, off_deg : how far the real tool is from the nominal one's
-        position and orientation, before and after, with the numbers as they are written; None: not known
+    moved_mm : how far the real tool is moved; off_mm, off_deg : how far the real tool is from the
+        nominal one's position and orientation, before and after, with the numbers as they are
+        written; None: not known
     q : joints of the target, before and after [rad or m], each shape (n,); None: not known
     """
 
@@ -152,11 +151,11 @@ class Result:
 def corrected_targets(language: ProgramLanguage, targets: Sequence[Target], cell: Cell) -> list[Result]:
     """Each target corrected, or left with the reason.
 
-    Raises InputError where the nominal robot does not reach a pose: then the frames are not those of the controller,
-    and other targets would be corrected at places where the robot never is.
+    Raises InputError where the nominal robot does not reach a pose: then the frames are not those
+    of the controller, and other targets would be corrected at places where the robot never is.
     """
     results = _solved(language, targets, cell)
-    unreached = [r.target for r in results if r.status == UNREACHABLE]
+    unreached = [r.target for r in results if r.status == "UNREACHABLE"]
     if unreached and not cell.leave_unreached:
         raise InputError(_unreached(language, unreached, sum(not t.joints for t in targets), cell))
     groups: dict[bytes, list[int]] = {}
@@ -213,38 +212,38 @@ def _flange(language: ProgramLanguage, target: Target, root: Array, turned: Arra
 def _missing(target: Target, cell: Cell) -> tuple[str, str]:
     """The status of a target that cannot be solved, and why; else OK."""
     if target.left:
-        return LEFT, target.left
+        return "LEFT", target.left
     if target.joints:
         return Status.OK.name, ""
     if cell.sources is None:
-        return NEEDS_ROBOT_FILE, ""
+        return "NEEDS_ROBOT_FILE", ""
     if target.tool is None or target.base is None:
-        return NO_TOOL, f"its {'tool' if target.tool is None else 'base'} is not known ({target.about})"
-    return (EXTERNAL_AXIS if target.external and not cell.external_still else Status.OK.name), ""
+        return "NO_TOOL", f"its {'tool' if target.tool is None else 'base'} is not known ({target.about})"
+    return ("EXTERNAL_AXIS" if target.external and not cell.external_still else Status.OK.name), ""
 
 
 def _at(target: Target, q: Array | None) -> Result:
-    return Result(target, UNREACHABLE) if q is None else Result(target, Status.OK.name, q=(q, q))
+    return Result(target, "UNREACHABLE") if q is None else Result(target, Status.OK.name, q=(q, q))
 
 
 def _in_posture(language: ProgramLanguage, target: Target, flange: Array, postures: Postures) -> Result:
     """The joints in the configuration that the program says."""
     if target.posture is None or target.turns is None:
-        return Result(target, NO_CONFIGURATION)
+        return Result(target, "NO_CONFIGURATION")
     if postures.why_not:
-        return Result(target, NO_CONFIGURATION, postures.why_not)
+        return Result(target, "NO_CONFIGURATION", postures.why_not)
     every = postures.solutions(flange, target.posture, language.turns, target.turns)
-    return _at(target, every[0] if len(every) else None) if len(every) < 2 else Result(target, AMBIGUOUS)
+    return _at(target, every[0] if len(every) else None) if len(every) < 2 else Result(target, "AMBIGUOUS")
 
 
 def _unreached(language: ProgramLanguage, targets: Sequence[Target], poses: int, cell: Cell) -> str:
-    names = ", ".join(f"{language.place} {t.line}, {t.name}" for t in targets[:_NAMED])
-    more = f" and {len(targets) - _NAMED} more" if len(targets) > _NAMED else ""
-    frames = _frames_that_reach(language, targets[:_TRIED], cell)
+    names = ", ".join(f"{language.place} {t.line}, {t.name}" for t in targets[:5])
+    more = f" and {len(targets) - 5} more" if len(targets) > 5 else ""
+    frames = _frames_that_reach(language, targets[:8], cell)
     tried = "no quarter turns of them reach these poses either"
     if frames:
         which = f"with {', or with '.join(frames)} the nominal robot reaches"
-        these = "them" if len(targets) <= _TRIED else f"the first {_TRIED}"
+        these = "them" if len(targets) <= 8 else "the first 8"
         tried = f"{which} {these}; the controller shows which is right"
     return (
         f"nothing is corrected: the nominal robot does not reach {len(targets)} of {poses} poses in the configuration "
@@ -256,7 +255,7 @@ def _unreached(language: ProgramLanguage, targets: Sequence[Target], poses: int,
 
 
 def _frames_that_reach(language: ProgramLanguage, targets: Sequence[Target], cell: Cell) -> list[str]:
-    """Options with which poses are reached: one of the frames turned by quarters, those that are turned least first."""
+    """Options with which poses are reached: a frame turned by quarters, the least first."""
     turns = [
         np.diag(signs)[list(order)] for order in permutations(range(3)) for signs in product((1.0, -1.0), repeat=3)
     ]
@@ -270,7 +269,7 @@ def _frames_that_reach(language: ProgramLanguage, targets: Sequence[Target], cel
             postures = replace(cell.postures, root=root)
             if all(_reaches(language, t, root, np.eye(4), postures) for t in targets):
                 frames.append(f"--root {language.shown(root)}")
-    return frames[:_OFFERED]
+    return frames[:3]
 
 
 def _reaches(language: ProgramLanguage, target: Target, root: Array, turned: Array, postures: Postures) -> bool:
@@ -285,7 +284,7 @@ def _reaches(language: ProgramLanguage, target: Target, root: Array, turned: Arr
 def _written(
     language: ProgramLanguage, targets: Sequence[Target], cell: Cell, made: Tooled, old: Array, new: Array
 ) -> Iterator[Result]:
-    """The new numbers of targets as text, and what is off with them; old, new : joints, shape (k, n)."""
+    """New numbers of targets, and what is off with them; old, new : joints, (k, n)."""
     posed = np.array([not t.joints for t in targets], dtype=bool)
     wanted = _poses(made.nominal, new) if posed.any() else np.zeros((len(new), 4, 4))
     texts, q, flanges = [], new.copy(), []
@@ -308,9 +307,9 @@ def _written(
     off = _off(made, old, q)
     for k, t in enumerate(targets):
         if t.posture is not None and tuple(cell.postures.sides(new[k : k + 1])[0]) != t.posture:
-            yield Result(t, CONFIGURATION_CHANGES)
+            yield Result(t, "CONFIGURATION_CHANGES")
         elif beyond[k] or not reached[k]:
-            yield Result(t, LEAVES_BOX if reached[k] else Status.NOT_CONVERGED.name)
+            yield Result(t, "LEAVES_BOX" if reached[k] else Status.NOT_CONVERGED.name)
         else:
             turned = language.turns_text(t, language.turns(new[k])) if t.turns is not None and t.turn_text else ()
             known = {name: v[k].tolist() if v.ndim == 1 else tuple(v[k].tolist()) for name, v in off.items()}
@@ -324,7 +323,8 @@ def _off(made: Tooled, old: Array, new: Array) -> dict[str, Array]:
     wanted, was, now = _poses(made.nominal, old), _poses(made.real, old), _poses(made.real, new)
     columns = {"moved_mm": _apart(was[:, :3, 3], now[:, :3, 3])}
     columns["off_mm"] = np.stack([_apart(T[:, :3, 3], wanted[:, :3, 3]) for T in (was, now)], axis=1)
-    columns["off_deg"] = np.stack([_angle(T[:, :3, :3], wanted[:, :3, :3]) for T in (was, now)], axis=1)
+    turned = [np.linalg.norm((T - wanted)[:, :3, :3], axis=(1, 2)) for T in (was, now)]
+    columns["off_deg"] = np.rad2deg(2 * np.arcsin(np.minimum(1.0, np.stack(turned, axis=1) / np.sqrt(8))))
     return columns
 
 
@@ -340,13 +340,8 @@ def _apart(a: Array, b: Array) -> Array:
     return np.asarray(1e3 * np.linalg.norm(a - b, axis=1))
 
 
-def _angle(A: Array, B: Array) -> Array:
-    """Angles between orientations, shape (k, 3, 3) [deg]."""
-    return np.asarray(np.rad2deg(2 * np.arcsin(np.minimum(1.0, np.linalg.norm(A - B, axis=(1, 2)) / np.sqrt(8)))))
-
-
 def refuse_accuracy(source: str, targets: Iterable[Target]) -> None:
-    """Raises InputError for targets that were taught with the controller's own absolute accuracy on."""
+    """Raises InputError for targets taught with the controller's absolute accuracy on."""
     for target in targets:
         if target.accurate:
             raise InputError(

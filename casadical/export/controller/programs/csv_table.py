@@ -1,4 +1,4 @@
-"""A table of joint targets (.csv): columns q1_deg .. change, every other cell stays, further columns say what was done.
+"""A table of joint targets (.csv): columns q1_deg .. change, every other cell stays.
 
 Its own reader knows encodings and separators; the text of the file is not used.
 """
@@ -14,9 +14,6 @@ from casadical.measurements.columns import Columns
 from casadical.measurements.raw_table import RawTable, read_table
 
 STATUS = "correction_status"
-
-_TO_SI = {"rad": {"_deg": DEG, "_rad": 1.0}, "m": {"_mm": MM, "_m": 1.0}}
-_DIGITS = {"_deg": 7, "_rad": 9, "_mm": 6, "_m": 9}  # decimals: some nanometres at the tool
 
 
 class CsvTable(ProgramLanguage):
@@ -37,11 +34,12 @@ class CsvTable(ProgramLanguage):
         if extra := [name for name in header if name.startswith(f"q{joints + 1}_")]:
             raise InputError(f"{source}: column {extra[0]!r}: this robot has only {joints} joints")
         columns, places = Columns.of_file(table), []
+        decimals = {"_deg": 7, "_rad": 9, "_mm": 6, "_m": 9}  # some nanometres at the tool
         for i, unit in enumerate(given.units or ("rad",) * joints, 1):
-            allowed = _TO_SI[unit]
+            allowed = {"_deg": DEG, "_rad": 1.0} if unit == "rad" else {"_mm": MM, "_m": 1.0}
             columns.si(f"q{i}", tuple(allowed))
             suffix = next(u for u in allowed if f"q{i}{u}" in header)
-            places.append((header.index(f"q{i}{suffix}"), allowed[suffix], _DIGITS[suffix]))
+            places.append((header.index(f"q{i}{suffix}"), allowed[suffix], decimals[suffix]))
         return [
             Target(line, "", True, tuple(Number(k, at, cells[at], unit, digits) for at, unit, digits in places))
             for k, (line, cells) in enumerate(zip(table.line, table.cells, strict=True))
@@ -64,7 +62,7 @@ class CsvTable(ProgramLanguage):
 
 
 def _table(path: str) -> RawTable:
-    """Raises InputError for a table that cannot be written again as it is, or that was corrected before."""
+    """Raises InputError for a table that cannot be written again, or was corrected before."""
     table = read_table(path)
     if table.form.separator != "," or table.form.sheet:
         form = "a workbook" if table.form.sheet else f"separated by {table.form.separator!r}"

@@ -1,8 +1,8 @@
-"""FANUC listings (.ls): the positions of the part /POS, with their CONFIG (R-30iB operator's manual, "Position data").
+"""FANUC listings (.ls): positions of /POS with CONFIG (R-30iB manual, "Position data").
 
-CONFIG: N (joint 5 negative, the wrist bent down) or F, U (wrist in front of the line through axes 2 and 3) or D, T
-(wrist in front of axis 1) or B, then the turns of joints 1, 4 and 6: 0 for -180 to 180 degrees. Values have three
-decimals, as the controller prints them.
+CONFIG: N (joint 5 negative, the wrist bent down) or F, U (wrist in front of the line through axes 2
+and 3) or D, T (wrist in front of axis 1) or B, then the turns of joints 1, 4 and 6: 0 for -180 to
+180 degrees. Values have three decimals, as the controller prints them.
 """
 
 import re
@@ -30,7 +30,6 @@ STRING: /"[^"\n]*"/
 CONFIG: /'[^'\n]*'/
 UNSET: /\*+/
 """
-_DECIMALS = 3
 _CONFIG = re.compile(r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
 _CHANGE = re.compile(r"(UTOOL|UFRAME)\[\s*(\d+)[^\]\n]*\]\s*=")
 _INCREMENT = re.compile(r"\bP\[\s*(\d+)[^\]\n]*\][^;\n]*\bINC\b", re.IGNORECASE)
@@ -107,7 +106,7 @@ def _target(source: str, line: int, position: Tree[Token], axes: Sequence[float]
         if said != allowed:
             raise InputError(f"{source}: line {line}: {name}: {key} is given in {said}; it must be in {allowed}")
     external = any(re.fullmatch(r"E\d", key) and float(str(item[1])) != 0 for key, item in items.items())
-    read = numbers((items[key][1] for key in keys), units, _DECIMALS)
+    read = numbers((items[key][1] for key in keys), units, decimals=3)
     made = Target(line, name, joints, read, external=external)
     return (_configured(made, items["CONFIG"][1]) if "CONFIG" in items and not joints else made), (tool, base)
 

@@ -1,7 +1,8 @@
-"""What a language of programs reads its text with: tokens, and the runs of them that a grammar of its targets derives.
+"""How a language reads programs: tokens, and the runs that a grammar of targets derives.
 
-Everything between the runs stays opaque. A whole grammar of such a language is that of one release of one maker. A
-grammar of its targets alone is small, and a line that it does not know costs nothing.
+Everything between the runs stays opaque. A whole grammar of such a language is that of one release
+of one maker. A grammar of its targets alone is small, and a line that it does not know costs
+nothing.
 """
 
 from collections import Counter
@@ -16,22 +17,21 @@ from lark.parsers.lalr_interactive_parser import InteractiveParser
 
 from casadical.core.basics import InputError
 
-# Of every language: a number, and whatever no other terminal takes (of lowest priority, so that text is never refused).
+# Of every language: a number, and whatever no other terminal takes (of lowest priority, so that
+# text is never refused).
 COMMON = r"""
 _other: OTHER
 NUMBER: /[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?/
 OTHER.-9: /./s
 %ignore /\s+/
 """
-_OPENING, _CLOSING = tuple("([{"), tuple(")]}")
-# Brackets in brackets: what is deeper and no island is left as a whole, else each of its beginnings is read to the end.
-DEEPEST = 20
 
 
 class ParsedText:
     """A text's tokens without those that the grammar ignores, and its islands.
 
-    islands : each longest run of tokens that the grammar's `start` derives, in their order, without overlaps
+    islands : each longest run of tokens that the grammar's `start` derives, in their order, without
+        overlaps
     """
 
     def __init__(self, grammar: str, text: str) -> None:
@@ -63,22 +63,22 @@ def _closed(tokens: Sequence[Token]) -> set[int]:
     """Indices of the opening brackets that are closed."""
     opened, closed = [], set()
     for k, token in enumerate(tokens):
-        if token.endswith(_OPENING):
+        if token.endswith(("(", "[", "{")):
             opened.append(k)
-        elif token.endswith(_CLOSING) and opened:
+        elif token.endswith((")", "]", "}")) and opened:
             closed.add(opened.pop())
     return closed
 
 
 def _longest(parser: Lark, tokens: Sequence[Token], start: int, closed: set[int]) -> tuple[Tree[Token] | None, int]:
-    """The longest run from a token that is a whole island and how many tokens it has, or None and how many to pass."""
+    """The longest island from a token and its length, or None and how many tokens to pass."""
     run, ends, fed, depth, deepest = parser.parse_interactive(""), [], start, 0, 0
     with suppress(UnexpectedInput):
         for fed in range(start, len(tokens)):
-            opens = tokens[fed].endswith(_OPENING)
+            opens = tokens[fed].endswith(("(", "[", "{"))
             if opens and fed not in closed:
                 return None, 1
-            depth += opens - tokens[fed].endswith(_CLOSING)
+            depth += opens - tokens[fed].endswith((")", "]", "}"))
             deepest = max(deepest, depth)
             run.feed_token(tokens[fed])
             # Where lookaheads are merged (LALR), the end may be refused all the same.
@@ -93,7 +93,9 @@ def _longest(parser: Lark, tokens: Sequence[Token], start: int, closed: set[int]
                 for token in tokens[start:end]:
                     run.feed_token(token)
             return run.feed_eof(tokens[end - 1]), end - start  # type: ignore[no-untyped-call]
-    return None, max(fed - start, 1) if deepest > DEEPEST else 1
+    # Brackets that are nested deeper and no island are left as a whole: else the text would be read
+    # to its end from each of their beginnings.
+    return None, max(fed - start, 1) if deepest > 20 else 1
 
 
 def _expected(run: InteractiveParser) -> dict[str, object]:
@@ -115,13 +117,13 @@ def is_number(node: Any) -> bool:
 
 
 def whole(texts: Iterable[Any]) -> tuple[int, ...]:
-    """Numbers of a program as whole ones; none where one of them is too large for any controller."""
+    """Numbers as whole ones; none where one is too large for any controller."""
     values = [float(str(text)) for text in texts]
     return tuple(map(int, values)) if all(abs(v) < 2**31 for v in values) else ()
 
 
 def only_one(source: str, what: str, by_line: dict[int, Any]) -> Any:
-    """What a program sets once or to one value; None where it never does. Raises InputError where it is changed."""
+    """What a program sets to one value, or None. Raises InputError where it is changed."""
     first = next(iter(by_line), 0)
     for line, value in by_line.items():
         if type(value) is not type(by_line[first]) or not np.array_equal(value, by_line[first]):

@@ -1,7 +1,8 @@
-"""KUKA KRL: positions in .dat and .src, with status S and turn T (KSS, "Operating and programming instructions").
+"""KUKA KRL: positions in .dat and .src, with status S and turn T (KSS, "Operating ..").
 
-S: bit 0 wrist behind axis 1, bit 1 wrist in front of the line through axes 2 and 3, bit 2 joint 5 negative, bit 3
-taught by an absolutely accurate robot. T: bit i - 1 is 1 where the reading of joint i is negative.
+S: bit 0 wrist behind axis 1, bit 1 wrist in front of the line through axes 2 and 3, bit 2 joint 5
+negative, bit 3 taught by an absolutely accurate robot. T: bit i - 1 is 1 where the reading of joint
+i is negative.
 """
 
 from collections.abc import Sequence
@@ -34,7 +35,6 @@ COMMENT.3: /;[^\n]*/
 %ignore COMMENT
 """
 _POSE = ("X", "Y", "Z", "A", "B", "C")
-_ACCURATE = 8
 Pairs = dict[str, Token | Tree[Token]]
 Pick = str | Array | None  # a tool or base: its number, what it is, or none that can be read
 
@@ -76,7 +76,8 @@ class _Module:
     """What is read of one file.
 
     assignments : name, line and right side of each assignment of a list or a name
-    assigned : lines in which each variable gets a value, by its name in upper case; moves : names in motions
+    assigned : lines in which each variable gets a value, by its name in upper case; moves : names
+        in motions
     """
 
     def __init__(self, text: str) -> None:
@@ -94,7 +95,15 @@ class _Module:
 
     def targets(self, source: str, units: tuple[float, ...], used: set[str]) -> list[tuple[Target, str]]:
         """Each target and the name of its variable, empty for one inside of a motion."""
-        listed = [(right, name, "") for name, _, right in self.assignments if _is_target(name, right, used)]
+        listed = []
+        for name, _, right in self.assignments:
+            if right.data != "aggregate" or name.startswith(("$", "TOOL_DATA[", "BASE_DATA[")):
+                continue
+            # positions with a configuration, joint readings, and frames that a motion names
+            values, named = _pairs(right), name in used
+            posed = set(_POSE) <= set(values) and ("S" in values or named)
+            if "A1" in values or posed or (named and bool(values)):
+                listed.append((right, name, ""))
         for move in self.parsed.all("move"):
             why = "a relative motion" if str(words(move, "MOVE")[0]).upper().endswith("_REL") else ""
             listed += [(aggregate, "", why) for aggregate in parts(move, "aggregate")]
@@ -181,15 +190,6 @@ def _pairs(aggregate: Tree[Token]) -> Pairs:
     return {str(key).upper(): value for key, value in named if value is not None}
 
 
-def _is_target(name: str, right: Tree[Token], used: set[str]) -> bool:
-    """Positions with a configuration, joint readings, and frames that a motion names."""
-    if right.data != "aggregate" or name.startswith(("$", "TOOL_DATA[", "BASE_DATA[")):
-        return False
-    values = _pairs(right)
-    posed = set(_POSE) <= set(values)
-    return "A1" in values or (posed and ("S" in values or name in used)) or (name in used and bool(values))
-
-
 def _target(source: str, name: str, aggregate: Tree[Token], axes: tuple[float, ...]) -> Target:
     """A target; axes : units of the joints."""
     values, line, shown = _pairs(aggregate), aggregate.meta.line, name or "in the motion"
@@ -212,7 +212,7 @@ def _target(source: str, name: str, aggregate: Tree[Token], axes: tuple[float, .
         posture=Posture(bool(status & 1), not status & 2, bool(status & 4)),
         turns=tuple(turn >> i & 1 for i in range(6)),
         turn_text=numbers([values["T"]], [1.0]),
-        accurate=bool(status & _ACCURATE),
+        accurate=bool(status & 8),
     )
 
 

@@ -1,4 +1,4 @@
-"""A language that controllers are programmed in. Each is one file, and one line in `registry.py`."""
+"""A controllers' language: each is one file, and one word in `program.LANGUAGES`."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -10,15 +10,14 @@ from casadical.core.basics import Array, InputError, errors_of
 from casadical.core.transforms import frame, from_rpy, to_rpy
 from casadical.export.controller.programs.target import DEG, MM, Given, Target
 
-_TURN = 2 * np.pi
-
 
 class ProgramLanguage(ABC):
     """A controller's programming language. Derive from it, without arguments of the constructor.
 
     name : by which messages know it; suffixes : of its files, in lower case, with their dot
     units : of the numbers of a pose, each as a factor to SI; pose : what they are, in words
-    place : what a target stands in, in words; report_beside : whether a report goes beside a corrected program
+    place : what a target stands in, in words; report_beside : whether a report goes beside a
+        corrected program
     """
 
     name: ClassVar[str]
@@ -33,7 +32,7 @@ class ProgramLanguage(ABC):
         return text_of(source, content)
 
     def written(self, source: str, text: str, results: Sequence[Any]) -> bytes:
-        """The program with the new texts of its targets (`Result.texts`), every other byte as it was."""
+        """The program with the new texts of its targets, every other byte as it was."""
         pieces, end = [], 0
         for number, new in sorted(((n, t) for r in results for n, t in r.changes), key=lambda change: change[0].start):
             pieces += [text[end : number.start], new]
@@ -44,17 +43,17 @@ class ProgramLanguage(ABC):
     def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:
         """Every target of a program, those that must be left as they are included, in their order.
 
-        text : one character for each byte; joints : their number, `given` says their units. Raises InputError that
-        names the line where the program cannot be corrected.
+        text : one character for each byte; joints : their number, `given` says their units. Raises
+        InputError that names the line where the program cannot be corrected.
         """
 
     @abstractmethod
     def matrix(self, values: Array) -> Array:
-        """The transform (4, 4) [m] of a pose's numbers [SI]. Raises InputError where they are none."""
+        """The transform (4, 4) [m] of a pose's numbers [SI]. Raises InputError."""
 
     @abstractmethod
     def values(self, T: Array, like: Array) -> Array:
-        """The numbers [SI], shape (k,), of a transform, of all that are equal those nearest to `like`."""
+        """The numbers [SI], shape (k,), of a transform that are nearest to `like`."""
 
     def turns(self, q: Array) -> tuple[int, ...]:
         """How the language counts the turns of joints q, shape (n,) [rad]; empty if it does not."""
@@ -65,18 +64,18 @@ class ProgramLanguage(ABC):
         return [str(turn) for turn in turns]
 
     def move_line(self, joints: Sequence[float]) -> str:
-        """A slow motion to joints [deg or mm], as lines of a program. Raises InputError where the language has none."""
+        """A slow motion to joints [deg or mm], as lines. Raises InputError where there is none."""
         raise InputError(f"{self.name}: has no motion in a line; give krl, rapid, urscript or fanuc")
 
     def frame(self, where: str, values: Array) -> Array:
-        """A tool or base in a program, shape (4, 4) [m]. Raises InputError that begins with `where`."""
+        """A tool or base, shape (4, 4) [m]. Raises InputError that begins with `where`."""
         if not np.isfinite(values).all():
             raise InputError(f"{where}: a tool or base needs finite numbers, {self.pose}")
         with errors_of(f"{where}: "):
             return self.matrix(values)
 
     def transform(self, option: str, text: str) -> Array:
-        """A pose that a user gives as the controller shows it, shape (4, 4) [m]. Raises InputError."""
+        """A pose as the controller shows it, shape (4, 4) [m]. Raises InputError."""
         try:
             numbers = [float(part) for part in text.split(",")]
         except ValueError:
@@ -92,7 +91,7 @@ class ProgramLanguage(ABC):
 
 
 class AngleLanguage(ProgramLanguage):
-    """A language whose poses are x, y, z and three angles, of which `order` picks roll, pitch, yaw."""
+    """A language whose poses are x, y, z and angles; `order` picks roll, pitch, yaw."""
 
     order: ClassVar[tuple[int, int, int]]
 
@@ -103,7 +102,8 @@ class AngleLanguage(ProgramLanguage):
         roll, pitch, yaw = to_rpy(T[:3, :3])
         flipped = np.array([roll + np.pi, np.pi - pitch, yaw + np.pi])
         wanted = like[3:][list(self.order)]
-        near = [a - _TURN * np.round((a - wanted) / _TURN) for a in (np.array([roll, pitch, yaw]), flipped)]
+        turn = 2 * np.pi
+        near = [a - turn * np.round((a - wanted) / turn) for a in (np.array([roll, pitch, yaw]), flipped)]
         angles = np.empty(3)
         angles[list(self.order)] = min(near, key=lambda a: float(np.abs(a - wanted).max()))
         return np.concatenate([T[:3, 3], angles])

@@ -1,4 +1,4 @@
-"""A program, a CSV of joint targets or one in a controller's language: read, corrected, written with a report."""
+"""A program, a CSV or one in a controller's language: read, corrected, written."""
 
 import csv
 import io
@@ -15,31 +15,42 @@ from casadical.core.reading import missing, read_bytes
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.plain import Key, plain
 from casadical.core.telling.result import Result
-from casadical.export.c.manifest import read_manifest
-from casadical.export.controller.c_export import OfCommand, poses_of, unreached, wants_pose
-from casadical.export.controller.commands import Sources, followed, measured_range, robot_of
-from casadical.export.controller.correction import FINE, MEANINGS, SHOWN, kernel_corrector, position_only
+from casadical.export.c.kernel import Manifest
+from casadical.export.controller.commands import (
+    Sources,
+    followed,
+    measured_range,
+    poses_of,
+    robot_of,
+    unreached,
+    wants_pose,
+)
+from casadical.export.controller.correction import FINE, MEANINGS, kernel_corrector, position_only
 from casadical.export.controller.programs import correction as c
 from casadical.export.controller.programs.correction import Cell, refuse_accuracy
+from casadical.export.controller.programs.csv_table import CsvTable
+from casadical.export.controller.programs.fanuc import Fanuc
+from casadical.export.controller.programs.krl import Krl
 from casadical.export.controller.programs.language import ProgramLanguage, text_of
-from casadical.export.controller.programs.registry import language_of
+from casadical.export.controller.programs.rapid import Rapid
 from casadical.export.controller.programs.target import Given, Target
+from casadical.export.controller.programs.urscript import UrScript
 
-REPORT = ".correction.csv"  # after the name of a corrected program
+LANGUAGES: tuple[type[ProgramLanguage], ...] = (Krl, Rapid, UrScript, Fanuc, CsvTable)
 _HEADER = (
     "line", "target", "kind", "status", "why", "frames", "was", "is", "moved_mm", "off_mm_before", "off_mm_after",
     "off_deg_before", "off_deg_after",
 )  # fmt: skip
 _MEANINGS = MEANINGS | {
-    c.LEFT: "left as it is",
-    c.NO_TOOL: "its tool or base is not known: give --tcp or --base",
-    c.NO_CONFIGURATION: "the program does not say with which arm configuration; with --nearest it is the one "
+    "LEFT": "left as it is",
+    "NO_TOOL": "its tool or base is not known: give --tcp or --base",
+    "NO_CONFIGURATION": "the program does not say with which arm configuration; with --nearest it is the one "
     "nearest to the target before it",
-    c.UNREACHABLE: "the nominal robot does not reach it in the configuration that the program says",
-    c.AMBIGUOUS: "the nominal robot reaches it in several ways with the same configuration",
-    c.CONFIGURATION_CHANGES: "the corrected joints would have another arm configuration",
-    c.EXTERNAL_AXIS: "an external axis is off its zero; if none carries the robot or its base, give --external-still",
-    c.NEEDS_ROBOT_FILE: "a pose needs the nominal robot: give the robot file and --nominal in place of the folder",
+    "UNREACHABLE": "the nominal robot does not reach it in the configuration that the program says",
+    "AMBIGUOUS": "the nominal robot reaches it in several ways with the same configuration",
+    "CONFIGURATION_CHANGES": "the corrected joints would have another arm configuration",
+    "EXTERNAL_AXIS": "an external axis is off its zero; if none carries the robot or its base, give --external-still",
+    "NEEDS_ROBOT_FILE": "a pose needs the nominal robot: give the robot file and --nominal in place of the folder",
 }
 
 
@@ -106,22 +117,40 @@ class CorrectedProgram(Result):
         return {**plain(self), **self.changes}
 
     def blocks(self) -> list[Words | Table]:
-        """The number of corrected targets, the others with their reasons, and how far joints and tool move."""
+        """How many targets are corrected, why others are not, how far joints and tool move."""
         fine, refused, language = self.fine, self.refused, self.program.language
         head = f"{language.name}: {len(fine)} of {len(self.results)} targets corrected"
         head += position_only(tuple(r.status for r in fine))
         blocks = [Words(head + (f", {len(refused)} LEFT as they were:" if refused else ""), "verdict")]
-        for r in refused[:SHOWN]:
+        for r in refused[:20]:
             named = ", ".join(filter(None, (f"{language.place} {r.target.line}", r.target.name)))
             blocks.append(Words(f"  {named}: {r.status}, {r.why or _MEANINGS[r.status]}"))
-        if len(refused) > SHOWN:
+        if len(refused) > 20:
             where = "report" if language.report_beside else "status column"
-            blocks.append(Words(f"  and {len(refused) - SHOWN} more; see the {where}"))
+            blocks.append(Words(f"  and {len(refused) - 20} more; see the {where}"))
         return [*blocks, *(_moved(fine, self.units) if fine else [Words("nothing moved")])]
 
 
+def language_named(word: str) -> ProgramLanguage:
+    """Return the language of a word in its name, or of a suffix. Raises InputError."""
+    for kind in LANGUAGES:
+        if word.lower() in kind.__name__.lower() or f".{word.lower()}" in kind.suffixes:
+            return kind()
+    allowed = ", ".join(kind.name for kind in LANGUAGES)
+    raise InputError(f"{word!r}: no such language of programs; allowed: {allowed}")
+
+
+def language_of(path: Path) -> ProgramLanguage:
+    """Return the language of a file, by its suffix. Raises InputError that lists the suffixes."""
+    for kind in LANGUAGES:
+        if path.suffix.lower() in kind.suffixes:
+            return kind()
+    listed = ", ".join(f"{'/'.join(kind.suffixes)} ({kind.name})" for kind in LANGUAGES)
+    raise InputError(f"{path}: programs with the suffix {path.suffix!r} cannot be read; allowed: {listed}")
+
+
 def read_target_program(path: Path, given: Given, joints: int) -> TargetProgram:
-    """A program in the language of its suffix. Raises InputError, with the line: it cannot be corrected, or was."""
+    """A program by its suffix. Raises InputError, with the line, where it cannot be corrected."""
     language = language_of(path)
     text = language.decoded(str(path), read_bytes(path))
     try:
@@ -136,7 +165,7 @@ def read_target_program(path: Path, given: Given, joints: int) -> TargetProgram:
 
 
 def corrected_program(program: TargetProgram, cell: c.Cell) -> CorrectedProgram:
-    """Correct every target of a program on its own. Raises InputError where poses are not reached."""
+    """Correct every target on its own. Raises InputError where poses are not reached."""
     try:
         results = tuple(c.corrected_targets(program.language, program.targets, cell))
     except InputError as error:
@@ -145,11 +174,11 @@ def corrected_program(program: TargetProgram, cell: c.Cell) -> CorrectedProgram:
 
 
 def report_of(path: Path) -> Path:
-    return path.with_name(path.name + REPORT)
+    return path.with_name(f"{path.name}.correction.csv")
 
 
 def _refuse_corrected(path: Path, targets: list[Target]) -> None:
-    """Raises InputError for a program that has targets which the report beside it says were written by a correction."""
+    """Raises InputError for targets which the report beside the program says were corrected."""
     if not report_of(path).exists():
         return
     rows = csv.DictReader(io.StringIO(read_bytes(report_of(path)).decode("utf-8", "replace")))
@@ -218,30 +247,9 @@ def assumptions(corrected: CorrectedProgram, cell: c.Cell) -> list[str]:
     return lines
 
 
-@dataclass(frozen=True)
-class OfLanguage:
-    """What a program in a controller's language does not say of its frames.
-
-    tcp, base : numbers of tools and bases, NAME=NUMBERS, as the controller shows them; data : files that hold more
-    root, flange : the controller's frames in those of the robot file
-    nearest, external_still, leave_unreached : as of `Cell`
-    accuracy_off : whether the controller's own absolute accuracy is off
-    """
-
-    tcp: Sequence[str] | None = None
-    base: Sequence[str] | None = None
-    root: str | None = None
-    flange: str | None = None
-    data: Sequence[Path] | None = None
-    nearest: bool = False
-    external_still: bool = False
-    leave_unreached: bool = False
-    accuracy_off: bool = False
-
-
 @dataclass(frozen=True, eq=False)
 class CorrectedFile(Result):
-    """A corrected program as files. assumed, said : of how it was corrected, in words; texts : what is written"""
+    """A corrected program as files; assumed, said : in words; texts : what is written."""
 
     kept_as: ClassVar[str] = "correction"
 
@@ -260,52 +268,69 @@ class CorrectedFile(Result):
 
 
 def correct_file(
-    sources: Sources, program: Path, out: Path, asked: OfCommand, language: OfLanguage, *, trust: bool = False
+    sources: Sources,
+    program: Path,
+    out: Path,
+    *,
+    steps: int = 2,
+    correct: str = "position",
+    trust: bool = False,
+    tcp: Sequence[str] = (),
+    base: Sequence[str] = (),
+    root: str | None = None,
+    flange: str | None = None,
+    data: Sequence[Path] = (),
+    nearest: bool = False,
+    external_still: bool = False,
+    leave_unreached: bool = False,
+    accuracy_off: bool = False,
 ) -> CorrectedFile:
     """Correct the targets of a program so that the real tool reaches what the nominal one would.
 
-    sources : robot files, or in place of the robot a folder that `write_c` wrote, in which all else was decided
-    out : where the corrected program is to be
+    sources : robot files, or in place of the robot a folder that `write_c` wrote, in which all else
+        was decided
+    out : where the corrected program is to be; steps, correct : as of `export_c`
     trust : whether C of a folder that was exported elsewhere is compiled and run
+    tcp, base : numbers of tools and bases, NAME=NUMBERS, as the controller shows them; data : files
+        that hold more
+    root, flange : the controller's frames in those of the robot file
+    nearest, external_still, leave_unreached : as of `Cell`
+    accuracy_off : whether the controller's own absolute accuracy is off
     Raises InputError.
     """
-    model, oriented = Path(cast(Path, sources.robot)), wants_pose(asked.correct)
+    model, oriented = Path(cast(Path, sources.robot)), wants_pose(correct)
     if not model.exists():
         raise missing(model, "folder or robot file")
     folder = kernel_corrector(model, trust=trust) if model.is_dir() else None
     spoken = language_of(program)
     cell = Cell(
         None if folder else sources,
-        asked.steps,
+        steps,
         oriented,
-        root=np.eye(4) if language.root is None else spoken.transform("--root", language.root),
-        flange=np.eye(4) if language.flange is None else spoken.transform("--flange", language.flange),
-        nearest=language.nearest,
-        external_still=language.external_still,
-        leave_unreached=language.leave_unreached,
+        root=np.eye(4) if root is None else spoken.transform("--root", root),
+        flange=np.eye(4) if flange is None else spoken.transform("--flange", flange),
+        nearest=nearest,
+        external_still=external_still,
+        leave_unreached=leave_unreached,
         folder=folder,
     )
-    texts = {str(path): text_of(str(path), read_bytes(path)) for path in language.data or []}
-    tools, bases = (_transforms(spoken, f"--{k}", v) for k, v in (("tcp", language.tcp), ("base", language.base)))
+    texts = {str(path): text_of(str(path), read_bytes(path)) for path in data}
+    tools, bases = _transforms(spoken, "--tcp", tcp), _transforms(spoken, "--base", base)
     read = read_target_program(program, Given(tools, bases, texts, cell.units), len(cell.units))
-    if not language.accuracy_off:
+    if not accuracy_off:
         refuse_accuracy(read.source, read.targets)
     result = corrected_program(read, cell)
-    said = [_stated(model)] if folder else _of_sources(sources, oriented)
+    said = [_stated(model)] if folder else [f"LEFT OUT {line}" for line in followed(sources)[1]]
+    if not folder:
+        robot = robot_of(sources.robot)
+        said += filter(None, [poses_of(robot) if oriented else "", unreached(robot)])
+        said += measured_range(robot)
     beside: dict[Path, str | bytes] = {report_of(out): result.to_csv()} if spoken.report_beside else {}
     return CorrectedFile(result, tuple(assumptions(result, cell)), tuple(said), {**beside, out: result.content()})
 
 
-def _of_sources(sources: Sources, oriented: bool) -> list[str]:
-    """What is said of the robot files that a correction is made from."""
-    robot = robot_of(sources.robot)
-    lines = [f"LEFT OUT {line}" for line in followed(sources)[1]]
-    lines += filter(None, [poses_of(robot) if oriented else "", unreached(robot)])
-    return [*lines, *measured_range(robot)]
-
-
-def _transforms(language: ProgramLanguage, option: str, entries: Sequence[str] | None) -> dict[str, Array]:
-    pairs = [entry.rpartition("=")[::2] for entry in entries or []]
+def _transforms(language: ProgramLanguage, option: str, entries: Sequence[str]) -> dict[str, Array]:
+    pairs = [entry.rpartition("=")[::2] for entry in entries]
     names = [name.strip() for name, _ in pairs]
     if twice := next((text for name, (_, text) in zip(names, pairs, strict=True) if names.count(name) > 1), ""):
         raise InputError(f"{option} {twice}: one of this name is given twice; keep one")
@@ -314,7 +339,7 @@ def _transforms(language: ProgramLanguage, option: str, entries: Sequence[str] |
 
 def _stated(folder: Path) -> str:
     """The remaining error that was measured when a folder was exported."""
-    figures = read_manifest(folder).figures
+    figures = Manifest.read(folder).figures
     median, worst = figures.get("rest_um_median"), figures.get("rest_um_worst")
     if median is None or worst is None:
         return "remaining error: not measured"

@@ -1,7 +1,7 @@
-"""ABB RAPID (.mod): robtarget and jointtarget, declared or inside of a motion (manual of RAPID data types).
+"""ABB RAPID (.mod): robtarget and jointtarget, declared or inside of a motion.
 
-confdata: the quarter turns of axes 1, 4 and 6, and cfx = 4 (wrist behind axis 1) + 2 (behind the lower arm) + 1 (joint
-5 negative). Tool and work object are those of the motions that use a target.
+confdata: the quarter turns of axes 1, 4 and 6, and cfx = 4 (wrist behind axis 1) + 2 (behind the
+lower arm) + 1 (joint 5 negative). Tool and work object are those of the motions that use a target.
 """
 
 from collections.abc import Sequence
@@ -35,9 +35,6 @@ COMMENT.4: /![^\n]*/
 %ignore COMMENT
 """
 _TARGETS = ("robtarget", "jointtarget")
-_NO_AXIS = 9e9
-_DISPLACING = ("pdispon", "pdispset", "eoffson", "eoffsset")
-_UNIT_MISFIT = 1e-2  # of a quaternion's length: more is no rounding
 
 
 class Rapid(ProgramLanguage):
@@ -53,7 +50,7 @@ class Rapid(ProgramLanguage):
             raise InputError(f"{source}: a RAPID target has six axes; this robot has {joints}")
         parsed = ParsedText(GRAMMAR, text)
         for token in parsed.tokens:
-            if token.type == "NAME" and str(token).lower() in _DISPLACING:
+            if token.type == "NAME" and str(token).lower() in ("pdispon", "pdispset", "eoffson", "eoffsset"):
                 raise InputError(
                     f"{source}: line {token.line}: {token} displaces the targets that follow, by an amount that is "
                     "not in the program; give the displacement to the work object"
@@ -68,7 +65,7 @@ class Rapid(ProgramLanguage):
     def matrix(self, values: Array) -> Array:
         q = values[3:]
         length = float(np.linalg.norm(q))
-        if abs(length - 1) > _UNIT_MISFIT:
+        if abs(length - 1) > 1e-2:  # more is no rounding
             raise InputError(f"quaternion {q.tolist()}: its length is {length:.4g}; it must be 1")
         return frame(from_quaternion(q), values[:3])
 
@@ -81,7 +78,7 @@ class Rapid(ProgramLanguage):
 
 
 class _Module:
-    """Declarations and motions of a program, and what tool and work object each target is used with.
+    """Declarations and motions, and with what tool and work object a target is used.
 
     changed : variables that get a value after their declaration, whole or in part, and the line
     uses : of each target's name the line of its first motion, tool and work object there
@@ -101,21 +98,18 @@ class _Module:
                     self.frames[kind, name] = self._frame(kind, value)
         self.uses: dict[str, tuple[int, str, str]] = {}
         for motion in self.motions:
-            self._use(motion)
-
-    def _use(self, motion: Tree[Token]) -> None:
-        *arguments, last = parts(motion, "argument")
-        tool, work = _tool_of(last)
-        for name in (name for argument in arguments for name in _names(argument)):
-            line, *before = self.uses.setdefault(name, (motion.meta.line, tool, work))
-            if before != [tool, work] and name in self.known_targets:
-                raise InputError(
-                    f"{self.source}: line {motion.meta.line}: {name} is used with tool {tool} and work object "
-                    f"{work}, in line {line} with {before[0]} and {before[1]}; give it a target of its own"
-                )
+            *arguments, last = parts(motion, "argument")
+            tool, work = _tool_of(last)
+            for name in (name for argument in arguments for name in _names(argument)):
+                line, *before = self.uses.setdefault(name, (motion.meta.line, tool, work))
+                if before != [tool, work] and name in self.known_targets:
+                    raise InputError(
+                        f"{self.source}: line {motion.meta.line}: {name} is used with tool {tool} and work object "
+                        f"{work}, in line {line} with {before[0]} and {before[1]}; give it a target of its own"
+                    )
 
     def targets(self) -> list[tuple[Target, str]]:
-        """Each target in its order, and the name by which motions use it, empty for one inside of a motion."""
+        """Each target, and the name by which motions use it, empty for one in a motion."""
         made: list[tuple[int, Target, str]] = []
         for kind, name, value in self.declared:
             if kind in _TARGETS:
@@ -141,7 +135,7 @@ class _Module:
         sizes = [6, 6] if joints else [3, 4, 4, 6]
         if [len(part) for part in flat] != sizes or not all(is_number(token) for part in flat for token in part):
             return Target(line, name, joints, (), left="is not made of numbers alone")
-        external = any(float(str(t)) not in (0.0, _NO_AXIS) for t in flat[-1])
+        external = any(float(str(t)) not in (0.0, 9e9) for t in flat[-1])
         if joints:
             return Target(line, name, True, numbers(flat[0], self.given.joint_units(6)), external=external)
         pose = numbers([*flat[0], *flat[1]], self.language.units)
@@ -152,7 +146,7 @@ class _Module:
         posture, turn_text = Posture(bool(cfx & 4), bool(cfx & 2), bool(cfx & 1)), numbers(flat[2][:3], [1.0] * 3)
         made = Target(line, name, False, pose, posture, tuple(turns), turn_text, external=external)
         length = float(np.linalg.norm(made.si[3:]))
-        if not abs(length - 1) <= _UNIT_MISFIT:
+        if not abs(length - 1) <= 1e-2:
             made = made.leave(f"its quaternion has the length {length:.4g}; it must be 1")
         return made if cfx in range(8) else made.leave(f"its cfx is {cfx:g}; 0 to 7 are known")
 
@@ -225,7 +219,7 @@ def _elements(name: str, value: Tree[Token]) -> list[tuple[str, Tree[Token]]]:
 
 
 def _tool_of(last: Tree[Token]) -> tuple[str, str]:
-    """Names of tool and work object of a motion: its last argument, and that argument's option WObj."""
+    """Names of tool and work object of a motion: its last argument, and its option WObj."""
     tool = next((str(ref.children[0]).lower() for ref in parts(last, "ref")), "")
     options = (option for option in parts(last, "option") if str(option.children[0]).lower() == "wobj")
     works = [_variable(option) for option in options if parts(option, "ref")]

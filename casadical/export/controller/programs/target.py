@@ -1,4 +1,4 @@
-"""Targets of a controller program: where their numbers stand, what they mean, and what is known of tool and base."""
+"""Targets of a program: where their numbers stand, what they mean, their tool and base."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 from casadical.core.basics import Array
 
 DEG, MM = np.pi / 180, 1e-3
-_FINEST = {DEG: 6, MM: 4, 1.0: 9}  # decimals: below a tenth of a micrometre at the tool
 
 
 @dataclass(frozen=True)
@@ -34,7 +33,8 @@ class Number:
     def written(self, value: float) -> str:
         """Another value [SI] as text."""
         _, _, fraction = self.text.lower().partition("e")[0].partition(".")
-        decimals = max(len(fraction), _FINEST[self.unit]) if self.decimals is None else self.decimals
+        finest = {DEG: 6, MM: 4, 1.0: 9}[self.unit]  # below a tenth of a micrometre at the tool
+        decimals = max(len(fraction), finest) if self.decimals is None else self.decimals
         text = f"{value / self.unit:.{decimals}f}"
         return text[1:] if float(text) == 0 and text.startswith("-") else text
 
@@ -46,7 +46,8 @@ class Number:
 class Posture(NamedTuple):
     """Which of the eight arms of a six-axis robot reaches a pose.
 
-    behind : the wrist is behind axis 1; bent_back : it is behind the line from axis 2 through axis 3
+    behind : the wrist is behind axis 1; bent_back : it is behind the line from axis 2 through axis
+        3
     wrist_negative : the reading of joint 5 is negative
     """
 
@@ -60,12 +61,16 @@ class Target:
     """One target.
 
     joints : whether its numbers are joint readings, else a pose in the language's own form
-    posture, turns, turn_text : the arm's configuration and the joints' turns where the program says them, and the
-        number or word that says the turns
-    near : joints [rad] that the pose's solution is to be near to, shape (n,), where the program says them
-    tool, base : tool in the flange's frame and base in the controller's root frame, each (4, 4) [m]; None: not known
-    about : names of tool and base; left : why the target stays as it is, empty if it is to be corrected
-    external : whether an external axis is off its zero; accurate : whether it was taught with absolute accuracy on
+    posture, turns, turn_text : the arm's configuration and the joints' turns where the program says
+        them, and the number or word that says the turns
+    near : joints [rad] that the pose's solution is to be near to, shape (n,), where the program
+        says them
+    tool, base : tool in the flange's frame and base in the controller's root frame, each (4, 4)
+        [m]; None: not known
+    about : names of tool and base; left : why the target stays as it is, empty if it is to be
+        corrected
+    external : whether an external axis is off its zero; accurate : whether it was taught with
+        absolute accuracy on
     """
 
     line: int
@@ -96,7 +101,8 @@ class Target:
 class Given:
     """What a program does not say itself.
 
-    tools, bases : transforms (4, 4) [m] by the name or number that the program uses; "" for the only one
+    tools, bases : transforms (4, 4) [m] by the name or number that the program uses; "" for the
+        only one
     texts : other files of the program in which tools and bases are looked up, by file name
     units : rad or m of each joint's reading in the robot file; none: all rad
     """

@@ -1,7 +1,8 @@
-"""Universal Robots URScript (.script): joint lists and poses p[...] of motions, with `qnear` of get_inverse_kin.
+"""URScript (.script): joint lists and poses p[...] of motions, `qnear` of get_inverse_kin.
 
-A pose is a target where a motion or get_inverse_kin takes it as it is; one that is part of an expression (pose_trans,
-pose_add) is relative to something that only the controller knows, and stays.
+A pose is a target where a motion or get_inverse_kin takes it as it is; one that is part of an
+expression (pose_trans, pose_add) is relative to something that only the controller knows, and
+stays.
 """
 
 from collections import Counter
@@ -35,9 +36,6 @@ COMMENT.4: /#[^\n]*/
 %ignore COMMENT
 """
 _MOTIONS = {"movej": 1, "movel": 1, "movep": 1, "movec": 2, "servoj": 1, "servoc": 1}
-_LONGEST = 3.0  # m: no tool of a UR is longer
-_FARTHEST = 20.0  # m: no pose of a UR is farther; more is in millimetres
-_MOST_TURNS = 4 * np.pi  # rad: more is in degrees
 
 
 class UrScript(ProgramLanguage):
@@ -80,7 +78,7 @@ class UrScript(ProgramLanguage):
 
 @dataclass
 class _Variable:
-    """A variable that is a pose or a list of joints: its value, how often it is set, how it is used."""
+    """A variable that is a pose or list of joints: its value, where it is set and used."""
 
     line: int
     value: Tree[Token]
@@ -116,7 +114,7 @@ class _Program:
         name, arguments = str(call.children[0]), parts(call, "argument")
         if name == "set_tcp" and arguments:
             tool = self.tools[call.meta.line] = _si(self._resolved(arguments[0]))
-            if tool is not None and (away := np.abs(tool[:3]).max()) > _LONGEST:
+            if tool is not None and (away := np.abs(tool[:3]).max()) > 3.0:
                 raise InputError(
                     f"{self.source}: line {call.meta.line}: the tool is {away:g} m long; URScript has metres, and this "
                     "looks like millimetres"
@@ -178,12 +176,12 @@ class _Program:
 
     def _refuse_units(self, target: Target) -> None:
         size = np.abs(target.si)
-        if not target.joints and size[:3].max() > _FARTHEST:
+        if not target.joints and size[:3].max() > 20.0:
             raise InputError(
                 f"{self.source}: line {target.line}: {target.name} is {size[:3].max():g} m away; URScript has metres, "
                 "and this looks like millimetres"
             )
-        if (size if target.joints else size[3:]).max() > _MOST_TURNS:
+        if (size if target.joints else size[3:]).max() > 4 * np.pi:
             raise InputError(
                 f"{self.source}: line {target.line}: {target.name} has an angle of {size.max():g} rad; URScript has "
                 "radians, and this looks like degrees: write d2r(..)"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from casadical.core.basics import InputError
-from casadical.export.controller.programs.registry import language_named
+from casadical.export.controller.programs.program import language_named
 from casadical.export.controller.programs.target import Given
 
 JOINTS = [-12.3456, 90.0, -0.0004, 170.25, -33.3333, 5.0]

@@ -57,7 +57,7 @@ def drawn(language, robot, count, seed):
     return points, poses_in_base
 
 
-@pytest.mark.parametrize(("end", "pose"), [("\n", False), ("\r\n", True)])
+@pytest.mark.parametrize(("end", "pose"), [("\n", False), pytest.param("\r\n", True, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("language", list(SUFFIX))
 def test_the_real_tool_ends_where_the_nominal_one_would(language, end, pose, cells, tmp_path):
     real, nominal, cell = cells[language, pose]

@@ -13,9 +13,15 @@ from program_texts import OTHER_UNITS, REDEFINED, TOOLS, Point, held, loosened, 
 from casadical.core.basics import InputError
 from casadical.export.controller.commands import Sources
 from casadical.export.controller.programs.correction import Cell
-from casadical.export.controller.programs.language import ProgramLanguage, text_of
-from casadical.export.controller.programs.program import assumptions, corrected_program, read_target_program, report_of
-from casadical.export.controller.programs.registry import known_program_languages, language_of
+from casadical.export.controller.programs.language import text_of
+from casadical.export.controller.programs.program import (
+    assumptions,
+    corrected_program,
+    language_named,
+    language_of,
+    read_target_program,
+    report_of,
+)
 from casadical.export.controller.programs.target import Given
 from casadical.robot.robot_file import read_robot, write_robot
 
@@ -112,7 +118,7 @@ def test_a_random_program_with_one_bad_line_is_refused_by_that_line(language, ex
     """A tool or base that is changed on the way, other units, bytes of an encrypted or compiled program."""
     given = Given({str(k): np.eye(4) for k in (1, 2)}, {str(k): np.eye(4) for k in (1, 2)})
     given = given if language == "fanuc" else Given()
-    for seed in range(5):
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         whole = random_program(language, rng)
         assert len(program(tmp_path, SUFFIXES[language], whole, given).targets) == 6
@@ -208,7 +214,6 @@ def test_what_the_others_do_not_say_is_left(tmp_path, cell):
 @pytest.mark.parametrize("name", ["krl", "rapid", "urscript", "fanuc"])
 def test_a_damaged_program_is_read_or_refused(name):
     """Whatever is deleted, replaced or repeated: targets whose numbers stand where they say, or a refusal."""
-    kind = dict(zip(("krl", "rapid", "urscript", "fanuc"), known_program_languages().values(), strict=False))[name]
     points = [Point(np.array([0.1, -1.2, 1.3, 0.2, 0.5, 0.1]), k == 0, 0, 1) for k in range(2)]
     whole = write(name, points, [np.eye(4)] * 2, np.random.default_rng(0), "\n").decode("latin-1")
     rng, read = np.random.default_rng(1), 0
@@ -218,7 +223,7 @@ def test_a_damaged_program_is_read_or_refused(name):
             middle = ("", rng.choice(list("{}[](),;:=\"'-.09eA \n")), 2 * text[at : at + 20])[rng.integers(3)]
             text = text[:at] + middle + text[at + rng.integers(1, 12) :]
         try:
-            targets = kind().targets("p", text, Given(), 6)
+            targets = language_named(name).targets("p", text, Given(), 6)
         except InputError:
             continue
         read += len(targets)
@@ -234,9 +239,6 @@ def test_a_target_that_another_file_changes_is_left(tmp_path, cell):
 
 
 def test_a_language_is_found_by_the_suffix_of_the_file(tmp_path):
-    kinds = known_program_languages()
-    assert [k.name for k in kinds.values()] == ["KUKA KRL", "ABB RAPID", "URScript", "FANUC listing", "CSV"]
-    assert all(issubclass(kind, ProgramLanguage) for kind in kinds.values())
     assert language_of(tmp_path / "X.SRC").name == "KUKA KRL"
 
 
@@ -334,7 +336,7 @@ def test_numbers_without_a_value_and_deep_brackets_are_refused_or_left(case, tmp
 def test_a_long_program_is_read_in_linear_time(tmp_path):
     """URScript as a CAM system writes it; calls are counted, for seconds depend on what else runs."""
     calls = []
-    for count in (400, 1600):
+    for count in (100, 400):
         text = "".join(
             f"  global W{k}=p[0.{k:05d}, 0.2, 0.3, 0, 3.14, 0]\n  movel(W{k}, a=1.2, v=0.25)\n" for k in range(count)
         )
