@@ -1,4 +1,4 @@
-"""The command line as `python -m casadical`."""
+"""The command line by `python -m casadical`."""
 
 from casadical.cli import main
 

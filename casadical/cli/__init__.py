@@ -1,7 +1,6 @@
 """The command line: casadical COMMAND PROBLEM_DIR.
-
-Exit codes: 0 done; 2 bad input; 3 the solver found no optimum; 4 worse than before; 5 no longer valid;
-70 a bug in casadical.
+ Exit codes: 0 done; 2 bad input; 3 the solver found no optimum; 4 worse than before; 5 no longer
+valid; 70 a bug in casadical.
 """
 
 import sys
@@ -18,7 +17,9 @@ def main() -> None:
     """Run the command line; a user's mistake ends in a message and an exit code, never in a traceback."""
     one_thread()
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):  # letters that the terminal's encoding has not are shown by their codes
+        if isinstance(
+            stream, TextIOWrapper
+        ):  # letters that the terminal's encoding has not are shown by their codes
             stream.reconfigure(errors="backslashreplace")
     why: object
     try:
@@ -34,7 +35,10 @@ def main() -> None:
         place = "" if error.filename is None else f"{shown(error.filename)}: "
         code, why = BAD_INPUT, f"{place}{error.strerror or error}"
     except MemoryError:
-        code, why = BAD_INPUT, "there is not enough memory for this; give fewer poses or a smaller number"
+        code, why = (
+            BAD_INPUT,
+            "there is not enough memory for this; give fewer poses or a smaller number",
+        )
     except Exception:
         traceback.print_exc()
         code, why = OUR_BUG, "this is a bug in casadical; please report it with the lines above"

@@ -1,12 +1,23 @@
 """The commands `casadical check` and `casadical calibrate`."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 from typer import Exit, Option, echo
 
 from casadical.cli import options as o
-from casadical.cli.terminal import BAD_INPUT, CHECK, WORSE, html, keep, suggest, tell, with_json, working, wrapped
+from casadical.cli.terminal import (
+    BAD_INPUT,
+    CHECK,
+    WORSE,
+    html,
+    keep,
+    suggest,
+    tell,
+    with_json,
+    working,
+    wrapped,
+)
 from casadical.core.basics import InputError, shown
 
 # Slips hide targets, and targets slips: one is repaired after the other.
@@ -15,27 +26,33 @@ REPAIRS = 3
 
 def check(
     problems: o.Problems,
-    noise_mm: Annotated[float | None, Option(min=0, metavar="MM")] = None,
-    strict: Annotated[bool, Option("--strict")] = False,
-    repair: Annotated[bool, Option("--repair")] = False,
+    noise_mm: float | None = Option(
+        None,
+        min=0,
+        metavar="MM",
+        help="Noise of a measured coordinate, one sigma, for the forecast; default: estimated "
+        "from the data.",
+    ),
+    strict: bool = Option(False, "--strict", help="Exit with code 2 on warnings too."),
+    repair: bool = Option(
+        False,
+        "--repair",
+        help="Write the best repair of slips into problem.toml (columns) and the robot file.",
+    ),
     details: o.Details = False,
     json_file: o.Json = None,
     quiet: o.Quiet = False,
 ) -> None:
     """Check a problem and its data before a solve, and predict the accuracy.
 
-    Looks for faults of the files; slips that the nominal model contradicts, several at once (signs, zeros, units,
-    swapped columns, shifted rows, a left-handed frame, coupled readings, a wrong length, the other convention);
-    joints that hardly move, too few poses, a four-bar near its end; shows which parameters the poses determine and how
-    well.
+    Looks for faults of the files; slips that the nominal model contradicts, several at once (signs,
+    zeros, units, swapped columns, shifted rows, a left-handed frame, coupled readings, a wrong
+    length, the other convention); joints that hardly move, too few poses, a four-bar near its end;
+    shows which parameters the poses determine and how well.
 
     Example: casadical check arm
 
     Exit codes: 0 ready, 2 something is wrong, 70 a bug in casadical.
-
-    noise_mm : Noise of a measured coordinate, one sigma, for the forecast; default: estimated from the data.
-    strict : Exit with code 2 on warnings too.
-    repair : Write the best repair of slips into problem.toml (columns) and the robot file.
     """
     from casadical.project.check import precheck
     from casadical.project.check.repair import not_repaired, repaired
@@ -45,13 +62,17 @@ def check(
     for name, (folder, tables) in o.problems_of(problems).items():
         noise = None if noise_mm is None else 1e-3 * noise_mm
         if repair and tables:
-            raise InputError(f"{name}: --repair writes problem.toml; make a folder of it first: casadical new --data")
+            raise InputError(
+                f"{name}: --repair writes problem.toml; make a folder of it first: casadical new --data"
+            )
         with working(quiet, "reading", name, CHECK) as show:
             checks.append(precheck(folder, noise, show=show, tables=tables))
         for _ in range(REPAIRS if repair else 0):
             text = repaired(checks[-1])
             if not text:
-                console.print(not_repaired(checks[-1]), end="\n" * (not checks[-1].ok), style="yellow")
+                console.print(
+                    not_repaired(checks[-1]), end="\n" * (not checks[-1].ok), style="yellow"
+                )
                 break
             console.print(text, markup=False, highlight=False, soft_wrap=True)
             with working(quiet, "reading again", name, CHECK) as show:
@@ -69,12 +90,37 @@ def check(
 
 def calibrate(
     problems: o.Problems,
-    out: Annotated[Path | None, Option(metavar="DIR")] = None,
+    out: Path | None = Option(
+        None,
+        metavar="DIR",
+        help="Write the calibrated robots (METHOD.robot.toml), parameters "
+        "(METHOD.parameters.csv), networks (METHOD.compensator.json) and result.json here; "
+        "with several problems, into one folder for each.",
+    ),
     json_file: o.Json = None,
     report_file: o.Report = None,
-    method: Annotated[str | None, Option(metavar="METHOD", autocompletion=o.methods)] = None,
-    loss: Annotated[str | None, Option(metavar="LOSS", autocompletion=o.losses)] = None,
-    seed: Annotated[int | None, Option(min=0)] = None,
+    method: str | None = Option(
+        None,
+        metavar="METHOD",
+        autocompletion=o.methods,
+        help="KM (kinematics only), SKCM (with joint compliance), or a network on what SKCM "
+        "leaves, such as IWO-NN-SKCM (the paper's) or GP-NN-SKCM; docs/compensator.md has "
+        "them all. Default: the problem's.",
+    ),
+    loss: str | None = Option(
+        None,
+        metavar="LOSS",
+        autocompletion=o.losses,
+        help="linear; huber or soft_l1, which leave outliers out and name them; auto: huber "
+        "where it finds any. Default: the problem's, which is auto unless it says "
+        "otherwise.",
+    ),
+    seed: int | None = Option(
+        None,
+        min=0,
+        help="Seed of the random split into sets; default: the problem's. No effect where a "
+        "column names the sets.",
+    ),
     prior: o.Prior = None,
     prior_effects: o.PriorEffects = None,
     frozen: o.Frozen = False,
@@ -83,22 +129,14 @@ def calibrate(
 ) -> None:
     """Identify a robot's parameters and report the accuracy on poses that were held out.
 
-    Prints, for each problem, the position errors before and after and what must be known of them; with --details also
-    every parameter with its standard error, and what could not be identified and why. Results are written when all
-    problems are done: all of them or none.
+    Prints, for each problem, the position errors before and after and what must be known of them;
+    with --details also every parameter with its standard error, and what could not be identified
+    and why. Results are written when all problems are done: all of them or none.
 
     Example: casadical calibrate arm --out results
 
-    Exit codes: 0 done, 2 bad input, 3 no optimum found, 4 held-out poses are worse than before (nothing is written
-    then), 70 a bug in casadical.
-
-    out : Write the calibrated robots (METHOD.robot.toml), parameters (METHOD.parameters.csv), networks
-        (METHOD.compensator.json) and result.json here; with several problems, into one folder for each.
-    method : KM (kinematics only), SKCM (with joint compliance), or a network on what SKCM leaves, such as IWO-NN-SKCM
-        (the paper's) or GP-NN-SKCM; docs/compensator.md has them all. Default: the problem's.
-    loss : linear; huber or soft_l1, which leave outliers out and name them; auto: huber where it finds any. Default:
-        the problem's, which is auto unless it says otherwise.
-    seed : Seed of the random split into sets; default: the problem's. No effect where a column names the sets.
+    Exit codes: 0 done, 2 bad input, 3 no optimum found, 4 held-out poses are worse than before
+    (nothing is written then), 70 a bug in casadical.
     """
     from casadical.project import calibration as work
 
@@ -110,7 +148,15 @@ def calibrate(
     for name, (source, tables) in given.items():
         with working(quiet, "reading", name) as show:
             done.append(
-                work.calibrate(source, method=method, loss=loss, seed=seed, carried=known, tables=tables, show=show)
+                work.calibrate(
+                    source,
+                    method=method,
+                    loss=loss,
+                    seed=seed,
+                    carried=known,
+                    tables=tables,
+                    show=show,
+                )
             )
         tell(console, *done[-1].blocks() if details else done[-1].brief())
         if len(given) == 1 or len(done) < len(given) or out:
@@ -131,6 +177,15 @@ def calibrate(
     for source, tables in given.values() if len(given) == 1 else ():
         tell(console, done[0].next_command(source, tables, kept=bool(out)))
     if len(given) > 1:
-        suggest(console, "to diagnose and compare them all", "fleet", *problems, "--store", "fleet.parquet")
+        suggest(
+            console,
+            "to diagnose and compare them all",
+            "fleet",
+            *problems,
+            "--store",
+            "fleet.parquet",
+        )
     if not details and len(given) == 1:
-        console.print("all parameters and figures: --details, --out DIR or --report FILE.html", style="dim")
+        console.print(
+            "all parameters and figures: --details, --out DIR or --report FILE.html", style="dim"
+        )

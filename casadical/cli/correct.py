@@ -42,26 +42,63 @@ PROGRAMS = {
 
 def correct(
     context: Context,
-    model: Annotated[Path, Argument(metavar="DIR_OR_MODEL", callback=o.robot_of)],
-    program: Annotated[Path, Argument(metavar="PROGRAM")],
-    out: Annotated[Path, Option(metavar="FILE")],
+    model: Path = Argument(
+        ...,
+        metavar="DIR_OR_MODEL",
+        callback=o.robot_of,
+        help="A folder that `casadical export c` wrote, a robot file, or a folder of results.",
+    ),
+    program: Path = Argument(
+        ...,
+        metavar="PROGRAM",
+        help="A CSV with joint targets q1_deg .. (or q1_rad ..; q1_mm or q1_m of a linear "
+        "joint), or a program of KUKA (.src, .dat), ABB (.mod), Universal Robots (.script) "
+        "or FANUC (.ls).",
+    ),
+    out: Path = Option(..., metavar="FILE", help="Where the corrected program goes."),
     nominal: o.Nominal = None,
     compensator: o.Compensator = None,
     steps: o.Steps = None,
     what: o.What = "position",
     payload: o.Payload = None,
-    tool: Annotated[str | None, Option(metavar="shared|own")] = None,
+    tool: str | None = Option(
+        None, metavar="shared|own", help="As in `casadical export c`; default: shared."
+    ),
     leave_out: o.LeaveOut = False,
-    trust: Annotated[bool, Option("--trust")] = False,
+    trust: bool = Option(
+        False,
+        "--trust",
+        help="Compile and run the C of a folder that you did not export on this machine.",
+    ),
     tcp: Frames = None,
     base: Frames = None,
     root: Pose = None,
     flange: Pose = None,
-    data: Annotated[list[Path] | None, Option(metavar="FILE")] = None,
-    nearest: Annotated[bool, Option("--nearest")] = False,
-    external_still: Annotated[bool, Option("--external-still")] = False,
-    leave_unreached: Annotated[bool, Option("--leave-unreached")] = False,
-    accuracy_off: Annotated[bool, Option("--accuracy-off")] = False,
+    data: list[Path] | None = Option(
+        None,
+        metavar="FILE",
+        help="Another file of the program, with tools and bases. Repeat it for others.",
+    ),
+    nearest: bool = Option(
+        False,
+        "--nearest",
+        help="A pose without a configuration is reached as near as possible to the target "
+        "before it in the file.",
+    ),
+    external_still: bool = Option(
+        False, "--external-still", help="External axes carry neither the robot nor its bases."
+    ),
+    leave_unreached: bool = Option(
+        False,
+        "--leave-unreached",
+        help="Leave poses that the nominal robot does not reach, and correct the others; for "
+        "right frames only.",
+    ),
+    accuracy_off: bool = Option(
+        False,
+        "--accuracy-off",
+        help="The controller's own absolute accuracy has been switched off.",
+    ),
     overwrite: o.Overwrite = False,
     json_file: o.Json = None,
     quiet: o.Quiet = False,
@@ -77,18 +114,6 @@ def correct(
 
     Exit codes: 0 written, with or without refused targets; 2 bad input, or poses that are not reached; 70 a bug in
     casadical.
-
-    model : A folder that `casadical export c` wrote, a robot file, or a folder of results.
-    program : A CSV with joint targets q1_deg .. (or q1_rad ..; q1_mm or q1_m of a linear joint), or a program of KUKA
-        (.src, .dat), ABB (.mod), Universal Robots (.script) or FANUC (.ls).
-    out : Where the corrected program goes.
-    tool : As in `casadical export c`; default: shared.
-    trust : Compile and run the C of a folder that you did not export on this machine.
-    data : Another file of the program, with tools and bases. Repeat it for others.
-    nearest : A pose without a configuration is reached as near as possible to the target before it in the file.
-    external_still : External axes carry neither the robot nor its bases.
-    leave_unreached : Leave poses that the nominal robot does not reach, and correct the others; for right frames only.
-    accuracy_off : The controller's own absolute accuracy has been switched off.
     """
     from casadical.export.controller.commands import Sources
     from casadical.export.controller.programs.csv_table import CsvTable
@@ -121,4 +146,12 @@ def correct(
     if model.is_file():
         suggest_later(console, model)
     else:
-        suggest(console, "for the next program", "correct", model, "next.csv", "--out", "next-corrected.csv")
+        suggest(
+            console,
+            "for the next program",
+            "correct",
+            model,
+            "next.csv",
+            "--out",
+            "next-corrected.csv",
+        )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from typer import Context, Option
 
@@ -37,21 +37,63 @@ def diagnose(
     campaigns: o.Campaigns = None,
     reference: o.Reference = None,
     drive: o.DriveFile = None,
-    together: Annotated[bool, Option("--together")] = False,
+    together: bool = Option(
+        False,
+        "--together",
+        help="The tables are of one robot as it stood, by one or several instruments, and are "
+        "diagnosed as one; each has noise of its own.",
+    ),
     effects: o.Effects = None,
-    laws: Annotated[bool | None, Option("--laws/--no-laws")] = None,
-    nuisance_masses: Annotated[bool, Option("--nuisance-masses")] = False,
+    laws: bool | None = Option(
+        None,
+        "--laws/--no-laws",
+        help="Search for the law of what no listed effect explains: where it acts, what it "
+        "follows, in which form; with --out also discovered.robot.toml, law.effect.toml "
+        "(for --effects), discovery.json, discovery.txt. Default: where the verdict is "
+        "unknown, and as a rival of all causes that were found; --no-laws: never.",
+    ),
+    nuisance_masses: bool = Option(
+        False,
+        "--nuisance-masses",
+        help="Wrong declared masses of links are part of the base model, not a cause that may "
+        "be named.",
+    ),
     prior: o.Prior = None,
     prior_effects: o.PriorEffects = None,
     frozen: o.Frozen = False,
-    measure_next: Annotated[Path | None, Option("--next", metavar="FILE")] = None,
-    next_n: Annotated[int, Option(min=1, max=1000)] = 15,
+    measure_next: Path | None = Option(
+        None,
+        "--next",
+        metavar="FILE",
+        help="Write poses that distinguish the leading causes, as CSV.",
+    ),
+    next_n: int = Option(15, min=1, max=1000, help="How many of these poses."),
     room: o.Room = None,
-    network: Annotated[bool, Option("--network")] = False,
-    bootstrap: Annotated[int, Option(min=0, max=1_000_000, metavar="N")] = 0,
+    network: bool = Option(
+        False,
+        "--network",
+        help="Also train a 6-5-3 network, instead of the causes and after them (slow).",
+    ),
+    bootstrap: int = Option(
+        0,
+        min=0,
+        max=1_000_000,
+        metavar="N",
+        help="Draws of noise alone that calibrate whether something is there: 2000.",
+    ),
     seed: o.Seed = 0,
-    out: Annotated[Path | None, Option(metavar="DIR")] = None,
-    unlisted: Annotated[bool, Option("--unlisted")] = False,
+    out: Path | None = Option(
+        None,
+        metavar="DIR",
+        help="Write diagnosed.robot.toml, the robot with its causes, for every command that "
+        "takes a robot file; diagnosis.json and diagnosis.txt. With several campaigns, a "
+        "folder for each.",
+    ),
+    unlisted: bool = Option(
+        False,
+        "--unlisted",
+        help="With --out: also have the description of an unknown cause in the robot's model.",
+    ),
     report_file: o.Report = None,
     json_file: o.Json = None,
     details: o.Details = False,
@@ -59,42 +101,46 @@ def diagnose(
 ) -> None:
     """Explain the error that is left: where it lies, which effect causes it, and how far it shrinks with the effect.
 
-    Prints the verdict, the error before and after, and what must be known of them; with --details all that was found.
-    Tables of a controller's own log (time_s, command1_rad, q1_rad, current1_A ...) are diagnosed as such: why the
-    joints move otherwise than the model.
+    Prints the verdict, the error before and after, and what must be known of them; with --details
+    all that was found. Tables of a controller's own log (time_s, command1_rad, q1_rad, current1_A
+    ...) are diagnosed as such: why the joints move otherwise than the model.
 
     Example: casadical diagnose arm CAMPAIGN.csv --details --report report.html
 
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug in casadical.
-
-    together : The tables are of one robot as it stood, by one or several instruments, and are diagnosed as one; each
-        has noise of its own.
-    laws : Search for the law of what no listed effect explains: where it acts, what it follows, in which form; with
-        --out also discovered.robot.toml, law.effect.toml (for --effects), discovery.json, discovery.txt. Default: where
-        the verdict is unknown, and as a rival of all causes that were found; --no-laws: never.
-    nuisance_masses : Wrong declared masses of links are part of the base model, not a cause that may be named.
-    measure_next : Write poses that distinguish the leading causes, as CSV.
-    next_n : How many of these poses.
-    network : Also train a 6-5-3 network, instead of the causes and after them (slow).
-    bootstrap : Draws of noise alone that calibrate whether something is there: 2000.
-    out : Write diagnosed.robot.toml, the robot with its causes, for every command that takes a robot file;
-        diagnosis.json and diagnosis.txt. With several campaigns, a folder for each.
-    unlisted : With --out: also have the description of an unknown cause in the robot's model.
     """
-    from casadical.project.diagnosis import Options, diagnose_campaign, effects_named, read_campaigns, read_logs
+    from casadical.project.diagnosis import (
+        Options,
+        diagnose_campaign,
+        effects_named,
+        read_campaigns,
+        read_logs,
+    )
 
     logs = read_logs(problem, campaigns, reference, drive, effects.split(",") if effects else ())
     o.refuse_of_others(context, "joint logs" if logs else "measured poses", MODES)
     if logs:
         _diagnose_logs(logs, out, report_file, json_file, quiet)
         return
-    o.need(room, measure_next, "--room says where the poses of --next may lie; give --next FILE, too")
+    o.need(
+        room, measure_next, "--room says where the poses of --next may lie; give --next FILE, too"
+    )
     o.need(unlisted, out, "--unlisted says what --out writes; give --out DIR, too")
     console = wrapped(quiet)
-    given = read_campaigns(problem, campaigns, o.carried(prior, prior_effects, frozen), together=together)
+    given = read_campaigns(
+        problem, campaigns, o.carried(prior, prior_effects, frozen), together=together
+    )
     if given[0].own_effects:
-        console.print(f"Effects of the robot file are in the model, held at their values: {given[0].own_effects}.")
-    options = Options(effects_named(effects), seed, bootstrap, "nuisance" if nuisance_masses else "candidate", laws)
+        console.print(
+            f"Effects of the robot file are in the model, held at their values: {given[0].own_effects}."
+        )
+    options = Options(
+        effects_named(effects),
+        seed,
+        bootstrap,
+        "nuisance" if nuisance_masses else "candidate",
+        laws,
+    )
     file = measure_next if len(given) == 1 else None
     answers: list[CampaignDiagnosis] = []
     texts: dict[Path, str] = {}
@@ -107,12 +153,17 @@ def diagnose(
             )  # fmt: skip
             if out:
                 show("the robot with its causes")
-                texts |= answer.files(out if len(given) == 1 else out / campaign.name, unlisted=unlisted)
+                texts |= answer.files(
+                    out if len(given) == 1 else out / campaign.name, unlisted=unlisted
+                )
         answers.append(answer)
         texts |= _printed(answer, details, file, console)
     if report_file:
         texts[report_file] = _report(answers, quiet)
-    keep(with_json(texts, json_file, [answer.to_json() for answer in answers] if json_file else []), console)
+    keep(
+        with_json(texts, json_file, [answer.to_json() for answer in answers] if json_file else []),
+        console,
+    )
     _suggested(answers, problem, campaigns or (), list(texts) if out else None, details, console)
 
 
@@ -138,7 +189,10 @@ def _suggested(
     else:
         tell(console, _next_command(answers[0], problem, campaigns))
     if not details:
-        console.print("where it lies, how sure, what is left: --details, --out DIR or --report FILE.html", style="dim")
+        console.print(
+            "where it lies, how sure, what is left: --details, --out DIR or --report FILE.html",
+            style="dim",
+        )
 
 
 def _diagnose_logs(
@@ -154,7 +208,9 @@ def _diagnose_logs(
         tell(console, *answers[-1].blocks())
         console.print()
         if out:
-            texts |= answers[-1].files(out if len(campaign.logs) == 1 else out / path.name.partition(".")[0])
+            texts |= answers[-1].files(
+                out if len(campaign.logs) == 1 else out / path.name.partition(".")[0]
+            )
     with working(quiet, "replaying") as show:
         replay = campaign.replayed(show)
     if replay:
@@ -169,12 +225,22 @@ def _diagnose_logs(
     keep(with_json(texts, json_file, figures), console)
     robot = next((path for path in texts if path.name == "diagnosed.robot.toml"), None)
     if robot:
-        suggest(console, "to have it as a model that moves", "export", "model", robot, "--out", "arm.xml")
+        suggest(
+            console,
+            "to have it as a model that moves",
+            "export",
+            "model",
+            robot,
+            "--out",
+            "arm.xml",
+        )
     elif out is None and answers[-1].verdict not in ("ambiguous", "unknown"):
         suggest(console, "to keep what was replayed", *sys.argv[1:], "--out", "diagnosed")
 
 
-def _printed(found: CampaignDiagnosis, details: bool, file: Path | None, console: Console) -> dict[Path, str]:
+def _printed(
+    found: CampaignDiagnosis, details: bool, file: Path | None, console: Console
+) -> dict[Path, str]:
     """Print a diagnosis; the file of its next poses, where there are any to measure."""
     tell(console, *found.detailed() if details else found.brief())
     if found.searched:
@@ -196,7 +262,9 @@ def _next_command(found: CampaignDiagnosis, problem: Path, tables: Sequence[Path
     if any(cause.effects for cause in d.causes):
         return next_step("to keep the robot with its causes", *typed, "--out", "diagnosed")
     if d.verdict == "none":
-        return next_step("to keep the calibrated robot", "calibrate", problem, *tables, "--out", "results")
+        return next_step(
+            "to keep the calibrated robot", "calibrate", problem, *tables, "--out", "results"
+        )
     if poses is not None and len(poses) and "--next" not in typed and gain_of(d, poses) >= LITTLE:
         return next_step("for poses that tell more", *typed, "--next", "next.csv")
     u = found.details.unlisted

@@ -1,12 +1,20 @@
 """The commands `casadical export c` and `casadical export model`."""
 
 from pathlib import Path
-from typing import Annotated
 
 from typer import Argument, Context, Option
 
 from casadical.cli import options as o
-from casadical.cli.terminal import keep, plain, print_written, suggest, suggest_later, tell, with_json, working
+from casadical.cli.terminal import (
+    keep,
+    plain,
+    print_written,
+    suggest,
+    suggest_later,
+    tell,
+    with_json,
+    working,
+)
 
 # What each product has beside the options of all.
 PRODUCTS = {
@@ -21,23 +29,61 @@ PRODUCTS = {
 
 def export_c(
     context: Context,
-    robot: Annotated[Path, Argument(metavar="ROBOT.toml", callback=o.robot_of)],
-    out: Annotated[Path, Option("--out", metavar="DIR")],
-    what: Annotated[str, Option("--what", metavar="network|command|curves")] = "command",
+    robot: Path = Argument(
+        ...,
+        metavar="ROBOT.toml",
+        callback=o.robot_of,
+        help="A calibrated robot file, or a folder of results.",
+    ),
+    out: Path = Option(
+        ..., "--out", metavar="DIR", help="Folder for the files; other files in it stay."
+    ),
+    what: str = Option(
+        "command",
+        "--what",
+        metavar="network|command|curves",
+        help="The network alone, the correction of joint commands, or the joints' error curves "
+        "alone.",
+    ),
     nominal: o.Nominal = None,
     compensator: o.Compensator = None,
-    real: Annotated[str, Option(metavar="float|double")] = "double",
+    real: str = Option("double", metavar="float|double", help="Number type of the C."),
     steps: o.Steps = None,
     correct: o.What = "position",
-    cycle: Annotated[float | None, Option(metavar="MS")] = None,
-    rate: Annotated[float | None, Option(metavar="RAD_PER_S")] = None,
-    ramp: Annotated[float | None, Option(metavar="S")] = None,
+    cycle: float | None = Option(
+        None, metavar="MS", help="Time between two calls of NAME_step [ms]; default: 4."
+    ),
+    rate: float | None = Option(
+        None,
+        metavar="RAD_PER_S",
+        help="Rate at which a joint's correction may change; default: 0.5 rad/s.",
+    ),
+    ramp: float | None = Option(
+        None,
+        metavar="S",
+        help="Time in which the correction is switched on and off [s]; default: 1.",
+    ),
     payload: o.Payload = None,
     tool: o.Tool = "shared",
     leave_out: o.LeaveOut = False,
-    name: Annotated[str | None, Option("--name", metavar="PREFIX")] = None,
-    language: Annotated[str | None, Option("--language", metavar="NAMES", autocompletion=o.languages)] = None,
-    overwrite: Annotated[bool, Option("--overwrite")] = False,
+    name: str | None = Option(
+        None,
+        "--name",
+        metavar="PREFIX",
+        help="Prefix of C functions and files; default: from the robot's name.",
+    ),
+    language: str | None = Option(
+        None,
+        "--language",
+        metavar="NAMES",
+        autocompletion=o.languages,
+        help="Languages to write besides the C, by commas; default: structured text.",
+    ),
+    overwrite: bool = Option(
+        False,
+        "--overwrite",
+        help="Replace files that casadical did not write or that were changed.",
+    ),
     json_file: o.Json = None,
     quiet: o.Quiet = False,
 ) -> None:
@@ -48,17 +94,6 @@ def export_c(
     Example: casadical export c results/SKCM.robot.toml --nominal robot.toml --out c
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
-
-    robot : A calibrated robot file, or a folder of results.
-    out : Folder for the files; other files in it stay.
-    what : The network alone, the correction of joint commands, or the joints' error curves alone.
-    real : Number type of the C.
-    cycle : Time between two calls of NAME_step [ms]; default: 4.
-    rate : Rate at which a joint's correction may change; default: 0.5 rad/s.
-    ramp : Time in which the correction is switched on and off [s]; default: 1.
-    name : Prefix of C functions and files; default: from the robot's name.
-    language : Languages to write besides the C, by commas; default: structured text.
-    overwrite : Replace files that casadical did not write or that were changed.
     """
     from casadical.export.controller import commands
 
@@ -82,23 +117,66 @@ def export_c(
     tell(console, *written.blocks())
     print_written(json_file, console)
     if what == "command":
-        suggest(console, "to correct an offline program by it", "correct", out, "program.csv", "--out", "corrected.csv")
+        suggest(
+            console,
+            "to correct an offline program by it",
+            "correct",
+            out,
+            "program.csv",
+            "--out",
+            "corrected.csv",
+        )
     else:
         suggest(console, "to have the correction of joint commands", "export", "c", robot, "--nominal", "robot.toml",
                 "--out", "c")  # fmt: skip
 
 
 def export_model(
-    source: Annotated[Path, Argument(metavar="PROBLEM_DIR_OR_ROBOT.toml", callback=o.robot_of)],
-    out: Annotated[Path, Option(metavar="FILE")],
-    form: Annotated[str | None, Option("--to", metavar="FORM", autocompletion=o.forms)] = None,
+    source: Path = Argument(
+        ...,
+        metavar="PROBLEM_DIR_OR_ROBOT.toml",
+        callback=o.robot_of,
+        help="A problem folder, which is calibrated, a calibrated robot file, or a folder of "
+        "results.",
+    ),
+    out: Path = Option(..., metavar="FILE", help="Where the model goes."),
+    form: str | None = Option(
+        None,
+        "--to",
+        metavar="FORM",
+        autocompletion=o.forms,
+        help="mjcf (MuJoCo), urdf; actuators (JSON of the drives by joint names); kinematics of "
+        "a driver: ur (YAML of the UR ROS 2 description), standard_dh, modified_dh (CSV), "
+        "xacro (properties of joint origins). Default: by the ending of FILE.",
+    ),
     nominal: o.Nominal = None,
-    campaign: Annotated[Path | None, Option(metavar="CAMPAIGN.csv")] = None,
+    campaign: Path | None = Option(
+        None,
+        metavar="CAMPAIGN.csv",
+        help="For mjcf: measured positions, from which the robot is calibrated and diagnosed; "
+        "the causes found go into the model.",
+    ),
     effects: o.Effects = None,
-    into: Annotated[Path | None, Option(metavar="YOURS.xml")] = None,
-    joints: Annotated[str | None, Option(metavar="NAMES")] = None,
-    springs: Annotated[bool, Option("--springs")] = False,
-    checksum: Annotated[str, Option("--hash", metavar="WORD")] = "",
+    into: Path | None = Option(
+        None,
+        metavar="YOURS.xml",
+        help="For mjcf: a MuJoCo model of the nominal robot: its bodies get the calibrated "
+        "geometry, the rest stays. Needs --joints.",
+    ),
+    joints: str | None = Option(
+        None,
+        metavar="NAMES",
+        help="Names of the arm's joints in YOURS.xml, from the base to the tool, by commas.",
+    ),
+    springs: bool = Option(
+        False, "--springs", help="With --into: a spring beside each compliant joint, NAME_spring."
+    ),
+    checksum: str = Option(
+        "",
+        "--hash",
+        metavar="WORD",
+        help="For ur: the hash of the controller's own calibration, calib_...",
+    ),
     leave_out: o.LeaveOut = False,
     overwrite: o.Overwrite = False,
     json_file: o.Json = None,
@@ -106,26 +184,14 @@ def export_model(
 ) -> None:
     """Write a calibrated robot as another program reads it: a MuJoCo model, a URDF, a driver's kinematics.
 
-    A MuJoCo model holds geometry, masses, joint springs, closed loops and diagnosed effects, and, where [drive] of the
-    robot file says how joints follow their commands, their motion; a URDF geometry, masses, damping and friction; a
-    driver's kinematics the geometry. What that leaves out is printed in millimetres.
+    A MuJoCo model holds geometry, masses, joint springs, closed loops and diagnosed effects, and,
+    where [drive] of the robot file says how joints follow their commands, their motion; a URDF
+    geometry, masses, damping and friction; a driver's kinematics the geometry. What that leaves out
+    is printed in millimetres.
 
     Example: casadical export model results/SKCM.robot.toml --out arm.urdf
 
     Exit codes: 0 written, 2 bad input, 3 no optimum found, 70 a bug in casadical.
-
-    source : A problem folder, which is calibrated, a calibrated robot file, or a folder of results.
-    out : Where the model goes.
-    form : mjcf (MuJoCo), urdf; actuators (JSON of the drives by joint names); kinematics of a driver: ur (YAML of the
-        UR ROS 2 description), standard_dh, modified_dh (CSV), xacro (properties of joint origins). Default: by the
-        ending of FILE.
-    campaign : For mjcf: measured positions, from which the robot is calibrated and diagnosed; the causes found go into
-        the model.
-    into : For mjcf: a MuJoCo model of the nominal robot: its bodies get the calibrated geometry, the rest stays. Needs
-        --joints.
-    joints : Names of the arm's joints in YOURS.xml, from the base to the tool, by commas.
-    springs : With --into: a spring beside each compliant joint, NAME_spring.
-    checksum : For ur: the hash of the controller's own calibration, calib_...
     """
     from casadical.export.model_file import OfMjcf, form_of, robot_model
 
@@ -138,8 +204,19 @@ def export_model(
         )  # fmt: skip
     console = plain(quiet)
     tell(console, *made.blocks())
-    keep(with_json({out: made.text}, json_file, {"file": str(out), **made.to_json()}), console, {out: made.about})
+    keep(
+        with_json({out: made.text}, json_file, {"file": str(out), **made.to_json()}),
+        console,
+        {out: made.about},
+    )
     if source.is_dir():
-        suggest(console, "to keep the robot file and its accuracy", "calibrate", source, "--out", "results")
+        suggest(
+            console,
+            "to keep the robot file and its accuracy",
+            "calibrate",
+            source,
+            "--out",
+            "results",
+        )
     else:
         suggest_later(console, source)

@@ -2,7 +2,6 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
 
 from typer import Argument, Exit, Option, echo
 
@@ -12,36 +11,51 @@ from casadical.core.basics import shown
 
 
 def compare(
-    campaigns: Annotated[list[Path], Argument(metavar="OLD NEW...")],
-    robot: Annotated[Path | None, Option(metavar="PROBLEM_DIR")] = None,
-    same_tool: Annotated[bool, Option("--same-tool")] = False,
-    same_frame: Annotated[bool, Option("--same-frame")] = False,
+    campaigns: list[Path] = Argument(
+        ...,
+        metavar="OLD NEW...",
+        help="Two campaigns of one robot or more: robot files as `casadical calibrate --out` "
+        "writes them, folders of results, problem folders, or tables of measurements (with "
+        "--robot). Or one problem folder whose later tables lie in its folder campaigns.",
+    ),
+    robot: Path | None = Option(
+        None,
+        metavar="PROBLEM_DIR",
+        help="Problem folder or robot file by which tables are understood; default: the first "
+        "campaign that is no table.",
+    ),
+    same_tool: bool = Option(
+        False,
+        "--same-tool",
+        help="The same point of the same tool was measured: one that moved is a change.",
+    ),
+    same_frame: bool = Option(
+        False,
+        "--same-frame",
+        help="All positions are in one frame: a base that moved is a change of the foot.",
+    ),
     json_file: Json = None,
     report_file: Report = None,
     quiet: Quiet = False,
 ) -> None:
     """Say what changed in a robot since an earlier campaign: which parameter or effect, since when, by how much.
 
-    Base and tool are fitted again in each campaign, because the instrument stands elsewhere. Of many campaigns it says
-    whether a change is a jump or a drift, and since when. Dates are read from names (2026-03-14).
+    Base and tool are fitted again in each campaign, because the instrument stands elsewhere. Of
+    many campaigns it says whether a change is a jump or a drift, and since when. Dates are read
+    from names (2026-03-14).
 
     Example: casadical compare results-2025/SKCM.robot.toml results-2026/SKCM.robot.toml
 
-    Exit codes: 0 nothing changed, 2 bad input, 3 no optimum found, 5 something changed, or a campaign leaves what
-    nothing explains, 70 a bug in casadical.
-
-    campaigns : Two campaigns of one robot or more: robot files as `casadical calibrate --out` writes them, folders of
-        results, problem folders, or tables of measurements (with --robot). Or one problem folder whose later tables lie
-        in its folder campaigns.
-    robot : Problem folder or robot file by which tables are understood; default: the first campaign that is no table.
-    same_tool : The same point of the same tool was measured: one that moved is a change.
-    same_frame : All positions are in one frame: a base that moved is a change of the foot.
+    Exit codes: 0 nothing changed, 2 bad input, 3 no optimum found, 5 something changed, or a
+    campaign leaves what nothing explains, 70 a bug in casadical.
     """
     from casadical.fleet.campaigns import compare_files
 
     console = wrapped(quiet)
     with working(quiet, "reading") as show:
-        comparison = compare_files(campaigns, robot, same_tool=same_tool, same_frame=same_frame, show=show)
+        comparison = compare_files(
+            campaigns, robot, same_tool=same_tool, same_frame=same_frame, show=show
+        )
     tell(console, *comparison.blocks())
     texts: dict[Path, str] = {}
     if report_file:
@@ -54,50 +68,74 @@ def compare(
 
 
 def fleet(
-    folders: Annotated[list[Path], Argument(metavar="FOLDER...")],
-    store: Annotated[Path, Option(metavar="STORE.parquet")],
-    scheduler: Annotated[str | None, Option(metavar="ADDRESS")] = None,
-    workers: Annotated[int | None, Option(min=1, max=1024, metavar="N")] = None,
-    diagnose: Annotated[bool, Option("--diagnose/--no-diagnose")] = True,
-    priors: Annotated[Path | None, Option(metavar="DIR")] = None,
+    folders: list[Path] = Argument(
+        ..., metavar="FOLDER...", help="Problem folders, one a robot, or folders that hold them."
+    ),
+    store: Path = Option(
+        ...,
+        metavar="STORE.parquet",
+        help="Folder with a Parquet file of each robot's row; continued.",
+    ),
+    scheduler: str | None = Option(
+        None,
+        metavar="ADDRESS",
+        help="Dask scheduler, as tcp://host:8786; default: this machine's cores.",
+    ),
+    workers: int | None = Option(
+        None, min=1, max=1024, metavar="N", help="Processes of this machine; default: one a core."
+    ),
+    diagnose: bool = Option(
+        True, "--diagnose/--no-diagnose", help="Diagnose every robot, which takes longest."
+    ),
+    priors: Path | None = Option(
+        None,
+        metavar="DIR",
+        help="Write what robots of one type have in common, TYPE.robot.toml, for calibrate "
+        "--prior FILE --prior-effects all.",
+    ),
     json_file: Json = None,
     report_file: Report = None,
     quiet: Quiet = False,
 ) -> None:
     """Calibrate, diagnose and compare every robot of a fleet, on all cores or on a Dask cluster.
 
-    A robot is a problem folder; its later campaigns are tables in its folder `campaigns`, with their days in their
-    names. What the store has already is not computed again, and one robot that fails stops nobody. Robots of one type
-    share what was learnt from them: common faults of the drawing, and a prior with which a new robot needs fewer poses.
+    A robot is a problem folder; its later campaigns are tables in its folder `campaigns`, with
+    their days in their names. What the store has already is not computed again, and one robot that
+    fails stops nobody. Robots of one type share what was learnt from them: common faults of the
+    drawing, and a prior with which a new robot needs fewer poses.
 
     Example: casadical fleet plants/* --store fleet.parquet --report fleet.html
 
-    Exit codes: 0 done, also where single robots failed, 2 bad input or no scheduler, 70 a bug in casadical.
-
-    folders : Problem folders, one a robot, or folders that hold them.
-    store : Folder with a Parquet file of each robot's row; continued.
-    scheduler : Dask scheduler, as tcp://host:8786; default: this machine's cores.
-    workers : Processes of this machine; default: one a core.
-    diagnose : Diagnose every robot, which takes longest.
-    priors : Write what robots of one type have in common, TYPE.robot.toml, for calibrate --prior FILE --prior-effects
-        all.
+    Exit codes: 0 done, also where single robots failed, 2 bad input or no scheduler, 70 a bug in
+    casadical.
     """
     from casadical.fleet.run import run_fleet
 
     console = wrapped(quiet)
     try:
         with working(quiet, "starting") as show:
-            robots = run_fleet(folders, store, scheduler=scheduler, workers=workers, with_diagnosis=diagnose, show=show)
+            robots = run_fleet(
+                folders,
+                store,
+                scheduler=scheduler,
+                workers=workers,
+                with_diagnosis=diagnose,
+                show=show,
+            )
     except KeyboardInterrupt as stop:
         echo(f"casadical: {stop or 'interrupted'}", err=True)
         raise Exit(130) from None
     tell(console, *robots.blocks())
     texts = dict(robots.prior_files(priors)) if priors else {}
     if priors and not texts:
-        console.print("note: no prior is written: no type has five calibrated robots or more.", style="yellow")
+        console.print(
+            "note: no prior is written: no type has five calibrated robots or more.", style="yellow"
+        )
     for path in sorted(priors.glob(12 * "[0-9a-f]" + ".robot.toml")) if priors else ():
         if path not in texts:
-            words = f"note: {shown(path)}: of no type of this fleet with five robots; not written now."
+            words = (
+                f"note: {shown(path)}: of no type of this fleet with five robots; not written now."
+            )
             console.print(words, style="yellow", soft_wrap=True)
     if report_file:
         texts[report_file] = html([robots.page()])

@@ -6,7 +6,7 @@ import sys
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from typer import Argument, Context, Option
 
@@ -29,43 +29,65 @@ SHOWN = {"the page": ("host", "port"), "--no-page": ()}
 
 def measure(
     context: Context,
-    folder: Annotated[Path, Argument(metavar="ARM")],
-    follow: Annotated[str | None, Option(metavar="FILE|DIR|-")] = None,
-    simulate: Annotated[int | None, Option(metavar="N", min=1)] = None,
-    target_mm: Annotated[float | None, Option(min=0, metavar="MM")] = None,
+    folder: Path = Argument(
+        ...,
+        metavar="ARM",
+        help="Problem folder, as casadical new makes it; the readings are kept there.",
+    ),
+    follow: str | None = Option(
+        None,
+        metavar="FILE|DIR|-",
+        help="Where readings come from: a table that the instrument's software appends to, a "
+        "folder of tables, or - for standard input. Any table that casadical new "
+        "understands.",
+    ),
+    simulate: int | None = Option(
+        None,
+        metavar="N",
+        min=1,
+        help="Play an instrument in place of --follow: N made-up readings of a robot that "
+        "departs a little from its file, each at the pose that is planned next. The folder "
+        "is marked synthetic.",
+    ),
+    target_mm: float | None = Option(
+        None, min=0, metavar="MM", help="Wanted accuracy; says when it is reached."
+    ),
     room: Room = None,
-    finish: Annotated[bool, Option("--finish")] = False,
-    program: Annotated[str | None, Option(metavar="WORD")] = None,
-    no_page: Annotated[bool, Option("--no-page")] = False,
-    host: Annotated[str, Option(metavar="ADDRESS")] = "127.0.0.1",
-    port: Annotated[int, Option(min=0, max=65535, metavar="N")] = 0,
-    every: Annotated[float, Option(min=0, max=3600, metavar="S")] = 0.0,
+    finish: bool = Option(
+        False, "--finish", help="Calibrate when the readings end, into the folder `results` in ARM."
+    ),
+    program: str | None = Option(
+        None,
+        metavar="WORD",
+        help="Give the next pose as a program line, too: krl, rapid, urscript or fanuc.",
+    ),
+    no_page: bool = Option(False, "--no-page", help="Print the answers; serve no page."),
+    host: str = Option(
+        "127.0.0.1",
+        metavar="ADDRESS",
+        help="Where the page is served; another machine then needs the token it prints.",
+    ),
+    port: int = Option(
+        0, min=0, max=65535, metavar="N", help="Port of the page; default: a free one."
+    ),
+    every: float = Option(
+        0.0, min=0, max=3600, metavar="S", help="Seconds between readings of --simulate."
+    ),
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
     """Follow a calibration while it is measured, each reading judged before the next pose is driven.
 
-    Says of each reading whether it is plausible and, if not, which slip it looks like; what is known of the robot by
-    now; the next pose. Readings are kept in ARM (measured.jsonl, measured.csv) as they come: it goes on where it was.
+    Says of each reading whether it is plausible and, if not, which slip it looks like; what is
+    known of the robot by now; the next pose. Readings are kept in ARM (measured.jsonl,
+    measured.csv) as they come: it goes on where it was.
 
-    Serves a page for a browser or a phone and prints its address (needs the extra live); with --no-page it prints.
+    Serves a page for a browser or a phone and prints its address (needs the extra live); with
+    --no-page it prints.
 
     Example: casadical measure arm --follow tracker.csv
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
-
-    folder : Problem folder, as casadical new makes it; the readings are kept there.
-    follow : Where readings come from: a table that the instrument's software appends to, a folder of tables, or - for
-        standard input. Any table that casadical new understands.
-    simulate : Play an instrument in place of --follow: N made-up readings of a robot that departs a little from its
-        file, each at the pose that is planned next. The folder is marked synthetic.
-    target_mm : Wanted accuracy; says when it is reached.
-    finish : Calibrate when the readings end, into the folder `results` in ARM.
-    program : Give the next pose as a program line, too: krl, rapid, urscript or fanuc.
-    no_page : Print the answers; serve no page.
-    host : Where the page is served; another machine then needs the token it prints.
-    port : Port of the page; default: a free one.
-    every : Seconds between readings of --simulate.
     """
     from casadical.core.reading import load_toml
     from casadical.project.live.session import TABLE, LiveSession, finished
@@ -81,19 +103,31 @@ def measure(
 
         move = language_named(program).move_line
     if (follow and simulate) or (no_page and not (follow or simulate)):
-        raise InputError("--follow FILE, DIR or -, or --simulate N: give one of them, from which the readings come")
+        raise InputError(
+            "--follow FILE, DIR or -, or --simulate N: give one of them, from which the readings come"
+        )
     if follow and Path(follow).resolve() in {(folder / name).resolve() for name in (NAME, TABLE)}:
-        raise InputError(f"{shown(follow)}: is what this command writes itself; name what the instrument writes")
+        raise InputError(
+            f"{shown(follow)}: is what this command writes itself; name what the instrument writes"
+        )
     source: Source | None = source_of(follow, sys.stdin.buffer) if follow else None
     target = None if target_mm is None else 1e-3 * target_mm
     load_toml(folder / "problem.toml")  # which is missed before anything is written beside it
     with journal(folder) as (course, add):
         session = LiveSession(
-            folder, course, add, target=target, room=room, move=move, data="synthetic" if simulate else "real"
+            folder,
+            course,
+            add,
+            target=target,
+            room=room,
+            move=move,
+            data="synthetic" if simulate else "real",
         )
         if course.readings:
             console.print(f"goes on after {len(course.readings)} readings that {folder} holds")
-        played = SimulatedSource(session.robot, session.next_pose, simulate or 0, len(course.readings))
+        played = SimulatedSource(
+            session.robot, session.next_pose, simulate or 0, len(course.readings)
+        )
         source, pause = (played, every) if simulate else (source, PAUSE)
         if no_page and source is not None:
             with suppress(KeyboardInterrupt):
@@ -132,6 +166,8 @@ def _follow(session: LiveSession, source: Source, console: Console, pause: float
         if numbers or pause > SILENT:
             last = time.monotonic()
         elif time.monotonic() - last > SILENT:
-            console.print(f"no reading for {SILENT / 60:.0f} minutes: does {source.words} still grow?")
+            console.print(
+                f"no reading for {SILENT / 60:.0f} minutes: does {source.words} still grow?"
+            )
             last = time.monotonic()
         time.sleep(pause)

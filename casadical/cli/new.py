@@ -1,7 +1,7 @@
 """The command `casadical new`."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from typer import Abort, Argument, Context, Option, echo, prompt
 
@@ -25,41 +25,58 @@ ROBOTS = {
 
 def new(
     context: Context,
-    folder: Annotated[Path, Argument(metavar="DIR")],
-    urdf: Annotated[Path | None, Option(metavar="FILE")] = None,
-    base_link: Annotated[str | None, Option(metavar="LINK")] = None,
-    tip_link: Annotated[str | None, Option(metavar="LINK")] = None,
-    dh: Annotated[Path | None, Option(metavar="FILE.csv")] = None,
-    convention: Annotated[str | None, Option(metavar="WORD")] = None,
-    data: Annotated[Path | None, Option(metavar="FILE")] = None,
-    example: Annotated[bool, Option("--example")] = False,
-    yes: Annotated[bool, Option("--yes", "-y")] = False,
+    folder: Path = Argument(..., metavar="DIR", help="The new folder; nothing is overwritten."),
+    urdf: Path | None = Option(None, metavar="FILE", help="Take the robot from this URDF."),
+    base_link: str | None = Option(
+        None, metavar="LINK", help="First link of the arm in the URDF; default: its root."
+    ),
+    tip_link: str | None = Option(
+        None,
+        metavar="LINK",
+        help="Last link of the arm; default: the only moving end, or where a gripper begins.",
+    ),
+    dh: Path | None = Option(
+        None,
+        metavar="FILE.csv",
+        help="Take the robot from this table, one row per joint: a_mm, alpha_deg, d_mm, "
+        "theta_deg, ...",
+    ),
+    convention: str | None = Option(
+        None,
+        metavar="WORD",
+        help="Convention of the DH table: modified (Craig, the default) or standard.",
+    ),
+    data: Path | None = Option(
+        None,
+        metavar="FILE",
+        help="Measured poses: CSV or text in any usual form, or .xlsx, headings in five "
+        "languages; default: synthetic ones, marked as such.",
+    ),
+    example: bool = Option(
+        False,
+        "--example",
+        help="An example arm with made-up poses: what is written without a robot, too.",
+    ),
+    yes: bool = Option(
+        False, "--yes", "-y", help="Take the most probable answer to every question on the table."
+    ),
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
     """Write a commented problem folder that runs: from a URDF, a DH table, or as an example.
 
-    What was understood of the measured poses is printed as a table and kept as `columns` in problem.toml. What the
-    table does not tell is asked.
+    What was understood of the measured poses is printed as a table and kept as `columns` in
+    problem.toml. What the table does not tell is asked.
 
     Example: casadical new arm --dh dh.csv --data messung.csv
 
     Exit codes: 0 written, 2 bad input (then nothing was written), 70 a bug in casadical.
-
-    folder : The new folder; nothing is overwritten.
-    urdf : Take the robot from this URDF.
-    base_link : First link of the arm in the URDF; default: its root.
-    tip_link : Last link of the arm; default: the only moving end, or where a gripper begins.
-    dh : Take the robot from this table, one row per joint: a_mm, alpha_deg, d_mm, theta_deg, ...
-    convention : Convention of the DH table: modified (Craig, the default) or standard.
-    data : Measured poses: CSV or text in any usual form, or .xlsx, headings in five languages; default: synthetic ones,
-        marked as such.
-    example : An example arm with made-up poses: what is written without a robot, too.
-    yes : Take the most probable answer to every question on the table.
     """
     from casadical.project.new import new_problem
 
-    refuse_of_others(context, EXAMPLE if example or not (urdf or dh) else "--urdf" if urdf else "--dh", ROBOTS)
+    refuse_of_others(
+        context, EXAMPLE if example or not (urdf or dh) else "--urdf" if urdf else "--dh", ROBOTS
+    )
     console = wrapped(quiet)
 
     def answer(problem: "Problem", files: list[Path]) -> dict[Path, str]:
@@ -79,7 +96,10 @@ def new(
         also=answer,
     )
     files = sorted(str(p) for p in folder.iterdir() if p.is_file())
-    console.print(f"{folder}: {problem.robot.name}, {problem.robot.n} joints, {problem.origin}", soft_wrap=True)
+    console.print(
+        f"{folder}: {problem.robot.name}, {problem.robot.n} joints, {problem.origin}",
+        soft_wrap=True,
+    )
     for path in files:
         console.print(f"wrote {path}", soft_wrap=True)
     suggest(console, "to look for slips before a calibration", "check", folder)

@@ -1,36 +1,4 @@
-"""Arguments and options that several commands have, in the same words.
-
-reference : With joint logs: a log of the same arm in health on another day; what differs from it by more than a day's
-    friction is a cause.
-drive : With joint logs: what is known of the drives, a table [drive]; default: that of the robot file, or drive.toml
-    beside it.
-nominal : The controller's model of the robot, taken as rigid: the robot file from before the calibration. What the
-    calibrated robot differs from it is corrected.
-compensator : A trained compensator, as `casadical calibrate --out` writes it.
-payload : Mass on the flange; default: as the robot file declares.
-leave_out : Leave out effects of the robot that cannot be written there; otherwise they are refused, with what would be
-    lost in millimetres.
-tool : shared: nominal and real robot have the calibrated file's tool. own: each has its own file's, for a measured
-    point that is the controller's tool centre point.
-room : Where poses may lie: limits, floor, boxes, tracker; see docs/plan.md.
-seed : Seed of everything random.
-steps : Least-squares steps of the correction; default: 2.
-quiet : Print errors only.
-json_file : Write all figures as JSON; with several inputs, a list or a table of them.
-report_file : Write an HTML report in one file (needs plotly and jinja2).
-details : Print all figures, parameters and findings.
-problems : Problem folders. Tables after one (CSV) take the place of its own; a robot file needs them.
-problem : Folder with the robot, a robot file, or a folder of results.
-campaigns : Measured poses, of any kind; default: the tables of the problem folder.
-effects : standard (the default), extended, or only these, by commas: names (backlash), labels (backlash@5), effect
-    files (law.effect.toml, as diagnose --laws writes it, or one that defines effects).
-prior : This robot as another campaign found it, with effects and covariance: its effects are put into the model, with
-    their values and covariance as a prior; base and tool are fitted again.
-prior_effects : What of it is taken, by commas: effects (the default: those that do not follow the time of their
-    campaign), names or labels of single ones, all (geometry and compliance too).
-frozen : Hold the prior's effects at their values; refused for readings outside of the ranges that it covers.
-overwrite : Replace FILE if it is there.
-"""
+"""Arguments and options that several commands have, in the same words."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import import_module
@@ -44,8 +12,24 @@ from casadical.core.basics import InputError, shown
 if TYPE_CHECKING:
     from casadical.project.problem import Carried
 
-Reference = Annotated[Path | None, Option("--reference", metavar="LOG")]
-DriveFile = Annotated[Path | None, Option("--drive", metavar="FILE.toml")]
+Reference = Annotated[
+    Path | None,
+    Option(
+        "--reference",
+        metavar="LOG",
+        help="With joint logs: a log of the same arm in health on another day; what differs from it "
+        "by more than a day's friction is a cause.",
+    ),
+]
+DriveFile = Annotated[
+    Path | None,
+    Option(
+        "--drive",
+        metavar="FILE.toml",
+        help="With joint logs: what is known of the drives, a table [drive]; default: that of the "
+        "robot file, or drive.toml beside it.",
+    ),
+]
 
 
 def _offered(module: str, name: str, *, listed: bool = False) -> Callable[[str], list[str]]:
@@ -66,11 +50,45 @@ languages = _offered("export.c.write", "LANGUAGES", listed=True)  # export c --l
 forms = _offered("export.model_file", "FORMS")  # export model --to
 effects = _offered("project.diagnosis", "all_effects", listed=True)  # --effects
 
-Nominal = Annotated[Path | None, Option(metavar="NOMINAL.toml")]
-Compensator = Annotated[Path | None, Option(metavar="NET.json")]
-Payload = Annotated[float | None, Option(metavar="KG", min=0, max=1e5)]
-LeaveOut = Annotated[bool, Option("--leave-out")]
-Tool = Annotated[str, Option(metavar="shared|own")]
+Nominal = Annotated[
+    Path | None,
+    Option(
+        metavar="NOMINAL.toml",
+        help="The controller's model of the robot, taken as rigid: the robot file from before the "
+        "calibration. What the calibrated robot differs from it is corrected.",
+    ),
+]
+Compensator = Annotated[
+    Path | None,
+    Option(
+        metavar="NET.json", help="A trained compensator, as `casadical calibrate --out` writes it."
+    ),
+]
+Payload = Annotated[
+    float | None,
+    Option(
+        metavar="KG",
+        min=0,
+        max=1e5,
+        help="Mass on the flange; default: as the robot file declares.",
+    ),
+]
+LeaveOut = Annotated[
+    bool,
+    Option(
+        "--leave-out",
+        help="Leave out effects of the robot that cannot be written there; otherwise they are "
+        "refused, with what would be lost in millimetres.",
+    ),
+]
+Tool = Annotated[
+    str,
+    Option(
+        metavar="shared|own",
+        help="shared: nominal and real robot have the calibrated file's tool. own: each has its own "
+        "file's, for a measured point that is the controller's tool centre point.",
+    ),
+]
 What = Annotated[
     str,
     Option(
@@ -80,11 +98,26 @@ What = Annotated[
         "orientation too, as far as the joints reach it.",
     ),
 ]
-Room = Annotated[Path | None, Option(metavar="FILE.toml")]
-Seed = Annotated[int, Option(min=0)]
-Steps = Annotated[int | None, Option(min=1, max=10)]
-Quiet = Annotated[bool, Option("--quiet", "-q")]
-Json = Annotated[Path | None, Option("--json", metavar="FILE")]
+Room = Annotated[
+    Path | None,
+    Option(
+        metavar="FILE.toml",
+        help="Where poses may lie: limits, floor, boxes, tracker; see docs/plan.md.",
+    ),
+]
+Seed = Annotated[int, Option(min=0, help="Seed of everything random.")]
+Steps = Annotated[
+    int | None, Option(min=1, max=10, help="Least-squares steps of the correction; default: 2.")
+]
+Quiet = Annotated[bool, Option("--quiet", "-q", help="Print errors only.")]
+Json = Annotated[
+    Path | None,
+    Option(
+        "--json",
+        metavar="FILE",
+        help="Write all figures as JSON; with several inputs, a list or a table of them.",
+    ),
+]
 
 
 def _with_report(path: Path | None) -> Path | None:
@@ -96,7 +129,15 @@ def _with_report(path: Path | None) -> Path | None:
     return path
 
 
-Report = Annotated[Path | None, Option("--report", metavar="FILE.html", callback=_with_report)]
+Report = Annotated[
+    Path | None,
+    Option(
+        "--report",
+        metavar="FILE.html",
+        callback=_with_report,
+        help="Write an HTML report in one file (needs plotly and jinja2).",
+    ),
+]
 
 
 def robot_of(path: Path) -> Path:
@@ -108,15 +149,67 @@ def robot_of(path: Path) -> Path:
     return path
 
 
-Details = Annotated[bool, Option("--details")]
-Problems = Annotated[list[Path], Argument(metavar="PROBLEM_DIR...")]
-Problem = Annotated[Path, Argument(metavar="PROBLEM_DIR", callback=robot_of)]
-Campaigns = Annotated[list[Path] | None, Argument(metavar="CAMPAIGN.csv...")]
-Effects = Annotated[str | None, Option(metavar="NAMES", autocompletion=effects)]
-Prior = Annotated[Path | None, Option(metavar="ROBOT.toml")]
-PriorEffects = Annotated[str | None, Option(metavar="NAMES")]
-Frozen = Annotated[bool, Option("--frozen")]
-Overwrite = Annotated[bool, Option("--overwrite")]
+Details = Annotated[bool, Option("--details", help="Print all figures, parameters and findings.")]
+Problems = Annotated[
+    list[Path],
+    Argument(
+        metavar="PROBLEM_DIR...",
+        help="Problem folders. Tables after one (CSV) take the place of its own; a robot file needs "
+        "them.",
+    ),
+]
+Problem = Annotated[
+    Path,
+    Argument(
+        metavar="PROBLEM_DIR",
+        callback=robot_of,
+        help="Folder with the robot, a robot file, or a folder of results.",
+    ),
+]
+Campaigns = Annotated[
+    list[Path] | None,
+    Argument(
+        metavar="CAMPAIGN.csv...",
+        help="Measured poses, of any kind; default: the tables of the problem folder.",
+    ),
+]
+Effects = Annotated[
+    str | None,
+    Option(
+        metavar="NAMES",
+        autocompletion=effects,
+        help="standard (the default), extended, or only these, by commas: names (backlash), labels "
+        "(backlash@5), effect files (law.effect.toml, as diagnose --laws writes it, or one "
+        "that defines effects).",
+    ),
+]
+Prior = Annotated[
+    Path | None,
+    Option(
+        metavar="ROBOT.toml",
+        help="This robot as another campaign found it, with effects and covariance: its effects are "
+        "put into the model, with their values and covariance as a prior; base and tool are "
+        "fitted again.",
+    ),
+]
+PriorEffects = Annotated[
+    str | None,
+    Option(
+        metavar="NAMES",
+        help="What of it is taken, by commas: effects (the default: those that do not follow the "
+        "time of their campaign), names or labels of single ones, all (geometry and compliance "
+        "too).",
+    ),
+]
+Frozen = Annotated[
+    bool,
+    Option(
+        "--frozen",
+        help="Hold the prior's effects at their values; refused for readings outside of the ranges "
+        "that it covers.",
+    ),
+]
+Overwrite = Annotated[bool, Option("--overwrite", help="Replace FILE if it is there.")]
 
 
 def refuse_of_others(context: Context, mode: str, modes: Mapping[str, Sequence[str]]) -> None:
@@ -144,7 +237,10 @@ def need(given: object, other: object, words: str) -> None:
 
 
 def problems_of(paths: Sequence[Path]) -> dict[str, tuple[Path, list[Path]]]:
-    """Problem folders and robot files with the tables after each, by the names of their results. Raises InputError."""
+    """Problem folders and robot files with the tables after each, by the names of their results.
+
+    Raises InputError.
+    """
     given: list[tuple[Path, list[Path]]] = []
     for path in map(robot_of, paths):
         if path.is_dir() or path.suffix in ("", ".toml", ".urdf"):
@@ -152,14 +248,20 @@ def problems_of(paths: Sequence[Path]) -> dict[str, tuple[Path, list[Path]]]:
         elif given:
             given[-1][1].append(path)
         else:
-            raise InputError(f"{shown(path)}: whose poses? give a problem folder or a robot file before the table")
+            raise InputError(
+                f"{shown(path)}: whose poses? give a problem folder or a robot file before the table"
+            )
     by_name: dict[str, tuple[Path, list[Path]]] = {}
     for source, tables in given:
         if source.is_file() and not tables:
-            raise InputError(f"{shown(source)}: is a robot alone; give its measured poses after it: POSES.csv")
+            raise InputError(
+                f"{shown(source)}: is a robot alone; give its measured poses after it: POSES.csv"
+            )
         name = tables[0].stem if tables else source.resolve().name
         if name in by_name:
-            raise InputError(f"{shown(source)}: a second problem of the name {name!r}; give them one after the other")
+            raise InputError(
+                f"{shown(source)}: a second problem of the name {name!r}; give them one after the other"
+            )
         by_name[name] = source, tables
     return by_name
 
@@ -170,6 +272,8 @@ def carried(prior: Path | None, parts: str | None, frozen: bool) -> "Carried":
 
     if prior is None:
         if parts is not None or frozen:
-            raise InputError(f"--{'frozen' if frozen else 'prior-effects'}: needs the robot file that --prior names")
+            raise InputError(
+                f"--{'frozen' if frozen else 'prior-effects'}: needs the robot file that --prior names"
+            )
         return nothing_carried
     return carried_from(prior, [name.strip() for name in (parts or "effects").split(",")], frozen)

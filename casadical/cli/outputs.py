@@ -1,17 +1,15 @@
 """What a command will write is checked before it works: no input, no foreign file, no name twice, no other writer."""
 
-import inspect
 import json
-import re
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from fnmatch import fnmatch
 from functools import wraps
+from inspect import signature
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
-from casadical.cli.options import __doc__ as shared_options
 from casadical.core.basics import InputError, shown
 from casadical.core.files import claimed, own_stream, real_path
 from casadical.core.reading import load_toml, number_fault, read_bytes, text_fault
@@ -36,27 +34,21 @@ _MEASURED = {"x_mm", "x_m", "y_mm", "y_m", "z_mm", "z_m"}
 
 
 def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[..., Any]:
-    """A command that checks and claims what it will write before it works; also : names of further outputs.
-
-    The last paragraph of its docstring, in lines `name : text`, is the help of its arguments and options; that of
-    `casadical.cli.options` is the help of those that several commands have.
-    """
-    hints, outputs = get_type_hints(command, include_extras=True), {*_OUTPUTS, *also}
-    signature = inspect.signature(command)
-    options: dict[str, Any] = {n: getattr(hints[n], "__metadata__", (None,))[0] for n in signature.parameters}
-    folders = {name for name, option in options.items() if (getattr(option, "metavar", "") or "").startswith("DIR")}
-    text, own = _with_helps(inspect.getdoc(command) or "")
-    shared = _with_helps(shared_options or "")[1]
-    helps = {name: words for name, words in shared.items() if name in options and not options[name].help}
-    for name, words in (helps | own).items():  # one that is no option's name is a mistake, and an error
-        options[name].help = words
+    """Return a command that checks and claims what it will write before it works; also : names of further outputs."""
+    outputs = {*_OUTPUTS, *also}
+    metavars = {
+        n: getattr(p.default, "metavar", None) for n, p in signature(command).parameters.items()
+    }
+    folders = {name for name, metavar in metavars.items() if (metavar or "").startswith("DIR")}
 
     @wraps(command)
     def run(**given: Any) -> Any:
         _refuse_unusable(given, outputs)
         paths = {name: value for name, value in given.items() if isinstance(value, Path)}
         inputs = [path for name, path in paths.items() if name not in outputs]
-        inputs += [p for v in given.values() if isinstance(v, list) for p in v if isinstance(p, Path)]
+        inputs += [
+            p for v in given.values() if isinstance(v, list) for p in v if isinstance(p, Path)
+        ]
         into = [paths[name] for name in outputs if name in paths and name in folders]
         files = [paths[name] for name in outputs if name in paths and name not in folders]
         _check(files, into, inputs, given.get("overwrite"))
@@ -68,20 +60,12 @@ def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[.
 
                 later = command.__name__ in LATER
                 others = (given.get("room"), given.get("store"))
-                judged = [path for path in inputs if path not in others and command.__name__ != "new"]
+                judged = [
+                    path for path in inputs if path not in others and command.__name__ != "new"
+                ]
                 raise every_fault(error, judged, later=later) from None
 
-    run.__doc__ = text
-    run.__signature__ = signature.replace(  # type: ignore[attr-defined]  # with these options, not made again from text
-        parameters=[p.replace(annotation=hints[name]) for name, p in signature.parameters.items()]
-    )
     return run
-
-
-def _with_helps(docstring: str) -> tuple[str, dict[str, str]]:
-    """A docstring without its last lines `name : text`, and the texts by name."""
-    text, *helps = re.split(r"\n+^(\w+) : ", docstring, flags=re.MULTILINE)
-    return text, {name: " ".join(words.split()) for name, words in zip(helps[::2], helps[1::2], strict=True)}
 
 
 def _refuse_unusable(given: Mapping[str, Any], outputs: Collection[str]) -> None:
@@ -90,23 +74,32 @@ def _refuse_unusable(given: Mapping[str, Any], outputs: Collection[str]) -> None
         for one in value if isinstance(value, list) else [value]:
             fault = ""
             if one == Path() and "" in sys.argv and "." not in sys.argv:
-                raise InputError("a path is empty, '': name the file or folder, or . for the one that you are in")
+                raise InputError(
+                    "a path is empty, '': name the file or folder, or . for the one that you are in"
+                )
             if isinstance(one, Path) and name not in outputs:
                 real = _real(one, "read")
                 if real.is_char_device() or real.is_block_device():
                     raise InputError(f"{shown(one)}: is a device; name a file")
             if isinstance(one, str):
-                fault = text_fault(one) if one or "" not in sys.argv else "is empty; give a value, or leave it out"
+                fault = (
+                    text_fault(one)
+                    if one or "" not in sys.argv
+                    else "is empty; give a value, or leave it out"
+                )
             elif isinstance(one, int | float):
                 fault = number_fault(one)
             if fault:
                 raise InputError(f"--{name.replace('_', '-')} {shown(one)}: {fault}")
 
 
-def _check(files: Sequence[Path], folders: Sequence[Path], inputs: Sequence[Path], overwrite: bool | None) -> None:
+def _check(
+    files: Sequence[Path], folders: Sequence[Path], inputs: Sequence[Path], overwrite: bool | None
+) -> None:
     """Raises InputError for an output that would replace an input, another output, or a file that is not ours.
 
-    overwrite : whether files that are not ours may be replaced; None: the command has no such option
+    overwrite : whether files that are not ours may be replaced; None: the command has no such
+        option
     """
     read = {real: path for path in inputs for real in _inputs(path)}
     taken: dict[Path, Path] = {}
@@ -114,20 +107,28 @@ def _check(files: Sequence[Path], folders: Sequence[Path], inputs: Sequence[Path
     for path in (*folders, *files):
         real = _real(path)
         if real in taken:
-            raise InputError(f"{shown(path)}: two outputs have this name; give each a name of its own")
+            raise InputError(
+                f"{shown(path)}: two outputs have this name; give each a name of its own"
+            )
         if real in read:
-            raise InputError(f"{shown(path)}: is an input of this command and is not replaced; name another file")
+            raise InputError(
+                f"{shown(path)}: is an input of this command and is not replaced; name another file"
+            )
         taken[real] = path
     for path in files:
         if path.suffix == "" and path.is_dir():
             raise InputError(f"{shown(path)}: is a folder; name a file")
         if _real(path).parent in within and _of_a_set(path.name):
-            raise InputError(f"{shown(path)}: a file of this name is among those of --out; name another one")
+            raise InputError(
+                f"{shown(path)}: a file of this name is among those of --out; name another one"
+            )
         if not overwrite and path.is_file() and own_stream(path) is None:
             _refuse_foreign(path, "move this one away" if overwrite is None else "give --overwrite")
     for real, path in read.items():
         if real.parent in within and _of_a_set(real.name) and path.is_file():
-            raise InputError(f"{shown(path)}: is an input, and --out may replace it; name another folder")
+            raise InputError(
+                f"{shown(path)}: is an input, and --out may replace it; name another folder"
+            )
     for folder in folders:
         if folder.is_dir():
             for path in sorted(folder.iterdir()):
@@ -144,7 +145,9 @@ def _real(path: Path, done: str = "written") -> Path:
         return real_path(path)
     except (OSError, ValueError, RuntimeError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{shown(path)}: cannot be {done}: {reason}; nothing was written") from None
+        raise InputError(
+            f"{shown(path)}: cannot be {done}: {reason}; nothing was written"
+        ) from None
 
 
 def _inputs(path: Path) -> Iterator[Path]:
@@ -154,7 +157,14 @@ def _inputs(path: Path) -> Iterator[Path]:
         yield real
         if not real.is_dir():
             return
-        always = ("robot.toml", "*.robot.toml", "result.json", "withheld.json", "key.json", "manifest.json")
+        always = (
+            "robot.toml",
+            "*.robot.toml",
+            "result.json",
+            "withheld.json",
+            "key.json",
+            "manifest.json",
+        )
         yield from (p.resolve() for name in always for p in real.glob(name))
         problem = real / "problem.toml"
         if problem.is_file():
@@ -179,7 +189,9 @@ def _refuse_foreign(path: Path, remedy: str = "move this one away") -> None:
     try:
         text = read_bytes(path).decode("utf-8", "replace")
     except OSError as error:
-        raise InputError(f"{shown(path)}: is there and cannot be read: {error.strerror}; name another file") from None
+        raise InputError(
+            f"{shown(path)}: is there and cannot be read: {error.strerror}; name another file"
+        ) from None
     if text.strip() and not _ours(path, text):
         raise InputError(
             f"{shown(path)}: is there and was not written by casadical, or was changed since; name another file, or "
@@ -194,7 +206,9 @@ def _ours(path: Path, text: str) -> bool:
         except (ValueError, RecursionError):
             return False
         tables = [data, *(data if isinstance(data, list) else data.values())]
-        return any(isinstance(t, dict) and any(names <= t.keys() for names in _OURS) for t in tables)
+        return any(
+            isinstance(t, dict) and any(names <= t.keys() for names in _OURS) for t in tables
+        )
     if path.suffix == ".csv":
         header = text.partition("\n")[0].strip().split(",")
         return len(header) > 1 and not _MEASURED & set(header)

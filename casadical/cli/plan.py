@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 from typer import Argument, Context, Option
 
@@ -34,77 +34,127 @@ MODES = {
 
 def plan(
     context: Context,
-    problem: Annotated[Path, Argument(metavar="PROBLEM")],
-    poses: Annotated[list[Path] | None, Argument(metavar="[POSES.csv...]")] = None,
-    n: Annotated[int | None, Option("-n", min=1, max=10_000)] = None,
-    out: Annotated[Path | None, Option(metavar="FILE.csv")] = None,
-    effects: Annotated[str | None, Option("--for", metavar="NAMES", autocompletion=o.effects)] = None,
-    isolability: Annotated[bool, Option("--isolability")] = False,
+    problem: Path = Argument(
+        ...,
+        metavar="PROBLEM",
+        help="Folder with the robot, or a robot file, such as calibrate writes.",
+    ),
+    poses: list[Path] | None = Argument(
+        None,
+        metavar="[POSES.csv...]",
+        help="With --isolability: the poses in question; default: the tables of the folder.",
+    ),
+    n: int | None = Option(
+        None,
+        "-n",
+        min=1,
+        max=10_000,
+        help="Number of joint readings to measure; without it, print how many are enough.",
+    ),
+    out: Path | None = Option(
+        None,
+        metavar="FILE.csv",
+        help="The poses in order, expected figures beside it; default: plan.csv.",
+    ),
+    effects: str | None = Option(
+        None,
+        "--for",
+        metavar="NAMES",
+        autocompletion=o.effects,
+        help="Effects to identify as well: names or labels (backlash@5), by commas.",
+    ),
+    isolability: bool = Option(
+        False,
+        "--isolability",
+        help="Choose no poses: say what POSES could show of each effect (of --for; default: "
+        "all), and which look alike. Measured positions are not needed.",
+    ),
     room: o.Room = None,
-    measured: Annotated[Path | None, Option(metavar="FILE.csv")] = None,
-    payloads: Annotated[str | None, Option(metavar="KG,KG")] = None,
-    every_payload: Annotated[bool, Option()] = False,
-    both_approaches: Annotated[bool, Option()] = False,
-    repeats: Annotated[int, Option(min=1, max=1000)] = 1,
-    noise_mm: Annotated[float | None, Option(min=0)] = None,
-    joint_noise_urad: Annotated[float, Option(min=0)] = 0.0,
-    min_distance: Annotated[float, Option(min=0, max=1)] = 0.0,
-    target_mm: Annotated[float | None, Option(min=0)] = None,
-    order: Annotated[bool, Option("--order/--no-order")] = True,
-    wires: Annotated[int | None, Option(min=1, max=4)] = None,
-    sockets: Annotated[int | None, Option(min=1, max=30)] = None,
-    places: Annotated[Path | None, Option(metavar="FILE.csv")] = None,
+    measured: Path | None = Option(
+        None, metavar="FILE.csv", help="Poses already measured; the plan adds to them."
+    ),
+    payloads: str | None = Option(
+        None, metavar="KG,KG", help="Payloads that can be mounted, by commas."
+    ),
+    every_payload: bool = Option(False, help="Measure each reading with all payloads."),
+    both_approaches: bool = Option(False, help="Approach each reading from either side."),
+    repeats: int = Option(1, min=1, max=1000, help="Passes over all poses."),
+    noise_mm: float | None = Option(
+        None,
+        min=0,
+        help="Noise of a coordinate or distance, one sigma; default: sigma_mm of problem.toml, "
+        "or 0.02; estimated from --measured.",
+    ),
+    joint_noise_urad: float = Option(0.0, min=0, help="Repeatability of a joint, one sigma."),
+    min_distance: float = Option(
+        0.0,
+        min=0,
+        max=1,
+        help="Least distance of two poses: in the joint that differs most, as a share of its "
+        "range.",
+    ),
+    target_mm: float | None = Option(
+        None, min=0, help="Wanted accuracy; prints how many poses are enough for it."
+    ),
+    order: bool = Option(True, "--order/--no-order", help="Order the poses for short travel."),
+    wires: int | None = Option(
+        None,
+        min=1,
+        max=4,
+        help="Plan for so many draw wires, and where they end, in place of positions.",
+    ),
+    sockets: int | None = Option(
+        None,
+        min=1,
+        max=30,
+        help="Plan for the tool's ball in so many sockets, in place of positions.",
+    ),
+    places: Path | None = Option(
+        None,
+        metavar="FILE.csv",
+        help="Where wires or sockets may be: columns x_mm, y_mm, z_mm; default: about the robot.",
+    ),
     prior: o.Prior = None,
     prior_effects: o.PriorEffects = None,
-    known_places: Annotated[bool, Option()] = False,
-    iso9283: Annotated[bool, Option("--iso9283")] = False,
-    cube_mm: Annotated[float | None, Option(min=10, max=5000)] = None,
-    touches: Annotated[int | None, Option(min=2, max=50, metavar="N")] = None,
+    known_places: bool = Option(False, help="The wires' ends will be measured, too."),
+    iso9283: bool = Option(
+        False,
+        "--iso9283",
+        help="Plan a test by ISO 9283 instead: five poses in the largest cube of the standard, "
+        "30 visits each, three approach paths, drift over 8 hours; written to --out "
+        "(default: iso9283.csv).",
+    ),
+    cube_mm: float | None = Option(
+        None, min=10, max=5000, help="With --iso9283: side of the cube."
+    ),
+    touches: int | None = Option(
+        None,
+        min=2,
+        max=50,
+        metavar="N",
+        help="Plan N touches a day instead, that tell most about zeros, tool and foot of a "
+        "calibrated robot; written to --out (default: touches.csv).",
+    ),
     seed: o.Seed = 0,
     json_file: o.Json = None,
     quiet: o.Quiet = False,
 ) -> None:
     """Choose which poses to measure, and predict the accuracy of the calibration before measuring.
 
-    Without -n only the stopping rule: the expected accuracy against the number of poses, given the poses measured
-    so far. With --isolability: what given poses can show of each effect; with --touches: what to touch every day.
+    Without -n only the stopping rule: the expected accuracy against the number of poses, given the
+    poses measured so far. With --isolability: what given poses can show of each effect; with
+    --touches: what to touch every day.
 
     Example: casadical plan arm -n 40 --target-mm 0.03 --out next.csv
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
-
-    problem : Folder with the robot, or a robot file, such as calibrate writes.
-    poses : With --isolability: the poses in question; default: the tables of the folder.
-    n : Number of joint readings to measure; without it, print how many are enough.
-    out : The poses in order, expected figures beside it; default: plan.csv.
-    effects : Effects to identify as well: names or labels (backlash@5), by commas.
-    isolability : Choose no poses: say what POSES could show of each effect (of --for; default: all), and which look
-        alike. Measured positions are not needed.
-    measured : Poses already measured; the plan adds to them.
-    payloads : Payloads that can be mounted, by commas.
-    every_payload : Measure each reading with all payloads.
-    both_approaches : Approach each reading from either side.
-    repeats : Passes over all poses.
-    noise_mm : Noise of a coordinate or distance, one sigma; default: sigma_mm of problem.toml, or 0.02; estimated from
-        --measured.
-    joint_noise_urad : Repeatability of a joint, one sigma.
-    min_distance : Least distance of two poses: in the joint that differs most, as a share of its range.
-    target_mm : Wanted accuracy; prints how many poses are enough for it.
-    order : Order the poses for short travel.
-    wires : Plan for so many draw wires, and where they end, in place of positions.
-    sockets : Plan for the tool's ball in so many sockets, in place of positions.
-    places : Where wires or sockets may be: columns x_mm, y_mm, z_mm; default: about the robot.
-    known_places : The wires' ends will be measured, too.
-    iso9283 : Plan a test by ISO 9283 instead: five poses in the largest cube of the standard, 30 visits each, three
-        approach paths, drift over 8 hours; written to --out (default: iso9283.csv).
-    cube_mm : With --iso9283: side of the cube.
-    touches : Plan N touches a day instead, that tell most about zeros, tool and foot of a calibrated robot; written to
-        --out (default: touches.csv).
     """
     from casadical.project.planning import circumstances_of, plan_problem
 
     given = {"--isolability": isolability, "--iso9283": iso9283, "--touches": touches}
-    o.refuse_of_others(context, next((mode for mode, asked in given.items() if asked), CALIBRATION), MODES)
+    o.refuse_of_others(
+        context, next((mode for mode, asked in given.items() if asked), CALIBRATION), MODES
+    )
     if isolability:
         _isolability(problem, poses, effects, json_file, quiet)
         return
@@ -121,7 +171,15 @@ def plan(
         joint_noise_urad=joint_noise_urad, min_distance=min_distance, target_mm=target_mm, order=order,
         places=_places(wires, sockets, places, known_places), seed=seed,
     )  # fmt: skip
-    _poses(chosen, problem, out if n is None else out or Path("plan.csv"), measured, prior, json_file, quiet)
+    _poses(
+        chosen,
+        problem,
+        out if n is None else out or Path("plan.csv"),
+        measured,
+        prior,
+        json_file,
+        quiet,
+    )
 
 
 def _poses(
@@ -139,14 +197,22 @@ def _poses(
     keep(with_json(planned.files(to) if to else {}, json_file, planned.to_json()), console)
     if to:
         tables = (*([measured] if measured else []), to)
-        suggest(console, "when what was measured stands beside these readings", "calibrate", problem, *tables)
+        suggest(
+            console,
+            "when what was measured stands beside these readings",
+            "calibrate",
+            problem,
+            *tables,
+        )
     else:
         enough = planned.forecast.stop()
         what = "as many as you can measure" if enough is None else "so many"
         suggest(console, f"to choose {what}", *sys.argv[1:], "-n", enough or 100)
 
 
-def _iso9283(problem: Path, cube_mm: float | None, out: Path, room: Path | None, seed: int, quiet: bool) -> None:
+def _iso9283(
+    problem: Path, cube_mm: float | None, out: Path, room: Path | None, seed: int, quiet: bool
+) -> None:
     from casadical.project.planning import iso9283_plan
 
     console = wrapped(quiet)
@@ -157,7 +223,15 @@ def _iso9283(problem: Path, cube_mm: float | None, out: Path, room: Path | None,
     suggest(console, "when it was measured", "verify", "RESULTS", out, "--iso9283")
 
 
-def _touches(robot: Path, n: int, out: Path, noise_mm: float | None, room: Path | None, seed: int, quiet: bool) -> None:
+def _touches(
+    robot: Path,
+    n: int,
+    out: Path,
+    noise_mm: float | None,
+    room: Path | None,
+    seed: int,
+    quiet: bool,
+) -> None:
     """The points to touch every day."""
     from casadical.fleet.touches import plan_touches
 
@@ -173,7 +247,11 @@ def _touches(robot: Path, n: int, out: Path, noise_mm: float | None, room: Path 
 
 
 def _isolability(
-    problem: Path, poses: list[Path] | None, effects: str | None, json_file: Path | None, quiet: bool
+    problem: Path,
+    poses: list[Path] | None,
+    effects: str | None,
+    json_file: Path | None,
+    quiet: bool,
 ) -> None:
     """What poses can show, before any data."""
     from casadical.project.diagnosis import effects_named, isolability_of, read_campaigns
@@ -190,15 +268,26 @@ def _isolability(
     suggest(console, "for poses that distinguish effects", "plan", problem, "-n", 60)
 
 
-def _places(wires: int | None, sockets: int | None, candidates: Path | None, known: bool) -> Places | None:
-    """What is planned for in place of positions. Raises InputError where the options contradict each other."""
+def _places(
+    wires: int | None, sockets: int | None, candidates: Path | None, known: bool
+) -> Places | None:
+    """What is planned for in place of positions.
+
+    Raises InputError where the options contradict each other.
+    """
     from casadical.project.planning import Places, read_places
 
     if wires and sockets:
         raise InputError("--wires and --sockets: give one of them; each is a plan of its own")
     if not (wires or sockets):
         if candidates is not None or known:
-            raise InputError("--places and --known-places are of --wires N or --sockets N; give one of these, too")
+            raise InputError(
+                "--places and --known-places are of --wires N or --sockets N; give one of these, too"
+            )
         return None
     where = read_places(candidates) if candidates else None
-    return Places("wires", wires, where, known) if wires else Places("sockets", sockets or 1, where, known)
+    return (
+        Places("wires", wires, where, known)
+        if wires
+        else Places("sockets", sockets or 1, where, known)
+    )

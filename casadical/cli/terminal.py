@@ -11,7 +11,15 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, Task, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    SpinnerColumn,
+    Task,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+)
 from rich.text import Text
 
 from casadical.core.basics import MOST_FAULTS, FaultsError, Show, shown, visible
@@ -35,7 +43,9 @@ def refusal(error: object) -> None:
         columns = ("file", "rows", "column", "value", "allowed", "what to do")
         title = f"casadical: {len(error.faults)} faults of the input; of each the worst value and its row first"
         width = None if sys.stderr.isatty() else WIDE
-        Console(stderr=True, width=width, markup=False, emoji=False).print(terminal([Table(title, columns, rows)]))
+        Console(stderr=True, width=width, markup=False, emoji=False).print(
+            terminal([Table(title, columns, rows)])
+        )
         left = max(0, MOST_FAULTS - len(error.faults))
         more = len(error.faults) + len(error.others) - len(rows) - len(error.others[:left])
         lines = [line for text in error.others[:left] for line in text.splitlines()]
@@ -44,7 +54,11 @@ def refusal(error: object) -> None:
         lines = f"casadical: {error}".splitlines()
     if sys.stderr.isatty():
         width = shutil.get_terminal_size().columns
-        lines = [part for line in lines for part in textwrap.wrap(line, width, break_long_words=False) or [""]]
+        lines = [
+            part
+            for line in lines
+            for part in textwrap.wrap(line, width, break_long_words=False) or [""]
+        ]
     if lines:
         print(visible("\n".join(lines)), file=sys.stderr)  # noqa: T201
 
@@ -66,20 +80,34 @@ def wrapped(quiet: bool, width: int | None = None) -> Console:
 
 def plain(quiet: bool) -> Console:
     """A console for lines without colours; a terminal breaks them between words, a file has each whole."""
-    return _Console(quiet=quiet, soft_wrap=not sys.stdout.isatty(), highlight=False, markup=False, emoji=False)
+    return _Console(
+        quiet=quiet, soft_wrap=not sys.stdout.isatty(), highlight=False, markup=False, emoji=False
+    )
 
 
 def with_json(
-    texts: Mapping[Path, str | bytes], path: Path | None, figures: Mapping[str, Any] | Sequence[Mapping[str, Any]]
+    texts: Mapping[Path, str | bytes],
+    path: Path | None,
+    figures: Mapping[str, Any] | Sequence[Mapping[str, Any]],
 ) -> dict[Path, Any]:
     """Files, and among them the one of `--json`, if there is one; a list of one is written as its only entry."""
     if path is None:
         return dict(texts)
-    return {**texts, path: json_text(figures[0] if isinstance(figures, Sequence) and len(figures) == 1 else figures)}
+    return {
+        **texts,
+        path: json_text(
+            figures[0] if isinstance(figures, Sequence) and len(figures) == 1 else figures
+        ),
+    }
 
 
-def keep(texts: Mapping[Path, Any], console: Console, about: Mapping[Path, str] | None = None) -> None:
-    """Write files, all or none, and print their names, of some with words about them. Raises InputError."""
+def keep(
+    texts: Mapping[Path, Any], console: Console, about: Mapping[Path, str] | None = None
+) -> None:
+    """Write files, all or none, and print their names, of some with words about them.
+
+    Raises InputError.
+    """
     write_together(texts)
     for path in texts:
         print_written(path, console, (about or {}).get(path, ""))
@@ -100,7 +128,9 @@ def suggest_later(console: Console, robot: Path) -> None:
     if (robot.parent / "result.json").exists():
         suggest(console, "when some ten poses were measured again", "verify", robot, "LATER.csv")
     else:
-        suggest(console, "when poses were measured", "calibrate", robot, "LATER.csv", "--out", "results")
+        suggest(
+            console, "when poses were measured", "calibrate", robot, "LATER.csv", "--out", "results"
+        )
 
 
 def print_written(path: Path | None, console: Console, about: str = "") -> None:
@@ -138,8 +168,8 @@ _ITERATION = re.compile(r"(?:iteration|step) (\d+)")
 def working(quiet: bool, step: str, name: str = "", steps: Steps | None = None) -> Iterator[Show]:
     """Live progress of one piece of work; silent but on a terminal, and never on standard output.
 
-    step : what is done first; name : of what. The function that it gives takes the next step's name; `k of n` in it,
-    and the place of its words among `steps`, say how far the work is.
+    step : what is done first; name : of what. The function that it gives takes the next step's
+        name; `k of n` in it, and the place of its words among `steps`, say how far the work is.
     """
     console = Console(stderr=True)
     columns = (
@@ -147,7 +177,9 @@ def working(quiet: bool, step: str, name: str = "", steps: Steps | None = None) 
         TextColumn("{task.description}", markup=False),
     )  # fmt: skip
     head = f"{name}: " if name else ""
-    with Progress(*columns, console=console, transient=True, disable=quiet or not console.file.isatty()) as bar:
+    with Progress(
+        *columns, console=console, transient=True, disable=quiet or not console.file.isatty()
+    ) as bar:
         task = bar.add_task(head + step, total=None)
         done = 0.0
 

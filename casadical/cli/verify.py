@@ -3,12 +3,23 @@
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 from typer import Argument, Context, Exit, Option
 
 from casadical.cli.options import Effects, Json, Quiet, Report, refuse_of_others
-from casadical.cli.terminal import DIAGNOSIS, NOT_VALID, html, keep, plain, suggest, tell, with_json, working, wrapped
+from casadical.cli.terminal import (
+    DIAGNOSIS,
+    NOT_VALID,
+    html,
+    keep,
+    plain,
+    suggest,
+    tell,
+    with_json,
+    working,
+    wrapped,
+)
 from casadical.core.basics import InputError
 
 if TYPE_CHECKING:
@@ -27,68 +38,122 @@ MODES = {
 
 def verify(
     context: Context,
-    robot: Annotated[Path, Argument(metavar="ROBOT.toml")],
-    tables: Annotated[list[Path] | None, Argument(metavar="TEN.csv...")] = None,
-    promised_mm: Annotated[float | None, Option(min=0.0, metavar="MM")] = None,
-    mujoco: Annotated[bool, Option("--mujoco")] = False,
-    iso9283: Annotated[bool, Option("--iso9283")] = False,
-    touches: Annotated[bool, Option("--touches")] = False,
-    tolerance_mm: Annotated[float | None, Option(min=0)] = None,
-    noise_mm: Annotated[float | None, Option(min=0)] = None,
-    fleet: Annotated[Path | None, Option(metavar="FILE.json")] = None,
-    update: Annotated[Path | None, Option(metavar="ROBOT.toml")] = None,
-    chart: Annotated[Path | None, Option(metavar="FILE.csv")] = None,
+    robot: Path = Argument(
+        ...,
+        metavar="ROBOT.toml",
+        help="A calibrated robot, as `casadical calibrate --out` writes it, or that folder (the "
+        "method that counts); with --mujoco a problem folder or the robot file of the "
+        "drawing.",
+    ),
+    tables: list[Path] | None = Argument(
+        None,
+        metavar="TEN.csv...",
+        help="Some ten poses measured later, in any usual form; several count together. With "
+        "--mujoco campaigns, each for itself; default: the tables of the problem folder.",
+    ),
+    promised_mm: float | None = Option(
+        None,
+        min=0.0,
+        metavar="MM",
+        help="Promised rms position error as the instrument reads it, its noise included; "
+        "default: of the held-out poses, from result.json or diagnosis.json beside the "
+        "robot file.",
+    ),
+    mujoco: bool = Option(
+        False,
+        "--mujoco",
+        help="Replay measured poses in MuJoCo instead: with the nominal robot, the calibrated "
+        "one, and that with the diagnosed causes. Two thirds of the poses are fitted, the "
+        "others replayed.",
+    ),
+    iso9283: bool = Option(
+        False,
+        "--iso9283",
+        help="The table is a test by ISO 9283, as `casadical plan --iso9283` plans it: AP, RP, "
+        "variation with the approach, drift.",
+    ),
+    touches: bool = Option(
+        False,
+        "--touches",
+        help="The tables are points touched in the frame of the calibration, one a day, as "
+        "`plan --touches N` plans them: say whether the robot is valid on the last day, "
+        "and what moved.",
+    ),
+    tolerance_mm: float | None = Option(
+        None,
+        min=0,
+        help="With --touches: rms error that is allowed; default: twice what the file states.",
+    ),
+    noise_mm: float | None = Option(
+        None, min=0, help="With --touches: noise of a coordinate, one sigma."
+    ),
+    fleet: Path | None = Option(
+        None,
+        metavar="FILE.json",
+        help="With --touches: what `casadical fleet --json` wrote, whose changes count.",
+    ),
+    update: Path | None = Option(
+        None,
+        metavar="ROBOT.toml",
+        help="With --touches: write the corrected robot where that is better.",
+    ),
+    chart: Path | None = Option(
+        None, metavar="FILE.csv", help="With --touches: a row a day, with control limits."
+    ),
     report_file: Report = None,
     effects: Effects = None,
-    seed: Annotated[int | None, Option(min=0)] = None,
-    out: Annotated[Path | None, Option(metavar="DIR")] = None,
+    seed: int | None = Option(
+        None,
+        min=0,
+        help="Of the split of the poses with --mujoco, of the draws with --touches; default: 0.",
+    ),
+    out: Path | None = Option(
+        None,
+        metavar="DIR",
+        help="With --mujoco: write the models here, CAMPAIGN.STAGE.xml (0 is the nominal one).",
+    ),
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
     """Check with a few poses whether a calibrated robot still is as accurate as it was, or replay poses in MuJoCo.
 
-    Base and tool are fitted again, because the instrument stands elsewhere. The rms error is compared with that of the
-    held-out poses of the calibration. The replay needs MuJoCo: pip install 'casadical[mujoco]'.
+    Base and tool are fitted again, because the instrument stands elsewhere. The rms error is
+    compared with that of the held-out poses of the calibration. The replay needs MuJoCo: pip
+    install 'casadical[mujoco]'.
 
     With --touches five points touched in the frame of the calibration say the same every day.
 
     Example: casadical verify results/KM.robot.toml ten.csv
 
-    Exit codes: 0 still valid, or replayed, 2 bad input, 3 no optimum found, 5 no longer valid, 70 a bug in casadical.
-
-    robot : A calibrated robot, as `casadical calibrate --out` writes it, or that folder (the method that counts); with
-        --mujoco a problem folder or the robot file of the drawing.
-    tables : Some ten poses measured later, in any usual form; several count together. With --mujoco campaigns, each for
-        itself; default: the tables of the problem folder.
-    promised_mm : Promised rms position error as the instrument reads it, its noise included; default: of the held-out
-        poses, from result.json or diagnosis.json beside the robot file.
-    mujoco : Replay measured poses in MuJoCo instead: with the nominal robot, the calibrated one, and that with the
-        diagnosed causes. Two thirds of the poses are fitted, the others replayed.
-    iso9283 : The table is a test by ISO 9283, as `casadical plan --iso9283` plans it: AP, RP, variation with the
-        approach, drift.
-    touches : The tables are points touched in the frame of the calibration, one a day, as `plan --touches N` plans
-        them: say whether the robot is valid on the last day, and what moved.
-    tolerance_mm : With --touches: rms error that is allowed; default: twice what the file states.
-    noise_mm : With --touches: noise of a coordinate, one sigma.
-    fleet : With --touches: what `casadical fleet --json` wrote, whose changes count.
-    update : With --touches: write the corrected robot where that is better.
-    chart : With --touches: a row a day, with control limits.
-    seed : Of the split of the poses with --mujoco, of the draws with --touches; default: 0.
-    out : With --mujoco: write the models here, CAMPAIGN.STAGE.xml (0 is the nominal one).
+    Exit codes: 0 still valid, or replayed, 2 bad input, 3 no optimum found, 5 no longer valid, 70 a
+    bug in casadical.
     """
     given = (mujoco, touches, iso9283, True)
-    refuse_of_others(context, next(mode for mode, own in zip(MODES, given, strict=True) if own), MODES)
+    refuse_of_others(
+        context, next(mode for mode, own in zip(MODES, given, strict=True) if own), MODES
+    )
     if mujoco:
         _replay(robot, tables, effects, seed or 0, out, json_file, quiet)
         return
     if not tables:
-        which = "of each day; `casadical plan --touches 5` says which" if touches else "of some ten measured later"
+        which = (
+            "of each day; `casadical plan --touches 5` says which"
+            if touches
+            else "of some ten measured later"
+        )
         raise InputError(f"which poses? give a table {which}")
     if touches:
         count = str(tables[0])
         if count.isdecimal() and not tables[0].exists():
-            raise InputError(f"--touches judges tables of days; casadical plan {robot} --touches {count} plans points")
-        asked = {"tolerance_mm": tolerance_mm, "noise_mm": noise_mm, "fleet": fleet, "seed": seed or 0}
+            raise InputError(
+                f"--touches judges tables of days; casadical plan {robot} --touches {count} plans points"
+            )
+        asked = {
+            "tolerance_mm": tolerance_mm,
+            "noise_mm": noise_mm,
+            "fleet": fleet,
+            "seed": seed or 0,
+        }
         _touched(robot, tables, asked, update, chart, report_file, json_file, quiet)
         return
     from casadical.project.acceptance import verification
@@ -96,13 +161,17 @@ def verify(
     console = wrapped(quiet)
     with working(quiet, "fitting base and tool", tables[0].name):
         checked: Acceptance = (
-            verification.iso9283(robot, tables) if iso9283 else verification.verify(robot, tables, promised_mm)
+            verification.iso9283(robot, tables)
+            if iso9283
+            else verification.verify(robot, tables, promised_mm)
         )
     tell(console, *checked.blocks())
     keep(with_json({}, json_file, checked.to_json()), console)
     if iso9283:
         folder = robot if robot.is_dir() else robot.parent
-        suggest(console, "to put it into a certificate", "certificate", folder, "--iso9283", tables[0])
+        suggest(
+            console, "to put it into a certificate", "certificate", folder, "--iso9283", tables[0]
+        )
     if checked.accepted is False:
         raise Exit(NOT_VALID)
 
@@ -144,40 +213,62 @@ def _replay(
     texts: dict[Path, str] = {}
     for campaign in read_campaigns(problem, tables):
         with working(quiet, "diagnosing", campaign.name, DIAGNOSIS) as show:
-            replayed = replay_campaign(campaign.robot, campaign.sets[0], effects_named(effects), seed=seed, show=show)
+            replayed = replay_campaign(
+                campaign.robot, campaign.sets[0], effects_named(effects), seed=seed, show=show
+            )
         console.print(f"{campaign.title}, held-out poses replayed in MuJoCo")
         tell(console, *replayed.blocks())
         answers.append({"campaign": campaign.name, **replayed.to_json()})
         if out:
-            texts |= {out / f"{campaign.name}.{k}.xml": s.export.text for k, s in enumerate(replayed.stages)}
+            texts |= {
+                out / f"{campaign.name}.{k}.xml": s.export.text
+                for k, s in enumerate(replayed.stages)
+            }
     keep(with_json(texts, json_file, answers), console)
     of_campaign = ("--campaign", tables[0]) if tables else ()
-    suggest(console, "to keep it as a model", "export", "model", problem, "--out", "arm.xml", *of_campaign)
+    suggest(
+        console,
+        "to keep it as a model",
+        "export",
+        "model",
+        problem,
+        "--out",
+        "arm.xml",
+        *of_campaign,
+    )
 
 
 def certificate(
-    results: Annotated[Path, Argument(metavar="RESULTS")],
-    details: Annotated[Path | None, Option(metavar="FILE.toml")] = None,
-    out: Annotated[Path | None, Option(metavar="FILE.pdf")] = None,
-    problem: Annotated[Path | None, Option(metavar="PROBLEM_DIR")] = None,
-    iso9283: Annotated[Path | None, Option("--iso9283", metavar="TABLE.csv")] = None,
+    results: Path = Argument(
+        ..., metavar="RESULTS", help="Folder that `casadical calibrate --out` wrote."
+    ),
+    details: Path | None = Option(
+        None,
+        metavar="FILE.toml",
+        help="Issuer, instrument, conditions, tolerance; default: nothing is stated, which the "
+        "pages say.",
+    ),
+    out: Path | None = Option(None, metavar="FILE.pdf", help="Two pages (needs fpdf2)."),
+    problem: Path | None = Option(
+        None, metavar="PROBLEM_DIR", help="What was calibrated; default: as result.json names it."
+    ),
+    iso9283: Path | None = Option(
+        None,
+        "--iso9283",
+        metavar="TABLE.csv",
+        help="A test that `casadical plan --iso9283` planned.",
+    ),
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
     """Print certificate data of a calibration: results with uncertainty, budget, decision; in English or German.
 
-    The uncertainty is that of the rms position error over the held-out poses, by a budget as the GUM asks for. These
-    are data for a certificate: no accreditation is stated.
+    The uncertainty is that of the rms position error over the held-out poses, by a budget as the
+    GUM asks for. These are data for a certificate: no accreditation is stated.
 
     Example: casadical certificate results --details certificate.toml --out cert.pdf
 
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug in casadical.
-
-    results : Folder that `casadical calibrate --out` wrote.
-    details : Issuer, instrument, conditions, tolerance; default: nothing is stated, which the pages say.
-    out : Two pages (needs fpdf2).
-    problem : What was calibrated; default: as result.json names it.
-    iso9283 : A test that `casadical plan --iso9283` planned.
     """
     from casadical.project.acceptance.certificate import certificate as certified
 

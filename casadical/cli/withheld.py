@@ -25,38 +25,44 @@ def _counted(show: Show) -> Callable[[str, int, int], None]:
 
 
 def withheld_robot(
-    robot: Annotated[Path, Argument(metavar="ROBOT.toml|FOLDER")],
-    poses: Annotated[str, Option(metavar="N|TABLE.csv")] = "60",
-    noise_um: Annotated[float, Option(min=0.01, max=1e5)] = 20.0,
-    n: Annotated[int, Option("--n", "-n", min=4, max=10_000)] = 40,
-    not_logged: Annotated[str, Option(metavar="WORDS")] = "",
-    seed: Annotated[int | None, Option(min=0)] = None,
+    robot: Path = Argument(
+        ..., metavar="ROBOT.toml|FOLDER", help="Robot file (TOML or URDF), or a problem folder."
+    ),
+    poses: str = Option(
+        "60",
+        metavar="N|TABLE.csv",
+        help="Poses of a campaign: a number, or a table of them; what it logs is taken as it is.",
+    ),
+    noise_um: float = Option(20.0, min=0.01, max=1e5, help="Noise of a measured coordinate [um]."),
+    n: int = Option(40, "--n", "-n", min=4, max=10_000, help="Number of campaigns."),
+    not_logged: str = Option(
+        "", metavar="WORDS", help="Of temperature, payload, approach, time: what you do not log."
+    ),
+    seed: int | None = Option(None, min=0, help="Of everything drawn; default: a random one."),
     workers: Workers = None,
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
     """How often would a diagnosis of this robot, with this instrument, be right?
 
-    Makes campaigns of robots as built after the file in MuJoCo, with effects hidden at random, diagnoses each from its
-    table alone, and counts: claims that are right, false alarms, and which effects are found on this robot.
+    Makes campaigns of robots as built after the file in MuJoCo, with effects hidden at random,
+    diagnoses each from its table alone, and counts: claims that are right, false alarms, and which
+    effects are found on this robot.
 
     Example: casadical withheld robot.toml --poses 60 --noise-um 20 --n 40
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
-
-    robot : Robot file (TOML or URDF), or a problem folder.
-    poses : Poses of a campaign: a number, or a table of them; what it logs is taken as it is.
-    noise_um : Noise of a measured coordinate [um].
-    n : Number of campaigns.
-    not_logged : Of temperature, payload, approach, time: what you do not log.
-    seed : Of everything drawn; default: a random one.
     """
     from casadical.blind_check.own_robot import check_robot
     from casadical.blind_check.worker_pool import workers as pool
     from casadical.project.problem import read_campaign, read_campaign_robot
 
     subject = read_campaign_robot(robot)
-    given = int(poses) if poses.isdigit() else read_campaign(robot, Path(poses), subject, readings_only=True)
+    given = (
+        int(poses)
+        if poses.isdigit()
+        else read_campaign(robot, Path(poses), subject, readings_only=True)
+    )
     lacking = [word.strip() for word in not_logged.split(",") if word.strip()]
     with working(quiet, "drawing campaigns") as step, pool(None, workers) as executor:
         checked = check_robot(
@@ -69,35 +75,40 @@ def withheld_robot(
     if poses.isdigit():
         suggest(console, "to choose these poses", "plan", robot, "-n", poses)
     else:
-        suggest(console, "to learn which effects look alike at these poses", "plan", robot, poses, "--isolability")
+        suggest(
+            console,
+            "to learn which effects look alike at these poses",
+            "plan",
+            robot,
+            poses,
+            "--isolability",
+        )
 
 
 def withheld_make(
-    out: Annotated[Path, Option("--out", metavar="DIR")],
-    key: Annotated[Path | None, Option(metavar="DIR")] = None,
-    n: Annotated[int, Option("--n", "-n", min=4, max=10_000)] = 60,
-    seed: Annotated[int | None, Option(min=0)] = None,
-    poses: Annotated[str, Option(metavar="N,N")] = "40,100,200",
-    project: Annotated[Path, Option(metavar="DIR")] = Path(),
+    out: Path = Option(..., "--out", metavar="DIR", help="Folder for the campaigns."),
+    key: Path | None = Option(
+        None, metavar="DIR", help="Folder for the key, apart; default: DIR with -key behind it."
+    ),
+    n: int = Option(60, "--n", "-n", min=4, max=10_000, help="Number of campaigns."),
+    seed: int | None = Option(
+        None, min=0, help="Of everything drawn; default: a random one, kept in the key."
+    ),
+    poses: str = Option("40,100,200", metavar="N,N", help="Poses of a campaign, one of these."),
+    project: Path = Option(Path(), metavar="DIR", help="Folder with problems/ and data/."),
     workers: Workers = None,
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
     """Write campaigns with hidden effects, and the key to another place; the key's SHA-256 goes with the campaigns.
 
-    A quarter hides nothing, 45 % one effect, 15 % two or three, 15 % one that is on no list; 40, 100 or 200 poses of
-    three robots; a third lacks a column. With a seed that is known, anyone can make the key again.
+    A quarter hides nothing, 45 % one effect, 15 % two or three, 15 % one that is on no list; 40,
+    100 or 200 poses of three robots; a third lacks a column. With a seed that is known, anyone can
+    make the key again.
 
     Example: casadical withheld make --n 60 --out check --key sealed
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
-
-    out : Folder for the campaigns.
-    key : Folder for the key, apart; default: DIR with -key behind it.
-    n : Number of campaigns.
-    seed : Of everything drawn; default: a random one, kept in the key.
-    poses : Poses of a campaign, one of these.
-    project : Folder with problems/ and data/.
     """
     from casadical.blind_check.generation import make
     from casadical.blind_check.worker_pool import workers as pool
@@ -105,7 +116,9 @@ def withheld_make(
     try:
         sizes = tuple(int(word) for word in poses.split(","))
     except ValueError:
-        raise InputError(f"--poses {poses}: allowed: whole numbers by commas, such as 40,100") from None
+        raise InputError(
+            f"--poses {poses}: allowed: whole numbers by commas, such as 40,100"
+        ) from None
     place = key or out.with_name(f"{out.resolve().name}-key")
 
     def kept(made: "Manifest") -> dict[Path, str]:
@@ -114,9 +127,21 @@ def withheld_make(
 
     with working(quiet, "drawing campaigns") as step, pool(None, workers) as executor:
         show = _counted(step)
-        made = make(out, place, n, seed, poses=sizes, project=project, executor=executor, show=show, also=kept)
+        made = make(
+            out,
+            place,
+            n,
+            seed,
+            poses=sizes,
+            project=project,
+            executor=executor,
+            show=show,
+            also=kept,
+        )
     console = wrapped(quiet)
-    console.print(f"wrote {len(made.campaigns)} campaigns to {out}, their key to {place}", soft_wrap=True)
+    console.print(
+        f"wrote {len(made.campaigns)} campaigns to {out}, their key to {place}", soft_wrap=True
+    )
     console.print(f"sha256 of the key: {made.key_sha256}", soft_wrap=True)
     print_written(json_file, console)
     suggest(console, "to have them diagnosed", "withheld", "predict", out)
@@ -124,7 +149,12 @@ def withheld_make(
 
 def withheld_predict(
     folder: Folder,
-    out: Annotated[Path | None, Option("--out", metavar="FILE")] = None,
+    out: Path | None = Option(
+        None,
+        "--out",
+        metavar="FILE",
+        help="Answers, a line of JSON each; default: DIR/answers.diagnosis.jsonl.",
+    ),
     workers: Workers = None,
     json_file: Json = None,
     quiet: Quiet = False,
@@ -136,8 +166,6 @@ def withheld_predict(
     Example: casadical withheld predict check
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
-
-    out : Answers, a line of JSON each; default: DIR/answers.diagnosis.jsonl.
     """
     from casadical.blind_check.prediction import predict
     from casadical.blind_check.worker_pool import workers as pool
@@ -147,19 +175,30 @@ def withheld_predict(
             show = _counted(step)
             path = predict(folder, out, executor=executor, show=show)
     except KeyboardInterrupt:
-        echo("casadical: interrupted; the answers so far are kept, the same command goes on from there", err=True)
+        echo(
+            "casadical: interrupted; the answers so far are kept, the same command goes on from there",
+            err=True,
+        )
         raise Exit(INTERRUPTED) from None
     console = wrapped(quiet)
     console.print(f"wrote {path}", soft_wrap=True)
     usual = folder.with_name(f"{folder.resolve().name}-key")
-    suggest(console, "to count what is right", "withheld", "score", folder, usual if usual.is_dir() else "KEYDIR", path)
+    suggest(
+        console,
+        "to count what is right",
+        "withheld",
+        "score",
+        folder,
+        usual if usual.is_dir() else "KEYDIR",
+        path,
+    )
     keep(with_json({}, json_file, {"answers": str(path), "by": "diagnosis"}), console)
 
 
 def withheld_score(
     folder: Folder,
-    key: Annotated[Path, Argument(metavar="KEYDIR")],
-    answers: Annotated[Path, Argument(metavar="ANSWERS")],
+    key: Path = Argument(..., metavar="KEYDIR", help="Folder with the key."),
+    answers: Path = Argument(..., metavar="ANSWERS", help="File of answers."),
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -168,9 +207,6 @@ def withheld_score(
     Example: casadical withheld score check sealed check/answers.diagnosis.jsonl
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
-
-    key : Folder with the key.
-    answers : File of answers.
     """
     from casadical.blind_check.scoring import score
     from casadical.core.telling.result import terminal

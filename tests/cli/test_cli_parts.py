@@ -1,17 +1,13 @@
 """Parts of commands that end before the work begins, or say how far it is."""
 
-import inspect
 from pathlib import Path
 
 import pytest
 from command_line import main
 
-from casadical.cli.export import export_c
-from casadical.cli.root import MOVED
 from casadical.cli.terminal import DIAGNOSIS, refusal, share, wrapped
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import plain_text
-from casadical.export.mjcf.replay import replay_campaign
 
 ROOT = Path(__file__).parents[2]
 
@@ -54,17 +50,6 @@ def test_a_driver_file_replaces_nothing_unless_told(monkeypatch, capsys, tmp_pat
     assert main(monkeypatch, *arguments) == 2
     assert "dh.csv" in capsys.readouterr().err
     assert out.read_text() == "mine"
-
-
-@pytest.mark.parametrize("old", list(MOVED))
-def test_an_earlier_name_of_a_command_tells_the_new_one(monkeypatch, capsys, old):
-    assert main(monkeypatch, *old.split(), "problems/planar") == 2
-    assert capsys.readouterr().err == f"casadical: {old} is now: casadical {MOVED[old]}\n"
-
-
-def test_the_split_of_a_replay_has_seed_zero_and_c_is_of_a_command_by_default() -> None:
-    assert inspect.signature(replay_campaign).parameters["seed"].default == 0
-    assert inspect.signature(export_c).parameters["what"].default == "command"
 
 
 def test_a_check_that_finds_nothing_to_repair_says_no_more_than_without(monkeypatch, capsys):
