@@ -224,7 +224,7 @@ def test_help_teaches() -> None:
     for part in ("--out", "--json", "--method", "--seed", "--loss", "--quiet", "held out", "Exit codes: 0 done, 2 bad"):
         assert part in second
     assert "kinematics only" in second
-    assert run().stdout.split() == first.split()
+    assert run().stderr.split() == first.split()
     assert run("--version").stdout.startswith("casadical 0.")
 
 

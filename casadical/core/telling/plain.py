@@ -10,8 +10,6 @@ from functools import reduce
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 # Units that results are written in, as multiples of SI units.
 PER_SI_UNIT = {"mm": 1e3, "mm2": 1e6, "um": 1e6, "mrad": 1e3, "urad": 1e6, "deg": 180 / math.pi}
 
@@ -53,7 +51,7 @@ def plain(value: Any) -> Any:
         return value
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
-    if isinstance(value, np.ndarray | np.generic):
+    if hasattr(value, "tolist"):  # an array or a number of numpy, which the help of commands does not load
         return plain(value.tolist())
     if isinstance(value, Path):
         return str(value)
