@@ -176,18 +176,6 @@ ax.legend(ncols=3, fontsize="small")
 plt.show()
 
 # %%
-# A program that moves
-# --------------------
-# Whole programs are corrected by `casadical correct`. Here a simulated HH800 runs one: the plant is the calibrated
-# robot in MuJoCo, its four-bar, springs and 300 kg of payload included, stepped through time; the controller, which
-# has the nominal model alone, sends the 361 joint targets of a circle of 0.8 m, as programmed and as corrected. The
-# tool is 3.40 mm off the circle on average, then 0.010 mm, which is what the straight lines between the targets leave
-# of a robot without errors. `python docs/studies/moving_program.py` makes program, motion and picture.
-#
-# .. image:: /images/moving_program.png
-#    :alt: Distance of the tool from the circle in MuJoCo: millimetres as programmed, hundredths when corrected
-
-# %%
 # Before you switch it on
 # -----------------------
 # The controller's own absolute-accuracy option must be off, otherwise errors are corrected twice. Run the self-test on
