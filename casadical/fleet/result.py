@@ -57,6 +57,12 @@ class Fleet(Result):
     {}
     """
 
+    report: ClassVar[str] = "fleet.j2"
+    line: ClassVar[str] = (
+        " of {{ it.robots | length }} robots: {{ it.good | length }} ok, "
+        "{{ (it.robots | length) - (it.good | length) }} failed, "
+        "{{ (it.robots['changes'] != '').sum() }} changed"
+    )
     derived: ClassVar[tuple[Key, ...]] = (
         Key("fleet", lambda fleet: len(fleet.robots)),
         Key("robots", "_listed"),
@@ -72,12 +78,6 @@ class Fleet(Result):
     computed: int | None = field(default=None, metadata=WRITTEN)
 
     @property
-    def _line(self) -> str:
-        good = int((self.robots["status"] == "ok").sum())
-        changed = int((self.robots["changes"] != "").sum())
-        return f" of {len(self.robots)} robots: {good} ok, {len(self.robots) - good} failed, {changed} changed"
-
-    @property
     def good(self) -> pd.DataFrame:
         """Rows of robots that were calibrated."""
         return self.robots[self.robots["status"] == "ok"]
@@ -89,24 +89,12 @@ class Fleet(Result):
         words_of = {r["robot"]: grown(r["left_mm"], r.get("left_free"), ALARMS / len(some)) for r in records(some)}
         return {name: words for name, words in words_of.items() if words}
 
-    def blocks(self) -> list[Words | Table]:
-        good, bad = self.good, self.robots[self.robots["status"] != "ok"]
+    def blocks(self) -> list[Block]:
+        bad = self.robots[self.robots["status"] != "ok"]
         failed = [(r["robot"], r["status"], short(r["error"])) for r in records(bad.head(SHOWN))]
-        text = f"{len(good)} of {len(self.robots)} robots calibrated"
-        if len(good):
-            before, after = good["before_mm"].median(), good["after_mm"].median()
-            text += f"; median of their mean errors {before:.3f} mm before, {after:.3f} mm after"
-        if self.computed is not None:
-            text += f". {self.computed} computed now, {len(self.robots) - self.computed} from the store"
-        return [
-            Words(f"{text}.", "verdict"),
-            *(Words(f"note: {note}.", "note") for note in self.notes),
-            *self._faults(),
-            *self._types(),
-            *self._to_look_at(),
-            *([Table(f"Not calibrated ({len(bad)})", ("robot", "status", "why"), failed)] if failed else []),
-            *self.next,
-        ]
+        title = f"Not calibrated ({len(bad)})"
+        others = [Table(title, ("robot", "status", "why"), failed)] if failed else []
+        return self._told(findings=[*self._faults(), *self._types(), *self._to_look_at(), *others])
 
     @property
     def next(self) -> tuple[Words, ...]:

@@ -5,14 +5,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.files import json_text
 from casadical.core.statistics import best_of
-from casadical.core.telling.blocks import Page, Section, Table, Words, mm
+from casadical.core.telling.blocks import Block, Page, Section, Table, mm
 from casadical.core.telling.figure import Axis, Figure, Series
 from casadical.core.telling.result import Result, plain_text
 from casadical.diagnosis.cross_validation import new_fit
@@ -31,10 +31,6 @@ from casadical.robot.robot_file import to_toml
 
 # Unit of a factor -> (in words, its size).
 READABLE = {"rad": ("urad", 1e6), "m": ("um", 1e6), "kg/kg": ("%", 1e2), "": ("of the great torque", 1.0)}
-NATS = (
-    "Nats measure evidence: the natural logarithm of how many times more probable the data are with the law, less the "
-    "price of the search; 3 nats are 20 times."
-)
 _DRAWN = (
     "Line: the law. Points: for each pose the value that its own residual asks for at this place, beside all else in "
     "the model, fitted to all poses; the further a pose can see the place, the less its point scatters."
@@ -69,6 +65,8 @@ class Discovery(Result):
     >>> discovery.refit().is_optimal(), discovery.apply().effects_in_words
     (True, '')
     """
+
+    report: ClassVar[str] = "laws.j2"
 
     diagnosis: Diagnosis
     rounds: tuple[Round, ...]
@@ -129,39 +127,22 @@ class Discovery(Result):
         left = f"{mm(self.gap['base'])} -> {mm(self.gap['law'])} mm on poses held out"
         return f"{'; '.join(self.lines)}; {left} (casadical diagnose --laws --out DIR has it in a robot file)"
 
-    def blocks(self) -> list[Words | Table]:
-        """What is claimed, what competes, and what each model leaves."""
-        blocks: list[Words | Table] = []
-        for s, line in zip(self.laws, self.lines, strict=True):
-            blocks.append(Words(f"LAW  {line}", "verdict"))
-            blocks.append(Words(f"{_factors(self, s)}{_settings(s)}"))
-        if not self.laws:
-            blocks.append(Words(f"No law is claimed. {_why_not(self.rounds[0])}", "verdict"))
-        causes = ", ".join(e.label for e in (self.causes if self.laws else self.diagnosis.effects()))
-        if causes:
-            blocks.append(Words(f"Listed effects in the model: {causes}."))
-        for number, r in enumerate(self.rounds, 1):
-            blocks.append(
-                _table(r, "Laws that compete" if len(self.rounds) == 1 else f"Laws that compete, round {number}")
-            )
-        if self.thinned:
-            blocks.append(Words("Laws were searched on {} of {} poses.".format(*self.thinned), "note"))
-        stays = [f"{r.form.stays:.2g}" for r in self.rounds]
-        if any(r.form.stays for r in self.rounds):
-            alike = len(set(stays)) == 1
-            each = stays[0] if alike else ", ".join(f"{s} (round {k})" for k, s in enumerate(stays, 1))
-            said = f"Nats and factors are under noise of which {each} stays from one of these poses to the next."
-            blocks.append(Words(said, "note"))
-        blocks.append(Words(NATS, "note"))
-        blocks.append(_gaps(self))
-        if self.shrink:
-            low, high = self.shrink[1]
-            shares = f"{_share(self.shrink[0])} ({_share(low)} to {_share(high)})"
-            blocks.append(Words(f"Held out, settings chosen again in each fold, the error is {shares} smaller."))
-        blocks.append(
-            Words(f"In the model that is kept: {_MODELS[self.kept]}, which predicts held-out poses best.", "note")
+    def blocks(self) -> list[Block]:
+        several = len(self.rounds) > 1
+        title = "Laws that compete"
+        each = [_table(r, f"{title}, round {k}" if several else title) for k, r in enumerate(self.rounds, 1)]
+        shares = [f"{r.form.stays:.2g}" for r in self.rounds]
+        return self._told(
+            laws=list(zip(self.laws, self.lines, strict=True)),
+            effects=self.causes if self.laws else self.diagnosis.effects(),
+            factors=_factors,
+            settings=_settings,
+            why_not=_why_not,
+            tables=each,
+            shares=shares if len(set(shares)) > 1 else shares[:1],
+            gaps=_gaps(self),
+            model=_MODELS[self.kept],
         )
-        return blocks
 
     @cached_property
     def remainder(self) -> Array:
@@ -261,10 +242,6 @@ def _point(of: tuple[float, float, float]) -> str:
 
 def _own(d: Discovery, s: Scored) -> dict[str, float]:
     return {name: d.values[f"{s.law.label}.{name}"][0] for name in s.law.sizes()}
-
-
-def _share(value: float) -> str:
-    return f"{100 * value:.0f} %"
 
 
 def _factors(d: Discovery, s: Scored) -> str:

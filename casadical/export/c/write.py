@@ -18,7 +18,7 @@ import numpy as np
 from casadical.core.basics import Array, CasadicalError, InputError
 from casadical.core.files import claimed, write_together
 from casadical.core.reading import json_of, read_bytes
-from casadical.core.telling.blocks import Words
+from casadical.core.telling.blocks import Block
 from casadical.core.telling.plain import WRITTEN, Key
 from casadical.core.telling.plain import written as named
 from casadical.core.telling.result import Result
@@ -175,6 +175,7 @@ class Export(Result):
     """
 
     kept_as: ClassVar[str] = "export"
+    report: ClassVar[str] = "export.j2"
 
     derived: ClassVar[tuple[Key, ...]] = (Key("verified"), Key("operations", "operations.count"))
 
@@ -195,25 +196,8 @@ class Export(Result):
         """Whether a correction has status OK at nine of ten poses in its box."""
         return self.figures.get("share_converged", 1.0) >= LEAST_CONVERGED
 
-    def blocks(self) -> list[Words]:
-        """Whether it is verified, its comparisons, figures and operations."""
-        head = "verified: compiled, and the same bits as the reference"
-        if not self.converges:
-            share = 100 * self.figures["share_converged"]
-            head = (
-                f"UNVERIFIED: the correction converges at {share:.3g} % of the poses in its box, "
-                f"{100 * LEAST_CONVERGED:g} % are needed; other poses are refused, with their status"
-            )
-        elif not self.comparisons:
-            head = "UNVERIFIED: no C compiler found (gcc, clang, cc); install one and export again"
-        lines = [
-            *map(str, self.comparisons),
-            *(f"{key}: {value:g}" for key, value in self.figures.items()),
-            self.operations.text(),
-            f"{len(self.written)} files in {self.folder}",
-            "precondition: the controller's own absolute-accuracy option is off",
-        ]
-        return [*map(Words, self.about), Words(head, "verdict"), *map(Words, lines)]
+    def blocks(self) -> list[Block]:
+        return self._told(least=LEAST_CONVERGED)
 
 
 def write_c(
