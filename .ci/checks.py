@@ -29,7 +29,7 @@ TOP_ENTRIES = {
 # Options of other programs that pages name.
 FOREIGN_OPTIONS = {
     *("--dist", "--help", "--keep-going", "--version", "--rm", "--user", "--memory", "--durations"),
-    *("--install-completion", "--show-completion", "--tags", "--long", "--match"),
+    *("--install-completion", "--show-completion"),
 }
 # Names of other programs and of data that are described, not used.
 FOREIGN_NAMES = {
@@ -56,7 +56,6 @@ OWN_FILES = {
     "core/files.py": "writes the files",
     "core/compile_cache.py": "libraries of the private cache",
     "core/lazy.py": "a stub of the package",
-    "core/version.py": "the package's own version",
     "core/telling/page.py": "templates of the package",
     "core/telling/template.py": "templates of the package",
     "diagnosis/formula_cache.py": "the package's own code, for its hash",

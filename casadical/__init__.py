@@ -6,12 +6,5 @@ nothing and a stand-alone part (``casadical.compensator``, ``casadical.export``)
 
 from casadical.core.lazy import attach
 
-_find, __dir__, __all__ = attach(__name__, __file__)
-
-
-def __getattr__(name: str) -> object:
-    if name != "__version__":
-        return _find(name)
-    from casadical.core.version import installed
-
-    return installed()
+__version__ = "0.1.0"
+__getattr__, __dir__, __all__ = attach(__name__, __file__)
