@@ -24,6 +24,7 @@ from casadical.diagnosis.observations import edges_of
 from casadical.diagnosis.refit import left_by, refit_measurements
 from casadical.diagnosis.result import Diagnosis
 from casadical.effects import Effect
+from casadical.identification.fit_statistics import steps_without
 from casadical.measurements.measurements import Noise
 
 if TYPE_CHECKING:
@@ -115,7 +116,7 @@ def check_refit(found: Diagnosis, show: Show = silent) -> Check:
     whole = found.refit()
     problem, left = whole.problem, np.empty(len(folds))
     show("refits without a fifth each")
-    steps = problem.steps_without(whole.solution.v, [folds[case.rows][at] for at in edges_of(problem.sets)])
+    steps = steps_without(problem, whole.solution.v, [folds[case.rows][at] for at in edges_of(problem.sets)])
     for fold, step in enumerate(steps):
         test, v = folds == fold, whole.solution.v + step
         fitted = replace(whole, robot=whole.start.with_values(problem.values(v)), solution=replace(whole.solution, v=v))

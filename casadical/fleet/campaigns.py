@@ -191,7 +191,16 @@ def day_of(path: Path) -> float | None:
 
 def in_order(given: Sequence[Estimate], *, begun: bool = False) -> tuple[list[Estimate], list[str]]:
     """Campaigns by their days, or as given, and what is odd; begun : whether the first is the earliest."""
-    campaigns, said = _without_repeated(given)
+
+    def same(a: Estimate, b: Estimate) -> bool:
+        return np.array_equal(a.values, b.values) and np.array_equal(a.information, b.information)
+
+    campaigns, copies = without_copies(given, same)
+    alike = "is left out: the same measurements as"
+    said = [f"{c.label} {alike} {k.label}, to the last digit" for c, k in copies]
+    if copies and len(campaigns) == 1:
+        campaigns = list(given)
+        said = ["all campaigns are the same measurements, to the last digit: no change can be seen"]
     if begun and len(campaigns) > 1 and campaigns[0].day is None:
         later, more = in_order(campaigns[1:])
         return [campaigns[0], *later], [*said, *more]
@@ -235,18 +244,6 @@ def in_order(given: Sequence[Estimate], *, begun: bool = False) -> tuple[list[Es
         listed = ", ".join(f"{a} and {b}" for a, b in gaps[:3])
         said.append(f"campaigns seem to be missing between {listed}; a change there is dated to the later one")
     return ordered, said
-
-
-def _without_repeated(campaigns: Sequence[Estimate]) -> tuple[list[Estimate], list[str]]:
-    """Without those that are the same measurements as an earlier one, to the last digit; and which these are."""
-
-    def same(a: Estimate, b: Estimate) -> bool:
-        return np.array_equal(a.values, b.values) and np.array_equal(a.information, b.information)
-
-    kept, copies = without_copies(campaigns, same)
-    if copies and len(kept) == 1:
-        return list(campaigns), ["all campaigns are the same measurements, to the last digit: no change can be seen"]
-    return kept, [f"{c.label} is left out: the same measurements as {k.label}, to the last digit" for c, k in copies]
 
 
 def without_copies(

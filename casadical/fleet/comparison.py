@@ -86,7 +86,12 @@ def shared_information(
     at = [first.names.index(n) for n in names]
     values = first.values[at]
     if same_frame:
-        campaigns = [_in_frame_of(first, c) for c in campaigns]
+        # Bases are departures from that of the first; small ones, else it is clear anyway.
+        for k, c in enumerate(campaigns := list(campaigns)):
+            own = dict(zip(first.robot.parameters.names, first.robot.values_of(c.robot), strict=True))
+            moved = zip(c.names, c.values, strict=True)
+            moved_values = [own.get(n, v) if n.startswith("base_") else v for n, v in moved]
+            campaigns[k] = replace(c, values=np.array(moved_values))
     H, b = (np.array(parts) for parts in zip(*(c.about(names, values) for c in campaigns), strict=True))
     spread = np.sqrt(np.mean([c.spread[[c.names.index(n) for n in names]] ** 2 for c in campaigns], axis=0))
     # The harmonics of the robot as it is are known so many times less than the residuals of one
@@ -97,13 +102,6 @@ def shared_information(
     candidates = evidence.candidates_of(first.robot, names)
     information = evidence.SharedInformation(H, b, spread**-2.0).with_jitter(*evidence.daily(candidates))
     return names, information, candidates
-
-
-def _in_frame_of(first: Estimate, other: Estimate) -> Estimate:
-    """The other one with its base as departures from the base of the first; small ones, else it is clear anyway."""
-    values = dict(zip(first.robot.parameters.names, first.robot.values_of(other.robot), strict=True))
-    moved = [values.get(n, v) if n.startswith("base_") else v for n, v in zip(other.names, other.values, strict=True)]
-    return replace(other, values=np.array(moved))
 
 
 def times_of(campaigns: Sequence[Estimate]) -> Array:
@@ -287,6 +285,11 @@ def _change(
     m = top.courses.shape[2]
     a, C, _ = evidence.amplitude(top.H[at], top.b[at], np.tile(candidate.sizes, m), top.logs[at])
     others = [other for i, other in enumerate(accepted) if i != k]
+    # Size in each campaign along the change's own direction, 1 where it is whole.
+    direction = (candidate.columns @ a[: len(candidate.sizes)])[:, None]
+    n = len(told.score)
+    H, score = evidence.visible(_beside(told, others), direction, np.eye(n)[:, 1:][None])
+    course = np.linalg.inv(H[0] + np.diag(np.full(n - 1, 1e-4)))
     return Change(
         candidate,
         top.course,
@@ -297,7 +300,7 @@ def _change(
         change.odds,
         tuple(sorted(rivals.values(), key=lambda r: -r.probability)),
         tuple(_amounts(candidate, first, a, C, m)),
-        _course_of(_beside(told, others), candidate, a[: len(candidate.sizes)]),
+        np.vstack([[0.0, 0.0], np.column_stack([course @ score[0], np.sqrt(np.diag(course))])]),
     )
 
 
@@ -311,17 +314,6 @@ def _amounts(candidate: Candidate, first: Estimate, a: Array, C: Array, waves: i
     for k, name in enumerate(candidate.names[:width]):
         p = first.robot.parameters[name]
         yield Amount(name, p.readable(a[k] * p.scale), p.readable(float(np.sqrt(C[k, k])) * p.scale), p.readable_unit)
-
-
-def _course_of(model: evidence.Model, candidate: Candidate, a: Array) -> Array:
-    """Size of the change in each campaign along its own direction, 1 where it is whole, with standard errors."""
-    n = len(model.shared.score)
-    E = (candidate.columns @ a)[:, None]
-    one = np.eye(n)[:, 1:][None]
-    H, b = evidence.visible(model, E, one)
-    wide = np.diag(np.full(n - 1, 1e-4))
-    C = np.linalg.inv(H[0] + wide)
-    return np.vstack([[0.0, 0.0], np.column_stack([C @ b[0], np.sqrt(np.diag(C))])])
 
 
 # How far parameters are apart, and its covariance.

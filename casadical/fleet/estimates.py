@@ -122,7 +122,12 @@ def estimate(
     identified = campaign if isinstance(campaign, Identification) else identify(*campaign, loss="huber")
     fit = wide_fit(identified)
     unit = fit.best.s2 * fit.misfit
-    noted = [text for m in identified.measurements for text in (*_left_out(m), *clock_faults(m))]
+    noted: list[str] = []
+    for m in identified.measurements:
+        if m.lost:
+            rows = ", ".join(map(str, m.lost))
+            noted.append(f"{m.source}: row{'s' * (len(m.lost) > 1)} {rows} not used, a reading or a position is empty")
+        noted += [*([m.copies_in_words] if m.copies else []), *clock_faults(m)]
     # A campaign of more poses tells its own noise.
     return Estimate(
         fit.robot,
@@ -155,14 +160,6 @@ def _outliers(found: Identification) -> Iterator[str]:
     if len(rows) >= 5 and not more and not len(between):
         said += f", rows {rows[0]} to {rows[-1]} one after another: units, tool or set-up changed there"
     yield said
-
-
-def _left_out(m: Measurements) -> Iterator[str]:
-    if m.lost:
-        rows = ", ".join(map(str, m.lost))
-        yield f"{m.source}: row{'s' * (len(m.lost) > 1)} {rows} not used, a reading or a position is empty"
-    if m.copies:
-        yield m.copies_in_words
 
 
 def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) -> Estimate:

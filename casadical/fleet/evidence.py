@@ -86,7 +86,11 @@ def shared_names(robot: Robot, names: Sequence[str], *, same_tool: bool, same_fr
 def candidates_of(robot: Robot, names: Sequence[str]) -> tuple[Candidate, ...]:
     """Everything that may change, by the shared parameters of a robot with harmonics as its last effect."""
     chosen = [robot.parameters[n] for n in names]
-    candidates = [*_joints(robot, chosen), *_whole(chosen), *_effects(robot, chosen)]
+    effects = [
+        _candidate("effect", effect.joint, [p.name for p in effect.parameters()], chosen, effect.label)
+        for effect in robot.effects[:-1]
+    ]
+    candidates = [*_joints(robot, chosen), *_whole(chosen), *effects]
     return tuple(c for c in candidates if c.names)
 
 
@@ -149,11 +153,6 @@ def _whole(chosen: Sequence[Parameter]) -> Iterable[Candidate]:
     yield _candidate("tool", None, [p.name for p in chosen if p.group == "tool"], chosen)
     yield _candidate("foot", None, [p.name for p in chosen if p.group == "base"], chosen)
     yield _candidate(ROBOT, None, [p.name for p in chosen], chosen)
-
-
-def _effects(robot: Robot, chosen: Sequence[Parameter]) -> Iterable[Candidate]:
-    for effect in robot.effects[:-1]:
-        yield _candidate("effect", effect.joint, [p.name for p in effect.parameters()], chosen, effect.label)
 
 
 # Sizes of a change in units of its usual one.

@@ -164,7 +164,14 @@ def client_of(scheduler: str | None, workers: int | None) -> Iterator[Any]:
     distributed = optional("distributed", NEEDED)  # first: its own settings must not take the place of these
     dask = optional("dask", NEEDED)
     if scheduler is not None:
-        _refuse_address(scheduler)
+        if scheduler.startswith("tls://"):
+            raise InputError(
+                f"--scheduler {shown(scheduler)}: an encrypted one asks for certificates, which this command cannot "
+                "give; start the scheduler with tcp:// on a network that you trust, or reach it through an SSH tunnel"
+            )
+        parts = re.fullmatch(r"(tcp://)?(\[[0-9a-fA-F:.]+\]|[\w.-]+):(\d{1,5})", scheduler)
+        if not parts or int(parts[3]) > 65535:
+            raise InputError(f"--scheduler {shown(scheduler)}: is no address; an address is tcp://host:8786")
     settings = {
         "distributed.comm.timeouts.connect": "10s",
         # Dask keeps the call stacks of each second of the last hour: hundreds of megabytes.
@@ -185,18 +192,6 @@ def client_of(scheduler: str | None, workers: int | None) -> Iterator[Any]:
         except (OSError, TimeoutError) as error:
             raise InputError(f"{scheduler or 'local cluster'}: no scheduler answers: {error}") from None
         yield client
-
-
-def _refuse_address(scheduler: str) -> None:
-    """Raises InputError for what is no address of a scheduler that this command can talk to."""
-    if scheduler.startswith("tls://"):
-        raise InputError(
-            f"--scheduler {shown(scheduler)}: an encrypted one asks for certificates, which this command cannot give; "
-            "start the scheduler with tcp:// on a network that you trust, or reach it through an SSH tunnel"
-        )
-    parts = re.fullmatch(r"(tcp://)?(\[[0-9a-fA-F:.]+\]|[\w.-]+):(\d{1,5})", scheduler)
-    if not parts or int(parts[3]) > 65535:
-        raise InputError(f"--scheduler {shown(scheduler)}: is no address; an address is tcp://host:8786")
 
 
 def _refuse_other_versions(client: Any, scheduler: str) -> None:

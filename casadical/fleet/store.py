@@ -60,17 +60,13 @@ def name_of(folder: Path, *, whole: bool = False) -> str:
     return (str(path) if whole else path.name).encode(errors="backslashreplace").decode()
 
 
-def _refuse_bytes(folder: Path) -> None:
-    if (name := name_of(folder, whole=True)) != str(folder.resolve()):
-        raise InputError(f"{name}: a name that is not UTF-8; rename the folder")
-
-
 def one_robot(folder: str, with_diagnosis: bool) -> dict[str, Any]:
     """The row of one robot; what goes wrong is in it, nothing is raised."""
     start, place = time.perf_counter(), Path(folder)
     row = {**NOTHING, "robot": name_of(place), "folder": name_of(place, whole=True), "written_by": __version__}
     try:
-        _refuse_bytes(place)
+        if row["folder"] != str(place.resolve()):
+            raise InputError(f"{row['folder']}: a name that is not UTF-8; rename the folder")
         row["fingerprint"] = fingerprint(place)
         row |= _computed(place, with_diagnosis)
         row["status"] = "ok"

@@ -377,7 +377,12 @@ def touched(
             raise InputError(f"{p}: {len(m)} touch; {FEWEST} or more are needed")
         if m.lost:
             notes.append(f"{m.source}: row {', '.join(map(str, m.lost))} left out, a cell is no number")
-    kept, copies = without_copies([(p, m.positions_alone()) for p, m in days], _same_readings)
+
+    def same(first: tuple[Path, Measurements], other: tuple[Path, Measurements]) -> bool:
+        a, b = first[1], other[1]
+        return np.array_equal(a.q, b.q) and all(np.array_equal(v, a.arrays[name]) for name, v in b.arrays.items())
+
+    kept, copies = without_copies([(p, m.positions_alone()) for p, m in days], same)
     notes += [
         f"{p.name} is left out: the same readings as {first.name}, to the last digit" for (p, _), (first, _) in copies
     ]
@@ -412,8 +417,3 @@ def touched(
         more = plan_touches(place, MORE, noise_mm=noise_mm, touched=kept[-1][1], seed=seed)
         return replace(touches, more=more)
     return touches
-
-
-def _same_readings(first: tuple[Path, Measurements], other: tuple[Path, Measurements]) -> bool:
-    (_, a), (_, b) = first, other
-    return np.array_equal(a.q, b.q) and all(np.array_equal(values, a.arrays[name]) for name, values in b.arrays.items())

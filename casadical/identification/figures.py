@@ -228,7 +228,11 @@ def parameter_tables(result: Identification, whole: bool = False) -> list[Table 
     table = Table(title, columns, rows, frozenset(range(1, 6)), frozenset(strong), frozenset(faint), folded=whole)
     # Nominal values of base and tool then come from a first placement (see `placement.place_frames`).
     placed = result.given.base.unknown == "pose" and any(m.position is not None for m in result.measurements)
-    return [table, *([PLACED] if placed else []), *_stiffness(result), *_summaries(result)]
+    summaries = []
+    for effect in (e for e in result.start.effects if e.summary):  # too many parameters to be shown
+        text = ", ".join(f"{name} {value} {unit}".rstrip() for name, value, unit in effect.summary)
+        summaries.append(Words(f"{effect.label}: {text}; coefficients in the robot file", "note"))
+    return [table, *([PLACED] if placed else []), *_stiffness(result), *summaries]
 
 
 def _parameters(result: Identification) -> list[dict[Any, Any]]:
@@ -245,15 +249,6 @@ def _stiffness(result: Identification) -> list[Words]:
         f"joint {r['name'][1:]} {stiffness(r['value'], r['std_error'])}" for r in identified if r["value"] > 0
     )
     return [Words(f"Joint stiffness [N m/rad]: {text}")] if text else []
-
-
-def _summaries(result: Identification) -> list[Words]:
-    """Effects whose parameters are too many to be shown."""
-    words = []
-    for effect in (e for e in result.start.effects if e.summary):
-        text = ", ".join(f"{name} {value} {unit}".rstrip() for name, value, unit in effect.summary)
-        words.append(Words(f"{effect.label}: {text}; coefficients in the robot file", "note"))
-    return words
 
 
 def stiffness(compliance: float, error: float) -> str:

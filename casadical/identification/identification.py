@@ -19,6 +19,7 @@ from casadical.core.parts import Body, with_estimated_masses, without_masses
 from casadical.core.telling.result import Shown
 from casadical.core.transforms import frame
 from casadical.effects import LinkMasses, PayloadError
+from casadical.identification.fit_statistics import redundancies, variance
 from casadical.identification.least_squares import LeastSquares, first_sigmas
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against
@@ -283,7 +284,7 @@ def compliance_tried(prepared: Prepared, progress: Progress | None = None) -> Pr
     for start in (rigid, full):
         problem, v = replace(start.problem, sigmas=sigmas), start.solution.v
         squares.append(problem.square(v) + problem.prior_square(v, counted=True))
-        freedom.append(max(float(problem.redundancies(v).sum()), 1.0))
+        freedom.append(max(float(redundancies(problem, v).sum()), 1.0))
     more, ratio = max(freedom[0] - freedom[1], 1.0), max(squares[0], 1e-300) / max(squares[1], 1e-300)
     chance = fdtrc(more, freedom[1], max(ratio - 1, 0.0) * freedom[1] / more)
     # A compliance is visible where less than this share of the scatter is left with it, and so much
@@ -338,7 +339,7 @@ def calibrated(
         identifiability=judged,
         problem=reduced,
         solution=solution,
-        variance=reduced.variance(solution.v, trimmed=True),
+        variance=variance(reduced, solution.v, trimmed=True),
         degrees_of_freedom=reduced.degrees_of_freedom,
         outliers=outliers,
         tried=prepared.tried,

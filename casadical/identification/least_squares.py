@@ -1,4 +1,4 @@
-"""The identification problem: sets of measurements, chosen parameters, unknown points; its solve and its statistics.
+"""The identification problem: sets of measurements, chosen parameters, unknown points; and its solve.
 
 Variables are v = (x, u): departures of the chosen parameters from nominal in units of their scale, then three
 coordinates [mm] per unknown point. The cost is half the sum of squared residuals in units of sigma (through the robust
@@ -17,11 +17,10 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.parameters import Parameter
-from casadical.core.statistics import robust_std
 from casadical.identification.accuracy import predicted
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.residuals import HELD, POINT_SCALE, Block, Loss, loss_slope, loss_value, make_block
-from casadical.identification.solver import ACCEPTABLE, OPTIMUM, Kept, Progress, Solution, Sums, minimise
+from casadical.identification.solver import ACCEPTABLE, OPTIMUM, Kept, Progress, Solution, Sums, bounded_step, minimise
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
@@ -216,7 +215,7 @@ class LeastSquares:
         if start is None and self.priors and len(self.names) > WIDE:
             start = self._approached()
         creeps = bool(self.guesses.any() or self.known)
-        settled = self._settled if creeps else None
+        settled = (lambda v: self.decrement(v) < SETTLED) if creeps else None
         solution = minimise(
             self.cost, self.gradient, *self.bounds, scale=scale, start=start, progress=progress, settled=settled
         )
@@ -238,10 +237,6 @@ class LeastSquares:
                 break
             v, cost = closer, then
         return v
-
-    def _settled(self, v: Array) -> bool:
-        """Whether little is left to gain, where what priors hold makes the search creep."""
-        return self.decrement(v) < SETTLED
 
     def cost(self, v: Array) -> float:
         """Half the sum of squares at v, through the robust loss, with the priors.
@@ -273,7 +268,7 @@ class LeastSquares:
         of : some of its columns, without the sums
         """
         if of is not None:
-            return reduce(_with_rows, (J[:, of] for _, _, J in self._parts(v)), np.zeros((0, len(of))))
+            return reduce(_with_rows, (J[:, of] for _, _, J in self.parts(v)), np.zeros((0, len(of))))
         last = self.kept.sums
         known: Sums | None = last.answer if last.holds(v) else None
         if known is None or known.triangle is None:
@@ -284,7 +279,7 @@ class LeastSquares:
     def undefined(self, v: Array) -> tuple[Measurements, Array] | None:
         """The first set with a residual, or a slope of one, that is no finite number, and at which of its poses."""
         bad: list[list[Array]] = [[] for _ in self.sets]
-        for k, r, J in self._parts(v):
+        for k, r, J in self.parts(v):
             if k < len(self.sets):  # not of separations
                 bad[k].append(~np.isfinite(np.column_stack([r, J.reshape(len(r), -1)])).all(axis=1))
         at = ((m, np.concatenate(some)) for m, some in zip(self.sets, bad, strict=True) if some)
@@ -297,7 +292,7 @@ class LeastSquares:
     def residuals(self, v: Array) -> list[Array]:
         """Of every set, shape (n, m), and of the known separations, where there are any, shape (separations, 1)."""
         left = self._sums(v).residuals
-        return self._joined((k, r) for k, r, _ in self._parts(v)) if left is None else left
+        return self._joined((k, r) for k, r, _ in self.parts(v)) if left is None else left
 
     def square(self, v: Array) -> float:
         """Sum of the squares of all residuals, without the loss."""
@@ -320,24 +315,24 @@ class LeastSquares:
         gradient, information = np.zeros(self.size), np.zeros((self.size, self.size))
         residuals: list[tuple[int, Array]] = []
         R = np.zeros((0, self.size))
-        for k, r, J in self._parts(v):
+        for k, r, J in self.parts(v):
             if self.residual_count <= self.most_kept:
                 residuals.append((k, r))
             if triangle:
                 R = _with_rows(R, J)
             flat = r.ravel()
             square += (own := float(flat @ flat))
-            loss = self._loss_of(k)
+            loss = self.loss_of(k)
             cost += own if loss == "linear" else float(loss_value(loss, r).sum())
-            rows, y = self._through_loss(k, r, J)
+            rows, y = self.through_loss(k, r, J)
             information += rows.T @ rows
             gradient += rows.T @ y
         kept = self._joined(residuals) if residuals else None
         return Sums(0.5 * cost, gradient, information, square, kept, R if triangle else None)
 
-    def _through_loss(self, k: int, r: Array, J: Array) -> tuple[Array, Array]:
+    def through_loss(self, k: int, r: Array, J: Array) -> tuple[Array, Array]:
         """Rows of the Jacobian and residuals of a part as the loss weighs them, shapes (rows, size) and (rows,)."""
-        if (loss := self._loss_of(k)) == "linear":
+        if (loss := self.loss_of(k)) == "linear":
             return J, r.ravel()
         root = np.sqrt(np.repeat(loss_slope(loss, r), r.shape[1]))
         return J * root[:, None], root * r.ravel()
@@ -347,13 +342,13 @@ class LeastSquares:
         x, u = self.separate(v)
         of_sets = ((k, r) for k, block in enumerate(self.blocks) for r in block.residuals(x, u))
         residuals = chain(of_sets, ((k, r) for k, r, _ in self._separated(v)))
-        return 0.5 * (sum(float(loss_value(self._loss_of(k), r).sum()) for k, r in residuals) + self.prior_square(v))
+        return 0.5 * (sum(float(loss_value(self.loss_of(k), r).sum()) for k, r in residuals) + self.prior_square(v))
 
-    def _loss_of(self, k: int) -> Loss:
+    def loss_of(self, k: int) -> Loss:
         """Known separations pass through no loss."""
         return self.loss if k < len(self.sets) else "linear"
 
-    def _parts(self, v: Array) -> Iterable[_Part]:
+    def parts(self, v: Array) -> Iterable[_Part]:
         """Some poses at a time: the set's index, residuals, shape (n, m), and Jacobian, shape (n m, size); no loss.
 
         Kept for the last v where they are few, so that statistics need no further evaluation.
@@ -402,7 +397,7 @@ class LeastSquares:
 
     def evaluate(self, v: Array) -> tuple[list[Array], Array]:
         """Residuals of every set, shape (n, m), and the whole Jacobian, shape (residuals, size), without the loss."""
-        rows = [J for _, _, J in self._parts(v)]
+        rows = [J for _, _, J in self.parts(v)]
         return self.residuals(v), np.concatenate(rows) if len(rows) > 1 else rows[0]
 
     def at_bounds(self, v: Array) -> Array:
@@ -419,103 +414,8 @@ class LeastSquares:
 
     def step(self, v: Array) -> Array:
         """The next Gauss-Newton step, to the least of the linearised problem inside the bounds, shape (size,)."""
-        return self._step(v, *self.gradient(v))
-
-    def steps_without(self, v: Array, groups: Sequence[Array]) -> Array:
-        """Such a step from the optimum v without one group of rows each, shape (groups, size).
-
-        groups : number of each row's group in every set, shape (n,). What a group alone tells of stays where it is.
-        """
-        count = 1 + max(int(own.max()) for own in groups)
-        lost = [(np.zeros(self.size), np.zeros((self.size, self.size))) for _ in range(count)]
-        first = [0] * len(self.sets)
-        for k, r, J in self._parts(v):
-            if k == len(self.sets):  # known separations belong to no row
-                continue
-            at = np.repeat(groups[k][first[k] : first[k] + len(r)], r.shape[1])
-            first[k] += len(r)
-            rows, y = self._through_loss(k, r, J)
-            for group, (gradient, information) in enumerate(lost):
-                own = rows[at == group]
-                gradient += own.T @ y[at == group]
-                information += own.T @ own
-        g, H = self.gradient(v)
-        # Times that variables are held at bounds again on the way to a step, the first ones all at
-        # once; and the share of what is known of a variable below which rounding alone is left of
-        # it.
-        alone = [np.diag(H - information) > 1e-9 * np.diag(H) for _, information in lost]
-        return np.stack([self._step(v, g - of[0], H - of[1], some) for of, some in zip(lost, alone, strict=True)])
-
-    def _step(self, v: Array, g: Array, H: Array, moves: Array | None = None) -> Array:
-        """The step to the least of a quadratic cost inside the bounds, by its gradient and Hessian at v.
-
-        moves : mask of the variables that may move, all by default. Variables are held at bounds that they would leave
-        and let go where the cost draws them back (Portugal, Judice and Vicente 1994).
-        """
-        lower, upper = (b - v for b in self.bounds)
-        step, free = np.zeros(self.size), np.ones(self.size, dtype=bool) if moves is None else moves
-        held = np.where(-lower < upper, g >= 0, g <= 0) & self.at_bounds(v) & free
-        best, least, own = step, 0.0, free
-        for turn in range(60):
-            free = own & ~held
-            step = np.where(free, 0.0, step)
-            step[free] = -scaled_inverse(H[np.ix_(free, free)]) @ (g + H @ step)[free]
-            inside = np.clip(step, lower, upper)
-            if (cost := float((g + 0.5 * H @ inside) @ inside)) < least:
-                best, least = inside, cost
-            beyond, slope = free & (inside != step), g + H @ inside
-            drawn = held & np.where(inside - lower < upper - inside, slope < 0, slope > 0)
-            wrong = beyond | drawn
-            if not wrong.any():
-                break
-            if turn > 8:  # one at a time never returns to where it was (Murty 1974)
-                wrong &= np.arange(self.size) == wrong.argmax()
-            step, held = np.where(held | beyond & wrong, inside, 0.0), held ^ wrong
-        return best
-
-    def covariance(self, v: Array, variance: float) -> Array:
-        """Of the parameters, shape (p, p) [SI], points marginalised; NaN for those at a bound.
-
-        variance : of a residual in units of sigma, one if the sigmas are right
-
-        With a robust loss it is the sandwich H^-1 (J' W^2 J) H^-1 of M-estimators (Huber and Ronchetti 2009, ch. 7).
-        """
-        free = np.flatnonzero(~self.at_bounds(v))
-        inverse = scaled_inverse(self.gradient(v)[1][np.ix_(free, free)])
-        if self.loss != "linear":
-            squared = self.prior_matrix + sum((J * w[:, None] ** 2).T @ J for w, J in self._weighted(v))
-            inverse = inverse @ squared[np.ix_(free, free)] @ inverse
-        whole = np.full((self.size, self.size), np.nan)
-        whole[np.ix_(free, free)] = variance * inverse
-        p = len(self.names)
-        return np.asarray(whole[:p, :p] * np.outer(self.scale, self.scale))
-
-    def variance(self, v: Array, *, trimmed: bool = False) -> float:
-        """Of a residual, in units of sigma: the sum of squares over the degrees of freedom.
-
-        With a robust loss, and unless outliers were trimmed, from the median absolute residuals instead. With what is
-        known from elsewhere at least one: that the prior leaves little is no sign that it or the instrument is better.
-        """
-        least = 1.0 if self.known else 0.0
-        freedom = max(1, self.degrees_of_freedom)
-        if self.loss != "linear" and not trimmed:
-            typical = float(np.median([robust_std(r) ** 2 for r in self.residuals(v)]))
-            return max(least, typical * self.residual_count / freedom)
-        return max(least, (self.square(v) + self.prior_square(v, counted=True)) / freedom)
-
-    def redundancies(self, v: Array) -> Array:
-        """Degrees of freedom of each observed number, one less its leverage; they sum to those of the fit."""
-        shares: Array = self.kept.redundancies(v, self._redundancies)
-        return shares
-
-    def _redundancies(self, v: Array) -> Array:
-        inverse = scaled_inverse(self.gradient(v)[1])
-        return np.concatenate([1 - w * np.einsum("ij,ij->i", J @ inverse, J) for w, J in self._weighted(v)])
-
-    def _weighted(self, v: Array) -> Iterator[tuple[Array, Array]]:
-        """Some rows of the Jacobian at a time, shape (rows, size), with the weight that the loss gives each."""
-        for k, r, J in self._parts(v):
-            yield np.repeat(loss_slope(self._loss_of(k), r), r.shape[1]), J
+        lower, upper = self.bounds
+        return bounded_step(*self.gradient(v), lower - v, upper - v, self.at_bounds(v))
 
     def from_points(self, points: Array) -> LeastSquares:
         """With other starts of the unknown points, shape (K, 3) [m]."""
@@ -585,7 +485,7 @@ class Linearised(LeastSquares):
     def _evaluated(self, v: Array) -> Iterator[_Part]:
         kinds = [find_kind(m.kind) for m in self.sets]
         ratios = np.array(self.of.sigmas) / np.array(self.sigmas)
-        for k, r, J in self.of._parts(self.at):
+        for k, r, J in self.of.parts(self.at):
             r = r + (J @ (v - self.at)).reshape(r.shape)
             if k < len(kinds) and (ratios[k] != 1.0).any():
                 unit = np.repeat(ratios[k], [kinds[k].lengths, kinds[k].angles])

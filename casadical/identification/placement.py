@@ -243,6 +243,7 @@ def _by_unknown_places(robot: Robot, sets: Sequence[Measurements]) -> Robot:
 
 def _with_targets(robot: Robot, m: Measurements) -> Robot:
     """Base and tools of a robot with several of them."""
+    assert m.position is not None
     logged = m.condition_matrix([t.column for t in robot.targets], np.zeros(len(robot.targets)))
     at = np.where(logged.any(axis=1), 1 + np.argmax(logged, axis=1), 0)
     points = [robot.tool.T[:3, 3], *(t.point for t in robot.targets)]
@@ -254,18 +255,14 @@ def _with_targets(robot: Robot, m: Measurements) -> Robot:
     if robot.tool.unknown != "none":
         for k in set(range(len(points))) - {most}:
             if (rows := np.flatnonzero(at == k)).size:
-                points[k] = _point_at(placed, m[rows])
+                # Mean over the poses of where the measured positions are in the last link's frame.
+                seen = m.position[rows]
+                p, R = _flange(placed, m[rows], placed.base.T)
+                y = (seen - placed.base.T[:3, 3]) @ placed.base.T[:3, :3]
+                points[k] = np.einsum("nji,nj->ni", R, y - p).mean(axis=0)
     T = frame(placed.tool.T[:3, :3], points[0])
     targets = tuple(replace(t, point=p) for t, p in zip(robot.targets, points[1:], strict=True))
     return replace(robot, base=placed.base, tool=replace(robot.tool, T=T), targets=targets)
-
-
-def _point_at(placed: Robot, m: Measurements) -> Array:
-    """Where in the last link's frame these positions are, mean over the poses, shape (3,) [m]."""
-    assert m.position is not None
-    p, R = _flange(placed, m, placed.base.T)
-    y = (m.position - placed.base.T[:3, 3]) @ placed.base.T[:3, :3]
-    return np.asarray(np.einsum("nji,nj->ni", R, y - p).mean(axis=0))
 
 
 def _flange(robot: Robot, m: Measurements, T_M0: Array) -> tuple[Array, Array]:

@@ -21,6 +21,7 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.grid import gain
 from casadical.core.linear_gaussian.normal_equations import joined
+from casadical.identification.fit_statistics import covariance
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.least_squares import FRAMES, LeastSquares
 from casadical.robot.robot import Covariance, Robot
@@ -39,7 +40,7 @@ def covariance_of_all(
     """
     solved = ~problem.at_bounds(v)
     free = [n for n, kept in zip(problem.names, solved, strict=False) if kept]
-    own = problem.covariance(v, variance)
+    own = covariance(problem, v, variance)
     held = [p.name for p in problem.robot.parameters if p.name not in free and p.prior > 0]
     whole = problem.with_names([*free, *held])
     values = problem.values(v)

@@ -10,6 +10,7 @@ from scipy.special import chdtri
 
 from casadical.core.basics import Array, ConvergenceError, InputError
 from casadical.core.statistics import best_of, robust_std
+from casadical.identification.fit_statistics import redundancies, variance
 from casadical.identification.identifiability import (
     INVISIBLE,
     NO_EFFECT,
@@ -67,7 +68,7 @@ def _with_freedom(problem: LeastSquares, solution: Solution) -> list[tuple[Array
     """Residuals of each set and the degrees of freedom of each, both of shape (n, m)."""
     residuals = problem.residuals(solution.v)
     edges = np.cumsum([r.size for r in residuals])
-    shares = np.split(problem.redundancies(solution.v), edges)
+    shares = np.split(redundancies(problem, solution.v), edges)
     return [(r, share.reshape(r.shape)) for _, r, share in zip(problem.sets, residuals, shares, strict=False)]
 
 
@@ -233,12 +234,17 @@ def reduce_and_solve(
         try:
             solution = reduced.solve(progress, optima.get(variables))
         except ConvergenceError:
-            if problem.priors or not (worse := _poor_at_start(reduced)):
+            if problem.priors:
+                raise
+            # By which the solve wanders off: by the sigmas or, if these excuse none, by the misfit of the start.
+            at = np.zeros(reduced.size)
+            worse = _poor(reduced, at, 1.0) or _poor(reduced, at, variance(reduced, at))
+            if not worse:
                 raise
         else:
             optima[variables] = solution.v
             left = left or _misfit(reduced, solution.v)
-            worse = [] if problem.priors else _poor(reduced, solution.v, reduced.variance(solution.v))
+            worse = [] if problem.priors else _poor(reduced, solution.v, variance(reduced, solution.v))
             if not worse:
                 more = _with_visible(reduced, solution.v, analysis, problem.names)
                 if more is None:
@@ -289,7 +295,7 @@ def _with_visible(
         wider, at = _widened(problem, v, visible, order)
     # The noise as one step would leave it: what these parameters explain is none.
     left = max(0.0, 1 - wider.decrement(at) / max(wider.cost(at), 1e-300))
-    worse = {u.name for u in _poor(wider, at, left * problem.variance(v), tilts)}
+    worse = {u.name for u in _poor(wider, at, left * variance(problem, v), tilts)}
     if not visible & worse:
         return wider, at
     return None if visible <= worse else _widened(problem, v, visible - worse, order)
@@ -305,7 +311,7 @@ def _widened(problem: LeastSquares, v: Array, more: set[str], order: Sequence[st
 
 def _misfit(problem: LeastSquares, v: Array) -> float:
     """Standard deviation of a coordinate that a fit leaves, the greatest of all sets [m]."""
-    return float(np.sqrt(problem.variance(v))) * max(sigma for sigma, _ in problem.sigmas)
+    return float(np.sqrt(variance(problem, v))) * max(sigma for sigma, _ in problem.sigmas)
 
 
 def _poor(problem: LeastSquares, v: Array, variance: float, of_data: Collection[str] = ()) -> list[Unidentifiable]:
@@ -317,12 +323,6 @@ def _poor(problem: LeastSquares, v: Array, variance: float, of_data: Collection[
     at = [k for k, name in enumerate(problem.names) if name in of_data]
     H[at, at] -= np.diag(problem.prior_matrix)[at]
     return drop_poor([problem.robot.parameters[n] for n in problem.names], H, variance)[1]
-
-
-def _poor_at_start(problem: LeastSquares) -> list[Unidentifiable]:
-    """Those by which a solve wanders off: by the sigmas, and if these excuse none, by the misfit of the start."""
-    v = np.zeros(problem.size)
-    return _poor(problem, v, 1.0) or _poor(problem, v, problem.variance(v))
 
 
 # They move the robot as a whole; turns of the foot change what the weight of its links does, too.

@@ -66,7 +66,11 @@ def learn_remaining(found: Identification, most: int = MOST) -> RemainingErrors:
     whole = normal_sums(r, J)
     s2, mean, S, _ = posterior_of(whole, doubts)
     M = np.outer(mean, mean) + S
-    factor = _cut(M, 3 * s2, np.concatenate([J, _anywhere(robot, doubts.names)]))
+    # Random poses within the joint limits at which the cut factor holds, where the robot has a pose.
+    q = np.random.default_rng(0).uniform(*robot.limits, (500, robot.n))
+    anywhere = evaluated(robot, [unmeasured(q)], doubts.names)[1]
+    anywhere = anywhere[np.isfinite(anywhere).all(axis=(1, 2))]
+    factor = _cut(M, 3 * s2, np.concatenate([J, anywhere]))
     scale = np.array([robot.parameters[n].scale for n in doubts.names])
     return RemainingErrors(doubts.names, scale[:, None] * factor, float(_MM * np.sqrt(3 * s2)), poses)
 
@@ -90,15 +94,6 @@ def evaluated(robot: Robot, sets: Iterable[Measurements], names: tuple[str, ...]
     both = zip(*(block.evaluate(np.zeros(len(names)), none) for block in blocks), strict=True)
     r, J = map(np.concatenate, both)
     return r, J
-
-
-def _anywhere(robot: Robot, names: tuple[str, ...]) -> Array:
-    """Jacobians at random poses within the joint limits, where the robot has a pose."""
-    lower, upper = robot.limits
-    # random poses at which that holds
-    q = np.random.default_rng(0).uniform(lower, upper, (500, robot.n))
-    J = evaluated(robot, [unmeasured(q)], names)[1]
-    return np.asarray(J[np.isfinite(J).all(axis=(1, 2))])
 
 
 def posterior_of(sums: NormalSums, doubts: Doubts, rounds: int = ROUNDS) -> tuple[float, Array, Array, Array]:

@@ -14,6 +14,7 @@ from casadical.core.telling.blocks import Table, Words, mm
 from casadical.core.telling.plain import IN_MM, WRITTEN, Key
 from casadical.core.telling.result import Result
 from casadical.identification.accuracy import Accuracy, errors, predicted, summarise
+from casadical.identification.fit_statistics import covariance, redundancies
 from casadical.identification.identifiability import Identifiability
 from casadical.identification.least_squares import SETTLED, LeastSquares, first_sigmas
 from casadical.identification.prediction import covariance_of_all
@@ -181,7 +182,7 @@ class Identification(Result):
     @cached_property
     def covariance(self) -> Array:
         """Of `estimate`, shape (p, p) [SI]; NaN for parameters at a bound."""
-        return self.problem.covariance(self.solution.v, self.variance)
+        return covariance(self.problem, self.solution.v, self.variance)
 
     @cached_property
     def standard_errors(self) -> Array:
@@ -299,7 +300,7 @@ class Identification(Result):
         problem = self.problem
         if not problem.known or all(m.sigma for m in problem.sets):
             return False
-        return float(problem.redundancies(self.solution.v).sum()) < TELLING
+        return float(redundancies(problem, self.solution.v).sum()) < TELLING
 
     def predict(self, q: Array, conditions: Mapping[str, Array] | None = None) -> tuple[Array, Array]:
         """Positions of the calibrated robot, shape (n, 3) [m], and their covariances, shape (n, 3, 3) [m^2].

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.basics import Array, ConvergenceError
+from casadical.identification.identifiability import scaled_inverse
 
 Progress = Callable[[int, float], None]
 
@@ -241,6 +242,37 @@ def minimise(
     if status not in ("Solve_Succeeded", ACCEPTABLE, STOPPED, "Search_Direction_Becomes_Too_Small"):
         raise ConvergenceError(f"{message} ({status} after {len(ipopt.history)} iterations)")
     return Solution(v, status, message, tuple(ipopt.history))
+
+
+def bounded_step(g: Array, H: Array, lower: Array, upper: Array, at_bounds: Array, moves: Array | None = None) -> Array:
+    """Return the step to the least of a quadratic cost inside bounds, shape (size,).
+
+    Variables are held at bounds that they would leave and let go where the cost draws them back (Portugal, Judice and
+    Vicente 1994).
+
+    g, H : gradient and Hessian of the cost; lower, upper : bounds of the step
+    at_bounds : mask of the variables that stand at a bound; moves : of those that may move, all by default
+    """
+    step, free = np.zeros(len(g)), np.ones(len(g), dtype=bool) if moves is None else moves
+    held = np.where(-lower < upper, g >= 0, g <= 0) & at_bounds & free
+    best, least, own = step, 0.0, free
+    # Variables are held at bounds again so many times at most, in the first 8 rounds all at once.
+    for turn in range(60):
+        free = own & ~held
+        step = np.where(free, 0.0, step)
+        step[free] = -scaled_inverse(H[np.ix_(free, free)]) @ (g + H @ step)[free]
+        inside = np.clip(step, lower, upper)
+        if (cost := float((g + 0.5 * H @ inside) @ inside)) < least:
+            best, least = inside, cost
+        beyond, slope = free & (inside != step), g + H @ inside
+        drawn = held & np.where(inside - lower < upper - inside, slope < 0, slope > 0)
+        wrong = beyond | drawn
+        if not wrong.any():
+            break
+        if turn > 8:  # one at a time never returns to where it was (Murty 1974)
+            wrong &= np.arange(len(g)) == wrong.argmax()
+        step, held = np.where(held | beyond & wrong, inside, 0.0), held ^ wrong
+    return best
 
 
 T = TypeVar("T")

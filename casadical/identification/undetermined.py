@@ -32,7 +32,13 @@ def undetermined(sets: Sequence[Measurements], where: Mapping[str, Array]) -> It
         )
     if any(m.kind != Distance.name for m in sets):
         return
-    places = np.unique(np.concatenate([_far_ends(k, m, where) for k, m in enumerate(sets)]).round(4), axis=0)
+    ends = [
+        m.target
+        if m.target is not None
+        else np.array([where[f"{k}/{name}"] for name in find_kind(m.kind).point_names(m.arrays)])
+        for k, m in enumerate(sets)
+    ]
+    places = np.unique(np.concatenate(ends).round(4), axis=0)
     if len(places) == 1:
         yield (
             "see errors across the beam of the one instrument, nor a turn of the whole robot about it; distances to a "
@@ -52,10 +58,3 @@ def undetermined_at_start(robot: Robot, sets: Sequence[Measurements]) -> Iterato
     """The same before an identification, unknown points where a robot with its base and tool placed has them."""
     problem = LeastSquares(robot, tuple(sets), (), "linear", False, ((1.0, 1.0),) * len(sets))
     yield from undetermined(sets, dict(zip(problem.labels, problem.points, strict=True)))
-
-
-def _far_ends(k: int, m: Measurements, where: Mapping[str, Array]) -> Array:
-    """Of the distances of one set, shape (n, 3) [m]."""
-    if m.target is not None:
-        return m.target
-    return np.array([where[f"{k}/{name}"] for name in find_kind(m.kind).point_names(m.arrays)])

@@ -109,6 +109,8 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
         if effect.name not in defined and find_effect(effect.name, effects) is not type(effect):
             raise InputError(f"{effect.label}: another effect of this name is installed; rename yours")
     more = bool(robot.effects or robot.knowledge or robot.remaining)
+    tool = _frame_table(robot.tool)
+    further = [{"name": t.name, "xyz_mm": _mm(t.point), "unknown": robot.tool.unknown} for t in robot.targets]
     document = tomlkit.document()
     for line in comment.splitlines():
         document.add(tomlkit.comment(shown(line)))
@@ -119,7 +121,7 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
         "notes": list(robot.notes) or None,
         "masses": robot.masses if robot.masses != "declared" else None,
         "base": _frame_table(robot.base),
-        "tool": _tool_tables(robot) if robot.targets else _frame_table(robot.tool),
+        "tool": [{"name": robot.tool_name, **tool}, *further] if robot.targets else tool,
         "gravity": {"frame": robot.gravity_frame, "vector_m_per_s2": [float(g) for g in robot.gravity]},
         "payload": _body_table(robot.payload) if robot.payload else None,
         "drive": robot.drive.table() if robot.drive else None,
@@ -169,12 +171,6 @@ def _deg(values: Any) -> Any:
 def _frame_table(placement: Placement) -> dict[str, Any]:
     T = placement.T
     return {"xyz_mm": _mm(T[:3, 3]), "rpy_deg": _deg(to_rpy(T[:3, :3])), "unknown": placement.unknown}
-
-
-def _tool_tables(robot: Robot) -> list[dict[str, Any]]:
-    """Of several tools a table for each, the first one first."""
-    further = [{"name": t.name, "xyz_mm": _mm(t.point), "unknown": robot.tool.unknown} for t in robot.targets]
-    return [{"name": robot.tool_name, **_frame_table(robot.tool)}, *further]
 
 
 def _body_table(body: Body) -> dict[str, Any]:

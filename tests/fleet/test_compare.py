@@ -20,7 +20,6 @@ from casadical.fleet.evidence import (
     KAPPAS,
     SharedInformation,
     candidates_of,
-    drifts,
     jumps,
     log_evidence,
     shared_names,
@@ -149,11 +148,6 @@ def test_a_joint_that_repeats_badly_is_seen_in_all_campaigns(arm: tuple[Robot, R
     found = repeatability(fits)
     assert found[0] >= 1.3
     assert max(found[1:]) < found[0]
-
-
-def test_courses() -> None:
-    assert jumps(3)[:, :, 0].tolist() == [[0, 1, 1], [0, 0, 1]]
-    assert drifts([0.0, 0.5, 2.0])[:, :, 0].tolist() == [[0, 0.5, 2.0], [0, 0, 1.5]]
 
 
 @pytest.mark.parametrize("seed", [2, 7])

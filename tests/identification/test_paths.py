@@ -108,11 +108,3 @@ def test_a_library_is_made_once(with_compiler):
     other = compiled.compiled(ca.Function("twice", [x], [3 * ca.sin(x)]))
     assert len(list(with_compiler.iterdir())) == 2
     assert other(points)[0][0, 0] == pytest.approx(3 * np.sin(0.3))
-
-
-def test_without_a_compiler_the_function_itself_is_used(monkeypatch, tmp_path):
-    monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setenv("CC", "no-such-compiler")
-    f = ca.Function("f", [ca.SX.sym("x")], [ca.SX(1)])
-    assert compiled.compiler() is None
-    assert compiled.compiled(f) is None

@@ -82,6 +82,7 @@ def test_mixed_kinds_with_unknown_sigmas():
     assert np.median(gain) > 2
 
 
+@pytest.mark.slow
 def test_a_small_set_does_not_collapse_the_sigma_of_its_kind():
     """Few positions beside many distances: their sigma comes from their own degrees of freedom."""
     far = arms.readings(FIXED, 250, 2)
@@ -118,7 +119,7 @@ def test_contact_takes_its_scale_from_the_separations_alone():
     assert "whole robot" in reasons["base_rx"]
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(1))
 def test_prismatic_joint(seed):
     robot = arms.with_rail(arms.six_axis())
     built = arms.planted(robot, seed, arms.TRACKER)
@@ -163,7 +164,7 @@ def test_skewed_parallel_axes_give_the_same_set_again():
     assert identify(once.robot, m, ["kinematic"]).names == once.names
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_place_is_exact_without_noise_in_any_tracker_frame(seed):
     rng = np.random.default_rng(seed)
     T = frame(from_rpy(rng.uniform(-np.pi, np.pi, 3)), rng.uniform(-50, 50, 3))

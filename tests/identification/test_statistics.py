@@ -99,11 +99,11 @@ def test_only_what_touches_its_bound_is_at_it(built) -> None:
 
 
 def test_partners_are_those_correlated_by_nine_tenths_whatever_the_units() -> None:
-    """Two parameters by 0.98 and a third that hardly hangs with them, all with standard errors far below one."""
+    """Two parameters by -0.98 and a third that hardly hangs with them, all with standard errors far below one."""
     parameters = [Parameter(name, "geometry", "m", 0.0, 1e-3, -1.0, 1.0, prior) for name, prior in
                   (("worst", 1e-5), ("partner", 1.0), ("other", 1.0))]  # fmt: skip
     errors = np.array([0.02, 0.05, 0.03])
-    C = np.array([[1, 0.98, 0.3], [0.98, 1, 0.3], [0.3, 0.3, 1]]) * np.outer(errors, errors)
+    C = np.array([[1, -0.98, 0.3], [-0.98, 1, -0.3], [0.3, -0.3, 1]]) * np.outer(errors, errors)
     kept, poor, covariance = drop_poor(parameters, np.linalg.inv(C))
     assert kept == [1, 2]
     assert [u.name for u in poor] == ["worst"]

@@ -47,6 +47,7 @@ def identified_only(result, q):
     return np.asarray(J @ np.nan_to_num(result.covariance) @ J.transpose(0, 2, 1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("design", ["one plane", "few poses", "one pose", "+-180 deg", "half the workspace"])
 def test_intervals_hold_the_truth_anywhere(design) -> None:
     """Fewer designs and one size of errors of those in docs/studies/prediction_coverage.py, and one robot."""
@@ -66,6 +67,7 @@ def test_intervals_hold_the_truth_anywhere(design) -> None:
         assert only["held"] < 0.6  # by the identified parameters alone
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [0.1, 2.0])
 @pytest.mark.parametrize("design", ["one pose", "+-180 deg"])
 def test_how_well_a_robot_is_built_is_learnt_from_what_the_poses_determine(design, size) -> None:

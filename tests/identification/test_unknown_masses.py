@@ -179,6 +179,7 @@ def test_a_rigid_robot_stays_rigid() -> None:
     assert gravity_deflections(found) == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("poses", [25, 60])
 def test_estimated_masses_do_no_worse_than_the_same_figures_declared(poses: int) -> None:
     _, fit, held = made()

@@ -11,7 +11,7 @@ import urdf_arms
 
 from casadical import Body, FourBar, InputError, Joint, Robot, read_robot, read_urdf, write_robot
 from casadical.core.drive import Drive, read_drive
-from casadical.robot.dynamics import INERTIA, Dynamics, body_numbers
+from casadical.robot.dynamics import INERTIA, Dynamics
 from casadical.robot.robot_file import robot_from
 
 STATES = np.random.default_rng(3).normal(size=(3, 20, 7))
@@ -161,14 +161,6 @@ def test_all_coordinates_lead_to_bodies(arm) -> None:
     assert moments[0] == pytest.approx(np.exp(INERTIA) * moments[1])  # one sigma of their logarithm
     step = 1e-4 * rng.normal(size=len(dynamics.sigma))
     assert dynamics.at(step) - dynamics.values == pytest.approx(dynamics.tangent @ step, abs=1e-6)
-
-
-def test_numbers_of_a_body_and_back() -> None:
-    body = Body(2.0, np.array([0.1, -0.2, 0.3]), np.array([[0.3, 0.01, 0], [0.01, 0.2, 0.02], [0, 0.02, 0.25]]))
-    again = as_body(body_numbers(body))
-    assert again.mass == body.mass
-    assert again.com == pytest.approx(body.com)
-    assert again.inertia == pytest.approx(body.inertia)
 
 
 def test_robot_file_keeps_inertias_and_drive(arm, tmp_path) -> None:

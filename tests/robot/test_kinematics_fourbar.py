@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,12 +9,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numeric_arm import hh800, pose, readings, rocker_angle, vector
 
-from casadical import FourBar, Joint, Placement, Robot
 from casadical.core.basics import InputError
 from casadical.identification.plausibility import check_against
 from casadical.measurements.reading import from_table
 from casadical.robot import fourbar
-from casadical.robot.kinematics import link_frames
 
 PARALLELOGRAM = (0.8, 1.6, 0.8, 1.6)  # L5, L4, L3, ground
 BARS = {"parallelogram": PARALLELOGRAM, "nearly": (0.803, 1.596, 0.798, 1.601), "other": (0.7, 1.65, 0.9, 1.5)}
@@ -137,22 +134,3 @@ def test_open_loop_gives_nan_and_a_negative_margin_in_the_model():
     q = np.deg2rad([0, 90, 170, 0, 30, 0])
     assert 0 < float(margin(q, arm.parameters.values)) <= 1
     assert np.isfinite(vector(arm.position, q, arm.parameters.values)).all()
-
-
-def test_a_loop_stands_on_a_link_that_another_loop_drives():
-    """Two loops one behind the other in a plane: both close, with the true angle of the link between them."""
-    bars = {"crank": 0.42, "coupler": 0.78, "rocker": 0.4}
-    joints = tuple(Joint(a=a, lower=low, upper=high) for a, low, high in
-                   ((0.0, -0.5, 0.5), (0.8, 1.2, 1.8), (0.8, 2.6, 3.0)))  # fmt: skip
-    loops = (FourBar(driven=2, carrier=1, **bars), FourBar(driven=3, carrier=2, **bars))
-    robot = Robot("nested", joints, loops=loops, tool=Placement(np.eye(4)))
-    values = dict(zip(robot.parameters.names, robot.parameters.values, strict=True))
-    q = np.array([0.2, 1.5, 2.9])
-    frames = [np.array(ca.DM(T)) for T in link_frames(robot, list(q), values)]
-    turned = np.unwrap([np.arctan2(T[1, 0], T[0, 0]) for T in frames])
-    own = np.diff(np.concatenate([[0.0], turned]))  # of each link against the one before it
-    for k in (1, 2):
-        ground = own[k - 1]
-        crank = 0.42 * np.exp(1j * q[k])
-        rocker = 0.8 * np.exp(1j * ground) + 0.4 * np.exp(1j * (own[k] + ground))
-        assert abs(crank - rocker) == pytest.approx(0.78, abs=1e-9)

@@ -13,15 +13,10 @@ from numeric_arm import (
     loaded_torques,
     pose,
     readings,
-    shift,
     slider_arm,
     torques,
-    turn,
     vector,
 )
-
-from casadical.core.parts import Joint, Placement
-from casadical.robot.robot import Robot
 
 ARMS = {
     "hh800": hh800,
@@ -170,27 +165,3 @@ def test_nominal_values_and_new_ones_are_the_same_model():
         a = vector(getattr(arm, output), q, phi)
         b = vector(getattr(other, output), q, other.parameters.values)
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
-
-
-def test_standard_dh_by_shifted_rows():
-    # Standard rows Rz(theta) Tz(d) Tx(a) Rx(alpha): a and alpha belong to the next modified row, the last to the tool.
-    rng = np.random.default_rng(5)
-    theta, d, a, alpha = rng.uniform(-1, 1, (4, 6))
-    joints = tuple(
-        Joint(alpha[i - 1] if i else 0.0, a[i - 1] if i else 0.0, theta[i], d[i], lower=-2, upper=2) for i in range(6)
-    )
-    arm = Robot("standard", joints, tool=Placement(shift(a[5], 0, 0) @ turn("x", alpha[5])))
-    for q in at_poses(arm):
-        T = np.eye(4)
-        for i in range(6):
-            T = T @ turn("z", theta[i] + q[i]) @ shift(0, 0, d[i]) @ shift(a[i], 0, 0) @ turn("x", alpha[i])
-        p, R = arm.pose(q, arm.parameters.values)
-        np.testing.assert_allclose(p.full().ravel(), T[:3, 3], rtol=0, atol=1e-13)
-        np.testing.assert_allclose(R.full(), T[:3, :3], rtol=0, atol=1e-13)
-
-
-def test_functions_carry_named_inputs_and_outputs():
-    arm = hh800()
-    assert str(arm.position) == f"position:(q[6],phi[{len(arm.parameters)}])->(p[3]) SXFunction"
-    assert arm.pose.name_out() == ["p", "R"]
-    assert arm.torque.name_out() == ["tau"]

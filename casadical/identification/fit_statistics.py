@@ -1,0 +1,88 @@
+"""Statistics of a fit, of an identification problem at its optimum v, shape (size,)."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from casadical.core.basics import Array
+from casadical.core.statistics import robust_std
+from casadical.identification.identifiability import scaled_inverse
+from casadical.identification.least_squares import LeastSquares
+from casadical.identification.residuals import loss_slope
+from casadical.identification.solver import bounded_step
+
+
+def covariance(problem: LeastSquares, v: Array, variance: float) -> Array:
+    """Of the parameters, shape (p, p) [SI], points marginalised; NaN for those at a bound.
+
+    variance : of a residual in units of sigma, one if the sigmas are right
+
+    With a robust loss it is the sandwich H^-1 (J' W^2 J) H^-1 of M-estimators (Huber and Ronchetti 2009, ch. 7).
+    """
+    free = np.flatnonzero(~problem.at_bounds(v))
+    inverse = scaled_inverse(problem.gradient(v)[1][np.ix_(free, free)])
+    if problem.loss != "linear":
+        squared = problem.prior_matrix + sum((J * w[:, None] ** 2).T @ J for w, J in _weighted(problem, v))
+        inverse = inverse @ squared[np.ix_(free, free)] @ inverse
+    whole = np.full((problem.size, problem.size), np.nan)
+    whole[np.ix_(free, free)] = variance * inverse
+    p = len(problem.names)
+    return np.asarray(whole[:p, :p] * np.outer(problem.scale, problem.scale))
+
+
+def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float:
+    """Of a residual, in units of sigma: the sum of squares over the degrees of freedom.
+
+    With a robust loss, and unless outliers were trimmed, from the median absolute residuals instead. With what is
+    known from elsewhere at least one: that the prior leaves little is no sign that it or the instrument is better.
+    """
+    least = 1.0 if problem.known else 0.0
+    freedom = max(1, problem.degrees_of_freedom)
+    if problem.loss != "linear" and not trimmed:
+        typical = float(np.median([robust_std(r) ** 2 for r in problem.residuals(v)]))
+        return max(least, typical * problem.residual_count / freedom)
+    return max(least, (problem.square(v) + problem.prior_square(v, counted=True)) / freedom)
+
+
+def redundancies(problem: LeastSquares, v: Array) -> Array:
+    """Return the degrees of freedom of each observed number, one less its leverage; they sum to those of the fit."""
+
+    def computed(v: Array) -> Array:
+        inverse = scaled_inverse(problem.gradient(v)[1])
+        return np.concatenate([1 - w * np.einsum("ij,ij->i", J @ inverse, J) for w, J in _weighted(problem, v)])
+
+    shares: Array = problem.kept.redundancies(v, computed)
+    return shares
+
+
+def _weighted(problem: LeastSquares, v: Array) -> Iterator[tuple[Array, Array]]:
+    """Some rows of the Jacobian at a time, shape (rows, size), with the weight that the loss gives each."""
+    for k, r, J in problem.parts(v):
+        yield np.repeat(loss_slope(problem.loss_of(k), r), r.shape[1]), J
+
+
+def steps_without(problem: LeastSquares, v: Array, groups: Sequence[Array]) -> Array:
+    """Return Gauss-Newton steps inside the bounds from v, each without one group of rows, shape (groups, size).
+
+    groups : number of each row's group in every set, shape (n,). What a group alone tells of stays where it is.
+    """
+    count = 1 + max(int(own.max()) for own in groups)
+    lost = [(np.zeros(problem.size), np.zeros((problem.size, problem.size))) for _ in range(count)]
+    first = [0] * len(problem.sets)
+    for k, r, J in problem.parts(v):
+        if k == len(problem.sets):  # known separations belong to no row
+            continue
+        at = np.repeat(groups[k][first[k] : first[k] + len(r)], r.shape[1])
+        first[k] += len(r)
+        rows, y = problem.through_loss(k, r, J)
+        for group, (gradient, information) in enumerate(lost):
+            own = rows[at == group]
+            gradient += own.T @ y[at == group]
+            information += own.T @ own
+    g, H = problem.gradient(v)
+    lower, upper = problem.bounds
+    near = lower - v, upper - v, problem.at_bounds(v)
+    # Below this share of what is known of a variable, rounding alone is left of it.
+    alone = [np.diag(H - information) > 1e-9 * np.diag(H) for _, information in lost]
+    without = zip(lost, alone, strict=True)
+    return np.stack([bounded_step(g - of[0], H - of[1], *near, some) for of, some in without])
