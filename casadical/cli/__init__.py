@@ -17,9 +17,7 @@ def main() -> None:
     """Run the command line; a user's mistake ends in a message and an exit code, never in a traceback."""
     one_thread()
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(
-            stream, TextIOWrapper
-        ):  # letters that the terminal's encoding has not are shown by their codes
+        if isinstance(stream, TextIOWrapper):  # letters that the terminal's encoding has not are shown by their codes
             stream.reconfigure(errors="backslashreplace")
     why: object
     try:

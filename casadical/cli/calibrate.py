@@ -30,8 +30,7 @@ def check(
         None,
         min=0,
         metavar="MM",
-        help="Noise of a measured coordinate, one sigma, for the forecast; default: estimated "
-        "from the data.",
+        help="Noise of a measured coordinate, one sigma, for the forecast; default: estimated from the data.",
     ),
     strict: bool = Option(False, "--strict", help="Exit with code 2 on warnings too."),
     repair: bool = Option(
@@ -62,17 +61,13 @@ def check(
     for name, (folder, tables) in o.problems_of(problems).items():
         noise = None if noise_mm is None else 1e-3 * noise_mm
         if repair and tables:
-            raise InputError(
-                f"{name}: --repair writes problem.toml; make a folder of it first: casadical new --data"
-            )
+            raise InputError(f"{name}: --repair writes problem.toml; make a folder of it first: casadical new --data")
         with working(quiet, "reading", name, CHECK) as show:
             checks.append(precheck(folder, noise, show=show, tables=tables))
         for _ in range(REPAIRS if repair else 0):
             text = repaired(checks[-1])
             if not text:
-                console.print(
-                    not_repaired(checks[-1]), end="\n" * (not checks[-1].ok), style="yellow"
-                )
+                console.print(not_repaired(checks[-1]), end="\n" * (not checks[-1].ok), style="yellow")
                 break
             console.print(text, markup=False, highlight=False, soft_wrap=True)
             with working(quiet, "reading again", name, CHECK) as show:
@@ -118,8 +113,7 @@ def calibrate(
     seed: int | None = Option(
         None,
         min=0,
-        help="Seed of the random split into sets; default: the problem's. No effect where a "
-        "column names the sets.",
+        help="Seed of the random split into sets; default: the problem's. No effect where a column names the sets.",
     ),
     prior: o.Prior = None,
     prior_effects: o.PriorEffects = None,
@@ -186,6 +180,4 @@ def calibrate(
             "fleet.parquet",
         )
     if not details and len(given) == 1:
-        console.print(
-            "all parameters and figures: --details, --out DIR or --report FILE.html", style="dim"
-        )
+        console.print("all parameters and figures: --details, --out DIR or --report FILE.html", style="dim")

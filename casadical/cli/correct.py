@@ -61,9 +61,7 @@ def correct(
     steps: o.Steps = None,
     what: o.What = "position",
     payload: o.Payload = None,
-    tool: str | None = Option(
-        None, metavar="shared|own", help="As in `casadical export c`; default: shared."
-    ),
+    tool: str | None = Option(None, metavar="shared|own", help="As in `casadical export c`; default: shared."),
     leave_out: o.LeaveOut = False,
     trust: bool = Option(
         False,
@@ -82,8 +80,7 @@ def correct(
     nearest: bool = Option(
         False,
         "--nearest",
-        help="A pose without a configuration is reached as near as possible to the target "
-        "before it in the file.",
+        help="A pose without a configuration is reached as near as possible to the target before it in the file.",
     ),
     external_still: bool = Option(
         False, "--external-still", help="External axes carry neither the robot nor its bases."
@@ -91,8 +88,7 @@ def correct(
     leave_unreached: bool = Option(
         False,
         "--leave-unreached",
-        help="Leave poses that the nominal robot does not reach, and correct the others; for "
-        "right frames only.",
+        help="Leave poses that the nominal robot does not reach, and correct the others; for right frames only.",
     ),
     accuracy_off: bool = Option(
         False,

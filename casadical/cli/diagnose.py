@@ -55,8 +55,7 @@ def diagnose(
     nuisance_masses: bool = Option(
         False,
         "--nuisance-masses",
-        help="Wrong declared masses of links are part of the base model, not a cause that may "
-        "be named.",
+        help="Wrong declared masses of links are part of the base model, not a cause that may be named.",
     ),
     prior: o.Prior = None,
     prior_effects: o.PriorEffects = None,
@@ -122,18 +121,12 @@ def diagnose(
     if logs:
         _diagnose_logs(logs, out, report_file, json_file, quiet)
         return
-    o.need(
-        room, measure_next, "--room says where the poses of --next may lie; give --next FILE, too"
-    )
+    o.need(room, measure_next, "--room says where the poses of --next may lie; give --next FILE, too")
     o.need(unlisted, out, "--unlisted says what --out writes; give --out DIR, too")
     console = wrapped(quiet)
-    given = read_campaigns(
-        problem, campaigns, o.carried(prior, prior_effects, frozen), together=together
-    )
+    given = read_campaigns(problem, campaigns, o.carried(prior, prior_effects, frozen), together=together)
     if given[0].own_effects:
-        console.print(
-            f"Effects of the robot file are in the model, held at their values: {given[0].own_effects}."
-        )
+        console.print(f"Effects of the robot file are in the model, held at their values: {given[0].own_effects}.")
     options = Options(
         effects_named(effects),
         seed,
@@ -153,9 +146,7 @@ def diagnose(
             )  # fmt: skip
             if out:
                 show("the robot with its causes")
-                texts |= answer.files(
-                    out if len(given) == 1 else out / campaign.name, unlisted=unlisted
-                )
+                texts |= answer.files(out if len(given) == 1 else out / campaign.name, unlisted=unlisted)
         answers.append(answer)
         texts |= _printed(answer, details, file, console)
     if report_file:
@@ -208,9 +199,7 @@ def _diagnose_logs(
         tell(console, *answers[-1].blocks())
         console.print()
         if out:
-            texts |= answers[-1].files(
-                out if len(campaign.logs) == 1 else out / path.name.partition(".")[0]
-            )
+            texts |= answers[-1].files(out if len(campaign.logs) == 1 else out / path.name.partition(".")[0])
     with working(quiet, "replaying") as show:
         replay = campaign.replayed(show)
     if replay:
@@ -238,9 +227,7 @@ def _diagnose_logs(
         suggest(console, "to keep what was replayed", *sys.argv[1:], "--out", "diagnosed")
 
 
-def _printed(
-    found: CampaignDiagnosis, details: bool, file: Path | None, console: Console
-) -> dict[Path, str]:
+def _printed(found: CampaignDiagnosis, details: bool, file: Path | None, console: Console) -> dict[Path, str]:
     """Print a diagnosis; the file of its next poses, where there are any to measure."""
     tell(console, *found.detailed() if details else found.brief())
     if found.searched:
@@ -262,9 +249,7 @@ def _next_command(found: CampaignDiagnosis, problem: Path, tables: Sequence[Path
     if any(cause.effects for cause in d.causes):
         return next_step("to keep the robot with its causes", *typed, "--out", "diagnosed")
     if d.verdict == "none":
-        return next_step(
-            "to keep the calibrated robot", "calibrate", problem, *tables, "--out", "results"
-        )
+        return next_step("to keep the calibrated robot", "calibrate", problem, *tables, "--out", "results")
     if poses is not None and len(poses) and "--next" not in typed and gain_of(d, poses) >= LITTLE:
         return next_step("for poses that tell more", *typed, "--next", "next.csv")
     u = found.details.unlisted

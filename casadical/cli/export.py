@@ -35,24 +35,19 @@ def export_c(
         callback=o.robot_of,
         help="A calibrated robot file, or a folder of results.",
     ),
-    out: Path = Option(
-        ..., "--out", metavar="DIR", help="Folder for the files; other files in it stay."
-    ),
+    out: Path = Option(..., "--out", metavar="DIR", help="Folder for the files; other files in it stay."),
     what: str = Option(
         "command",
         "--what",
         metavar="network|command|curves",
-        help="The network alone, the correction of joint commands, or the joints' error curves "
-        "alone.",
+        help="The network alone, the correction of joint commands, or the joints' error curves alone.",
     ),
     nominal: o.Nominal = None,
     compensator: o.Compensator = None,
     real: str = Option("double", metavar="float|double", help="Number type of the C."),
     steps: o.Steps = None,
     correct: o.What = "position",
-    cycle: float | None = Option(
-        None, metavar="MS", help="Time between two calls of NAME_step [ms]; default: 4."
-    ),
+    cycle: float | None = Option(None, metavar="MS", help="Time between two calls of NAME_step [ms]; default: 4."),
     rate: float | None = Option(
         None,
         metavar="RAD_PER_S",
@@ -136,8 +131,7 @@ def export_model(
         ...,
         metavar="PROBLEM_DIR_OR_ROBOT.toml",
         callback=o.robot_of,
-        help="A problem folder, which is calibrated, a calibrated robot file, or a folder of "
-        "results.",
+        help="A problem folder, which is calibrated, a calibrated robot file, or a folder of results.",
     ),
     out: Path = Option(..., metavar="FILE", help="Where the model goes."),
     form: str | None = Option(
@@ -168,9 +162,7 @@ def export_model(
         metavar="NAMES",
         help="Names of the arm's joints in YOURS.xml, from the base to the tool, by commas.",
     ),
-    springs: bool = Option(
-        False, "--springs", help="With --into: a spring beside each compliant joint, NAME_spring."
-    ),
+    springs: bool = Option(False, "--springs", help="With --into: a spring beside each compliant joint, NAME_spring."),
     checksum: str = Option(
         "",
         "--hash",

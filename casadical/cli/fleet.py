@@ -53,9 +53,7 @@ def compare(
 
     console = wrapped(quiet)
     with working(quiet, "reading") as show:
-        comparison = compare_files(
-            campaigns, robot, same_tool=same_tool, same_frame=same_frame, show=show
-        )
+        comparison = compare_files(campaigns, robot, same_tool=same_tool, same_frame=same_frame, show=show)
     tell(console, *comparison.blocks())
     texts: dict[Path, str] = {}
     if report_file:
@@ -84,9 +82,7 @@ def fleet(
     workers: int | None = Option(
         None, min=1, max=1024, metavar="N", help="Processes of this machine; default: one a core."
     ),
-    diagnose: bool = Option(
-        True, "--diagnose/--no-diagnose", help="Diagnose every robot, which takes longest."
-    ),
+    diagnose: bool = Option(True, "--diagnose/--no-diagnose", help="Diagnose every robot, which takes longest."),
     priors: Path | None = Option(
         None,
         metavar="DIR",
@@ -128,14 +124,10 @@ def fleet(
     tell(console, *robots.blocks())
     texts = dict(robots.prior_files(priors)) if priors else {}
     if priors and not texts:
-        console.print(
-            "note: no prior is written: no type has five calibrated robots or more.", style="yellow"
-        )
+        console.print("note: no prior is written: no type has five calibrated robots or more.", style="yellow")
     for path in sorted(priors.glob(12 * "[0-9a-f]" + ".robot.toml")) if priors else ():
         if path not in texts:
-            words = (
-                f"note: {shown(path)}: of no type of this fleet with five robots; not written now."
-            )
+            words = f"note: {shown(path)}: of no type of this fleet with five robots; not written now."
             console.print(words, style="yellow", soft_wrap=True)
     if report_file:
         texts[report_file] = html([robots.page()])

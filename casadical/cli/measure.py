@@ -49,13 +49,9 @@ def measure(
         "departs a little from its file, each at the pose that is planned next. The folder "
         "is marked synthetic.",
     ),
-    target_mm: float | None = Option(
-        None, min=0, metavar="MM", help="Wanted accuracy; says when it is reached."
-    ),
+    target_mm: float | None = Option(None, min=0, metavar="MM", help="Wanted accuracy; says when it is reached."),
     room: Room = None,
-    finish: bool = Option(
-        False, "--finish", help="Calibrate when the readings end, into the folder `results` in ARM."
-    ),
+    finish: bool = Option(False, "--finish", help="Calibrate when the readings end, into the folder `results` in ARM."),
     program: str | None = Option(
         None,
         metavar="WORD",
@@ -67,12 +63,8 @@ def measure(
         metavar="ADDRESS",
         help="Where the page is served; another machine then needs the token it prints.",
     ),
-    port: int = Option(
-        0, min=0, max=65535, metavar="N", help="Port of the page; default: a free one."
-    ),
-    every: float = Option(
-        0.0, min=0, max=3600, metavar="S", help="Seconds between readings of --simulate."
-    ),
+    port: int = Option(0, min=0, max=65535, metavar="N", help="Port of the page; default: a free one."),
+    every: float = Option(0.0, min=0, max=3600, metavar="S", help="Seconds between readings of --simulate."),
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -103,13 +95,9 @@ def measure(
 
         move = language_named(program).move_line
     if (follow and simulate) or (no_page and not (follow or simulate)):
-        raise InputError(
-            "--follow FILE, DIR or -, or --simulate N: give one of them, from which the readings come"
-        )
+        raise InputError("--follow FILE, DIR or -, or --simulate N: give one of them, from which the readings come")
     if follow and Path(follow).resolve() in {(folder / name).resolve() for name in (NAME, TABLE)}:
-        raise InputError(
-            f"{shown(follow)}: is what this command writes itself; name what the instrument writes"
-        )
+        raise InputError(f"{shown(follow)}: is what this command writes itself; name what the instrument writes")
     source: Source | None = source_of(follow, sys.stdin.buffer) if follow else None
     target = None if target_mm is None else 1e-3 * target_mm
     load_toml(folder / "problem.toml")  # which is missed before anything is written beside it
@@ -125,9 +113,7 @@ def measure(
         )
         if course.readings:
             console.print(f"goes on after {len(course.readings)} readings that {folder} holds")
-        played = SimulatedSource(
-            session.robot, session.next_pose, simulate or 0, len(course.readings)
-        )
+        played = SimulatedSource(session.robot, session.next_pose, simulate or 0, len(course.readings))
         source, pause = (played, every) if simulate else (source, PAUSE)
         if no_page and source is not None:
             with suppress(KeyboardInterrupt):
@@ -166,8 +152,6 @@ def _follow(session: LiveSession, source: Source, console: Console, pause: float
         if numbers or pause > SILENT:
             last = time.monotonic()
         elif time.monotonic() - last > SILENT:
-            console.print(
-                f"no reading for {SILENT / 60:.0f} minutes: does {source.words} still grow?"
-            )
+            console.print(f"no reading for {SILENT / 60:.0f} minutes: does {source.words} still grow?")
             last = time.monotonic()
         time.sleep(pause)

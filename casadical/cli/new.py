@@ -27,9 +27,7 @@ def new(
     context: Context,
     folder: Path = Argument(..., metavar="DIR", help="The new folder; nothing is overwritten."),
     urdf: Path | None = Option(None, metavar="FILE", help="Take the robot from this URDF."),
-    base_link: str | None = Option(
-        None, metavar="LINK", help="First link of the arm in the URDF; default: its root."
-    ),
+    base_link: str | None = Option(None, metavar="LINK", help="First link of the arm in the URDF; default: its root."),
     tip_link: str | None = Option(
         None,
         metavar="LINK",
@@ -38,8 +36,7 @@ def new(
     dh: Path | None = Option(
         None,
         metavar="FILE.csv",
-        help="Take the robot from this table, one row per joint: a_mm, alpha_deg, d_mm, "
-        "theta_deg, ...",
+        help="Take the robot from this table, one row per joint: a_mm, alpha_deg, d_mm, theta_deg, ...",
     ),
     convention: str | None = Option(
         None,
@@ -57,9 +54,7 @@ def new(
         "--example",
         help="An example arm with made-up poses: what is written without a robot, too.",
     ),
-    yes: bool = Option(
-        False, "--yes", "-y", help="Take the most probable answer to every question on the table."
-    ),
+    yes: bool = Option(False, "--yes", "-y", help="Take the most probable answer to every question on the table."),
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -74,9 +69,7 @@ def new(
     """
     from casadical.project.new import new_problem
 
-    refuse_of_others(
-        context, EXAMPLE if example or not (urdf or dh) else "--urdf" if urdf else "--dh", ROBOTS
-    )
+    refuse_of_others(context, EXAMPLE if example or not (urdf or dh) else "--urdf" if urdf else "--dh", ROBOTS)
     console = wrapped(quiet)
 
     def answer(problem: "Problem", files: list[Path]) -> dict[Path, str]:

@@ -60,9 +60,7 @@ Nominal = Annotated[
 ]
 Compensator = Annotated[
     Path | None,
-    Option(
-        metavar="NET.json", help="A trained compensator, as `casadical calibrate --out` writes it."
-    ),
+    Option(metavar="NET.json", help="A trained compensator, as `casadical calibrate --out` writes it."),
 ]
 Payload = Annotated[
     float | None,
@@ -106,9 +104,7 @@ Room = Annotated[
     ),
 ]
 Seed = Annotated[int, Option(min=0, help="Seed of everything random.")]
-Steps = Annotated[
-    int | None, Option(min=1, max=10, help="Least-squares steps of the correction; default: 2.")
-]
+Steps = Annotated[int | None, Option(min=1, max=10, help="Least-squares steps of the correction; default: 2.")]
 Quiet = Annotated[bool, Option("--quiet", "-q", help="Print errors only.")]
 Json = Annotated[
     Path | None,
@@ -154,8 +150,7 @@ Problems = Annotated[
     list[Path],
     Argument(
         metavar="PROBLEM_DIR...",
-        help="Problem folders. Tables after one (CSV) take the place of its own; a robot file needs "
-        "them.",
+        help="Problem folders. Tables after one (CSV) take the place of its own; a robot file needs them.",
     ),
 ]
 Problem = Annotated[
@@ -205,8 +200,7 @@ Frozen = Annotated[
     bool,
     Option(
         "--frozen",
-        help="Hold the prior's effects at their values; refused for readings outside of the ranges "
-        "that it covers.",
+        help="Hold the prior's effects at their values; refused for readings outside of the ranges that it covers.",
     ),
 ]
 Overwrite = Annotated[bool, Option("--overwrite", help="Replace FILE if it is there.")]
@@ -248,20 +242,14 @@ def problems_of(paths: Sequence[Path]) -> dict[str, tuple[Path, list[Path]]]:
         elif given:
             given[-1][1].append(path)
         else:
-            raise InputError(
-                f"{shown(path)}: whose poses? give a problem folder or a robot file before the table"
-            )
+            raise InputError(f"{shown(path)}: whose poses? give a problem folder or a robot file before the table")
     by_name: dict[str, tuple[Path, list[Path]]] = {}
     for source, tables in given:
         if source.is_file() and not tables:
-            raise InputError(
-                f"{shown(source)}: is a robot alone; give its measured poses after it: POSES.csv"
-            )
+            raise InputError(f"{shown(source)}: is a robot alone; give its measured poses after it: POSES.csv")
         name = tables[0].stem if tables else source.resolve().name
         if name in by_name:
-            raise InputError(
-                f"{shown(source)}: a second problem of the name {name!r}; give them one after the other"
-            )
+            raise InputError(f"{shown(source)}: a second problem of the name {name!r}; give them one after the other")
         by_name[name] = source, tables
     return by_name
 
@@ -272,8 +260,6 @@ def carried(prior: Path | None, parts: str | None, frozen: bool) -> "Carried":
 
     if prior is None:
         if parts is not None or frozen:
-            raise InputError(
-                f"--{'frozen' if frozen else 'prior-effects'}: needs the robot file that --prior names"
-            )
+            raise InputError(f"--{'frozen' if frozen else 'prior-effects'}: needs the robot file that --prior names")
         return nothing_carried
     return carried_from(prior, [name.strip() for name in (parts or "effects").split(",")], frozen)

@@ -36,9 +36,7 @@ _MEASURED = {"x_mm", "x_m", "y_mm", "y_m", "z_mm", "z_m"}
 def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[..., Any]:
     """Return a command that checks and claims what it will write before it works; also : names of further outputs."""
     outputs = {*_OUTPUTS, *also}
-    metavars = {
-        n: getattr(p.default, "metavar", None) for n, p in signature(command).parameters.items()
-    }
+    metavars = {n: getattr(p.default, "metavar", None) for n, p in signature(command).parameters.items()}
     folders = {name for name, metavar in metavars.items() if (metavar or "").startswith("DIR")}
 
     @wraps(command)
@@ -46,9 +44,7 @@ def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[.
         _refuse_unusable(given, outputs)
         paths = {name: value for name, value in given.items() if isinstance(value, Path)}
         inputs = [path for name, path in paths.items() if name not in outputs]
-        inputs += [
-            p for v in given.values() if isinstance(v, list) for p in v if isinstance(p, Path)
-        ]
+        inputs += [p for v in given.values() if isinstance(v, list) for p in v if isinstance(p, Path)]
         into = [paths[name] for name in outputs if name in paths and name in folders]
         files = [paths[name] for name in outputs if name in paths and name not in folders]
         _check(files, into, inputs, given.get("overwrite"))
@@ -60,9 +56,7 @@ def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[.
 
                 later = command.__name__ in LATER
                 others = (given.get("room"), given.get("store"))
-                judged = [
-                    path for path in inputs if path not in others and command.__name__ != "new"
-                ]
+                judged = [path for path in inputs if path not in others and command.__name__ != "new"]
                 raise every_fault(error, judged, later=later) from None
 
     return run
@@ -74,28 +68,20 @@ def _refuse_unusable(given: Mapping[str, Any], outputs: Collection[str]) -> None
         for one in value if isinstance(value, list) else [value]:
             fault = ""
             if one == Path() and "" in sys.argv and "." not in sys.argv:
-                raise InputError(
-                    "a path is empty, '': name the file or folder, or . for the one that you are in"
-                )
+                raise InputError("a path is empty, '': name the file or folder, or . for the one that you are in")
             if isinstance(one, Path) and name not in outputs:
                 real = _real(one, "read")
                 if real.is_char_device() or real.is_block_device():
                     raise InputError(f"{shown(one)}: is a device; name a file")
             if isinstance(one, str):
-                fault = (
-                    text_fault(one)
-                    if one or "" not in sys.argv
-                    else "is empty; give a value, or leave it out"
-                )
+                fault = text_fault(one) if one or "" not in sys.argv else "is empty; give a value, or leave it out"
             elif isinstance(one, int | float):
                 fault = number_fault(one)
             if fault:
                 raise InputError(f"--{name.replace('_', '-')} {shown(one)}: {fault}")
 
 
-def _check(
-    files: Sequence[Path], folders: Sequence[Path], inputs: Sequence[Path], overwrite: bool | None
-) -> None:
+def _check(files: Sequence[Path], folders: Sequence[Path], inputs: Sequence[Path], overwrite: bool | None) -> None:
     """Raises InputError for an output that would replace an input, another output, or a file that is not ours.
 
     overwrite : whether files that are not ours may be replaced; None: the command has no such
@@ -107,28 +93,20 @@ def _check(
     for path in (*folders, *files):
         real = _real(path)
         if real in taken:
-            raise InputError(
-                f"{shown(path)}: two outputs have this name; give each a name of its own"
-            )
+            raise InputError(f"{shown(path)}: two outputs have this name; give each a name of its own")
         if real in read:
-            raise InputError(
-                f"{shown(path)}: is an input of this command and is not replaced; name another file"
-            )
+            raise InputError(f"{shown(path)}: is an input of this command and is not replaced; name another file")
         taken[real] = path
     for path in files:
         if path.suffix == "" and path.is_dir():
             raise InputError(f"{shown(path)}: is a folder; name a file")
         if _real(path).parent in within and _of_a_set(path.name):
-            raise InputError(
-                f"{shown(path)}: a file of this name is among those of --out; name another one"
-            )
+            raise InputError(f"{shown(path)}: a file of this name is among those of --out; name another one")
         if not overwrite and path.is_file() and own_stream(path) is None:
             _refuse_foreign(path, "move this one away" if overwrite is None else "give --overwrite")
     for real, path in read.items():
         if real.parent in within and _of_a_set(real.name) and path.is_file():
-            raise InputError(
-                f"{shown(path)}: is an input, and --out may replace it; name another folder"
-            )
+            raise InputError(f"{shown(path)}: is an input, and --out may replace it; name another folder")
     for folder in folders:
         if folder.is_dir():
             for path in sorted(folder.iterdir()):
@@ -145,9 +123,7 @@ def _real(path: Path, done: str = "written") -> Path:
         return real_path(path)
     except (OSError, ValueError, RuntimeError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise InputError(
-            f"{shown(path)}: cannot be {done}: {reason}; nothing was written"
-        ) from None
+        raise InputError(f"{shown(path)}: cannot be {done}: {reason}; nothing was written") from None
 
 
 def _inputs(path: Path) -> Iterator[Path]:
@@ -189,9 +165,7 @@ def _refuse_foreign(path: Path, remedy: str = "move this one away") -> None:
     try:
         text = read_bytes(path).decode("utf-8", "replace")
     except OSError as error:
-        raise InputError(
-            f"{shown(path)}: is there and cannot be read: {error.strerror}; name another file"
-        ) from None
+        raise InputError(f"{shown(path)}: is there and cannot be read: {error.strerror}; name another file") from None
     if text.strip() and not _ours(path, text):
         raise InputError(
             f"{shown(path)}: is there and was not written by casadical, or was changed since; name another file, or "
@@ -206,9 +180,7 @@ def _ours(path: Path, text: str) -> bool:
         except (ValueError, RecursionError):
             return False
         tables = [data, *(data if isinstance(data, list) else data.values())]
-        return any(
-            isinstance(t, dict) and any(names <= t.keys() for names in _OURS) for t in tables
-        )
+        return any(isinstance(t, dict) and any(names <= t.keys() for names in _OURS) for t in tables)
     if path.suffix == ".csv":
         header = text.partition("\n")[0].strip().split(",")
         return len(header) > 1 and not _MEASURED & set(header)

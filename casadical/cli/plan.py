@@ -70,12 +70,8 @@ def plan(
         "all), and which look alike. Measured positions are not needed.",
     ),
     room: o.Room = None,
-    measured: Path | None = Option(
-        None, metavar="FILE.csv", help="Poses already measured; the plan adds to them."
-    ),
-    payloads: str | None = Option(
-        None, metavar="KG,KG", help="Payloads that can be mounted, by commas."
-    ),
+    measured: Path | None = Option(None, metavar="FILE.csv", help="Poses already measured; the plan adds to them."),
+    payloads: str | None = Option(None, metavar="KG,KG", help="Payloads that can be mounted, by commas."),
     every_payload: bool = Option(False, help="Measure each reading with all payloads."),
     both_approaches: bool = Option(False, help="Approach each reading from either side."),
     repeats: int = Option(1, min=1, max=1000, help="Passes over all poses."),
@@ -90,12 +86,9 @@ def plan(
         0.0,
         min=0,
         max=1,
-        help="Least distance of two poses: in the joint that differs most, as a share of its "
-        "range.",
+        help="Least distance of two poses: in the joint that differs most, as a share of its range.",
     ),
-    target_mm: float | None = Option(
-        None, min=0, help="Wanted accuracy; prints how many poses are enough for it."
-    ),
+    target_mm: float | None = Option(None, min=0, help="Wanted accuracy; prints how many poses are enough for it."),
     order: bool = Option(True, "--order/--no-order", help="Order the poses for short travel."),
     wires: int | None = Option(
         None,
@@ -124,9 +117,7 @@ def plan(
         "30 visits each, three approach paths, drift over 8 hours; written to --out "
         "(default: iso9283.csv).",
     ),
-    cube_mm: float | None = Option(
-        None, min=10, max=5000, help="With --iso9283: side of the cube."
-    ),
+    cube_mm: float | None = Option(None, min=10, max=5000, help="With --iso9283: side of the cube."),
     touches: int | None = Option(
         None,
         min=2,
@@ -152,9 +143,7 @@ def plan(
     from casadical.project.planning import circumstances_of, plan_problem
 
     given = {"--isolability": isolability, "--iso9283": iso9283, "--touches": touches}
-    o.refuse_of_others(
-        context, next((mode for mode, asked in given.items() if asked), CALIBRATION), MODES
-    )
+    o.refuse_of_others(context, next((mode for mode, asked in given.items() if asked), CALIBRATION), MODES)
     if isolability:
         _isolability(problem, poses, effects, json_file, quiet)
         return
@@ -210,9 +199,7 @@ def _poses(
         suggest(console, f"to choose {what}", *sys.argv[1:], "-n", enough or 100)
 
 
-def _iso9283(
-    problem: Path, cube_mm: float | None, out: Path, room: Path | None, seed: int, quiet: bool
-) -> None:
+def _iso9283(problem: Path, cube_mm: float | None, out: Path, room: Path | None, seed: int, quiet: bool) -> None:
     from casadical.project.planning import iso9283_plan
 
     console = wrapped(quiet)
@@ -268,9 +255,7 @@ def _isolability(
     suggest(console, "for poses that distinguish effects", "plan", problem, "-n", 60)
 
 
-def _places(
-    wires: int | None, sockets: int | None, candidates: Path | None, known: bool
-) -> Places | None:
+def _places(wires: int | None, sockets: int | None, candidates: Path | None, known: bool) -> Places | None:
     """What is planned for in place of positions.
 
     Raises InputError where the options contradict each other.
@@ -281,13 +266,7 @@ def _places(
         raise InputError("--wires and --sockets: give one of them; each is a plan of its own")
     if not (wires or sockets):
         if candidates is not None or known:
-            raise InputError(
-                "--places and --known-places are of --wires N or --sockets N; give one of these, too"
-            )
+            raise InputError("--places and --known-places are of --wires N or --sockets N; give one of these, too")
         return None
     where = read_places(candidates) if candidates else None
-    return (
-        Places("wires", wires, where, known)
-        if wires
-        else Places("sockets", sockets or 1, where, known)
-    )
+    return Places("wires", wires, where, known) if wires else Places("sockets", sockets or 1, where, known)

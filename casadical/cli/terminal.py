@@ -43,9 +43,7 @@ def refusal(error: object) -> None:
         columns = ("file", "rows", "column", "value", "allowed", "what to do")
         title = f"casadical: {len(error.faults)} faults of the input; of each the worst value and its row first"
         width = None if sys.stderr.isatty() else WIDE
-        Console(stderr=True, width=width, markup=False, emoji=False).print(
-            terminal([Table(title, columns, rows)])
-        )
+        Console(stderr=True, width=width, markup=False, emoji=False).print(terminal([Table(title, columns, rows)]))
         left = max(0, MOST_FAULTS - len(error.faults))
         more = len(error.faults) + len(error.others) - len(rows) - len(error.others[:left])
         lines = [line for text in error.others[:left] for line in text.splitlines()]
@@ -54,11 +52,7 @@ def refusal(error: object) -> None:
         lines = f"casadical: {error}".splitlines()
     if sys.stderr.isatty():
         width = shutil.get_terminal_size().columns
-        lines = [
-            part
-            for line in lines
-            for part in textwrap.wrap(line, width, break_long_words=False) or [""]
-        ]
+        lines = [part for line in lines for part in textwrap.wrap(line, width, break_long_words=False) or [""]]
     if lines:
         print(visible("\n".join(lines)), file=sys.stderr)  # noqa: T201
 
@@ -80,9 +74,7 @@ def wrapped(quiet: bool, width: int | None = None) -> Console:
 
 def plain(quiet: bool) -> Console:
     """A console for lines without colours; a terminal breaks them between words, a file has each whole."""
-    return _Console(
-        quiet=quiet, soft_wrap=not sys.stdout.isatty(), highlight=False, markup=False, emoji=False
-    )
+    return _Console(quiet=quiet, soft_wrap=not sys.stdout.isatty(), highlight=False, markup=False, emoji=False)
 
 
 def with_json(
@@ -95,15 +87,11 @@ def with_json(
         return dict(texts)
     return {
         **texts,
-        path: json_text(
-            figures[0] if isinstance(figures, Sequence) and len(figures) == 1 else figures
-        ),
+        path: json_text(figures[0] if isinstance(figures, Sequence) and len(figures) == 1 else figures),
     }
 
 
-def keep(
-    texts: Mapping[Path, Any], console: Console, about: Mapping[Path, str] | None = None
-) -> None:
+def keep(texts: Mapping[Path, Any], console: Console, about: Mapping[Path, str] | None = None) -> None:
     """Write files, all or none, and print their names, of some with words about them.
 
     Raises InputError.
@@ -128,9 +116,7 @@ def suggest_later(console: Console, robot: Path) -> None:
     if (robot.parent / "result.json").exists():
         suggest(console, "when some ten poses were measured again", "verify", robot, "LATER.csv")
     else:
-        suggest(
-            console, "when poses were measured", "calibrate", robot, "LATER.csv", "--out", "results"
-        )
+        suggest(console, "when poses were measured", "calibrate", robot, "LATER.csv", "--out", "results")
 
 
 def print_written(path: Path | None, console: Console, about: str = "") -> None:
@@ -177,9 +163,7 @@ def working(quiet: bool, step: str, name: str = "", steps: Steps | None = None) 
         TextColumn("{task.description}", markup=False),
     )  # fmt: skip
     head = f"{name}: " if name else ""
-    with Progress(
-        *columns, console=console, transient=True, disable=quiet or not console.file.isatty()
-    ) as bar:
+    with Progress(*columns, console=console, transient=True, disable=quiet or not console.file.isatty()) as bar:
         task = bar.add_task(head + step, total=None)
         done = 0.0
 

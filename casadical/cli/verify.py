@@ -84,9 +84,7 @@ def verify(
         min=0,
         help="With --touches: rms error that is allowed; default: twice what the file states.",
     ),
-    noise_mm: float | None = Option(
-        None, min=0, help="With --touches: noise of a coordinate, one sigma."
-    ),
+    noise_mm: float | None = Option(None, min=0, help="With --touches: noise of a coordinate, one sigma."),
     fleet: Path | None = Option(
         None,
         metavar="FILE.json",
@@ -97,9 +95,7 @@ def verify(
         metavar="ROBOT.toml",
         help="With --touches: write the corrected robot where that is better.",
     ),
-    chart: Path | None = Option(
-        None, metavar="FILE.csv", help="With --touches: a row a day, with control limits."
-    ),
+    chart: Path | None = Option(None, metavar="FILE.csv", help="With --touches: a row a day, with control limits."),
     report_file: Report = None,
     effects: Effects = None,
     seed: int | None = Option(
@@ -129,25 +125,17 @@ def verify(
     bug in casadical.
     """
     given = (mujoco, touches, iso9283, True)
-    refuse_of_others(
-        context, next(mode for mode, own in zip(MODES, given, strict=True) if own), MODES
-    )
+    refuse_of_others(context, next(mode for mode, own in zip(MODES, given, strict=True) if own), MODES)
     if mujoco:
         _replay(robot, tables, effects, seed or 0, out, json_file, quiet)
         return
     if not tables:
-        which = (
-            "of each day; `casadical plan --touches 5` says which"
-            if touches
-            else "of some ten measured later"
-        )
+        which = "of each day; `casadical plan --touches 5` says which" if touches else "of some ten measured later"
         raise InputError(f"which poses? give a table {which}")
     if touches:
         count = str(tables[0])
         if count.isdecimal() and not tables[0].exists():
-            raise InputError(
-                f"--touches judges tables of days; casadical plan {robot} --touches {count} plans points"
-            )
+            raise InputError(f"--touches judges tables of days; casadical plan {robot} --touches {count} plans points")
         asked = {
             "tolerance_mm": tolerance_mm,
             "noise_mm": noise_mm,
@@ -161,17 +149,13 @@ def verify(
     console = wrapped(quiet)
     with working(quiet, "fitting base and tool", tables[0].name):
         checked: Acceptance = (
-            verification.iso9283(robot, tables)
-            if iso9283
-            else verification.verify(robot, tables, promised_mm)
+            verification.iso9283(robot, tables) if iso9283 else verification.verify(robot, tables, promised_mm)
         )
     tell(console, *checked.blocks())
     keep(with_json({}, json_file, checked.to_json()), console)
     if iso9283:
         folder = robot if robot.is_dir() else robot.parent
-        suggest(
-            console, "to put it into a certificate", "certificate", folder, "--iso9283", tables[0]
-        )
+        suggest(console, "to put it into a certificate", "certificate", folder, "--iso9283", tables[0])
     if checked.accepted is False:
         raise Exit(NOT_VALID)
 
@@ -213,17 +197,12 @@ def _replay(
     texts: dict[Path, str] = {}
     for campaign in read_campaigns(problem, tables):
         with working(quiet, "diagnosing", campaign.name, DIAGNOSIS) as show:
-            replayed = replay_campaign(
-                campaign.robot, campaign.sets[0], effects_named(effects), seed=seed, show=show
-            )
+            replayed = replay_campaign(campaign.robot, campaign.sets[0], effects_named(effects), seed=seed, show=show)
         console.print(f"{campaign.title}, held-out poses replayed in MuJoCo")
         tell(console, *replayed.blocks())
         answers.append({"campaign": campaign.name, **replayed.to_json()})
         if out:
-            texts |= {
-                out / f"{campaign.name}.{k}.xml": s.export.text
-                for k, s in enumerate(replayed.stages)
-            }
+            texts |= {out / f"{campaign.name}.{k}.xml": s.export.text for k, s in enumerate(replayed.stages)}
     keep(with_json(texts, json_file, answers), console)
     of_campaign = ("--campaign", tables[0]) if tables else ()
     suggest(
@@ -239,14 +218,11 @@ def _replay(
 
 
 def certificate(
-    results: Path = Argument(
-        ..., metavar="RESULTS", help="Folder that `casadical calibrate --out` wrote."
-    ),
+    results: Path = Argument(..., metavar="RESULTS", help="Folder that `casadical calibrate --out` wrote."),
     details: Path | None = Option(
         None,
         metavar="FILE.toml",
-        help="Issuer, instrument, conditions, tolerance; default: nothing is stated, which the "
-        "pages say.",
+        help="Issuer, instrument, conditions, tolerance; default: nothing is stated, which the pages say.",
     ),
     out: Path | None = Option(None, metavar="FILE.pdf", help="Two pages (needs fpdf2)."),
     problem: Path | None = Option(

@@ -25,9 +25,7 @@ def _counted(show: Show) -> Callable[[str, int, int], None]:
 
 
 def withheld_robot(
-    robot: Path = Argument(
-        ..., metavar="ROBOT.toml|FOLDER", help="Robot file (TOML or URDF), or a problem folder."
-    ),
+    robot: Path = Argument(..., metavar="ROBOT.toml|FOLDER", help="Robot file (TOML or URDF), or a problem folder."),
     poses: str = Option(
         "60",
         metavar="N|TABLE.csv",
@@ -35,9 +33,7 @@ def withheld_robot(
     ),
     noise_um: float = Option(20.0, min=0.01, max=1e5, help="Noise of a measured coordinate [um]."),
     n: int = Option(40, "--n", "-n", min=4, max=10_000, help="Number of campaigns."),
-    not_logged: str = Option(
-        "", metavar="WORDS", help="Of temperature, payload, approach, time: what you do not log."
-    ),
+    not_logged: str = Option("", metavar="WORDS", help="Of temperature, payload, approach, time: what you do not log."),
     seed: int | None = Option(None, min=0, help="Of everything drawn; default: a random one."),
     workers: Workers = None,
     json_file: Json = None,
@@ -58,11 +54,7 @@ def withheld_robot(
     from casadical.project.problem import read_campaign, read_campaign_robot
 
     subject = read_campaign_robot(robot)
-    given = (
-        int(poses)
-        if poses.isdigit()
-        else read_campaign(robot, Path(poses), subject, readings_only=True)
-    )
+    given = int(poses) if poses.isdigit() else read_campaign(robot, Path(poses), subject, readings_only=True)
     lacking = [word.strip() for word in not_logged.split(",") if word.strip()]
     with working(quiet, "drawing campaigns") as step, pool(None, workers) as executor:
         checked = check_robot(
@@ -87,13 +79,9 @@ def withheld_robot(
 
 def withheld_make(
     out: Path = Option(..., "--out", metavar="DIR", help="Folder for the campaigns."),
-    key: Path | None = Option(
-        None, metavar="DIR", help="Folder for the key, apart; default: DIR with -key behind it."
-    ),
+    key: Path | None = Option(None, metavar="DIR", help="Folder for the key, apart; default: DIR with -key behind it."),
     n: int = Option(60, "--n", "-n", min=4, max=10_000, help="Number of campaigns."),
-    seed: int | None = Option(
-        None, min=0, help="Of everything drawn; default: a random one, kept in the key."
-    ),
+    seed: int | None = Option(None, min=0, help="Of everything drawn; default: a random one, kept in the key."),
     poses: str = Option("40,100,200", metavar="N,N", help="Poses of a campaign, one of these."),
     project: Path = Option(Path(), metavar="DIR", help="Folder with problems/ and data/."),
     workers: Workers = None,
@@ -116,9 +104,7 @@ def withheld_make(
     try:
         sizes = tuple(int(word) for word in poses.split(","))
     except ValueError:
-        raise InputError(
-            f"--poses {poses}: allowed: whole numbers by commas, such as 40,100"
-        ) from None
+        raise InputError(f"--poses {poses}: allowed: whole numbers by commas, such as 40,100") from None
     place = key or out.with_name(f"{out.resolve().name}-key")
 
     def kept(made: "Manifest") -> dict[Path, str]:
@@ -139,9 +125,7 @@ def withheld_make(
             also=kept,
         )
     console = wrapped(quiet)
-    console.print(
-        f"wrote {len(made.campaigns)} campaigns to {out}, their key to {place}", soft_wrap=True
-    )
+    console.print(f"wrote {len(made.campaigns)} campaigns to {out}, their key to {place}", soft_wrap=True)
     console.print(f"sha256 of the key: {made.key_sha256}", soft_wrap=True)
     print_written(json_file, console)
     suggest(console, "to have them diagnosed", "withheld", "predict", out)

@@ -87,6 +87,7 @@ def train_all(
     seed : of everything random
     every : steps between two calls of ``progress`` and two entries of the history
     progress : called with where the job stands
+    Raises InputError.
     """
     if every < 1:
         raise InputError(f"every must be at least 1 step; got {every}")

@@ -104,7 +104,7 @@ def from_columns(
     sigma_mm: float | None = None,
     sigma_deg: float | None = None,
 ) -> Measurements:
-    """Return measurements from columns under our names; arguments and errors as of `read_measurements`."""
+    """Return measurements from columns under our names; arguments as of `read_measurements`. Raises InputError."""
     source, each = columns.source, _kinds(joints, columns.source)
     observed = find_kind(kind, source) if kind else kind_of(columns)
     patterns = [k.pattern for k in kinds().values()]

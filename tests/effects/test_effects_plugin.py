@@ -58,6 +58,7 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
+@pytest.mark.slow
 def test_a_plug_in_is_diagnosed_by_its_name(site: Path, campaign: Path, tmp_path: Path) -> None:
     kept = tmp_path / "answer.json"
     chosen = "toy_cable,backlash,gear_eccentricity"
@@ -86,6 +87,7 @@ assert again.knowledge.std_errors["toy_cable@5.pull"] > 0
 """
 
 
+@pytest.mark.slow
 def test_a_plug_in_is_kept_in_a_robot_file_and_exported(site: Path, campaign: Path, tmp_path, monkeypatch) -> None:
     kept, model, folder = tmp_path / "kept.toml", tmp_path / "a.xml", tmp_path / "c"
     done = run(site, campaign, kept, program=KEEP)

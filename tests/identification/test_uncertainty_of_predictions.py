@@ -51,9 +51,7 @@ def identified_only(result, q):
 @pytest.mark.parametrize("design", ["one plane", "few poses", "one pose", "+-180 deg", "half the workspace"])
 def test_intervals_hold_the_truth_anywhere(design) -> None:
     """Fewer designs and one size of errors of those in docs/studies/prediction_coverage.py, and one robot."""
-    cases = [
-        study.identified(TURNING, (design, 1.0), np.random.default_rng([3, n])) for n in range(4)
-    ]
+    cases = [study.identified(TURNING, (design, 1.0), np.random.default_rng([3, n])) for n in range(4)]
     every, only = (
         {key: np.mean([c[key] for c in found]) for key in found[0]}
         for found in (
@@ -72,9 +70,7 @@ def test_intervals_hold_the_truth_anywhere(design) -> None:
 @pytest.mark.parametrize("design", ["one pose", "+-180 deg"])
 def test_how_well_a_robot_is_built_is_learnt_from_what_the_poses_determine(design, size) -> None:
     """Errors far from the priors' size, of the arm and of where base and tool stand in the file (see the study)."""
-    cases = [
-        study.identified(TURNING, (design, size), np.random.default_rng([5, n])) for n in range(4)
-    ]
+    cases = [study.identified(TURNING, (design, size), np.random.default_rng([5, n])) for n in range(4)]
     found = [study.held(r, r.predict(q)[1], miss) for r, q, miss in cases]
     assert np.mean([c["held"] for c in found]) > 0.85
     assert np.median([c["sigma"] / c["error"] for c in found]) < 5

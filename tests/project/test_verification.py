@@ -123,6 +123,7 @@ def test_a_later_table_is_understood_as_the_tables_of_the_calibration(tmp_path, 
     assert main(monkeypatch, "verify", out / "KM.robot.toml", ten, "-q") == 2
 
 
+@pytest.mark.slow
 def test_bad_rows_neither_loosen_the_promise_nor_hide(tmp_path, monkeypatch, capfd):
     """Two held-out rows are 50 mm off: the promise is that of the others. One of twelve later: it is named."""
     q, p = first_hour.measured(112)
