@@ -18,9 +18,9 @@ from casadical.fleet.changes import Comparison
 from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate, estimate, estimate_of_file
 from casadical.identification.prior import refuse_another
-from casadical.project.check.targets import unnamed_targets, with_targets_of_rows
 from casadical.project.problem import read_campaign, read_campaign_robot, read_problem, tool_as_measured
 from casadical.project.problem_file import own_tables, result_in
+from casadical.project.targets import with_targets_of_rows
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
@@ -142,7 +142,7 @@ def campaign_estimate(path: Path, robot: str | Path | None = None, known: Robot 
         return estimate_of_file(read_robot(path), label or path.name, day)
     if (path / "problem.toml").exists():
         problem = read_problem(path, campaign=True)
-        if fault := unnamed_targets(problem):
+        if fault := problem.unnamed_targets:
             raise InputError(fault)
         own = day_of(Path(Path(str(problem.tables[0]["file"])).name)) if problem.tables else None
         day = day_of(problem.folder.resolve()) if own is None else own

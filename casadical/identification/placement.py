@@ -15,7 +15,7 @@ from casadical.core.basics import Array, ConvergenceError
 from casadical.core.levenberg_marquardt import Evaluated, levenberg_marquardt
 from casadical.core.statistics import best_of
 from casadical.core.transforms import frame, from_xyz, nearest_rotation, to_xyz
-from casadical.identification.accuracy import predicted
+from casadical.identification.accuracy import errors, predicted
 from casadical.identification.least_squares import LeastSquares, first_sigmas
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
@@ -273,6 +273,27 @@ def _flange(robot: Robot, m: Measurements, T_M0: Array) -> tuple[Array, Array]:
     p, R = predicted(robot, m, values)
     R = T_M0[:3, :3].T @ R @ robot.tool.T[:3, :3].T
     return (p - T_M0[:3, 3]) @ T_M0[:3, :3] - R @ robot.tool.T[:3, 3], R
+
+
+def rigid(robot: Robot) -> Robot:
+    """Return the robot with rigid joints, base and tool unknown: deflections are millimetres, mistakes decimetres."""
+    rigid = tuple(replace(j, compliance=None) for j in robot.joints)
+    base, tool = replace(robot.base, unknown="pose"), replace(robot.tool, unknown="position")
+    return replace(robot, joints=rigid, base=base, tool=tool, knowledge=None)
+
+
+def median_error(robot: Robot, m: Measurements) -> float:
+    """Return the median error after base and tool are placed [m]; infinite where the model cannot be evaluated."""
+    with np.errstate(all="ignore"):
+        try:
+            e = errors(place_frames(robot, m), m)
+            near = np.flatnonzero(e <= 5 * np.median(e))
+            if 12 <= len(near) < len(e):  # gross errors draw base and tool towards themselves
+                e = errors(place_frames(robot, m[near]), m)
+        except np.linalg.LinAlgError:
+            return np.inf
+    # The median: a few gross errors are outliers, not such a mistake.
+    return float(np.median(e)) if np.isfinite(e).all() else np.inf
 
 
 def solve_placement(

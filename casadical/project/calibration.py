@@ -33,7 +33,6 @@ from casadical.identification.result import Identification, without_poses
 from casadical.identification.solver import Progress
 from casadical.project import outcome
 from casadical.project.calibration_page import calibration_figures, calibration_page, used_poses, where_left
-from casadical.project.check.targets import unnamed_targets
 from casadical.project.networks import Networks, train_networks
 from casadical.project.outcome import Accuracies, error_tables, judged_on, network_tables, paper_tables
 from casadical.project.planning import more_poses
@@ -312,7 +311,7 @@ def calibrate(
     if method is not None:
         networks = () if method in BASE_METHODS else (method,)
         problem = replace(problem, methods=base_methods([method]), networks=networks)
-    for fault in (*unfitted(problem.sets), unnamed_targets(problem)):
+    for fault in (*unfitted(problem.sets), problem.unnamed_targets):
         if fault:
             raise InputError(fault)
     # Held-out poses count in the figures, so that they are checked like the others.

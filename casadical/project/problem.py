@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -39,6 +39,7 @@ from casadical.project.problem_file import (
     tables_of,
 )
 from casadical.project.robot_columns import refuse_nameless, understood, with_coupled, with_known_targets
+from casadical.project.targets import recognised
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
@@ -123,6 +124,34 @@ class Problem(Shown):
         """Every table's share of every set: SET; of several tables SET/KIND, of several of one kind with /FILE."""
         for name, parts in self.sets.items():
             yield from zip(_part_names(name, parts), parts, strict=True)
+
+    @cached_property
+    def table(self) -> Measurements | None:
+        """All positions of the only table, in the order of the file; None for several tables, or other kinds."""
+        parts = [part for _, part in self.parts()]
+        first = parts[0]
+        if any(part.source != first.source or part.position is None for part in parts):
+            return None
+        row = np.concatenate([part.row for part in parts])
+        order = np.argsort(row)
+        names = set.intersection(*(set(part.conditions) for part in parts))
+        turns = [part.orientation for part in parts if part.orientation is not None]
+        return replace(
+            first.positions_alone()[np.zeros(len(row), dtype=np.int64)],
+            q=np.concatenate([part.q for part in parts])[order],
+            position=np.concatenate([part.position for part in parts if part.position is not None])[order],
+            conditions={n: np.concatenate([part.conditions[n] for part in parts])[order] for n in sorted(names)},
+            row=row[order],
+            orientation=np.concatenate(turns)[order] if len(turns) == len(parts) else None,
+        )
+
+    @cached_property
+    def unnamed_targets(self) -> str:
+        """Where the only table has several targets and names none: that, and what to do; else nothing."""
+        found = recognised(self.robot, self.table) if self.table is not None else None
+        if self.table is None or not found or not found.turning:
+            return ""
+        return f"{found.in_words(self.table.source)}; casadical check {self.folder} --repair writes them"
 
     def calibrated_urdf(self, robot: Robot) -> str:
         """The problem's URDF with calibrated geometry, the measured point a link. Raises InputError without one."""

@@ -37,7 +37,7 @@ from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
 from casadical.measurements.measurements import unmeasured
 from casadical.measurements.reading import from_table
-from casadical.project.check.targets import recognised
+from casadical.project.targets import recognised
 from casadical.robot.robot import Robot
 
 WITHIN = 0.5

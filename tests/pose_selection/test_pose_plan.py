@@ -61,23 +61,6 @@ def test_a_plan_is_written_and_can_be_measured(monkeypatch, tmp_path, capsys, ro
     assert travel(robot, q) < travel(robot, q[shuffled])
 
 
-def test_a_missing_file_of_measured_poses_is_said(monkeypatch, tmp_path, capsys, robot_file) -> None:
-    words = (
-        robot_file,
-        "-n",
-        6,
-        "--for",
-        "backlash@2",
-        "--measured",
-        tmp_path / "none.csv",
-        "--out",
-        tmp_path / "n.csv",
-    )
-    assert run(monkeypatch, *words) == 2
-    assert "none.csv: no such file" in capsys.readouterr().err
-    assert not (tmp_path / "n.csv").exists()
-
-
 def test_without_a_room_poses_below_the_base_are_said_and_with_one_not(monkeypatch, tmp_path, capsys, robot_file):
     assert run(monkeypatch, robot_file, "-n", 12, "--out", tmp_path / "free.csv") == 0
     low = (pd.read_csv(tmp_path / "free.csv")["nominal_z_mm"] < 0).sum()
@@ -90,6 +73,7 @@ def test_without_a_room_poses_below_the_base_are_said_and_with_one_not(monkeypat
     assert "below the base" not in " ".join(capsys.readouterr().out.split())
 
 
+@pytest.mark.slow
 @pytest.mark.slow
 def test_payloads_of_the_measured_poses_are_planned_where_effects_are_to_be_told(monkeypatch, tmp_path) -> None:
     practice = ROOT / "data" / "campaigns" / "practice" / "kr210-P05.csv"
@@ -155,6 +139,7 @@ def test_without_a_number_it_is_the_stopping_rule(monkeypatch, tmp_path, capsys,
         (("-n", "3"), "3 poses give 9 numbers"),
         (("-n", "20", "--for", "rust"), "no effect 'rust'"),
         (("-n", "20", "--payloads", "1;2"), "allowed: numbers by commas"),
+        (("-n", "6", "--measured", "none.csv"), "none.csv: no such file"),
     ],
 )
 def test_faults_end_in_a_message(monkeypatch, tmp_path, capsys, robot_file, words, message) -> None:

@@ -50,6 +50,7 @@ def test_expected_standard_errors_are_those_that_an_identification_reports(robot
     np.testing.assert_allclose(chosen.expected_error(expected(robot, q, {}, "test")), mean, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_expected_standard_errors_are_realised(robot, chosen) -> None:
     n = 30
     tip = [k for k, name in enumerate(chosen.names) if not name.startswith("base_")]
@@ -150,6 +151,7 @@ def test_interest_makes_its_parameters_sharper(robot) -> None:
     assert keen.standard_errors[k] < plain.standard_errors[k]
 
 
+@pytest.mark.slow
 def test_groups_measure_each_reading_in_every_way(robot) -> None:
     arm = robot.with_effect(Backlash(2), Backlash(3))
     ways = Circumstances(payloads=(0.0, 4.0, 10.0), every_payload=True, both_approaches=True, repeats=2)
@@ -265,6 +267,7 @@ def known(robot):
     return *carry_over(robot, fleet, ("all",)), spread
 
 
+@pytest.mark.slow
 def test_with_a_prior_few_poses_are_as_good_as_promised(known) -> None:
     robot, prior, spread = known
     found = select_poses(robot, None, 8, noise=Noise(SIGMA), prior=prior, **QUICK)
@@ -311,6 +314,7 @@ def test_with_a_prior_fewer_poses_are_enough(known, robot) -> None:
     assert few < 0.8 * many
 
 
+@pytest.mark.slow
 def test_what_an_instrument_will_read_is_the_error_with_the_noise_of_instrument_and_joints() -> None:
     """Forty campaigns at the chosen poses, each identified and read again with the same noise at other poses."""
     robot, sigma, rho = planar(), 2e-5, 8e-5
@@ -329,6 +333,7 @@ def test_what_an_instrument_will_read_is_the_error_with_the_noise_of_instrument_
     assert chosen.reading_error > 1.3 * chosen.accuracy
 
 
+@pytest.mark.slow
 def test_rounding_chooses_no_other_poses() -> None:
     """Parameters are moved by 1e-12 of themselves; sets too small to determine all of them once grew by rounding."""
     robot = casadical.read_robot(ROOT / "problems" / "kr210" / "robot.toml")

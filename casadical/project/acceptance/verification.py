@@ -22,9 +22,9 @@ from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.reading import refuse_shared_rows
 from casadical.project.acceptance.acceptance import Acceptance
 from casadical.project.acceptance.iso9283 import Iso9283, evaluated_table
-from casadical.project.check.targets import with_targets_of_rows
 from casadical.project.problem import read_campaign
 from casadical.project.problem_file import result_in
+from casadical.project.targets import with_targets_of_rows
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 

@@ -20,10 +20,10 @@ from casadical.project.check.plausible import Finding
 from casadical.project.check.result import Precheck
 from casadical.project.check.slip_list import MIRRORED, OF_LENGTHS, in_words, left_mm, other_lengths
 from casadical.project.check.slips import Slips, search_slips
-from casadical.project.check.targets import Targets, WrongNames, middles, recognised, whole_table, wrong_names
 from casadical.project.planning import more_poses
 from casadical.project.problem import Problem, read_problem
 from casadical.project.robot_columns import computed, unfitted, unmeasured
+from casadical.project.targets import Targets, WrongNames, middles, recognised, wrong_names
 from casadical.robot.robot import Robot
 
 # Observed numbers for each unknown from which on a fit also shows how good it is.
@@ -55,8 +55,7 @@ def precheck(
     show("comparing with the nominal robot")
     sets = apart(problem.sets["identify"])
     others = facts.other_conventions(problem.robot_file)
-    table = whole_table(problem)
-    table = apart([table])[0] if table is not None else None
+    table = apart([problem.table])[0] if problem.table is not None else None
     standard = facts.convention_of(problem.robot_file) == "standard"
     findings, slips = _data_findings(problem.robot, sets, others, table, standard)
     usable = not any(f.topic in ("data", "units") and f.level == "error" for f in findings)

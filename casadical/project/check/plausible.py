@@ -20,7 +20,7 @@ from casadical.core.parts import GRAVITY
 from casadical.core.reading import load_toml
 from casadical.core.statistics import first_of_best
 from casadical.identification.accuracy import errors, predicted
-from casadical.identification.placement import place_frames
+from casadical.identification.placement import median_error, place_frames, rigid
 from casadical.identification.plausibility import least_margins
 from casadical.measurements.columns import RADIANS
 from casadical.measurements.measurements import Measurements, same_readings
@@ -139,27 +139,6 @@ def other_conventions(path: Path) -> list[Robot]:
 def convention_of(path: Path) -> str:
     """Of the DH rows in a robot file; modified for a URDF. Raises InputError."""
     return str(load_toml(path).get("convention", "modified")) if path.suffix == ".toml" else "modified"
-
-
-def rigid(robot: Robot) -> Robot:
-    """With rigid joints, for deflections are millimetres, and mistakes decimetres; base and tool unknown."""
-    rigid = tuple(replace(j, compliance=None) for j in robot.joints)
-    base, tool = replace(robot.base, unknown="pose"), replace(robot.tool, unknown="position")
-    return replace(robot, joints=rigid, base=base, tool=tool, knowledge=None)
-
-
-def median_error(robot: Robot, m: Measurements) -> float:
-    """Error after base and tool are placed [m]; infinite where the model cannot be evaluated."""
-    with np.errstate(all="ignore"):
-        try:
-            e = errors(place_frames(robot, m), m)
-            near = np.flatnonzero(e <= FAR * np.median(e))
-            if FEWEST <= len(near) < len(e):  # gross errors draw base and tool towards themselves
-                e = errors(place_frames(robot, m[near]), m)
-        except np.linalg.LinAlgError:
-            return np.inf
-    # The median: a few gross errors are outliers, not such a mistake.
-    return float(np.median(e)) if np.isfinite(e).all() else np.inf
 
 
 LITTLE = 0.25

@@ -11,7 +11,7 @@ from casadical.core.telling.result import Result
 from casadical.project.check.information import Outlook
 from casadical.project.check.plausible import Finding, JointCoverage, Level
 from casadical.project.check.slips import Slips
-from casadical.project.check.targets import Targets, WrongNames
+from casadical.project.targets import Targets, WrongNames
 from casadical.robot.robot import Robot
 
 

@@ -25,7 +25,6 @@ from casadical.measurements.raw_table import RawTable, read_table
 from casadical.measurements.reading import from_columns
 from casadical.pose_selection import Workspace
 from casadical.pose_selection.candidates import draw, expected, one_turn
-from casadical.project.check.targets import unnamed_targets
 from casadical.project.faults import each_of
 from casadical.project.new.dh_table import robot_text
 from casadical.project.new.texts import EXAMPLE_ROBOT, Given, problem_text, readme_text, with_masses, with_measured
@@ -146,7 +145,7 @@ def new_problem(
     with claimed([folder]):
         write_together({**files, **further})
     made = read_problem(folder)
-    if show and (words := unnamed_targets(made)):
+    if show and (words := made.unnamed_targets):
         show(Words(words, "warning"))
     return made
 

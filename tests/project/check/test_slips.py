@@ -19,9 +19,9 @@ from casadical.project.check import precheck
 from casadical.project.check.repair import repaired
 from casadical.project.check.slip_fit import Hypothesis
 from casadical.project.check.slip_list import MIRRORED, OF_LENGTHS
-from casadical.project.check.targets import recognised
 from casadical.project.new import new_problem
 from casadical.project.problem import read_problem
+from casadical.project.targets import recognised
 
 Table = tuple[np.ndarray, np.ndarray]
 ROOT = Path(__file__).parents[3]

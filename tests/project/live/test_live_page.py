@@ -103,6 +103,7 @@ def started(folder: Path, source: Path) -> tuple[subprocess.Popen[str], str]:
     raise AssertionError("no address")
 
 
+@pytest.mark.slow
 def test_no_port_is_open_beyond_loopback(arm: Path) -> None:
     """All that the command listens on, whatever it serves."""
     psutil = pytest.importorskip("psutil", reason="psutil is not installed: ports were not listed")
@@ -114,6 +115,7 @@ def test_no_port_is_open_beyond_loopback(arm: Path) -> None:
     assert {c.laddr.ip for c in asked if c.status == psutil.CONN_LISTEN} == {"127.0.0.1"}
 
 
+@pytest.mark.slow
 def test_a_browser_sees_what_comes_and_a_kill_loses_nothing(arm: Path, tmp_path: Path) -> None:
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: no page was opened")
     if CHROMIUM is None:

@@ -15,11 +15,9 @@ from casadical.core.parts import Target
 from casadical.core.statistics import first_of_best
 from casadical.core.transforms import frame
 from casadical.identification.accuracy import errors, predicted
-from casadical.identification.placement import place_frames
+from casadical.identification.placement import median_error, place_frames, rigid
 from casadical.identification.plausibility import check_against
 from casadical.measurements.measurements import STANDS, Measurements, same_readings
-from casadical.project.check.plausible import median_error, rigid
-from casadical.project.problem import Problem
 from casadical.project.robot_columns import names_in, refuse_nameless, some_rows
 from casadical.robot.robot import Robot
 
@@ -194,35 +192,6 @@ def middles(m: Measurements, count: int) -> Measurements | None:
     """The middle of all targets at every pose at which there are so many: a table of one target."""
     whole = [(rows, part) for rows, part in _poses(m) if part.max() + 1 == count]
     return _middles(m, whole) if whole else None
-
-
-def whole_table(problem: Problem) -> Measurements | None:
-    """All positions of a problem's only table, in the order of the file; None for several tables, or other kinds."""
-    parts = [part for _, part in problem.parts()]
-    first = parts[0]
-    if any(part.source != first.source or part.position is None for part in parts):
-        return None
-    row = np.concatenate([part.row for part in parts])
-    order = np.argsort(row)
-    names = set.intersection(*(set(part.conditions) for part in parts))
-    turns = [part.orientation for part in parts if part.orientation is not None]
-    return replace(
-        first.positions_alone()[np.zeros(len(row), dtype=np.int64)],
-        q=np.concatenate([part.q for part in parts])[order],
-        position=np.concatenate([part.position for part in parts if part.position is not None])[order],
-        conditions={n: np.concatenate([part.conditions[n] for part in parts])[order] for n in sorted(names)},
-        row=row[order],
-        orientation=np.concatenate(turns)[order] if len(turns) == len(parts) else None,
-    )
-
-
-def unnamed_targets(problem: Problem) -> str:
-    """Where a problem's only table has several targets and names none: that, and what to do; else nothing."""
-    table = whole_table(problem)
-    targets = recognised(problem.robot, table) if table is not None else None
-    if table is None or not targets or not targets.turning:
-        return ""
-    return f"{targets.in_words(table.source)}; casadical check {problem.folder} --repair writes them"
 
 
 # So many rows begin the search; a further name must be nearer by this factor, and halve the error of the table.
