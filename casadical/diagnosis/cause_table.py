@@ -11,8 +11,6 @@ from casadical.diagnosis.result import Cause, Diagnosis, settings_of
 from casadical.effects.formula_effect import FLAGS
 from casadical.effects.plugins import signature_of
 
-# An instrument is named if one of its parameters is so many standard errors from zero.
-CLEAR = 3.0
 READABLE = {"rad": (1e6, "urad"), "m": (1e6, "um"), "m/m": (1e6, "um/m"), "rad/rad": (1e6, "urad/rad")}
 READABLE |= {"rad/K": (1e6, "urad/K"), "1/K": (1e6, "1e-6/K"), "1/m": (1e6, "um/m^2"), "kg/kg": (1e2, "%")}
 
@@ -77,7 +75,8 @@ def wires_at_fault(d: Diagnosis, c: Cause) -> dict[str, str]:
                     which = " ".join([m.source or f"wire {part[2]}", *map(str, anchors)])
                     words.setdefault(which, []).append("{} {} +- {} {}".format(*_estimate(part[1], value, error, unit)))
                     clear[which] = max(clear.get(which, 0.0), abs(value) / error)
-    return {which: ", ".join(own) for which, own in words.items() if clear[which] > CLEAR}
+    # An instrument is named if one of its parameters is so many standard errors from zero.
+    return {which: ", ".join(own) for which, own in words.items() if clear[which] > 3.0}
 
 
 def _signature(c: Cause) -> tuple[str, str]:

@@ -18,9 +18,6 @@ from casadical.diagnosis.result import Diagnosis, Unlisted
 from casadical.diagnosis.smooth_description import describe_unlisted
 from casadical.pose_selection.workspace import Workspace
 
-# Poses to measure next.
-NEXT = 15
-
 
 @dataclass(frozen=True, eq=False)
 class Details:
@@ -46,10 +43,11 @@ class Details:
     ruled_out: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
 
+# Poses to measure next.
 def analyse(
     found: Diagnosis,
     *,
-    poses: int = NEXT,
+    poses: int = 15,
     workspace: Workspace | None = None,
     networks: bool = False,
     laws: bool | None = None,

@@ -19,10 +19,8 @@ from casadical.effects.plugins import signature_of
 from casadical.identification.figures import banded, fit_figures, intervals, parameter_figures
 from casadical.identification.pose_errors import errors_by_pose, workspace
 
-# Candidates of which the probability is drawn.
-MOST_SHOWN = 8
 # Joint curves stand in so many columns; height of a row of them [px].
-COLUMNS, ROW = 2, 150
+COLUMNS = 2
 _GAP = (
     "The gap, here and everywhere in this report: mean distance of measured from computed positions over poses that "
     f"the fit did not see (in fifths, {PARTITIONS} partitions), outliers left out, with a 95 % interval over poses. "
@@ -127,7 +125,8 @@ def posteriors(d: Diagnosis, step: int = 0) -> Figure:
     """
     ranking = d.rankings[step]
     listed = {c.label for c in d.case.candidates if c.listed}
-    rows = [(label, ranking.probability[label], "blue") for label in ranking.order if label in listed][:MOST_SHOWN]
+    # Candidates of which the probability is drawn.
+    rows = [(label, ranking.probability[label], "blue") for label in ranking.order if label in listed][:8]
     unknown = sum(p for label, p in ranking.probability.items() if label not in listed)
     rows += [("something on no list", unknown, "orange"), ("nothing", ranking.none, "grey")]
     labels, chances, colours = zip(*rows, strict=True)
@@ -211,7 +210,7 @@ def curve_figure(curves: JointCurves) -> Figure:
         y=Axis("error [urad]"),
         caption=_CURVES,
         shared="xy",
-        height=ROW * -(-len(panels) // COLUMNS) + ABOVE + BELOW,
+        height=150 * -(-len(panels) // COLUMNS) + ABOVE + BELOW,
         panels=panels,
     )
 

@@ -35,16 +35,10 @@ from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
 
-# Noncentrality at which one among a hundred or so candidates is found nine times in ten.
-FOUND = 36.0
-# Directions of an effect that carry less than this share of its strongest one are round-off.
-NEGLIGIBLE = 1e-6
 # Of more poses than this, evenly spaced ones say which effects look alike.
 MOST_ALIKE = 500
 # Columns that are in memory at a time: bytes of their rows, and how many whose spans are compared with all others.
 BYTES, AT_A_TIME = 16_000_000, 512
-# Signals of less energy [m^2], a nanometre, are round-off.
-NOTHING = 1e-18
 USUAL_NOISE = Noise(20e-6, 8e-6)
 
 # An effect is invisible if the base absorbs so much of it, or if it must be so many times its usual size to be found.
@@ -54,8 +48,6 @@ NO_MARK = 1e-6
 # Multiples of its usual size from which a cause is ruled out.
 TIMES = (1.0, 2.0, OUT_OF_REACH)
 
-SHOWN_RIVALS = 3
-HEAD = ("effect", "size mm", "absorbed", "visible mm", "to noise", "found from", "looks like")
 NOTES = (
     "size: rms at a realistic size; absorbed: the share that the base model takes up; visible: what is left of it, and "
     "a coordinate of that in units of the noise; found from: the multiple of the realistic size that is found 9 times "
@@ -89,12 +81,20 @@ class Isolability(Result):
         """A row per effect: size, what the base absorbs, what stays visible, its rivals; and what was not logged."""
         rows = []
         for label, row in self.effects.iterrows():
-            rivals = [f"{k} {v:.2f}" for k, v in list(self.rivals(str(label)).items())[:SHOWN_RIVALS]]
+            rivals = [f"{k} {v:.2f}" for k, v in list(self.rivals(str(label)).items())[:3]]
             figures = (f"{row['size_mm']:.3f}", f"{100 * row['absorbed']:.0f} %", f"{row['visible_mm']:.4f}")
             times = row["findable_from"]  # of the realistic size
             multiple = f"{times:.2g} x" if np.isfinite(times) and times < 100 else "never"
             rows.append((str(label), *figures, f"{row['visible_to_noise']:.2f}", multiple, "\n".join(rivals)))
-        blocks: list[Words | Table] = [Table("", HEAD, rows, frozenset(range(1, 6))), Words(NOTES, "note")]
+        blocks: list[Words | Table] = [
+            Table(
+                "",
+                ("effect", "size mm", "absorbed", "visible mm", "to noise", "found from", "looks like"),
+                rows,
+                frozenset(range(1, 6)),
+            ),
+            Words(NOTES, "note"),
+        ]
         gathered_columns = gathered_by_columns(columns_to_log(self.missing, ())).items()
         return [*blocks, *(Words(f"not logged: {columns}; it would show {them}") for columns, them in gathered_columns)]
 
@@ -184,7 +184,8 @@ def _judged(
     )
     # A grid of settings counts by its mean.
     effects = table.groupby("label", sort=False).mean()
-    effects["findable_from"] = np.sqrt(FOUND / evidence.count) / effects["visible_to_noise"]
+    # Noncentrality at which one among a hundred or so candidates is found nine times in ten.
+    effects["findable_from"] = np.sqrt(36.0 / evidence.count) / effects["visible_to_noise"]
     some = evidence if n <= MOST_ALIKE else evidence.at(np.linspace(0, n - 1, MOST_ALIKE).astype(int))
     seen = some.projection(rho).columns(some.take(np.arange(some.width)))
     return Isolability(effects, _alike(seen, columns, owner), missing)
@@ -214,14 +215,16 @@ def _alike(E: Array, columns: list[Array], owner: list[str]) -> pd.DataFrame:
         alike = np.flatnonzero(widths == width)
         for some in np.array_split(alike, min(1 + len(alike) * width // AT_A_TIME, len(alike))):
             U, s, _ = np.linalg.svd(np.stack([E[:, columns[k]] for k in some]), full_matrices=False)
-            there = s > NEGLIGIBLE * np.maximum(s.max(axis=1, keepdims=True), 1e-30)
+            # Directions of an effect that carry less than this share of its strongest one are round-off.
+            there = s > 1e-6 * np.maximum(s.max(axis=1, keepdims=True), 1e-30)
             inner = (U.transpose(0, 2, 1).reshape(-1, len(E)) @ E) ** 2 * there.reshape(-1, 1)
             by_rival[some] = inner.reshape(len(some), -1, E.shape[1]).sum(axis=1)[:, which]
     starts = np.cumsum([0, *widths])[:-1]
     energy = np.array([(E[:, c] ** 2).sum() for c in columns])
     share = np.add.reduceat(by_rival, starts, axis=1) / np.maximum(energy, 1e-30)
     # Settings that show nothing (coupling to an idle joint) do not count.
-    share[:, energy < NOTHING] = np.nan
+    # Signals of less energy [m^2], a nanometre, are round-off.
+    share[:, energy < 1e-18] = np.nan
     by_setting = pd.DataFrame(share, index=pd.Index(owner), columns=pd.Index(owner))
     best = by_setting.groupby(level=0, sort=False).max()
     return best.T.groupby(level=0, sort=False).mean().fillna(0.0).clip(0.0, 1.0)

@@ -19,10 +19,6 @@ from casadical.measurements.measurements import Noise
 
 # Noise that is so many times what is known of it is not that noise, unless chance alone does it as often as this.
 FAR, BY_CHANCE = 1.4, 1e-3
-# A declared sigma is said to be wrong by that factor where it is from this probability on.
-SURELY = 0.99
-# A declared sigma is the instrument's; joints repeat to this [rad] beside it at most.
-USUAL_REPEATABILITY = 15e-6
 
 
 class Rule(StrEnum):
@@ -170,7 +166,8 @@ def _by_statement(case: Case, columns: Array, noise: Noise, left: Remainder) -> 
     sheet states is as it says.
     """
     e, known = case.evidence, case.evidence.known
-    joints, rule = min(noise.repeatability, USUAL_REPEATABILITY), Rule.DECLARED if known.declared else Rule.SHEET
+    # A declared sigma is the instrument's; joints repeat to this [rad] beside it at most.
+    joints, rule = min(noise.repeatability, 15e-6), Rule.DECLARED if known.declared else Rule.SHEET
     taken, allowed = scatter_of_coordinate(e, noise), scatter_of_coordinate(e, Noise(known.stated, joints))
     if _far(taken, allowed, max(e.count - e.model.absorbed_by_base, 1.0), np.inf) and not (
         left.like_noise and not left.structures
@@ -180,7 +177,8 @@ def _by_statement(case: Case, columns: Array, noise: Noise, left: Remainder) -> 
     share = np.exp(logs - np.logaddexp.reduce(logs, axis=None)).sum(axis=0)
     below = share[e.sigmas < known.declared / FAR].sum()
     wrong = max(share[e.sigmas > FAR * known.stated].sum(), below)
-    return (False, Rule.FIT, taken) if wrong > SURELY else (False, rule, allowed)
+    # A declared sigma is said to be wrong by that factor where it is from this probability on.
+    return (False, Rule.FIT, taken) if wrong > 0.99 else (False, rule, allowed)
 
 
 def _far(larger: float, smaller: float, above: float, below: float) -> bool:

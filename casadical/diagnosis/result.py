@@ -32,10 +32,6 @@ from casadical.robot.robot import Robot
 if TYPE_CHECKING:
     from casadical.diagnosis.laws.problem import Round
 
-# From this share of the gap on, what lies above the noise floor and has no named cause is reported.
-REST = 0.05
-# Two forms are not in question where one has this share of what both have.
-CERTAIN = 0.99
 Verdict = Literal["none", "explained", "ambiguous", "unknown"]
 
 
@@ -288,7 +284,8 @@ class Diagnosis(Result):
             return tuple(names[k] for k in ranked([further[k] for k in names]))
         last = self.rankings[-1].probability
         order = [k for k in self.rankings[-1].order if k in known]
-        certain = len(order) > 1 and last[order[0]] > CERTAIN * (last[order[0]] + last[order[1]])
+        # Two forms are not in question where one has this share of what both have.
+        certain = len(order) > 1 and last[order[0]] > 0.99 * (last[order[0]] + last[order[1]])
         return tuple(order[:2]) if self.verdict in ("ambiguous", "unknown") and not certain else ()
 
     def effects(self, top: int | None = None, unlisted: Unlisted | None = None) -> tuple[Effect, ...]:
@@ -332,7 +329,8 @@ class Diagnosis(Result):
     @property
     def has_rest(self) -> bool:
         """Whether more is left above the noise floor than can be passed over."""
-        return self.verdict != "none" and self.unknown_rest > REST
+        # From this share of the gap on, what lies above the noise floor and has no named cause is reported.
+        return self.verdict != "none" and self.unknown_rest > 0.05
 
     @cached_property
     def held_out(self) -> PoseErrors:

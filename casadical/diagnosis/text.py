@@ -11,16 +11,12 @@ from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.statements import SUBJECTS, Statement, floor_of, readings_of, statements
 
 WIDTH = 112
-LABEL = 7
-CAUSE_COLUMNS = ("", "signature", "posterior", "gap if added", "shrinks by, 95 %")
 # Labels that stand before each of their statements, not only before the first.
 EACH = ("CANNOT", "MISSING")
 # Of the short answer: things to know, causes that are listed.
-THINGS, CAUSES = 3, 6
+CAUSES = 6
 # Characters of a thing to know: three lines of a terminal.
 LONGEST = 290
-# Of these only what casts a doubt is told.
-_DOUBTS = ("CANNOT", "AFTER", "SET")
 
 
 def page_of(d: Diagnosis, more: Details | None = None) -> str:
@@ -43,7 +39,7 @@ def detailed(d: Diagnosis, more: Details | None = None) -> Sequence[Words | Tabl
     rows: list[tuple[str, str]] = []
     last = ""
     for s in statements(d, more):
-        rows.append((f"{s.about if s.about != last or s.about in EACH else '':<{LABEL}}", s.text))
+        rows.append((f"{s.about if s.about != last or s.about in EACH else '':<7}", s.text))
         tables: list[Table] = []
         if s.about == "WHICH" and d.causes:
             tables = [*_sized(d)]
@@ -67,7 +63,7 @@ def _sized(d: Diagnosis) -> Iterator[Table]:
         )
         words = [r.shown, r.named, ", ".join(size.rstrip() for size in sizes)]
         rows.append((str(k), "\n".join(filter(None, words)), f"{r.cause.confidence:.2f}", r.gap, r.shrinks))
-    yield Table("", CAUSE_COLUMNS, rows, frozenset({0, 2, 3, 4}))
+    yield Table("", ("", "signature", "posterior", "gap if added", "shrinks by, 95 %"), rows, frozenset({0, 2, 3, 4}))
 
 
 def brief(title: str, d: Diagnosis, more: Details | None = None) -> Sequence[Words | Table]:
@@ -105,11 +101,16 @@ def things_to_know(d: Diagnosis, told: Sequence[Statement]) -> list[Statement]:
     of_each: dict[str, Statement] = {}
     for s in told:
         known = of_each.get(s.about)
-        if s.about in SUBJECTS and (s.doubtful or s.about not in _DOUBTS) and (known is None or s.doubtful):
+        # Of these only what casts a doubt is told.
+        if (
+            s.about in SUBJECTS
+            and (s.doubtful or s.about not in ("CANNOT", "AFTER", "SET"))
+            and (known is None or s.doubtful)
+        ):
             of_each[s.about] = known if known and known.doubtful else s
     if d.verdict == "none":
         of_each.pop("WHERE", None)
-    first = sorted(of_each.values(), key=lambda s: (not s.doubtful, [*SUBJECTS].index(s.about)))[:THINGS]
+    first = sorted(of_each.values(), key=lambda s: (not s.doubtful, [*SUBJECTS].index(s.about)))[:3]
     return [*first, *[s for s in told if s.about == "NOISE" and s not in first][:1]]
 
 

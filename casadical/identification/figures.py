@@ -21,7 +21,7 @@ KINDS = {"mm": ("lengths", "Lengths"), "deg": ("angles", "Angles"), "urad/(N m)"
 # More residuals than this are drawn by so many of their quantiles; of readings, so many are drawn.
 MOST_DRAWN = 600
 # Parameters of the pair plot, and the least correlation that is worth one; pairs that are told in words.
-MOST_PAIRED, WORTH, MOST_TOLD = 4, 0.5, 8
+MOST_TOLD = 8
 _RESIDUALS = (
     "Every coordinate of every pose that was used. Noise alone lies on the diagonal, within the band: ends that bend "
     "away are errors that the model does not describe, or bad rows."
@@ -145,7 +145,8 @@ def joint_coverage(robot: Robot, sets: Mapping[str, Sequence[Measurements]]) -> 
 
 def most_correlated(result: Identification) -> tuple[str, ...]:
     """Parameters of the strongest correlations, the strongest first; () where none is worth a figure."""
-    return tuple(dict.fromkeys(name for a, b, _ in _pairs(result, WORTH) for name in (a, b)))[:MOST_PAIRED]
+    # Four parameters at most, of pairs that are correlated above 0.5.
+    return tuple(dict.fromkeys(name for a, b, _ in _pairs(result, 0.5) for name in (a, b)))[:4]
 
 
 def correlated_pairs(result: Identification, names: Sequence[str]) -> Figure:

@@ -17,8 +17,6 @@ from casadical.pose_selection.instruments import Instrument
 from casadical.pose_selection.pose_search import Forecast
 from casadical.pose_selection.selection import Selection, travel
 
-_HEIGHTS, _DISTANCES = ("low", "middle", "high"), ("near", "middle", "far")
-
 
 @dataclass(frozen=True, eq=False)
 class MeasurementPlan(Result):
@@ -93,10 +91,10 @@ def _map(plan: Selection) -> Table:
     height, _ = thirds(local[:, 2])
     distance, _ = thirds(np.hypot(local[:, 0], local[:, 1]))
     rows = []
-    for k in (2, 1, 0):
+    for k, name in ((2, "high"), (1, "middle"), (0, "low")):
         cells = [error[(height == k) & (distance == i)] for i in range(3)]
-        rows.append((_HEIGHTS[k], *(f"{1e3 * np.sqrt(np.mean(c**2)):.4f}" if len(c) else "-" for c in cells)))
-    return Table("Expected error [mm]", ("point", *_DISTANCES), rows, frozenset({1, 2, 3}))
+        rows.append((name, *(f"{1e3 * np.sqrt(np.mean(c**2)):.4f}" if len(c) else "-" for c in cells)))
+    return Table("Expected error [mm]", ("point", "near", "middle", "far"), rows, frozenset({1, 2, 3}))
 
 
 def _errors(plan: Selection) -> Table:

@@ -46,7 +46,6 @@ from casadical.project.problem import Problem
 from casadical.project.telling import problem_files
 from casadical.robot.robot import Robot
 
-BEFORE = "before"
 # Of more poses than this, drawn at random, where the gap lies is told.
 MOST_LOCATED = 5_000
 # Colour, symbol and dash of networks, in the order of their trainers; those of many plug-ins share some.
@@ -68,7 +67,6 @@ _CAPTIONS = {
 _EACH = "Before: with base and tool fitted. Click a name in the legend to show or hide it."
 _OUT = " Crosses: poses left out as outliers; no figure of this report counts them."
 _REFUSED = " Refused networks are drawn as they were trained; they are not in use."
-_SHARE = "The farther left, the better; grey lines at 50 and 95 %."
 _SPACE = (
     "Turn it with the mouse; point at the dot that ends a vector for its error. Each line runs from the measured point "
     "in the direction of the error (measured less computed), longer than it by the factor in the legend."
@@ -112,7 +110,7 @@ def pose_errors(problem: Problem, results: Identifications, networks: Networks |
 def _models(
     m: Measurements, problem: Problem, results: Identifications, networks: Networks | None
 ) -> Iterator[ModelErrors]:
-    yield _errors_of(BEFORE, list(results.values())[-1].placed, m)
+    yield _errors_of("before", list(results.values())[-1].placed, m)
     for method, result in results.items():
         yield _errors_of(method, result.robot, m)
     paper = problem.paper
@@ -163,7 +161,9 @@ def calibration_figures(
     for name, of_set in poses.items():
         caption = f"{_CAPTIONS.get(name.split('/')[0], '')} {more}"
         yield errors_by_pose(of_set, f"errors/{name}", caption)
-        yield error_distribution(of_set, f"distribution/{name}", _SHARE)
+        yield error_distribution(
+            of_set, f"distribution/{name}", "The farther left, the better; grey lines at 50 and 95 %."
+        )
     spatial = next((p for p in poses.values() if p.position is not None), None)
     if spatial is not None:
         yield workspace(spatial, last.robot, _SPACE)

@@ -17,12 +17,8 @@ from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
 from casadical.project.problem import Problem, together
 
-# A problem without a set to train on lends the poses that identified the robot, where they are so many that the
-# identification could not follow their errors: so many readings for each parameter.
-ENOUGH_READINGS = 20
 # And no more than so many of them, drawn with the problem's seed: it keeps a training in seconds.
 LENT = {"train": 1500, "choose": 500}
-TOO_FEW = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +132,9 @@ def training_material(problem: Problem, result: Identification, seed: int = 0) -
     if "train" not in sets:
         kept = [m for m in result.used if m.position is not None]
         readings = 3 * sum(map(len, kept))
-        if readings < ENOUGH_READINGS * len(result.names) or len(kept[0]) < 4 * TOO_FEW:
+        # A problem without a set to train on lends the poses that identified the robot, where they are so many that the
+        # identification could not follow their errors: so many readings for each parameter.
+        if readings < 20 * len(result.names) or len(kept[0]) < 40:
             return (
                 f"no network: there is no set train, and {readings} readings for {len(result.names)} parameters are "
                 "too few to learn from what identification left of them; name a set train in problem.toml"

@@ -27,15 +27,6 @@ from casadical.robot.robot import Robot
 # By method, set, and state (nominal, placed, calibrated).
 Accuracies = Mapping[str, Mapping[str, Mapping[str, Accuracy]]]
 
-# Nominal errors beyond so many times those with base and tool fitted only say that the base was not known.
-ELSEWHERE = 20
-_FIGURES = ("mean", "max", "std", "rms", "95 %")
-_WITH_NETWORKS = {"train": "networks learn", "choose": "networks are judged"}
-# A held-out pose with more than so many times the median error is far off, and so is a fitted one.
-FAR, OFF = 10.0, 4.0
-# By these a unit is another; other factors turn a reading round or scale it.
-_UNIT_FACTORS = [*(factor for _, factor in UNITS.values()), np.pi / 180, 180 / np.pi, 1e3, 1e-3]
-
 
 def judged_on(accuracies: Accuracies) -> tuple[str, Accuracy, Accuracy, bool]:
     """Last method, errors before and after on the poses by which it is judged, and whether they were held out."""
@@ -82,19 +73,21 @@ def error_tables(problem: Problem, accuracies: Accuracies, networks: Networks | 
             continue
         states = last[name]
         rows = [("before, base and tool fitted", states["placed"])]
-        if states["nominal"].mean < ELSEWHERE * states["placed"].mean:
+        # Nominal errors beyond so many times those with base and tool fitted only say that the base was not known.
+        if states["nominal"].mean < 20 * states["placed"].mean:
             rows.insert(0, ("before, as given", states["nominal"]))
         rows += [(f"after {method}", by_set[name]["calibrated"]) for method, by_set in accuracies.items()]
         first = len(rows) - 1
         rows += [(f"after {r.method}", r.errors[name]) for r in used if name in r.errors]
         single = {n.split("/", 2)[2]: a["calibrated"] for n, a in last.items() if n.startswith(f"{name}/")}
         rows += [(f"after {list(accuracies)[-1]}, {file}", a) for file, a in single.items()]
-        use = _WITH_NETWORKS.get(name.split("/")[0]) if trained else None
+        use = {"train": "networks learn", "choose": "networks are judged"}.get(name.split("/")[0]) if trained else None
         use = use or ("used" if name.startswith("identify") else "held out")
         cells = [(label, *(mm(v) for v in (a.mean, a.max, a.std, a.rms, a.p95))) for label, a in rows]
         title = f"{name} ({use}), {states['nominal'].n} poses: {_error(problem, name)} [mm]"
         numbers = frozenset(range(1, 6))
-        tables.append(Table(title, ("model", *_FIGURES), cells, numbers, frozenset(range(first, len(rows)))))
+        columns = ("model", "mean", "max", "std", "rms", "95 %")
+        tables.append(Table(title, columns, cells, numbers, frozenset(range(first, len(rows)))))
     return tables
 
 
@@ -195,7 +188,8 @@ def usual_held_out(problem: Problem, robot: Robot) -> dict[str, Accuracy]:
 
 def _held_out(problem: Problem, robot: Robot) -> dict[str, tuple[Array, list[LeftOut]]]:
     """Of each held-out set, errors of the usual poses [m], and the poses that are far off."""
-    return {name: _far_off(robot, m, FAR) for name, m in problem.parts() if name.startswith("report")}
+    # A held-out pose is far off from ten times the median error on.
+    return {name: _far_off(robot, m, 10.0) for name, m in problem.parts() if name.startswith("report")}
 
 
 def _far_off(robot: Robot, m: Measurements, times: float) -> tuple[Array, list[LeftOut]]:
@@ -230,7 +224,8 @@ def worse_than_before(result: Identification, before: Accuracy, after: Accuracy)
     if after.mean <= before.mean + chance_of(before, after):
         return ""
     text = f"held-out poses are worse after the calibration, {mm(after.mean)} mm, than before, {mm(before.mean)} mm"
-    far = (out for m in result.used for out in _far_off(result.robot, m, OFF)[1])
+    # A fitted pose is far off from four times the median error on.
+    far = (out for m in result.used for out in _far_off(result.robot, m, 4.0)[1])
     worst = sorted(far, key=lambda out: -out.error)
     if worst and result.loss == "linear":
         cause = f"rows that nothing explains draw the fit ({rows_in_words(worst, 4, result.sources)})"
@@ -257,7 +252,9 @@ def changed_readings(problem: Problem) -> list[str]:
     for name, made in sorted(columns.items()):
         if re.fullmatch(r"q\d+(_\w+)?", name) and isinstance(made, Mapping):
             source = Source.read(made)
-            unit_alone = np.isclose(source.times, _UNIT_FACTORS, rtol=1e-6).any()
+            # By these a unit is another; other factors turn a reading round or scale it.
+            factors = [*(factor for _, factor in UNITS.values()), np.pi / 180, 180 / np.pi, 1e3, 1e-3]
+            unit_alone = np.isclose(source.times, factors, rtol=1e-6).any()
             if not unit_alone or source != Source(source.name, source.times):
                 changed.append(f"{name.partition('_')[0]} = {source.words}")
     return changed

@@ -81,9 +81,6 @@ def _plotly() -> str:
     return whole.replace("</script", "<\\/script")
 
 
-PACKAGES = ("casadical", "casadi", "numpy", "pandas", "plotly")
-
-
 @dataclass(frozen=True)
 class Provenance:
     """files : (path, SHA-256) of what was read; versions : (name, version); command : as typed; date : UTC."""
@@ -99,7 +96,7 @@ def provenance_of(files: Iterable[Path], command: Sequence[str] = (), now: datet
     return Provenance(
         files=tuple((str(path), sha256(path)) for path in dict.fromkeys(files)),
         versions=(
-            *((name, _version(name)) for name in PACKAGES),
+            *((name, _version(name)) for name in ("casadical", "casadi", "numpy", "pandas", "plotly")),
             ("Python", platform.python_version()),
             ("platform", f"{platform.system()} {platform.machine()}"),
         ),

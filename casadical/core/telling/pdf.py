@@ -21,9 +21,7 @@ else:
 
 NEEDED = "a PDF needs fpdf2, which is not installed: pip install 'casadical[certificate]'"
 # Of an A4 page [mm]: its sides, its foot, and the text's width.
-SIDE, FOOT, WIDTH, END = 18.0, 14.0, 174.0, 297.0 - 18.0
-# Sizes of type that are tried until everything is on its page.
-SIZES = (1.0, 0.94, 0.88, 0.82, 0.76, 0.7)
+SIDE, WIDTH, END = 18.0, 174.0, 297.0 - 18.0
 _KINDS = {"title": ("B", 15), "verdict": ("B", 10), "warning": ("B", 8.5), "error": ("B", 8.5), "note": ("I", 8)}
 # Letters that the fonts of every reader have not, and what stands for them.
 _LETTERS = str.maketrans({"–": "-", "—": "-", "μ": "µ", "“": '"', "”": '"', "„": '"', "’": "'", "≤": "<=", "≥": ">="})
@@ -34,7 +32,8 @@ def pdf_of(pages: Sequence[Page], *, language: str = "en", day: date | None = No
 
     Raises InputError where fpdf2 is not installed, or a page's words have no room on it.
     """
-    for size in SIZES:
+    # Sizes of type that are tried until everything is on its page.
+    for size in (1.0, 0.94, 0.88, 0.82, 0.76, 0.7):
         sheet, full = _drawn(pages, size)
         if full is None:
             break
@@ -76,7 +75,7 @@ def _drawn(pages: Sequence[Page], size: float) -> tuple[Sheet, int | None]:
                 _figures(sheet, figures, size)
         if sheet.get_y() > END and full is None:
             full = number
-        sheet.set_y(-FOOT)
+        sheet.set_y(-14.0)  # mm from the bottom of the page
         _line(sheet, " · ".join((*page.badges, f"{number} / {len(pages)}")), "", 7.5, "muted")
     return sheet, full
 

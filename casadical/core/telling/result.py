@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 _STYLES = {
     "title": "bold underline", "text": "", "note": "dim", "warning": "yellow", "error": "bold red", "verdict": "bold",
 }  # fmt: skip
-# Characters of a line of a command.
-_WIDE = 72
 
 
 def terminal(blocks: Sequence[Block]) -> RenderableType:
@@ -54,7 +52,8 @@ def _rendered(block: Words | Table) -> RenderableType:
         return Text.assemble((block.mark, _STYLES[block.kind]), f" {visible(block.text)}")
     code = block.code
     if code.startswith("casadical "):  # a command is broken so that it can be copied
-        code = " \\\n".join(wrap(code, _WIDE, break_long_words=False, break_on_hyphens=False, subsequent_indent="  "))
+        # Characters of a line of a command.
+        code = " \\\n".join(wrap(code, 72, break_long_words=False, break_on_hyphens=False, subsequent_indent="  "))
     text = visible(f"{block.text}\n{indented(code, '    ')}" if code else block.text)
     return Text(text, style=_STYLES[block.kind])
 

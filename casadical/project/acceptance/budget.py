@@ -29,14 +29,10 @@ from casadical.identification.remaining_errors import evaluated
 from casadical.measurements.measurements import STANDS, Measurements, same_readings, unmeasured
 from casadical.robot.robot import Knowledge, Robot
 
-# Of 95.45 %, which is k = 2 with many degrees of freedom.
-QUANTILE = 0.97725
 # Degrees of freedom of a noise that a data sheet states: it is known to 25 % (JCGM 100:2008, G.4.2).
 STATED = 8.0
 # Held-out poses without which a mean square has no scatter that is known.
 LEAST = 8
-# Poses between which E is interpolated, each and one of its nearest.
-SPACE, NEAR = 300, 5
 ENDLESS = 1e6
 
 
@@ -130,7 +126,8 @@ class Budget:
     @property
     def factor(self) -> float:
         """k."""
-        return float(stdtrit(max(1, int(min(self.freedom, ENDLESS))), QUANTILE))
+        # The quantile of 95.45 %, which is k = 2 with many degrees of freedom.
+        return float(stdtrit(max(1, int(min(self.freedom, ENDLESS))), 0.97725))
 
     @property
     def resolved(self) -> bool:
@@ -252,9 +249,10 @@ def _beyond(robot: Robot, sets: Sequence[Measurements]) -> float:
     factor = covariance_root(robot.knowledge, names)
     q = np.concatenate([m.q for m in sets])
     rng = np.random.default_rng(0)
-    some = q[rng.permutation(len(q))[:SPACE]]
+    # E is interpolated between each of 300 poses and one of its five nearest.
+    some = q[rng.permutation(len(q))[:300]]
     far = np.stack([np.linalg.norm(q - one, axis=1) for one in some])
-    near = np.argsort(far, axis=1)[np.arange(len(some)), rng.integers(1, NEAR + 1, len(some))]
+    near = np.argsort(far, axis=1)[np.arange(len(some)), rng.integers(1, 6, len(some))]
     drawn = some + rng.uniform(size=(len(some), 1)) * (q[near] - some)
     scale = np.array([robot.parameters[n].scale for n in names])[:, None]
 

@@ -36,11 +36,7 @@ from casadical.project.problem_file import result_in
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
-# Figures of the results and of the measurements agree so well, if both are of one calibration.
-AGREE = 1e-3
 PER_MILLION = 1e-6
-# Poses whose heights differ by a smaller share of their extent are shown from above.
-FLAT = 0.02
 Text = Annotated[str, Field(max_length=300)]
 Positive = Annotated[float, Field(ge=0.0, le=1e6)]
 
@@ -272,7 +268,8 @@ class Certificate(Acceptance):
         roles = ("sky", "blue", "orange", "red")
         colour = [roles[int(np.searchsorted(most, v / rms))] for v in e]
         x, y, z = self.places.T
-        flat = np.ptp(z) < FLAT * np.ptp(self.places)
+        # Poses whose heights differ by a smaller share of their extent are shown from above.
+        flat = np.ptp(z) < 0.02 * np.ptp(self.places)
         r, up = (x, y) if flat else (np.hypot(x, y), z)
         order = np.argsort(e)
         series = Series("points", 1e3 * r[order], 1e3 * up[order], colour=[colour[i] for i in order])
@@ -345,7 +342,8 @@ def _refuse_others(
     report = dict(stated.get("methods", {}).get(method, {}).get("sets", {})).get("report", {})
     n, mean = report.get("n"), report.get("mean_mm")
     own = np.concatenate([errors(robot, m) for m in sets])
-    if not isinstance(mean, int | float) or (n == len(own) and abs(1e3 * own.mean() - mean) > AGREE * mean + 1e-5):
+    # Figures of the results and of the measurements agree so well, if both are of one calibration.
+    if not isinstance(mean, int | float) or (n == len(own) and abs(1e3 * own.mean() - mean) > 1e-3 * mean + 1e-5):
         given = f"{mean:.4f}" if isinstance(mean, int | float) else "none"
         raise InputError(
             f"{place.parent / 'result.json'}: its held-out poses have a mean error of {given} mm, the measurements "

@@ -32,18 +32,15 @@ from casadical.project.acceptance.acceptance import Acceptance
 from casadical.robot.inverse_kinematics import solve_joints
 from casadical.robot.robot import Robot
 
-CYCLES, PATHS, GROUPS, OF_GROUP = 30, 3, 49, 10
-# Sides of the standard's cube [m], and where P2 to P5 lie on its diagonals: 10 % from the ends (section 6.8).
-CUBES, INWARDS = (1.0, 0.63, 0.4, 0.25), 0.1
-# Centres tried for each size; readings that hold P1, from which the others are reached.
-CENTRES, EACH = 12, 20
+CYCLES = 30
 TESTS = ("accuracy", "directions", "drift")
 FEWEST = 2
 
 
 def poses_in(centre: Array, side: float) -> Array:
     """P1 to P5 on the plane C1-C2-C7-C8 of a cube, shape (5, 3) [m]; P1 is the centre of the cube."""
-    h = side / 2 * (1 - 2 * INWARDS)
+    # P2 to P5 lie on the cube's diagonals, 10 % from their ends (section 6.8).
+    h = side / 2 * (1 - 2 * 0.1)
     return np.asarray(centre + h * np.array([[0, 0, 0], [-1, -1, -1], [-1, 1, -1], [1, 1, 1], [1, -1, 1]]))
 
 
@@ -61,13 +58,16 @@ def planned_test(
     R, origin = robot.base.T[:3, :3], robot.base.T[:3, 3]
     farthest = float(np.linalg.norm(inside - origin, axis=1).max())
     order = np.argsort(np.linalg.norm(inside - np.median(inside, axis=0), axis=1))
-    for size in (side,) if side else CUBES:
-        for middle in inside[order[: 20 * CENTRES : 20]]:
+    # Sides of the standard's cubes [m].
+    for size in (side,) if side else (1.0, 0.63, 0.4, 0.25):
+        # Every twentieth of the most central places is tried as the centre, twelve of them.
+        for middle in inside[order[:240:20]]:
             local = (middle - origin) @ R
             places = poses_in(local, size) @ R.T + origin
             if np.linalg.norm(places - origin, axis=1).max() > 1.05 * farthest:
                 continue
-            q, _ = held_in(robot, places[:1], EACH, room, rng)
+            # From twenty readings that hold P1 the other poses are reached.
+            q, _ = held_in(robot, places[:1], 20, room, rng)
             held = _one_orientation(robot, q, places, room) if len(q) else None
             if held is not None:
                 return _table(robot, held, poses_in(local, size)), local, size
@@ -123,8 +123,9 @@ def _table(robot: Robot, q: Array, command: Array) -> pd.DataFrame:
     """Every visit in the order of the standard: P5 to P1 in each cycle; P1, P2 and P4 from three paths; P1 for 8 h."""
     rows: list[tuple[str, int, int, int, int]] = []
     rows += [("accuracy", p, c, 0, 0) for c in range(1, CYCLES + 1) for p in (5, 4, 3, 2, 1)]
-    rows += [("directions", p, c, h, 0) for p in (1, 2, 4) for c in range(1, CYCLES + 1) for h in range(1, PATHS + 1)]
-    rows += [("drift", 1, c, 0, g) for g in range(GROUPS) for c in range(1, OF_GROUP + 1)]
+    rows += [("directions", p, c, h, 0) for p in (1, 2, 4) for c in range(1, CYCLES + 1) for h in (1, 2, 3)]
+    # Drift over eight hours: a group of ten visits every ten minutes.
+    rows += [("drift", 1, c, 0, g) for g in range(49) for c in range(1, 11)]
     table = pd.DataFrame(rows, columns=["test", "pose", "cycle", "path", "group"])
     at = table["pose"].to_numpy() - 1
     for j, (key, factor) in enumerate(robot.reading_units.items()):

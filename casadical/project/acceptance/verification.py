@@ -29,14 +29,8 @@ from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
 POSITION = "position"
-# Of so large a share of the poses a few are far off; more are no bad rows.
-FEW = 0.1
-# A pose with more than so many times the promised error is named.
-FAR = 4.0
 # So many numbers must be left to judge by.
 SPARE = 6
-# Of the length of a normally distributed error in three coordinates.
-RMS_OF_MEAN = float(np.sqrt(3 * np.pi / 8))
 
 
 @dataclass(frozen=True)
@@ -110,7 +104,8 @@ class Verification(Acceptance):
         if self.valid:
             return (next_step("when some ten poses are measured again", "verify", robot, "LATER.csv",
                               "--promised-mm", f"{1e3 * self.promised:.4g}"),)  # fmt: skip
-        few = len(self.far) <= max(1, FEW * self.n)
+        # Of so large a share of the poses a few are far off; more are no bad rows.
+        few = len(self.far) <= max(1, 0.1 * self.n)
         if few and self.without is not None and self.without <= self.limit:
             return (next_step("when the rows that are far off are measured again", "verify", *self.sources),)
         return (next_step("to learn what changed", "compare", problem_of(robot) or robot, *tables),)
@@ -157,7 +152,8 @@ def verify(
     freedom = placing.freedom(len(e), k)
     # A robot that keeps its promise is said to break it once in a hundred checks.
     found, limit = placing.scatter(e, k), promised * float(np.sqrt(chdtri(freedom, 0.01) / freedom))
-    far = [LeftOut(at[i][0], at[i][1], float(e[i])) for i in np.argsort(-e) if e[i] > FAR * promised]
+    # A pose with more than so many times the promised error is named.
+    far = [LeftOut(at[i][0], at[i][1], float(e[i])) for i in np.argsort(-e) if e[i] > 4.0 * promised]
     without = None
     if found > limit and placing.groups:  # a few gross errors draw base and tool, and so all others, towards themselves
         robust = calibrated(prepared, placing.groups, loss="huber")
@@ -269,7 +265,8 @@ def promised_rms(robot: Path, kind: str = POSITION) -> float:
                 mean = gap["gap_mm"][gap.get("kept", "after")]
             if mean is not None:
                 remedy = "; diagnose again, or give the promised rms error with --promised-mm"
-                return RMS_OF_MEAN * _in_metres(mean, f"{path}: gap_mm", remedy)
+                # Of the length of a normally distributed error in three coordinates.
+                return float(np.sqrt(3 * np.pi / 8)) * _in_metres(mean, f"{path}: gap_mm", remedy)
     path = robot.parent / "result.json"
     remedy = "give the promised rms error with --promised-mm"
     alike = (POSITION, "pose", "position_covariance") if kind == POSITION else (kind,)
