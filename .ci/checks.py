@@ -339,7 +339,21 @@ def ties() -> Iterator[str]:
                 yield f"{path}:{call.lineno}: rounding decides among ties: take first_of_best or best_of"
 
 
-CHECKS = (dead_links, dead_names, dead_options, layout, files_opened, ties)
+def errors_untold() -> Iterator[str]:
+    """Yield public functions that raise an error of the package and do not say so in their docstring.
+
+    A command's docstring is its help; a method without a docstring overrides one that tells it.
+    """
+    ours = {"InputError", "ConvergenceError", "CasadicalError"}
+    for path in (path for path in tracked("casadical/*.py") if path.parts[1] != "cli"):
+        for function in (n for n in nodes_of(path) if isinstance(n, ast.FunctionDef) and not n.name.startswith("_")):
+            raises = (n.exc for n in ast.walk(function) if isinstance(n, ast.Raise) and isinstance(n.exc, ast.Call))
+            told = "Raises" in (ast.get_docstring(function) or "Raises")
+            if not told and {ast.unparse(call.func) for call in raises} & ours:
+                yield f"{path}:{function.lineno}: {function.name} raises an error; its docstring says no `Raises ...`"
+
+
+CHECKS = (dead_links, dead_names, dead_options, layout, files_opened, ties, errors_untold)
 
 
 def main() -> int:

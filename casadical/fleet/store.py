@@ -61,7 +61,7 @@ def name_of(folder: Path, *, whole: bool = False) -> str:
 
 
 def one_robot(folder: str, with_diagnosis: bool) -> dict[str, Any]:
-    """The row of one robot; what goes wrong is in it, nothing is raised."""
+    """Return the row of one robot; what goes wrong is in it. Raises nothing."""
     start, place = time.perf_counter(), Path(folder)
     row = {**NOTHING, "robot": name_of(place), "folder": name_of(place, whole=True), "written_by": __version__}
     try:
