@@ -54,7 +54,7 @@ def noise_odds(case: Case, draws: int, rng: np.random.Generator) -> Iterator[Arr
     # A draw's own best sigma may lie one step aside.
     sigmas = np.arange(max(sigmas[0] - 1, 0), min(sigmas[-1] + 2, len(e.sigmas)))
     E = e.take(np.arange(e.width))
-    projections = [e.projection(float(RHOS[k])) for k in rhos]
+    projections = [e.projected(float(RHOS[k])) for k in rhos]
     white = [p.columns(E) for p in projections]
     groups = [_groups(case, columns) for columns in white]
     for first in range(0, draws, BATCH):

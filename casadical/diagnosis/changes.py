@@ -30,7 +30,9 @@ def changes(case: Case, prior: Prior) -> tuple[tuple[Change, ...], Prior]:
     parts = _parts(case, prior)
     noise = Noise(max(robust_std(case.evidence.r), 1e-9), 0.0)
     # The parameters as they are, of which some are known.
-    fit = new_fit(replace(case.evidence, turn=None, still=None), np.zeros(0, dtype=np.int64), noise)
+    base = case.base
+    e = replace(case.evidence, J=base.J[case.kept], delta0=base.delta0, prior=base.prior)
+    fit = new_fit(e, np.zeros(0, dtype=np.int64), noise)
     factor: dict[tuple[str, int | None], float] = {}
     done: set[tuple[str, int | None]] = set()
     while True:

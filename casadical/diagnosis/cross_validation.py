@@ -32,17 +32,18 @@ def likely_noise(log_grid: Array, sigmas: Array = SIGMAS) -> Noise:
 
 def new_fit(e: Evidence, columns: Array, noise: Noise, *, combined: bool = True) -> Fit:
     """Base model and causes fitted together; columns : of the causes, in rising order."""
-    return Fit(e.model, columns, noise.sigma, {REPEATABILITY: noise.repeatability / noise.sigma}, combined=combined)
+    return Fit(e, columns, noise.sigma, {REPEATABILITY: noise.repeatability / noise.sigma}, combined=combined)
 
 
 def fit_of(e: Evidence, columns: Array, noise: Noise) -> Fit:
     """The same, kept with the problem: several questions are asked of the same few."""
-    fits, key = e.cache.fits, (columns.tobytes(), noise)
+    fits, key = e.cache.setdefault("fits", {}), (columns.tobytes(), noise)
     if key not in fits:
         if len(fits) == MOST_FITS:
             fits.pop(next(iter(fits)))
         fits[key] = new_fit(e, columns, noise)
-    return fits[key]
+    known: Fit = fits[key]
+    return known
 
 
 def lengths(e: Evidence, left: Array, poses: Array | slice = EVERY) -> Array:

@@ -10,18 +10,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import ClassVar, Self
 
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.columns import EVERY, ArrayColumns, Columns, SerialColumns
-from casadical.core.linear_gaussian.fit import Fit
+from casadical.core.linear_gaussian.columns import ArrayColumns, SerialColumns
 from casadical.core.linear_gaussian.grid import Grid
-from casadical.core.linear_gaussian.marginals import NONE, Marginals
-from casadical.core.linear_gaussian.model import LinearModel, Memory, Projection
+from casadical.core.linear_gaussian.marginals import NONE
+from casadical.core.linear_gaussian.model import LinearModel, Projection
 from casadical.core.linear_gaussian.noise import NoiseModel, SerialNoise
-from casadical.effects.base import CHOSEN
 from casadical.measurements.measurements import Noise
 
 SIGMAS = np.geomspace(3e-6, 300e-6, 33)
@@ -73,177 +71,62 @@ class KnownNoise:
         return self.declared or self.sheet / 2
 
 
-@dataclass(eq=False)
-class Cache:
-    """What was computed of a problem: its marginal likelihoods, fits by columns and noise, rankings of a search."""
-
-    marginals: Marginals | None = None
-    fits: dict[tuple[bytes, Noise], Fit] = field(default_factory=dict)
-    rankings: dict[object, Any] = field(default_factory=dict)
-
-
 @dataclass(frozen=True, eq=False)
-class Evidence:
-    """Residuals of a calibrated robot, what the base model and the candidate causes do to them.
+class Evidence(LinearModel):
+    """The linear-Gaussian model of a campaign: residuals of a calibrated robot, the base model and the candidates.
 
-    r : measured less modelled position, shape (n, 3) [m]
-    J : base model's Jacobian, shape (n, 3, P); Jq : by joint variables, shape (n, 3, joints)
-    delta0 : prior mean of the parameters less their present values, shape (P,); prior : one sigma, shape (P,)
-    E : columns of all candidates, in m per unit of size: an array, shape (n, 3, columns), or made when asked for
-    reference : sigma at which the priors of what is in the model are as given [m]; they grow with the noise
-    held : one sigma of each column's parameter once it is in the model, in sizes, shape (columns,); CHOSEN by default
-    near : numbers of the rhos that are looked at; all of them until an effect of many parameters is in the model
+    Blocks are poses; r is measured less modelled position [m], E in m per unit of size.
+
+    Jq : derivative by the joint variables, shape (n, 3, joints)
     known : what is known of the noise beside these residuals
     sigmas : of the instrument, on a grid [m]
-    measured : which of a pose's numbers were measured, shape (n, 3), all by default; of other kinds of measurement than
-        positions there are others than three, in units in which their noise is alike
     size : of each number in the error that reports tell [m], shape (n, 3), one by default
     alike : number of the unknown point that each pose shares with others, shape (n,), where there are such
-    absorbed : numbers that the base model's parameters take, which tell nothing of the noise; with one number at a
-        pose they are a large share, and a cause that follows noise would gain by them (compare REML: Harville 1977)
-    turn : of the base parameters, shape (P, k): parameters = turn @ (those of the model, each of one sigma one)
-    still : directions of the base parameters that move nothing at these poses, which are not in the model, shape
-        (P, P - k): they are their priors, before and after the data
     unsure : numbers of a table so few that they tell badly how its noise compares with the others', two tables at most,
         masks of shape (n, 3); likelihoods are averaged over what it may be
-    memory : how much is held at a time
+    near : numbers of the rhos that are looked at; all of them until an effect of many parameters is in the model
     """
 
-    r: Array
-    J: Array
-    Jq: Array
-    delta0: Array
-    prior: Array
-    E: Array | Columns
+    noise: NoiseModel = field(init=False)
+    grid: Grid = field(init=False)
+    log_noise: Array | float = field(init=False, default=0.0)
     reference: float = 20e-6
-    held: Array | None = None
     near: tuple[int, ...] = tuple(range(len(RHOS)))
-    known: KnownNoise = field(default_factory=lambda: KnownNoise())
-    sigmas: Array = field(default_factory=lambda: SIGMAS)
-    measured: Array | None = None
-    size: Array | None = None
-    alike: Array | None = None
-    absorbed: float = 0.0
-    turn: Array | None = None
-    still: Array | None = None
-    unsure: tuple[Array, ...] = ()
-    memory: Memory = field(default_factory=Memory)
-    cache: Cache = field(init=False, repr=False, default_factory=Cache)
+    Jq: Array = field(kw_only=True)
+    known: KnownNoise = field(kw_only=True, default_factory=lambda: KnownNoise())
+    sigmas: Array = field(kw_only=True, default_factory=lambda: SIGMAS)
+    size: Array | None = field(kw_only=True, default=None)
+    alike: Array | None = field(kw_only=True, default=None)
+    unsure: tuple[Array, ...] = field(kw_only=True, default=())
 
-    @property
-    def count(self) -> int:
-        """How many numbers were measured."""
-        return int(self.r.size if self.measured is None else np.count_nonzero(self.measured))
+    BY_BLOCK: ClassVar[tuple[str, ...]] = ("r", "J", "Jq", "measured", "size", "alike")
 
-    @property
-    def width(self) -> int:
-        """Number of columns of all candidates."""
-        return int(self.E.shape[2])
-
-    @cached_property
-    def model(self) -> LinearModel:
-        """The same without the names of things."""
-        base, mean, prior = self.J, self.delta0, self.prior
-        if self.turn is not None:
-            # As one matrix: products of three rows each take three times as long.
-            base = (self.J.reshape(-1, len(self.turn)) @ self.turn).reshape(*self.J.shape[:2], self.turn.shape[1])
-            prior = np.ones(self.turn.shape[1])
-            units = self.turn / self.prior[:, None]  # these are orthogonal
-            mean = units.T @ (self.delta0 / self.prior) / (units**2).sum(axis=0)
-        columns = ArrayColumns(self.E) if isinstance(self.E, np.ndarray) else self.E
-        held = np.full(self.width, CHOSEN) if self.held is None else self.held
-        grid, known = Grid(self.sigmas, {REPEATABILITY: RHOS}, KAPPAS), log_known(self, self.Jq)
-        return LinearModel(
-            self.r, base, mean, prior, columns, held, self.noise, grid, self.reference, self.count, self.absorbed,
-            self.near, known, self.memory,
-        )  # fmt: skip
-
-    @property
-    def noise(self) -> NoiseModel:
-        """How the noise of a pose's numbers is made up."""
-        return joint_noise(self.Jq)
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "noise", joint_noise(self.Jq))
+        object.__setattr__(self, "grid", Grid(self.sigmas, {REPEATABILITY: RHOS}, KAPPAS))
+        object.__setattr__(self, "log_noise", log_known(self, self.Jq))
 
     def covariance(self, noise: Noise) -> Array:
         """Of the noise of each pose's numbers, shape (n, 3, 3) [m^2]."""
         return self.noise.covariance({REPEATABILITY: noise.repeatability}, noise.sigma)
 
-    def projection(self, rho: float) -> Projection:
+    def projected(self, rho: float) -> Projection:
         """What makes rows white and orthogonal to the base model; rho : repeatability over sigma [rad/m]."""
-        return self.model.projection({REPEATABILITY: rho})
+        return self.projection({REPEATABILITY: rho})
 
-    def restricted(self) -> Evidence:
-        """The problem in which the numbers that the base model takes tell nothing of the noise.
-
-        Nor do the priors of what the data determine, which grow with the noise: how far a robot departs from them would
-        pass for noise. Directions of the parameters, in units of their priors, that the data determine get a wide one.
-        """
-        A = self.J.reshape(self.r.size, -1) * (self.prior / self.reference)
-        # Not of A' A, whose round-off beside a wide prior's direction would pass for what moves a pose.
-        _, singular, turned = np.linalg.svd(np.linalg.qr(A, mode="r"))
-        square, axes = np.append(singular, np.zeros(len(turned) - len(singular)))[::-1] ** 2, turned[::-1].T.copy()
-        # Which way an axis points is a processor's choice, and what is drawn by chance would follow it.
-        axes *= np.where(np.cos(np.arange(len(axes))) @ axes < 0, -1.0, 1.0)
-        axes, moved = self.prior[:, None] * axes, square > UNMOVED
-        turn = axes * np.where(square > DETERMINED, WIDER, 1.0)
-        more = replace(self, turn=turn[:, moved], still=axes[:, ~moved])
-        return replace(more, absorbed=more.model.absorbed_by_base)
-
-    @property
-    def everywhere(self) -> Evidence:
-        """The problem with all directions of the base parameters in the model, for other poses than these."""
-        if self.turn is None or self.still is None:
-            return self
-        return replace(self, turn=np.concatenate([self.turn, self.still], axis=1), still=None)
-
-    def take(self, columns: Array, poses: Array | slice = EVERY) -> Array:
-        """Some of the candidates' columns at some poses, shape (poses, 3, len(columns)) [m per unit of size]."""
-        return self.model.take(columns, poses)
-
-    def at(self, poses: Array) -> Evidence:
+    def at(self, blocks: Array) -> Self:
         """The problem of some poses."""
-        E = self.E[poses] if isinstance(self.E, np.ndarray) else self.E.at(poses)
-        masks = {name: of[poses] for name in ("measured", "size", "alike") if (of := getattr(self, name)) is not None}
-        unsure = tuple(of[poses] for of in self.unsure)
-        return replace(self, r=self.r[poses], J=self.J[poses], Jq=self.Jq[poses], E=E, unsure=unsure, **masks)
+        return replace(super().at(blocks), unsure=tuple(mask[blocks] for mask in self.unsure))
 
-    def with_base(self, columns: Array) -> Evidence:
-        """The problem with these columns moved into the base model, as wide as they are held there."""
-        return self.with_known(*self.model.as_base(columns)) if len(columns) else self
-
-    def with_known(self, columns: Array, prior: Array) -> Evidence:
-        """The problem with further columns in the base model, shape (n, 3, k), of zero mean; prior : shape (k,)."""
-        turn, still, more = self.turn, self.still, len(prior)
-        if turn is not None:
-            rows, axes = turn.shape
-            turn = np.pad(turn, (0, more))
-            turn[rows:, axes:] = np.diag(prior)
-        if still is not None:
-            still = np.pad(still, ((0, more), (0, 0)))
-        J, delta0 = np.concatenate([self.J, columns], axis=2), np.pad(self.delta0, (0, more))
-        return replace(self, J=J, delta0=delta0, prior=np.append(self.prior, prior), turn=turn, still=still)
-
-    @property
-    def marginals(self) -> Marginals:
-        """Marginal likelihoods of all groups of columns."""
-        if self.cache.marginals is None:
-            self.cache.marginals = Marginals(self.model)
-        return self.cache.marginals
-
-    def extending(self, known: Evidence) -> Evidence:
-        """The problem, which takes over what is known of one with the same poses and the first of the columns."""
-        if known.cache.marginals is not None:
-            self.cache.marginals = known.cache.marginals.extended(self.model)
-        return self
-
-    def moving(self, known: Evidence, lost: Evidence, gained: Evidence) -> Evidence:
-        """The problem, which takes over what is known of one with some more (lost) and some fewer poses (gained)."""
-        if known.cache.marginals is not None:
-            self.cache.marginals = known.cache.marginals.moved(self.model, lost.model, gained.model)
-        return self
+    def with_causes_alone(self, columns: Array) -> Self:
+        """The problem with these columns in the base model and no others, its numbers' noise as it is assumed."""
+        alone = self.with_base(columns)
+        return replace(alone, E=ArrayColumns(np.zeros((*self.r.shape, 1))), held=None, unsure=())
 
     def forget(self) -> None:
         """Let go of what takes much memory and would be computed again."""
-        self.cache.marginals = None
+        self.cache.pop("marginals", None)
         self.__dict__.pop("at_other_ratios", None)
 
     @cached_property
@@ -265,7 +148,7 @@ class Evidence:
     def _where_noisier(self, mask: Array, times: float) -> Evidence:
         """The problem of numbers that are as noisy as the others once they are divided by this."""
         weight, every = np.where(mask, 1 / times, 1.0), np.arange(len(self.r))
-        E = SerialColumns(self.model.columns, every, SerialNoise(np.zeros(len(every)), weight))
+        E = SerialColumns(self.E, every, SerialNoise(np.zeros(len(every)), weight))
         r, J, Jq = self.r * weight, self.J * weight[:, :, None], self.Jq * weight[:, :, None]
         return replace(self, r=r, J=J, Jq=Jq, E=E, unsure=())
 
@@ -296,6 +179,58 @@ class Evidence:
         """Make ready what the groups need when they are judged beside each of the chosen ones."""
         for e in (self, *(other for _, other in self.at_other_ratios)):
             e.marginals.look_ahead(chosen, groups)
+
+
+@dataclass(frozen=True, eq=False)
+class BaseParameters:
+    """The base model's parameters, and their independent combinations that are in an `Evidence`.
+
+    J, delta0, prior : derivative of the numbers, prior mean less present values and one sigma, shapes (n, 3, P), (P,)
+    units : parameters = units @ (combinations, each of one sigma one), shape (P, k)
+    still : combinations that move nothing at these poses and are in no problem, shape (P, P - k): they are their
+        priors, before and after the data
+    """
+
+    J: Array
+    delta0: Array
+    prior: Array
+    units: Array
+    still: Array
+
+    def everywhere(self, e: Evidence, poses: Array) -> tuple[Evidence, Array]:
+        """A problem of some of the poses with all combinations in it, for other poses than these; and these units."""
+        still = self.J[poses] @ self.still
+        k = self.units.shape[1]
+        J = np.concatenate([e.J[:, :, :k], still, e.J[:, :, k:]], axis=2)
+        delta0 = np.concatenate([e.delta0[:k], self._mean(self.still), e.delta0[k:]])
+        prior = np.concatenate([e.prior[:k], np.ones(still.shape[2]), e.prior[k:]])
+        return replace(e, J=J, delta0=delta0, prior=prior), np.concatenate([self.units, self.still], axis=1)
+
+    def _mean(self, units: Array) -> Array:
+        """Prior mean of combinations, which are orthogonal in units of the priors."""
+        own = units / self.prior[:, None]
+        return np.asarray(own.T @ (self.delta0 / self.prior) / (own**2).sum(axis=0))
+
+    @classmethod
+    def restricted(cls, e: Evidence) -> tuple[Evidence, BaseParameters]:
+        """The problem in which the numbers that the base model takes tell nothing of the noise, and its parameters.
+
+        Nor do the priors of what the data determine, which grow with the noise: how far a robot departs from them would
+        pass for noise. Directions of the parameters, in units of their priors, that the data determine get a wide one.
+        """
+        A = e.J.reshape(e.r.size, -1) * (e.prior / e.reference)
+        # Not of A' A, whose round-off beside a wide prior's direction would pass for what moves a pose.
+        _, singular, turned = np.linalg.svd(np.linalg.qr(A, mode="r"))
+        square, axes = np.append(singular, np.zeros(len(turned) - len(singular)))[::-1] ** 2, turned[::-1].T.copy()
+        # Which way an axis points is a processor's choice, and what is drawn by chance would follow it.
+        axes *= np.where(np.cos(np.arange(len(axes))) @ axes < 0, -1.0, 1.0)
+        axes, moved = e.prior[:, None] * axes, square > UNMOVED
+        units = (axes * np.where(square > DETERMINED, WIDER, 1.0))[:, moved]
+        base = cls(e.J, e.delta0, e.prior, units, axes[:, ~moved])
+        # As one matrix: products of three rows each take three times as long.
+        J = (e.J.reshape(-1, len(units)) @ units).reshape(*e.J.shape[:2], units.shape[1])
+        own = replace(e, J=J, delta0=base._mean(units), prior=np.ones(units.shape[1]))
+        return replace(own, absorbed=own.absorbed_by_base), base
 
 
 def joint_noise(Jq: Array) -> NoiseModel:

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array, InputError
+from casadical.core.linear_gaussian.columns import ArrayColumns
 from casadical.core.statistics import ranked
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import Result
@@ -138,7 +139,9 @@ def isolability(
     m, _ = derive(m, [c for e in used for c in e.conditions], robot.loads)
     values = robot.parameters.values
     E, J, Jq = signatures(robot, used, m, values)
-    evidence = Evidence(np.zeros((len(m), 3)), J, Jq, 0 * values, base_prior(robot), E * widths(used), noise.sigma)
+    evidence = Evidence(
+        np.zeros((len(m), 3)), J, 0 * values, base_prior(robot), ArrayColumns(E * widths(used)), noise.sigma, Jq=Jq
+    )
     columns = column_numbers(used, 0)
     named = _whole(possible) if whole else {c.label: c.variants for c in possible}
     groups = {k: [np.concatenate([columns[e] for e in v]) for v in variants] for k, variants in named.items()}
@@ -187,7 +190,7 @@ def _judged(
     # Noncentrality at which one among a hundred or so candidates is found nine times in ten.
     effects["findable_from"] = np.sqrt(36.0 / evidence.count) / effects["visible_to_noise"]
     some = evidence if n <= MOST_ALIKE else evidence.at(np.linspace(0, n - 1, MOST_ALIKE).astype(int))
-    seen = some.projection(rho).columns(some.take(np.arange(some.width)))
+    seen = some.projected(rho).columns(some.take(np.arange(some.width)))
     return Isolability(effects, _alike(seen, columns, owner), missing)
 
 
@@ -197,7 +200,7 @@ def _squares(evidence: Evidence, rho: float) -> Array:
     rho : joint repeatability over the instrument's sigma. Some columns at a time, for there may be many poses.
     """
     step = max(1, BYTES // (24 * len(evidence.r)))
-    projections = [evidence.projection(ratio) for ratio in (0.0, rho)]
+    projections = [evidence.projected(ratio) for ratio in (0.0, rho)]
     squares = []
     for first in range(0, evidence.width, step):
         E = evidence.take(np.arange(first, min(first + step, evidence.width)))

@@ -102,7 +102,7 @@ def curves_of(case: Case, effect: JointErrorCurve, columns: Array, noise: Noise)
     """
     e, q = case.evidence, case.m.q[case.kept]
     fit = new_fit(e, columns, noise, combined=False)
-    place = e.model.base.shape[2] + np.searchsorted(columns, case.columns[effect])
+    place = e.J.shape[2] + np.searchsorted(columns, case.columns[effect])
     own = {j: place[part] for j, part in effect.parts.items()}
     units = {j: case.sizes(case.columns[effect][part]) for j, part in effect.parts.items()}
     lost = _evidence_lost(fit, own)

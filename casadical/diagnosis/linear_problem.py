@@ -14,7 +14,7 @@ from casadical.core.parameters import Parameter
 from casadical.core.statistics import robust_std
 from casadical.diagnosis.candidates import Candidate, choose
 from casadical.diagnosis.cross_validation import fit_of
-from casadical.diagnosis.evidence import ALL_SIGMAS, RHOS, SIGMAS, Evidence, KnownNoise
+from casadical.diagnosis.evidence import ALL_SIGMAS, RHOS, SIGMAS, BaseParameters, Evidence, KnownNoise
 from casadical.diagnosis.instrument_columns import with_far_ends, with_images
 from casadical.diagnosis.linearisation import EffectColumns, Made
 from casadical.diagnosis.noise_evidence import PLAIN, Form, as_form_moves
@@ -60,7 +60,8 @@ class Case:
     robot : calibrated base model; m : all poses
     given, values : the robot that was given, and its parameters that make it the calibrated one
     candidates : that the logged columns allow; missing : label -> columns that were not logged
-    whole : residuals and columns of all poses; kept : mask of those that are no outliers, shape (n,)
+    whole : residuals and columns of all poses; base : the base model's parameters behind it
+    kept : mask of those that are no outliers, shape (n,)
     free : labels of effects of the given robot that are part of the base model, as uncertain as the effect says
     prior : what is known from another campaign; units : parameters that are correlated in it, as sums of independent
         ones of size one, shape (P, P), or None
@@ -75,6 +76,7 @@ class Case:
     candidates: tuple[Candidate, ...]
     missing: dict[str, tuple[str, ...]]
     whole: Evidence
+    base: BaseParameters
     kept: Array
     columns: dict[Effect, Array]
     observations: Observations
@@ -161,7 +163,7 @@ class Case:
 
         And the covariances of the known effects' parameters that are correlated, each with its places.
         """
-        mean, sigma = self.whole.delta0.copy(), self.whole.prior.copy()
+        mean, sigma = self.base.delta0.copy(), self.base.prior.copy()
         places = {name: k for k, name in enumerate(self.given.parameters.names)}
         for name, (value, width) in prior.means.items():
             mean[places[name]], sigma[places[name]] = value - self.values[places[name]], width
@@ -179,8 +181,9 @@ class Case:
         for at, matrix in known:
             L = np.linalg.cholesky(matrix)
             units[np.ix_(at, at)], sigma[at], mean[at] = L, 1.0, np.linalg.solve(L, mean[at])
-        whole = replace(self.whole, J=self.whole.J @ units, delta0=mean, prior=sigma, reference=reference)
-        return replace(self, whole=whole.restricted(), prior=prior, units=units)
+        whole = replace(self.whole, J=self.base.J @ units, delta0=mean, prior=sigma, reference=reference)
+        whole, base = BaseParameters.restricted(whole)
+        return replace(self, whole=whole, base=base, prior=prior, units=units)
 
     def with_all_sigmas(self) -> Case:
         """The case with the widest noise grid.
@@ -248,7 +251,7 @@ class Case:
         """
         learnt = effect.with_sizes({part: self.growth * factor for part, factor in factors.items()})
         columns = self.columns[effect]
-        held = self.whole.model.held.copy()
+        held = self.whole.widths.copy()
         for part, places in effect.parts.items():
             held[columns[places]] *= factors[part]
         candidates = tuple(
@@ -318,9 +321,10 @@ def make_case(
     m, _ = derive(m, [c for e in effects for c in e.conditions], robot.loads)
     values = robot.values_of(identification.robot)
     seen = observe(identification, m, sets, values, ratios or Ratios(identification.problem.sigmas), stops)
-    kept, whole = _problem(identification, seen, effects, values, free)
+    kept, whole, base = _problem(identification, seen, effects, values, free)
     columns = column_numbers(effects, 0)
-    return Case(identification.robot, robot, values, m, tuple(possible), missing, whole, kept, columns, seen, free)
+    possible = tuple(possible)
+    return Case(identification.robot, robot, values, m, possible, missing, whole, base, kept, columns, seen, free)
 
 
 def _problem(
@@ -329,8 +333,8 @@ def _problem(
     effects: tuple[Effect, ...],
     values: Array,
     free: tuple[str, ...],
-) -> tuple[Array, Evidence]:
-    """Which poses are no outliers, and the linear problem of all poses.
+) -> tuple[Array, Evidence, BaseParameters]:
+    """Which poses are no outliers, the linear problem of all poses, and its base parameters.
 
     The priors hold at the usual noise of a tracker where positions alone were measured, else at the noise that the base
     model leaves.
@@ -352,11 +356,11 @@ def _problem(
     whole = Evidence(
         r,
         np.concatenate([seen.linear.J, seen.U], axis=2) if seen.U.size else seen.linear.J,
-        seen.Jq,
         np.append(delta0, seen.mean),
         np.append(base_prior(robot, free), np.ones(len(seen.mean))),
         E,
         held=E.held,
+        Jq=seen.Jq,
         known=KnownNoise(declared, sheet, again.sigma, min(again.freedom, MOST_FREEDOM)),
         measured=seen.measured,
         size=seen.size,
@@ -365,7 +369,7 @@ def _problem(
     )
     if not seen.plain:
         whole = replace(whole, reference=max(left, float(SIGMAS[0])))
-    return kept, whole.restricted()
+    return kept, *BaseParameters.restricted(whole)
 
 
 def unsure_tables(seen: Observations) -> tuple[Array, ...]:

@@ -82,13 +82,13 @@ def _of_smooth_errors(case: Case, noise: Noise, left: Evidence, rng: np.random.G
             own = sines(case.m.q[kept, j - 1], FAST)
             E.append((f"joint {j}", SIZE * case.whole.Jq[kept][:, :, [j - 1]] * own[:, None]))
     some = left.at(np.searchsorted(np.flatnonzero(case.kept), kept))
-    projection = some.projection(noise.repeatability / noise.sigma)
-    axes = np.eye(len(some.prior)) if some.turn is None else some.turn / some.prior[:, None]
+    projection = some.projected(noise.repeatability / noise.sigma)
+    axes = case.base.units / case.base.prior[:, None]
     axes = axes / np.linalg.norm(axes, axis=0)
     every, edges = np.concatenate([e for _, e in E], axis=2), np.cumsum([0, *(e.shape[2] for _, e in E)])
     white, plain = (
         [rows[:, a:b] for a, b in itertools.pairwise(edges)]
-        for rows in (projection.columns(every), some.projection(0.0).columns(every))
+        for rows in (projection.columns(every), some.projected(0.0).columns(every))
     )
     signal = dict[str, Array]()
     for (part, _), g, values in zip(E, plain, _draws(projection.y, white, noise.sigma, axes, rng), strict=True):
@@ -118,7 +118,7 @@ def _of_causes(case: Case, noise: Noise, columns: Array, rng: np.random.Generato
         part, drawn = _part_of(variable, case.given.n), values.T @ (mean[own, None] + spread[own])
         signal[part] = signal.get(part, 0.0) + S[:, :, variable, None] * drawn[:, None]
     # In mm, whatever part of it the noise of the joints can hide.
-    projection = some.projection(0.0)
+    projection = some.projected(0.0)
     squares = _mean_squares([projection.columns(drawn) for drawn in signal.values()], some, rng)
     return dict(zip(signal, squares, strict=True)), replace(e, r=left)
 
@@ -156,9 +156,9 @@ def _levers(case: Case) -> dict[str, Array]:
             columns.setdefault("loop", []).append(k)
     n = case.robot.n
     moved = [k for k in ("base", *(f"link {i}" for i in range(1, n)), "loop") if k in columns]
-    links = {k: SIZE * case.whole.J[:, :, columns[k]] for k in moved}
+    links = {k: SIZE * case.base.J[:, :, columns[k]] for k in moved}
     last = [*columns.get(f"link {n}", []), *columns.get("tool", [])]
-    tool = {"tool": SIZE * case.whole.J[:, :, last]} if last else {}
+    tool = {"tool": SIZE * case.base.J[:, :, last]} if last else {}
     joints = {f"joint {j + 1}": SIZE * case.whole.Jq[:, :, [j]] for j in range(n)}
     return {**joints, **links, **tool}
 

@@ -49,11 +49,12 @@ class Prediction:
 
 def predict_cause(case: Case, variant: tuple[Effect, ...], noise: Noise, poses: Linearisation) -> Prediction:
     """Mean and spread at new poses of base model and one cause fitted to the case's data."""
-    old, E = case.evidence.everywhere, poses.columns(variant)
+    old, combinations = case.base.everywhere(case.evidence, np.flatnonzero(case.kept))
+    E = poses.columns(variant)
     # Unknown points of the campaign, which new poses do not see.
-    points = np.zeros((*poses.J.shape[:2], old.J.shape[2] - poses.J.shape[2]))
+    points = np.zeros((*poses.J.shape[:2], len(case.base.prior) - poses.J.shape[2]))
     J = np.concatenate([poses.J, points], axis=2)
-    for units in (case.units, old.turn):
+    for units in (case.units, combinations):
         J = J if units is None else J @ units
     new = np.concatenate([J, E * widths(variant)], axis=2)
     fit = new_fit(replace(old, held=np.full(old.width, WIDE)), case.group(variant), noise, combined=False)

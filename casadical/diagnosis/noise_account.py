@@ -141,7 +141,7 @@ def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates) -
         # Noise that follows itself is noise all the same, if this is all that it follows.
         form, (following, own, _) = FOLLOWING, best_following(case, columns)
         left = remainder_of(case, columns, own, following)
-    freedom = max(e.count - e.model.absorbed_by_base, 1.0)
+    freedom = max(e.count - e.absorbed_by_base, 1.0)
     far, rules, anchor = False, Rule.FIT, taken
     if repeated.enough:
         rules, anchor = Rule.REPEATS, repeated.sigma
@@ -169,7 +169,7 @@ def _by_statement(case: Case, columns: Array, noise: Noise, left: Remainder) -> 
     # A declared sigma is the instrument's; joints repeat to this [rad] beside it at most.
     joints, rule = min(noise.repeatability, 15e-6), Rule.DECLARED if known.declared else Rule.SHEET
     taken, allowed = scatter_of_coordinate(e, noise), scatter_of_coordinate(e, Noise(known.stated, joints))
-    if _far(taken, allowed, max(e.count - e.model.absorbed_by_base, 1.0), np.inf) and not (
+    if _far(taken, allowed, max(e.count - e.absorbed_by_base, 1.0), np.inf) and not (
         left.like_noise and not left.structures
     ):
         return True, rule, allowed

@@ -173,7 +173,7 @@ def tailed(problem: Problem, usual: Form | None = None) -> Form | None:
     for _ in range(FOUND_IN):
         noise = likely_noise(grid, problem.e.sigmas)
         rho = int(np.argmin(np.abs(RHOS - noise.repeatability / noise.sigma)))
-        square = ((problem.left(form, rho) * times[:, None]) ** 2).sum(axis=1) / noise.sigma**2
+        square = ((problem.residual(form, rho) * times[:, None]) ** 2).sum(axis=1) / noise.sigma**2
         before, times = times, np.where(log_odds + 0.5 * square * (1 - TIMES**-2) > 0, TIMES, 1.0)
         if np.array_equal(before, times):
             break

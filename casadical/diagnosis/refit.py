@@ -40,7 +40,7 @@ def _priors(case: Case, effects: Sequence[Effect]) -> dict[str, tuple[float, flo
     The base frame stays where it was placed, and the tool as it was turned.
     """
     base = case.given.parameters
-    each = zip(base.names, base.values.tolist(), case.whole.prior[: len(base.names)].tolist(), strict=True)
+    each = zip(base.names, base.values.tolist(), case.base.prior[: len(base.names)].tolist(), strict=True)
     priors = {
         name: (mean, sigma)
         for name, mean, sigma in each
@@ -48,7 +48,7 @@ def _priors(case: Case, effects: Sequence[Effect]) -> dict[str, tuple[float, flo
     }
     for effect in (e for e in effects if e in case.columns and case.growth != 1.0):
         columns = case.columns[effect]
-        sigmas = (case.sizes(columns) * case.whole.model.held[columns]).tolist()
+        sigmas = (case.sizes(columns) * case.whole.widths[columns]).tolist()
         priors |= {p.name: (0.0, sigma) for p, sigma in zip(effect.parameters(), sigmas, strict=True)}
     return priors
 

@@ -107,7 +107,7 @@ class State:
             *(j for s in beside for e in s.effects for j in e.parts),
         )
         # A search asks for the same ranking again when it looks at its causes once more.
-        known: dict[object, Ranking] = self.case.judged.cache.rankings
+        known: dict[object, Ranking] = self.case.judged.cache.setdefault("rankings", {})
         key = (chosen.tobytes(), skip, covered, not also, joints, keep)
         if key not in known:
             ranking = self._without_single(rank(self.case, chosen, skip, covered), chosen, keep)

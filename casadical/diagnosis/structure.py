@@ -133,8 +133,8 @@ class _White:
         repeat = joint_noise(self._form.repeatability(e.Jq))
         self._W = repeat.whitening({REPEATABILITY: noise.repeatability / noise.sigma}).W / noise.sigma
         # What a fit with priors takes.
-        whole = e.model.with_base(columns)
-        A = self.rows(whole.base) * noise.sigma
+        whole = e.with_base(columns)
+        A = self.rows(whole.J) * noise.sigma
         Q, _ = axes_of_base(A, noise.sigma / whole.prior)
         self._Q = Q[: len(A)]
         self._taken = float((self._Q**2).sum())

@@ -87,4 +87,4 @@ def small_problem(seed: int = 0, n: int = 9) -> Evidence:
     J, Jq, E = rng.normal(size=(n, 3, 5)), rng.normal(size=(n, 3, 2)), 4e-5 * rng.normal(size=(n, 3, 4))
     delta0, prior = 1e-5 * rng.normal(size=5), np.array([1e-3, 3e-5, 1e-4, 1e-2, 2e-5])
     r = J @ (delta0 + 1e-5 * rng.normal(size=5)) + E @ [1.0, 0, -0.5, 0] + 2e-5 * rng.normal(size=(n, 3))
-    return Evidence(r, J, Jq, delta0, prior, E)
+    return Evidence(r, J, delta0, prior, E, Jq=Jq)

@@ -91,6 +91,7 @@ def test_what_a_camera_does_wrong_is_named(fault: str, carried: bool) -> None:
         assert cause.effects[0].at == pytest.approx(LATE / POSES, abs=0.06)
 
 
+@pytest.mark.slow
 def test_a_fault_of_the_robot_is_not_the_cameras() -> None:
     found = diagnose(robot(), campaign("joint_zero_step", False))
     assert [c.label for c in found.causes] == ["joint_zero_step@3"]

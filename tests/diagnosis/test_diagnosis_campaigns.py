@@ -30,7 +30,7 @@ def named(d: Diagnosis) -> set[tuple[str, int | None]]:
     return {(c.effect, c.joint) for c in d.causes}
 
 
-FAST = ("hh800-P01", "kr210-P05", "ur10e-P06")
+FAST = ("hh800-P01", "ur10e-P06")
 slow = pytest.mark.slow
 
 
@@ -67,6 +67,7 @@ def test_answer_has_the_campaigns_format(name: str) -> None:
     assert shrinks == sorted(shrinks, reverse=True)
 
 
+@pytest.mark.slow
 def test_same_seed_same_answer() -> None:
     first, again = (as_json(diagnose(robot("ur10e"), practice("ur10e-P06"), FEW, seed=s), "x") for s in (0, 0))
     assert first == again
@@ -206,6 +207,7 @@ def test_a_wrong_payload_is_found_though_it_was_not_logged() -> None:
     as_json(d, "bare")
 
 
+@pytest.mark.slow
 def test_full_poses_are_diagnosed_by_their_positions_whatever_their_orientations_are() -> None:
     m = practice("ur10e-P06")
     turned = np.tile(np.eye(3), (len(m), 1, 1))  # of another convention than the robot's: hundreds of degrees off

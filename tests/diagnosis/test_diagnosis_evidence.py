@@ -8,7 +8,7 @@ from cases import small_problem
 from scipy.stats import multivariate_normal
 
 from casadical.core.basics import Array
-from casadical.diagnosis.evidence import ALL_SIGMAS, KAPPAS, RHOS, SIGMAS, Evidence
+from casadical.diagnosis.evidence import ALL_SIGMAS, KAPPAS, RHOS, SIGMAS, BaseParameters, Evidence
 from casadical.diagnosis.noise_evidence import PLAIN, Problem
 from casadical.diagnosis.noise_floor import noise_floor, outlier_probability, scatter_of_coordinate
 from casadical.measurements.measurements import Noise
@@ -19,8 +19,8 @@ def test_noise_is_the_same_however_far_a_robot_departs_from_its_priors(off: floa
     """Priors of what the data determine tell nothing of the noise: what is left does, over its degrees of freedom."""
     rng = np.random.default_rng(4)
     J, prior, white = rng.normal(size=(20, 3, 12)), np.full(12, 1e-3), 5e-6 * rng.normal(size=(20, 3))
-    e = Evidence(J @ (off * prior) + white, J, np.zeros((20, 3, 1)), np.zeros(12), prior, np.zeros((20, 3, 1)))
-    share = np.exp(e.restricted().log_base()[0])
+    e = Evidence(J @ (off * prior) + white, J, np.zeros(12), prior, np.zeros((20, 3, 1)), Jq=np.zeros((20, 3, 1)))
+    share = np.exp(BaseParameters.restricted(e)[0].log_base()[0])
     rest = white.ravel() - J.reshape(60, 12) @ np.linalg.lstsq(J.reshape(60, 12), white.ravel(), rcond=None)[0]
     left = np.sqrt((rest**2).sum() / (60 - 12))
     assert np.exp((share * np.log(SIGMAS)).sum() / share.sum()) == pytest.approx(left, rel=0.03)
@@ -34,14 +34,13 @@ def test_what_moves_nothing_is_not_in_the_model_and_changes_no_evidence() -> Non
     mixed = np.linalg.qr(rng.normal(size=(e.J.shape[2] + 40,) * 2))[0]
     J, prior = np.concatenate([e.J * e.prior, still], axis=2) @ mixed, np.full(len(mixed), 1.0)
     mean = mixed.T @ np.append(e.delta0 / e.prior, rng.normal(size=40))
-    wide = replace(e, J=J, prior=prior, delta0=mean).restricted()
-    own, groups = e.restricted(), [np.array([0]), np.array([1, 2])]
-    assert wide.model.base.shape[2] == own.model.base.shape[2]
+    wide, base = BaseParameters.restricted(replace(e, J=J, prior=prior, delta0=mean))
+    own, groups = BaseParameters.restricted(e)[0], [np.array([0]), np.array([1, 2])]
+    assert wide.J.shape[2] == own.J.shape[2]
     np.testing.assert_allclose(wide.log_grids(groups), own.log_grids(groups), rtol=1e-7, atol=1e-6)
-    assert wide.everywhere.model.base.shape[2] == len(mixed)
-    np.testing.assert_allclose(
-        wide.everywhere.model.base @ wide.everywhere.model.mean, wide.model.base @ wide.model.mean, atol=1e-12
-    )
+    every, units = base.everywhere(wide, np.arange(len(e.r)))
+    assert every.J.shape[2] == units.shape[1] == len(mixed)
+    np.testing.assert_allclose(every.J @ every.delta0, wide.J @ wide.delta0, atol=1e-12)
     more = wide.with_base(np.array([3]))
     np.testing.assert_allclose(more.log_base(), own.with_base(np.array([3])).log_base(), rtol=1e-7, atol=1e-6)
 
@@ -58,8 +57,8 @@ def test_wider_noise_grid_holds_the_usual_one() -> None:
 def test_column_inside_the_base_says_nothing() -> None:
     """A cause that a freely known base parameter reproduces gains no evidence, however large its columns."""
     e = small_problem()
-    E = np.concatenate([e.E, 1e-2 * e.J[:, :, [3]]], axis=2)
-    known = Evidence(e.r, e.J, e.Jq, e.delta0, np.full(5, 1e3), E)
+    E = np.concatenate([e.E.values, 1e-2 * e.J[:, :, [3]]], axis=2)
+    known = Evidence(e.r, e.J, e.delta0, np.full(5, 1e3), E, Jq=e.Jq)
     grids = known.log_grids([np.array([4])])
     gain = grids[0] - known.log_base()[:, :, None]
     assert np.abs(gain[np.isfinite(gain)]).max() < 1e-3
@@ -97,7 +96,7 @@ def two_tables(times: float) -> Evidence:
     r[:FEW_POSES] *= times / np.sqrt(np.mean(r[:FEW_POSES] ** 2))
     few = np.repeat(np.arange(40) < FEW_POSES, 3).reshape(40, 3)
     r *= SIGMAS[SIGMA]
-    return Evidence(r, J, Jq, np.zeros(2), np.full(2, 1e-5), E, unsure=(few,))
+    return Evidence(r, J, np.zeros(2), np.full(2, 1e-5), E, Jq=Jq, unsure=(few,))
 
 
 def densities(e: Evidence, rho: int, column: int | None, logs: Array) -> Array:

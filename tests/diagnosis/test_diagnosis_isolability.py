@@ -60,7 +60,7 @@ def test_absorbed_and_visible_are_those_of_a_projection() -> None:
             assert found.alike.loc[label, rival] == pytest.approx((reproduced**2).sum() / left, abs=1e-6)
 
 
-@pytest.mark.parametrize("name", FIRST)
+@pytest.mark.parametrize("name", ["hh800", *(pytest.param(n, marks=pytest.mark.slow) for n in ("kr210", "ur10e"))])
 def test_what_no_position_can_show(name: str) -> None:
     """A wrong scale is longer links; joint 1 stands upright and has no torque."""
     table = designed(name).effects

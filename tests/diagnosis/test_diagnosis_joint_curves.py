@@ -143,7 +143,7 @@ def wide_problem(n: int) -> Evidence:
     """Many columns, of which all do something."""
     e, rng = small_problem(n=n), np.random.default_rng(5)
     E = 4e-5 * rng.normal(size=(n, 3, WIDE + 5))
-    return replace(e, E=E, r=e.r + E @ rng.normal(size=WIDE + 5))
+    return replace(e, E=E, held=None, r=e.r + E @ rng.normal(size=WIDE + 5))
 
 
 @pytest.mark.parametrize("n", [9, 30], ids=["judged on the rows", "judged on the columns"])
@@ -151,7 +151,7 @@ def wide_problem(n: int) -> Evidence:
 def test_a_wide_group_is_the_normal_density(n: int, chosen: list[int]) -> None:
     e, also, group = wide_problem(n), np.array(chosen, dtype=np.int64), np.arange(WIDE + 1)
     grid, base = e.log_grids([group], also)[0], e.log_base(also)
-    J, E = e.J.reshape(3 * n, -1), e.E.reshape(3 * n, -1)
+    J, E = e.J.reshape(3 * n, -1), e.E.values.reshape(3 * n, -1)
     for rho, sigma, kappa in ((0, 12, 0), (3, 17, 2), (5, 25, 4)):
         C = np.zeros((3 * n, 3 * n))
         for k, Jq in enumerate(e.Jq):
@@ -201,13 +201,13 @@ def test_learnt_sizes_stay_where_other_causes_get_further_settings() -> None:
     curve = next(c for c in known.candidates if c.label == "joint_error_curve").variants[0][0]
     sized, effect = known.with_sizes(curve, dict.fromkeys(curve.parts, 0.5), Noise(2e-5, 0.0))
     own = sized.columns[effect]
-    before = sized.whole.model.held[own]
-    assert before == pytest.approx(0.5 * known.whole.model.held[own])
+    before = sized.whole.widths[own]
+    assert before == pytest.approx(0.5 * known.whole.widths[own])
     more = sized.with_variants("transmission_ripple@2", [(TransmissionRipple(2, cycles=9.3),)])
     assert more.whole.width > sized.whole.width
     for problem in (more.whole, more.evidence):
-        assert problem.model.held[own] == pytest.approx(before)
-        assert len(problem.model.held) == problem.width
+        assert problem.widths[own] == pytest.approx(before)
+        assert len(problem.widths) == problem.width
 
 
 def test_many_poses_have_more_harmonics() -> None:

@@ -132,7 +132,7 @@ def where_noise_follows(name: str, stays: float) -> Case:
     return c.with_form(following(stays, int(c.kept.sum()))) if stays else c
 
 
-@pytest.mark.parametrize("stays", [0.0, 0.7])
+@pytest.mark.parametrize("stays", [pytest.param(0.0, marks=pytest.mark.slow), 0.7])
 def test_screened_evidence_is_the_exact_one_at_each_rho(stays: float) -> None:
     c = where_noise_follows("kr210-P02", stays)
     problem = Problem.beside(c, NONE)

@@ -60,6 +60,7 @@ def test_gap_is_found_where_it_was_planted(name: str, seed: int, cause: Hidden, 
     assert table["high"].min() > 1e-4
 
 
+@pytest.mark.slow
 def test_which_way_axes_point_changes_nothing(monkeypatch) -> None:
     """The signs of eigenvectors are a processor's choice: what is drawn by chance along them must not follow it."""
     name, seed, cause, _ = PLACES[0]
@@ -70,6 +71,7 @@ def test_which_way_axes_point_changes_nothing(monkeypatch) -> None:
         pd.testing.assert_frame_equal(one, other, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_what_causes_explain_goes_to_their_joints_and_no_further() -> None:
     """Error curves of all joints hid in base and links before, as 28 % of the base on a real UR10."""
     ripples = [planted("transmission_ripple", j, size=120e-6, cycles=c) for j, c in ((2, 9), (3, 17), (2, 4), (3, 6))]
@@ -121,7 +123,7 @@ def test_direction_of_a_vertical_error(any_case: Case) -> None:
     assert shares[("tool", "z")] < 0.8
 
 
-@pytest.mark.parametrize("named", [True, False])
+@pytest.mark.parametrize("named", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_rms_is_in_mm_however_much_the_joints_scatter(any_case: Case, named: bool) -> None:
     """Of noise in the joints a long lever hides more; what is there is as large (48 um passed for 11 before)."""
     scale = any_case.group(next(k for k in any_case.candidates if k.label == "joint_scale@2").variants[0])
@@ -157,21 +159,21 @@ def test_what_priors_of_the_base_cost_is_no_error_of_a_pose(any_case: Case) -> N
     c, e = doctored(moved), any_case.whole
     J, prior = np.zeros_like(e.J), e.prior.copy()
     J[:, :, 0], prior[0] = moved, e.reference / np.linalg.norm(moved)
-    c = replace(c, whole=replace(c.whole, J=J, prior=prior, delta0=0 * e.delta0, turn=None))
+    c = replace(c, whole=replace(c.whole, J=J, prior=prior, delta0=0 * e.delta0))
     table = localise_residual(c, Noise(5e-6, 0.0), np.array([scale]), remains=0.0).joints.set_index("part")
     assert table.loc["joint 2", "rms_mm"] == pytest.approx(500 * np.sqrt(np.mean(moved**2)), rel=0.05)
 
 
-@pytest.mark.parametrize("named", [True, False])
+@pytest.mark.parametrize("named", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_how_many_directions_of_the_base_round_off_leaves_changes_nothing(any_case: Case, named: bool) -> None:
     """Readings that moved by 1e-12 left one more, all draws were others, and shares changed by .01 to .1."""
     scale = any_case.group(next(k for k in any_case.candidates if k.label == "joint_scale@2").variants[0])
-    still = any_case.whole.still
-    assert still is not None
-    assert still.shape[1] > 0
+    assert any_case.base.still.shape[1] > 0
+    every, units = any_case.base.everywhere(any_case.whole, np.arange(len(any_case.whole.r)))
+    whole = replace(any_case.base, units=units)
     tables = [
-        localise_residual(replace(any_case, whole=whole), NOISE, scale if named else NONE).joints
-        for whole in (any_case.whole, any_case.whole.everywhere)
+        localise_residual(c, NOISE, scale if named else NONE).joints
+        for c in (any_case, replace(any_case, whole=every, base=whole))
     ]
     np.testing.assert_allclose(tables[0]["share"], tables[1]["share"], atol=1e-4)
 
@@ -202,6 +204,7 @@ def test_part_of_the_data_that_is_worse_is_named(any_case: Case) -> None:
     assert rms["10 kg"] / rms["0 kg"] == pytest.approx(2, rel=0.25)
 
 
+@pytest.mark.slow
 def test_intervals_cover(any_case: Case) -> None:
     """Of 40 even residuals, each half of the payloads holds its share of the poses within 95 % nearly always."""
     even = float((any_case.m.conditions["payload_kg"] > 5).mean())
@@ -214,6 +217,7 @@ def test_intervals_cover(any_case: Case) -> None:
     assert hits >= 34
 
 
+@pytest.mark.slow
 def test_columns_that_were_not_logged_leave_empty_tables() -> None:
     m = simulated("ur10e", 12, drop=("temp", "payload"))
     found = identify(robot("ur10e"), m, loss="huber", priors=True)

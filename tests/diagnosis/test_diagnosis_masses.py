@@ -61,8 +61,8 @@ def test_as_a_nuisance_they_are_in_the_base_model_and_never_named() -> None:
     d = diagnose(declared, simulated("kr210", 21, n=70), masses="nuisance")
     assert (d.verdict, d.causes) == ("none", ())
     names = d.case.given.parameters.names
-    assert d.case.whole.prior[names.index("link_masses.m2")] == pytest.approx(0.2)
-    assert d.case.whole.prior[names.index("link_masses.x2")] == pytest.approx(0.03)
+    assert d.case.base.prior[names.index("link_masses.m2")] == pytest.approx(0.2)
+    assert d.case.base.prior[names.index("link_masses.x2")] == pytest.approx(0.03)
     found = identify(robot("kr210"), simulated("kr210", 21, n=40))
     with pytest.raises(InputError, match="identified already"):
         diagnose(found, masses="nuisance")

@@ -12,6 +12,7 @@ from casadical.diagnosis.text import page_of
 from casadical.effects import BacklashByLoad
 
 
+@pytest.mark.slow
 def test_backlash_is_in_question_without_the_approaches_and_they_are_said_to_be_taken_from_the_order() -> None:
     """Play that friction holds needs the approach, which is not that from the order here."""
     m = simulated("kr210", 5, planted("backlash", 2, size=60e-6), n=80, drop=("approach",))

@@ -148,6 +148,7 @@ def test_lines_looked_for_alone_are_those_among_all_structures() -> None:
     assert lines == [*lines_of(d.case, d.columns, d.noise, Form())] == [(2, pytest.approx(21, abs=1.0))]
 
 
+@pytest.mark.slow
 def test_noise_that_follows_itself_is_noise() -> None:
     d = found(with_noise(clean(100), follows=0.7, seed=4))
     assert not d.causes

@@ -23,7 +23,7 @@ from casadical.diagnosis import bootstrap
 from casadical.diagnosis.candidates import Candidate, candidates_of, gathered, standard_candidates
 from casadical.diagnosis.conclusion import rivals_of
 from casadical.diagnosis.details import analyse
-from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, SIGMAS, KnownNoise, log_known
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, SIGMAS, BaseParameters, KnownNoise, log_known
 from casadical.diagnosis.formula_cache import KeptFormulas, screw
 from casadical.diagnosis.laws.forms import Driver, with_widths
 from casadical.diagnosis.laws.problem import Problem, Screen, log_mean
@@ -57,14 +57,15 @@ def small_case() -> Case:
     columns = {e: np.array([k]) for k, e in enumerate((soft, hard, other, unknown))}
     e = small_problem()
     nothing: Any = None
-    return Case(nothing, nothing, np.zeros(5), nothing, candidates, {}, e, np.ones(len(e.r), bool), columns, nothing)
+    base, kept = BaseParameters(e.J, e.delta0, e.prior, np.diag(e.prior), np.zeros((5, 0))), np.ones(len(e.r), bool)
+    return Case(nothing, nothing, np.zeros(5), nothing, candidates, {}, e, base, kept, columns, nothing)
 
 
 def log_odds(case: Case, column: int) -> float:
     """Log Bayes factor of one column against none: densities summed over the grids, each written out in full."""
     e = case.whole
     grid = np.full((len(RHOS), len(SIGMAS), len(KAPPAS) + 1), -np.inf)
-    rows, J, E = e.r.size, e.J.reshape(e.r.size, -1), e.E.reshape(e.r.size, -1)
+    rows, J, E = e.r.size, e.J.reshape(e.r.size, -1), e.E.values.reshape(e.r.size, -1)
     for a, rho in enumerate(RHOS):
         for b, sigma in enumerate(SIGMAS):
             C = (J * (sigma / e.reference * e.prior) ** 2) @ J.T
@@ -111,7 +112,7 @@ def test_a_second_cause_at_a_joint_has_a_twentieth_of_the_prior() -> None:
 def test_a_law_is_judged_against_none_by_the_same_densities(odds: list[float]) -> None:
     case = small_case()
     problem = Problem.beside(case, NONE)
-    E = np.asarray(case.whole.E)
+    E = case.whole.E.values
     assert_allclose(problem.evidences([E[:, :, [0]], E[:, :, [2]]]), [odds[0], odds[2]], atol=1e-6)
 
 
@@ -338,12 +339,12 @@ def test_a_prior_of_correlated_parameters_is_one_of_independent_units() -> None:
     assert found.units is not None
     mean = case.whole.delta0.copy()
     mean[[1, 3]] = 1e-5, -3e-5
-    assert_allclose(found.units @ found.whole.delta0, mean, atol=1e-18)
-    spread = found.units @ np.diag(found.whole.prior**2) @ found.units.T
+    assert_allclose(found.units @ found.base.delta0, mean, atol=1e-18)
+    spread = found.units @ np.diag(found.base.prior**2) @ found.units.T
     expected = np.diag(case.whole.prior**2)
     expected[np.ix_([1, 3], [1, 3])] = C
     assert_allclose(spread, expected, rtol=1e-9, atol=1e-25)
-    assert_allclose(found.whole.J, case.whole.J @ found.units, rtol=1e-12)
+    assert_allclose(found.base.J, case.whole.J @ found.units, rtol=1e-12)
 
 
 def test_joints_of_an_effect_are_side_by_side_and_several_at_once_apart() -> None:

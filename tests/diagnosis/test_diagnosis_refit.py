@@ -59,7 +59,7 @@ def test_refit_has_the_priors_of_the_evidence() -> None:
         moved = at_optimum.with_values(values)
         m = fit.measurements[0]
         total = ((predicted(moved, m)[0] - m.position) ** 2).sum() / found.noise.sigma**2
-        for p, sigma in zip(given.parameters, found.case.whole.prior, strict=True):
+        for p, sigma in zip(given.parameters, found.case.base.prior, strict=True):
             if p.name in fit.names and not p.name.startswith("base_"):
                 total += ((moved.parameters[p.name].value - p.value) / sigma) ** 2
         return float(total) / 2

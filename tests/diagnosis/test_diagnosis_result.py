@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 
+import pytest
 from cases import diagnose, practice, robot
 
 from casadical.diagnosis.result import Diagnosis
@@ -14,6 +15,7 @@ ANALYSES = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_result_loads_no_analysis() -> None:
     program = "import json, sys, casadical.diagnosis.result; print(json.dumps(sorted(sys.modules)))"
     out = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True).stdout

@@ -27,6 +27,22 @@ EVERY = slice(None)
 Directions = Sequence[tuple[Array, Array]]
 
 
+@dataclass(frozen=True)
+class Memory:
+    """How much is held at a time; answers do not depend on it.
+
+    columns, blocks : bytes of the columns that are added up at a time, and at least so many blocks
+    kept : bytes up to which white columns are kept, else they are made again; part : so many at a time
+    rows : up to so many, leaving some out is worked out among the observations instead of the parameters
+    """
+
+    columns: int = 128_000_000
+    blocks: int = 256
+    kept: int = 60_000_000
+    part: int = 32_000_000
+    rows: int = 1500
+
+
 class Columns(Protocol):
     """Columns E of n blocks, made when they are asked for."""
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import Combined
-from casadical.core.linear_gaussian.model import LinearModel, axes_of_base, beside_base
+from casadical.core.linear_gaussian.model import LinearModel, axes_of_base
 from casadical.core.linear_gaussian.noise import Ratio
 from casadical.core.linear_gaussian.normal_equations import NormalSums, normal_sums, root_of_inverse
 
@@ -24,14 +24,14 @@ class Fit:
     def __init__(
         self, model: LinearModel, columns: Array, sigma: float, ratios: Mapping[str, Ratio], *, combined: bool = True
     ) -> None:
-        self._base, self._E, self._columns = model.base, model.columns, columns
-        self.numbers, self._memory = model.residual.shape[1], model.memory
+        self._base, self._E, self._columns = model.J, model.E, columns
+        self.numbers, self._memory = model.r.shape[1], model.memory
         self.combined = model.combined(columns) if combined else Combined(((0, len(columns), None),))
         self.W = model.noise.whitening(ratios).W / sigma
-        self.y = (self.W @ model.residual[:, :, None]).ravel()
-        self._widths = model.held[columns]
+        self.y = (self.W @ model.r[:, :, None]).ravel()
+        self._widths = model.widths[columns]
         self.prior = np.concatenate([model.prior, self.combined.one_of_each(self._widths)])
-        self.mean = np.concatenate([model.mean, np.zeros(self.combined.width)])
+        self.mean = np.concatenate([model.delta0, np.zeros(self.combined.width)])
         p = len(self.prior)
         self._kept = np.empty((len(self.y), p)) if 8 * len(self.y) * p <= model.memory.kept else None
         self.sums = NormalSums(np.zeros((p, p)), np.zeros(p), 0.0, 0)
@@ -190,3 +190,16 @@ class Fit:
 def _blocks(B: Array) -> Array:
     """Each block's own block of B B', shape (n, m, m); B : shape (n, m, p)."""
     return np.asarray(B @ B.transpose(0, 2, 1))
+
+
+def beside_base(Q: Array, K: Array) -> Array:
+    """Covariance of white rows, and of those of the base's priors, orthogonal to the base: one, and what causes do.
+
+    Q : axes of the base, shape (rows + P, P); K : what the causes do by their priors, shape (rows, rows)
+    """
+    whole = np.zeros((len(Q), len(Q)))
+    whole[: len(K), : len(K)] = K
+    whole -= Q @ (Q.T @ whole)
+    whole -= (whole @ Q) @ Q.T
+    whole[np.diag_indices(len(Q))] += 1.0
+    return whole

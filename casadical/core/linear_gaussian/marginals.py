@@ -9,15 +9,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import Columns, Combined
 from casadical.core.linear_gaussian.grid import log_gain
-from casadical.core.linear_gaussian.model import LinearModel
 from casadical.core.linear_gaussian.normal_equations import Joined, joined
 from casadical.core.linear_gaussian.sums import WIDE, GridSums, KnownRows
+
+if TYPE_CHECKING:
+    from casadical.core.linear_gaussian.model import LinearModel
 
 # A wide group is judged at the likely points alone: where log evidence is within so much of the best known.
 REACH = 25.0
@@ -75,9 +78,7 @@ class Marginals:
 
     def __init__(self, model: LinearModel) -> None:
         self.model = model
-        self.sums = GridSums(
-            model.residual, model.base, model.noise, model.columns, model.grid.ratios, model.near, model.memory
-        )
+        self.sums = GridSums(model.r, model.J, model.noise, model.E, model.grid.ratios, model.near, model.memory)
         self._chosen: dict[bytes, Chosen] = {}
 
     def extended(self, model: LinearModel) -> Marginals:
@@ -92,7 +93,7 @@ class Marginals:
     def of_others(self, columns: Columns, held: float) -> Marginals:
         """Those of the model with other columns, which take over what is known of its base."""
         more = copy(self)
-        more.model = self.model.with_columns(columns, held)
+        more.model = replace(self.model, E=columns, held=np.full(columns.shape[2], held))
         more.sums = self.sums.of_others(columns)
         more._chosen = {NONE.tobytes(): self._with(NONE).emptied(columns.shape[2])}
         return more
@@ -150,12 +151,12 @@ class Marginals:
         return self._chosen[key]
 
     def _base(self) -> Chosen:
-        model, P, sums = self.model, self.model.base.shape[2], self.sums
+        model, P, sums = self.model, self.model.J.shape[2], self.sums
         weights, at = model.reference / model.prior, {}
         for k in model.near:
             normal = np.diag(weights**2) + sums.base[k, :P, :P]
-            right = sums.base[k, :P, P] + weights**2 * model.mean
-            square = float(sums.base[k, P, P] + (weights * model.mean) @ (weights * model.mean))
+            right = sums.base[k, :P, P] + weights**2 * model.delta0
+            square = float(sums.base[k, P, P] + (weights * model.delta0) @ (weights * model.delta0))
             at[k] = joined(normal, right, square, -0.5 * float(sums.log_det[k]))
         return self._made(at, NONE, None, NONE, Combined(()))
 
@@ -173,7 +174,7 @@ class Marginals:
             before = self._with(np.union1d(before.columns, wide))
             new = np.setdiff1d(columns, before.columns)
         self._look_at(before, [new])
-        weights, every = model.reference / model.held[new], model.combined(new)
+        weights, every = model.reference / model.widths[new], model.combined(new)
         own, at = self.sums.crossed(new, model.near, new), {}
         precision, lost = np.diag(every.one_of_each(weights**2)), every.left_out(np.log(weights))
         for k in model.near:
@@ -197,7 +198,7 @@ class Marginals:
 
     def _look_at(self, chosen: Chosen, groups: Sequence[Array]) -> None:
         """Make known what is needed to judge these groups."""
-        near, P, before = self.model.near, self.model.base.shape[2], chosen.before
+        near, P, before = self.model.near, self.model.J.shape[2], chosen.before
         # Of those in the model already, too: a group may share some with them.
         asked = np.unique(np.concatenate(groups))
         more = asked[chosen.b[near[0]].place[asked] < 0]

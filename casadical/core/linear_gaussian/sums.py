@@ -14,8 +14,7 @@ from copy import copy
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.columns import EVERY, Columns, Factors, as_slice, combined
-from casadical.core.linear_gaussian.model import Memory
+from casadical.core.linear_gaussian.columns import EVERY, Columns, Factors, Memory, as_slice, combined
 from casadical.core.linear_gaussian.noise import Axes, NoiseModel
 
 # Groups of so many columns are added up one by one, at the points that are asked for.

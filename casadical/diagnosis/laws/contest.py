@@ -13,6 +13,7 @@ from operator import itemgetter
 import numpy as np
 
 from casadical.core.basics import Array
+from casadical.core.linear_gaussian.columns import ArrayColumns
 from casadical.core.linear_gaussian.marginals import NONE
 from casadical.core.statistics import best_of, first_of_best, ranked
 from casadical.diagnosis.candidates import Candidate
@@ -223,7 +224,7 @@ def aliases(case: Case, chosen: Array, law: Scored, variant: Mapping[str, int]) 
     groups = [case.group(c.variants[variant[c.label]]) for c in listed]
     if not groups:
         return ()
-    projection, listed_columns = problem.evidence.projection(rho), case.judged.take(np.concatenate(groups))
+    projection, listed_columns = problem.evidence.projected(rho), case.judged.take(np.concatenate(groups))
     E = projection.columns(np.concatenate([problem.white(law.columns), listed_columns], axis=2))
     w = law.columns.shape[2]
     own = E[:, :w]
@@ -249,7 +250,7 @@ def held_out(case: Case, columns: Array, laws: Sequence[Scored], noise: Noise, s
     for fold in np.unique(folds):
         test = folds == fold
         parts = _columns(base, laws, np.flatnonzero(~test))
-        whole = replace(base, E=np.concatenate([np.zeros((*base.r.shape, 0)), *parts], axis=2), held=None)
+        whole = replace(base, E=ArrayColumns(np.concatenate([np.zeros((*base.r.shape, 0)), *parts], axis=2)), held=None)
         fit = new_fit(whole, np.arange(whole.width), noise)
         errors[test] = lengths(base, fit.without(np.flatnonzero(test)), test)
     return errors
@@ -260,7 +261,8 @@ def _columns(base: Evidence, laws: Sequence[Scored], train: Array) -> list[Array
     columns: list[Array] = []
     for law in laws:
         known = np.concatenate([np.zeros((*base.r.shape, 0)), *columns], axis=2)
-        e = replace(base.with_known(known, np.full(known.shape[2], CHOSEN)), E=np.zeros((*base.r.shape, 1)), held=None)
+        e = base.with_known(known, np.full(known.shape[2], CHOSEN))
+        e = replace(e, E=ArrayColumns(np.zeros((*base.r.shape, 1))), held=None)
         columns.append(_best(Problem(e.at(train)), law, train))
     return columns
 

@@ -55,7 +55,7 @@ class Screen:
     def at_rho(cls, e: Evidence, rho: int) -> Screen:
         """The problem at a rho of the grid, by its number."""
         r = float(RHOS[rho])
-        projection = e.projection(r)
+        projection = e.projected(r)
         y = projection.y
         rows, (scatter, freedom) = e.r.size, (e.known.repeats, e.known.freedom)
         again = freedom * scatter**2 / e.noise.mean_variance({REPEATABILITY: r}, rows)
@@ -370,9 +370,8 @@ class Problem:
     @classmethod
     def beside(cls, case: Case, chosen: Array, least: float = 0.0) -> Problem:
         """Of a case; chosen : columns of what is in the model already."""
-        base = case.judged.with_base(chosen)
         # At the tables' likely noise alone: thousands of laws are judged.
-        alone = replace(base, E=np.zeros((*base.r.shape, 1)), held=None, unsure=())
+        alone = case.judged.with_causes_alone(chosen)
         if case.form is PLAIN:
             return cls(alone, least)
         return cls(alone, least, case.order, case.form.serial(len(case.order)))

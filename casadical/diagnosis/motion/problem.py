@@ -151,9 +151,9 @@ class MotionCase:
             for row, columns, values in self.E.made.blocks
         )
         return Evidence(
-            self.noise.white(self.r, self.first), self.noise.white(self.base, self.first), np.zeros((n, rows, 1)),
-            np.zeros(P), np.ones(P), replace(self.E, made=Factors(made, self.E.made.width)),
-            reference=1.0, near=(0,), sigmas=SIGMAS,
+            self.noise.white(self.r, self.first), self.noise.white(self.base, self.first), np.zeros(P), np.ones(P),
+            replace(self.E, made=Factors(made, self.E.made.width)),
+            reference=1.0, near=(0,), Jq=np.zeros((n, rows, 1)), sigmas=SIGMAS,
         )  # fmt: skip
 
     @cached_property
@@ -162,7 +162,7 @@ class MotionCase:
 
         Priors stay as they are, unlike in `restricted`: that a delay is known to a millisecond tells another one.
         """
-        return replace(self.white, absorbed=self.white.model.absorbed_by_base)
+        return replace(self.white, absorbed=self.white.absorbed_by_base)
 
     @cached_property
     def by_label(self) -> Mapping[str, Candidate]:

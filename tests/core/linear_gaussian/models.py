@@ -25,34 +25,34 @@ def small_model(ratios: dict[str, np.ndarray] = RATIOS, seed: int = 0, n: int = 
     mean, prior = 0.1 * rng.normal(size=4), np.array([1.0, 0.03, 0.3, 10.0])
     r = J @ (mean + 0.01 * rng.normal(size=4)) + E @ [1.0, 0, -0.5, 0, 0, 2] + 0.1 * rng.normal(size=(n, m))
     return LinearModel(
-        residual=r,
-        base=J,
-        mean=mean,
+        r=r,
+        J=J,
+        delta0=mean,
         prior=prior,
-        columns=ArrayColumns(E),
+        E=ArrayColumns(E),
         held=np.array([8.0, 8.0, 8.0, 2.0, 2.0, 8.0]),
         noise=NoiseModel((n, m), components),
         grid=Grid(SIGMAS, ratios, KAPPAS),
         reference=0.1,
-        count=n * m,
         near=tuple(range(len(next(iter(ratios.values()))))),
     )
 
 
 def without_last_rows(model: LinearModel, blocks: np.ndarray) -> LinearModel:
     """Some blocks have one row fewer than the others: zeros stand in its place."""
-    r, J, E = model.residual.copy(), model.base.copy(), model.columns.take(np.arange(model.width)).copy()
+    r, J, E = model.r.copy(), model.J.copy(), model.E.take(np.arange(model.width)).copy()
     components = {name: A.copy() for name, A in model.noise.components.items()}
     for rows in (r, J, E, *components.values()):
         rows[blocks, -1] = 0.0
     noise = NoiseModel(model.noise.shape, components)
-    count = model.count - len(blocks)
-    return replace(model, residual=r, base=J, columns=ArrayColumns(E), noise=noise, count=count)
+    measured = np.ones(r.shape, dtype=bool)
+    measured[blocks, -1] = False
+    return replace(model, r=r, J=J, E=ArrayColumns(E), noise=noise, measured=measured)
 
 
 def noise_of(model: LinearModel, point: int, sigma: float) -> np.ndarray:
     """Covariance of all rows' noise."""
-    n, m = model.residual.shape
+    n, m = model.r.shape
     C = np.zeros((n * m, n * m))
     for b in range(n):
         own = np.eye(m)
@@ -65,14 +65,14 @@ def noise_of(model: LinearModel, point: int, sigma: float) -> np.ndarray:
 
 def log_density(model: LinearModel, point: int, sigma: float, chosen: np.ndarray, group: np.ndarray, kappa: float):
     """log p(r), less what the package leaves out, which is the same for every noise and group."""
-    rows, share = model.residual.size, sigma / model.reference
-    J = model.base.reshape(rows, -1)
-    E = model.columns.take(np.arange(model.width)).reshape(rows, -1)
+    rows, share = model.r.size, sigma / model.reference
+    J = model.J.reshape(rows, -1)
+    E = model.E.take(np.arange(model.width)).reshape(rows, -1)
     C = noise_of(model, point, sigma) + (J * (share * model.prior) ** 2) @ J.T
-    C += (E[:, chosen] * (share * model.held[chosen]) ** 2) @ E[:, chosen].T
+    C += (E[:, chosen] * (share * model.widths[chosen]) ** 2) @ E[:, chosen].T
     C += kappa**2 * E[:, group] @ E[:, group].T
     measured = np.any(np.abs(J) > 0, axis=1)
-    density = multivariate_normal((J @ model.mean)[measured], C[np.ix_(measured, measured)])
-    priors = np.concatenate([model.prior, model.held[chosen]])
+    density = multivariate_normal((J @ model.delta0)[measured], C[np.ix_(measured, measured)])
+    priors = np.concatenate([model.prior, model.widths[chosen]])
     left_out = -0.5 * measured.sum() * np.log(2 * np.pi) + np.log(model.reference / priors).sum()
-    return float(density.logpdf(model.residual.ravel()[measured]) - left_out)
+    return float(density.logpdf(model.r.ravel()[measured]) - left_out)

@@ -22,14 +22,14 @@ SIGMA, POINT, COLUMNS = 0.1, 1, np.array([0, 2, 5])
 
 def dense(model: LinearModel, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Estimate from some blocks and its covariance, by one solve of the normal equations."""
-    n, m = model.residual.shape
+    n, m = model.r.shape
     rows = (m * blocks[:, None] + np.arange(m)).ravel()
-    A = np.concatenate([model.base, model.columns.take(COLUMNS)], axis=2).reshape(n * m, -1)[rows]
+    A = np.concatenate([model.J, model.E.take(COLUMNS)], axis=2).reshape(n * m, -1)[rows]
     W = np.linalg.inv(noise_of(model, POINT, SIGMA)[np.ix_(rows, rows)])
-    P = np.diag(np.concatenate([model.prior, model.held[COLUMNS]]) ** -2.0)
-    mean = np.concatenate([model.mean, np.zeros(len(COLUMNS))])
+    P = np.diag(np.concatenate([model.prior, model.widths[COLUMNS]]) ** -2.0)
+    mean = np.concatenate([model.delta0, np.zeros(len(COLUMNS))])
     covariance = np.linalg.inv(A.T @ W @ A + P)
-    return covariance @ (A.T @ W @ model.residual.ravel()[rows] + P @ mean), covariance
+    return covariance @ (A.T @ W @ model.r.ravel()[rows] + P @ mean), covariance
 
 
 def fitted(model: LinearModel) -> Fit:
@@ -63,12 +63,12 @@ MEMORY = {"among observations": Memory(), "among parameters": Memory(rows=0), "c
 def test_blocks_left_out_are_predicted_by_the_others(name: str, memory: str) -> None:
     model = replace(MODELS[name], memory=MEMORY[memory])
     fit = fitted(model)
-    A = np.concatenate([model.base, model.columns.take(COLUMNS)], axis=2)
+    A = np.concatenate([model.J, model.E.take(COLUMNS)], axis=2)
     for out in (np.array([3]), np.array([0, 5, 11]), np.arange(7)):
         x, _ = dense(model, np.setdiff1d(np.arange(12), out))
-        np.testing.assert_allclose(fit.without(out), (model.residual - A @ x)[out], rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(fit.without(out), (model.r - A @ x)[out], rtol=1e-7, atol=1e-9)
         np.testing.assert_allclose(fit.to(np.setdiff1d(np.arange(12), out)), x, rtol=1e-7)
-    alone = [model.residual[k] - A[k] @ dense(model, np.setdiff1d(np.arange(12), [k]))[0] for k in range(12)]
+    alone = [model.r[k] - A[k] @ dense(model, np.setdiff1d(np.arange(12), [k]))[0] for k in range(12)]
     np.testing.assert_allclose(fit.alone(), alone, rtol=1e-7, atol=1e-9)
 
 
@@ -170,5 +170,5 @@ def test_what_the_base_takes_is_right_beside_a_direction_that_is_hardly_held() -
     """Its square has more digits than numbers have: what is computed from squares alone loses the others."""
     model, rng, size = small_model(RATIOS, n=12), np.random.default_rng(0), np.array([1e10, 2.0, 1.0, 0.1])
     rows, turn = np.linalg.qr(rng.normal(size=(36, 4)))[0], np.linalg.qr(rng.normal(size=(4, 4)))[0]
-    wide = replace(model, base=((rows * size) @ turn.T).reshape(12, 3, 4), prior=np.full(4, model.reference))
+    wide = replace(model, J=((rows * size) @ turn.T).reshape(12, 3, 4), prior=np.full(4, model.reference))
     assert wide.absorbed_by_base == pytest.approx((size**2 / (1 + size**2)).sum(), rel=1e-5)

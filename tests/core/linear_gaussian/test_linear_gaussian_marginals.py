@@ -20,16 +20,16 @@ GROUPS = [np.array([0]), np.array([1, 2]), np.array([5]), np.array([0, 1, 2])]
 def twin_columns() -> LinearModel:
     """Two columns alike, and one that the base reproduces."""
     model = small_model()
-    E = model.columns.take(np.arange(6)).copy()
+    E = model.E.take(np.arange(6)).copy()
     E[:, :, 2] = E[:, :, 1]
-    E[:, :, 5] = 0.1 * model.base[:, :, 3]
-    return replace(model, columns=ArrayColumns(E))
+    E[:, :, 5] = 0.1 * model.J[:, :, 3]
+    return replace(model, E=ArrayColumns(E))
 
 
 def far_prior() -> LinearModel:
     """The data lie hundreds of the prior's sigmas from its mean."""
     model = small_model()
-    return replace(model, mean=model.mean + np.array([0.0, 9.0, -50.0, 0.0]))
+    return replace(model, delta0=model.delta0 + np.array([0.0, 9.0, -50.0, 0.0]))
 
 
 MODELS = {
@@ -77,7 +77,7 @@ def test_other_columns_take_over_the_base_alone() -> None:
     first = Marginals(model)
     known = first.log_grids(GROUPS)
     columns = ArrayColumns(0.2 * rng.normal(size=(7, 3, 3)))
-    alone = Marginals(model.with_columns(columns, 4.0))
+    alone = Marginals(replace(model, E=columns, held=np.full(3, 4.0)))
     of_others = first.of_others(columns, 4.0)
     for also in (NONE, np.array([2])):
         some = [np.array([0]), np.array([0, 1])]
@@ -88,14 +88,14 @@ def test_other_columns_take_over_the_base_alone() -> None:
 def test_columns_in_the_base_without_directions_that_move_nothing() -> None:
     """Four columns of a part, of which two are alike and one is nothing, are two of the base."""
     model = small_model()
-    E = model.columns.take(np.arange(6)).copy()
+    E = model.E.take(np.arange(6)).copy()
     E[:, :, 3], E[:, :, 4] = E[:, :, 2], 0.0
     V = np.array([[1.0, 0, 0, 0], [0, np.sqrt(0.5), np.sqrt(0.5), 0]]).T
     held = np.full(6, 2.0)
-    combined = replace(model, columns=ArrayColumns(E, ((np.arange(1, 5), V),)), held=held)
-    as_they_are = replace(model, columns=ArrayColumns(E), held=held)
+    combined = replace(model, E=ArrayColumns(E, ((np.arange(1, 5), V),)), held=held)
+    as_they_are = replace(model, E=ArrayColumns(E), held=held)
     part, group = np.arange(1, 5), [np.array([5])]
-    assert combined.with_base(part).base.shape[2] == 6
+    assert combined.with_base(part).J.shape[2] == 6
     two, four = (Marginals(m.with_base(part)).log_grids(group) for m in (combined, as_they_are))
     np.testing.assert_allclose(two - two[:, :, -1:], four - four[:, :, -1:], atol=1e-8)
 
@@ -130,8 +130,8 @@ def test_what_else_is_known_of_the_noise_is_added() -> None:
 def test_a_wide_group_is_the_normal_density(ratios: dict[str, np.ndarray]) -> None:
     model, rng = small_model(ratios, n=30), np.random.default_rng(2)
     E = 0.02 * rng.normal(size=(30, 3, WIDE + 2))
-    r = model.residual + E @ rng.normal(size=WIDE + 2)
-    model = replace(model, residual=r, columns=ArrayColumns(E), held=np.full(WIDE + 2, 8.0))
+    r = model.r + E @ rng.normal(size=WIDE + 2)
+    model = replace(model, r=r, E=ArrayColumns(E), held=np.full(WIDE + 2, 8.0))
     groups, chosen = [np.arange(WIDE + 1)], np.array([WIDE + 1])
     assert_densities(model, Marginals(model).log_grids(groups, chosen), groups, chosen)
 
@@ -149,24 +149,14 @@ def test_known_sums_are_extended_and_moved(ratios: dict[str, np.ndarray]) -> Non
     """More columns, then a block fewer and another one more, are as if they were added up anew."""
     whole, chosen = small_model(ratios, n=41), np.array([3, 4])
 
-    def of(model: LinearModel, blocks: np.ndarray) -> LinearModel:
-        return replace(
-            model,
-            residual=model.residual[blocks],
-            base=model.base[blocks],
-            columns=model.columns.at(blocks),
-            noise=model.noise.at(blocks),
-            count=3 * len(blocks),
-        )
-
-    first, fewer = of(whole, np.arange(40)), ArrayColumns(whole.columns.take(np.arange(5)))
-    few = of(replace(whole, columns=fewer, held=whole.held[:5]), np.arange(40))
+    first, fewer = whole.at(np.arange(40)), ArrayColumns(whole.E.take(np.arange(5)))
+    few = replace(whole, E=fewer, held=whole.widths[:5]).at(np.arange(40))
     known = Marginals(few)
     known.log_grids(GROUPS[:2], chosen)
     extended = known.extended(first)
     np.testing.assert_allclose(extended.log_grids(GROUPS, chosen), Marginals(first).log_grids(GROUPS, chosen))
-    second = of(whole, np.arange(1, 41))
-    moved = extended.moved(second, of(whole, np.array([0])), of(whole, np.array([40])))
+    second = whole.at(np.arange(1, 41))
+    moved = extended.moved(second, whole.at(np.array([0])), whole.at(np.array([40])))
     np.testing.assert_allclose(moved.log_grids(GROUPS, chosen), Marginals(second).log_grids(GROUPS, chosen), rtol=1e-8)
 
 
@@ -174,15 +164,15 @@ def test_columns_less_a_share_of_the_block_before_are_judged_as_their_arrays() -
     """Noise that follows itself: each block is taken less a share of the one before, in the order of measuring."""
     whole = small_model(n=30)
     order, n = np.random.default_rng(6).permutation(30), 30
-    moved = SerialColumns(whole.columns, order, serial_noise(0.6, np.arange(n) == 0))
+    moved = SerialColumns(whole.E, order, serial_noise(0.6, np.arange(n) == 0))
     every = np.arange(whole.width)
-    E = whole.columns.take(every)[order]
+    E = whole.E.take(every)[order]
     array = 1.25 * E - 0.75 * np.concatenate([E[:1], E[:-1]])
     array[0] = E[0]
     np.testing.assert_allclose(moved.take(every), array, rtol=1e-12)
     np.testing.assert_allclose(moved.factors().columns_at(moved.levers()), array, rtol=1e-12, atol=1e-18)
     groups = [np.array([0, 1]), np.array([2])]
-    a, b = (Marginals(replace(whole, columns=c)).log_grids(groups) for c in (moved, ArrayColumns(array)))
+    a, b = (Marginals(replace(whole, E=c)).log_grids(groups) for c in (moved, ArrayColumns(array)))
     np.testing.assert_allclose(a, b, rtol=1e-9)
 
 
