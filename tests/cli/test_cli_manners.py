@@ -6,7 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import click
@@ -15,6 +15,7 @@ import typer
 from command_line import ROOT
 
 from casadical.cli import app
+from casadical.cli import options as o
 from casadical.cli.terminal import DIAGNOSIS, share
 
 BIN = Path(sys.executable).parent
@@ -64,58 +65,39 @@ def test_an_option_means_the_same_everywhere() -> None:
     assert {option for option, texts in words.items() if len(texts) > 1} == set()
 
 
-@pytest.fixture(scope="module")
-def script() -> str:
-    command = [BIN / "casadical", "--show-completion", "bash"]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+@pytest.mark.parametrize(
+    ("complete", "begun", "offered"),
+    [
+        (o.methods, "IWO", ["IWO-NN-SKCM", "IWO-LM-NN-SKCM"]),
+        (o.losses, "h", ["huber"]),
+        (o.effects, "backlash,gear_e", ["backlash,gear_eccentricity"]),
+        (o.languages, "c,str", ["c,structured_text"]),
+    ],
+)
+def test_words_are_completed(complete: Callable[[str], list[str]], begun: str, offered: list[str]) -> None:
+    assert complete(begun) == offered
 
 
-def completed(script: str, words: str, tmp_path: Path) -> list[str]:
+@pytest.mark.slow
+def test_bash_completes_commands_and_options(tmp_path: Path) -> None:
     """What bash, a real one, offers after these words."""
-    parts = words.split(" ")
-    lines = [
-        f"PATH={BIN}:$PATH",
-        script,
-        f"COMP_WORDS=({' '.join(repr(p) if p else chr(39) * 2 for p in parts)})",
-        f"COMP_CWORD={len(parts) - 1}",
-        "_casadical_completion casadical",
-        'printf "%s\\n" "${COMPREPLY[@]}"',
-    ]
-    done = subprocess.run(
-        ["bash", "--norc", "-c", "\n".join(lines)], capture_output=True, text=True, cwd=tmp_path, check=True
-    )
-    assert done.stderr == ""
-    return [line.strip() for line in done.stdout.splitlines() if line.strip()]
-
-
-COMPLETIONS = {
-    "casadical che": ["check"],
-    "casadical calibrate --me": ["--method"],
-    "casadical calibrate x --method IWO": ["IWO-NN-SKCM", "IWO-LM-NN-SKCM"],
-    "casadical calibrate x --loss h": ["huber"],
-    "casadical diagnose x y --effects backlash,gear_e": ["backlash,gear_eccentricity"],
-    "casadical export ": ["c"],
-}
-
-
-@pytest.mark.parametrize("words", COMPLETIONS)
-def test_bash_completes(words: str, script: str, tmp_path: Path) -> None:
     if shutil.which("bash") is None:
         pytest.skip("no bash here")
-    assert set(COMPLETIONS[words]) <= set(completed(script, words, tmp_path))
-
-
-def test_completion_can_be_installed(tmp_path: Path) -> None:
-    environment = {**os.environ, "HOME": str(tmp_path)}
-    done = subprocess.run(
-        [BIN / "casadical", "--install-completion", "bash"],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert "casadical" in (tmp_path / ".bashrc").read_text()
+    command = [BIN / "casadical", "--show-completion", "bash"]
+    script = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    for words, offered in (("casadical che", "check"), ("casadical calibrate --me", "--method")):
+        lines = [
+            f"PATH={BIN}:$PATH",
+            script,
+            f"COMP_WORDS=({words})",
+            f"COMP_CWORD={len(words.split()) - 1}",
+            "_casadical_completion casadical",
+            'printf "%s\\n" "${COMPREPLY[@]}"',
+        ]
+        bash = ["bash", "--norc", "-c", "\n".join(lines)]
+        done = subprocess.run(bash, capture_output=True, text=True, cwd=tmp_path, check=True)
+        assert done.stderr == ""
+        assert offered in done.stdout.split()
 
 
 def on_terminal(*arguments: str | Path, output: str = "", **more: str) -> tuple[str, str]:
@@ -144,6 +126,7 @@ def on_terminal(*arguments: str | Path, output: str = "", **more: str) -> tuple[
     return out, shown.decode()
 
 
+@pytest.mark.slow
 def test_a_message_is_as_wide_as_the_terminal_and_all_faults_are_one_table(tmp_path: Path) -> None:
     (tmp_path / "poses.csv").write_text("\n".join(["angle,bend", *["1,2"] * 12]))
     robot = ROOT / "problems" / "planar" / "robot.toml"
@@ -164,6 +147,7 @@ def test_a_message_is_as_wide_as_the_terminal_and_all_faults_are_one_table(tmp_p
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_lines_of_an_export_break_between_words_on_a_terminal(tmp_path: Path) -> None:
     arguments = ["export", "model", "problems/ur10/robot.toml", "--overwrite", "--out", str(tmp_path / "arm.urdf")]
     whole, _ = on_terminal(*arguments, COLUMNS="40")
@@ -175,6 +159,7 @@ def test_lines_of_an_export_break_between_words_on_a_terminal(tmp_path: Path) ->
     assert said in " ".join(" ".join(lines).split())
 
 
+@pytest.mark.slow
 def test_progress_is_shown_on_a_terminal_and_nowhere_else() -> None:
     out, shown = on_terminal("calibrate", "problems/planar")
     assert "planar: part 1 of 1: KM iteration" in re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown)
@@ -206,6 +191,7 @@ def test_the_share_done_grows_with_the_steps_of_a_run() -> None:
     assert share("reading", {}) == 0
 
 
+@pytest.mark.slow
 def test_a_reader_that_goes_away_loses_no_file(tmp_path: Path) -> None:
     """As `| head -1` does."""
     command = [BIN / "casadical", "calibrate", "problems/planar", "--details", "--out", tmp_path / "out"]

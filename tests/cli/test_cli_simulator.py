@@ -40,6 +40,7 @@ def test_a_robot_file_is_written_as_it_is_and_nothing_is_overwritten(tmp_path, m
     assert main(monkeypatch, "export", "model", PLANAR / "robot.toml", "--out", file, "--overwrite") == 0
 
 
+@pytest.mark.slow
 def test_a_urdf_says_in_millimetres_what_it_cannot_hold(tmp_path, monkeypatch, capfd):
     """The figure of the URDF alone is that of pinocchio, which reads the file, at the measured poses."""
     pinocchio = pytest.importorskip("pinocchio")
@@ -133,6 +134,7 @@ def test_without_mujoco_replay_says_what_to_install(monkeypatch, capfd):
     assert "pip install 'casadical[mujoco]'" in capfd.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_campaign_is_replayed_and_its_models_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What `export model --campaign` prints is held by docs/cli.md."""
     pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra mujoco)")

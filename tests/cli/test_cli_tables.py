@@ -71,6 +71,7 @@ def test_a_table_and_a_robot_file_are_enough(measured: Path, tmp_path: Path, com
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS)
 def test_another_table_is_understood_by_the_folders_names(measured: Path, tmp_path: Path, command: str) -> None:
     words = COMMANDS[command].format(robot="position", table="position.csv", out=tmp_path / "out")
@@ -81,6 +82,7 @@ def test_another_table_is_understood_by_the_folders_names(measured: Path, tmp_pa
     assert run(*words.split(), folder=measured).returncode == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["check", "calibrate", "diagnose", "export"])
 def test_distances_count_as_they_are(measured: Path, tmp_path: Path, command: str) -> None:
     words = COMMANDS[command].format(robot="distance", table="distance.csv", out=tmp_path / "out")
@@ -88,6 +90,7 @@ def test_distances_count_as_they_are(measured: Path, tmp_path: Path, command: st
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["check", "diagnose"])
 def test_touched_points_are_named_by_the_columns_of_the_folder(measured: Path, command: str) -> None:
     words = COMMANDS[command].format(robot="contact", table="contact.csv", out="-")

@@ -79,7 +79,9 @@ CASES: dict[str, tuple[Callable[[Path], list[str]], str]] = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case", [name if name.startswith("s") else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
+)
 def test_check_says_what_these_readings_cannot_tell(tmp_path: Path, case: str) -> None:
     made, said = CASES[case]
     done = run("check", problem(tmp_path, made), "-q", "--json", tmp_path / "out.json")
@@ -90,6 +92,7 @@ def test_check_says_what_these_readings_cannot_tell(tmp_path: Path, case: str) -
     assert all(said in text for text in texts)
 
 
+@pytest.mark.slow
 def test_calibrate_and_diagnose_say_it_as_well(tmp_path: Path) -> None:
     arm = problem(tmp_path, CASES["unknown places in a line"][0])
     calibrated = run("calibrate", arm)
@@ -111,6 +114,7 @@ def test_a_distance_between_two_sockets_gives_the_size(tmp_path: Path) -> None:
     assert not [f for f in found if f["text"].startswith("these readings cannot ")]
 
 
+@pytest.mark.slow
 def test_a_single_distance_of_each_wire_is_refused_and_one_of_the_set_is_all(tmp_path: Path) -> None:
     arm = problem(tmp_path, lambda folder: wires(folder, ABOUT, False))
     text = (arm / "problem.toml").read_text()
