@@ -81,11 +81,27 @@ def make(
     Raises InputError for too few campaigns, a folder that is in use, or a key within the campaigns' folder.
     """
     folder, key_folder = Path(folder), Path(key)
-    _check(folder, key_folder, n, poses)
+    if n < 4:
+        raise InputError(f"n is {n}; a blind check needs at least 4 campaigns, one of each kind")
+    if not poses or min(poses) < LEAST_POSES:
+        raise InputError(f"poses of {list(poses)}; a campaign needs at least {LEAST_POSES}, or no robot is identified")
+    if key_folder.resolve() == folder.resolve() or folder.resolve() in key_folder.resolve().parents:
+        raise InputError(f"{key}: the key must lie apart from the campaigns in {folder}; name another folder")
+    for path in (folder / protocol.MANIFEST, key_folder / protocol.KEY):
+        if path.exists():
+            raise InputError(f"{path}: is there already; name a new folder, or delete that check first")
     seed = secrets.randbits(62) if seed is None else seed
     versions = {"casadical": version("casadical"), **engine_versions()}
     todo = draw_plans(n, seed, (tuple(LISTED), tuple(UNLISTED)), poses)
-    subjects = {r: _subject(Path(project), r) for r in sorted({p.robot for p in todo})}
+    subjects: dict[str, Subject] = {}
+    for name in sorted({p.robot for p in todo}):
+        path = Path(project) / "data" / "campaigns" / "robots" / f"{name}.json"
+        if not path.is_file():
+            raise InputError(
+                f"{path}: no such robot; name the project's folder (with problems/ and data/) by --project"
+            )
+        model = to_toml(read_campaign_robot(Path(project) / "problems" / name))
+        subjects[name] = Subject(Plant.from_dict(load_json(path)), model)
     made: dict[str, Campaign] = {}
     with workers(executor) as pool:
         tasks = [(subjects[p.robot], p) for p in todo]
@@ -114,33 +130,12 @@ def make(
     return manifest
 
 
-def _check(folder: Path, key: Path, n: int, poses: Sequence[int]) -> None:
-    if n < 4:
-        raise InputError(f"n is {n}; a blind check needs at least 4 campaigns, one of each kind")
-    if not poses or min(poses) < LEAST_POSES:
-        raise InputError(f"poses of {list(poses)}; a campaign needs at least {LEAST_POSES}, or no robot is identified")
-    if key.resolve() == folder.resolve() or folder.resolve() in key.resolve().parents:
-        raise InputError(f"{key}: the key must lie apart from the campaigns in {folder}; name another folder")
-    for path in (folder / protocol.MANIFEST, key / protocol.KEY):
-        if path.exists():
-            raise InputError(f"{path}: is there already; name a new folder, or delete that check first")
-
-
 def engine_versions() -> dict[str, str]:
     """Of the packages on which campaigns depend. Raises InputError if one is not installed."""
     try:
         return {name: version(name) for name in ("mujoco", "numpy")}
     except PackageNotFoundError as error:
         raise InputError(f"the engine {error.name} is not installed: pip install 'casadical[withheld]'") from None
-
-
-def _subject(project: Path, robot: str) -> Subject:
-    """A robot of the project: the physics' table of it, and the base model that the diagnosis is given."""
-    path = project / "data" / "campaigns" / "robots" / f"{robot}.json"
-    if not path.is_file():
-        raise InputError(f"{path}: no such robot; name the project's folder (with problems/ and data/) by --project")
-    drawing = Plant.from_dict(load_json(path))
-    return Subject(drawing, to_toml(read_campaign_robot(project / "problems" / robot)))
 
 
 def campaign_of(subject: Subject, plan: Plan) -> Campaign:

@@ -228,6 +228,10 @@ class RobotCheck(Result):
         return {name: [t for t in self.outcomes if name in t.effects] for name in names}
 
     def blocks(self) -> list[Block]:
+        shares = [
+            [name, "-" if e.value is None else f"{e.value:.2f}  ({e.low:.2f} .. {e.high:.2f}; {e.hits} of {e.n})"]
+            for name, e in self.figures.items()
+        ]
         lacking = f", without {' and '.join(self.not_logged)}" if self.not_logged else ""
         reasons: dict[str, list[str]] = {}
         for effect, reason in self.not_drawn.items():
@@ -235,7 +239,7 @@ class RobotCheck(Result):
         return [
             Words(f"Would a diagnosis of {self.poses} poses of {self.robot} be right?", "title"),
             Words(self.verdict, "verdict"),
-            Table("", ["", "share (95 % interval)"], [[name, _interval(e)] for name, e in self.figures.items()]),
+            Table("", ["", "share (95 % interval)"], shares),
             Table(
                 "By hidden effect",
                 ["effect", "noticed", "named", "95 %", "signal, median"],
@@ -259,10 +263,6 @@ class RobotCheck(Result):
         first = f"{right.hits} of {right.n} claims are right" if right.n else "No cause is claimed"
         many = "campaigns that hide" if alarms.n > 1 else "campaign that hides"
         return f"{first}; {alarms.hits} false alarms in {alarms.n} {many} nothing."
-
-
-def _interval(e: Estimate) -> str:
-    return "-" if e.value is None else f"{e.value:.2f}  ({e.low:.2f} .. {e.high:.2f}; {e.hits} of {e.n})"
 
 
 def _named(effect: str, t: Outcome) -> bool:

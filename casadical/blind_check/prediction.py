@@ -147,11 +147,22 @@ def predict(
     folder = Path(folder)
     manifest = protocol.read_manifest(folder)
     path = Path(out) if out else folder / "answers.diagnosis.jsonl"
-    done = _begun(path, manifest)
+    done: set[str] = set()
+    if protocol.whole_lines(path):
+        head, answers = protocol.read_answers(path)
+        if head.key_sha256 != manifest.key_sha256:
+            raise InputError(f"{path}: holds answers to another check; name another file by --out")
+        done = set(answers)
     left = [name for name in manifest.campaigns if name not in done]
     robots = {c.robot: folder / protocol.ROBOTS / f"{c.robot}.robot.toml" for c in manifest.campaigns.values()}
     models = {robot: to_toml(read_robot(path)) for robot, path in robots.items()}
-    tasks = [(name, models[manifest.campaigns[name].robot], *_tables(folder, name)) for name in left]
+    tasks = []
+    for name in left:
+        seen, unseen = (protocol.read_table(folder, name + end) for end in ("", ".unseen"))
+        if {"x_mm", "y_mm", "z_mm"} & set(unseen):
+            place = folder / name
+            raise InputError(f"{place}.unseen.csv: holds positions; they belong in the key alone ({protocol.MANIFEST})")
+        tasks.append((name, models[manifest.campaigns[name].robot], seen, unseen))
     with workers(executor) as pool, appending(path, protocol.whole_lines(path)) as add:
         if not path.stat().st_size:
             versions = {package: version(package) for package in ("casadical", "casadi", "numpy")}
@@ -160,21 +171,3 @@ def predict(
             add(protocol.json_line(answer))
             show(answer["campaign"], count, len(manifest.campaigns))
     return path
-
-
-def _begun(path: Path, manifest: protocol.Manifest) -> set[str]:
-    """Campaigns that are answered already. Raises InputError for answers to another check."""
-    if not protocol.whole_lines(path):
-        return set()
-    head, answers = protocol.read_answers(path)
-    if head.key_sha256 != manifest.key_sha256:
-        raise InputError(f"{path}: holds answers to another check; name another file by --out")
-    return set(answers)
-
-
-def _tables(folder: Path, name: str) -> tuple[pd.DataFrame, pd.DataFrame]:
-    seen, unseen = (protocol.read_table(folder, name + end) for end in ("", ".unseen"))
-    if {"x_mm", "y_mm", "z_mm"} & set(unseen):
-        place = folder / name
-        raise InputError(f"{place}.unseen.csv: holds positions; they belong in the key alone ({protocol.MANIFEST})")
-    return seen, unseen

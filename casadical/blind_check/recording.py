@@ -14,14 +14,9 @@ from casadical.blind_check.mujoco_physics.stops import Warmup
 from casadical.blind_check.mujoco_physics.table import readings
 from casadical.blind_check.protocol import Kind
 
-SHARES: dict[Kind, float] = {"none": 0.25, "one": 0.45, "several": 0.15, "unlisted": 0.15}
 POSES = (40, 100, 200)
-ROBOTS = ("hh800", "kr210", "ur10e")
 # What may not be logged, and how its columns begin.
 COLUMNS = {"temperature": "temperature_degC", "payload": "payload_kg", "approach": "approach", "time": "time_s"}
-STRUCK = 1 / 3
-NOISES = (10e-6, 20e-6, 30e-6)
-REPEATABILITIES = (2e-6, 8e-6)
 
 Thing = TypeVar("Thing")
 
@@ -51,9 +46,9 @@ def draw_plans(
     words: tuple[Sequence[str], Sequence[str]],
     poses: Sequence[int] = POSES,
     *,
-    robots: Sequence[str] = ROBOTS,
-    noises: Sequence[float] = NOISES,
-    struck: float = STRUCK,
+    robots: Sequence[str] = ("hh800", "kr210", "ur10e"),
+    noises: Sequence[float] = (10e-6, 20e-6, 30e-6),
+    struck: float = 1 / 3,
 ) -> list[Plan]:
     """n campaigns in random order; shares are kept as nearly as whole numbers allow, all else takes turns.
 
@@ -61,7 +56,8 @@ def draw_plans(
     robots, noises [m] : one of these each; struck : share of campaigns in which a column is not logged
     """
     rng = np.random.default_rng([seed, 1])
-    kinds = shuffled(rng, in_shares(n, SHARES))
+    shares: dict[Kind, float] = {"none": 0.25, "one": 0.45, "several": 0.15, "unlisted": 0.15}
+    kinds = shuffled(rng, in_shares(n, shares))
     lacking = shuffled(rng, in_shares(n, {True: struck, False: 1 - struck}))
     names, sizes, columns = turns(rng, robots), turns(rng, poses), turns(rng, tuple(COLUMNS))
     known, foreign = (turns(rng, pool) for pool in words)
@@ -69,11 +65,13 @@ def draw_plans(
     for k, kind in enumerate(kinds):
         count = {"none": 0, "one": 1, "unlisted": 1}.get(kind) if kind != "several" else int(rng.integers(2, 4))
         pool, names_of = (foreign, words[1]) if kind == "unlisted" else (known, words[0])
-        robot, effects = next(names), distinct(pool, min(count or 0, len(set(names_of))))
+        robot, effects = next(names), dict[str, None]()
+        while len(effects) < min(count or 0, len(set(names_of))):
+            effects[next(pool)] = None
         size, missing = next(sizes), next(columns) if lacking[k] else None
-        noise, repeatability = float(rng.choice(noises)), float(rng.uniform(*REPEATABILITIES))
+        noise, repeatability = float(rng.choice(noises)), float(rng.uniform(2e-6, 8e-6))
         name, own_seed = f"{robot}-{k + 1:03d}", int(rng.integers(1 << 62))
-        plans.append(Plan(name, robot, kind, effects, size, missing, noise, repeatability, own_seed))
+        plans.append(Plan(name, robot, kind, tuple(effects), size, missing, noise, repeatability, own_seed))
     return plans
 
 
@@ -94,14 +92,6 @@ def turns(rng: np.random.Generator, things: Sequence[Thing]) -> Iterator[Thing]:
     """Everything once in random order, then everything again in another, without end."""
     while True:
         yield from shuffled(rng, things)
-
-
-def distinct(pool: Iterator[Thing], count: int) -> tuple[Thing, ...]:
-    """The next things of a pool that differ from each other."""
-    things: dict[Thing, None] = {}
-    while len(things) < count:
-        things[next(pool)] = None
-    return tuple(things)
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from casadical.blind_check import metrics as counted
-from casadical.blind_check.metrics import Estimate, Metric, Outcome, outcome, part_metrics
+from casadical.blind_check.metrics import Estimate, Outcome, outcome, part_metrics
 from casadical.blind_check.protocol import Header, Key, read_answers, read_key, read_manifest
 from casadical.core.basics import InputError
 from casadical.core.telling.blocks import Block, Table, Words
@@ -30,7 +30,7 @@ class Score(Result):
         return sorted(set(self.key.campaigns) - {t.name for t in self.outcomes})
 
     @property
-    def metrics(self) -> list[Metric]:
+    def metrics(self) -> dict[str, tuple[Estimate, str]]:
         return counted.metrics(self.outcomes)
 
     @property
@@ -40,11 +40,26 @@ class Score(Result):
 
     def blocks(self) -> list[Block]:
         """Metrics beside their targets, the same by parts, and every wrong claim."""
+        made = ", ".join(f"{name} {number}" for name, number in self.key.versions.items())
+        missing = f"; {len(self.unanswered)} more have no answer and do not count" if self.unanswered else ""
+        rows = []
+        for by, parts in self.parts.items():
+            for k, (word, part) in enumerate(parts.items()):
+                figures = part_metrics(part).values()
+                cells = ["-" if f.value is None else f"{f.value:.3f} [{f.low:.2f}, {f.high:.2f}]" for f in figures]
+                rows.append([by if k == 0 else "", word, str(len(part)), *cells])
+        wrong = ["Wrong claims, and what was hidden:"]
+        for t in (t for t in self.outcomes if t.wrong_claims):
+            hidden = ", ".join(t.truth or t.effects) or "nothing"
+            wrong.append(f"  {t.name}  {t.kind:<8}  {hidden}: claimed {', '.join(t.named)}  (signal {t.signal:.2f})")
         return [
-            Words(_title(self)),
-            Table("", ["", self.head.by, "target"], [[m.name, str(m.estimate), m.target] for m in self.metrics]),
-            _parts(self),
-            *map(Words, wrong_claims(self)),
+            Words(
+                f"{len(self.outcomes)} campaigns whose effect was withheld (engine: {self.key.reality}, "
+                f"seed {self.key.seed}; {made}){missing}\nkey as published: sha256 {self.head.key_sha256}"
+            ),
+            Table("", ["", self.head.by, "target"], [[n, str(e), aim] for n, (e, aim) in self.metrics.items()]),
+            Table("", ["by", "", "n", *part_metrics(self.outcomes)], rows),
+            *map(Words, wrong if len(wrong) > 1 else ["No wrong claims."]),
         ]
 
     def to_json(self) -> dict[str, Any]:
@@ -54,7 +69,7 @@ class Score(Result):
             "made": {"seed": self.key.seed, "reality": self.key.reality, "versions": self.key.versions},
             "campaigns": len(self.outcomes),
             "unanswered": self.unanswered,
-            "figures": {r.name: {**_plain(r.estimate), "target": r.target} for r in self.metrics},
+            "figures": {name: {**_plain(e), "target": aim} for name, (e, aim) in self.metrics.items()},
             "parts": {
                 by: {w: {k: _plain(f) for k, f in part_metrics(p).items()} for w, p in parts.items()}
                 for by, parts in self.parts.items()
@@ -88,31 +103,3 @@ def _short(value: Any) -> Any:
     if isinstance(value, float):
         return float(f"{value:.6g}")
     return [_short(v) for v in value] if isinstance(value, Sequence) and not isinstance(value, str) else value
-
-
-def _title(s: Score) -> str:
-    made = ", ".join(f"{name} {number}" for name, number in s.key.versions.items())
-    missing = f"; {len(s.unanswered)} more have no answer and do not count" if s.unanswered else ""
-    return (
-        f"{len(s.outcomes)} campaigns whose effect was withheld (engine: {s.key.reality}, seed {s.key.seed}; {made})"
-        f"{missing}\nkey as published: sha256 {s.head.key_sha256}"
-    )
-
-
-def _parts(s: Score) -> Table:
-    rows = []
-    for by, parts in s.parts.items():
-        for k, (word, part) in enumerate(parts.items()):
-            figures = part_metrics(part).values()
-            cells = ["-" if f.value is None else f"{f.value:.3f} [{f.low:.2f}, {f.high:.2f}]" for f in figures]
-            rows.append([by if k == 0 else "", word, str(len(part)), *cells])
-    return Table("", ["by", "", "n", *part_metrics(s.outcomes)], rows)
-
-
-def wrong_claims(s: Score) -> list[str]:
-    lines = ["Wrong claims, and what was hidden:"]
-    for t in s.outcomes:
-        if t.wrong_claims:
-            hidden = ", ".join(t.truth or t.effects) or "nothing"
-            lines.append(f"  {t.name}  {t.kind:<8}  {hidden}: claimed {', '.join(t.named)}  (signal {t.signal:.2f})")
-    return lines if len(lines) > 1 else ["No wrong claims."]

@@ -10,9 +10,6 @@ from casadical.blind_check.mujoco_physics.plant import Plant, random_vector
 from casadical.core.basics import InputError
 
 SECONDS_A_POSE = 30.0
-NEARLY_RIGID = 1e-5  # rad at the rated torque
-# Cycles a turn of a hidden ripple.
-RIPPLES = (2, 3, 4, 6, 8, 16, 32)
 _LOADED = ("backlash", "nonlinear_stiffness", "rubber_coupling")  # visible only where there is torque
 _ANY = (
     *("gear_eccentricity", "transmission_ripple", "joint_scale", "joint_zero_step", "thermal_zero_drift"),
@@ -25,18 +22,16 @@ def draw_effect(plant: Plant, effect: str, rng: np.random.Generator, poses: int 
     """One effect by its name, its joint and sizes at random. Raises InputError for an unknown name."""
     if effect not in {**LISTED, **UNLISTED}:
         raise InputError(f"effect {effect!r} is unknown; there are {', '.join([*LISTED, *UNLISTED])}")
-    joint = _joint(plant, effect, rng)
-    usual = float(np.exp(rng.normal(0.2, 0.4)))
-    return Hidden(effect, joint, _size(plant, effect, joint, usual, rng, SECONDS_A_POSE * poses))
-
-
-def _joint(plant: Plant, effect: str, rng: np.random.Generator) -> int | None:
+    joint: int | None = None
     if effect in _LOADED:
         torque = rated_torque(plant) * np.isin(np.arange(1, plant.n + 1), plant.turning)
-        return int(rng.choice(np.flatnonzero(torque > 0.06 * torque.max()) + 1))
-    if effect == "joint_coupling":
-        return int(rng.integers(plant.n - 2, plant.n + 1))
-    return plant.turning[int(rng.integers(len(plant.turning)))] if effect in _ANY else None
+        joint = int(rng.choice(np.flatnonzero(torque > 0.06 * torque.max()) + 1))
+    elif effect == "joint_coupling":
+        joint = int(rng.integers(plant.n - 2, plant.n + 1))
+    elif effect in _ANY:
+        joint = plant.turning[int(rng.integers(len(plant.turning)))]
+    usual = float(np.exp(rng.normal(0.2, 0.4)))
+    return Hidden(effect, joint, _size(plant, effect, joint, usual, rng, SECONDS_A_POSE * poses))
 
 
 def impossible(plant: Plant) -> dict[str, str]:
@@ -78,26 +73,36 @@ def _size(
     plant: Plant, effect: str, joint: int | None, usual: float, rng: np.random.Generator, lasts_s: float
 ) -> dict[str, Any]:
     """Everything but the joint, ``usual`` times as large as it is on most robots."""
-    sign, angle = float(rng.choice([-1.0, 1.0])), _between(rng, 0, 2 * np.pi)
+
+    def between(low: float, high: float) -> float:
+        return float(rng.uniform(low, high))
+
+    sign, angle = float(rng.choice([-1.0, 1.0])), between(0, 2 * np.pi)
     middle = float(np.round(rng.uniform(0.3, 0.7) * lasts_s))
     own, links = (joint or 1) - 1, _links(plant) or [2]
-    inside = _between(rng, *plant.ranges[own])
-    # A joint as good as rigid would hold its load by a small share of what winds it by the play.
+    inside = between(*plant.ranges[own])
+    # A joint as good as rigid, below 10 urad at the rated torque, would hold its load by a small share of what winds
+    # it by the play.
     given = float(rated_torque(plant)[own] / plant.stiffness[own]) if effect == "backlash" else 1.0
-    rub = given / (60e-6 * usual) if given < NEARLY_RIGID else 1.0
+    rub = given / (60e-6 * usual) if given < 1e-5 else 1.0
+    source = plant.n - 1 if joint == plant.n - 2 else (joint or 5) - 1
     sizes: dict[str, dict[str, Any]] = {
         "gear_eccentricity": {
             "size": 40e-6 * usual,
             "towards": angle,
-            "oval": _between(rng, 0.2, 0.8) * 40e-6 * usual,
-            "oval_towards": _between(rng, 0, 2 * np.pi),
+            "oval": between(0.2, 0.8) * 40e-6 * usual,
+            "oval_towards": between(0, 2 * np.pi),
         },
-        "transmission_ripple": {"size": 20e-6 * usual, "cycles": int(rng.choice(RIPPLES)), "phase": angle},
+        "transmission_ripple": {
+            "size": 20e-6 * usual,
+            "cycles": int(rng.choice((2, 3, 4, 6, 8, 16, 32))),
+            "phase": angle,
+        },
         "joint_scale": {"size": 60e-6 * usual * sign},
-        "joint_coupling": {"source": _source(plant, joint), "size": 80e-6 * usual * sign},
+        "joint_coupling": {"source": source, "size": 80e-6 * usual * sign},
         "joint_zero_step": {"size": 40e-6 * usual * sign, "at_s": middle},
-        "thermal_growth": {"size": 11.5e-6 * float(np.clip(usual, 0.8, 2.0)), "lag_minutes": _between(rng, 4, 12)},
-        "thermal_zero_drift": {"size": 5e-6 * usual * sign, "lag_minutes": _between(rng, 4, 15)},
+        "thermal_growth": {"size": 11.5e-6 * float(np.clip(usual, 0.8, 2.0)), "lag_minutes": between(4, 12)},
+        "thermal_zero_drift": {"size": 5e-6 * usual * sign, "lag_minutes": between(4, 15)},
         "target_shift": {"shift_m": random_vector(rng, 50e-6 * usual), "at_s": middle},
         "payload_error": {"size": 0.05 * usual * sign, "shift_m": random_vector(rng, 0.03 * usual)},
         "axis_wobble": {
@@ -106,57 +111,42 @@ def _size(
             "cycles": int(rng.choice([1, 2])),
             "phase": angle,
         },
-        "gravity_compensator": {"size": 0.2 * usual, "lean": _between(rng, -0.4, 0.4), "post": _between(rng, 1.5, 4)},
-        "nonlinear_stiffness": {"size": 90e-6 * usual, "knee": _knee(rng), "linear": _between(rng, 0.1, 0.3)},
-        "backlash": {"size": 60e-6 * usual, "friction": rub * _between(rng, 0.01, 0.05)},
-        "friction_windup": {"size": 40e-6 * usual, "load_share": _between(rng, 0, 0.8)},
-        "link_flexure": {"link": int(rng.choice(links)), "size": 60e-6 * usual, "torsion": _between(rng, 0.6, 1.0)},
-        "base_compliance": {"size": 50e-6 * usual, "across": _between(rng, 0.5, 1.0), "height_m": 0.3},
+        "gravity_compensator": {"size": 0.2 * usual, "lean": between(-0.4, 0.4), "post": between(1.5, 4)},
+        "nonlinear_stiffness": {
+            "size": 90e-6 * usual,
+            "knee": float(rng.choice([0.0, between(0.1, 0.3)])),
+            "linear": between(0.1, 0.3),
+        },
+        "backlash": {"size": 60e-6 * usual, "friction": rub * between(0.01, 0.05)},
+        "friction_windup": {"size": 40e-6 * usual, "load_share": between(0, 0.8)},
+        "link_flexure": {"link": int(rng.choice(links)), "size": 60e-6 * usual, "torsion": between(0.6, 1.0)},
+        "base_compliance": {"size": 50e-6 * usual, "across": between(0.5, 1.0), "height_m": 0.3},
         "frame_drift": {
             "shift_m": random_vector(rng, 50e-6 * usual),
             "turn_rad": random_vector(rng, 20e-6 * usual),
-            "settling_minutes": _between(rng, 15, 60),
+            "settling_minutes": between(15, 60),
         },
-        "outliers": {"share": _between(rng, 0.02, 0.05), "size": 0.7e-3 * usual},
+        "outliers": {"share": between(0.02, 0.05), "size": 0.7e-3 * usual},
         "loose_flange": {"size": 60e-6 * usual},
-        "tool_slip": {"size": 40e-6 * usual, "grip": _between(rng, 0.3, 0.6)},
+        "tool_slip": {"size": 40e-6 * usual, "grip": between(0.3, 0.6)},
         "bearing_play": {"size": 30e-6 * usual},
         "hose_pull": {"size": 100e-6 * usual},
         "cracked_link": {"link": int(rng.choice(links)), "size": 100e-6 * usual, "towards": angle},
         "loose_anchor": {"size": 40e-6 * usual, "towards": angle},
-        "thermal_bend": {"size": 15e-6 * usual, "towards": angle, "lag_minutes": _between(rng, 15, 40)},
-        "encoder_pit": {"size": 100e-6 * usual * sign, "at_rad": inside, "width_rad": _between(rng, 0.3, 0.9)},
+        "thermal_bend": {"size": 15e-6 * usual, "towards": angle, "lag_minutes": between(15, 40)},
+        "encoder_pit": {"size": 100e-6 * usual * sign, "at_rad": inside, "width_rad": between(0.3, 0.9)},
         "damaged_tooth": {"size": 80e-6 * usual, "ratio": float(rng.choice([3.0, 5.0, 7.5, 10.0])), "at_rad": angle},
     }
+    if effect in sizes:
+        return sizes[effect]
     # These are drawn separately, so that the sizes of the others stay the same for the same seed.
-    return sizes[effect] if effect in sizes else _added_later(plant, usual, sign, angle, inside, rng)[effect]
-
-
-def _source(plant: Plant, joint: int | None) -> int:
-    return plant.n - 1 if joint == plant.n - 2 else (joint or 5) - 1
-
-
-def _knee(rng: np.random.Generator) -> float:
-    return float(rng.choice([0.0, rng.uniform(0.1, 0.3)]))
-
-
-def _between(rng: np.random.Generator, low: float, high: float) -> float:
-    return float(rng.uniform(low, high))
-
-
-def _added_later(
-    plant: Plant, usual: float, sign: float, angle: float, inside: float, rng: np.random.Generator
-) -> dict[str, dict[str, Any]]:
-    return {
+    added: dict[str, dict[str, Any]] = {
         "loose_cargo": {"size": 80e-6 * usual},
-        "tight_cable": {"size": 100e-6 * usual, "free": _between(rng, 0.2, 0.6)},
+        "tight_cable": {"size": 100e-6 * usual, "free": between(0.2, 0.6)},
         "lost_bits": {"size": 100e-6 * usual, "at_rad": inside},
-        "rubber_coupling": {"size": 120e-6 * usual, "lag_minutes": _between(rng, 0.7, 4.0)},
-        "range_offset": {"size": 150e-6 * usual * sign, "stand_m": _stand(plant, angle, rng)},
+        "rubber_coupling": {"size": 120e-6 * usual, "lag_minutes": between(0.7, 4.0)},
     }
-
-
-def _stand(plant: Plant, towards: float, rng: np.random.Generator) -> tuple[float, float, float]:
-    """Position of a tracker: out of the robot's reach, at eye level or lower."""
-    away = plant.reach * _between(rng, 1.3, 2.0)
-    return away * float(np.cos(towards)), away * float(np.sin(towards)), _between(rng, 0.0, 1.5)
+    # A tracker stands out of the robot's reach, at eye level or lower.
+    away = plant.reach * between(1.3, 2.0)
+    stand = away * float(np.cos(angle)), away * float(np.sin(angle)), between(0.0, 1.5)
+    return (added | {"range_offset": {"size": 150e-6 * usual * sign, "stand_m": stand}})[effect]

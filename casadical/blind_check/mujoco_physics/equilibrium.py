@@ -15,7 +15,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from casadical.blind_check.mujoco_physics.mechanism import Body, Joint, Mechanism
+from casadical.blind_check.mujoco_physics.mechanism import Body, Mechanism
 from casadical.blind_check.mujoco_physics.plant import Array
 from casadical.core.basics import ConvergenceError, optional
 
@@ -79,19 +79,15 @@ def _body(parent: ET.Element, body: Body) -> ET.Element:
         about = {"pos": numbers(*body.com), "mass": numbers(mass), "diaginertia": numbers(moment, moment, moment)}
         ET.SubElement(node, "inertial", about)
     for joint in body.joints:
-        ET.SubElement(node, "joint", _joint(joint))
+        about = {"name": joint.name, "type": joint.kind, "axis": numbers(*joint.axis), "pos": numbers(*joint.at)}
+        about |= {"ref": numbers(joint.ref), "armature": numbers(joint.inertia), "damping": numbers(joint.damping)}
+        about |= {"springref": numbers(joint.ref if joint.motor else 0.0), "frictionloss": numbers(joint.friction)}
+        about["stiffness"] = numbers(joint.stiffness, 0.0, joint.hardening)
+        if joint.limits is not None:
+            about["range"] = numbers(*joint.limits)
+        ET.SubElement(node, "joint", about)
     for mark, at in body.marks.items():
         ET.SubElement(node, "site", name=mark, pos=numbers(*at))
-    return node
-
-
-def _joint(joint: Joint) -> dict[str, str]:
-    node = {"name": joint.name, "type": joint.kind, "axis": numbers(*joint.axis), "pos": numbers(*joint.at)}
-    node |= {"ref": numbers(joint.ref), "armature": numbers(joint.inertia), "damping": numbers(joint.damping)}
-    node |= {"springref": numbers(joint.ref if joint.motor else 0.0), "frictionloss": numbers(joint.friction)}
-    node["stiffness"] = numbers(joint.stiffness, 0.0, joint.hardening)
-    if joint.limits is not None:
-        node["range"] = numbers(*joint.limits)
     return node
 
 
@@ -109,12 +105,6 @@ def _tendons(parent: ET.Element, mechanism: Mechanism) -> None:
         node.set("damping", numbers(shaft.damping))
         for joint, share in shaft.joints.items():
             ET.SubElement(node, "joint", joint=joint, coef=numbers(share))
-
-
-STILL = 2e-9  # rad/s or m/s; the way left to go is a tenth of it in rad or m
-CREEP = 2e-7  # rad/s or m/s; what friction holds creeps in the engine
-APPROACH = 1.5e-3  # rad that every joint moves before it stops, where the way matters
-BESIDE, MOVING, WAITING, AT_MOST = 100, 80, 80, 1500  # steps
 
 
 @dataclass(frozen=True)
@@ -224,26 +214,27 @@ class Engine:
     def _travel(self, stop: Stop) -> None:
         """Find the rest beside the pose without friction, then move to the pose with it and wait."""
         m = self.model
-        back = stop.motors - APPROACH * stop.approach
+        back = stop.motors - 1.5e-3 * stop.approach  # rad or m that every joint moves before it stops
         m.dof_frictionloss[self._moves] = m.tendon_frictionloss[:] = 0.0
         self._drive(back)
-        self.mujoco.mj_step(m, self.data, BESIDE)
+        self.mujoco.mj_step(m, self.data, 100)
         for name in ("dof_frictionloss", "tendon_frictionloss"):
             getattr(m, name)[:] = self._built[name]
         for row, dof, torque in self._rubs:
             m.dof_frictionloss[dof] += torque * abs(m.qpos_spring[row] - self.data.qpos[row])
-        for share in 0.5 - 0.5 * np.cos(np.pi * np.arange(1, MOVING + 1) / MOVING):
+        for share in 0.5 - 0.5 * np.cos(np.pi * np.arange(1, 81) / 80):
             self._drive(back + share * (stop.motors - back))
             self.mujoco.mj_step(m, self.data)
-        self.mujoco.mj_step(m, self.data, WAITING)
-        self._until_still(creep=CREEP)
+        self.mujoco.mj_step(m, self.data, 80)
+        self._until_still(creep=2e-7)  # what friction holds creeps in the engine
 
-    def _until_still(self, creep: float = STILL) -> None:
-        for _ in range(0, AT_MOST, 10):
+    def _until_still(self, creep: float = 2e-9) -> None:
+        """Step until nothing moves faster than ``creep`` [rad/s or m/s]; the way left is a tenth of it in rad or m."""
+        for _ in range(0, 1500, 10):
             self.mujoco.mj_step(self.model, self.data, 10)
             if np.abs(self.data.qvel).max() < creep:
                 return
         raise ConvergenceError(
-            f"the engine finds no rest: after {AT_MOST} steps something still moves at "
+            f"the engine finds no rest: after 1500 steps something still moves at "
             f"{np.abs(self.data.qvel).max():.1e} rad/s; are the joints too soft for their loads?"
         )

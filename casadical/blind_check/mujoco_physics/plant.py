@@ -72,10 +72,6 @@ def random_vector(rng: np.random.Generator, length: float) -> tuple[float, float
     return x, y, z
 
 
-_X, _Y, _Z, _0 = np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), np.array([0, 0, 1.0]), np.zeros(3)
-_KEYS = ("name", "modified_dh", "tool_m", "mass_kg", "com_m", "payload", "stiffness_Nm_per_rad", "joint_range_deg")
-
-
 @dataclass(frozen=True)
 class FourBar:
     """A planar loop that drives a joint: ground bar = the link before it, crank on that link's axis, coupler, rocker.
@@ -135,9 +131,19 @@ class Plant(Shown):
     @classmethod
     def from_dict(cls, robot: Mapping[str, Any]) -> Self:
         """The nominal robot of a mapping as in data/campaigns/robots. Raises InputError: a key or a shape is wrong."""
-        for key in _KEYS:
+        keys = [
+            "name",
+            "modified_dh",
+            "tool_m",
+            "mass_kg",
+            "com_m",
+            "payload",
+            "stiffness_Nm_per_rad",
+            "joint_range_deg",
+        ]
+        for key in keys:
             if key not in robot:
-                raise InputError(f"robot: key {key!r} is missing; needed are {', '.join(_KEYS)}")
+                raise InputError(f"robot: key {key!r} is missing; needed are {', '.join(keys)}")
         bar, n = robot.get("four_bar"), len(robot["modified_dh"])
         rows = [
             (_radians(r["alpha_deg"]), r["a_m"], 0.0, 0.0, _radians(r.get("theta0_deg", 0.0)), r["d_m"])
@@ -207,13 +213,14 @@ def home_frames(rows: Sequence[tuple[float, float, float, float, float, float]])
 
     A row is Rot_x(alpha) Trans_x(a) Rot_y(beta) Trans_y(b) Rot_z(theta) Trans_z(d).
     """
-    T, frames = np.eye(4), []
+    T, frames, (x, y, z), nowhere = np.eye(4), [], np.eye(3), np.zeros(3)
     for alpha, a, beta, b, theta, d in rows:
         if beta or b:
-            T = T @ motion(alpha * _X, _0, _0) @ motion(beta * _Y, np.array([a, 0.0, 0.0]), _0)
-            T = T @ motion(theta * _Z, np.array([0.0, b, d]), _0)
+            T = T @ motion(alpha * x, nowhere, nowhere) @ motion(beta * y, np.array([a, 0.0, 0.0]), nowhere)
+            T = T @ motion(theta * z, np.array([0.0, b, d]), nowhere)
         else:
-            T = T @ motion(alpha * _X, _0, _0) @ motion(theta * _Z, np.array([a, 0.0, d], float), _0)
+            T = T @ motion(alpha * x, nowhere, nowhere)
+            T = T @ motion(theta * z, np.array([a, 0.0, d], float), nowhere)
         frames.append(T)
     return np.array(frames)
 

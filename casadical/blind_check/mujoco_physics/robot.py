@@ -10,8 +10,6 @@ from casadical.blind_check.mujoco_physics.mechanism import Body, Joint, Mechanis
 from casadical.blind_check.mujoco_physics.plant import Array, FourBar, Plant, slide, turn
 
 SLOW = 0.1  # s: every spring joint alone would come to rest with this time constant
-NONE = np.zeros(3)
-AXES = {"x": X, "y": Y, "z": Z}
 
 
 def mechanism(plant: Plant) -> Mechanism:
@@ -64,8 +62,8 @@ def spring(name: str, stiffness: float, *, inertia_of: float | None = None, **mo
 
 def springs(name: str, stiffness: float, limit: float, axes: str, **more: Any) -> tuple[Joint, ...]:
     """A joint on a spring for each of the axes ("xy", say), within +-limit [rad or m]; more : as of `spring`."""
-    limits = (-limit, limit)
-    return tuple(spring(f"{name}_{c}", stiffness, axis=AXES[c], limits=limits, **more) for c in axes)
+    limits, along = (-limit, limit), {"x": X, "y": Y, "z": Z}
+    return tuple(spring(f"{name}_{c}", stiffness, axis=along[c], limits=limits, **more) for c in axes)
 
 
 def free(name: str, like: float, **more: object) -> Joint:
@@ -104,4 +102,4 @@ def _coupler(plant: Plant, angles: Array) -> float:
 def _moved(place: Array, joint: Joint) -> Array:
     """Where a body is when its joint is at its reference."""
     up, by = np.array([0.0, 0.0, 1.0]), np.array(joint.ref)
-    return np.asarray(place @ (slide(joint.ref * up) if joint.kind == "slide" else turn(up, NONE, by)))
+    return np.asarray(place @ (slide(joint.ref * up) if joint.kind == "slide" else turn(up, np.zeros(3), by)))
