@@ -30,28 +30,6 @@ def arm() -> Plant:
     return Plant.from_dict(ARM)
 
 
-def random_arm(seed: int) -> dict[str, Any]:
-    """A serial robot with arbitrary axes and masses."""
-    rng = np.random.default_rng(seed)
-    rows = [
-        {"alpha_deg": a, "a_m": b, "d_m": c, "theta0_deg": d}
-        for a, b, c, d in zip(
-            rng.uniform(-180, 180, 6),
-            rng.uniform(-1, 1, 6),
-            rng.uniform(-1, 1, 6),
-            rng.uniform(-180, 180, 6),
-            strict=True,
-        )
-    ]
-    return ARM | {
-        "modified_dh": rows,
-        "tool_m": rng.uniform(-0.5, 0.5, 3),
-        "mass_kg": rng.uniform(5, 300, 6),
-        "com_m": rng.uniform(-0.5, 0.5, (6, 3)),
-        "payload": {"mass_kg": rng.uniform(5, 200), "com_m": rng.uniform(-0.4, 0.4, 3)},
-    }
-
-
 def stops_at(q: np.ndarray, payload_kg: float) -> Stops:
     """The readings ``q`` (n, 6) on a cold arm, every joint stopped upwards."""
     n = len(q)

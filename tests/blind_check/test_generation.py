@@ -44,6 +44,7 @@ def test_shares_add_up_whatever_the_number() -> None:
         assert len(in_shares(n, {"none": 0.25, "one": 0.45, "several": 0.15, "unlisted": 0.15})) == n
 
 
+@pytest.mark.slow
 def test_a_seed_gives_the_same_check_to_the_byte(small, tmp_path) -> None:
     make(tmp_path / "a", tmp_path / "b", N, 5, poses=[20], project=ROOT, executor=Here())
     again = {p.relative_to(tmp_path / "a"): p.read_bytes() for p in (tmp_path / "a").rglob("*.*") if p.is_file()}
@@ -52,6 +53,7 @@ def test_a_seed_gives_the_same_check_to_the_byte(small, tmp_path) -> None:
     assert (tmp_path / "b" / "key.json").read_bytes() == (small.key / "key.json").read_bytes()
 
 
+@pytest.mark.slow
 def test_without_a_seed_each_check_is_another_and_none_is_left_half_written(tmp_path) -> None:
     hashes = set()
 

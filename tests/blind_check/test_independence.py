@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from checks import ROOT
 
+pytestmark = pytest.mark.slow  # a process each
 ROOM = "casadical.blind_check"
 # Of the package, the physics may load no more than this.
 ALLOWED = {"casadical", "casadical.core", "casadical.core.basics", "casadical.core.lazy", ROOM}

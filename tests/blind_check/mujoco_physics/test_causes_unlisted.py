@@ -30,6 +30,7 @@ def test_without_size_there_is_no_effect(effect):
         assert np.abs(shift(machine, Hidden(effect, joint, {"size": 1e-9, **more}), at)).max() < 2e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", ODD)
 def test_in_a_campaign_it_is_a_matter_of_some_tens_of_micrometres(effect):
     machine, seen = built("kr210"), []

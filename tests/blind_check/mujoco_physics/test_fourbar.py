@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pinocchio_arm import PinocchioArm
 from plants import arm, stops_at
 from scipy.optimize import fsolve
 
 from casadical.blind_check.mujoco_physics import Plant, perturb
-from casadical.blind_check.mujoco_physics.cause import State, moments, placed, reflector, settle
+from casadical.blind_check.mujoco_physics.cause import State, moments, placed, settle
 from casadical.blind_check.mujoco_physics.fourbar import close_loop, crank_distance, unfolded
 from casadical.blind_check.mujoco_physics.stops import draw_poses
 from casadical.core.basics import InputError
@@ -82,17 +81,6 @@ def test_rest_has_the_least_energy(plant: Plant) -> None:
         up, down = total(rest.angles + h * np.eye(6)[j]), total(rest.angles - h * np.eye(6)[j])
         assert (np.abs(up - down) / (2 * h) < 2e-2).all()
         assert (up + down > 2 * total(rest.angles)).all()
-
-
-def test_positions_as_a_serial_arm() -> None:
-    plant = Plant.from_dict(HH800)
-    q = poses(plant, 30)
-    opened = q.copy()
-    opened[:, 2] = q[:, 2] - q[:, 1] - np.pi / 2
-    oracle = PinocchioArm(HH800, np.eye(4))
-    np.testing.assert_allclose(
-        reflector(placed(plant, stops_at(q, 300.0), q)), [oracle.position(x) for x in opened], atol=1e-12
-    )
 
 
 def test_the_arm_stands_as_drawn() -> None:

@@ -53,6 +53,7 @@ def test_effects_leave_poses_and_noise_alone() -> None:
     np.testing.assert_allclose(noise[0], noise[1], atol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("noise_mm", "urad"), [(0.05, 0.0), (0.0, 20.0)])
 def test_noise_has_the_stated_size(noise_mm: float, urad: float) -> None:
     table = campaign(arm(), 2000, 7, noise_mm=noise_mm, repeatability_urad=urad, truth=True)
