@@ -16,8 +16,6 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, prior_weights
 
 BATCH = 500
-# Noise less probable than this, given the data, is not drawn and not summed over.
-LEAST = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +48,8 @@ def noise_odds(case: Case, draws: int, rng: np.random.Generator) -> Iterator[Arr
     """Log odds of any cause against none, of draws of noise alone, batch by batch."""
     e = case.evidence
     share = np.exp(e.log_base() - np.logaddexp.reduce(e.log_base(), axis=None))
-    rhos, sigmas = (np.flatnonzero(share.sum(axis=a) > LEAST) for a in (1, 0))
+    # Noise less probable than this, given the data, is not drawn and not summed over.
+    rhos, sigmas = (np.flatnonzero(share.sum(axis=a) > 0.01) for a in (1, 0))
     # A draw's own best sigma may lie one step aside.
     sigmas = np.arange(max(sigmas[0] - 1, 0), min(sigmas[-1] + 2, len(e.sigmas)))
     E = e.take(np.arange(e.width))

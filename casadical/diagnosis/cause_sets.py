@@ -21,8 +21,6 @@ STARTS, BEAM = 6, 3
 GAIN = 8.0
 # How probable the listed sets must be against all with something unlisted in them.
 LISTED = 0.9
-# Where they are not: how probable each cause must be, whatever else is there.
-MEMBER = 0.95
 # Sets with the unlisted are followed for so many causes, and the best listed set is looked beyond so many times.
 FOLLOWED, BEYOND = 2, 4
 
@@ -128,7 +126,8 @@ def most_probable_set(
     total = np.append(closed, none)
     there = {c: np.array([c in k for k in search.mass] + [False]) for c in best}
     without = {c: float(np.exp(np.logaddexp.reduce(total[~there[c]]) - np.logaddexp.reduce(total))) for c in best}
-    doubted = frozenset(c for c in best if share < LISTED and without[c] > 1 - MEMBER)
+    # Where they are not: how probable each cause must be, whatever else is there.
+    doubted = frozenset(c for c in best if share < LISTED and without[c] > 1 - 0.95)
     before, last = search.reached[best]
     return ((), frozenset()) if doubted == best else ((*before.chosen, last), doubted)
 

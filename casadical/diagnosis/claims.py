@@ -17,8 +17,6 @@ from casadical.measurements.measurements import Noise
 LEAST = 1e-12
 # A cause in doubt, with those that cannot be distinguished from it, is at least so probable.
 LIKELY = 0.5
-# So many other sets are said.
-OTHERS = 3
 
 
 def named(state: State, end: End, seed: int) -> tuple[State, End]:
@@ -162,6 +160,7 @@ def cause_set(state: State) -> CauseSet | None:
         against[label] = (1 - p) / p
     total = 1 + more + sum(against.values())
     keys = list(odds)
-    first = [keys[k] for k in ranked(list(odds.values()))[:OTHERS]]
+    # So many other sets are said.
+    first = [keys[k] for k in ranked(list(odds.values()))[:3]]
     sets = tuple((k, odds[k] / total) for k in first if odds[k] / total >= LEAST_ALIKE)
     return CauseSet(1 / total, more / (1 + more), {k: 1 - odd / total for k, odd in against.items()}, sets, names)

@@ -15,12 +15,6 @@ from casadical.diagnosis.thresholds import PARTITIONS
 from casadical.measurements.measurements import Noise
 
 FOLDS = 5
-# Poses from which on one partition is enough.
-MANY = 400
-# Fits that are kept with a problem.
-MOST_FITS = 3
-# Poses that a bootstrap draws at a time.
-PICKED = 1_000_000
 
 
 def likely_noise(log_grid: Array, sigmas: Array = SIGMAS) -> Noise:
@@ -39,7 +33,8 @@ def fit_of(e: Evidence, columns: Array, noise: Noise) -> Fit:
     """The same, kept with the problem: several questions are asked of the same few."""
     fits, key = e.cache.setdefault("fits", {}), (columns.tobytes(), noise)
     if key not in fits:
-        if len(fits) == MOST_FITS:
+        # Fits that are kept with a problem.
+        if len(fits) == 3:
             fits.pop(next(iter(fits)))
         fits[key] = new_fit(e, columns, noise)
     known: Fit = fits[key]
@@ -81,7 +76,8 @@ def fold_errors(e: Evidence, fit: Fit, folds: Array) -> Array:
 def partitions(e: Evidence, seed: int) -> list[Array]:
     """Several partitions of the poses into folds; one of many poses, whose mean hardly depends on it."""
     n = len(e.r)
-    return [random_folds(n, seed + k, alike=e.alike) for k in range(PARTITIONS if n < MANY else 1)]
+    # Poses from which on one partition is enough.
+    return [random_folds(n, seed + k, alike=e.alike) for k in range(PARTITIONS if n < 400 else 1)]
 
 
 def partitioned_errors(e: Evidence, columns: Array, noise: Noise, seed: int) -> Array:
@@ -132,7 +128,8 @@ def shrink_interval(before: Array, after: Array, seed: int, draws: int = 2000) -
 def resampled_means(values: Array, seed: int, draws: int) -> Array:
     """Means over poses that are drawn with replacement, the same of all values; shape (k, n) -> (k, draws)."""
     rng, n, means = np.random.default_rng(seed), values.shape[1], np.empty((len(values), draws))
-    step = max(1, PICKED // n)
+    # Poses that a bootstrap draws at a time.
+    step = max(1, 1_000_000 // n)
     for start in range(0, draws, step):
         pick = rng.integers(0, n, (min(step, draws - start), n))
         for own, some in zip(means, values, strict=True):

@@ -32,12 +32,6 @@ from casadical.robot.robot import Robot
 
 __all__ = ["Diagnosis", "Masses", "diagnose"]
 
-# Orientations that the base model leaves so far off [rad] are of another convention, not noisy.
-NO_NOISE = 0.05
-# Times that the ratios of several noises are estimated again with the causes in the model.
-MOST_RATIOS = 2
-# Laws are looked for in place of noise where so many numbers were measured beyond those that the base model takes.
-FEWEST = 24
 # How the reason begins for which a kind of measurement does not determine where the base is.
 WITHOUT = "nothing at rest"
 
@@ -112,9 +106,9 @@ class _Question:
         self.show("calibrating the base model")
         sets = tuple(m.positions_alone() if fault_of_orientations(given.robot, m) else m for m in given.sets)
         calibration = base_calibrated(prepared := replace(given, sets=sets))
-        off = [
-            m.orientation is not None and s[1] > NO_NOISE for m, s in zip(sets, calibration.problem.sigmas, strict=True)
-        ]
+        # Orientations that the base model leaves so far off [rad] are of another convention, not
+        # noisy.
+        off = [m.orientation is not None and s[1] > 0.05 for m, s in zip(sets, calibration.problem.sigmas, strict=True)]
         if not any(off):
             return calibration
         alone = (m.positions_alone() if bad else m for m, bad in zip(sets, off, strict=True))
@@ -167,7 +161,8 @@ class _Question:
             self.show("what changed since the campaign of the prior")
             changed, known = changes(case, prior)
         found = self.searched(case := self.with_known(case, known))
-        for _ in range(MOST_RATIOS):
+        # Times that the ratios of several noises are estimated again with the causes in the model.
+        for _ in range(2):
             ratios = better_ratios(found.case, found.columns, found.noise)
             if ratios is None:
                 break
@@ -221,7 +216,9 @@ def _held_against_laws(found: Diagnosis) -> Diagnosis:
     """
     effects, e = found.effects(), found.case.evidence
     done = not effects and found.verdict in ("none", "explained")  # by outliers alone
-    noise = done and found.account.rules in (Rule.FIT, Rule.SHEET) and e.count - e.absorbed >= FEWEST
+    # Laws are looked for in place of noise where so many numbers were measured beyond those that
+    # the base model takes.
+    noise = done and found.account.rules in (Rule.FIT, Rule.SHEET) and e.count - e.absorbed >= 24
     if not (effects or noise) or not found.case.one_end or any(e.parts for e in effects):
         return found
     law, case = claimed_before_causes(found) or (None, found.case)

@@ -43,9 +43,6 @@ SHEET = 0.5
 # The data determine a direction of the base where its prior tells less of it than one part in so many; the prior is
 # then made so many times wider.
 DETERMINED, WIDER = 100.0, 100.0
-# Where all poses together move by less than the root of this, in sigmas of the noise, by one sigma of the prior, the
-# data tell nothing: of a curve at joint angles that no pose has, say.
-UNMOVED = 1e-8
 # How much noisier than assumed a table is, over the others, is a normal distribution of its logarithm, of which three
 # points stand for all: its middle, and so many sigmas to both sides, each with this weight (Gauss and Hermite).
 ASIDE, WEIGHT_ASIDE = 3.0**0.5, 1 / 6
@@ -224,7 +221,10 @@ class BaseParameters:
         square, axes = np.append(singular, np.zeros(len(turned) - len(singular)))[::-1] ** 2, turned[::-1].T.copy()
         # Which way an axis points is a processor's choice, and what is drawn by chance would follow it.
         axes *= np.where(np.cos(np.arange(len(axes))) @ axes < 0, -1.0, 1.0)
-        axes, moved = e.prior[:, None] * axes, square > UNMOVED
+        # Where all poses together move by less than the root of this, in sigmas of the noise, by
+        # one sigma of the prior, the data tell nothing: of a curve at joint angles that no pose
+        # has, say.
+        axes, moved = e.prior[:, None] * axes, square > 1e-8
         units = (axes * np.where(square > DETERMINED, WIDER, 1.0))[:, moved]
         base = cls(e.J, e.delta0, e.prior, units, axes[:, ~moved])
         # As one matrix: products of three rows each take three times as long.

@@ -15,9 +15,6 @@ from casadical.measurements.kinds.distance import Distance
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 
-# A slope against the lens's axis beyond which nothing is in an image.
-STEEPEST = 2.0
-
 
 def with_far_ends(
     m: Measurements, sets: Sequence[Measurements], where: Mapping[str, Array], stops: Stops
@@ -77,7 +74,8 @@ def images_of(p: Array, R: Array) -> Mapping[str, Array]:
     seen = {"fixed": (p, np.tile(np.eye(3), (len(p), 1, 1))), "carried": (-np.einsum("nji,nj->ni", R, p), -R)}
     images: dict[str, Array] = {}
     for side, (c, turn) in seen.items():
-        slope = np.minimum(np.hypot(c[:, 0], c[:, 1]) / np.maximum(np.abs(c[:, 2]), 1e-9), STEEPEST)
+        # A slope against the lens's axis beyond which nothing is in an image.
+        slope = np.minimum(np.hypot(c[:, 0], c[:, 1]) / np.maximum(np.abs(c[:, 2]), 1e-9), 2.0)
         parts = {"depth": c * [0, 0, 1], "radial": c * [1, 1, 0] * (slope**2)[:, None]}
         for what, part in parts.items():
             images |= dict(zip(image_columns(side, what), np.einsum("nij,nj->in", turn, part), strict=True))

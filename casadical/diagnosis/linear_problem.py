@@ -30,20 +30,11 @@ from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
 
-# Compliances are known from data sheets to about themselves: a joint 2.5 times softer is no rarity; a narrower prior
-# makes an effect out of it (with 0.5, three of four false claims on such a robot in MuJoCo; with 1.0 none).
-COMPLIANCE_SHARE = 1.0
 # A pose is left out at first if its residual is beyond so many spreads (scaled median absolute deviations).
 GROSS = 5.0
-# Repeated poses count for no more degrees of freedom than this: those measured one after the other share slow errors.
-MOST_FREEDOM = 60
-# Logarithm by which the ratio of two noises may be off.
-SAME_RATIO = 0.2
 # Of tables of fewer numbers, so many at most, likelihoods are averaged over what their noise may be (of more it is
 # known to 7 %); not of one that is less than this share of all numbers, which tells little.
 UNSURE, MOST_UNSURE, LEAST_OF_ALL = 100, 2, 0.1
-# One sigma, in sizes, of parameters of effects that the robot has: as good as fixed.
-HELD = 1e-3
 
 
 @dataclass(eq=False)
@@ -353,6 +344,8 @@ def _problem(
     declared = lengths[0] if any(m.sigma for m in seen.sets) else 0.0
     each = zip(seen.sets, lengths, strict=True)
     sheet = 0.0 if declared else min((m.datasheet * lengths[0] / own for m, own in each if m.datasheet), default=0.0)
+    # Repeated poses count for no more degrees of freedom than this: those measured one after the
+    # other share slow errors.
     whole = Evidence(
         r,
         np.concatenate([seen.linear.J, seen.U], axis=2) if seen.U.size else seen.linear.J,
@@ -361,7 +354,7 @@ def _problem(
         E,
         held=E.held,
         Jq=seen.Jq,
-        known=KnownNoise(declared, sheet, again.sigma, min(again.freedom, MOST_FREEDOM)),
+        known=KnownNoise(declared, sheet, again.sigma, min(again.freedom, 60)),
         measured=seen.measured,
         size=seen.size,
         alike=seen.alike,
@@ -415,7 +408,8 @@ def better_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
     more = Ratios(tuple(sigmas))
     change = np.log([a for k in range(len(sigmas)) for a in np.divide(more.of_set(k), known.of_set(k))])
     counts = [bool(n) for m in seen.sets for n in (find_kind(m.kind).lengths, find_kind(m.kind).angles)]
-    return more if np.abs(change[counts]).max() > SAME_RATIO else None
+    # Logarithm by which the ratio of two noises may be off.
+    return more if np.abs(change[counts]).max() > 0.2 else None
 
 
 def widths(effects: Sequence[Effect]) -> Array:
@@ -438,7 +432,11 @@ def base_prior(robot: Robot, free: Collection[str] = ()) -> Array:
 
     def sigma(p: Parameter) -> float:
         if p.group in held:
-            return HELD * p.scale
-        return COMPLIANCE_SHARE * p.value if p.group == "compliance" and p.value > 0 else p.prior
+            # One sigma, in sizes, of parameters of effects that the robot has: as good as fixed.
+            return 1e-3 * p.scale
+        # Compliances are known from data sheets to about themselves: a joint 2.5 times softer is no
+        # rarity; a narrower prior makes an effect out of it (with 0.5, three of four false claims
+        # on such a robot in MuJoCo; with 1.0 none).
+        return p.value if p.group == "compliance" and p.value > 0 else p.prior
 
     return np.array([sigma(p) for p in robot.parameters])

@@ -23,8 +23,6 @@ from casadical.measurements.measurements import Measurements
 from casadical.robot.model import constants_of
 from casadical.robot.robot import Robot
 
-# A direction of a part is left out if one size of it moves all poses together by less than this [m].
-NOTHING = 3e-9
 # Variables of the measured point, the last of the seams.
 POINT = 3
 # Behind a condition's name, before the number of the reading at a pose.
@@ -152,10 +150,6 @@ def signatures(robot: Robot, effects: Sequence[Effect], m: Measurements, values:
     return linear.columns(effects), linear.J, linear.Jq
 
 
-# Factors of up to so many bytes are kept once they were made.
-KEPT = 100_000_000
-
-
 @dataclass(eq=False)
 class Made:
     """What was made of columns: their factors at all poses of the linearisation, and the sizes of their parameters."""
@@ -237,7 +231,8 @@ class EffectColumns:
 
     @property
     def _few(self) -> bool:
-        return 8 * len(self.linear.q) * self.shape[2] <= KEPT
+        # Factors of up to so many bytes are kept once they were made.
+        return 8 * len(self.linear.q) * self.shape[2] <= 100_000_000
 
     def factors(self, blocks: Array | slice = EVERY) -> Factors:
         """All columns at some poses as factors of the seams (see `Linearisation.S`)."""
@@ -291,7 +286,9 @@ class EffectColumns:
                 for start in range(0, self.shape[0], BLOCK):
                     poses = slice(start, start + BLOCK)
                     normal += self._factors_of(first + part, poses).products(self.levers(poses))
-                directions.append((first + part, directions_of(normal, NOTHING)))
+                # A direction of a part is left out if one size of it moves all poses together by
+                # less than this [m].
+                directions.append((first + part, directions_of(normal, 3e-9)))
         return replace(self, directions=tuple(directions))
 
     def after(self, column: int) -> EffectColumns:

@@ -36,14 +36,10 @@ from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Noise
 
-# Of smooth errors, more poses make the shares no more accurate, and cost the third power of their number.
-MOST_POSES = 120
 # Poses at which causes are shared out.
 OF_CAUSES = 1000
 ROUNDS = 40
 PART_DRAWS = 200
-# Errors that are less probable lie outside of a 95 % interval.
-TAIL = 0.025
 # Sizes that are tried, as a share of what would explain an even part of all, and how many of these are drawn.
 SIZES, SIZE_DRAWS = np.geomspace(1e-4, 1e2, 61), 20
 SIZE = 30e-6
@@ -64,7 +60,8 @@ def components(case: Case, noise: Noise, columns: Array, seed: int, remains: flo
     energy, left = _of_causes(case, noise, columns, rng)
     for part in _levers(case):
         energy.setdefault(part, np.zeros(PART_DRAWS))
-    if remains > TAIL:
+    # Errors that are less probable lie outside of a 95 % interval.
+    if remains > 0.025:
         smooth = _of_smooth_errors(case, noise, left, rng)
         there = rng.permutation(PART_DRAWS) < round(remains * PART_DRAWS)
         for part, drawn in smooth.items():
@@ -74,7 +71,9 @@ def components(case: Case, noise: Noise, columns: Array, seed: int, remains: flo
 
 def _of_smooth_errors(case: Case, noise: Noise, left: Evidence, rng: np.random.Generator) -> dict[str, Array]:
     """Draws of the mean square that smooth errors of each part explain; left : the problem that causes leave."""
-    kept = _some(np.flatnonzero(case.kept), MOST_POSES, rng)
+    # Of smooth errors, more poses make the shares no more accurate, and cost the third power of
+    # their number.
+    kept = _some(np.flatnonzero(case.kept), 120, rng)
     functions = _functions(case)[kept]
     E = [(part, _products(lever[kept], functions)) for part, lever in _levers(case).items()]
     for j, joint in enumerate(case.given.joints, 1):

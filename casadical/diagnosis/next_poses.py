@@ -32,9 +32,6 @@ from casadical.measurements.measurements import Noise, unmeasured
 from casadical.pose_selection.candidates import LaterPoses, campaign_payloads, later_poses
 from casadical.pose_selection.workspace import Workspace
 
-# One sigma, in sizes, of a cause's parameters before the data.
-WIDE = 2.0
-
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
@@ -57,7 +54,8 @@ def predict_cause(case: Case, variant: tuple[Effect, ...], noise: Noise, poses: 
     for units in (case.units, combinations):
         J = J if units is None else J @ units
     new = np.concatenate([J, E * widths(variant)], axis=2)
-    fit = new_fit(replace(old, held=np.full(old.width, WIDE)), case.group(variant), noise, combined=False)
+    # One sigma, in sizes, of a cause's parameters before the data.
+    fit = new_fit(replace(old, held=np.full(old.width, 2.0)), case.group(variant), noise, combined=False)
     return Prediction(new @ fit.x, new @ fit.root.T)
 
 

@@ -10,10 +10,6 @@ from casadical.diagnosis.cross_validation import held_out_errors, partitions
 from casadical.diagnosis.evidence import Evidence
 from casadical.measurements.measurements import Measurements, Noise
 
-# Readings that differ by less than this [rad or m] are one pose; the model's own small difference is taken off.
-SAME_POSE = 1e-3
-# Fewer degrees of freedom than this leave the noise uncertain by more than a fifth.
-ENOUGH = 12
 # Usual share of poses that the instrument gets wrong, and how many times their noise is the usual one.
 OUTLIERS, TIMES = 0.01, np.geomspace(3.0, 300.0, 9)
 _CIRCUMSTANCE = re.compile(r"payload_kg|approach\d+|(tool|session)_.*")
@@ -35,7 +31,8 @@ class Replicates:
     @property
     def enough(self) -> bool:
         """Whether they are enough to go by."""
-        return self.freedom >= ENOUGH
+        # Fewer degrees of freedom than this leave the noise uncertain by more than a fifth.
+        return self.freedom >= 12
 
 
 def replicates(
@@ -47,7 +44,9 @@ def replicates(
     """
     circumstances = [values for name, values in m.conditions.items() if _CIRCUMSTANCE.fullmatch(name)]
     circumstances += [] if apart is None else [apart]
-    key = np.column_stack([np.round(m.q / SAME_POSE), *circumstances])[kept]
+    # Readings that differ by less than this [rad or m] are one pose; the model's own small
+    # difference is taken off.
+    key = np.column_stack([np.round(m.q / 1e-3), *circumstances])[kept]
     _, group, counts = np.unique(key, axis=0, return_inverse=True, return_counts=True)
     group = group.ravel()
     means = np.zeros((len(counts), r.shape[1]))

@@ -33,8 +33,6 @@ BETWEEN = 0.07
 SHARE, TIMES, FOUND_IN = 0.05, 4.0, 3
 # A joint that scatters repeats so many times worse than the others, each at the noise grid's ratios.
 SCATTERS = 8.0
-# Beside causes, other forms are not asked for where plain noise alone has more probability.
-PLAIN = 0.9
 # Log evidence over plain noise from which causes and laws are judged again by noise that follows itself.
 FORM_GAIN = 10.0
 
@@ -47,7 +45,8 @@ def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collec
     """
     if case.form.stays:
         return replace(ranking, noise_form=FOLLOWING)
-    seen = ranking.none <= (PLAIN if len(chosen) else DETECT)
+    # Beside causes, other forms are not asked for where plain noise alone has more probability.
+    seen = ranking.none <= (0.9 if len(chosen) else DETECT)
     if len(chosen) and not seen:
         return ranking
     prior = PRIOR_FURTHER if len(chosen) else PRIOR_FIRST

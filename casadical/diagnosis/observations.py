@@ -29,8 +29,6 @@ from casadical.robot.robot import Robot
 
 # Logged columns that are of the stop and not of the reading.
 _OF_STOP = re.compile(r"payload_kg|approach\d+|(tool|session)_.*")
-# One sigma of an unknown point about where the base fit has it [m]: wide beside what a cause moves it.
-POINT_WIDTH = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -361,7 +359,9 @@ def _known_points(identification: Identification, where: Mapping[str, Array]) ->
     They lie near where the base fit has them, and known distances are between some.
     """
     number, p = {name: i for i, name in enumerate(where)}, np.array([*where.values()]).reshape(-1, 3)
-    precision, right = np.eye(p.size) / POINT_WIDTH**2, np.zeros(p.size)
+    # One sigma of an unknown point about where the base fit has it [m]: wide beside what a cause
+    # moves it.
+    precision, right = np.eye(p.size) / 0.1**2, np.zeros(p.size)
     for k, m in enumerate(identification.measurements):
         for first, second, length in m.separations:
             i, j = number[f"{k}/{first}"], number[f"{k}/{second}"]

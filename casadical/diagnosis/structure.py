@@ -39,21 +39,13 @@ CHANCE = 1e-3
 MOST_POSES, MOST_FOLLOWING = 600, 4000
 # Sines of an angle up to these cycles a turn together; beyond, of a joint's own angle, each for itself up to the last.
 TOGETHER, LAST_LINE = 3, 140.0
-# Drivers that are said.
-MOST = 3
-# Cosines of the rank of what is no angle.
-COSINES = 4
 # Squares scatter like those of noise if their degrees of freedom are this share of the numbers at least; and noise is
 # alike in all directions if chance alone makes them differ as much so often.
 LIKE_NOISE, ISOTROPIC = 0.6, 1e-4
 # Poses that are compared with all others in one go.
 AT_ONCE = 512
-# Decimals of a squared distance: of poses on a grid many are equally near, within rounding.
-SAME_PLACE = 9
 # Of poses one after the other.
 BEFORE = "the pose before"
-# Directions of which a share of this is linear in others move nothing more.
-RANK = 1e-6
 
 
 @dataclass(frozen=True)
@@ -164,7 +156,8 @@ class _White:
         sure = _sure(tests, len(tests))
         each = {s.line[0] if s.line else s.over: s for s in reversed(sure)}  # of a joint's lines the surest
         tails = self.freedom >= LIKE_NOISE * (self.e.count - self._taken)
-        return Remainder(tuple([*reversed(each.values())][:MOST]), tails and self._isotropic())
+        # Drivers that are said.
+        return Remainder(tuple([*reversed(each.values())][:3]), tails and self._isotropic())
 
     def lines(self) -> tuple[tuple[int, float], ...]:
         """The surest line of each joint, among all that are tried."""
@@ -221,7 +214,8 @@ class _White:
         scale = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-300))
         value, vector = np.linalg.eigh(normal / scale[:, :, None] / scale[:, None])
         turned = np.einsum("gij,gi->gj", vector, right / scale)
-        seen = value > RANK
+        # Directions of which a share of this is linear in others move nothing more.
+        seen = value > 1e-6
         part = np.where(seen, turned**2 / np.where(seen, value, 1.0), 0.0).sum(axis=1) / float(self.squares.sum())
         return zip(part.tolist(), seen.sum(axis=1).tolist(), strict=True)
 
@@ -285,7 +279,8 @@ def _nearest(q: Array) -> Array:
         some = slice(first, first + AT_ONCE)
         apart = square[some, None] + square - 2 * q[some] @ q.T
         apart[np.arange(len(apart)), first + np.arange(len(apart))] = np.inf
-        nearest[some] = apart.round(SAME_PLACE).argmin(axis=1)
+        # Decimals of a squared distance: of poses on a grid many are equally near, within rounding.
+        nearest[some] = apart.round(9).argmin(axis=1)
     return nearest
 
 
@@ -375,4 +370,5 @@ def sines(angle: Array, cycles: range | list[float]) -> Array:
 def _cosines(values: Array) -> Array:
     """Of the rank of the values, from zero to one."""
     rank = (np.argsort(np.argsort(values, kind="stable")) + 0.5) / len(values)
-    return np.stack([np.cos(np.pi * k * rank) for k in range(1, COSINES + 1)], axis=1)
+    # The first four cosines of the rank of what is no angle.
+    return np.stack([np.cos(np.pi * k * rank) for k in range(1, 5)], axis=1)

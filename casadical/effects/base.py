@@ -110,8 +110,6 @@ def compared(turning: Collection[int], first: int, last: int) -> Sequence[int]:
     return [j for j in there if j in turning] or there
 
 
-# A great torque that is none: of a robot without masses [N m or N].
-UNLOADED = 1e-6
 # Of a rigid joint [N m/rad or N/m]: 10 kN m turn it by 1e-8 rad.
 RIGID = 1e12
 
@@ -227,7 +225,8 @@ class Counterparts:
         spread : whether a link's own weight is spread along it
         """
         made, great = self, self.greatest(link, link + 1) if link else self.great(None)
-        if great < UNLOADED:
+        # A great torque that is none: of a robot without masses [N m or N].
+        if great < 1e-6:
             return made.without(label, "no weight loads it")
         k = tuple(great / size if size > 0 else np.inf for size in sizes.values())
         wrong = tuple(name for name, size in sizes.items() if size < 0)

@@ -204,10 +204,6 @@ class BaseCompliance(Effect):
         return replace(simulator.with_springs(self.label, v, 0), base_below=self.below)
 
 
-# A link shorter than this share of the longest bends a thirtieth of it.
-BEAM = 0.3
-
-
 @dataclass(frozen=True)
 class LinkFlexure(Effect):
     """A turn is that of the link's end about its axis, under the greatest torque of the joints at its two ends.
@@ -236,7 +232,8 @@ class LinkFlexure(Effect):
         Where their weights are declared, with these at the mass centres or spread.
         """
         lengths = np.array([np.hypot(j.a, j.d) for j in arm.joints[1:]])
-        links = (np.flatnonzero(lengths >= BEAM * lengths.max(initial=0.0)) + 1).tolist()
+        # A link shorter than this share of the longest bends a thirtieth of it.
+        links = (np.flatnonzero(lengths >= 0.3 * lengths.max(initial=0.0)) + 1).tolist()
         bodies = (arm.joints[k - 1].body for k in links)
         heavy = any(body.mass > 0 for body in bodies if body)
         return (cls(None, k, spread) for spread in (False, True)[: 1 + heavy] for k in links)

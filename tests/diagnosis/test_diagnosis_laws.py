@@ -173,7 +173,7 @@ def test_products_of_functions_of_each_column_are_those_of_the_columns(stays: fl
     G, b = screen.products(*problem.in_order(places, functions))
     for k in range(functions.shape[-1]):
         columns = np.concatenate([places * part[:, None, :, k] for part in functions], axis=2)
-        projection = problem.evidence.projection(float(RHOS[2]))
+        projection = problem.evidence.projected(float(RHOS[2]))
         white = projection.columns(problem.white(columns))
         np.testing.assert_allclose(G[k], white.T @ white, rtol=1e-6, atol=1e-6 * np.abs(G[k]).max())
         np.testing.assert_allclose(b[k], white.T @ projection.y, rtol=1e-6, atol=1e-6 * np.abs(b[k]).max())

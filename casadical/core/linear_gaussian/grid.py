@@ -9,8 +9,6 @@ from casadical.core.basics import Array
 
 # A sigma counts where the log likelihood may come within so much of a group's greatest one.
 NEGLIGIBLE = 40.0
-# Factors of a determinant that are multiplied before a logarithm is taken.
-AT_ONCE = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +70,8 @@ def gain(unit: Array, sigma: Array | float, value: Array, square: Array) -> Arra
         wide = unit + v
         total += s / wide
         product *= wide
-        if k % AT_ONCE == 0 or k == value.shape[1]:
+        # Factors of a determinant that are multiplied before a logarithm is taken.
+        if k % 8 == 0 or k == value.shape[1]:
             log += np.log(product)
             product[:] = 1.0
     return np.asarray(0.5 * (total / sigma**2 - log + value.shape[1] * np.log(unit)))

@@ -24,10 +24,6 @@ if TYPE_CHECKING:
 
 # A wide group is judged at the likely points alone: where log evidence is within so much of the best known.
 REACH = 25.0
-# It is not judged any further where it is so much less likely than nothing.
-HOPELESS = 50.0
-# Models that are kept ready for judging further groups.
-MOST_KEPT = 2
 # Sums of other blocks are made from those of known ones where at most this share of the blocks differs.
 FEW = 0.2
 
@@ -145,7 +141,8 @@ class Marginals:
         key = columns.tobytes()
         if key not in self._chosen:
             made = self._join(columns) if len(columns) else self._base()
-            if len(self._chosen) > MOST_KEPT:
+            # Models that are kept ready for judging further groups.
+            if len(self._chosen) > 2:
                 self._chosen.pop(next(iter(self._chosen)))
             self._chosen[key] = made
         return self._chosen[key]
@@ -234,7 +231,8 @@ class Marginals:
                     out[k] -= loss_of_finer_noise(self.model, chosen.log_base[k])[:, None]
                 if out[k].max() < top - REACH:
                     break
-                if out[k].max() < float(chosen.log_base.max()) - HOPELESS:
+                # It is not judged any further where it is so much less likely than nothing.
+                if out[k].max() < float(chosen.log_base.max()) - 50.0:
                     return
                 top = max(top, float(out[k].max()))
                 i += step

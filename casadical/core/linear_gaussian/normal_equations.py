@@ -11,9 +11,6 @@ from scipy.linalg.lapack import dtrtri
 
 from casadical.core.basics import Array
 
-# What round-off may take from a matrix of unit diagonal: where it is not positive definite, so much is added.
-ROUND_OFF = 1e-10
-
 
 @dataclass(frozen=True, eq=False)
 class NormalSums:
@@ -118,4 +115,6 @@ def _factor(normal: Array) -> Array:
     try:
         return np.linalg.cholesky(normal)
     except np.linalg.LinAlgError:
-        return np.linalg.cholesky(normal + ROUND_OFF * np.eye(len(normal)))
+        # What round-off may take from a matrix of unit diagonal: where it is not positive definite,
+        # so much is added.
+        return np.linalg.cholesky(normal + 1e-10 * np.eye(len(normal)))

@@ -26,16 +26,12 @@ from casadical.robot.robot import Robot
 Point: TypeAlias = tuple[float, float, float]
 # Where instruments stand: so many directions around the robot, at these distances from it, in reaches.
 DIRECTIONS, DISTANCES = 8, (1.5, 2.5, 4.0)
-# Less of a way out of the foot that is level is none.
-LEVEL = 0.1
 # A step in those of other settings: a station's angle about the robot [rad], a share of its distance; a target's angle.
 TURN, FARTHER, LOOK = 3.0, 6.0, 9.0
 # Waves over the range by their radians a metre: bands, each with places of its own, and the step between two waves.
 BANDS, APART = (2.0, 4.0, 8.0, SLOW), 0.25
 # Places for them: distances in reaches, and angles above the horizon [rad].
 FAR, LOW, HIGH = (1.0, 1.6, 3.0), -0.15, 0.6
-# A phase runs by so much over the spread of the poses from one direction to the next [rad].
-PHASE = 2.0
 # Products of so many numbers are made at a time; so many places are judged.
 AT_A_TIME, JUDGED = 500_000, 24
 # Places are looked for by so many poses, spread over all. A band that needs more products (some seconds) is left out.
@@ -134,7 +130,8 @@ class Beam:
         far = max(float(np.linalg.norm(out)), self.reach)
         # At the foot, or straight above it, the way out is any.
         way = out / np.linalg.norm(out) if out.any() else np.eye(3)[0]
-        aside = np.cross(np.eye(3)[2] if np.hypot(way[0], way[1]) > LEVEL else np.eye(3)[0], way)
+        # Less of a way out of the foot that is level is none.
+        aside = np.cross(np.eye(3)[2] if np.hypot(way[0], way[1]) > 0.1 else np.eye(3)[0], way)
         aside /= np.linalg.norm(aside)
         moves = (TURN * far * aside, TURN * far * np.cross(way, aside), FARTHER * far * way)
         places = [_rounded(law.station + sign * step * move) for move in moves for sign in (-1, 1)]
@@ -188,7 +185,9 @@ class Beam:
         point, pull = point[some], pull[some]
         size, place, settings = np.zeros(0), np.zeros((0, 3)), 0
         for low, high in itertools.pairwise(BANDS):
-            if (step := PHASE / (high * spread)) > 2 * np.pi / DIRECTIONS:
+            # A phase runs by so much over the spread of the poses from one direction to the next
+            # [rad].
+            if (step := 2.0 / (high * spread)) > 2 * np.pi / DIRECTIONS:
                 continue
             places, waves = self.middle + self.reach * _directions(step), np.arange(low, high, APART)
             if len(places) * len(waves) * len(point) > MOST_PRODUCTS:

@@ -40,8 +40,6 @@ from casadical.measurements.measurements import Noise
 
 # Laws are searched on so many poses at most, spread over the campaign: its time grows with the poses.
 MOST_POSES = 600
-# Candidates beside which the form of noise that follows itself is looked for.
-MOST_BESIDE = 3
 # A law is a listed effect by another name if their columns correlate by more.
 CORRELATION = 0.95
 
@@ -140,7 +138,8 @@ def as_noise_follows(case: Case, ranking: Ranking) -> Case | None:
         return None
     variants = {c.label: c.variants for c in case.candidates}
     groups = [(0.0, NONE)]
-    for label in [label for label in ranking.order if label in variants][:MOST_BESIDE]:
+    # Candidates beside which the form of noise that follows itself is looked for.
+    for label in [label for label in ranking.order if label in variants][:3]:
         groups.append((ranking.log_factor[label], case.group(variants[label][ranking.variant[label]])))
     judged = [(log, best_following(case, group)) for log, group in groups]
     _, (form, _, gain) = best_of(judged, lambda j: j[0] + j[1][2], logs=True)

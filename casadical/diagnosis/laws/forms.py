@@ -21,14 +21,6 @@ from casadical.measurements.measurements import Measurements
 
 LETTERS = "abcdefghijklmnopqs"
 LAGS = (300, 600, 1200, 2400)
-# Of the heat of a motor under load [s].
-HEATS = (300, 1200)
-# How far back motions are remembered [mrad or mm].
-WAYS = (100, 300, 1000, 3000)
-# Half of a play [mrad or mm].
-PLAYS = (100, 300, 1000)
-# A driver that varies less is none [rad, m, K, kg, or a share].
-LEAST_SPREAD = 0.02
 # One that is larger is the rounding error of a load over none.
 LARGEST = 1e6
 
@@ -64,9 +56,12 @@ def drivers_of(arm: Arm) -> list[Driver]:
     drivers.append(Driver("payload", "linear", "payload"))
     for i in arm.numbers:
         drivers += [Driver(f"approach{i}", "linear", "approach"), Driver(f"move{i}", "signed", "move")]
-        drivers += [Driver(f"play{i}_{play}mrad", "play", "play") for play in PLAYS]
-        drivers += [Driver(f"heat{i}_{lag}s", "linear", "heat") for lag in HEATS]
-        memories = [f"memory{i}_{way}mrad" for way in WAYS]
+        # Half of a play [mrad or mm].
+        drivers += [Driver(f"play{i}_{play}mrad", "play", "play") for play in (100, 300, 1000)]
+        # Time constants of the heat of a motor under load [s].
+        drivers += [Driver(f"heat{i}_{lag}s", "linear", "heat") for lag in (300, 1200)]
+        # How far back motions are remembered [mrad or mm].
+        memories = [f"memory{i}_{way}mrad" for way in (100, 300, 1000, 3000)]
         drivers += [Driver(f"{own}{m}", "linear", "memory") for m in memories for own in ("", f"tau{i}*")]
         drivers += [Driver(f"approach{i}*{other}", "linear", "approach") for other in (f"tau{i}", f"abs(tau{i})", "t")]
         parts = (f"q{i}", f"tau{i}", f"sin(q{i})", f"cos(q{i})")
@@ -95,7 +90,8 @@ def values_of(linear: Linearisation, drivers: Sequence[Driver]) -> tuple[list[Dr
     names = names_in([parse(d.text) for d in drivers])
     at = variables(linear, names)
     values = [np.asarray(parse(d.text).values(at, NUMERIC)[0]) for d in drivers]
-    kept = [k for k, v in enumerate(values) if np.ptp(v) > LEAST_SPREAD and np.abs(v).max() < LARGEST]
+    # A driver that varies less is none [rad, m, K, kg, or a share].
+    kept = [k for k, v in enumerate(values) if np.ptp(v) > 0.02 and np.abs(v).max() < LARGEST]
     varying = [replace(drivers[k], kind="linear") if len(np.unique(values[k])) < 3 else drivers[k] for k in kept]
     return varying, np.stack([values[k] for k in kept], axis=1)
 
@@ -133,8 +129,6 @@ SLOW, FINE = 16.0, 1100.0
 POSES_FOR_FINE = 50
 # How far a wave's phase runs with a driver [rad a unit of it].
 PHASES = (-6.0, -4.5, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.5, 6.0)
-# A fine wave's phase runs off by so much at most [rad] between two frequencies of the grid.
-STEP = 1.0
 
 
 @dataclass(frozen=True)
@@ -243,7 +237,8 @@ def _turns(_x: Array) -> Array:
 
 
 def _fine(x: Array) -> Array:
-    return rounded(np.arange(SLOW + 0.5, FINE, 2 * STEP / max(np.ptp(x), 0.1))[:, None])
+    # A fine wave's phase runs off by so much at most [rad] between two frequencies of the grid.
+    return rounded(np.arange(SLOW + 0.5, FINE, 2 / max(np.ptp(x), 0.1))[:, None])
 
 
 def _cycles(x: Array) -> Array:

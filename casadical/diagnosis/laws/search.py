@@ -42,14 +42,10 @@ from casadical.effects.formula import parse
 from casadical.effects.formula_effect import Law, head_column
 from casadical.measurements.derived_columns import derive
 
-# What a law pays that can follow anything that varied with time, where the driver itself may be there.
-TIME_PRICE = 5.0
 # Laws whose evidence is computed exactly, those whose settings are refined, and those whose place is moved in any case.
 EXACT, REFINED, PLACED = 24, 6, 4
 # Nats that refined settings gain at most over those that are tried first, beyond what a law pays; with its place.
 UNREFINED, UNPLACED = 10.0, 40.0
-# Nats that a law pays for a place that is moved: three coordinates and a direction, which gain as much in noise alone.
-MOVED = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +164,9 @@ def _linear(case: Case) -> tuple[Linearisation, list[Driver]]:
 
 def _last(tried: Tried) -> float:
     """The price of a law that is the last resort."""
-    return TIME_PRICE if tried.driver.kind == "time" and tried.form in LAST_RESORT else 0.0
+    # What a law pays that can follow anything that varied with time, where the driver itself may be
+    # there.
+    return 5.0 if tried.driver.kind == "time" and tried.form in LAST_RESORT else 0.0
 
 
 def search_laws(case: Case, chosen: Array, without: frozenset[str] = frozenset(), least: float = 0.0) -> list[Scored]:
@@ -217,8 +215,6 @@ def search_laws(case: Case, chosen: Array, without: frozenset[str] = frozenset()
 # Steps of a refinement, first as shares of the driver's range (of a width: factors; of an instrument's station: angles
 # about the robot), halved when none helps.
 FIRST_STEP, HALVINGS, ROUNDS, GAIN = 0.03, 3, 10, 0.1
-# Rounds where a station is moved, too: it has three coordinates.
-ROUNDS_OF_STATION = 30
 
 
 def refined(problem: Problem, found: Scored) -> Scored:
@@ -228,13 +224,15 @@ def refined(problem: Problem, found: Scored) -> Scored:
     (tried, seam, settings), better = refined_settings(problem, found.tried, found.seam, found.settings)
     law, columns = tried.column(seam, settings)
     more = better - found.evidence
+    # Nats that a law pays for a place that is moved: three coordinates and a direction, which gain
+    # as much in noise alone.
     return replace(
         found,
         law=law,
         tried=tried,
         seam=seam,
         settings=settings,
-        score=found.score + (more if seam == found.seam else max(more - MOVED, 0.0)),
+        score=found.score + (more if seam == found.seam else max(more - 4.0, 0.0)),
         evidence=better,
         columns=columns,
         noise=likely_noise(problem.grids([columns])[0], problem.evidence.sigmas),
@@ -272,7 +270,8 @@ def refined_settings(
     best: Chosen = (tried, seam, settings)
     evidence = float(evidences([best])[0])
     step, halved = FIRST_STEP, 0
-    for _ in range(ROUNDS_OF_STATION if tried.nearby else ROUNDS if len(settings) else 0):
+    # Rounds where a station is moved, too: it has three coordinates.
+    for _ in range(30 if tried.nearby else ROUNDS if len(settings) else 0):
         of, place, s = best
         near: list[Chosen] = [(of, place, _moved(of, place, s, k, d)) for k in range(len(s)) for d in (-step, step)]
         near += [(other, len(other.seams) - 1, s) for other in of.beside(place, step)]

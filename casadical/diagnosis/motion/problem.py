@@ -28,14 +28,10 @@ from casadical.effects.motion import Cause, motion_columns
 from casadical.effects.settings import grid_points
 from casadical.measurements.measurements import Noise
 
-# Noise is what is left where the base is so many times freer than its priors.
-FREE = 8.0
 # Of white rows, whose noise is about one.
 SIGMAS = np.geomspace(0.4, 2.5, 25)
 # Share of a friction, and of the great torque, that differs from day to day; of a prior of the servo.
 DAILY, DAILY_LEAST, DAILY_SERVO = 0.15, 0.01, 0.7
-# Weight of the torque of a joint that stands.
-STANDING = 0.2
 # Most of the noise that stays from a window to the next; rounds in which noise is found, and least of a torque.
 MOST_STAYS, ROUNDS = 0.8, 3
 # A base errs by this share of the great torque, of what the servo yields, and by so much time of the motion [s].
@@ -214,7 +210,8 @@ class MotionCase:
         """The case with its noise as it is in what some causes and a base much freer than its priors leave."""
         few, every, P = self.only(columns), np.arange(len(columns)), self.base.shape[2]
         for _ in range(ROUNDS):
-            x = new_fit(replace(few.white, reference=1 / FREE), every, WHITE, combined=False).x
+            # Noise is what is left where the base is so many times freer than its priors.
+            x = new_fit(replace(few.white, reference=1 / 8), every, WHITE, combined=False).x
             noise = following(few.left(every, x[:P], x[P:]), self.first, self.floor, self.trust, self.of_log)
             few = replace(few, noise=noise)
         return replace(self, noise=few.noise)
@@ -297,7 +294,8 @@ def _trust(one: Look, rows: int) -> Array:
     """Weight of each number: of a joint that stands friction may be any torque up to its own."""
     trust = np.ones((len(one.motion.windows), rows))
     stands = one.motion.averaged((one.motion.rest > 0) * 1.0) > 0.5
-    trust[:, : one.arm.joints][stands] = STANDING
+    # Weight of the torque of a joint that stands.
+    trust[:, : one.arm.joints][stands] = 0.2
     return trust
 
 

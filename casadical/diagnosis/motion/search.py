@@ -16,8 +16,6 @@ DETECT = 0.02
 # A cause is at least so large over what is left, where it acts; a name of the whole arm, which no flaw of a joint looks
 # like, this part of it; most causes that are looked for.
 VISIBLE, OF_ARM, MOST = 0.5, 0.5, 3
-# A cause acts where it does more than this share of the most that it does.
-ACTS = 0.1
 # A usual base is within so many sigmas of its priors.
 USUAL = 2.0
 # A cause gains so much log evidence, and one that is short in time so much: there every friction has flaws.
@@ -27,9 +25,6 @@ CERTAIN, LOCAL, UNLISTED, WITHOUT_TORQUE = 30.0, 150.0, 100.0, 2.5
 # every cause as one of their shapes.
 NAMED, MARGIN, GREAT = 150.0, 40.0, 500.0
 LOCAL_CAUSES = ("contact", "zero_offset_step")
-# Beside another cause of its joint or of the arm it gains this share of that one's evidence: an equation that is
-# roughly right leaves as much, where it acts.
-NAMED_FURTHER = 0.2
 # What acts on its joint alone gains while that moves either way: what sticks one way alone is on no list. These are
 # short in time, or act where a load pulls one way.
 ONE_WAY = (*LOCAL_CAUSES, "saturation")
@@ -74,7 +69,9 @@ class Found:
         """Whether it is large, alone, true of both directions and of runs that were not fitted."""
         local = self.label.startswith(LOCAL_CAUSES)
         alone = self.probability >= CLAIM and (local or self.gain >= min(self.rival + MARGIN, GREAT))
-        great = self.gain >= max(NAMED, NAMED_FURTHER * self.before)
+        # Beside another cause of its joint or of the arm it gains this share of that one's
+        # evidence: an equation that is roughly right leaves as much, where it acts.
+        great = self.gain >= max(NAMED, 0.2 * self.before)
         either = self.label.startswith(ONE_WAY) or min(self.ways, default=1.0) > 0
         large = self.share >= (1.0 if "@" in self.label else OF_ARM)
         return self.listed and large and great and either and alone and self.true
@@ -107,7 +104,8 @@ def share_of(case: MotionCase, columns: Array, own: Array) -> float:
     part = case.E.take(own) @ theta[np.isin(columns, own)]
     usual = np.clip(replace(case.only(NONE), r=part).fitted(NONE)[0], -USUAL, USUAL)
     beyond, left = ((a**2)[case.of_log] for a in (part - case.base @ usual, case.left(columns, x, theta)))
-    acts = np.abs(part[case.of_log]) > ACTS * np.abs(part[case.of_log]).max(axis=0)
+    # A cause acts where it does more than this share of the most that it does.
+    acts = np.abs(part[case.of_log]) > 0.1 * np.abs(part[case.of_log]).max(axis=0)
     over = (beyond * acts).sum(axis=0) / ((left + case.floor**2) * acts).sum(axis=0).clip(1e-300)
     return float(np.sqrt(over.max()))
 

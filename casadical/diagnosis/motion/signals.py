@@ -24,8 +24,6 @@ SMOOTHED, WINDOW, EDGE = 0.08, 0.1, 0.15
 RATE, MOST_WINDOWS, PAUSE = 62.5, 1500, 10.0
 # A joint below this share of its usual speed, or this speed [rad/s], stands.
 STANDS, SLOW = 0.02, 2e-3
-# A joint has not moved in a run while it is within this of where it began [rad].
-UNMOVED = 5e-3
 # Samples that a filter takes at a time, and states of which the regressor is made.
 AT_ONCE, STATES = 64, 4000
 # No reading is finer than this [rad].
@@ -233,7 +231,8 @@ def _run(
     stands = np.abs(v) < np.maximum(STANDS * np.sqrt((v**2).mean(axis=0)), SLOW)
     at = np.arange(len(t))[:, None]
     signals["rest"] = step * (at - np.maximum.accumulate(np.where(stands, -1, at), axis=0))
-    signals["unmoved"] = np.minimum.accumulate(np.abs(q - q[0]) < UNMOVED, axis=0) * 1.0
+    # A joint has not moved in a run while it is within this of where it began [rad].
+    signals["unmoved"] = np.minimum.accumulate(np.abs(q - q[0]) < 5e-3, axis=0) * 1.0
     return {"time": t[kept] - t[0], **{k: values[kept] for k, values in signals.items()}}
 
 
