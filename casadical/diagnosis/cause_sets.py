@@ -12,7 +12,7 @@ import numpy as np
 
 from casadical.core.statistics import TIE, first_of_best, ranked
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking
-from casadical.diagnosis.thresholds import MOST_CAUSES
+from casadical.diagnosis.settings import SETTINGS
 from casadical.effects import Effect
 
 # How many first causes are tried, and how many larger sets are followed.
@@ -102,7 +102,7 @@ def most_probable_set(
     search = _Search(beside, variants, listed)
     root = search.take(_Set({}, 0.0, first))
     frontier, width = [root], STARTS
-    for _ in range(MOST_CAUSES - steps):
+    for _ in range(SETTINGS.max_causes - steps):
         frontier = search.expand(search.best(search.gaining(frontier), width))
         if not frontier:
             break

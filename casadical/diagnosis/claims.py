@@ -10,7 +10,7 @@ from casadical.core.statistics import TIE, best_of, first_of_best, ranked
 from casadical.diagnosis.cross_validation import partitioned_errors, shrink_interval
 from casadical.diagnosis.result import CauseSet
 from casadical.diagnosis.search import End, State, Step, indistinguishable, next_cause
-from casadical.diagnosis.thresholds import CLAIM, DETECT_FURTHER, LEAST_ALIKE, SET_SIZE
+from casadical.diagnosis.settings import SETTINGS
 from casadical.measurements.measurements import Noise
 
 # Probabilities below this are not distinguished.
@@ -22,10 +22,11 @@ LIKELY = 0.5
 def named(state: State, end: End, seed: int) -> tuple[State, End]:
     """The state with those causes alone that are certain beside the others, and why there is no further one.
 
-    A cause is certain from `thresholds.CLAIM` on, against every other in its place and none, if the gap shrinks with it
-    on poses held out. So is a member with two or three names, which the data do not distinguish, from the same on for
-    these together. One that is there without being certain is kept if it has more evidence than each certain one and
-    is probable together with what cannot be distinguished from it; it comes first. All others in doubt are left out.
+    A cause is certain from `Settings.min_claim` on, against every other in its place and none, if
+    the gap shrinks with it on poses held out. So is a member with two or three names, which the
+    data do not distinguish, from the same on for these together. One that is there without being
+    certain is kept if it has more evidence than each certain one and is probable together with
+    what cannot be distinguished from it; it comes first. All others in doubt are left out.
     """
     if not state.steps:
         return state, end
@@ -34,7 +35,8 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
         return named(listed, "ambiguous", seed)
     there = [s for k, s in enumerate(steps) if s.labels[0] not in state.doubted and _shrinks(state, k, seed)]
     alone = len(state.steps) == 1
-    certain = [s for s in there if _is_certain(state, s) and (alone or s.ranking.none <= DETECT_FURTHER)]
+    further = SETTINGS.max_p_nothing_further
+    certain = [s for s in there if _is_certain(state, s) and (alone or s.ranking.none <= further)]
     doubtful = [s for s in there if s not in certain and _is_listed(state, s)]
     doubtful = [s for s in doubtful if sum(s.ranking.probability[k] for k in s.labels) >= LIKELY]
     strongest = best_of(doubtful, _evidence, logs=True) if doubtful else None
@@ -80,7 +82,7 @@ def _beside_others(state: State, k: int, *, first: bool = False) -> Step:
     label = step.labels[0]
     ranking = state.rank(others, keep=label if state.by_label[label].together else "")
     alike = indistinguishable(ranking, [label, *(c for c in state.listed(ranking) if c != label)])
-    certain = ranking.none <= DETECT_FURTHER and len(alike) == 1
+    certain = ranking.none <= SETTINGS.max_p_nothing_further and len(alike) == 1
     return replace(step, ranking=ranking, labels=(label,) if certain else alike[: max(2, len(alike))])
 
 
@@ -99,7 +101,9 @@ def _is_certain(state: State, step: Step) -> bool:
     each = [step.ranking.probability[k] for k in step.labels]
     own, *others = (state.by_label[k].variants[0][0] for k in step.labels)
     alike = all(own.name in e.confused_with or e.name in own.confused_with for e in others)
-    return len(each) == 1 or (alike and first_of_best(each) == 0 and min(each) >= LEAST_ALIKE and sum(each) >= CLAIM)
+    return len(each) == 1 or (
+        alike and first_of_best(each) == 0 and min(each) >= SETTINGS.min_ambiguous and sum(each) >= SETTINGS.min_claim
+    )
 
 
 def _evidence(step: Step) -> float:
@@ -126,9 +130,10 @@ def with_further(found: CauseSet | None, state: State, seed: int) -> CauseSet | 
     """The set with the names of one more cause, where one is there and most of its probability is with few of them."""
     last = state.rankings[-1]
     said = {k for step in state.steps for k in step.labels}
-    likely = [k for k in state.listed(last) if k not in said and last.probability[k] >= LEAST_ALIKE][:SET_SIZE]
+    unsaid = [k for k in state.listed(last) if k not in said]
+    likely = [k for k in unsaid if last.probability[k] >= SETTINGS.min_ambiguous][: SETTINGS.max_ambiguous]
     further = {k: last.probability[k] for k in likely}
-    if not found or last.none > DETECT_FURTHER or sum(further.values()) < LIKELY:
+    if not found or last.none > SETTINGS.max_p_nothing_further or sum(further.values()) < LIKELY:
         return found
     effects = state.by_label[likely[0]].variants[last.variant[likely[0]]]
     columns = np.union1d(state.columns(), state.case.group(effects))
@@ -162,5 +167,5 @@ def cause_set(state: State) -> CauseSet | None:
     keys = list(odds)
     # So many other sets are said.
     first = [keys[k] for k in ranked(list(odds.values()))[:3]]
-    sets = tuple((k, odds[k] / total) for k in first if odds[k] / total >= LEAST_ALIKE)
+    sets = tuple((k, odds[k] / total) for k in first if odds[k] / total >= SETTINGS.min_ambiguous)
     return CauseSet(1 / total, more / (1 + more), {k: 1 - odd / total for k, odd in against.items()}, sets, names)

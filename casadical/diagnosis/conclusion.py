@@ -7,7 +7,6 @@ import pandas as pd
 
 from casadical.core.basics import Array
 from casadical.core.statistics import ranked
-from casadical.diagnosis import thresholds
 from casadical.diagnosis.claims import cause_set, named, with_further
 from casadical.diagnosis.cross_validation import fit_of, partitioned_errors, partitions, remainders, shrink_interval
 from casadical.diagnosis.held_out_gap import Stage, course
@@ -16,6 +15,7 @@ from casadical.diagnosis.noise_account import NoiseAccount, account_of
 from casadical.diagnosis.noise_floor import noise_floor, outlier_probability, replicates
 from casadical.diagnosis.result import Cause, Diagnosis, Gap, Outlier, Verdict
 from casadical.diagnosis.search import End, State, Step
+from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.structure import joint_of_outliers
 from casadical.effects import Effect
 from casadical.identification.result import Identification
@@ -56,7 +56,7 @@ def conclude(
     verdict = _verdict(state, end, gap, rest, bool(causes), shrinks)
     exactly = with_further(cause_set(state), state, seed)
     if verdict == "explained":
-        doubted = exactly and exactly.probability < thresholds.SET_CLAIM and _remainder(state) > thresholds.MISMATCH
+        doubted = exactly and exactly.probability < SETTINGS.min_set and _remainder(state) > SETTINGS.max_flaw
         verdict = "ambiguous" if doubted else "unknown" if richer else "explained"
     if (account.is_structure or joint) and not state.steps and verdict in ("none", "explained"):
         verdict = "unknown"
@@ -89,7 +89,7 @@ def _with_richer_form(state: State, floor: float, seed: int) -> State | None:
     case, further = state.case, state.ranked()
     ranking = further.rankings[-1]
     label = ranking.order[0]
-    if ranking.none > thresholds.DETECT_FURTHER or label not in state.by_label:
+    if ranking.none > SETTINGS.max_p_nothing_further or label not in state.by_label:
         return None
     form = case.group(state.by_label[label].variants[ranking.variant[label]])
     columns = np.union1d(state.columns(), form)
@@ -123,8 +123,8 @@ def _cause(state: State, step: Step, before: Array, seed: int) -> Cause:
 
 def rivals_of(step: Step, listed: Sequence[str]) -> tuple[str, ...]:
     """Other names of a cause, or those of the listed labels, the most probable first, that remain probable."""
-    probable = (k for k in listed if k != step.labels[0] and step.ranking.probability[k] > thresholds.LEAST_ALIKE)
-    return step.labels[1:] or tuple(probable)[: thresholds.SET_SIZE - 1]
+    probable = (k for k in listed if k != step.labels[0] and step.ranking.probability[k] > SETTINGS.min_ambiguous)
+    return step.labels[1:] or tuple(probable)[: SETTINGS.max_ambiguous - 1]
 
 
 def parameter_values(
@@ -159,7 +159,7 @@ def _outliers_as_cause(
     """Errors of all poses, outliers included, and the outliers as a cause; a single one only if it is far out."""
     out = ~case.kept
     count = int(out.sum())
-    if count == 0 or (count == 1 and distance[out][0] < 2 * thresholds.OUT):
+    if count == 0 or (count == 1 and distance[out][0] < 2 * SETTINGS.outlier_distance):
         return before, ()
     whole = np.concatenate([before, left[out]])
     shrink = float(1 - before.mean() / whole.mean())
@@ -174,14 +174,14 @@ def _verdict(state: State, end: End, gap: Gap, rest: float, found: bool, shrinks
     if not found:
         return "none"
     share = (gap.before - gap.after) / max(gap.before - gap.floor, 1e-9)
-    if share < thresholds.LEAST_SHARE and (end == "unknown" or rest > thresholds.MUCH):
+    if share < SETTINGS.min_explained and (end == "unknown" or rest > SETTINGS.max_unexplained):
         return "unknown"
-    if end == "unknown" and _remainder(state) > thresholds.MISMATCH:
+    if end == "unknown" and _remainder(state) > SETTINGS.max_flaw:
         return "unknown"
     if any(len(step.labels) > 1 for step in state.steps):
         return "ambiguous"
     blocks = shrinks["blocks_mm"].to_numpy()  # what does not hold over time explains nothing
-    return "unknown" if blocks[-1] > thresholds.WORSE * blocks[0] else "explained"
+    return "unknown" if blocks[-1] > SETTINGS.max_block_ratio * blocks[0] else "explained"
 
 
 def _remainder(state: State) -> float:

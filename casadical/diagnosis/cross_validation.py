@@ -11,7 +11,7 @@ from casadical.core.linear_gaussian.columns import EVERY
 from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.statistics import first_of_best
 from casadical.diagnosis.evidence import REPEATABILITY, RHOS, SIGMAS, Evidence
-from casadical.diagnosis.thresholds import PARTITIONS
+from casadical.diagnosis.settings import SETTINGS
 from casadical.measurements.measurements import Noise
 
 FOLDS = 5
@@ -77,7 +77,7 @@ def partitions(e: Evidence, seed: int) -> list[Array]:
     """Several partitions of the poses into folds; one of many poses, whose mean hardly depends on it."""
     n = len(e.r)
     # Poses from which on one partition is enough.
-    return [random_folds(n, seed + k, alike=e.alike) for k in range(PARTITIONS if n < 400 else 1)]
+    return [random_folds(n, seed + k, alike=e.alike) for k in range(SETTINGS.partitions if n < 400 else 1)]
 
 
 def partitioned_errors(e: Evidence, columns: Array, noise: Noise, seed: int) -> Array:

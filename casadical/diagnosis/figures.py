@@ -13,8 +13,8 @@ from casadical.diagnosis.held_out_gap import NetworkGap
 from casadical.diagnosis.joint_curves import JointCurve, JointCurves
 from casadical.diagnosis.localisation import Localisation
 from casadical.diagnosis.result import Diagnosis
+from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.statements import floor_of
-from casadical.diagnosis.thresholds import PARTITIONS
 from casadical.effects.plugins import signature_of
 from casadical.identification.figures import banded, fit_figures, intervals, parameter_figures
 from casadical.identification.pose_errors import errors_by_pose, workspace
@@ -23,8 +23,8 @@ from casadical.identification.pose_errors import errors_by_pose, workspace
 COLUMNS = 2
 _GAP = (
     "The gap, here and everywhere in this report: mean distance of measured from computed positions over poses that "
-    f"the fit did not see (in fifths, {PARTITIONS} partitions), outliers left out, with a 95 % interval over poses. "
-    "Noise alone: what a perfect model would leave, simulated through the same fit."
+    f"the fit did not see (in fifths, {SETTINGS.partitions} partitions), outliers left out, with a 95 % interval over "
+    "poses. Noise alone: what a perfect model would leave, simulated through the same fit."
 )
 _EACH = "Every pose is judged by a fit to others; outliers are left out. Click a name in the legend to show or hide it."
 _CURVES = (

@@ -20,7 +20,7 @@ from casadical.diagnosis.evidence import RHOS
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_evidence import Form, Problem
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, Rival
-from casadical.diagnosis.thresholds import DETECT, DETECT_FURTHER
+from casadical.diagnosis.settings import SETTINGS
 from casadical.measurements.measurements import Noise
 
 # Of the instrument.
@@ -46,7 +46,7 @@ def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collec
     if case.form.stays:
         return replace(ranking, noise_form=FOLLOWING)
     # Beside causes, other forms are not asked for where plain noise alone has more probability.
-    seen = ranking.none <= (0.9 if len(chosen) else DETECT)
+    seen = ranking.none <= (0.9 if len(chosen) else SETTINGS.max_p_nothing)
     if len(chosen) and not seen:
         return ranking
     prior = PRIOR_FURTHER if len(chosen) else PRIOR_FIRST
@@ -79,7 +79,7 @@ def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collec
 def scattering(case: Case, ranking: Ranking) -> int | None:
     """The joint (1-based) whose scatter is the most probable in a ranking, if one's is."""
     labels = {scatter_of(j): j for j in case.robot.numbers}
-    return labels.get(ranking.order[0]) if ranking.none <= DETECT_FURTHER else None
+    return labels.get(ranking.order[0]) if ranking.none <= SETTINGS.max_p_nothing_further else None
 
 
 def scatter_of(joint: int) -> str:

@@ -21,7 +21,7 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_account import NoiseAccount
 from casadical.diagnosis.noise_floor import Replicates
 from casadical.diagnosis.posterior import Ranking
-from casadical.diagnosis.thresholds import DETECT_FURTHER
+from casadical.diagnosis.settings import SETTINGS
 from casadical.effects import Effect
 from casadical.identification.pose_errors import ModelErrors, PoseErrors
 from casadical.identification.prior import Prior
@@ -322,7 +322,7 @@ class Diagnosis(Result):
         it is what the data leave for a further cause beside named ones; without any, zero.
         """
         none = self.rankings[-1].none
-        if none <= DETECT_FURTHER or self.has_rest or self.account.is_structure:
+        if none <= SETTINGS.max_p_nothing_further or self.has_rest or self.account.is_structure:
             return 1.0
         return 1 - none if self.effects() else 0.0
 

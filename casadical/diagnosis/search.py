@@ -19,21 +19,9 @@ from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_forms import other_following, with_noise_forms
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, rank
+from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.settings_search import refined
 from casadical.diagnosis.structure import lines_of
-from casadical.diagnosis.thresholds import (
-    CLAIM,
-    DETECT,
-    DETECT_FURTHER,
-    FALSE_ALARMS,
-    IN,
-    LEAST_ALIKE,
-    LEAST_FURTHER,
-    MOST_CAUSES,
-    OUT,
-    SET_SHARE,
-    SET_SIZE,
-)
 from casadical.effects import Effect, TransmissionRipple
 from casadical.measurements.measurements import Noise
 
@@ -117,7 +105,7 @@ class State:
     def _without_single(self, ranking: Ranking, chosen: Array, keep: str) -> Ranking:
         """The ranking without effects of several joints that fewer than SEVERAL of them show."""
         there = 1 - ranking.none
-        likely = [self.by_label[k] for k, p in ranking.probability.items() if p > LEAST_ALIKE * there]
+        likely = [self.by_label[k] for k, p in ranking.probability.items() if p > SETTINGS.min_ambiguous * there]
         lost = {
             c.label
             for c in likely
@@ -195,7 +183,8 @@ class State:
     def _screened(self, noise: Noise) -> State:
         case = self.case
         _, distance = remainders(case.whole, self.columns(), noise, case.kept)
-        screened = case.screened(np.where(case.kept, distance < OUT, distance < IN))
+        limit = np.where(case.kept, SETTINGS.outlier_distance, SETTINGS.inlier_distance)
+        screened = case.screened(distance < limit)
         if screened is not case:
             case.judged.forget()
         return replace(self, case=screened)
@@ -207,7 +196,7 @@ class State:
             others = (*state.steps[:k], *state.steps[k + 1 :])
             ranking = state.rank(others)
             listed = state.listed(ranking)
-            if ranking.none <= DETECT_FURTHER and listed[0] == ranking.order[0]:
+            if ranking.none <= SETTINGS.max_p_nothing_further and listed[0] == ranking.order[0]:
                 case, step = state.refined(ranking, indistinguishable(ranking, listed), others)
                 if step.effects:
                     state = replace(state, case=case, steps=(*state.steps[:k], step, *state.steps[k + 1 :]))
@@ -275,7 +264,7 @@ def search(case: Case, seed: int, bootstrap: int, show: Show, *, sets: bool = Tr
     """
     state, p_nothing = State(case), None
     end: End = "none"
-    while len(state.steps) < MOST_CAUSES:
+    while len(state.steps) < SETTINGS.max_causes:
         show(f"cause {len(state.steps) + 1}: evidence of {len(state.by_label)} candidates")
         state = state.ranked()
         ranking, known = state.rankings[-1], len(state.steps)
@@ -311,11 +300,13 @@ def next_cause(state: State, ranking: Ranking, p_nothing: float | None = None) -
         return "unknown", ()
     if there - sum(ranking.probability[k] for k in listed) > 0.5:
         # On no list, unless it has a few names, a listed one among them.
-        known = ranking.probability[listed[0]] > LEAST_ALIKE * there
-        if not known or together < SET_SHARE * there or any(state.by_label[k].name == "unknown" for k in alike):
+        known = ranking.probability[listed[0]] > SETTINGS.min_ambiguous * there
+        few = together >= SETTINGS.ambiguous_share * there
+        if not known or not few or any(state.by_label[k].name == "unknown" for k in alike):
             return "unknown", ()
         alike = tuple(alike[k] for k in ranked([ranking.probability[k] for k in alike]))
-    if state.steps and ranking.probability[listed[0]] < LEAST_FURTHER * there and together < SET_SHARE * there:
+    doubtful = ranking.probability[listed[0]] < SETTINGS.min_further * there
+    if state.steps and doubtful and together < SETTINGS.ambiguous_share * there:
         return "ambiguous", ()
     return "claimed", alike
 
@@ -323,18 +314,19 @@ def next_cause(state: State, ranking: Ranking, p_nothing: float | None = None) -
 def _detected(state: State, ranking: Ranking, p_nothing: float | None) -> bool:
     """Whether there is a (further) cause, listed or not."""
     if state.steps:
-        return ranking.none <= DETECT_FURTHER
+        return ranking.none <= SETTINGS.max_p_nothing_further
     if p_nothing is not None:
-        return p_nothing <= FALSE_ALARMS
-    return ranking.none <= DETECT
+        return p_nothing <= SETTINGS.max_bootstrap_p
+    return ranking.none <= SETTINGS.max_p_nothing
 
 
 def indistinguishable(ranking: Ranking, listed: Sequence[str]) -> tuple[str, ...]:
     """The most probable cause alone if it is certain, else with those that share the probability, listed ones first."""
     there = 1 - ranking.none
-    if ranking.probability[listed[0]] >= CLAIM * there:
+    if ranking.probability[listed[0]] >= SETTINGS.min_claim * there:
         return (listed[0],)
     alike = [k for k in (*listed, *(k for k in ranking.order if k not in listed)) if k in ranking.variant]
-    alike = [k for k in alike[1:] if ranking.probability[k] > LEAST_ALIKE * there] or alike[1:2]
+    alike = [k for k in alike[1:] if ranking.probability[k] > SETTINGS.min_ambiguous * there] or alike[1:2]
     total = np.cumsum([ranking.probability[k] for k in (listed[0], *alike)])
-    return (listed[0], *alike)[: min(SET_SIZE, 2 + int(np.searchsorted(total[1:], SET_SHARE * there)))]
+    enough = 2 + int(np.searchsorted(total[1:], SETTINGS.ambiguous_share * there))
+    return (listed[0], *alike)[: min(SETTINGS.max_ambiguous, enough)]

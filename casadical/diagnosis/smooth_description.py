@@ -9,7 +9,7 @@ import numpy as np
 from casadical.diagnosis.cross_validation import partitioned_errors, shrink_interval
 from casadical.diagnosis.posterior import Ranking, rank
 from casadical.diagnosis.result import Diagnosis, Unlisted
-from casadical.diagnosis.thresholds import DETECT_FURTHER
+from casadical.diagnosis.settings import SETTINGS
 from casadical.effects import Effect
 
 MOST_FORMS = 4
@@ -27,7 +27,7 @@ def describe_unlisted(found: Diagnosis) -> Unlisted | None:
     named = frozenset((*(c.label for c in found.causes), *(e.label for e in found.effects())))
     by_label = {c.label: c for c in case.candidates}
     ranking = found.rankings[-1].among(by_label)
-    if ranking.none > DETECT_FURTHER or by_label[ranking.order[0]].listed:
+    if ranking.none > SETTINGS.max_p_nothing_further or by_label[ranking.order[0]].listed:
         return None
     forms: dict[str, tuple[Effect, ...]] = {}
 
@@ -39,7 +39,11 @@ def describe_unlisted(found: Diagnosis) -> Unlisted | None:
         label = ranking.order[0]
         return label, by_label[label].variants[ranking.variant[label]]
 
-    while len(forms) < MOST_FORMS and ranking.none <= DETECT_FURTHER and ranking.probability[ranking.order[0]] > 0.5:
+    while (
+        len(forms) < MOST_FORMS
+        and ranking.none <= SETTINGS.max_p_nothing_further
+        and ranking.probability[ranking.order[0]] > 0.5
+    ):
         label, variant = best(ranking)
         forms[label] = variant
         ranking = ranked()

@@ -19,7 +19,7 @@ from casadical.diagnosis.localisation import Localisation
 from casadical.diagnosis.next_poses import discrimination_probability, kinds_of_poses
 from casadical.diagnosis.noise_account import Rule
 from casadical.diagnosis.result import Cause, Diagnosis
-from casadical.diagnosis.thresholds import CLAIM, DETECT, DETECT_FURTHER, SET_CLAIM
+from casadical.diagnosis.settings import SETTINGS
 from casadical.identification.gravity import in_words as gravity_in_words
 
 # Of the probability that a decision stands on: it is said to be just above or below its threshold where the odds
@@ -142,7 +142,7 @@ def claims_near(d: Diagnosis) -> Iterator[tuple[str, str, float]]:
     ranking, listed = d.rankings[-1], {c.label for c in d.case.candidates if c.listed}
     dropped = {k: ranking.probability[k] for k in ranking.order[:1] if k in listed and k not in judged}
     for label, p in {**judged, **dropped}.items():
-        if (side := _beside(p, CLAIM)) and (label in judged or side == "below"):
+        if (side := _beside(p, SETTINGS.min_claim)) and (label in judged or side == "below"):
             yield label, side, p
 
 
@@ -152,8 +152,8 @@ def detections_near(d: Diagnosis) -> Iterator[tuple[str, str, str, float, float]
     Each with what is there, the name of nothing, the side, the probability of nothing and its threshold.
     """
     detected = (
-        (d.p_nothing is None, "anything", "nothing", d.rankings[0].none, DETECT),
-        (bool(d.effects()), "something further", "no further one", d.rankings[-1].none, DETECT_FURTHER),
+        (d.p_nothing is None, "anything", "nothing", d.rankings[0].none, SETTINGS.max_p_nothing),
+        (bool(d.effects()), "something further", "no further one", d.rankings[-1].none, SETTINGS.max_p_nothing_further),
     )
     for asked, what, name, none, least in detected:
         if asked and (side := _beside(1 - none, 1 - least)):
@@ -202,9 +202,9 @@ _TEMPLATES = Path(__file__).parent
 # What the templates ask for beside the diagnosis.
 _SAYS: dict[str, Any] = {
     "NEW": NEW,
-    "DETECT": DETECT,
-    "CLAIM": CLAIM,
-    "SET_CLAIM": SET_CLAIM,
+    "DETECT": SETTINGS.max_p_nothing,
+    "CLAIM": SETTINGS.min_claim,
+    "SET_CLAIM": SETTINGS.min_set,
     "LITTLE": LITTLE,
     "timed": lambda causes: any(of_time(c.effects) for c in causes),
     "rare": lambda d, label: any(c.label == label and c.name != "unknown" for c in d.case.candidates),

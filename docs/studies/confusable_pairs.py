@@ -23,7 +23,7 @@ from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.next_poses import next_poses
 from casadical.diagnosis.posterior import rank
-from casadical.diagnosis.thresholds import CLAIM, DETECT
+from casadical.diagnosis.settings import SETTINGS
 from casadical.identification.identification import identify
 from casadical.measurements.reading import from_table
 from casadical.pose_selection import Workspace
@@ -159,7 +159,7 @@ def trial(robot, pair, number):
     rows = {}
     for kind, r in found.items():
         top, p = r.order[0], r.probability[truth]
-        claims = r.none < DETECT and r.probability[top] >= CLAIM * (1 - r.none)
+        claims = r.none < SETTINGS.max_p_nothing and r.probability[top] >= SETTINGS.min_claim * (1 - r.none)
         rows[kind] = (top == truth, claims, claims and top != truth, p > r.probability[rival], p, top)
     return rows, proposal
 

@@ -7,8 +7,8 @@ import re
 from pathlib import Path
 
 from casadical.diagnosis import posterior as which
-from casadical.diagnosis import thresholds as rules
 from casadical.diagnosis.candidates import Candidate, extended_candidates, standard_candidates
+from casadical.diagnosis.settings import SETTINGS
 from casadical.effects.plugins import signature_of
 from casadical.project.problem import read_campaign_robot
 
@@ -98,22 +98,28 @@ def _physics(candidates: list[Candidate]) -> str:
 
 
 def _thresholds() -> str:
-    d = rules
+    d = SETTINGS
     first, further = which.PRIOR_FIRST, which.PRIOR_FURTHER
     rows = [
         ("prior of nothing / a listed effect / the unknown, first cause", _shares(first)),
         ("the same, for a further cause", _shares(further)),
         ("prior factor of a further cause at a joint that has one", f"{which.SAME_JOINT:g}"),
-        ("something is there if P(nothing) is at most", f"{d.DETECT:g}"),
-        ("the same for a further cause", f"{d.DETECT_FURTHER:g}"),
-        ("with a bootstrap: something is there if noise alone looks like it so often at most", f"{d.FALSE_ALARMS:g}"),
-        ("one cause is claimed from a probability of", f"{d.CLAIM:g}"),
-        ("named causes explain if exactly these have a probability of", f"{d.SET_CLAIM:g}"),
-        ("a further cause is taken up from a probability of", f"{d.LEAST_FURTHER:g}"),
-        ("an unlisted remainder of this share of the evidence makes the verdict unknown", f"{d.MISMATCH:g}"),
-        ("a set holds this share of the probability, and at most so many", f"{d.SET_SHARE:g}, {d.SET_SIZE}"),
-        ("squared Mahalanobis distance of an outlier / of one taken back", f"{d.OUT:g} / {d.IN:g}"),
-        ("most causes, partitions into five folds", f"{d.MOST_CAUSES}, {d.PARTITIONS}"),
+        ("something is there if P(nothing) is at most", f"{d.max_p_nothing:g}"),
+        ("the same for a further cause", f"{d.max_p_nothing_further:g}"),
+        (
+            "with a bootstrap: something is there if noise alone looks like it so often at most",
+            f"{d.max_bootstrap_p:g}",
+        ),
+        ("one cause is claimed from a probability of", f"{d.min_claim:g}"),
+        ("named causes explain if exactly these have a probability of", f"{d.min_set:g}"),
+        ("a further cause is taken up from a probability of", f"{d.min_further:g}"),
+        ("an unlisted remainder of this share of the evidence makes the verdict unknown", f"{d.max_flaw:g}"),
+        ("a set holds this share of the probability, and at most so many", f"{d.ambiguous_share:g}, {d.max_ambiguous}"),
+        (
+            "squared Mahalanobis distance of an outlier / of one taken back",
+            f"{d.outlier_distance:g} / {d.inlier_distance:g}",
+        ),
+        ("most causes, partitions into five folds", f"{d.max_causes}, {d.partitions}"),
     ]
     return "\n".join(["| threshold | value |", "|---|---|", *(f"| {what} | {value} |" for what, value in rows)])
 

@@ -13,13 +13,13 @@ from casadical.blind_check.mujoco_physics import campaign, perturb
 from casadical.diagnosis.bootstrap import noise_odds
 from casadical.diagnosis.candidates import standard_candidates
 from casadical.diagnosis.linear_problem import Case, make_case
-from casadical.diagnosis.thresholds import DETECT
+from casadical.diagnosis.settings import SETTINGS
 from casadical.identification.identification import identify
 from casadical.measurements.reading import from_table
 
 ROOT = Path(__file__).parents[2]
 ROBOTS, POSES, CAMPAIGNS, DRAWS = ("hh800", "kr210", "ur10e"), (15, 20, 30, 40, 60, 100, 200), 3, 500
-THRESHOLDS = (0.01, 0.03, 0.05, DETECT, 0.2, 0.3)
+THRESHOLDS = (0.01, 0.03, 0.05, SETTINGS.max_p_nothing, 0.2, 0.3)
 
 
 def case(robot_name: str, poses: int, number: int) -> Case:
@@ -48,5 +48,5 @@ if __name__ == "__main__":
         for poses in POSES:
             every.append(np.mean([passes(case(robot_name, poses, k)) for k in range(CAMPAIGNS)], axis=0))
             print(f"{robot_name:6s} {poses:5d}  " + "  ".join(f"{x:7.4f}" for x in every[-1]), flush=True)
-    mean = np.mean(every, axis=0)[THRESHOLDS.index(DETECT)]
-    print(f"\nmean at the threshold of a diagnosis, {DETECT:g}: {mean:.4f}")
+    mean = np.mean(every, axis=0)[THRESHOLDS.index(SETTINGS.max_p_nothing)]
+    print(f"\nmean at the threshold of a diagnosis, {SETTINGS.max_p_nothing:g}: {mean:.4f}")

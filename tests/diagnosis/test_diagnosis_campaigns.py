@@ -13,9 +13,9 @@ from casadical.blind_check.mujoco_physics import Hidden
 from casadical.diagnosis.details import analyse
 from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.json_answer import as_json
+from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.smooth_description import describe_unlisted
 from casadical.diagnosis.text import page_of
-from casadical.diagnosis.thresholds import CLAIM
 from casadical.fleet.store import first_diagnosis, one_robot
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
@@ -151,9 +151,9 @@ def test_loose_flange_is_unknown_to_the_standard_list_and_found_by_the_extended_
 def test_a_cause_is_judged_anew_beside_the_other() -> None:
     """Alone the first cause is in doubt; with the frame's drift in the model it is certain."""
     d = diagnosed("ur10e-P09")
-    assert d.rankings[0].probability["nonlinear_stiffness@2"] < CLAIM
+    assert d.rankings[0].probability["nonlinear_stiffness@2"] < SETTINGS.min_claim
     (first,) = (c for c in d.causes if c.effect == "nonlinear_stiffness")
-    assert first.confidence >= CLAIM
+    assert first.confidence >= SETTINGS.min_claim
 
 
 def test_outliers_are_a_cause_of_their_own() -> None:

@@ -48,9 +48,9 @@ from casadical.diagnosis.linearisation import linearise
 from casadical.diagnosis.noise_evidence import PLAIN, Form
 from casadical.diagnosis.noise_forms import TAILED, best_beside_following, following, other_following
 from casadical.diagnosis.posterior import rank
+from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.text import brief
 from casadical.diagnosis.text import page_of as diagnosis_page
-from casadical.diagnosis.thresholds import DETECT
 from casadical.effects import Effect, Law
 from casadical.effects.formula import NUMERIC, parse
 from casadical.identification.accuracy import predicted
@@ -725,7 +725,7 @@ def test_the_files_are_read_again(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_what_a_law_alone_detects_is_said_as_such() -> None:
     found = diagnose(robot(NAME), turned_head(from_table(table(4), 6), 0.0, 8e-5))
-    assert found.rankings[0].none > DETECT
+    assert found.rankings[0].none > SETTINGS.max_p_nothing
     more = analyse(found, poses=1)
     assert "detected by a law; without laws P(nothing) = " in " ".join(diagnosis_page(found, more).split())
     (bars,) = next(diagnosis_figures(found, more)).series

@@ -26,9 +26,9 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_forms import other_following
 from casadical.diagnosis.posterior import rank
 from casadical.diagnosis.result import Diagnosis
+from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.settings_search import refined
 from casadical.diagnosis.smooth_description import describe_unlisted
-from casadical.diagnosis.thresholds import CLAIM, DETECT_FURTHER
 from casadical.effects import Effect
 from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
@@ -91,7 +91,8 @@ def laws_beside(found: Diagnosis, show: Show = silent, poses: int = MOST_POSES) 
         ranking = rank(case, columns, labels)
         listed = {c.label: c for c in case.candidates if c.listed}
         top = ranking.order[0]
-        if laws and top in listed and ranking.none <= DETECT_FURTHER and ranking.probability[top] >= CLAIM:
+        there = ranking.none <= SETTINGS.max_p_nothing_further
+        if laws and top in listed and there and ranking.probability[top] >= SETTINGS.min_claim:
             variant = listed[top].variants[ranking.variant[top]]
             case, more = refined(case, top, variant, columns, ranking.noise[top])
             causes, columns = (*causes, *more), np.unique(np.concatenate([columns, case.group(more)]))

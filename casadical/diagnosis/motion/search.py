@@ -9,7 +9,7 @@ from casadical.core.basics import Array
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.motion.problem import NONE, WHITE, MotionCase
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, rank
-from casadical.diagnosis.thresholds import CLAIM, DETECT_FURTHER, LEAST_ALIKE, MISMATCH, SET_SHARE, SET_SIZE
+from casadical.diagnosis.settings import SETTINGS
 
 # Something is there if "nothing" is less probable than this.
 DETECT = 0.02
@@ -68,7 +68,7 @@ class Found:
     def named(self) -> bool:
         """Whether it is large, alone, true of both directions and of runs that were not fitted."""
         local = self.label.startswith(LOCAL_CAUSES)
-        alone = self.probability >= CLAIM and (local or self.gain >= min(self.rival + MARGIN, GREAT))
+        alone = self.probability >= SETTINGS.min_claim and (local or self.gain >= min(self.rival + MARGIN, GREAT))
         # Beside another cause of its joint or of the arm it gains this share of that one's
         # evidence: an equation that is roughly right leaves as much, where it acts.
         great = self.gain >= max(NAMED, 0.2 * self.before)
@@ -163,23 +163,23 @@ def search(case: MotionCase) -> Outcome:
         skip, chosen = frozenset(f.label for f in found), columns_of(case, found)
         ranking = rank(case, chosen, skip)
         rankings = (*rankings, ranking)
-        if ranking.none > (DETECT_FURTHER if found else DETECT) or len(found) == MOST:
+        if ranking.none > (SETTINGS.max_p_nothing_further if found else DETECT) or len(found) == MOST:
             return Outcome(case, last, found, rankings)
         ranking, case = _sharper(case, found, ranking)
         rankings = (*rankings[:-1], ranking)
         one = judged(case, found, ranking)
         least = CERTAIN if one.listed else UNLISTED
         least = LOCAL if case.by_label[one.label].name == "contact" else least
-        if one.gain < max(least * (1.0 if case.unit else WITHOUT_TORQUE), MISMATCH * one.before):
+        if one.gain < max(least * (1.0 if case.unit else WITHOUT_TORQUE), SETTINGS.max_flaw * one.before):
             return Outcome(case, last, found, rankings)
         if one.share >= 1 and not one.named:
             there = 1 - ranking.none
             alike = [
                 (k, ranking.probability[k] / there) for k in ranking.order
-                if case.by_label[k].listed and ranking.probability[k] > LEAST_ALIKE * there
+                if case.by_label[k].listed and ranking.probability[k] > SETTINGS.min_ambiguous * there
             ]  # fmt: skip
-            whole = sum(p for _, p in alike[:SET_SIZE])
-            verdict: Verdict = "ambiguous" if whole > SET_SHARE and one.listed else "unknown"
+            whole = sum(p for _, p in alike[: SETTINGS.max_ambiguous])
+            verdict: Verdict = "ambiguous" if whole > SETTINGS.ambiguous_share and one.listed else "unknown"
             return Outcome(case, last if named else verdict, found, rankings, tuple(alike), one)
         found = (*found, one)
 
