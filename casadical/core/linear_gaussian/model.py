@@ -56,8 +56,9 @@ class LinearModel:
     BY_BLOCK: ClassVar[tuple[str, ...]] = ("r", "J", "noise", "measured")
 
     def __post_init__(self) -> None:
-        if isinstance(self.E, np.ndarray):
-            object.__setattr__(self, "E", ArrayColumns(self.E))
+        columns: Any = self.E
+        if isinstance(columns, np.ndarray):
+            object.__setattr__(self, "E", ArrayColumns(columns))
 
     @property
     def width(self) -> int:
@@ -77,7 +78,9 @@ class LinearModel:
     def at(self, blocks: Array) -> Self:
         """The model of some blocks."""
         given = ((name, getattr(self, name)) for name in self.BY_BLOCK)
-        some = {k: v.at(blocks) if isinstance(v, NoiseModel) else v[blocks] for k, v in given if v is not None}
+        some: dict[str, Any] = {
+            k: v.at(blocks) if isinstance(v, NoiseModel) else v[blocks] for k, v in given if v is not None
+        }
         return replace(self, E=self.E.at(blocks), **some)
 
     def combined(self, columns: Array) -> Combined:
