@@ -63,15 +63,14 @@ def candidates_of(robot: Robot, effects: str | Sequence[str | Effect | type[Effe
         return standard
     # What the robot has already is held at its value.
     own = set(robot.parameters.names)
-    new = {c.label: tuple(v for v in c.variants if own.isdisjoint(_parameters(v))) for c in standard}
+    new = {
+        c.label: tuple(v for v in c.variants if own.isdisjoint([p.name for effect in v for p in effect.parameters()]))
+        for c in standard
+    }
     if not any(new[c.label] for c in standard if c.listed):
         words = ", ".join(e if isinstance(e, str) else e.label if isinstance(e, Effect) else e.name for e in chosen)
         raise InputError(f"{words}: robot {robot.name!r} has it already, held at its value; name other effects")
     return [replace(c, variants=new[c.label]) for c in standard if new[c.label]]
-
-
-def _parameters(variant: tuple[Effect, ...]) -> list[str]:
-    return [p.name for effect in variant for p in effect.parameters()]
 
 
 def choose(

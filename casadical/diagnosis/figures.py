@@ -130,8 +130,9 @@ def posteriors(d: Diagnosis, step: int = 0) -> Figure:
     unknown = sum(p for label, p in ranking.probability.items() if label not in listed)
     rows += [("something on no list", unknown, "orange"), ("nothing", ranking.none, "grey")]
     labels, chances, colours = zip(*rows, strict=True)
+    shown = [f"{p:.3f}" if 0.001 <= p <= 0.999 else "< 0.001" if p < 0.001 else "> 0.999" for p in chances]
     bars = Series(
-        "bars", chances, range(len(rows)), colour=colours, width=0.62, text=[_probability(p) for p in chances],
+        "bars", chances, range(len(rows)), colour=colours, width=0.62, text=shown,
         facts=[[label, signature_of(label.split("@")[0])] for label in labels],
         tip="<b>%{customdata[0]}</b>: %{x:.3g}<br>%{customdata[1]}",
     )  # fmt: skip
@@ -142,10 +143,6 @@ def posteriors(d: Diagnosis, step: int = 0) -> Figure:
     x = Axis("probability", (0, 1), ticks=[0, 0.25, 0.5, 0.75, 1])
     height = 110 + 30 * len(rows)
     return Figure(f"causes/{step + 1}", title, [bars], x, height=height, caption=caption, rows=labels, right=64)
-
-
-def _probability(p: float) -> str:
-    return f"{p:.3f}" if 0.001 <= p <= 0.999 else ("< 0.001" if p < 0.001 else "> 0.999")
 
 
 def gap_course(d: Diagnosis, networks: Sequence[NetworkGap] = (), floor: float | None = None) -> Figure:

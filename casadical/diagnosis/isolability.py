@@ -101,7 +101,10 @@ class Isolability(Result):
 
     def to_json(self, campaign: str = "") -> dict[str, Any]:
         """As plain data; campaign : name of the poses. A share that is nothing, a size never found, are left out."""
-        rows = {str(k): {c: _plain(v) for c, v in row.items()} for k, row in self.effects.iterrows()}
+        rows = {
+            str(k): {c: (float(f"{v:.5g}") if np.isfinite(v) else None) for c, v in row.items()}
+            for k, row in self.effects.iterrows()
+        }
         alike = {k: {r: round(v, 4) for r, v in self.rivals(k, 0.1).items()} for k in rows}
         return {"campaign": campaign, "effects": rows, "alike": alike, "missing": self.missing}
 
@@ -231,10 +234,6 @@ def _alike(E: Array, columns: list[Array], owner: list[str]) -> pd.DataFrame:
     by_setting = pd.DataFrame(share, index=pd.Index(owner), columns=pd.Index(owner))
     best = by_setting.groupby(level=0, sort=False).max()
     return best.T.groupby(level=0, sort=False).mean().fillna(0.0).clip(0.0, 1.0)
-
-
-def _plain(value: float) -> float | None:
-    return float(f"{value:.5g}") if np.isfinite(value) else None
 
 
 def cannot_tell(d: Diagnosis) -> tuple[str, ...]:

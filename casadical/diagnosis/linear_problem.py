@@ -37,13 +37,6 @@ GROSS = 5.0
 UNSURE, MOST_UNSURE, LEAST_OF_ALL = 100, 2, 0.1
 
 
-@dataclass(eq=False)
-class Selected:
-    """The problem of the poses that are no outliers, once it was made."""
-
-    evidence: Evidence | None = None
-
-
 @dataclass(frozen=True, eq=False)
 class Case:
     """Everything that the diagnosis computes with.
@@ -58,6 +51,7 @@ class Case:
         ones of size one, shape (P, P), or None
     observations : what was measured; assumed : for the user, in sentences
     form : of the noise, by which causes are judged
+    selected : the problem of the poses that are no outliers, once it was made
     """
 
     robot: Robot
@@ -76,7 +70,7 @@ class Case:
     units: Array | None = None
     assumed: tuple[str, ...] = ()
     form: Form = PLAIN
-    selected: Selected = field(init=False, repr=False, default_factory=Selected)
+    selected: list[Evidence] = field(init=False, repr=False, default_factory=list)
 
     @property
     def one_end(self) -> bool:
@@ -110,9 +104,9 @@ class Case:
     @property
     def evidence(self) -> Evidence:
         """Residuals and columns of the poses that are no outliers."""
-        if self.selected.evidence is None:
-            self.selected.evidence = self.whole if self.kept.all() else self.whole.at(np.flatnonzero(self.kept))
-        return self.selected.evidence
+        if not self.selected:
+            self.selected.append(self.whole if self.kept.all() else self.whole.at(np.flatnonzero(self.kept)))
+        return self.selected[0]
 
     @cached_property
     def progress(self) -> Array:
@@ -146,7 +140,7 @@ class Case:
 
     def _with_evidence(self, known: Evidence) -> Case:
         """The case itself, whose problem without outliers is made already."""
-        self.selected.evidence = known
+        self.selected[:] = [known]
         return self
 
     def prior_parts(self, prior: Prior) -> tuple[Array, Array, list[tuple[Array, Array]]]:

@@ -84,7 +84,7 @@ def laws_beside(found: Diagnosis, show: Show = silent, poses: int = MOST_POSES) 
         labels = frozenset(
             [
                 *(s.law.label for s in laws),
-                *(c.label for c in found.causes if c.effects in _sets_of(causes)),
+                *(c.label for c in found.causes if c.effects in ({(e,) for e in causes} | {causes})),
                 *(e.label for e in causes),
             ]
         )
@@ -105,10 +105,6 @@ def laws_beside(found: Diagnosis, show: Show = silent, poses: int = MOST_POSES) 
         case = with_law(moved, further.best.law)
         columns = np.unique(np.concatenate([columns, case.group((further.best.law,))]))
     return _concluded(found, rounds, case, laws, causes, columns)
-
-
-def _sets_of(causes: tuple[Effect, ...]) -> set[tuple[Effect, ...]]:
-    return {(e,) for e in causes} | {causes}
 
 
 def _concluded(

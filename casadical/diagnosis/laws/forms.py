@@ -166,12 +166,10 @@ class Form:
                 text = text.replace("x - k", f"x + {number(-given['k'])}")
             for name, value in given.items():
                 text = re.sub(rf"\b{name}\b", number(value), text)
-            texts.append(re.sub(r"\bx\b", _bracketed(driver), text))
+            texts.append(
+                re.sub(r"\bx\b", (driver if re.fullmatch("\\w+|\\w+\\([^()]*\\)", driver) else f"({driver})"), text)
+            )
         return tuple(texts)
-
-
-def _bracketed(driver: str) -> str:
-    return driver if re.fullmatch(r"\w+|\w+\([^()]*\)", driver) else f"({driver})"
 
 
 def number(value: float) -> str:
