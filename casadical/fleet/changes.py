@@ -24,12 +24,16 @@ SURE = 100.0
 # Of another robot those parameters are counted that differ by more than so many standard errors.
 CLEAR = 3
 HOW: dict[Course, str] = {
-    "jump": "a jump since", "drift": "a drift that shows since", "season": "comes again every year since",
+    "jump": "a jump since",
+    "drift": "a drift that shows since",
+    "season": "comes again every year since",
     "once": "only in",
-}  # fmt: skip
+}
 AXES = {
-    "joint_zero": "zero of joint {joint}", "joint_stiffness": "compliance of joint {joint}", "lengths": "all lengths",
-}  # fmt: skip
+    "joint_zero": "zero of joint {joint}",
+    "joint_stiffness": "compliance of joint {joint}",
+    "lengths": "all lengths",
+}
 _COURSE = (
     "Change since the first campaign, as each campaign alone shows it, with its 95 % interval. Of several parameters "
     "the one that moved most surely is drawn; the others move with it. Shaded: where it began, with 95 % probability."
@@ -321,30 +325,48 @@ def _course(found: Comparison, change: Change, step: int | None) -> Figure:
     size, error = main.value * change.course_of[:, 0], abs(main.value) * change.course_of[:, 1]
     what = AXES.get(change.cause.kind, main.name).format(joint=change.cause.joint)
     sizes = Series(
-        "linked", x, size, width=1, shape="hvh" if change.course == "jump" else "linear", size=8, more=1.96 * error,
-        facts=[c.label for c in found.campaigns], tip="<b>%{customdata}</b><br>%{y:.3g} " + main.unit,
-    )  # fmt: skip
+        "linked",
+        x,
+        size,
+        width=1,
+        shape="hvh" if change.course == "jump" else "linear",
+        size=8,
+        more=1.96 * error,
+        facts=[c.label for c in found.campaigns],
+        tip="<b>%{customdata}</b><br>%{y:.3g} " + main.unit,
+    )
     first, last = change.between
     spans = [] if change.course == "season" else [Span(x[max(first - 1, 0)], x[last])]
     return Figure(
         f"change/{change.cause.label}",
-        f"{change.cause.label}: {HOW[change.course]} {found.campaigns[change.since].label}", [sizes],
-        Axis("campaign", step=step), Axis(f"{what} [{main.unit}]"), caption=_COURSE, marks=spans,
-    )  # fmt: skip
+        f"{change.cause.label}: {HOW[change.course]} {found.campaigns[change.since].label}",
+        [sizes],
+        Axis("campaign", step=step),
+        Axis(f"{what} [{main.unit}]"),
+        caption=_COURSE,
+        marks=spans,
+    )
 
 
 def left_figure(
-    name: str, lives: Iterable[tuple[str, Sequence[Any], Sequence[float | None], bool]], step: int | None = None,
+    name: str,
+    lives: Iterable[tuple[str, Sequence[Any], Sequence[float | None], bool]],
+    step: int | None = None,
     **figure: Any,
-) -> Figure:  # fmt: skip
+) -> Figure:
     """What nothing explains in each campaign; lives : (name, places on the axis, left [mm], changed) of robots."""
     series = [
         Series(
-            "linked", x, list(left), colour="red" if changed else "grey", width=2 if changed else 1,
-            facts=[robot] * len(left), tip="<b>%{customdata}</b>, %{x}<br>%{y:.4f} mm",
+            "linked",
+            x,
+            list(left),
+            colour="red" if changed else "grey",
+            width=2 if changed else 1,
+            facts=[robot] * len(left),
+            tip="<b>%{customdata}</b>, %{x}<br>%{y:.4f} mm",
         )
         for robot, x, left, changed in lives
-    ]  # fmt: skip
+    ]
     x, y = Axis("campaign", step=step), Axis("one sigma [mm]", begins=True)
     return Figure(name, "Left in each campaign", series, x, y, **figure)
 

@@ -39,9 +39,18 @@ BARE = ("geometry", "loop", "compliance", "tool", "base")
 DAILY = {"lengths": 2.4e-5, "tool": 1e-5, "foot": 2e-5}
 # How often each kind of change is met, relative to the others; the joints share it.
 FREQUENCY = {
-    "joint_zero": 4, "joint_stiffness": 2, "joint_curve": 2, "gear": 1, "link": 1, "loop": 1, "lengths": 1, "tool": 2,
-    "foot": 2, "effect": 1, "another_robot": 1,
-}  # fmt: skip
+    "joint_zero": 4,
+    "joint_stiffness": 2,
+    "joint_curve": 2,
+    "gear": 1,
+    "link": 1,
+    "loop": 1,
+    "lengths": 1,
+    "tool": 2,
+    "foot": 2,
+    "effect": 1,
+    "another_robot": 1,
+}
 # A table of another robot of the type: everything changes, in all later campaigns or in one alone.
 ROBOT = "another_robot"
 # How a change goes on.

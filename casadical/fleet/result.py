@@ -222,8 +222,8 @@ class Fleet(Result):
     @property
     def _listed(self) -> list[dict[str, Any]]:
         """Return a row of each robot as plain data."""
-        words = ["robot", "folder", "status", "error", "type", "type_name", "method", "verdict", "causes", "changes",
-                 "at_bounds", "notes", "poses", "campaigns", "before_mm", "after_mm", "seconds"]  # fmt: skip
+        told = "robot folder status error type type_name method verdict causes changes at_bounds notes"
+        words = [*told.split(), "poses", "campaigns", "before_mm", "after_mm", "seconds"]
         return records(self.robots[words])
 
     @property
@@ -317,11 +317,17 @@ def accuracy_map(good: pd.DataFrame, outliers: Collection[str]) -> Figure:
     after = ["orange" if name in outliers else "blue" for name in names]
     series = [
         Series(
-            "points", x, good[f"{state}_mm"], name=state, size=size, colour=colour, facts=names,
+            "points",
+            x,
+            good[f"{state}_mm"],
+            name=state,
+            size=size,
+            colour=colour,
+            facts=names,
             tip="<b>%{customdata}</b><br>%{y:.4f} mm",
         )
         for state, colour, size in (("before", "grey", 4), ("after", after, 7))
-    ]  # fmt: skip
+    ]
     axis, marks = Axis("robot, by type and error"), []
     # Robots whose course is drawn; robots whose names stand on the axis of the map.
     if len(good) <= 30:
@@ -379,10 +385,15 @@ def common_departures(c: Common) -> Figure:
     words = [[name, f"{mean:+.4g} {unit} +/- {error:.1g}"] for name, mean, error, _, unit in c.rows]
     compliant = [n.startswith("c") and n[1:].isdigit() for n in c.names]
     dots = Series(
-        "points", c.mean * np.where(compliant, 1.0, 1e3 * c.scale), sure, size=8,
-        colour=["red" if n in bad else "grey" for n in c.names], text=[n if n in named else "" for n in c.names],
-        facts=words, tip="<b>%{customdata[0]}</b><br>%{customdata[1]} from the drawing",
-    )  # fmt: skip
+        "points",
+        c.mean * np.where(compliant, 1.0, 1e3 * c.scale),
+        sure,
+        size=8,
+        colour=["red" if n in bad else "grey" for n in c.names],
+        text=[n if n in named else "" for n in c.names],
+        facts=words,
+        tip="<b>%{customdata[0]}</b><br>%{customdata[1]} from the drawing",
+    )
     x, y = Axis("common departure [mm or mrad]"), Axis("in standard errors")
     return Figure(f"common/{c.type}", f"{c.name}: {c.count} robots", [dots], x, y, caption=_COMMON)
 

@@ -30,14 +30,17 @@ from casadical.project.problem import Problem, read_campaign_robot, read_problem
 from casadical.project.problem_file import own_tables, problem_file
 from casadical.robot.robot import Robot
 
+_WORDS = "robot folder status error fingerprint written_by type type_name method at_bounds verdict causes changes notes"
+_LISTS = "names departure score information spread scale identified left_mm left_free days"
 # A row of a store of which nothing is known.
 NOTHING: dict[str, Any] = {
-    "robot": "", "folder": "", "status": "", "error": "", "fingerprint": "", "written_by": "", "finished": 0.0,
-    "seconds": 0.0, "type": "", "type_name": "", "method": "", "poses": 0, "campaigns": 0, "before_mm": float("nan"),
-    "after_mm": float("nan"), "at_bounds": "", "verdict": "", "causes": "", "changes": "", "details": "{}",
-    "notes": "", "names": [], "departure": [], "score": [], "information": [], "spread": [], "scale": [],
-    "identified": [], "left_mm": [], "left_free": [], "days": [],
-}  # fmt: skip
+    **dict.fromkeys(_WORDS.split(), ""),
+    **dict.fromkeys(("finished", "seconds"), 0.0),
+    **dict.fromkeys(("poses", "campaigns"), 0),
+    **dict.fromkeys(("before_mm", "after_mm"), float("nan")),
+    "details": "{}",
+    **{name: [] for name in _LISTS.split()},
+}
 
 
 def fingerprint(folder: Path) -> str:

@@ -152,12 +152,18 @@ class Touches(Result):
         """The robot with the mean departure, what is known of it widened by how unsure that is."""
         d, C = self.departure
         scale = np.array([self.model.robot.parameters[n].scale for n in self.model.names])
-        values = {n: self.given.parameters[n].value + v for n, v in zip(self.model.names, d * scale, strict=True)
-                  if v and n in self.given.parameters.names}  # fmt: skip
+        values = {
+            n: self.given.parameters[n].value + v
+            for n, v in zip(self.model.names, d * scale, strict=True)
+            if v and n in self.given.parameters.names
+        }
         note = f"Corrected by touches of {self.model.days[-1].source}: {self.change_in_words}"
         robot = replace(self.given.with_values(values), notes=(*self.given.notes, note))
-        return replace(robot, knowledge=_wider(self.given.knowledge, self.model.names, C * np.outer(scale, scale)),
-                       remaining=_wider_remaining(self.given.remaining, self.model.names, C, scale))  # fmt: skip
+        return replace(
+            robot,
+            knowledge=_wider(self.given.knowledge, self.model.names, C * np.outer(scale, scale)),
+            remaining=_wider_remaining(self.given.remaining, self.model.names, C, scale),
+        )
 
     @property
     def why_not_updated(self) -> str:
@@ -251,8 +257,15 @@ class Touches(Result):
         x = list(range(1, len(rows) + 1))
         colour = ["blue" if row[-1] == "yes" else "red" for row in rows]
         tip = "%{customdata}<br>T2 / limit %{y:.2f}"
-        points = Series("points", x, [r[4] / r[5] for r in rows], colour=colour, size=9,
-                        facts=[f"{r[0]} {r[1]}" for r in rows], tip=tip)  # fmt: skip
+        points = Series(
+            "points",
+            x,
+            [r[4] / r[5] for r in rows],
+            colour=colour,
+            size=9,
+            facts=[f"{r[0]} {r[1]}" for r in rows],
+            tip=tip,
+        )
         course = Series("line", x, [r[4] / r[5] for r in rows], colour="grey", width=1)
         centre = float(np.mean([3 * r[2] / r[5] for r in rows]))
         marks = [Rule("y", 1.0, "red", "solid", 1.5), Rule("y", centre, "green", "dot", 1.5)]
@@ -262,11 +275,23 @@ class Touches(Result):
         )
         many = len(rows) > 12
         axis = Axis("day", whole=True) if many else Axis("day", ticks=x, labels=[r[0] or r[1] for r in rows])
-        chart = Figure("chart", "Touches day by day", [course, points], axis, Axis("T2 / limit", begins=True),
-                       340, caption, marks=marks)  # fmt: skip
-        table = Table("Every day", [c.replace("_", " ") for c in _COLUMNS],
-                      [[f"{v:.4g}" if isinstance(v, float) else str(v) for v in r] for r in rows],
-                      frozenset({2, 3, 4, 5, 6}), folded=many)  # fmt: skip
+        chart = Figure(
+            "chart",
+            "Touches day by day",
+            [course, points],
+            axis,
+            Axis("T2 / limit", begins=True),
+            340,
+            caption,
+            marks=marks,
+        )
+        table = Table(
+            "Every day",
+            [c.replace("_", " ") for c in _COLUMNS],
+            [[f"{v:.4g}" if isinstance(v, float) else str(v) for v in r] for r in rows],
+            frozenset({2, 3, 4, 5, 6}),
+            folded=many,
+        )
         tiles = (
             Tile("Valid", f"{100 * self.probability:.1f}", "%", f"within {mm(self.tolerance)} mm"),
             Tile("Change", mm(float(np.sqrt(np.mean(self.change**2)))), "mm", "rms over the task, expected"),
@@ -276,9 +301,11 @@ class Touches(Result):
 
 
 _WORDS = {
-    CRASH: "zeros and tool together, as after a crash", UNKNOWN: "nothing that usually changes explains it",
-    "lengths": "all lengths, as by warmth", "joint_zero": "zero",
-}  # fmt: skip
+    CRASH: "zeros and tool together, as after a crash",
+    UNKNOWN: "nothing that usually changes explains it",
+    "lengths": "all lengths, as by warmth",
+    "joint_zero": "zero",
+}
 
 
 def _wider(known: Knowledge | None, names: Sequence[str], C: Array) -> Knowledge | None:
@@ -323,8 +350,12 @@ def changes_in_fleet(path: Path) -> Mapping[str, float]:
 def usual_changes(robot: Robot) -> Prior:
     """What usually changes, as a prior: zeros, tool and foot, each about its value."""
     model = TouchModel(robot, (), tuple(p.name for p in robot.parameters if p.prior > 0), np.zeros((0, 0)), 0.0)
-    sizes = {n: float(s) * robot.parameters[n].scale for c in model.usual if c.kind != "lengths"
-             for n, s in zip(c.names, c.sizes, strict=True)}  # fmt: skip
+    sizes = {
+        n: float(s) * robot.parameters[n].scale
+        for c in model.usual
+        if c.kind != "lengths"
+        for n, s in zip(c.names, c.sizes, strict=True)
+    }
     return Prior(tuple(sizes), {n: (robot.parameters[n].value, s) for n, s in sizes.items()})
 
 
@@ -395,8 +426,13 @@ def touched(
     # Days that are taken into account.
     kept = kept[-30:]
     weights = OFTEN if fleet is None else changes_in_fleet(Path(fleet))
-    model = TouchModel.of_robot(arm, [m for _, m in kept], None if noise_mm is None else 1e-3 * noise_mm,
-                          weights=weights, dates=tuple(day_of(p) for p, _ in kept))  # fmt: skip
+    model = TouchModel.of_robot(
+        arm,
+        [m for _, m in kept],
+        None if noise_mm is None else 1e-3 * noise_mm,
+        weights=weights,
+        dates=tuple(day_of(p) for p, _ in kept),
+    )
     left = 1e-3 * np.linalg.norm(model.left, axis=1)
     today = left[(model.day == len(kept))[::3]]
     # Touches this far from the robot file are those of another frame or another robot [m].

@@ -39,17 +39,31 @@ def identification_figures(result: Identification) -> list[Figure]:
 
 
 def intervals(
-    name: str, title: str, x: Axis, rows: Sequence[str], value: Values, low: Values, high: Values,
-    notes: Sequence[str], tip: str, colours: Sequence[str] = (), **more: Any,
-) -> Figure:  # fmt: skip
+    name: str,
+    title: str,
+    x: Axis,
+    rows: Sequence[str],
+    value: Values,
+    low: Values,
+    high: Values,
+    notes: Sequence[str],
+    tip: str,
+    colours: Sequence[str] = (),
+    **more: Any,
+) -> Figure:
     """A row for each label: a dot with the interval low .. high; tip : how the tooltip shows the value, as %{x:.2f}."""
     dots = Series(
-        "points", np.round(value, 5), range(len(rows)), size=9, colour=colours or "blue",
-        less=np.maximum(np.subtract(value, low), 0).round(5), more=np.maximum(np.subtract(high, value), 0).round(5),
+        "points",
+        np.round(value, 5),
+        range(len(rows)),
+        size=9,
+        colour=colours or "blue",
+        less=np.maximum(np.subtract(value, low), 0).round(5),
+        more=np.maximum(np.subtract(high, value), 0).round(5),
         facts=[list(row) for row in zip(rows, low, high, notes, strict=True)],
         tip=f"<b>%{{customdata[0]}}</b><br>{tip}, 95 %: %{{customdata[1]:.3g}} to %{{customdata[2]:.3g}}<br>"
         "%{customdata[3]}",
-    )  # fmt: skip
+    )
     return Figure(name, title, [dots], x, rows=rows, height=118 + 26 * len(rows), **more)
 
 
@@ -76,11 +90,17 @@ def parameter_figures(result: Identification) -> Iterator[Figure]:
             for r in rows.itertuples()
         ]
         yield intervals(
-            f"parameters/{name}", f"{words}: departure from nominal", Axis(f"value less nominal [{unit}]", zero=True),
-            list(rows["name"]), value.tolist(), np.where(sure, low, value).tolist(),
-            np.where(sure, high, value).tolist(), notes, f"%{{x:+.4g}} {unit}",
+            f"parameters/{name}",
+            f"{words}: departure from nominal",
+            Axis(f"value less nominal [{unit}]", zero=True),
+            list(rows["name"]),
+            value.tolist(),
+            np.where(sure, low, value).tolist(),
+            np.where(sure, high, value).tolist(),
+            notes,
+            f"%{{x:+.4g}} {unit}",
             ["red" if s == "at bound" else "blue" for s in rows.status],
-        )  # fmt: skip
+        )
 
 
 def fit_figures(
@@ -132,11 +152,18 @@ def joint_coverage(robot: Robot, sets: Mapping[str, Sequence[Measurements]]) -> 
         readings = [f"{v / f:.4g} {unit}" for row in q for v, (unit, f) in zip(row, units, strict=True)]
         series.append(
             Series(
-                "points", (100 * (q - lower) / (upper - lower)).ravel().round(2),
-                np.tile(places, len(q)).round(3), name=words, colour=colour, symbol="line-ns-open",
-                size=22 / len(sets), width=1, facts=readings, tip=f"%{{customdata}}, {words}",
+                "points",
+                (100 * (q - lower) / (upper - lower)).ravel().round(2),
+                np.tile(places, len(q)).round(3),
+                name=words,
+                colour=colour,
+                symbol="line-ns-open",
+                size=22 / len(sets),
+                width=1,
+                facts=readings,
+                tip=f"%{{customdata}}, {words}",
             )
-        )  # fmt: skip
+        )
     rows = [f"q{i} [{unit}]" for i, (unit, _) in enumerate(units, 1)]
     x = Axis("from the lower to the upper limit [%]", (-1, 101), ticks=[0, 25, 50, 75, 100])
     title, height = "Readings of each joint within its limits", 120 + 40 * robot.n
@@ -176,9 +203,15 @@ def correlated_pairs(result: Identification, names: Sequence[str]) -> Figure:
             at: tuple[float, Any] = (0.03, "below right") if r > 0 else (0.97, "below left")
             notes.append(Note(f"{r:+.2f}", at[0], 1, "xy", at[1], size=11, panel=k))
     return Figure(
-        "fit/pairs", "Correlated parameters", series, height=110 + 130 * n, caption=_PAIRS, marks=notes, panels=panels,
+        "fit/pairs",
+        "Correlated parameters",
+        series,
+        height=110 + 130 * n,
+        caption=_PAIRS,
+        marks=notes,
+        panels=panels,
         shared="xy",
-    )  # fmt: skip
+    )
 
 
 NEARLY_CONFOUNDED = (

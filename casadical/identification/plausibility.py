@@ -93,9 +93,14 @@ def _out_of_range(robot: Robot, m: Measurements) -> Iterator[Fault]:
             if far.any():
                 order = np.argsort(-far, kind="stable")[: np.count_nonzero(far)]
                 yield Fault(
-                    m.source, tuple(map(int, m.row[order])), f"q{i + 1}", f"{q[order[0]] * factor:.6g} {unit}",
-                    "is outside of the joint's range", limits, remedy,
-                )  # fmt: skip
+                    m.source,
+                    tuple(map(int, m.row[order])),
+                    f"q{i + 1}",
+                    f"{q[order[0]] * factor:.6g} {unit}",
+                    "is outside of the joint's range",
+                    limits,
+                    remedy,
+                )
 
 
 def _refuse_implausible(robot: Robot, m: Measurements) -> None:

@@ -120,11 +120,17 @@ def errors_by_pose(poses: PoseErrors, name: str = "errors", caption: str = "", f
         error = np.array([out.error for out in poses.left_out])
         series.append(
             Series(
-                "points", [out.row for out in poses.left_out], 1e3 * np.clip(error, low, top), colour="red", symbol="x",
-                size=8, name="left out as outlier", facts=1e3 * error,
+                "points",
+                [out.row for out in poses.left_out],
+                1e3 * np.clip(error, low, top),
+                colour="red",
+                symbol="x",
+                size=8,
+                name="left out as outlier",
+                facts=1e3 * error,
                 tip="<b>left out</b>, row %{x}: %{customdata:.3f} mm",
             )
-        )  # fmt: skip
+        )
     rows = [*poses.row, *(out.row for out in poses.left_out)]
     room = 0.02 * (max(rows) - min(rows)) + 1
     ends = (min(rows) - room, max(rows) + room)
@@ -148,11 +154,17 @@ def _points(some: PoseErrors, left: ModelErrors, low: float, top: float, size: f
     colour, symbol, _ = left.style
     far = left.length > top
     return Series(
-        "points", some.row, 1e3 * np.clip(left.length, low, top).round(8), name=left.words, colour=colour,
-        symbol=["triangle-up-open" if f else symbol for f in far] if far.any() else symbol, size=size,
-        shown=left.shown, facts=1e3 * left.length.round(8),
+        "points",
+        some.row,
+        1e3 * np.clip(left.length, low, top).round(8),
+        name=left.words,
+        colour=colour,
+        symbol=["triangle-up-open" if f else symbol for f in far] if far.any() else symbol,
+        size=size,
+        shown=left.shown,
+        facts=1e3 * left.length.round(8),
         tip=f"<b>{left.words}</b>, row %{{x}}: %{{customdata:.3f}} mm",
-    )  # fmt: skip
+    )
 
 
 def _few(rows: Sequence[int], most: int = 4) -> str:
@@ -183,19 +195,30 @@ def error_distribution(poses: PoseErrors, name: str = "distribution", caption: s
     share = np.linspace(0, 1, min(201, len(poses) + 1))
     series = [
         Series(
-            "line", np.round(1e3 * np.quantile(left.length, share), 5), 100 * share, name=left.words,
-            colour=left.style[0], dash=left.style[2], shown=left.shown and not left.note, tip="%{x:.3f} mm",
+            "line",
+            np.round(1e3 * np.quantile(left.length, share), 5),
+            100 * share,
+            name=left.words,
+            colour=left.style[0],
+            dash=left.style[2],
+            shown=left.shown and not left.note,
+            tip="%{x:.3f} mm",
         )
         for left in poses.models
-    ]  # fmt: skip
+    ]
     _, top, log = _limits([left.length for left in poses.models if left.shown and not left.note])
     x = Axis("error [mm]", (0, 1e3 * top))
     return Figure(
-        name, f"{poses.words}: share below an error", series,
+        name,
+        f"{poses.words}: share below an error",
+        series,
         Axis("error [mm], logarithmic", log=True, count=8) if log else x,
-        Axis("share of poses [%]", (0, 101)), 340, caption,
-        marks=[Rule("y", percent, "grid", "solid") for percent in (50, 95)], over="%{y:.0f} % of the poses are below",
-    )  # fmt: skip
+        Axis("share of poses [%]", (0, 101)),
+        340,
+        caption,
+        marks=[Rule("y", percent, "grid", "solid") for percent in (50, 95)],
+        over="%{y:.0f} % of the poses are below",
+    )
 
 
 def workspace(poses: PoseErrors, robot: Robot | None = None, caption: str = "") -> Figure:
@@ -237,9 +260,11 @@ def _vectors(poses: PoseErrors, left: ModelErrors, factor: float, shown: bool) -
     tip = poses.position + factor * left.vector
     lines = np.stack([poses.position, tip, np.full_like(tip, np.nan)], axis=1).reshape(-1, 3)
     alike: dict[str, Any] = {
-        "name": f"{left.words}, drawn {factor:g} × longer", "colour": left.style[0], "group": left.model,
+        "name": f"{left.words}, drawn {factor:g} × longer",
+        "colour": left.style[0],
+        "group": left.model,
         "shown": shown,
-    }  # fmt: skip
+    }
     facts = np.column_stack([poses.row, 1e3 * left.length, 1e3 * left.vector, poses.position]).round(5)
     words = (
         f"<b>%{{customdata[1]:.3f}} mm</b>, {left.model}, row %{{customdata[0]:d}}<br>"

@@ -140,10 +140,16 @@ class Identification(Result):
     def blocks(self) -> list[Words | Table]:
         """The verdict, and every parameter."""
         rows = [
-            (str(r["name"]), f"{r['nominal']:.4f}", f"{r['value']:.4f}", f"{r['std_error']:.2g}", str(r["unit"]),
-             str(r["reason"] or r["status"]))
+            (
+                str(r["name"]),
+                f"{r['nominal']:.4f}",
+                f"{r['value']:.4f}",
+                f"{r['std_error']:.2g}",
+                str(r["unit"]),
+                str(r["reason"] or r["status"]),
+            )
             for r in self.shown.to_dict("records")
-        ]  # fmt: skip
+        ]
         head = ("parameter", "nominal", "value", "std error", "unit", "status")
         return [Words(self.verdict), Table("All parameters", head, rows, frozenset({1, 2, 3}), folded=True)]
 

@@ -78,9 +78,13 @@ def frames_at_zero(rows: Sequence[Joint]) -> list[Array]:
 def row_matrix(row: Joint) -> Array:
     """Frame i in frame i-1 at zero reading, shape (4, 4) [m]."""
     return np.array(
-        rot_x(row.alpha) @ translate(row.a, 0, 0) @ rot_y(row.beta or 0.0) @ translate(0, row.b or 0.0, 0)
-        @ rot_z(row.theta) @ translate(0, 0, row.d)
-    )  # fmt: skip
+        rot_x(row.alpha)
+        @ translate(row.a, 0, 0)
+        @ rot_y(row.beta or 0.0)
+        @ translate(0, row.b or 0.0, 0)
+        @ rot_z(row.theta)
+        @ translate(0, 0, row.d)
+    )
 
 
 def _sideways(R: Array, z: Array) -> Array:

@@ -16,10 +16,18 @@ Evaluate = Callable[[Array, Array], tuple[Array, Array]]
 
 
 def solve_joints(
-    evaluate: Evaluate, start: Array, steps: int, largest: float, *, limits: tuple[Array, Array] | None = None,
-    coupled: Callable[[Array], Array] | None = None, least: float = 0.0, damping: float = 0.0, of_error: float = 0.0,
+    evaluate: Evaluate,
+    start: Array,
+    steps: int,
+    largest: float,
+    *,
+    limits: tuple[Array, Array] | None = None,
+    coupled: Callable[[Array], Array] | None = None,
+    least: float = 0.0,
+    damping: float = 0.0,
+    of_error: float = 0.0,
     done: float = 0.0,
-) -> Array:  # fmt: skip
+) -> Array:
     """Return the joints after the steps, shape (k, n) [rad or m]; they need not reach the poses.
 
     start : shape (k, n); largest : change of a joint in one step [rad or m]; limits : of the joints, shape (n,) each

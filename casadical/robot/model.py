@@ -150,9 +150,17 @@ class Structure:
         payload = arm.payload and (arm.payload.mass, *arm.payload.com)
         gravity = (*arm.gravity, arm.gravity_frame)
         return (
-            joints, sides, loops, payload, gravity, arm.base.unknown, arm.tool.unknown, self.conditions,
-            self.parameters.names, self.effects,
-        )  # fmt: skip
+            joints,
+            sides,
+            loops,
+            payload,
+            gravity,
+            arm.base.unknown,
+            arm.tool.unknown,
+            self.conditions,
+            self.parameters.names,
+            self.effects,
+        )
 
     def __hash__(self) -> int:
         return hash(self.key)

@@ -136,11 +136,20 @@ class _Joint(TomlTable):
         stiffness = self.stiffness_Nm_per_rad or self.stiffness_N_per_m
         compliance = 1 / stiffness if stiffness else 0.0 if self.compliant else None
         return parts.Joint(
-            self.alpha, self.a, self.theta, self.d, self.beta, self.b, self.type, lower, upper, compliance,
+            self.alpha,
+            self.a,
+            self.theta,
+            self.d,
+            self.beta,
+            self.b,
+            self.type,
+            lower,
+            upper,
+            compliance,
             self.body.body() if self.body else None,
             parts.Coupling(tuple(self.follows), self.at or 0.0) if self.follows or self.at is not None else None,
             self.name,
-        )  # fmt: skip
+        )
 
 
 class _Frame(TomlTable):

@@ -15,8 +15,15 @@ from casadical.core.schema import LENGTH
 # Levels of elements: of links of links in a MuJoCo model, say.
 DEEPEST_XML = 200
 # Attributes that hold numbers, of elements of a link or a joint; the greatest angle of a frame [rad].
-_NUMBERS = (("origin", "xyz"), ("origin", "rpy"), ("mass", "value"), ("limit", "lower"), ("limit", "upper"),
-            ("mimic", "multiplier"), ("mimic", "offset"))  # fmt: skip
+_NUMBERS = (
+    ("origin", "xyz"),
+    ("origin", "rpy"),
+    ("mass", "value"),
+    ("limit", "lower"),
+    ("limit", "upper"),
+    ("mimic", "multiplier"),
+    ("mimic", "offset"),
+)
 
 
 def parse_xml(path: Path, root: str = "robot") -> minidom.Document:
