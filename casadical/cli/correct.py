@@ -26,18 +26,16 @@ Pose = Annotated[
 ]
 
 # What a folder or a file of the robot has, and a program of each kind.
-MODELS = {
-    "a robot file": (
-        "nominal", "compensator", "steps", "what", "payload", "tool", "leave_out", "root", "flange",
-    ),
+MODEL_OPTIONS = {
+    "a robot file": ["nominal", "compensator", "steps", "what", "payload", "tool", "leave_out", "root", "flange"],
     "a folder, which was exported with it": ("trust",),
-}  # fmt: skip
-PROGRAMS = {
+}
+PROGRAM_OPTIONS = {
     "a program in a controller's language": (
-        "tcp", "base", "root", "flange", "data", "nearest", "external_still", "leave_unreached", "accuracy_off",
+        ["tcp", "base", "root", "flange", "data", "nearest", "external_still", "leave_unreached", "accuracy_off"]
     ),
     "a CSV": (),
-}  # fmt: skip
+}
 
 
 def correct(
@@ -116,8 +114,8 @@ def correct(
     from casadical.export.controller.programs.program import correct_file, language_of
 
     o.refuse_taken(out, overwrite)
-    o.refuse_of_others(context, [*MODELS][model.is_dir()], MODELS)
-    o.refuse_of_others(context, [*PROGRAMS][isinstance(language_of(program), CsvTable)], PROGRAMS)
+    o.refuse_of_others(context, [*MODEL_OPTIONS][model.is_dir()], MODEL_OPTIONS)
+    o.refuse_of_others(context, [*PROGRAM_OPTIONS][isinstance(language_of(program), CsvTable)], PROGRAM_OPTIONS)
     sources = Sources(model, nominal, compensator, payload, tool or "shared", leave_out)  # type: ignore[arg-type]
     made = correct_file(
         sources,

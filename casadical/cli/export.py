@@ -17,14 +17,14 @@ from casadical.cli.terminal import (
 )
 
 # What each product has beside the options of all.
-PRODUCTS = {
-    "--what command": (
-        "nominal", "compensator", "steps", "correct", "cycle", "rate", "ramp", "payload", "tool",
-        "leave_out",
-    ),
+PRODUCT_OPTIONS = {
+    "--what command": [
+        *("nominal", "compensator", "steps", "correct", "payload", "tool", "leave_out"),
+        *("cycle", "rate", "ramp"),
+    ],
     "--what network": ("compensator",),
     "--what curves": (),
-}  # fmt: skip
+}
 
 
 def export_c(
@@ -92,8 +92,8 @@ def export_c(
     """
     from casadical.export.controller import commands
 
-    if (product := f"--what {what}") in PRODUCTS:
-        o.refuse_of_others(context, product, PRODUCTS)
+    if (product := f"--what {what}") in PRODUCT_OPTIONS:
+        o.refuse_of_others(context, product, PRODUCT_OPTIONS)
     times = {"cycle_s": None if cycle is None else 1e-3 * cycle, "rate_rad_s": rate, "ramp_s": ramp}
     written = commands.export_c(
         commands.Sources(robot, nominal, compensator, payload, tool, leave_out),  # type: ignore[arg-type]
@@ -122,8 +122,8 @@ def export_c(
             "corrected.csv",
         )
     else:
-        suggest(console, "to have the correction of joint commands", "export", "c", robot, "--nominal", "robot.toml",
-                "--out", "c")  # fmt: skip
+        words = ("export", "c", robot, "--nominal", "robot.toml", "--out", "c")
+        suggest(console, "to have the correction of joint commands", *words)
 
 
 def export_model(
@@ -191,9 +191,14 @@ def export_model(
     of_mjcf = OfMjcf(campaign, effects, into, joints, springs)
     with working(quiet, "reading") as show:
         made = robot_model(
-            source, form_of(form, out), nominal=nominal, of_mjcf=of_mjcf, checksum=checksum, leave_out=leave_out,
+            source,
+            form_of(form, out),
+            nominal=nominal,
+            of_mjcf=of_mjcf,
+            checksum=checksum,
+            leave_out=leave_out,
             show=show,
-        )  # fmt: skip
+        )
     console = plain(quiet)
     tell(console, *made.blocks())
     keep(

@@ -46,8 +46,8 @@ def _offered(module: str, name: str, *, listed: bool = False) -> Callable[[str],
 
 methods = _offered("project.problem_file", "all_methods")  # --method
 losses = _offered("identification.residuals", "ALL_LOSSES")  # --loss
-languages = _offered("export.c.write", "LANGUAGES", listed=True)  # export c --language
-forms = _offered("export.model_file", "FORMS")  # export model --to
+languages = _offered("export.c.write", "CONTROLLER_LANGUAGES", listed=True)  # export c --language
+forms = _offered("export.model_file", "MODEL_FORMS")  # export model --to
 effects = _offered("project.diagnosis", "all_effects", listed=True)  # --effects
 
 Nominal = Annotated[

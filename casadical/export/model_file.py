@@ -11,7 +11,7 @@ from casadical.core.telling.blocks import Words
 from casadical.core.telling.result import Result
 from casadical.effects.base import Omission
 from casadical.export.controller.commands import Sources
-from casadical.export.controller.drivers import FORMS as DRIVERS
+from casadical.export.controller.drivers import DRIVER_FORMS as DRIVERS
 from casadical.export.controller.drivers import driver_file
 from casadical.export.mjcf.into_mjcf import into_mjcf
 from casadical.export.mjcf.mjcf import MjcfExport, mjcf
@@ -24,7 +24,7 @@ from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 from casadical.robot.urdf import new_urdf
 
-FORMS = ("mjcf", "urdf", "actuators", *DRIVERS)
+MODEL_FORMS = ("mjcf", "urdf", "actuators", *DRIVERS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,9 +76,9 @@ def form_of(word: str | None, out: Path) -> str:
     endings |= {".yaml": "ur", ".yml": "ur"}
     form = word or endings.get(out.suffix.lower())
     if form is None:
-        raise InputError(f"{out}: its ending does not say which form is wanted; give --to {'|'.join(FORMS)}")
-    if form not in FORMS:
-        raise InputError(f"--to {form}: not known; allowed: {', '.join(FORMS)}")
+        raise InputError(f"{out}: its ending does not say which form is wanted; give --to {'|'.join(MODEL_FORMS)}")
+    if form not in MODEL_FORMS:
+        raise InputError(f"--to {form}: not known; allowed: {', '.join(MODEL_FORMS)}")
     return form
 
 

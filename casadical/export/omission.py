@@ -15,7 +15,7 @@ from casadical.robot.robot import Robot
 if TYPE_CHECKING:
     from casadical.project.calibration import Calibration
 
-POSES = 1000
+SAMPLED_POSES = 1000
 
 
 def left_out(robot: Robot, omissions: Iterable[Omission], target: str, leave_out: bool) -> tuple[str, ...]:
@@ -73,7 +73,7 @@ def rigid_rest(robot: Robot) -> tuple[float, float]:
     robot = robot.with_only(e for e in robot.effects if not e.of_measurement)
     q, w = _poses(robot)
     bare = robot.with_only(()).rigid
-    (p,) = bare.model.evaluate(("p",), q, np.tile(bare.declared, (POSES, 1)), bare.parameters.values)
+    (p,) = bare.model.evaluate(("p",), q, np.tile(bare.declared, (SAMPLED_POSES, 1)), bare.parameters.values)
     return _apart(robot, q, w, p)
 
 
@@ -115,20 +115,21 @@ def lost(robot: Robot, parameters: Collection[str]) -> tuple[float, float]:
 
 
 def _apart(robot: Robot, q: Array, w: Array, other: Array) -> tuple[float, float]:
-    """Mean and largest distance [m] of the point from another, (3, POSES), where loops close."""
+    """Mean and largest distance [m] of the point from another, shape (3, n), where loops close."""
     p, margin = robot.model.evaluate(("p", "margin"), q, w, robot.parameters.values)
-    closed = (margin.reshape(-1, POSES) > LEAST_MARGIN).all(axis=0)
+    closed = (margin.reshape(-1, SAMPLED_POSES) > LEAST_MARGIN).all(axis=0)
     moved = np.linalg.norm(p - other, axis=0)[closed]
     return float(moved.mean()), float(moved.max())
 
 
 def _poses(robot: Robot) -> tuple[Array, Array]:
-    """Readings (POSES, n) and conditions (POSES, k) of the range on which a robot was learnt."""
+    """Random readings and conditions of the range on which a robot was learnt, a row a pose."""
     rng = np.random.default_rng(0)
     known = robot.knowledge.readings if robot.knowledge else np.zeros((0, 2))
     lower, upper = known.T if len(known) else robot.limits
-    q = rng.uniform(lower, upper, (POSES, robot.n))
-    w = np.column_stack([_drawn(robot, k, rng) for k in range(len(robot.conditions))] or [np.zeros((POSES, 0))])
+    q = rng.uniform(lower, upper, (SAMPLED_POSES, robot.n))
+    columns = [_drawn(robot, k, rng) for k in range(len(robot.conditions))]
+    w = np.column_stack(columns or [np.zeros((SAMPLED_POSES, 0))])
     return q, w
 
 
@@ -136,4 +137,6 @@ def _drawn(robot: Robot, column: int, rng: np.random.Generator) -> Array:
     name, declared = robot.conditions[column], robot.declared[column]
     usual = (-1.0, 1.0) if name.startswith("approach") else (0.0, 1.0) if name == "progress" else (declared, declared)
     low, high = (robot.knowledge.conditions if robot.knowledge else {}).get(name, usual)
-    return np.asarray(rng.choice((low, high), POSES) if name.startswith("approach") else rng.uniform(low, high, POSES))
+    if name.startswith("approach"):
+        return np.asarray(rng.choice((low, high), SAMPLED_POSES))
+    return np.asarray(rng.uniform(low, high, SAMPLED_POSES))

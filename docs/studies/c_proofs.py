@@ -6,7 +6,7 @@ import re
 import numpy as np
 from c_bench import PRODUCTS, REALS, WORK, casadi_c, lacking, line, run, section, targets
 
-from casadical.export.c.kernel import WARNINGS
+from casadical.export.c.kernel import WARNING_FLAGS
 from casadical.export.c.tape_program import tape_program
 
 
@@ -23,9 +23,9 @@ def analysers(folders):
         if reason := lacking(compiler):
             line(compiler, reason)
             continue
-        runs = each([compiler, *WARNINGS], names)
+        runs = each([compiler, *WARNING_FLAGS], names)
         wrong = sum(r.returncode != 0 for r in runs)
-        line(f"{compiler} {' '.join(WARNINGS)}", f"{wrong} of {len(runs)} files with a warning", "0")
+        line(f"{compiler} {' '.join(WARNING_FLAGS)}", f"{wrong} of {len(runs)} files with a warning", "0")
     if not lacking("gcc"):
         found = sum(r.stderr.count("warning:") for r in each(["gcc", "-fanalyzer"], names[:2]))
         line("gcc -fanalyzer", f"{found} findings", "0")

@@ -9,7 +9,6 @@ same list with every operation as a run of its own, and the exported C, which ha
 
 import sys
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +27,7 @@ from casadical.export.c.c_source import comparison_inputs  # noqa: E402
 from casadical.export.c.kernel import compilers  # noqa: E402
 from casadical.export.c.products import Command  # noqa: E402
 from casadical.export.c.reference import correct  # noqa: E402
-from casadical.export.c.runs import WIDTH, plan_of  # noqa: E402
+from casadical.export.c.runs import RESULT_PLACES, Plan  # noqa: E402
 from casadical.export.c.tape_program import operations, tape_program  # noqa: E402
 from casadical.project.calibration import with_knowledge  # noqa: E402
 
@@ -74,15 +73,16 @@ def arm():
 
 def one_by_one(program):
     """The plan with every operation as a run of its own."""
-    plan = plan_of(program)
+    plan = Plan(program)
     operations, starts, first_run = [], [], [0]
     for op, begin, end in zip(plan.operations, plan.starts, plan.starts[1:], strict=False):
-        places = list(range(begin, end, WIDTH.get(op, 1)))
+        places = list(range(begin, end, RESULT_PLACES.get(op, 1)))
         operations += [op] * len(places)
         starts += places
         first_run.append(len(operations))
     spans = {key: (first_run[a], first_run[b + 1] - 1) for key, (a, b) in plan.spans.items()}
-    return replace(plan, operations=tuple(operations), starts=(*starts, plan.size), spans=spans)
+    plan.operations, plan.starts, plan.spans = operations, [*starts, plan.size], spans
+    return plan
 
 
 def compared(text, program, folder, count):
@@ -110,7 +110,7 @@ def main():
     for name, product in products():
         for real in ("double", "float"):
             program = tape_program(product, real)
-            text, plan = language.structured_text(program), plan_of(program)
+            text, plan = language.structured_text(program), Plan(program)
             folder = Path(tempfile.mkdtemp(dir=WORK))
             different, passed = compared(text, program, folder, count)
             print(
@@ -130,11 +130,11 @@ def main():
         flags = targets.defines(real, "arm_correct", 6, 200)
         found = {"exported C": targets.cortex(board, [folder / "c" / "arm.c"], folder / "c", flags)}
         found["structured text"] = counted(language.structured_text(program), program, folder, board)
-        language.plan_of = one_by_one
+        language.Plan = one_by_one
         found["structured text, a run for each operation"] = counted(
             language.structured_text(program), program, folder, board
         )
-        language.plan_of = plan_of
+        language.Plan = Plan
         for what, it in found.items():
             first = f" ({it.most:.0f} in the first, which fills the arrays)" if "text" in what else ""
             print(f"  {board} {real}, {what}: {it.least:.0f}{first}; image {it.text} B flash, {it.ram} B RAM")

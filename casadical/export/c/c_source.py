@@ -8,13 +8,13 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.export.c.chord import pose_size, prepared_size, residual_size
-from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, Real, literal
+from casadical.export.c.coefficients import COEFFICIENTS, NUMPY_TYPE, Real, literal
 from casadical.export.c.emit import elementary_functions, filled, kernel, template
 from casadical.export.c.products import Command, Product
 from casadical.export.c.reference import StepState, correct, forward, network, step
 from casadical.export.c.tape_program import TapeProgram
 
-SCHEMA = 1  # version of the files' form
+FILES_SCHEMA = 1  # version of the files' form
 _COMMAND_DEFINES = """
 /* Largest correction of a joint [rad or m], and its largest change in one call of @name@_step */
 #define @NAME@_DELTA_LIMIT @delta_decimal@
@@ -94,7 +94,7 @@ def _values(program: TapeProgram) -> dict[str, str]:
         "data_sha256": program.data_sha256,
         "NAME": program.name.upper(),
         "real": real,
-        "schema": str(SCHEMA),
+        "schema": str(FILES_SCHEMA),
         "bits": "binary64" if double else "binary32",
         "n": str(program.n),
         "steps": str(command.steps if command else 0),
@@ -142,7 +142,7 @@ def _command_values(command: Command, program: TapeProgram) -> dict[str, str]:
     for key in ("delta", "change"):
         # for the header, where C++ before 17 takes no hexadecimal constant; read back it is the
         # same number
-        values[f"{key}_decimal"] = repr(float(DTYPE[real](numbers[key]))) + ("F" if real == "float" else "")
+        values[f"{key}_decimal"] = repr(float(NUMPY_TYPE[real](numbers[key]))) + ("F" if real == "float" else "")
     return values | {
         "pose_text": pose,
         "freedom": _freedom(command),
@@ -189,7 +189,7 @@ _SEED = 20201  # of the vectors; the same one each time keeps the files the same
 def inside(program: TapeProgram, count: int, seed: int = _SEED) -> Array:
     """Return random joint readings inside the box, shape (count, n)."""
     lower, upper = program.product.lower, program.product.upper
-    return np.random.default_rng(seed).uniform(lower, upper, (count, program.n)).astype(DTYPE[program.real])
+    return np.random.default_rng(seed).uniform(lower, upper, (count, program.n)).astype(NUMPY_TYPE[program.real])
 
 
 def self_test_inputs(program: TapeProgram) -> Array:
@@ -199,7 +199,7 @@ def self_test_inputs(program: TapeProgram) -> Array:
     corners = np.where(signs == 1, upper, lower)
     outside = (lower + upper) / 2 + (upper - lower) * np.array([[0.6], [-0.6], [40.0], [-1e6]])
     rows: Array = np.vstack([(lower + upper) / 2, corners, inside(program, 16), outside])
-    return rows.astype(DTYPE[program.real])
+    return rows.astype(NUMPY_TYPE[program.real])
 
 
 def comparison_inputs(program: TapeProgram, count: int) -> Array:
@@ -207,7 +207,7 @@ def comparison_inputs(program: TapeProgram, count: int) -> Array:
 
     One row in eight is outside of it; of these some are far, some not finite, some at corners.
     """
-    T = DTYPE[program.real]
+    T = NUMPY_TYPE[program.real]
     q = inside(program, count, _SEED + 1)
     rng = np.random.default_rng(_SEED + 2)
     odd = np.flatnonzero(np.arange(count) % 8 == 7)

@@ -16,7 +16,7 @@ from casadi import SX
 
 from casadical.export.c.products import Command
 
-LENGTH = 0.3  # m: by which an error of the orientation [rad] is weighted against one of the position
+ORIENTATION_LENGTH_M = 0.3  # m: by which an error of the orientation [rad] is weighted against one of the position
 
 
 def prepare(command: Command) -> casadi.Function:
@@ -138,12 +138,12 @@ def _flat(function: casadi.Function, q: SX) -> SX:
 
 
 def residual(target: SX, now: SX) -> SX:
-    """Position error [m], and for poses the rotation from now to target times `LENGTH`."""
+    """Position error [m], and for poses the rotation from now to target times `ORIENTATION_LENGTH_M`."""
     if target.numel() == 3:
         return target - now
     columns = (slice(3 + 3 * k, 6 + 3 * k) for k in range(3))
     turn = sum((casadi.cross(now[i], target[i]) for i in columns), SX.zeros(3))
-    return casadi.vertcat(target[:3] - now[:3], 0.5 * LENGTH * turn)
+    return casadi.vertcat(target[:3] - now[:3], 0.5 * ORIENTATION_LENGTH_M * turn)
 
 
 def _slope(command: Command, function: casadi.Function, at: SX) -> SX:

@@ -119,7 +119,7 @@ _DOUBLE = Coefficients(
     largest=float(np.finfo(np.float64).max),
 )
 COEFFICIENTS: dict[str, Coefficients] = {"float": _FLOAT, "double": _DOUBLE}
-DTYPE: dict[str, Any] = {"float": np.float32, "double": np.float64}
+NUMPY_TYPE: dict[str, Any] = {"float": np.float32, "double": np.float64}
 
 
 def turn_parts(c: Coefficients, points: int) -> tuple[float, float, float]:
@@ -130,7 +130,7 @@ def turn_parts(c: Coefficients, points: int) -> tuple[float, float, float]:
 
 def literal(value: float, real: Real) -> str:
     """A C99 constant with exactly the value that ``value`` has when rounded to the real type."""
-    rounded = float(DTYPE[real](value))
+    rounded = float(NUMPY_TYPE[real](value))
     small_whole = rounded == int(rounded) and abs(rounded) < 1e6 if abs(rounded) < 1e9 else False
     mantissa, exponent = rounded.hex().split("p")
     text = repr(rounded) if small_whole else f"{mantissa.rstrip('0').rstrip('.')}p{exponent}"
@@ -142,12 +142,12 @@ def literal(value: float, real: Real) -> str:
 LARGEST_ERROR = 5e-8
 # Points of a turn; a power of two, so that a bit mask finds the place. More would not be exact in
 # float.
-POINTS = (64, 128, 256, 512, 1024, 2048)
+TABLE_SIZES = (64, 128, 256, 512, 1024, 2048)
 # Largest angle [rad] that is reduced exactly, by multiples of a turn's fraction in two parts.
 TABLE_LIMIT = 128.0
 # Whole turns that are added to make every place positive: a conversion to integers then rounds
 # down.
-TURNS = 32
+ADDED_TURNS = 32
 _SAMPLES = 8192
 
 
@@ -202,13 +202,13 @@ def _table(function: casadi.Function, output: int, samples: Array) -> tuple[tupl
     """The smallest table of one output that is exact enough, and its bound."""
     amplitude = abs(np.fft.rfft(samples))[1:] * 2 / _SAMPLES
     bound = np.inf
-    for points in POINTS:
+    for points in TABLE_SIZES:
         bound = float(amplitude @ spline_errors(points))
         if bound <= LARGEST_ERROR:
             return spline_table(samples[:: _SAMPLES // points]), bound
     high = 1 + int(np.flatnonzero(amplitude > 0.01 * amplitude.max())[-1])
     raise InputError(
-        f"{_what(function)} is {1e6 * bound:.2g} urad off in joint {output + 1} with {POINTS[-1]} points a turn; "
+        f"{_what(function)} is {1e6 * bound:.2g} urad off in joint {output + 1} with {TABLE_SIZES[-1]} points a turn; "
         f"allowed are {1e6 * LARGEST_ERROR:g} urad. It holds harmonics up to {high}: are its coefficients right?"
     )
 

@@ -49,7 +49,7 @@ def elementary_functions(tapes: list[Tape], name: str, real: Real) -> str:
         points = len(table) - 3
         parts = turn_parts(COEFFICIENTS[real], points)
         numbers = dict(zip(("per_radian", "step_high", "step_low"), parts, strict=True))
-        numbers |= {"offset": float(coefficients.TURNS * points), "3": 3.0}
+        numbers |= {"offset": float(coefficients.ADDED_TURNS * points), "3": 3.0}
         words = [literal(v, real) for v in table]
         rows = (", ".join(words[k : k + 6]) for k in range(0, len(words), 6))
         mine = {"table": table_name(table), "points": str(points)}

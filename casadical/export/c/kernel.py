@@ -18,10 +18,10 @@ from casadical.core.cache_folder import private_folder
 from casadical.core.files import write_whole
 from casadical.core.reading import read_bytes
 from casadical.core.subprocesses import COMPILE_SECONDS, TRIAL_SECONDS, finished, tried
-from casadical.export.c.coefficients import DTYPE, Real
+from casadical.export.c.coefficients import NUMPY_TYPE, Real
 from casadical.export.c.emit import filled, template
 
-WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
+WARNING_FLAGS = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class Kernel:
         shape = self.shape
         if function not in shape.outputs:
             raise InputError(f"the export {shape.name!r} has no function {function!r}; it has {sorted(shape.outputs)}")
-        table = np.ascontiguousarray(q, DTYPE[shape.real])
+        table = np.ascontiguousarray(q, NUMPY_TYPE[shape.real])
         if table.ndim != 2 or table.shape[1] != shape.joints:
             raise InputError(
                 f"joints have shape {table.shape}; expected (rows, {shape.joints}) in rad, or m of a linear joint"
@@ -146,7 +146,7 @@ class Kernel:
 
         q : readings, shape (k, n) [rad or m]; enable : whether the correction is on, shape (k,)
         """
-        table = np.ascontiguousarray(q, DTYPE[self.shape.real])
+        table = np.ascontiguousarray(q, NUMPY_TYPE[self.shape.real])
         on = np.ascontiguousarray(enable, np.uint32)
         out, status = np.empty_like(table), np.empty(len(table), np.int32)
         call = getattr(self._library, f"{self.shape.name}_step_rows")

@@ -14,7 +14,7 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.export.c import coefficients
 from casadical.export.c.chord import prepared_size
-from casadical.export.c.coefficients import DTYPE
+from casadical.export.c.coefficients import NUMPY_TYPE
 from casadical.export.c.products import Command
 from casadical.export.c.tape import Tape
 from casadical.export.c.tape_program import TapeProgram
@@ -24,7 +24,7 @@ class NumpyFunctions:
     """Elementary functions of one real type on arrays."""
 
     def __init__(self, real: coefficients.Real) -> None:
-        self.T = coefficients.DTYPE[real]
+        self.T = coefficients.NUMPY_TYPE[real]
         self.c: coefficients.Coefficients = coefficients.COEFFICIENTS[real]
 
     def _poly(self, terms: tuple[float, ...], z: Array) -> Array:
@@ -47,7 +47,7 @@ class NumpyFunctions:
 
     def periodic(self, x: Array, table: tuple[float, ...]) -> Array:
         T, points = self.T, len(table) - 3
-        c, offset = np.array(table).astype(T), T(coefficients.TURNS * points)
+        c, offset = np.array(table).astype(T), T(coefficients.ADDED_TURNS * points)
         per_radian, high, low = (T(v) for v in coefficients.turn_parts(self.c, points))
         k = np.trunc(x * per_radian + offset).astype(np.int64)
         n = k.astype(T) - offset
@@ -217,7 +217,7 @@ def forward(program: TapeProgram, q: Array) -> tuple[Array, Array]:
 
 
 def _values(program: TapeProgram, q: Array, tape: str, box: str) -> tuple[Array, Array]:
-    q = np.ascontiguousarray(q, DTYPE[program.real])
+    q = np.ascontiguousarray(q, NUMPY_TYPE[program.real])
     x, status = boxed(q, program.boxes[box], program.box_share)
     values, fine = run(program.tapes[tape], x, program.real)
     status = np.where(fine & np.isfinite(values).all(1), status, Status.NOT_FINITE)
@@ -228,7 +228,7 @@ def _values(program: TapeProgram, q: Array, tape: str, box: str) -> tuple[Array,
 def correct(program: TapeProgram, q: Array) -> tuple[Array, Array]:
     """Joint corrections dq, shape (k, n), and status, shape (k,)."""
     assert program.command is not None
-    q = np.ascontiguousarray(q, DTYPE[program.real])
+    q = np.ascontiguousarray(q, NUMPY_TYPE[program.real])
     x, status = boxed(q, program.boxes["command"], program.box_share)
     dq, chord_status = _chord(program, program.command, x)
     bad = status == Status.NOT_FINITE
@@ -249,7 +249,7 @@ def _limited(v: Array, limit: Any) -> tuple[Array, Array]:
 
 
 def _chord(program: TapeProgram, command: Command, x: Array) -> tuple[Array, Array]:
-    T, real, numbers = DTYPE[program.real], program.real, command.limits.numbers
+    T, real, numbers = NUMPY_TYPE[program.real], program.real, command.limits.numbers
     n, end = program.n, prepared_size(command)
     work, fine = run(program.tapes["prepare"], x, real)
     dq = np.zeros_like(x)
@@ -287,14 +287,14 @@ class StepState:
     @staticmethod
     def start(program: TapeProgram) -> "StepState":
         """No correction, switched off."""
-        T = DTYPE[program.real]
+        T = NUMPY_TYPE[program.real]
         return StepState(np.zeros(program.n, T), T(0))
 
 
 def step(program: TapeProgram, state: StepState, q: Array, enable: bool) -> tuple[Array, Status]:
     """The correction of one cycle for joints q, shape (n,); the state changes as the C's."""
     assert program.command is not None
-    T, numbers = DTYPE[program.real], program.command.limits.numbers
+    T, numbers = NUMPY_TYPE[program.real], program.command.limits.numbers
     delta, change_limit, ramp = T(numbers["delta"]), T(numbers["change"]), T(numbers["ramp"])
     want, statuses = correct(program, q[None, :])
     status = Status(int(statuses[0]))

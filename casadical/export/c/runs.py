@@ -8,17 +8,16 @@ Each operation is the tape's own: the results are the same bits. What `prepare` 
 
 from collections import Counter
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from casadical.export.c.coefficients import DTYPE, Real
-from casadical.export.c.tape import COMMUTATIVE, Node, Tape
+from casadical.export.c.coefficients import NUMPY_TYPE, Real
+from casadical.export.c.tape import COMMUTATIVE_OPERATIONS, Node, Tape
 from casadical.export.c.tape_program import TapeProgram
 
-WIDTH = {"sincos": 2}  # places of an operation's results; one where it is not here
+RESULT_PLACES = {"sincos": 2}  # places of an operation's results; one where it is not here
 _TAPES = ("forward", "prepare", "advance")  # then the network or the curves
 
 
-@dataclass(frozen=True)
 class Plan:
     """One array of values, and what is done with it.
 
@@ -31,30 +30,12 @@ class Plan:
     tables : of `periodic`, whose number is the second argument
     """
 
-    constants: tuple[float, ...]
-    places: dict[str, int]
-    operations: tuple[str, ...]
-    starts: tuple[int, ...]
-    first: tuple[int, ...]
-    second: tuple[int, ...]
-    spans: dict[str, tuple[int, int]]
-    tables: tuple[tuple[float, ...], ...]
-
-    @property
-    def size(self) -> int:
-        return self.starts[-1]
-
-
-def plan_of(program: TapeProgram) -> Plan:
-    return _Planner(program).plan()
-
-
-class _Planner:
     def __init__(self, program: TapeProgram) -> None:
         self.tapes = {key: program.tapes[key] for key in sorted(program.tapes, key=_order)}
         nodes = [node for tape in self.tapes.values() for node in tape.nodes]
-        self.constants = dict.fromkeys(_word(v, program.real) for node in nodes for v in _numbers(node))
-        self.known = {word: place for place, word in enumerate(self.constants)}
+        words = dict.fromkeys(_word(v, program.real) for node in nodes for v in _numbers(node))
+        self.constants = [float.fromhex(word) for word in words]
+        self.known = {word: place for place, word in enumerate(words)}
         self.real = program.real
         self.tables = tuple(dict.fromkeys(node.table for node in nodes if node.table))
         n, inputs = program.n, len(self.known)
@@ -65,16 +46,15 @@ class _Planner:
         self.spans: dict[str, tuple[int, int]] = {}
         self.known_as: dict[Node, int] = {}  # numbers of equal operations, in whatever tape
         self.forward: dict[Node, int] = {}  # place of what `forward` computes
-
-    def plan(self) -> Plan:
         for key, tape in self.tapes.items():
             begin = len(self.operations)
             self._add(key, tape)
             self.spans[key] = begin, len(self.operations) - 1
-        return Plan(
-            tuple(map(float.fromhex, self.constants)), self.places, tuple(self.operations), tuple(self.starts),
-            tuple(self.first), tuple(self.second), self.spans, self.tables,
-        )  # fmt: skip
+
+    @property
+    def size(self) -> int:
+        """The number of values."""
+        return self.starts[-1]
 
     def _add(self, key: str, tape: Tape) -> None:
         inputs = self.places[{"forward": "at", "advance": "prepare_out"}.get(key, "joints")]
@@ -103,7 +83,7 @@ class _Planner:
         names: dict[int, Node] = {}
         for k, node in enumerate(tape.nodes):
             args = [self.known_as.setdefault(names[a], len(self.known_as)) for a in node.args]
-            names[k] = replace(node, args=tuple(sorted(args) if node.op in COMMUTATIVE else args))
+            names[k] = replace(node, args=tuple(sorted(args) if node.op in COMMUTATIVE_OPERATIONS else args))
             if forward is not None:
                 self.forward[names[k]] = forward[k]
             elif k not in place and names[k] in self.forward:
@@ -116,7 +96,7 @@ class _Planner:
         pairs = []
         for k in batch:
             args = tape.nodes[k].args
-            if tape.nodes[k].op in COMMUTATIVE:
+            if tape.nodes[k].op in COMMUTATIVE_OPERATIONS:
                 args = tuple(sorted(args, key=lambda a: (-used[a], a)))
             pairs.append((place[args[0]], self._second(tape.nodes[k], args, place), k))
         for first, second, k in sorted(pairs):
@@ -133,7 +113,7 @@ class _Planner:
         return place[args[1]] if len(args) > 1 else 0
 
     def _one(self, op: str, first: int, second: int) -> int:
-        width = WIDTH.get(op, 1)
+        width = RESULT_PLACES.get(op, 1)
         self.first += [first] * width
         self.second += [second] * width
         return len(self.first) - width
@@ -148,7 +128,7 @@ def _order(key: str) -> int:
 
 
 def _word(value: float, real: Real) -> str:
-    return float(DTYPE[real](value)).hex()
+    return float(NUMPY_TYPE[real](value)).hex()
 
 
 def _numbers(node: Node) -> tuple[float, ...]:

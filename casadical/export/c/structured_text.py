@@ -11,11 +11,11 @@ from itertools import groupby
 
 from casadical.export.c.c_source import joint_units, self_test_inputs
 from casadical.export.c.chord import pose_size, prepared_size
-from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, TURNS, Real, turn_parts
+from casadical.export.c.coefficients import ADDED_TURNS, COEFFICIENTS, NUMPY_TYPE, Real, turn_parts
 from casadical.export.c.emit import constants, filled, template
 from casadical.export.c.products import Command
 from casadical.export.c.reference import correct, network
-from casadical.export.c.runs import WIDTH, Plan, plan_of
+from casadical.export.c.runs import RESULT_PLACES, Plan
 from casadical.export.c.tape_program import TapeProgram, operations
 
 _LINE = 118  # characters of a line
@@ -46,7 +46,7 @@ _SIMPLE = {
 
 def structured_text(program: TapeProgram) -> str:
     """Return NAME.st: blocks for the network, the correction, its cycles, and a test."""
-    plan = plan_of(program)
+    plan = Plan(program)
     values = _common(program, plan)
     parts = [filled(template("head.st"), values), _values_block(plan, values, program.real)]
     parts.append(filled(template("boxed.st"), values))
@@ -63,7 +63,7 @@ def structured_text(program: TapeProgram) -> str:
 
 def number(value: float, real: Real) -> str:
     """A literal with the fewest digits, always with a point, the exponent after E."""
-    rounded = DTYPE[real](value)
+    rounded = NUMPY_TYPE[real](value)
     mantissa, _, exponent = str(float(rounded) if real == "double" else rounded).partition("e")
     mantissa = mantissa if "." in mantissa else mantissa + ".0"
     return mantissa + (f"E{int(exponent)}" if exponent else "")
@@ -148,7 +148,7 @@ def _values_block(plan: Plan, values: dict[str, str], real: Real) -> str:
                     arrays[line + "\n"] = None
                 else:
                     scalars.setdefault(of, {}).update(dict.fromkeys(names.split(", ")))
-        mine = {"code": str(code), "op": op, "by": f" BY {WIDTH[op]}" if op in WIDTH else ""}
+        mine = {"code": str(code), "op": op, "by": f" BY {RESULT_PLACES[op]}" if op in RESULT_PLACES else ""}
         body = body.strip()
         short = "\n" not in body and len(body) < 72  # it shares its line with its loop
         body = f" {body} " if short else "\n" + textwrap.indent(body, " " * 8) + "\n    "
@@ -174,7 +174,7 @@ def tables_of(plan: Plan, real: Real) -> dict[str, str]:
         "entries": _list((v for table in plan.tables for v in table), real),
         "begins": ", ".join(map(str, begins)),
         "points": ", ".join(map(str, points)),
-        "offset": _list((TURNS * count for count in points), real),
+        "offset": _list((ADDED_TURNS * count for count in points), real),
     }
 
 

@@ -21,7 +21,7 @@ from casadical.export.c.coefficients import ANGLE_LIMIT, EXP_LIMIT, TABLE_LIMIT,
 # Operations of CasADi that are operations of the tape, by the tape's name.
 _PLAIN = {name: name for name in ("add", "sub", "mul", "div", "neg", "atan2", "fabs", "fmin", "fmax", "lt", "le")}
 _PLAIN |= {name: name for name in ("not", "sign")} | {"tanh": "tansig", "if_else_zero": "select"}
-COMMUTATIVE = {"add", "mul"}
+COMMUTATIVE_OPERATIONS = {"add", "mul"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class _Builder:
         self._known: dict[Node, int] = {}
 
     def add(self, op: str, *args: int, value: float = 0.0, table: tuple[float, ...] = ()) -> int:
-        node = Node(op, tuple(sorted(args)) if op in COMMUTATIVE else args, value, table)
+        node = Node(op, tuple(sorted(args)) if op in COMMUTATIVE_OPERATIONS else args, value, table)
         if node not in self._known:
             self._known[node] = len(self.nodes)
             self.nodes.append(node)

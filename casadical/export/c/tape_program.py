@@ -16,7 +16,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.export.c.chord import advance, prepare
-from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, Real
+from casadical.export.c.coefficients import COEFFICIENTS, NUMPY_TYPE, Real
 from casadical.export.c.products import Command, NetworkFunction, Product
 from casadical.export.c.tape import Node, Tape, tape_of
 
@@ -63,7 +63,7 @@ def _bound(node: Node, args: list[Interval], box: list[Interval], real: Real) ->
     if node.op == "input":
         return box[int(node.value)]
     if node.op == "const":
-        rounded = float(DTYPE[real](node.value))
+        rounded = float(NUMPY_TYPE[real](node.value))
         return rounded, rounded
     if node.op == "guard_min":
         return max(args[0][0], node.value), max(args[0][1], node.value)
@@ -213,7 +213,7 @@ def tape_program(
     network_bounds: list[Interval] = []
 
     def rounded(bound: Array) -> Array:
-        return bound.astype(DTYPE[real]).astype(np.float64)
+        return bound.astype(NUMPY_TYPE[real]).astype(np.float64)
 
     if network is not None:
         lower, upper = rounded(network.lower), rounded(network.upper)

@@ -22,15 +22,15 @@ from casadical.core.telling.blocks import Block
 from casadical.core.telling.plain import WRITTEN, Key
 from casadical.core.telling.plain import written as named
 from casadical.core.telling.result import Result
-from casadical.export.c.c_source import SCHEMA, c_files, comparison_inputs, functions, inside
+from casadical.export.c.c_source import FILES_SCHEMA, c_files, comparison_inputs, functions, inside
 from casadical.export.c.coefficients import Real
-from casadical.export.c.kernel import WARNINGS, Compiler, Shape, build, compilers, remember
+from casadical.export.c.kernel import WARNING_FLAGS, Compiler, Shape, build, compilers, remember
 from casadical.export.c.products import Command, Product, mapped
 from casadical.export.c.reference import Status
 from casadical.export.c.structured_text import structured_text
 from casadical.export.c.tape_program import Operations, TapeProgram, operations, tape_program
 
-LANGUAGES: dict[str, Callable[[TapeProgram], dict[str, str]]] = {
+CONTROLLER_LANGUAGES: dict[str, Callable[[TapeProgram], dict[str, str]]] = {
     "c": c_files,
     "structured_text": lambda program: {f"{program.name}.st": structured_text(program)},
 }
@@ -74,7 +74,9 @@ def compared(
         sources = [Path(folder) / f"{name}{ending}" for ending in (".h", ".c", "_self_test.c")]
         for source in sources:
             source.write_bytes(files[source.name])
-        kernels = [pool.submit(build, shape, sources[1:], Path(folder), compiler, WARNINGS) for compiler in installed]
+        kernels = [
+            pool.submit(build, shape, sources[1:], Path(folder), compiler, WARNING_FLAGS) for compiler in installed
+        ]
         # The compilers work in processes of their own meanwhile.
         expected = {key: compute(program, q) for key, compute in functions(program).items()}
         for compiler, built in zip(installed, kernels, strict=True):
@@ -245,14 +247,14 @@ def write_c(
         if not re.fullmatch(r"[0-9a-f]{64}|not given", value):
             allowed = "give 64 hexadecimal digits in lower case, or leave it out"
             raise InputError(f"{value!r} is no sha256; {allowed}")
-    for language in (chosen := tuple(LANGUAGES if languages is None else languages)):
-        if language not in LANGUAGES:
-            raise InputError(f"language {language!r} is not known; allowed: {', '.join(LANGUAGES)}")
+    for language in (chosen := tuple(CONTROLLER_LANGUAGES if languages is None else languages)):
+        if language not in CONTROLLER_LANGUAGES:
+            raise InputError(f"language {language!r} is not known; allowed: {', '.join(CONTROLLER_LANGUAGES)}")
     folder = Path(folder)
     program = tape_program(product, real, name, model_sha256, data_sha256)
     texts: dict[str, str] = {}
     for language in dict.fromkeys(("c", *chosen)):
-        texts |= LANGUAGES[language](program)
+        texts |= CONTROLLER_LANGUAGES[language](program)
     blobs = {file: text.encode() for file, text in texts.items()}
     _check_nothing_in_the_way(folder, [*blobs, "manifest.json"], overwrite)
     comparisons = compared(program, blobs, compilers(), vectors)
@@ -296,7 +298,7 @@ def _manifest(program: TapeProgram, blobs: Mapping[str, bytes], made: Export) ->
     alone = None if program.command else program.network
     content = {
         "written_by": "casadical",
-        "schema": SCHEMA,
+        "schema": FILES_SCHEMA,
         "product": "command" if alone is None else alone.key,
         "model_sha256": program.model_sha256,
         "data_sha256": program.data_sha256,

@@ -1,6 +1,6 @@
 """The correction of joint targets, by a model or by the compiled C of an export.
 
-A target is corrected in all joints or in none: with a status other than those of `FINE` it stays.
+A target is corrected in all joints or in none: with a status other than those of `FINE_STATUSES` it stays.
 """
 
 from collections.abc import Callable
@@ -16,9 +16,9 @@ from casadical.export.c.reference import Status
 from casadical.export.c.reference import correct as reference_correct
 from casadical.export.c.tape_program import tape_program
 
-FINE = (Status.OK.name, "POSITION_ONLY")  # statuses of what is corrected
+FINE_STATUSES = (Status.OK.name, "POSITION_ONLY")  # statuses of what is corrected
 
-MEANINGS = {
+STATUS_MEANINGS = {
     Status.CLAMPED.name: "outside the joint ranges of the model",
     "LEAVES_BOX": "the corrected targets would be outside the joint ranges of the model",
     Status.NOT_CONVERGED.name: "an error above the tolerance would remain",
@@ -97,7 +97,7 @@ def model_corrector(command: Command, fallback: Corrector | None = None) -> Corr
 
 
 def corrected_joints(corrector: Corrector, q: Array) -> tuple[Array, tuple[str, ...]]:
-    """Corrected joints, shape (k, n) [rad or m], and statuses; joints without one of `FINE` stay."""
+    """Corrected joints, shape (k, n) [rad or m], and statuses; joints without one of `FINE_STATUSES` stay."""
     dq, status = corrector.correct(q)
     names = [Status(int(s)).name for s in status]
     beyond = corrector.correct(q + dq)[1] == Status.CLAMPED
@@ -107,7 +107,7 @@ def corrected_joints(corrector: Corrector, q: Array) -> tuple[Array, tuple[str, 
     if corrector.fallback is not None and not fine.all():
         other, reached = corrected_joints(corrector.fallback, q[~fine])
         for k, joints, name in zip(np.flatnonzero(~fine), other, reached, strict=True):
-            if name in FINE:
+            if name in FINE_STATUSES:
                 new[k], names[k] = joints, "POSITION_ONLY"
     return new, tuple(names)
 

@@ -31,14 +31,14 @@ def driver_file(sources: Sources, form: str, checksum: str = "") -> tuple[str, t
     Raises InputError: another form, a robot with closed loops, or one that has not the structure of
     the form.
     """
-    if form not in FORMS:
-        raise InputError(f"--to {form}: not known; allowed: {', '.join(FORMS)}")
+    if form not in DRIVER_FORMS:
+        raise InputError(f"--to {form}: not known; allowed: {', '.join(DRIVER_FORMS)}")
     whole = robot_of(sources.robot)
     if whole.loops:
         raise InputError(f"{whole.name}: a four-bar has no place in a driver's kinematics; export c has one")
     real, nominal, _ = own_robots(replace(sources, leave_out=True))
     frames = "base and tool of the measurement: the kinematics are those of the flange in the robot's own base frame"
-    return FORMS[form](real, nominal, checksum), (frames, *rest_of_rigid(replace(whole, payload=real.payload)))
+    return DRIVER_FORMS[form](real, nominal, checksum), (frames, *rest_of_rigid(replace(whole, payload=real.payload)))
 
 
 def standard_dh(robot: Robot, like: Array) -> tuple[Array, Array, Array]:
@@ -146,7 +146,7 @@ def _xacro(real: Robot, _nominal: Robot, _: str) -> str:
     return "\n".join([*lines, "</robot>"]) + "\n"
 
 
-FORMS: dict[str, Callable[[Robot, Robot, str], str]] = {
+DRIVER_FORMS: dict[str, Callable[[Robot, Robot, str], str]] = {
     "ur": _ur,
     "standard_dh": _standard_table,
     "modified_dh": _modified_table,

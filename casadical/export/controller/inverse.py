@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.basics import Array, InputError
-from casadical.export.c.chord import LENGTH, residual
+from casadical.export.c.chord import ORIENTATION_LENGTH_M, residual
 from casadical.export.controller.functions import pose_of
 from casadical.export.controller.programs.target import Posture
 from casadical.robot.inverse_kinematics import solve_joints
@@ -117,7 +117,7 @@ class Newton:
         far = np.where(np.isfinite(r), r, np.inf)
         weakest = np.linalg.svd(np.nan_to_num(J[:, : 6 if self.oriented else 3]), compute_uv=False)[:, -1]
         inside = np.asarray(((q >= limits[0] - 1e-12) & (q <= limits[1] + 1e-12)).all(axis=1))
-        turned = np.linalg.norm(far[:, 3:], axis=1) / LENGTH
+        turned = np.linalg.norm(far[:, 3:], axis=1) / ORIENTATION_LENGTH_M
         return Inverse(q, np.linalg.norm(far[:, :3], axis=1), turned, np.asarray(weakest < SINGULAR_POSE), inside)
 
     def evaluated(self, q: Array, target: Array) -> tuple[Array, Array]:
@@ -132,7 +132,7 @@ def _residual_and_jacobian(pose: ca.Function, n: int, oriented: bool) -> ca.Func
     p, R = pose(q)
     if oriented:
         r = residual(target, ca.vertcat(p, ca.vec(R)))
-        lower = ca.horzcat(*[LENGTH * _turning(R, ca.jacobian(ca.vec(R), q), i) for i in range(n)])
+        lower = ca.horzcat(*[ORIENTATION_LENGTH_M * _turning(R, ca.jacobian(ca.vec(R), q), i) for i in range(n)])
     else:
         r, lower = ca.vertcat(target[:3] - p, ca.SX.zeros(3)), ca.SX.zeros(3, n)
     return ca.Function("newton", [q, target], [ca.densify(r), ca.densify(ca.vertcat(ca.jacobian(p, q), lower))])

@@ -32,11 +32,11 @@ from casadical.robot.robot import Robot
 
 # Time constant [s] with which every spring alone comes to rest; statics depend neither on inertia
 # nor on damping.
-SLOW = 0.02
-GAUSS = (0.5 - 0.5 / np.sqrt(3), 0.5 + 0.5 / np.sqrt(3))
-AXES = ("1 0 0", "0 1 0", "0 0 1")
+SETTLING_TIME_S = 0.02
+GAUSS_POINTS = (0.5 - 0.5 / np.sqrt(3), 0.5 + 0.5 / np.sqrt(3))
+AXIS_VECTORS = ("1 0 0", "0 1 0", "0 0 1")
 # Length of the lever [m]: arbitrary, as stiffness and pull are scaled by it.
-LEVER = 0.3
+LEVER_M = 0.3
 
 
 def numbers(*values: float) -> str:
@@ -65,8 +65,8 @@ def add_spring(body: ET.Element, name: str, axis: str, stiffness: float, cubic: 
 
 
 def inert(stiffness: float) -> dict[str, str]:
-    """Armature and damping of a joint on a spring, by which it comes to rest in `SLOW`."""
-    return {"armature": numbers(stiffness * SLOW**2), "damping": numbers(2 * stiffness * SLOW)}
+    """Armature and damping of a joint on a spring, by which it comes to rest in `SETTLING_TIME_S`."""
+    return {"armature": numbers(stiffness * SETTLING_TIME_S**2), "damping": numbers(2 * stiffness * SETTLING_TIME_S)}
 
 
 def add_pieces(
@@ -78,21 +78,21 @@ def add_pieces(
         m/rad]
     spread : whether the springs see its weight spread along it
     """
-    s1, s2 = GAUSS
+    s1, s2 = GAUSS_POINTS
     com = np.asarray(mass.com)
     # A third of the mass each; centres from what the springs must see, moments (1 - s) m com or (1
     # - s)^2 m end / 2.
-    lever1, lever2 = ((1 - s) ** 2 * end / 2 if spread else (1 - s) * com for s in GAUSS)
+    lever1, lever2 = ((1 - s) ** 2 * end / 2 if spread else (1 - s) * com for s in GAUSS_POINTS)
     c2 = s2 * end + 3 * lever2
     c1 = s1 * end + 3 * lever1 - (c2 - s1 * end)
     c0 = 3 * com - c1 - c2
     third = mass.mass / 3
     add_mass(body, third, c0)
     before = np.zeros(3)
-    for k, (share, centre) in enumerate(zip(GAUSS, (c1, c2), strict=True), 1):
+    for k, (share, centre) in enumerate(zip(GAUSS_POINTS, (c1, c2), strict=True), 1):
         body = add_body(body, f"{name}_piece{k}", frame(np.eye(3), share * end - before))
         before = share * end
-        for axis, words, whole in zip("xyz", AXES, stiffness, strict=True):
+        for axis, words, whole in zip("xyz", AXIS_VECTORS, stiffness, strict=True):
             if np.isfinite(whole):
                 add_spring(body, f"{name}_bend{k}{axis}", words, 2 * whole)
         add_mass(body, third, centre - before)
@@ -101,24 +101,24 @@ def add_pieces(
 
 def add_sites(balancer: Balancer, before: ET.Element, behind: Array, link: ET.Element, row: Joint) -> None:
     """Add the tendons' ends: anchors before the joint (frame at `behind`), lever on the link."""
-    name, b = f"balancer{balancer.joint}", balancer.anchor * LEVER
+    name, b = f"balancer{balancer.joint}", balancer.anchor * LEVER_M
     T = behind @ row_matrix(replace(row, theta=0.0))
     for suffix, angle in (("spring", balancer.phase - balancer.ahead + np.pi), ("pull", balancer.phase + np.pi)):
         at = T @ np.array([b * np.cos(angle), b * np.sin(angle), 0.0, 1.0])
         ET.SubElement(before, "site", name=f"{name}_{suffix}", pos=numbers(*at[:3]))
-    ET.SubElement(link, "site", name=f"{name}_lever", pos=numbers(LEVER, 0, 0))
+    ET.SubElement(link, "site", name=f"{name}_lever", pos=numbers(LEVER_M, 0, 0))
 
 
 def add_tendons(balancer: Balancer, tendons: ET.Element, actuators: ET.Element) -> None:
     """The spring and, where there is preload, the pull: an actuator whose command does nothing."""
-    name, b = f"balancer{balancer.joint}", balancer.anchor * LEVER
-    stiffness = balancer.swing / (LEVER * b)
+    name, b = f"balancer{balancer.joint}", balancer.anchor * LEVER_M
+    stiffness = balancer.swing / (LEVER_M * b)
     for suffix, spring in (("spring", {"stiffness": numbers(stiffness), "springlength": "0 0"}), ("pull", {})):
         node = ET.SubElement(tendons, "spatial", {"name": f"{name}_{suffix}", **spring})
         for end in (f"{name}_{suffix}", f"{name}_lever"):
             ET.SubElement(node, "site", site=end)
     # l is measured in anchor lengths there: T P sin t / (length / b) = F a b sin t / length.
-    pull = {"biastype": "affine", "gainprm": "0", "biasprm": numbers(-balancer.pull / LEVER, 0, 0)}
+    pull = {"biastype": "affine", "gainprm": "0", "biasprm": numbers(-balancer.pull / LEVER_M, 0, 0)}
     ET.SubElement(actuators, "general", {"name": f"{name}_pull", "tendon": f"{name}_pull", **pull})
 
 
@@ -143,7 +143,7 @@ def add_loop(
     coupler = add_body(crank, f"coupler{d}", frame(np.eye(3), np.array([loop.crank, 0.0, 0.0])))
     rocker = add_body(links[f"link{loop.carrier}"], f"rocker{d}", frame(np.eye(3), np.array([row.a, 0.0, 0.0])))
     # a tenth of the drive's armature; less makes the constraints soft. Bars have no weight.
-    heavy = numbers(0.1 * drive.stiffness * SLOW**2)
+    heavy = numbers(0.1 * drive.stiffness * SETTLING_TIME_S**2)
     for body, name in ((coupler, "coupler"), (rocker, "rocker")):
         ET.SubElement(body, "joint", name=f"{name}{d}", axis="0 0 1", armature=heavy)
     for body in (crank, coupler, rocker):

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from casadical.core.basics import Array, ConvergenceError, InputError, optional
-from casadical.export.mjcf.mjcf import POINT
+from casadical.export.mjcf.mjcf import MEASURED_SITE
 from casadical.measurements.measurements import Measurements
 
-STILL = 1e-12  # rad or m
+STILL_STEP = 1e-12  # rad or m
 AT_MOST = 100
 
 
@@ -93,9 +93,9 @@ class EngineModel:
             if self.free:
                 self._close()
             size = float(np.abs(step).max())
-            if size < STILL:
+            if size < STILL_STEP:
                 self.mujoco.mj_kinematics(m, d)
-                return np.array(d.site(POINT).xpos)
+                return np.array(d.site(MEASURED_SITE).xpos)
         raise ConvergenceError(f"no equilibrium after {AT_MOST} steps, the last one of {size:.1e} rad or m")
 
     def _force(self) -> Array:
@@ -176,7 +176,7 @@ class EngineModel:
             step = -np.linalg.lstsq(J[:, self.free], off, rcond=None)[0]
             size = float(np.abs(step).max())
             self.d.qpos[self.free] += step * min(1.0, 0.5 / max(size, 1e-300)) if gentle else step
-            if size < STILL:
+            if size < STILL_STEP:
                 return bool(np.abs(off).max() < 1e-9)
         return False
 

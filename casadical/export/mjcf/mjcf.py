@@ -16,17 +16,27 @@ from casadical.core.parts import Body, Joint
 from casadical.core.transforms import frame
 from casadical.effects.base import Counterparts, Drive, Omission
 from casadical.export.mjcf import elements
-from casadical.export.mjcf.elements import AXES, SLOW, add_body, add_mass, add_spring, inert, numbers, place
+from casadical.export.mjcf.elements import (
+    AXIS_VECTORS,
+    SETTLING_TIME_S,
+    add_body,
+    add_mass,
+    add_spring,
+    inert,
+    numbers,
+    place,
+)
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Robot
 
-STEP = 0.002
+TIME_STEP_S = 0.002
 # The hardest impedance that MuJoCo allows.
-HARD = {"solref": numbers(2 * STEP, 1), "solimp": "0.9999 0.9999 0.001 0.5 2"}
-POINT = "measured"
+HARDEST_IMPEDANCE = {"solref": numbers(2 * TIME_STEP_S, 1), "solimp": "0.9999 0.9999 0.001 0.5 2"}
+MEASURED_SITE = "measured"
 _ABOUT = (
     "Written by casadical. Statics are exact: geometry, masses, joint springs. Inertias, damping and armature are",
-    f"placeholders (every spring comes to rest in some {SLOW:g} s). ctrl takes the joint readings [rad or m].",
+    f"placeholders (every spring comes to rest in some {SETTLING_TIME_S:g} s). ctrl takes the joint "
+    "readings [rad or m].",
 )
 
 
@@ -59,12 +69,12 @@ def mjcf(robot: Robot) -> MjcfExport:
     ET.SubElement(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
     R = robot.base.T[:3, :3] if robot.gravity_frame != "measuring" else np.eye(3)
     gravity = numbers(*(R @ robot.gravity))
-    ET.SubElement(root, "option", timestep=numbers(STEP), integrator="implicitfast", gravity=gravity)
+    ET.SubElement(root, "option", timestep=numbers(TIME_STEP_S), integrator="implicitfast", gravity=gravity)
     default = ET.SubElement(root, "default")
-    limits = {"solreflimit": HARD["solref"], "solimplimit": HARD["solimp"]}
-    friction = {"solreffriction": HARD["solref"], "solimpfriction": HARD["solimp"]}
+    limits = {"solreflimit": HARDEST_IMPEDANCE["solref"], "solimplimit": HARDEST_IMPEDANCE["solimp"]}
+    friction = {"solreffriction": HARDEST_IMPEDANCE["solref"], "solimpfriction": HARDEST_IMPEDANCE["solimp"]}
     ET.SubElement(default, "joint", {**limits, **friction})
-    ET.SubElement(default, "equality", HARD)
+    ET.SubElement(default, "equality", HARDEST_IMPEDANCE)
     last = _bodies(ET.SubElement(root, "worldbody"), robot, parts)
     _tool(last, robot, parts.payload)
     if robot.loops:
@@ -79,7 +89,7 @@ def mjcf(robot: Robot) -> MjcfExport:
         for balancer in parts.balancers:
             elements.add_tendons(balancer, tendons, actuators)
     sensor = ET.SubElement(root, "sensor")
-    ET.SubElement(sensor, "framepos", name=POINT, objtype="site", objname=POINT)
+    ET.SubElement(sensor, "framepos", name=MEASURED_SITE, objtype="site", objname=MEASURED_SITE)
     return MjcfExport(xml_text(root), parts.written, parts.left_out)
 
 
@@ -116,7 +126,7 @@ def _bodies(world: ET.Element, robot: Robot, parts: Counterparts) -> ET.Element:
     base = add_body(world, "base", robot.base.T)
     if np.isfinite(parts.base).any():
         add_mass(base, 0.0, np.zeros(3))
-        for axis, words, k in zip("xy", AXES[:2], parts.base, strict=True):
+        for axis, words, k in zip("xy", AXIS_VECTORS[:2], parts.base, strict=True):
             if np.isfinite(k):
                 add_spring(base, f"base_{axis}", words, k).set("pos", numbers(0.0, 0.0, -parts.base_below))
     driven = {loop.driven: loop for loop in robot.loops}
@@ -168,7 +178,7 @@ def _drive_joints(body: ET.Element, name: str, row: Joint, drive: Drive) -> None
 
 
 def _tool(last: ET.Element, robot: Robot, payload: Body | None) -> None:
-    ET.SubElement(last, "site", {"name": POINT, **place(robot.tool.T)})
+    ET.SubElement(last, "site", {"name": MEASURED_SITE, **place(robot.tool.T)})
     if payload is not None:
         body = add_body(last, "payload", frame(np.eye(3), np.asarray(payload.com)))
         add_mass(body, payload.mass, np.zeros(3))

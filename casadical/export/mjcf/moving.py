@@ -16,19 +16,37 @@ import numpy as np
 from casadical.core.basics import InputError
 from casadical.core.drive import Drive
 from casadical.export.mjcf.elements import add_spring, numbers
-from casadical.export.mjcf.mjcf import HARD, POINT, STEP, MjcfExport, describe, mjcf, xml_text
+from casadical.export.mjcf.mjcf import (
+    HARDEST_IMPEDANCE,
+    MEASURED_SITE,
+    TIME_STEP_S,
+    MjcfExport,
+    describe,
+    mjcf,
+    xml_text,
+)
 from casadical.robot.robot import Robot
 
 # What a joint needs to move as it does: names in `Drive`, and what another program calls them.
-NEEDED = {"kp": "stiffness", "damping": "damping", "friction": "friction", "rotor_inertia_at_joint": "armature"}
-ALSO = {"delay": "delay_s", "bias": "constant_torque", "torque_limit": "effort_limit", "speed_limit": "velocity_limit"}
+REQUIRED_DRIVE_KEYS = {
+    "kp": "stiffness",
+    "damping": "damping",
+    "friction": "friction",
+    "rotor_inertia_at_joint": "armature",
+}
+OPTIONAL_DRIVE_KEYS = {
+    "delay": "delay_s",
+    "bias": "constant_torque",
+    "torque_limit": "effort_limit",
+    "speed_limit": "velocity_limit",
+}
 # Radius of what touches a surface [m].
-BALL = 0.005
+BALL_RADIUS_M = 0.005
 
 
 def knows_motion(robot: Robot) -> bool:
     """Whether `[drive]` says how the joints of an open chain follow their commands."""
-    known = robot.drive is not None and all(getattr(robot.drive, name) is not None for name in NEEDED)
+    known = robot.drive is not None and all(getattr(robot.drive, name) is not None for name in REQUIRED_DRIVE_KEYS)
     return known and not robot.loops
 
 
@@ -75,14 +93,14 @@ def _set_floor(root: ET.Element, height: float | None) -> None:
         return
     up = -gravity / np.linalg.norm(gravity)
     alone = {"contype": "0", "conaffinity": "0"}
-    place = {"pos": numbers(*((height - BALL) * up)), "zaxis": numbers(*up), "size": "0 0 0.01"}
+    place = {"pos": numbers(*((height - BALL_RADIUS_M) * up)), "zaxis": numbers(*up), "size": "0 0 0.01"}
     ET.SubElement(world, "geom", {"name": "floor", "type": "plane", **place, **alone})
     last, site = next(
-        (body, node) for body in root.iter("body") for node in body.findall("site") if node.get("name") == POINT
+        (body, node) for body in root.iter("body") for node in body.findall("site") if node.get("name") == MEASURED_SITE
     )
-    ball = {"name": "ball", "type": "sphere", "pos": str(site.get("pos")), "size": numbers(BALL), "mass": "0"}
+    ball = {"name": "ball", "type": "sphere", "pos": str(site.get("pos")), "size": numbers(BALL_RADIUS_M), "mass": "0"}
     ET.SubElement(last, "geom", {**ball, **alone})
-    pair = {"geom1": "floor", "geom2": "ball", "condim": "1", **HARD}
+    pair = {"geom1": "floor", "geom2": "ball", "condim": "1", **HARDEST_IMPEDANCE}
     ET.SubElement(ET.SubElement(root, "contact"), "pair", pair)
 
 
@@ -98,9 +116,9 @@ def _actuator(robot: Robot, drive: Drive, i: int) -> ET.Element:
     if within:
         servo.set("dyntype", "filterexact")
         servo.set("dynprm", numbers(within))
-    if delay > STEP / 2:
+    if delay > TIME_STEP_S / 2:
         servo.set("delay", numbers(delay))
-        servo.set("nsample", str(int(np.ceil(delay / STEP)) + 2))
+        servo.set("nsample", str(int(np.ceil(delay / TIME_STEP_S)) + 2))
         servo.set("interp", "linear")
     return servo
 
@@ -144,12 +162,15 @@ def actuators_of(robot: Robot) -> dict[str, Any]:
     - damping q'.
     """
     if robot.drive is None or not knows_motion(robot):
-        lacking = [name for name in NEEDED if robot.drive is None or getattr(robot.drive, name) is None]
+        lacking = [name for name in REQUIRED_DRIVE_KEYS if robot.drive is None or getattr(robot.drive, name) is None]
         raise InputError(
             f"{robot.name}: its [drive] does not say how the joints follow their commands (lacking: "
             f"{', '.join(lacking) or 'an open chain'}); casadical diagnose ROBOT LOG --out DIR finds it from joint logs"
         )
     names = [row.name or f"joint{i}" for i, row in enumerate(robot.joints, 1)]
-    given = {word: robot.drive.of_joints(name, robot.n) for name, word in {**NEEDED, **ALSO}.items()}
+    given = {
+        word: robot.drive.of_joints(name, robot.n)
+        for name, word in {**REQUIRED_DRIVE_KEYS, **OPTIONAL_DRIVE_KEYS}.items()
+    }
     columns = {word: [float(v) for v in values] for word, values in given.items() if values is not None}
     return {"robot": robot.name, **{word: dict(zip(names, v, strict=True)) for word, v in columns.items()}}

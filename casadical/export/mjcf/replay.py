@@ -30,7 +30,7 @@ from casadical.project.diagnosis import Campaign, EffectChoice, Options, diagnos
 from casadical.robot.robot import Robot
 
 # Shares of the poses that are fitted, and of those that are replayed.
-PARTS = {"identify": 2 / 3, "report": round(0.999 - 2 / 3, 3)}
+REPLAY_SHARES = {"identify": 2 / 3, "report": round(0.999 - 2 / 3, 3)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,13 +80,12 @@ class Replay(Result):
     @property
     def table(self) -> pd.DataFrame:
         """A row a stage: error in the simulator [mm], its distance from casadical's point [um]."""
-        rows = [
-            {
-                "model": s.name, "n": s.accuracy.n, "mean_mm": 1e3 * s.accuracy.mean, "max_mm": 1e3 * s.accuracy.max,
-                "rms_mm": 1e3 * s.accuracy.rms, "p95_mm": 1e3 * s.accuracy.p95, "apart_um": 1e6 * float(s.apart.max()),
-            }
-            for s in self.stages
-        ]  # fmt: skip
+        rows = []
+        for s in self.stages:
+            a, row = s.accuracy, {"model": s.name, "n": s.accuracy.n}
+            lengths = {"mean_mm": a.mean, "max_mm": a.max, "rms_mm": a.rms, "p95_mm": a.p95}
+            row |= {key: 1e3 * value for key, value in lengths.items()}
+            rows.append(row | {"apart_um": 1e6 * float(s.apart.max())})
         return pd.DataFrame(rows)
 
     def blocks(self) -> list[Words | Table]:
@@ -140,7 +139,7 @@ def replay_campaign(
     """
     m, _ = derive(m, [f"approach{i}" for i in range(1, robot.n + 1)])
     m, _ = derive(m, ["progress"])
-    parts = m.split(PARTS, seed)
+    parts = m.split(REPLAY_SHARES, seed)
     fitted, held_out = parts["identify"], parts["report"]
     diagnosed = diagnose_campaign(Campaign(robot, (fitted,)), Options(effects, seed), show).diagnosis
     return Replay(m.source, robot.name, _stages(robot, fitted, held_out, diagnosed, diagnosed.apply, show), diagnosed)
@@ -160,7 +159,7 @@ def replay_diagnosis(found: Diagnosis) -> Replay:
     m, _ = derive(case.m, ["progress", *(f"approach{i}" for i in range(1, robot.n + 1))])
     m = m.positions_alone()[case.kept]
     numbered = replace(m, row=np.arange(len(m)))
-    parts = numbered.split(PARTS)
+    parts = numbered.split(REPLAY_SHARES)
     fitted = np.isin(numbered.row, parts["identify"].row)
 
     def with_causes() -> Robot:
@@ -242,16 +241,28 @@ def replay_figure(replayed: Replay, floor: float) -> Figure:
     ends = (0.7 * min(noise, *low), 1.1 * max(high))
     ticks = ticks_of_decades(*ends, steps=(1,) if ends[1] > 10 * ends[0] else (1, 2, 5))
     dots = Series(
-        "points", mean, range(len(names)), size=11, colour=["grey", "grey", "blue"][: len(names)], less=mean - low,
-        more=high - mean, facts=[list(row) for row in zip(names, low, high, strict=True)],
+        "points",
+        mean,
+        range(len(names)),
+        size=11,
+        colour=["grey", "grey", "blue"][: len(names)],
+        less=mean - low,
+        more=high - mean,
+        facts=[list(row) for row in zip(names, low, high, strict=True)],
         tip="<b>%{customdata[0]}</b><br>%{x:.4f} mm, 95 %: %{customdata[1]:.4f} to %{customdata[2]:.4f}",
-    )  # fmt: skip
+    )
     notes = [Note(f"{value:.3f} mm", end, k, gap=8) for k, (value, end) in enumerate(zip(mean, high, strict=True))]
     return Figure(
-        "replay", "Poses replayed in MuJoCo", [dots], Axis("mean position error [mm]", ends, log=True, ticks=ticks),
-        rows=[name.replace(" and ", "\nand ") for name in names], height=150 + 40 * len(names), caption=_CAPTION,
-        marks=[*notes, Rule("x", noise, "green", width=2, text=f"noise alone {noise:.3f} mm")], right=76,
-    )  # fmt: skip
+        "replay",
+        "Poses replayed in MuJoCo",
+        [dots],
+        Axis("mean position error [mm]", ends, log=True, ticks=ticks),
+        rows=[name.replace(" and ", "\nand ") for name in names],
+        height=150 + 40 * len(names),
+        caption=_CAPTION,
+        marks=[*notes, Rule("x", noise, "green", width=2, text=f"noise alone {noise:.3f} mm")],
+        right=76,
+    )
 
 
 def stage_names(replayed: Replay) -> list[str]:

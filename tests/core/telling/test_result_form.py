@@ -15,7 +15,7 @@ from casadical.diagnosis.motion.replay import Replay as MotionReplay
 from casadical.diagnosis.motion.result import LogDiagnosis
 from casadical.export.c.tape_program import Operations
 from casadical.export.c.write import Export
-from casadical.export.controller.programs.program import CorrectedFile, CorrectedProgram
+from casadical.export.controller.programs.program import CorrectedProgram
 from casadical.export.mjcf.replay import Replay
 from casadical.fleet.changes import Comparison
 from casadical.fleet.touches import Touches
@@ -30,7 +30,7 @@ ROOT = Path(__file__).parents[3]
 PLANAR = ROOT / "problems" / "planar"
 # Made elsewhere in the tests, where their own words and figures are compared: they cost too much to be made here.
 COSTLY = {Comparison, Replay, casadical.Fleet, casadical.Discovery, Iso9283, Touches, Certificate}
-COSTLY |= {Score, LogDiagnosis, MotionReplay, CorrectedProgram, CorrectedFile}
+COSTLY |= {Score, LogDiagnosis, MotionReplay, CorrectedProgram}
 
 
 @pytest.fixture(scope="module")

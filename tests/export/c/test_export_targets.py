@@ -11,7 +11,7 @@ from export_targets import need
 from test_export_curves import coefficients, curve_function
 
 from casadical.export import write_c
-from casadical.export.c.kernel import WARNINGS
+from casadical.export.c.kernel import WARNING_FLAGS
 from casadical.export.c.products import CurveFunction
 from casadical.export.c.reference import correct, network
 from casadical.export.c.tape_program import tape_program
@@ -65,7 +65,7 @@ def test_no_warning(exported, compiler_name):
     more = ["-Wshadow", "-Wdouble-promotion", "-Wstrict-prototypes", "-Wcast-qual", "-Wundef"]
     for key in KEYS:
         for name in ("arm.c", "arm_self_test.c", "arm_example.c"):
-            command = [compiler_name, "-std=c99", "-O2", *WARNINGS, *more, "-c", name, "-o", "/dev/null"]
+            command = [compiler_name, "-std=c99", "-O2", *WARNING_FLAGS, *more, "-c", name, "-o", "/dev/null"]
             run = subprocess.run(command, cwd=exported[key], capture_output=True, text=True, check=False)
             assert (run.returncode, run.stderr) == (0, ""), f"{key} {name}: {run.stderr}"
 
@@ -138,7 +138,7 @@ def test_the_lines_of_the_page_that_measure_on_a_board_compile_without_a_warning
     need("arm-none-eabi-gcc")
     names = [re.findall(r"uint32_t (\w+)\(", block)[-1] for block in BLOCKS]
     assert names == ["cycles_of_a_step", "cycles_of_a_correction", "stack_of_a_correction"]
-    flags = ["-std=c99", *WARNINGS, "-O2", "-mthumb", f"-I{exported['command', 'float']}"]
+    flags = ["-std=c99", *WARNING_FLAGS, "-O2", "-mthumb", f"-I{exported['command', 'float']}"]
     for block in BLOCKS:
         (tmp_path / "measure.c").write_text(block)
         command = ["arm-none-eabi-gcc", *flags, *targets.BOARDS[board][1], "-c", str(tmp_path / "measure.c")]

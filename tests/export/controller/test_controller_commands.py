@@ -262,16 +262,3 @@ def test_the_c_of_full_poses_says_what_remains_of_both(files, tmp_path):
     q = poses(read_robot(files / "ur10.toml"), 5)
     assert np.array_equal(corrector.correct(q)[0], model_corrector(command).correct(q)[0])
     assert np.allclose(corrector.position(q), model_corrector(command).position(q), atol=1e-9)
-
-
-def test_a_table_is_corrected_in_its_poses(files, tmp_path, monkeypatch, capfd):
-    q = poses(read_robot(files / "ur10.toml"), 20)
-    program(tmp_path / "p.csv", q)
-    given = (files / "ur10.toml", tmp_path / "p.csv", "--nominal", nominal_path("ur10"), "--correct", "pose")
-    assert run(monkeypatch, "correct", *given, "--out", tmp_path / "out.csv", "--steps", 3) == 0
-    printed = capfd.readouterr().out
-    assert "position and orientation are corrected" in printed
-    status = [row["correction_status"] for row in table(tmp_path / "out.csv")]
-    assert status.count("OK") > 10
-    assert set(status) <= {"OK", "POSITION_ONLY", "SINGULAR"}
-    assert ("in position only" in printed) == ("POSITION_ONLY" in status)

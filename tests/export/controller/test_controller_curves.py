@@ -103,23 +103,6 @@ def test_a_robot_file_becomes_curves_in_c(robot, tmp_path, monkeypatch, capfd):
     assert "--what command" in capfd.readouterr().err
 
 
-@pytest.mark.slow
-def test_correct_uses_them_with_the_robot_file_and_with_the_c(robot, tmp_path, monkeypatch, capfd):
-    if not compilers():
-        pytest.skip("no C compiler (gcc, clang, cc) on this machine")
-    file, program = tmp_path / "robot.toml", tmp_path / "program.csv"
-    write_robot(robot, file)
-    rows = "\n".join(",".join(map(str, row)) for row in poses(robot, 5))
-    program.write_text("q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad\n" + rows + "\n")
-    given = ["--nominal", nominal_path("ur10"), "--leave-out"]
-    assert run(monkeypatch, "export", "c", file, "--out", tmp_path / "c", *given) == 0
-    assert run(monkeypatch, "correct", tmp_path / "c", program, "--out", tmp_path / "a.csv") == 0
-    assert run(monkeypatch, "correct", file, program, "--out", tmp_path / "b.csv", *given) == 0
-    capfd.readouterr()
-    assert (tmp_path / "a.csv").read_text() == (tmp_path / "b.csv").read_text()
-    assert ",OK" in (tmp_path / "a.csv").read_text()
-
-
 def test_bad_input_is_refused_with_the_reason(robot, nominal, tmp_path, monkeypatch, capfd):
     with pytest.raises(InputError, match="it has no joint_error_curve; there is nothing to export"):
         curves_of(Sources(nominal))
@@ -135,14 +118,3 @@ def test_bad_input_is_refused_with_the_reason(robot, nominal, tmp_path, monkeypa
     assert run(monkeypatch, *given) == 2
     assert "s3_q2" in capfd.readouterr().err
     assert not (tmp_path / "c").exists()
-
-
-def test_a_simulator_cannot_carry_them_and_says_what_is_lost(robot, tmp_path, monkeypatch, capfd):
-    write_robot(robot, tmp_path / "robot.toml")
-    given = ["export", "model", tmp_path / "robot.toml", "--out", tmp_path / "a.xml"]
-    assert run(monkeypatch, *given) == 2
-    said = " ".join(capfd.readouterr().err.split())
-    assert "joint_error_curve: a MuJoCo joint has no error that follows its own angle" in said
-    assert "mm at most over" in said
-    assert run(monkeypatch, *given, "--leave-out") == 0
-    assert "LEFT OUT joint_error_curve" in capfd.readouterr().out

@@ -18,7 +18,7 @@ from casadical.core.parts import Placement
 from casadical.core.transforms import frame
 from casadical.export.c.reference import Status
 from casadical.export.controller.commands import Sources, command_of, own_robots, robot_of
-from casadical.export.controller.correction import FINE, Corrector, corrected_joints, model_corrector
+from casadical.export.controller.correction import FINE_STATUSES, Corrector, corrected_joints, model_corrector
 from casadical.export.controller.functions import tool_function
 from casadical.export.controller.inverse import Newton, Postures
 from casadical.export.controller.programs.language import ProgramLanguage
@@ -137,7 +137,7 @@ class Result:
 
     @property
     def fine(self) -> bool:
-        return self.status in FINE
+        return self.status in FINE_STATUSES
 
     @property
     def changes(self) -> Iterator[tuple[Number, str]]:
@@ -166,11 +166,11 @@ def corrected_targets(language: ProgramLanguage, targets: Sequence[Target], cell
         made = cell.with_tool(results[chosen[0]].target.tool)
         q = np.array([results[k].q[0] for k in chosen])  # type: ignore[index]
         new, names = corrected_joints(made.corrector, q)
-        fine = np.array([name in FINE for name in names])
+        fine = np.array([name in FINE_STATUSES for name in names])
         corrected = [results[k].target for k in np.array(chosen)[fine]]
         written = _written(language, corrected, cell, made, q[fine], new[fine])
         for k, name in zip(chosen, names, strict=True):
-            result = next(written) if name in FINE else replace(results[k], q=None)
+            result = next(written) if name in FINE_STATUSES else replace(results[k], q=None)
             results[k] = replace(result, status=name if result.fine else result.status)
     return results
 

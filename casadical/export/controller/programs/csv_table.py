@@ -13,7 +13,7 @@ from casadical.export.controller.programs.target import DEG, MM, Given, Number, 
 from casadical.measurements.columns import Columns
 from casadical.measurements.raw_table import RawTable, read_table
 
-STATUS = "correction_status"
+STATUS_COLUMN = "correction_status"
 
 
 class CsvTable(ProgramLanguage):
@@ -47,7 +47,7 @@ class CsvTable(ProgramLanguage):
 
     def written(self, source: str, text: str, results: Sequence[Any]) -> bytes:
         table = _table(source)
-        rows = [[*table.header, STATUS]]
+        rows = [[*table.header, STATUS_COLUMN]]
         for cells, r in zip(map(list, table.cells), results, strict=True):
             for number, new in zip(r.target.numbers, r.texts, strict=False):
                 cells[number.stop] = new
@@ -67,9 +67,10 @@ def _table(path: str) -> RawTable:
     if table.form.separator != "," or table.form.sheet:
         form = "a workbook" if table.form.sheet else f"separated by {table.form.separator!r}"
         raise InputError(f"{path}: is {form}; a program is read and written with commas and decimal points, as CSV")
-    if STATUS in map(str.casefold, table.header):
+    if STATUS_COLUMN in map(str.casefold, table.header):
         raise InputError(
-            f"{path}: column {STATUS!r} is there already: this program was corrected before; correct the original"
+            f"{path}: column {STATUS_COLUMN!r} is there already: this program was corrected before; "
+            "correct the original"
         )
     for number, cells in zip(table.line, table.cells, strict=True):
         if len(cells) != len(table.header):

@@ -18,7 +18,7 @@ from casadical.export.controller.programs.grammar import ParsedText, is_number, 
 from casadical.export.controller.programs.language import AngleLanguage
 from casadical.export.controller.programs.target import MM, Given, Number, Posture, Target, numbers
 
-GRAMMAR = r"""
+FANUC_GRAMMAR = r"""
 start: position | _other
 position: POINT "[" NUMBER [":" STRING] "]" "{" group+ "}"
 group: GROUP ":" (item ","?)*
@@ -47,7 +47,7 @@ class Fanuc(AngleLanguage):
         begin = re.search(r"^/POS\b", text, re.MULTILINE)
         if begin is None:
             return []
-        parsed = ParsedText(GRAMMAR, re.sub(r"\S", " ", text[: begin.start()]) + text[begin.start() :])
+        parsed = ParsedText(FANUC_GRAMMAR, re.sub(r"\S", " ", text[: begin.start()]) + text[begin.start() :])
         positions: dict[int | None, Tree[Token]] = {p.meta.start_pos: p for p in parsed.all("position")}
         targets = []
         for point, opens, number in zip(parsed.tokens, parsed.tokens[1:], parsed.tokens[2:], strict=False):

@@ -19,7 +19,7 @@ from casadical.core.basics import InputError
 
 # Of every language: a number, and whatever no other terminal takes (of lowest priority, so that
 # text is never refused).
-COMMON = r"""
+COMMON_TERMINALS = r"""
 _other: OTHER
 NUMBER: /[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?/
 OTHER.-9: /./s
@@ -46,7 +46,7 @@ class ParsedText:
 
 @cache
 def _parser(grammar: str) -> Lark:
-    return Lark(grammar + COMMON, parser="lalr", lexer="basic", propagate_positions=True)
+    return Lark(grammar + COMMON_TERMINALS, parser="lalr", lexer="basic", propagate_positions=True)
 
 
 def _islands(parser: Lark, tokens: Sequence[Token]) -> Iterator[Tree[Token]]:

@@ -17,7 +17,7 @@ from casadical.export.controller.programs.grammar import ParsedText, is_number, 
 from casadical.export.controller.programs.language import AngleLanguage
 from casadical.export.controller.programs.target import Given, Posture, Target, numbers
 
-GRAMMAR = r"""
+KRL_GRAMMAR = r"""
 start: assign | move | pick | _other
 assign: ref "=" (aggregate | ref)
 move: MOVE place ["," place]
@@ -81,7 +81,7 @@ class _Module:
     """
 
     def __init__(self, text: str) -> None:
-        self.parsed = ParsedText(GRAMMAR, text)
+        self.parsed = ParsedText(KRL_GRAMMAR, text)
         self.moves = {_name(ref) for move in self.parsed.all("move") for ref in parts(move, "ref")}
         sides = ((assign.children[0], assign.children[1]) for assign in self.parsed.all("assign"))
         self.assignments: list[tuple[str, int, Tree[Token]]] = [

@@ -1,4 +1,4 @@
-"""A controllers' language: each is one file, and one word in `program.LANGUAGES`."""
+"""A controllers' language: each is one file, and one word in `PROGRAM_LANGUAGES`."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence

@@ -3,7 +3,7 @@
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, cast
 
@@ -25,7 +25,7 @@ from casadical.export.controller.commands import (
     unreached,
     wants_pose,
 )
-from casadical.export.controller.correction import FINE, MEANINGS, kernel_corrector, position_only
+from casadical.export.controller.correction import FINE_STATUSES, STATUS_MEANINGS, kernel_corrector, position_only
 from casadical.export.controller.programs import correction as c
 from casadical.export.controller.programs.correction import Cell, refuse_accuracy
 from casadical.export.controller.programs.csv_table import CsvTable
@@ -36,12 +36,8 @@ from casadical.export.controller.programs.rapid import Rapid
 from casadical.export.controller.programs.target import Given, Target
 from casadical.export.controller.programs.urscript import UrScript
 
-LANGUAGES: tuple[type[ProgramLanguage], ...] = (Krl, Rapid, UrScript, Fanuc, CsvTable)
-_HEADER = (
-    "line", "target", "kind", "status", "why", "frames", "was", "is", "moved_mm", "off_mm_before", "off_mm_after",
-    "off_deg_before", "off_deg_after",
-)  # fmt: skip
-_MEANINGS = MEANINGS | {
+PROGRAM_LANGUAGES: tuple[type[ProgramLanguage], ...] = (Krl, Rapid, UrScript, Fanuc, CsvTable)
+_MEANINGS = STATUS_MEANINGS | {
     "LEFT": "left as it is",
     "NO_TOOL": "its tool or base is not known: give --tcp or --base",
     "NO_CONFIGURATION": "the program does not say with which arm configuration; with --nearest it is the one "
@@ -66,7 +62,11 @@ class TargetProgram:
 
 @dataclass(frozen=True, eq=False)
 class CorrectedProgram(Result):
-    """A program and what became of its targets; units : rad or m of each joint's reading."""
+    """A program and what became of its targets.
+
+    units : rad or m of each joint's reading; assumed, said : of how it was corrected, in words
+    texts : the files that are written
+    """
 
     kept_as: ClassVar[str] = "correction"
     derived: ClassVar[tuple[Key, ...]] = (
@@ -84,6 +84,9 @@ class CorrectedProgram(Result):
     program: TargetProgram
     results: tuple[c.Result, ...]
     units: tuple[str, ...]
+    assumed: tuple[str, ...] = ()
+    said: tuple[str, ...] = ()
+    texts: Mapping[Path, str | bytes] = field(default_factory=dict)
 
     @property
     def fine(self) -> list[c.Result]:
@@ -98,7 +101,9 @@ class CorrectedProgram(Result):
         return self.program.language.written(self.program.source, self.program.text, self.results)
 
     def to_csv(self) -> str:
-        return csv_text([_HEADER, *map(_row, self.results)])
+        head = ["line", "target", "kind", "status", "why", "frames", "was", "is"]
+        head += ["moved_mm", "off_mm_before", "off_mm_after", "off_deg_before", "off_deg_after"]
+        return csv_text([head, *map(_row, self.results)])
 
     @property
     def changes(self) -> dict[str, dict[str, float]]:
@@ -128,24 +133,26 @@ class CorrectedProgram(Result):
         if len(refused) > 20:
             where = "report" if language.report_beside else "status column"
             blocks.append(Words(f"  and {len(refused) - 20} more; see the {where}"))
-        return [*blocks, *(_moved(fine, self.units) if fine else [Words("nothing moved")])]
+        moved = _moved(fine, self.units) if fine else [Words("nothing moved")]
+        assumed = (Words(line, mark="ASSUMED") for line in self.assumed)
+        return [*blocks, *moved, *assumed, *map(Words, self.said)]
 
 
 def language_named(word: str) -> ProgramLanguage:
     """Return the language of a word in its name, or of a suffix. Raises InputError."""
-    for kind in LANGUAGES:
+    for kind in PROGRAM_LANGUAGES:
         if word.lower() in kind.__name__.lower() or f".{word.lower()}" in kind.suffixes:
             return kind()
-    allowed = ", ".join(kind.name for kind in LANGUAGES)
+    allowed = ", ".join(kind.name for kind in PROGRAM_LANGUAGES)
     raise InputError(f"{word!r}: no such language of programs; allowed: {allowed}")
 
 
 def language_of(path: Path) -> ProgramLanguage:
     """Return the language of a file, by its suffix. Raises InputError that lists the suffixes."""
-    for kind in LANGUAGES:
+    for kind in PROGRAM_LANGUAGES:
         if path.suffix.lower() in kind.suffixes:
             return kind()
-    listed = ", ".join(f"{'/'.join(kind.suffixes)} ({kind.name})" for kind in LANGUAGES)
+    listed = ", ".join(f"{'/'.join(kind.suffixes)} ({kind.name})" for kind in PROGRAM_LANGUAGES)
     raise InputError(f"{path}: programs with the suffix {path.suffix!r} cannot be read; allowed: {listed}")
 
 
@@ -182,7 +189,7 @@ def _refuse_corrected(path: Path, targets: list[Target]) -> None:
     if not report_of(path).exists():
         return
     rows = csv.DictReader(io.StringIO(read_bytes(report_of(path)).decode("utf-8", "replace")))
-    written = {(row.get("target"), row.get("is")) for row in rows if row.get("status") in FINE}
+    written = {(row.get("target"), row.get("is")) for row in rows if row.get("status") in FINE_STATUSES}
     for target in targets:
         if (target.name, _numbers(target)) in written:
             raise InputError(
@@ -198,11 +205,10 @@ def _numbers(target: Target) -> str:
 def _row(r: c.Result) -> list[str]:
     texts = [t if n.differs(t) else n.text for n, t in zip(r.target.numbers, r.texts, strict=False)]
     figures = [r.moved_mm, *(r.off_mm or (None, None)), *(r.off_deg or (None, None))]
-    return [
-        str(r.target.line), r.target.name, "joints" if r.target.joints else "pose", r.status,
-        "" if r.fine else r.why or _MEANINGS[r.status], r.target.about, _numbers(r.target), " ".join(texts),
-        *("" if f is None else f"{f:.5f}" for f in figures),
-    ]  # fmt: skip
+    why = "" if r.fine else r.why or _MEANINGS[r.status]
+    head = [str(r.target.line), r.target.name, "joints" if r.target.joints else "pose", r.status, why]
+    head += [r.target.about, _numbers(r.target), " ".join(texts)]
+    return [*head, *("" if f is None else f"{f:.5f}" for f in figures)]
 
 
 def _figures(fine: Sequence[c.Result]) -> dict[str, Array]:
@@ -247,26 +253,6 @@ def assumptions(corrected: CorrectedProgram, cell: c.Cell) -> list[str]:
     return lines
 
 
-@dataclass(frozen=True, eq=False)
-class CorrectedFile(Result):
-    """A corrected program as files; assumed, said : in words; texts : what is written."""
-
-    kept_as: ClassVar[str] = "correction"
-
-    corrected: CorrectedProgram
-    assumed: tuple[str, ...]
-    said: tuple[str, ...]
-    texts: Mapping[Path, str | bytes]
-
-    def blocks(self) -> list[Words | Table]:
-        """What became of the targets, and what was assumed."""
-        blocks = [*(Words(line, mark="ASSUMED") for line in self.assumed), *map(Words, self.said)]
-        return [*self.corrected.blocks(), *blocks]
-
-    def to_json(self) -> dict[str, Any]:
-        return self.corrected.to_json()
-
-
 def correct_file(
     sources: Sources,
     program: Path,
@@ -284,7 +270,7 @@ def correct_file(
     external_still: bool = False,
     leave_unreached: bool = False,
     accuracy_off: bool = False,
-) -> CorrectedFile:
+) -> CorrectedProgram:
     """Correct the targets of a program so that the real tool reaches what the nominal one would.
 
     sources : robot files, or in place of the robot a folder that `write_c` wrote, in which all else
@@ -326,7 +312,12 @@ def correct_file(
         said += filter(None, [poses_of(robot) if oriented else "", unreached(robot)])
         said += measured_range(robot)
     beside: dict[Path, str | bytes] = {report_of(out): result.to_csv()} if spoken.report_beside else {}
-    return CorrectedFile(result, tuple(assumptions(result, cell)), tuple(said), {**beside, out: result.content()})
+    return replace(
+        result,
+        assumed=tuple(assumptions(result, cell)),
+        said=tuple(said),
+        texts={**beside, out: result.content()},
+    )
 
 
 def _transforms(language: ProgramLanguage, option: str, entries: Sequence[str]) -> dict[str, Array]:

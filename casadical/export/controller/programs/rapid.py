@@ -16,7 +16,7 @@ from casadical.export.controller.programs.grammar import ParsedText, is_number, 
 from casadical.export.controller.programs.language import ProgramLanguage
 from casadical.export.controller.programs.target import MM, Given, Posture, Target, numbers
 
-GRAMMAR = r"""
+RAPID_GRAMMAR = r"""
 start: declaration | motion | assignment | _other
 declaration: NAME ref ":=" list
 assignment: ref ":="
@@ -48,7 +48,7 @@ class Rapid(ProgramLanguage):
     def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:
         if joints != 6:
             raise InputError(f"{source}: a RAPID target has six axes; this robot has {joints}")
-        parsed = ParsedText(GRAMMAR, text)
+        parsed = ParsedText(RAPID_GRAMMAR, text)
         for token in parsed.tokens:
             if token.type == "NAME" and str(token).lower() in ("pdispon", "pdispset", "eoffson", "eoffsset"):
                 raise InputError(
@@ -92,7 +92,7 @@ class _Module:
         for change in parsed.all("assignment"):
             self.changed.setdefault(_variable(change).partition(".")[0], change.meta.line)
         self.frames: dict[tuple[str, str], Array | str] = {}
-        for each in (parsed, *(ParsedText(GRAMMAR, text) for text in given.texts.values())):
+        for each in (parsed, *(ParsedText(RAPID_GRAMMAR, text) for text in given.texts.values())):
             for kind, name, value in _declared(each):
                 if kind in ("tooldata", "wobjdata"):
                     self.frames[kind, name] = self._frame(kind, value)

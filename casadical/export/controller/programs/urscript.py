@@ -19,7 +19,7 @@ from casadical.export.controller.programs.grammar import ParsedText, is_number, 
 from casadical.export.controller.programs.language import ProgramLanguage
 from casadical.export.controller.programs.target import DEG, Given, Number, Target, numbers
 
-GRAMMAR = r"""
+URSCRIPT_GRAMMAR = r"""
 start: assign | call | _other
 assign: NAME "=" _value
 call: NAME "(" [argument ("," argument)*] ")"
@@ -92,7 +92,7 @@ class _Program:
     """Poses and joint lists of a program, and what each is used for."""
 
     def __init__(self, source: str, text: str, joints: int) -> None:
-        parsed = ParsedText(GRAMMAR, text)
+        parsed = ParsedText(URSCRIPT_GRAMMAR, text)
         self.source, self.joints, self.tokens = source, joints, parsed.tokens
         self.variables: dict[str, _Variable] = {}
         for assign in parsed.all("assign"):

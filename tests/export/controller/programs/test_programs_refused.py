@@ -282,7 +282,7 @@ def test_targets_taught_with_absolute_accuracy_are_asked_for(tmp_path, monkeypat
     assert run(monkeypatch, *arguments, "--out", tmp_path / "new.dat", *given) == 0
 
 
-@pytest.mark.parametrize("language", ["krl", "rapid"])
+@pytest.mark.parametrize("language", ["krl", pytest.param("rapid", marks=pytest.mark.slow)])
 def test_nothing_is_corrected_while_poses_are_not_reached_and_frames_are_asked_for(
     language, tmp_path, monkeypatch, capfd
 ):
