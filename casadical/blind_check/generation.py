@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from scipy.linalg import orth
 
 from casadical.blind_check import protocol
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, Plant
@@ -19,7 +20,6 @@ from casadical.blind_check.worker_pool import completed, workers
 from casadical.core.basics import Array, ConvergenceError, InputError
 from casadical.core.files import claimed, write_together
 from casadical.core.reading import load_json
-from casadical.core.statistics import column_space
 from casadical.diagnosis.linearisation import signatures
 from casadical.identification.identification import base_calibrated, prepare
 from casadical.measurements.derived_columns import derive
@@ -39,7 +39,9 @@ def base_jacobian(robot: Robot, clean: Measurements) -> Array:
 
 def unabsorbed_rms(J: Array, shift: Array) -> float:
     """Root mean square [m] of a shift, shape (n, 3) [m], orthogonal to the base model's columns, shape (n, 3, P)."""
-    Q = column_space(J.reshape(shift.size, -1))
+    A = J.reshape(shift.size, -1)
+    # Some columns of the base model depend on others; without a cut by rank these would add arbitrary directions.
+    Q = orth(A / np.maximum(np.linalg.norm(A, axis=0), 1e-300), rcond=1e-9)
     left = shift.ravel() - Q @ (Q.T @ shift.ravel())
     return float(np.sqrt(np.mean(left**2)))
 

@@ -60,16 +60,3 @@ def robust_std(r: Array) -> float:
     """Standard deviation of residuals from their median absolute value, robust to outliers; zeros have weight zero."""
     counted = np.abs(r[r != 0])
     return float(1.4826 * np.median(counted)) if counted.size else 0.0
-
-
-# Directions of less than this share of the strongest are round-off.
-RANK = 1e-9
-
-
-def column_space(A: Array) -> Array:
-    """Orthonormal columns, shape (rows, rank), that span those of a matrix, shape (rows, columns), of any scale.
-
-    The base model has columns that depend on others; without a cut by rank these would add arbitrary directions.
-    """
-    U, s, _ = np.linalg.svd(A / np.maximum(np.linalg.norm(A, axis=0), 1e-300), full_matrices=False)
-    return np.asarray(U[:, s > RANK * s[0]])

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.linalg import orth
 
 from casadical.blind_check import mujoco_physics
-from casadical.blind_check.generation import column_space
 from casadical.blind_check.mujoco_physics import Plant
 from casadical.blind_check.mujoco_physics.table import MEASURED
 from casadical.core.basics import Array
@@ -77,7 +77,8 @@ def visible(rows: Array, base: Array, joints: Array, sigma: Array, repeatability
     C = np.eye(rows.shape[1]) * sigma**2 + repeatability**2 * joints @ joints.transpose(0, 2, 1)
     W = np.linalg.inv(np.linalg.cholesky(C))
     white, A = (W @ rows[:, :, None]).ravel(), (W @ base).reshape(rows.size, -1)
-    Q = column_space(A[:, np.linalg.norm(A, axis=0) > 0])
+    moving = A[:, np.linalg.norm(A, axis=0) > 0]
+    Q = orth(moving / np.linalg.norm(moving, axis=0), rcond=1e-9)
     return float(np.sum((white - Q @ (Q.T @ white)) ** 2))
 
 
