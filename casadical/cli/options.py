@@ -131,7 +131,7 @@ Report = Annotated[
         "--report",
         metavar="FILE.html",
         callback=_with_report,
-        help="Write an HTML report in one file (needs plotly and jinja2).",
+        help="Write an HTML report in one file (needs plotly).",
     ),
 ]
 

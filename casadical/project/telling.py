@@ -73,7 +73,7 @@ def report(results: Sequence[WithPage | Page], command: Sequence[str] = ()) -> s
 
     results : or the pages of them, as `casadical.diagnosis.page.diagnosis_page` makes one of a diagnosis
     command : as it was typed, for the provenance
-    Raises InputError: plotly or jinja2 is not installed, or a file is gone.
+    Raises InputError: plotly is not installed, or a file is gone.
 
     Examples
     --------

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 else:
     Picture = Any
 
-NEEDED = "a report needs plotly and jinja2, and one of them is not installed: pip install 'casadical[report]'"
+NEEDED = "a report needs plotly, which is not installed: pip install 'casadical[report]'"
 # Role: light, dark. The colours of methods are those of Okabe and Ito (2008), shifted to be read on either ground.
 COLOURS: dict[str, tuple[str, str]] = {
     "paper": ("#ffffff", "#171c23"),

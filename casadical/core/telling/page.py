@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from casadical.core.basics import InputError, optional
-from casadical.core.telling.blocks import Page, Table, Words
+from casadical.core.telling.blocks import Page
 from casadical.core.telling.drawing import COLOURS, DARK, NEEDED, draw
+from casadical.core.telling.template import pages as pages_of
 
 TEMPLATES = Path(__file__).parent / "templates"
 
@@ -23,26 +24,15 @@ TEMPLATES = Path(__file__).parent / "templates"
 def require() -> None:
     """Refuse at once what would fail in the end. Raises InputError where a library of the extra is not installed."""
     optional("plotly.graph_objects", NEEDED)
-    optional("jinja2", NEEDED)
 
 
 def html_of(pages: Sequence[Page], command: Sequence[str] = ()) -> str:
     """The whole file as text; command : as it was typed
 
-    Raises InputError where plotly or jinja2 is not installed, or a file of a page is gone.
+    Raises InputError where plotly is not installed, or a file of a page is gone.
     """
-    jinja = optional("jinja2", NEEDED)
-    environment = jinja.Environment(
-        loader=jinja.FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja.StrictUndefined,
-    )
-    kinds = {"words": Words, "table": Table}
-    environment.tests |= {name: lambda block, kind=kind: isinstance(block, kind) for name, kind in kinds.items()}
-    environment.filters["figure"] = lambda figure: safe_json(json.loads(draw(figure).to_json()))
-    text: str = environment.get_template("page.html").render(
+    text: str = pages_of(TEMPLATES).get_template("page.html").render(
+        figure=lambda figure: safe_json(json.loads(draw(figure).to_json())),
         title=pages[0].kind,
         parts=pages,
         provenance=provenance_of([path for page in pages for path in page.files], command),

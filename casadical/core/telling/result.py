@@ -9,7 +9,6 @@ import inspect
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from itertools import pairwise
 from pathlib import Path
 from textwrap import indent as indented
@@ -17,10 +16,10 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from casadical.core.basics import visible
-from casadical.core.telling.blocks import Block, Table, Words, mm
+from casadical.core.telling.blocks import Block, Table, Words
 from casadical.core.telling.figure import Figure
 from casadical.core.telling.plain import Key, plain
-from casadical.core.telling.template import filled, told
+from casadical.core.telling.template import filled, pages, told
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
@@ -107,8 +106,6 @@ def plain_text(blocks: Sequence[Block], width: int = 80) -> str:
     return console.export_text()
 
 
-_CELL = "padding:2px 12px 2px 0;text-align:{};white-space:nowrap"
-_BAR, _ROW, _LABEL = 260, 20, 190
 
 
 # Characters of a result's line.
@@ -138,47 +135,9 @@ class Shown:
 
 
 def html(blocks: Sequence[Block], bars: Sequence[tuple[str, float]] = (), title: str = "") -> str:
-    """Blocks, beneath them a bar for each (words, length [m]); a table that is folded on a page is folded here, too."""
-    parts = [f"<b>{escape(title)}</b>"] if title else []
-    parts += [_table(b) if isinstance(b, Table) else _words(b) for b in blocks if not isinstance(b, Figure)]
-    return f"<div>{''.join(parts)}{_bars(bars) if bars else ''}</div>"
-
-
-def _words(block: Words) -> str:
-    weight = "bold" if block.kind in ("title", "verdict") else "normal"
-    faint = ";opacity:.7" if block.kind == "note" else ""
-    mark = f"<b>{escape(block.mark)}</b> " if block.mark else ""
-    return f'<p style="font-weight:{weight};margin:4px 0;max-width:80ch{faint}">{mark}{escape(block.text)}</p>'
-
-
-def _table(block: Table) -> str:
-    sides = ["right" if k in block.numbers else "left" for k in range(len(block.columns))]
-    head = "".join(f'<th style="{_CELL.format(s)}">{escape(c)}</th>' for c, s in zip(block.columns, sides, strict=True))
-    rows = []
-    for k, row in enumerate(block.rows):
-        weight = "bold" if k in block.strong else "normal"
-        cells = (f'<td style="{_CELL.format(s)}">{escape(c)}</td>' for c, s in zip(row, sides, strict=True))
-        rows.append(f'<tr style="font-weight:{weight}">{"".join(cells)}</tr>')
-    table = (
-        f'<table style="border-collapse:collapse"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
-    )
-    if block.folded:
-        return f"<details><summary>{escape(block.title)}</summary>{table}</details>"
-    return f'<p style="font-weight:bold;margin:6px 0 2px">{escape(block.title)}</p>{table}'
-
-
-def _bars(bars: Sequence[tuple[str, float]]) -> str:
-    longest = max(length for _, length in bars) or 1.0
-    rows = []
-    for k, (words, length) in enumerate(bars):
-        y, width = k * _ROW, max(1.0, _BAR * length / longest)
-        rows.append(
-            f'<text x="{_LABEL - 8}" y="{y + 14}" text-anchor="end">{escape(words)}</text>'
-            f'<rect x="{_LABEL}" y="{y + 3}" width="{width:.1f}" height="{_ROW - 6}" fill="#3d95c9"/>'
-            f'<text x="{_LABEL + width + 6:.1f}" y="{y + 14}">{mm(length)} mm</text>'
-        )
-    size = f'width="{_LABEL + _BAR + 90}" height="{_ROW * len(bars)}"'
-    return f'<svg {size} font-size="12" fill="currentColor" role="img">{"".join(rows)}</svg>'
+    """Return blocks for a notebook, figures left out, and beneath them a bar for each (words, length [m])."""
+    template = pages(Path(__file__).parent / "templates").get_template("notebook.html")
+    return template.render(blocks=blocks, bars=bars, title=title)
 
 
 class Result(Shown):

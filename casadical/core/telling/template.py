@@ -55,6 +55,24 @@ def _environment(folder: Path) -> Environment:
     return environment
 
 
+@cache
+def pages(folder: Path) -> Environment:
+    """Return the environment of templates of HTML in a folder, in which values are escaped."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(folder),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
+    )
+    kinds = {"words": Words, "table": Table}
+    environment.tests |= {name: lambda block, kind=kind: isinstance(block, kind) for name, kind in kinds.items()}
+    environment.filters["mm"] = mm
+    return environment
+
+
 def filled(line: str, result: Any) -> str:
     """Return a template of one line, `it` being the result."""
     return _line(line).render(it=result).translate(_GIVEN_BACK)

@@ -3,6 +3,7 @@
 import pytest
 from browser import Opened, chromium
 
+pytestmark = pytest.mark.slow
 WIDE, PHONE = 1280, 390
 CALIBRATION, DIAGNOSIS = ("calibration", WIDE), ("diagnosis", WIDE)
 PHONES = (("calibration", PHONE), ("diagnosis", PHONE))

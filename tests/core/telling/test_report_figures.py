@@ -241,5 +241,5 @@ def test_no_tag_gets_out_of_a_figure_and_no_nan_into_it() -> None:
 
 def test_without_plotly_the_message_says_what_to_install(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
-    with pytest.raises(InputError, match=r"plotly and jinja2.*pip install 'casadical\[report\]'"):
+    with pytest.raises(InputError, match=r"needs plotly.*pip install 'casadical\[report\]'"):
         require()

@@ -138,19 +138,6 @@ def test_the_commands_write_it_whole_or_not_at_all(tmp_path) -> None:
     assert not (tmp_path / "s.json").exists()
 
 
-def test_diagnose_writes_one_file_for_its_campaigns(tmp_path) -> None:
-    given = (ROOT / "problems/ur10e", ROOT / "data/campaigns/practice/ur10e-P03.csv", "--effects=backlash", "--no-laws")
-    done = run("diagnose", *given, "--report", "d.html", "-q", folder=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "ur10e-P03.csv" in (tmp_path / "d.html").read_text(encoding="utf-8")
-
-
-def test_the_help_tells_of_it() -> None:
-    for command in ("calibrate", "diagnose"):
-        done = run(command, "--help", folder=ROOT)
-        assert "--report" in done.stdout
-
-
 def test_plotly_is_loaded_when_a_figure_is_drawn() -> None:
     program = (
         "import sys, casadical\n"

@@ -53,7 +53,6 @@ def test_nothing_of_a_wide_table_is_cut() -> None:
 
 
 def test_terminal_notebook_and_page_say_the_same() -> None:
-    pytest.importorskip("jinja2", reason="jinja2 is not installed (extra report)")
     page = Page("Calibration", "arm", "of two links", [Section("All", [*BLOCKS, drawn(caption="How to read it.")])])
     for text in (plain_text(BLOCKS), html(BLOCKS), html_of([page])):
         assert [words for words in TOLD if words not in text] == []
@@ -61,7 +60,6 @@ def test_terminal_notebook_and_page_say_the_same() -> None:
 
 
 def test_a_page_has_tiles_and_no_empty_section() -> None:
-    pytest.importorskip("jinja2", reason="jinja2 is not installed (extra report)")
     page = Page("Fleet", "arms", "", [Section("Nothing", []), Section("All", BLOCKS)], [Tile("Mean", "0.03", "mm")])
     text = html_of([page], ["casadical", "fleet", "a b"])
     assert "Nothing" not in text
