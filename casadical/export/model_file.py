@@ -214,13 +214,14 @@ def _urdf(source: Path, nominal: Path | None, leave_out: bool, show: Show) -> Ro
     if figures:
         poses = "held-out poses" if figures["set"] == "report" else "poses that were identified from"
         lines.append(
-            f"mean error at {figures['poses']} {poses}: nominal, base and tool fitted, {figures['nominal_mm']:.3f} mm; "
-            f"this URDF alone {figures['geometry_mm']:.3f} mm; the whole model {figures['model_mm']:.3f} mm"
+            f"mean error at {figures['poses']} {poses}: nominal, base and tool fitted, "
+            f"{figures['nominal_mm']:.3f} mm; this URDF alone {figures['geometry_mm']:.3f} mm; the "
+            f"whole model {figures['model_mm']:.3f} mm"
         )
     if soft:
         lines.append(
-            "a robot that is calibrated as rigid (method KM) loses less as a URDF; `export model --to mjcf` keeps the "
-            "springs"
+            "a robot that is calibrated as rigid (method KM) loses less as a URDF; `export model "
+            "--to mjcf` keeps the springs"
         )
     name = into[0].name if into else None
     kept = {"robot": robot.name, "into": name, "left_out": list(lost), "mean_errors": figures}

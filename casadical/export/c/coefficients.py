@@ -188,8 +188,9 @@ def periodic_tables(function: casadi.Function) -> list[tuple[tuple[float, ...], 
     values = np.array(function.map(_SAMPLES)(np.tile(x, (n, 1))))
     if not np.isfinite(values).all():
         raise InputError(
-            f"{_what(function)} has no finite value for joint {np.flatnonzero(~np.isfinite(values).all(1))[0] + 1}; "
-            "its coefficients must be finite numbers"
+            f"{_what(function)} has no finite value for joint "
+            f"{np.flatnonzero(~np.isfinite(values).all(1))[0] + 1}; its coefficients must be "
+            "finite numbers"
         )
     some = x[1 :: _SAMPLES // 64]
     again = np.array(function.map(len(some))(np.tile(some - 2 * np.pi, (n, 1))))
@@ -208,8 +209,9 @@ def _table(function: casadi.Function, output: int, samples: Array) -> tuple[tupl
             return spline_table(samples[:: _SAMPLES // points]), bound
     high = 1 + int(np.flatnonzero(amplitude > 0.01 * amplitude.max())[-1])
     raise InputError(
-        f"{_what(function)} is {1e6 * bound:.2g} urad off in joint {output + 1} with {TABLE_SIZES[-1]} points a turn; "
-        f"allowed are {1e6 * LARGEST_ERROR:g} urad. It holds harmonics up to {high}: are its coefficients right?"
+        f"{_what(function)} is {1e6 * bound:.2g} urad off in joint {output + 1} with "
+        f"{TABLE_SIZES[-1]} points a turn; allowed are {1e6 * LARGEST_ERROR:g} urad. It holds "
+        f"harmonics up to {high}: are its coefficients right?"
     )
 
 

@@ -222,8 +222,8 @@ def load(export: str | Path, *, trust: bool = False) -> Kernel:
     manifest = Manifest.read(export)
     if not trust and not exported_here(export):
         raise InputError(
-            f"{export}: was not exported here by you, and its C would be compiled and run; read it, and give --trust "
-            "(trust=True), or export again from the robot file"
+            f"{export}: was not exported here by you, and its C would be compiled and run; read "
+            "it, and give --trust (trust=True), or export again from the robot file"
         )
     shape, contents = manifest.kernel, {}
     for name in (f"{shape.name}.h", f"{shape.name}.c", f"{shape.name}_self_test.c"):

@@ -45,14 +45,14 @@ class Limits:
             raise InputError(f"a cycle of {1e3 * self.cycle_s:g} ms; allowed: 0.01 to 1000 ms")
         if not 1 <= self.ramp_s / self.cycle_s * (1 + 1e-9) <= 100_001:
             raise InputError(
-                f"a ramp of {self.ramp_s:g} s; with a cycle of {1e3 * self.cycle_s:g} ms allowed: {self.cycle_s:g} to "
-                f"{1e5 * self.cycle_s:g} s"
+                f"a ramp of {self.ramp_s:g} s; with a cycle of {1e3 * self.cycle_s:g} ms allowed: "
+                f"{self.cycle_s:g} to {1e5 * self.cycle_s:g} s"
             )
         if not 1e-6 <= self.rate_rad_s * self.cycle_s <= self.delta_rad:
             raise InputError(
-                f"a rate of {self.rate_rad_s:g} rad/s; with a cycle of {1e3 * self.cycle_s:g} ms allowed: "
-                f"{1e-6 / self.cycle_s:g} to {self.delta_rad / self.cycle_s:g} rad/s (a correction is at most "
-                f"{self.delta_rad:g} rad)"
+                f"a rate of {self.rate_rad_s:g} rad/s; with a cycle of {1e3 * self.cycle_s:g} ms "
+                f"allowed: {1e-6 / self.cycle_s:g} to {self.delta_rad / self.cycle_s:g} rad/s (a "
+                f"correction is at most {self.delta_rad:g} rad)"
             )
 
     @property
@@ -185,8 +185,9 @@ def _checked_signature(function: casadi.Function, n: int, sizes: tuple[int, ...]
     if n_in != n or (sizes is not None and n_out not in sizes) or n_out == 0:
         allowed = "some" if sizes is None else " or ".join(map(str, sizes))
         raise InputError(
-            f"function {function!s} takes {n_in} numbers and gives {n_out}; expected {n} joint angles and {allowed} "
-            "outputs; fix parameters with a wrapper such as casadi.Function('p', [q], [f(q, values)])"
+            f"function {function!s} takes {n_in} numbers and gives {n_out}; expected {n} joint "
+            f"angles and {allowed} outputs; fix parameters with a wrapper such as "
+            "casadi.Function('p', [q], [f(q, values)])"
         )
     return int(n_out)
 

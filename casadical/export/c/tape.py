@@ -163,8 +163,8 @@ def tape_of(function: casadi.Function) -> Tape:
             function = function.expand()
         except RuntimeError as error:
             raise InputError(
-                f"function {function.name()!r} cannot be written as scalar operations (SX): {error}; "
-                "build it without solvers, interpolants or callbacks"
+                f"function {function.name()!r} cannot be written as scalar operations (SX): "
+                f"{error}; build it without solvers, interpolants or callbacks"
             ) from error
     arguments = [function.sparsity_in(i) for i in range(function.n_in())]
     for sparsity in (*arguments, *(function.sparsity_out(i) for i in range(function.n_out()))):
@@ -182,8 +182,8 @@ def tape_of(function: casadi.Function) -> Tape:
         if node is None:
             allowed = ", ".join(sorted({*_PLAIN.values(), *_COMPOSED}))
             raise InputError(
-                f"function {function.name()!r} uses the operation OP_{name.upper()}, which the generated C does not "
-                f"have; allowed are {allowed}; write the function with these"
+                f"function {function.name()!r} uses the operation OP_{name.upper()}, which the "
+                f"generated C does not have; allowed are {allowed}; write the function with these"
             )
         return node
 
@@ -212,8 +212,8 @@ def _call(builder: _Builder, function: casadi.Function) -> Callable[[list[int]],
     called = function.find_functions()
     if len(called) > 1:
         raise InputError(
-            f"function {function.name()!r} calls {', '.join(f.name() for f in called)}; only one can become a table, "
-            "and no derivative of it: give jacobian_of a function without it"
+            f"function {function.name()!r} calls {', '.join(f.name() for f in called)}; only one "
+            "can become a table, and no derivative of it: give jacobian_of a function without it"
         )
     tables = periodic_tables(called[0]) if called else []
     return lambda args: [builder.periodic(a, *table) for a, table in zip(args, tables, strict=True)]

@@ -152,8 +152,9 @@ def _command_in_words(sources: Sources, limits: Limits, robot: Robot) -> list[st
     return [
         *lines,
         f"payload: {mass}; tool: {sources.tool}; positions in the robot's own base frame",
-        f"cycle {1e3 * limits.cycle_s:g} ms, rate {limits.rate_rad_s:g} rad/s, ramp {limits.ramp_s:g} s: "
-        f"switched on in {limits.ramp_s / limits.cycle_s:.0f} calls of the step function",
+        f"cycle {1e3 * limits.cycle_s:g} ms, rate {limits.rate_rad_s:g} rad/s, ramp "
+        f"{limits.ramp_s:g} s: switched on in {limits.ramp_s / limits.cycle_s:.0f} calls of the "
+        "step function",
     ]
 
 
@@ -234,8 +235,8 @@ def network_of(sources: Sources) -> NetworkFunction:
     network = _network(sources, robot.n)
     if network is None:
         raise InputError(
-            f"{_word(sources.compensator)}: this network does not help and was refused when it was trained; there is "
-            "nothing to export"
+            f"{_word(sources.compensator)}: this network does not help and was refused when it was "
+            "trained; there is nothing to export"
         )
     return replace(network, units=robot.units)
 
@@ -251,8 +252,9 @@ def curves_of(sources: Sources) -> CurveFunction:
     curves = functions.joint_curves(robot)
     if curves is None:
         raise InputError(
-            f"{_word(sources.robot)}: it has no joint_error_curve; there is nothing to export. `casadical diagnose` "
-            "finds the curves; Diagnosis.apply() and write_robot put them into a robot file"
+            f"{_word(sources.robot)}: it has no joint_error_curve; there is nothing to export. "
+            "`casadical diagnose` finds the curves; Diagnosis.apply() and write_robot put them "
+            "into a robot file"
         )
     q = ca.SX.sym("q", robot.n)
     lower, upper = robot.limits
@@ -330,8 +332,8 @@ def _loaded(robot: Robot, payload_kg: float | None) -> Robot:
         raise InputError(f"--payload {payload_kg}: it must be a finite mass in kg, zero or more")
     if robot.payload is None:
         raise InputError(
-            f"--payload {payload_kg:g}: robot {robot.name!r} declares no payload, so its mass centre is not known; "
-            "add [payload] with mass_kg and com_mm to the robot file"
+            f"--payload {payload_kg:g}: robot {robot.name!r} declares no payload, so its mass "
+            "centre is not known; add [payload] with mass_kg and com_mm to the robot file"
         )
     return replace(robot, payload=Body(payload_kg, robot.payload.com))
 
@@ -342,13 +344,14 @@ def _refuse_other_robot(real: Robot, nominal: Robot, sources: Sources) -> None:
         if a != b:
             kinds = {"rad": "revolute", "m": "prismatic"}
             raise InputError(
-                f"{_word(sources.nominal)}: joint {i} is {kinds[b]}, in {_word(sources.robot)} {kinds[a]}: both files "
-                "must be of one robot"
+                f"{_word(sources.nominal)}: joint {i} is {kinds[b]}, in {_word(sources.robot)} "
+                f"{kinds[a]}: both files must be of one robot"
             )
     if real.n != nominal.n or loops[0] != loops[1]:
         raise InputError(
-            f"{_word(sources.nominal)}: {nominal.n} joints, {len(nominal.loops)} four-bars; {_word(sources.robot)} has "
-            f"{real.n} and {len(real.loops)}: both files must be of one robot"
+            f"{_word(sources.nominal)}: {nominal.n} joints, {len(nominal.loops)} four-bars; "
+            f"{_word(sources.robot)} has {real.n} and {len(real.loops)}: both files must be of one "
+            "robot"
         )
 
 
@@ -357,10 +360,10 @@ def _refuse_far_apart(command: Command, sources: Sources) -> None:
     apart = np.linalg.norm((mapped(command.calibrated, q) - mapped(command.nominal, q))[:, :3], axis=1)
     if np.isnan(apart).all() or np.nanmedian(apart) > 0.1:
         raise InputError(
-            f"{_word(sources.nominal)}: its tool is {1e3 * np.nanmedian(apart):.0f} mm from that of "
-            f"{_word(sources.robot)} (median "
-            f"over the joints' ranges); at most 100 mm can be corrected: are both files of one "
-            "robot, and with --tool own, is the nominal tool really the one that the controller holds?"
+            f"{_word(sources.nominal)}: its tool is {1e3 * np.nanmedian(apart):.0f} mm from that "
+            f"of {_word(sources.robot)} (median over the joints' ranges); at most 100 mm can be "
+            "corrected: are both files of one robot, and with --tool own, is the nominal tool "
+            "really the one that the controller holds?"
         )
 
 
@@ -373,8 +376,8 @@ def _network(sources: Sources, joints: int) -> NetworkFunction | None:
     layout, box = compensator.layout, compensator.trained_box
     if (layout.joints, layout.outputs) != (joints, 3):
         raise InputError(
-            f"{_word(source)}: {layout.joints} joints in and {layout.outputs} numbers out; this robot needs "
-            f"{joints} joints and a position of 3"
+            f"{_word(source)}: {layout.joints} joints in and {layout.outputs} numbers out; this "
+            f"robot needs {joints} joints and a position of 3"
         )
     if not compensator.helps:
         return None
@@ -403,8 +406,8 @@ def poses_of(robot: Robot) -> str:
     if not turned:
         return f"--correct pose: {robot.n} joints cannot turn the tool beside moving it; {position} alone is corrected"
     return (
-        f"--correct pose: {robot.n} joints reach {position} and, beside it, the orientation in {turned} of 3 "
-        "directions; what is left of it stays"
+        f"--correct pose: {robot.n} joints reach {position} and, beside it, the orientation in "
+        f"{turned} of 3 directions; what is left of it stays"
     )
 
 

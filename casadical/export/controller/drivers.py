@@ -104,8 +104,9 @@ def _ur(real: Robot, nominal: Robot, checksum: str) -> str:
         or nominal.joints[0].b is not None
     ):
         raise InputError(
-            f"{nominal.name}: its twists are {np.rad2deg(twists).round(3).tolist()} deg, those of a UR "
-            f"{np.rad2deg(_UR_TWISTS).tolist()}: give a robot file with the maker's DH table (convention standard)"
+            f"{nominal.name}: its twists are {np.rad2deg(twists).round(3).tolist()} deg, those of "
+            f"a UR {np.rad2deg(_UR_TWISTS).tolist()}: give a robot file with the maker's DH table "
+            "(convention standard)"
         )
     lines = ["kinematics:"]
     for name, joint in zip(UR_LINKS, real.joints, strict=True):

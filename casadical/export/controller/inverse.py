@@ -173,8 +173,8 @@ class Postures:
         off = self._signs.map(len(q))(q.T).full()[3]
         if np.nanmax(off) > 1e-4:  # m
             return (
-                f"axes 4, 5 and 6 of the nominal robot miss each other by {1e3 * np.nanmax(off):.3g} mm; a "
-                "configuration is defined for a common point"
+                "axes 4, 5 and 6 of the nominal robot miss each other by "
+                f"{1e3 * np.nanmax(off):.3g} mm; a configuration is defined for a common point"
             )
         return ""
 

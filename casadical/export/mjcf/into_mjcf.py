@@ -144,8 +144,9 @@ def _foot(N: Sequence[Array], axes: Array, points: Array, joints: Sequence[str],
     worst = int(np.argmax(off))
     if rank < 3 or off[worst] > 1e-5:
         raise InputError(
-            f"{source}: the axis of {joints[worst]!r} is not that of the nominal robot's joint {worst + 1} (off by "
-            f"{off[worst]:.3g} m or rad); zeros, signs and lengths must be those of the file that was calibrated"
+            f"{source}: the axis of {joints[worst]!r} is not that of the nominal robot's joint "
+            f"{worst + 1} (off by {off[worst]:.3g} m or rad); zeros, signs and lengths must be "
+            "those of the file that was calibrated"
         )
     return frame(R, t)
 
@@ -158,6 +159,7 @@ def refuse_unmoved(spec: Any, joints: Sequence[str], new: Sequence[Array], sourc
         off = float(np.abs(_pose(body) - target).max())
         if off > 1e-9:
             raise InputError(
-                f"{source}: body {body.name!r} does not move to its target ({off:.3g} m or rad off); is it inside of a "
-                "<frame>, or does it hold two joints? write it as a plain body"
+                f"{source}: body {body.name!r} does not move to its target ({off:.3g} m or rad "
+                "off); is it inside of a <frame>, or does it hold two joints? write it as a plain "
+                "body"
             )

@@ -35,8 +35,8 @@ HARDEST_IMPEDANCE = {"solref": numbers(2 * TIME_STEP_S, 1), "solimp": "0.9999 0.
 MEASURED_SITE = "measured"
 _ABOUT = (
     "Written by casadical. Statics are exact: geometry, masses, joint springs. Inertias, damping and armature are",
-    f"placeholders (every spring comes to rest in some {SETTLING_TIME_S:g} s). ctrl takes the joint "
-    "readings [rad or m].",
+    f"placeholders (every spring comes to rest in some {SETTLING_TIME_S:g} s). ctrl takes the "
+    "joint readings [rad or m].",
 )
 
 

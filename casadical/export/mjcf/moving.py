@@ -164,8 +164,9 @@ def actuators_of(robot: Robot) -> dict[str, Any]:
     if robot.drive is None or not knows_motion(robot):
         lacking = [name for name in REQUIRED_DRIVE_KEYS if robot.drive is None or getattr(robot.drive, name) is None]
         raise InputError(
-            f"{robot.name}: its [drive] does not say how the joints follow their commands (lacking: "
-            f"{', '.join(lacking) or 'an open chain'}); casadical diagnose ROBOT LOG --out DIR finds it from joint logs"
+            f"{robot.name}: its [drive] does not say how the joints follow their commands "
+            f"(lacking: {', '.join(lacking) or 'an open chain'}); casadical diagnose ROBOT LOG "
+            "--out DIR finds it from joint logs"
         )
     names = [row.name or f"joint{i}" for i, row in enumerate(robot.joints, 1)]
     given = {

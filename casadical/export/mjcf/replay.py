@@ -190,9 +190,9 @@ def _stages(
 
 
 _CAPTION = (
-    "Nominal: the drawing, with base and tool fitted; calibrated: geometry and joint stiffness. Mean over poses that "
-    "had no part in the values, with a 95 % interval, on a logarithmic axis: other poses than those of the gap. Noise "
-    "alone: as there."
+    "Nominal: the drawing, with base and tool fitted; calibrated: geometry and joint stiffness. "
+    "Mean over poses that had no part in the values, with a 95 % interval, on a logarithmic axis: "
+    "other poses than those of the gap. Noise alone: as there."
 )
 
 
@@ -202,8 +202,8 @@ def replay_blocks(d: Diagnosis) -> Iterator[Block]:
         load_mujoco()
     except InputError:
         yield Words(
-            "MuJoCo is not installed, so the poses were not driven again in it; it comes with the extra `mujoco`: pip "
-            "install 'casadical[mujoco]'.",
+            "MuJoCo is not installed, so the poses were not driven again in it; it comes with the "
+            "extra `mujoco`: pip install 'casadical[mujoco]'.",
             "note",
         )
         return
@@ -215,10 +215,11 @@ def replay_blocks(d: Diagnosis) -> Iterator[Block]:
     stages = _shown(replayed)
     first, last = stages[0], stages[-1]
     yield Words(
-        f"{len(last.errors)} poses driven again in MuJoCo with models whose values were identified from the others. "
-        "Geometry, masses, springs and loops, and the causes that it has a counterpart of, are the engine's own; what "
-        "the instrument does (a frame that drifts, say) is added to its point. As "
-        f"drawn, the robot misses the measured points by {mm(first.accuracy.mean)} mm on average, as "
+        f"{len(last.errors)} poses driven again in MuJoCo with models whose values were identified "
+        "from the others. Geometry, masses, springs and loops, and the causes that it has a "
+        "counterpart of, are the engine's own; what the instrument does (a frame that drifts, say) "
+        "is added to its point. As drawn, the robot misses the measured points by "
+        f"{mm(first.accuracy.mean)} mm on average, as "
         f"{'diagnosed' if len(stages) > 2 else 'calibrated'} by {mm(last.accuracy.mean)} mm."
     )
     if lacking := replayed.stages[-1].lacking:

@@ -246,11 +246,11 @@ def _unreached(language: ProgramLanguage, targets: Sequence[Target], poses: int,
         these = "them" if len(targets) <= 8 else "the first 8"
         tried = f"{which} {these}; the controller shows which is right"
     return (
-        f"nothing is corrected: the nominal robot does not reach {len(targets)} of {poses} poses in the configuration "
-        f"that the program says ({names}{more}). Its frames must be the controller's: give --root, the controller's "
-        "root frame in the robot file's base frame, and --flange, its flange in the last link's frame "
-        f"({tried}). If the frames are right, the robot does not reach these poses either: --leave-unreached leaves "
-        "them as they are"
+        f"nothing is corrected: the nominal robot does not reach {len(targets)} of {poses} poses "
+        f"in the configuration that the program says ({names}{more}). Its frames must be the "
+        "controller's: give --root, the controller's root frame in the robot file's base frame, "
+        f"and --flange, its flange in the last link's frame ({tried}). If the frames are right, "
+        "the robot does not reach these poses either: --leave-unreached leaves them as they are"
     )
 
 
@@ -345,6 +345,7 @@ def refuse_accuracy(source: str, targets: Iterable[Target]) -> None:
     for target in targets:
         if target.accurate:
             raise InputError(
-                f"{source}: line {target.line}: {target.name} was taught with the controller's absolute accuracy on "
-                "(bit 3 of S); with it on, errors are corrected twice: switch it off, and say so with --accuracy-off"
+                f"{source}: line {target.line}: {target.name} was taught with the controller's "
+                "absolute accuracy on (bit 3 of S); with it on, errors are corrected twice: switch "
+                "it off, and say so with --accuracy-off"
             )

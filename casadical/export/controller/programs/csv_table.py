@@ -69,8 +69,8 @@ def _table(path: str) -> RawTable:
         raise InputError(f"{path}: is {form}; a program is read and written with commas and decimal points, as CSV")
     if STATUS_COLUMN in map(str.casefold, table.header):
         raise InputError(
-            f"{path}: column {STATUS_COLUMN!r} is there already: this program was corrected before; "
-            "correct the original"
+            f"{path}: column {STATUS_COLUMN!r} is there already: this program was corrected "
+            "before; correct the original"
         )
     for number, cells in zip(table.line, table.cells, strict=True):
         if len(cells) != len(table.header):

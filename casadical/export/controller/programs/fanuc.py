@@ -65,9 +65,9 @@ class Fanuc(AngleLanguage):
             for what, pick in zip(("UTOOL", "UFRAME"), frames, strict=True):
                 if (what, pick) in changes and not target.left:
                     raise InputError(
-                        f"{source}: line {changes[what, pick]}: {what}[{pick}] is changed here, and {target.name} "
-                        f"(line {target.line}) is given in it; split the program there, or give the frame to the "
-                        "controller"
+                        f"{source}: line {changes[what, pick]}: {what}[{pick}] is changed here, "
+                        f"and {target.name} (line {target.line}) is given in it; split the program "
+                        "there, or give the frame to the controller"
                     )
         once = [
             (t.leave(f"is there {count[t.name]} times") if count[t.name] > 1 else t, frames) for t, frames in targets

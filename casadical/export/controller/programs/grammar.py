@@ -128,8 +128,8 @@ def only_one(source: str, what: str, by_line: dict[int, Any]) -> Any:
     for line, value in by_line.items():
         if type(value) is not type(by_line[first]) or not np.array_equal(value, by_line[first]):
             raise InputError(
-                f"{source}: line {line}: {what} is changed here, after line {first}; which targets it holds for "
-                "depends on the order of execution: split the program there"
+                f"{source}: line {line}: {what} is changed here, after line {first}; which targets "
+                "it holds for depends on the order of execution: split the program there"
             )
     return by_line.get(first)
 

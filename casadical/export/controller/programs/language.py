@@ -115,7 +115,7 @@ def text_of(source: str, content: bytes) -> str:
         if byte < 32 and byte not in b"\t\n\r\f\x1a":
             line = content.count(b"\n", 0, place) + 1
             raise InputError(
-                f"{source}: line {line}: byte {byte} is not text; encrypted, compiled and UTF-16 programs cannot be "
-                "corrected: give the program as the controller shows it, as text"
+                f"{source}: line {line}: byte {byte} is not text; encrypted, compiled and UTF-16 "
+                "programs cannot be corrected: give the program as the controller shows it, as text"
             )
     return content.decode("latin-1")

@@ -193,8 +193,8 @@ def _refuse_corrected(path: Path, targets: list[Target]) -> None:
     for target in targets:
         if (target.name, _numbers(target)) in written:
             raise InputError(
-                f"{path}: line {target.line}: {target.name} was corrected before, says {report_of(path).name}; "
-                "correct the original"
+                f"{path}: line {target.line}: {target.name} was corrected before, says "
+                f"{report_of(path).name}; correct the original"
             )
 
 

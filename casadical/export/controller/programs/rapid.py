@@ -52,8 +52,8 @@ class Rapid(ProgramLanguage):
         for token in parsed.tokens:
             if token.type == "NAME" and str(token).lower() in ("pdispon", "pdispset", "eoffson", "eoffsset"):
                 raise InputError(
-                    f"{source}: line {token.line}: {token} displaces the targets that follow, by an amount that is "
-                    "not in the program; give the displacement to the work object"
+                    f"{source}: line {token.line}: {token} displaces the targets that follow, by "
+                    "an amount that is not in the program; give the displacement to the work object"
                 )
         module = _Module(self, source, parsed, given)
         return [module.placed(target, name) for target, name in module.targets()]
@@ -104,8 +104,9 @@ class _Module:
                 line, *before = self.uses.setdefault(name, (motion.meta.line, tool, work))
                 if before != [tool, work] and name in self.known_targets:
                     raise InputError(
-                        f"{self.source}: line {motion.meta.line}: {name} is used with tool {tool} and work object "
-                        f"{work}, in line {line} with {before[0]} and {before[1]}; give it a target of its own"
+                        f"{self.source}: line {motion.meta.line}: {name} is used with tool {tool} "
+                        f"and work object {work}, in line {line} with {before[0]} and {before[1]}; "
+                        "give it a target of its own"
                     )
 
     def targets(self) -> list[tuple[Target, str]]:
@@ -174,8 +175,8 @@ class _Module:
             return by_name.get("")
         if name in self.changed:
             raise InputError(
-                f"{self.source}: line {self.changed[name]}: {name} is changed here; which targets it holds for "
-                "depends on the order of execution: split the program there"
+                f"{self.source}: line {self.changed[name]}: {name} is changed here; which targets "
+                "it holds for depends on the order of execution: split the program there"
             )
         return self.frames[kind, name]
 

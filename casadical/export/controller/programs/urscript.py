@@ -116,8 +116,8 @@ class _Program:
             tool = self.tools[call.meta.line] = _si(self._resolved(arguments[0]))
             if tool is not None and (away := np.abs(tool[:3]).max()) > 3.0:
                 raise InputError(
-                    f"{self.source}: line {call.meta.line}: the tool is {away:g} m long; URScript has metres, and this "
-                    "looks like millimetres"
+                    f"{self.source}: line {call.meta.line}: the tool is {away:g} m long; URScript "
+                    "has metres, and this looks like millimetres"
                 )
         elif name == "get_inverse_kin" and arguments:
             near = next((self._resolved(a) for a in arguments[1:] if _keyword(a) in ("", "qnear")), None)
@@ -178,13 +178,13 @@ class _Program:
         size = np.abs(target.si)
         if not target.joints and size[:3].max() > 20.0:
             raise InputError(
-                f"{self.source}: line {target.line}: {target.name} is {size[:3].max():g} m away; URScript has metres, "
-                "and this looks like millimetres"
+                f"{self.source}: line {target.line}: {target.name} is {size[:3].max():g} m away; "
+                "URScript has metres, and this looks like millimetres"
             )
         if (size if target.joints else size[3:]).max() > 4 * np.pi:
             raise InputError(
-                f"{self.source}: line {target.line}: {target.name} has an angle of {size.max():g} rad; URScript has "
-                "radians, and this looks like degrees: write d2r(..)"
+                f"{self.source}: line {target.line}: {target.name} has an angle of {size.max():g} "
+                "rad; URScript has radians, and this looks like degrees: write d2r(..)"
             )
 
 
