@@ -24,12 +24,6 @@ _APPROACH = re.compile(r"approach\d+")
 SOCKET = "socket"
 # How columns of the sessions begin.
 SESSION = "session_"
-# The timeline's resolution.
-_STEPS = 200
-# After a campaign, an arm is warmed up by at least so much [K] where a column follows the temperature.
-RISE_K = 5.0
-# How often as many readings as are wanted are drawn before it is given up.
-ATTEMPTS = 100
 
 
 @dataclass(frozen=True)
@@ -125,7 +119,7 @@ def draw(robot: Robot, count: int, workspace: Workspace, rng: np.random.Generato
     """
     lower, upper = workspace.ranges(robot)
     kept = np.empty((0, robot.n))
-    for _ in range(ATTEMPTS):
+    for _ in range(100):
         share = rng.uniform(size=(count, robot.n))
         if to_ends:
             share[::2] = 0.5 - 0.5 * np.cos(np.pi * share[::2])
@@ -135,7 +129,7 @@ def draw(robot: Robot, count: int, workspace: Workspace, rng: np.random.Generato
             return kept
     refused = {reason: int(mask.sum()) for reason, mask in workspace.refusals(robot, q).items()}
     raise InputError(
-        f"only {len(kept)} of {ATTEMPTS * count} readings drawn are allowed; of the last {count} were refused: "
+        f"only {len(kept)} of {100 * count} readings drawn are allowed; of the last {count} were refused: "
         f"{', '.join(f'{reason} {number}' for reason, number in refused.items())}; widen the tightest of these"
     )
 
@@ -174,10 +168,10 @@ def candidates_at(robot: Robot, q: Array, circumstances: Circumstances, n: int, 
 def timeline(names: list[str], progress: Array, n: int, circumstances: Circumstances) -> dict[str, Array]:
     """Columns that follow from the time alone, for shares of a campaign of n measurements, any shape."""
     rows = max(n, 2)
-    course = np.linspace(0, 1, _STEPS)
+    course = np.linspace(0, 1, 200)
     time = circumstances.seconds * rows * course
     warmth = circumstances.warmup_K * -np.expm1(-time / (60 * circumstances.warmup_minutes))
-    clock = unmeasured(np.zeros((_STEPS, 1)), {"time_s": time, "temperature_degC": 20 + warmth})
+    clock = unmeasured(np.zeros((200, 1)), {"time_s": time, "temperature_degC": 20 + warmth})
     clock, missing = derive(clock, names)
     assert not missing
     return {name: np.interp(progress, course, clock.conditions[name]) for name in names}
@@ -262,7 +256,8 @@ def _later(name: str, logged: Array | None, warm: Array, states: Array, rng: np.
     if name in GRAVITY:
         return np.full(len(warm), logged.mean())
     if name.startswith("warmth_"):
-        return np.asarray(np.where(warm, max(logged.max(), logged.min() + RISE_K), logged.min()))
+        # After a campaign, a warm arm is at least so much [K] warmer where a column follows the temperature.
+        return np.asarray(np.where(warm, max(logged.max(), logged.min() + 5.0), logged.min()))
     return rng.choice(np.unique(logged), len(warm))
 
 

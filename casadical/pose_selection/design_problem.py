@@ -24,8 +24,6 @@ from casadical.pose_selection.instruments import Instrument, without_base
 from casadical.pose_selection.workspace import Workspace
 from casadical.robot.robot import Robot
 
-TASK_POSES = 300
-
 
 @dataclass(frozen=True, eq=False)
 class DesignProblem:
@@ -123,7 +121,7 @@ def prepare(
     names, held = independent(robot, wanted, instrument.sets(some) if instrument else (some,), information, prior)
     if prior is None:
         _refuse_few(total, numbers, len(names), extra)
-    task_q = draw(robot, TASK_POSES, workspace, rng) if task is None else np.atleast_2d(task)
+    task_q = draw(robot, 300, workspace, rng) if task is None else np.atleast_2d(task)
     one = replace(circumstances, every_payload=False, both_approaches=False, repeats=1)
     goal = candidates_at(robot, task_q, one, n, rng).measurements(robot, "task")
     p, fixed = len(names), before(names)

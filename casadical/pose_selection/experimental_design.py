@@ -18,8 +18,6 @@ RIDGE = 1e-10
 # A pose without which the determinant of the information is this share of what it was is indispensable: how much more
 # than this is lost, rounding decides. Of indispensable poses the first leaves.
 INDISPENSABLE = 1e-6
-# Least gain of an exchange in the logarithm of the mean variance: above round-off, which could make it cycle for ever.
-LEAST_GAIN = 1e-6
 
 
 class Design:
@@ -165,7 +163,8 @@ def improve(design: Design, depth: int = 4) -> None:
         before, value = design.snapshot(), design.value
         for up in (True, False):
             excursion(design, n, reach, up)
-            if design.value > value + LEAST_GAIN and len(design.chosen) == n:
+            # A least gain above round-off, which could make it cycle for ever.
+            if design.value > value + 1e-6 and len(design.chosen) == n:
                 break
             design.restore(before)
         else:
@@ -203,7 +202,7 @@ def search(design: Design, n: int, restarts: int, seed: int) -> Array:
                 "each other or to measured ones; give more candidates, a smaller min_distance, or fewer poses"
             )
         improve(design)
-        if best is None or design.value > best[0] + LEAST_GAIN:
+        if best is None or design.value > best[0] + 1e-6:
             best = (design.value, list(design.chosen))
     assert best is not None
     return np.array(best[1])

@@ -26,10 +26,6 @@ from casadical.pose_selection.information import noise_covariance, scaled_jacobi
 from casadical.pose_selection.workspace import Workspace
 from casadical.robot.robot import Robot
 
-MOST_SETS = 20_000
-# Random readings whose farthest point is how far the robot reaches.
-REACHING = 2000
-
 
 @dataclass(frozen=True, eq=False)
 class Instrument:
@@ -135,7 +131,7 @@ def best_places(
 ) -> Array:
     """Indices of those of an instrument's places that give the least mean variance, shape (count,).
 
-    All sets are tried up to MOST_SETS, else exchanges. names, weight : as of `DesignProblem`, shape (p, p)
+    All sets are tried up to 20_000, else exchanges. names, weight : as of `DesignProblem`, shape (p, p)
     m : poses, of sockets those in each of the places. Raises InputError where there are too few places.
     """
     number = len(every.places)
@@ -162,7 +158,7 @@ def best_places(
         M += some.before(len(M), noise) + 1e-9 * np.diag(np.diag(M))
         return float(np.sum(weight * inverse(M)[:p, :p]))
 
-    if comb(number, count) <= MOST_SETS:
+    if comb(number, count) <= 20_000:
         sets = list(combinations(range(number), count))
         return np.array(sets[first_of_best([-variance(some) for some in sets])])
     return np.array(sorted(_exchanged(number, count, variance)))
@@ -194,7 +190,7 @@ def usual_places(robot: Robot, kind: Literal["wires", "sockets"]) -> Array:
     radii, heights, turns = ((1.5,), (0.0, 0.5, 1.0, 1.5), 12) if kind == "wires" else ((0.45, 0.7), (0.1, 0.5), 8)
     turn = np.arange(turns) * 2 * np.pi / turns
     local = [(r * np.cos(a), r * np.sin(a), h) for r in radii for h in heights for a in turn]
-    q = draw(robot, REACHING, Workspace(), np.random.default_rng(0))
+    q = draw(robot, 2000, Workspace(), np.random.default_rng(0))
     tool, T = predicted(robot, unmeasured(q))[0], robot.base.T
     reach = np.linalg.norm(((tool - T[:3, 3]) @ T[:3, :3])[:, :2], axis=1).max()
     return np.asarray(reach * np.array(local) @ T[:3, :3].T + T[:3, 3])

@@ -26,10 +26,6 @@ from casadical.pose_selection.selection import Selection, arranged
 from casadical.pose_selection.workspace import Workspace
 from casadical.robot.robot import Robot
 
-# Number of neighbours of every chosen pose, and their distances as shares of the joints' ranges, round by round.
-NEIGHBOURS = 12
-REFINEMENTS = (0.2, 0.08, 0.03)
-
 
 def select_poses(
     robot: Robot,
@@ -97,8 +93,9 @@ def select_poses(
     design = problem.design(problem.pool, min_distance)
     chosen = problem.pool[search(design, n, restarts, seed)]
     lower, upper = workspace.ranges(robot)
-    for size in REFINEMENTS if problem.open else ():
-        steps = size * (upper - lower) * rng.normal(size=(NEIGHBOURS, n, robot.n))
+    # Neighbours of every chosen pose, in shares of the joints' ranges, round by round.
+    for size in (0.2, 0.08, 0.03) if problem.open else ():
+        steps = size * (upper - lower) * rng.normal(size=(12, n, robot.n))
         q = np.clip(chosen.q + steps, lower, upper).reshape(-1, robot.n)
         q = q[workspace.allows(robot, q)]
         nearby = chosen.joined(candidates_at(robot, q, problem.circumstances, n, rng)) if len(q) else chosen
@@ -214,10 +211,6 @@ def forecast(
         design.add(k)
 
 
-# Random poses on which the first places are judged, and how often places are chosen again for the poses.
-POOL, ROUNDS = 300, 3
-
-
 def place_instrument(
     robot: Robot,
     kind: Literal["wires", "sockets"],
@@ -257,7 +250,7 @@ def place_instrument(
     if kind == "sockets":
         places = reached(robot, places, count, room, rng)
     noise, every = noise or Noise(), Instrument(kind, places, known)
-    size = max(POOL, 4 * len(places))
+    size = max(300, 4 * len(places))
     problem = prepare(
         robot, size, pool=size, rng=rng, candidates=q, workspace=room, free=free, task=task, noise=noise,
         instrument=every,
@@ -284,7 +277,7 @@ def select_with_places(
     """Places and poses in turn, until the places stay or the expected error grows; arguments as of `select_poses`."""
     best: Selection | None = None
     q = None
-    for _ in range(ROUNDS):
+    for _ in range(3):
         instrument = place_instrument(
             robot, kind, places, count, known=known, workspace=workspace, q=q, free=free, noise=noise, seed=seed
         )

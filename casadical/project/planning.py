@@ -35,8 +35,6 @@ from casadical.robot.robot_file import read_robot
 
 # Of a coordinate that a laser tracker measures, one sigma.
 TRACKER_MM = 0.02
-# Of touches, in the joint that differs most, as a share of its range.
-APART = 0.05
 
 
 def robot_of(path: Path) -> Robot:
@@ -303,7 +301,7 @@ def poses_of_changes(
     workspace = read_workspace(room, robot) if room else None
     chosen = select_poses(
         robot, None, n, workspace=workspace, measured=measured, free=prior.free, noise=noise, prior=prior, seed=seed,
-        min_distance=APART,
+        min_distance=0.05,
     )  # fmt: skip
     return chosen.table
 

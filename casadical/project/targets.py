@@ -26,13 +26,7 @@ APART = 5e-3
 # Distances of one pair of targets differ by less [m].
 ALIKE = 3e-3
 # So many poses at least show a number of targets, at this share of those where repeats disagree; so many targets.
-FEWEST, SHARE, MOST = 3, 0.2, 6
-# Share of the repeated poses at which they disagree, and of those whose distances are the same.
-DISAGREE, SAME = 0.5, 0.7
-# Directions that are this much alike, as a share of their square sum, are one direction.
-ONE_DIRECTION = 0.95
-# Scatter of a target's position in the tool frame, as a share of the least distance, below which it is known.
-SURE = 0.25
+FEWEST, MOST = 3, 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,10 +73,10 @@ def recognised(robot: Robot, m: Measurements) -> Targets | None:
     poses = _poses(m)
     repeated = sum(len(rows) > 1 for rows, _ in poses)
     apart = [(rows, part) for rows, part in poses if part.max() > 0]
-    if len(apart) < FEWEST or len(apart) < DISAGREE * repeated:
+    if len(apart) < FEWEST or len(apart) < 0.5 * repeated:
         return None
     sizes = np.array([1 + part.max() for _, part in apart])
-    often = [k for k in range(2, MOST + 1) if (sizes == k).sum() >= max(FEWEST, SHARE * len(apart))]
+    often = [k for k in range(2, MOST + 1) if (sizes == k).sum() >= max(FEWEST, 0.2 * len(apart))]
     if not often:
         return None
     count = often[-1]
@@ -91,7 +85,7 @@ def recognised(robot: Robot, m: Measurements) -> Targets | None:
     lengths = np.array([np.sort(_lengths(p)) for p in points])
     distances = np.median(lengths, axis=0)
     alike = (np.abs(lengths - distances) < ALIKE).all(axis=1)
-    if alike.sum() < max(FEWEST, SAME * len(points)):
+    if alike.sum() < max(FEWEST, 0.7 * len(points)):
         return None
     distances = np.median(lengths[alike], axis=0)
     turning = _turning([p for p, ok in zip(points, alike, strict=True) if ok])
@@ -137,7 +131,8 @@ def _turning(points: list[Array]) -> bool:
     longest = [int(np.argmax(_lengths(p))) for p in points]
     ways = np.array([p[second[k]] - p[first[k]] for p, k in zip(points, longest, strict=True)])
     values = np.linalg.eigvalsh(ways.T @ ways)
-    return bool(values[-1] < ONE_DIRECTION * values.sum())
+    # Directions that are this much alike, as a share of their square sum, are one direction.
+    return bool(values[-1] < 0.95 * values.sum())
 
 
 def _distinguished(
@@ -154,7 +149,8 @@ def _distinguished(
         ordered = np.array([x[orders[first_of_best(-((x[orders] - points) ** 2).sum(axis=(1, 2)))]] for x in middle])
         points = np.median(ordered, axis=0)
     scatter = float(np.median(np.linalg.norm(ordered - points, axis=2)))
-    if len(whole) < 2 * FEWEST or scatter > SURE * found.distances[0]:
+    # A scatter in the tool frame below this share of the least distance makes targets known.
+    if len(whole) < 2 * FEWEST or scatter > 0.25 * found.distances[0]:
         return found
     which = np.empty(len(m), dtype=np.int64)
     for rows, part in poses:
@@ -195,10 +191,7 @@ def middles(m: Measurements, count: int) -> Measurements | None:
 
 
 # So many rows begin the search; a further name must be nearer by this factor, and halve the error of the table.
-BEGIN, NEARER, WORTH = 18, 3.0, 0.5
-ROUNDS = 5
-# A row that begins a target lies so far from the others, as a share of the rows: single far ones are bad rows.
-LARGE = 0.85
+BEGIN, WORTH = 18, 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,10 +240,10 @@ def wrong_names(robot: Robot, m: Measurements) -> WrongNames | None:
     return WrongNames(names, given, meant, m.row)
 
 
-def _search(robot: Robot, m: Measurements, given: Array, rows: slice, nearer: float = NEARER) -> Array:
+def _search(robot: Robot, m: Measurements, given: Array, rows: slice, nearer: float = 3.0) -> Array:
     """The target of each row; base and tools begin as these rows have them, another target is `nearer` by a factor."""
     names, placed = given, place_frames(robot, _named(m, robot, given)[rows])
-    for _ in range(ROUNDS):
+    for _ in range(5):
         points = np.array([*_points_of(placed).values()])
         far = np.linalg.norm(_seen(placed, m)[:, None] - points, axis=2)
         nearest = np.argmin(far, axis=1)
@@ -350,7 +343,8 @@ def _starts(robot: Robot, free: Robot, m: Measurements) -> Iterator[Array]:
     points = seen[:1]
     for _ in range(1, MOST if len(m) >= BEGIN else 1):
         far = np.linalg.norm(seen[:, None] - points, axis=2).min(axis=1)
-        points = np.vstack([points, seen[np.argsort(far)[int(LARGE * len(far))]]])
+        # Single far rows are bad rows.
+        points = np.vstack([points, seen[np.argsort(far)[int(0.85 * len(far))]]])
         yield np.argmin(np.linalg.norm(seen[:, None] - points, axis=2), axis=1)
 
 

@@ -26,9 +26,6 @@ from casadical.project.robot_columns import computed, unfitted, unmeasured
 from casadical.project.targets import Targets, WrongNames, middles, recognised, wrong_names
 from casadical.robot.robot import Robot
 
-# Observed numbers for each unknown from which on a fit also shows how good it is.
-COMFORTABLE = 3
-UNEXPLAINED = "no slip of unit, sign or zero explains it: check the robot file"
 # A scatter of more than so many times the noise has other causes.
 LACKS = 4
 
@@ -153,7 +150,7 @@ def _slip_finding(slips: Slips, robot: Robot, standard: bool, m: Measurements) -
     text = f"{source}: with base and tool fitted the nominal model still is {1e3 * before.error:.4g} mm (median) from "
     text += f"the data, {100 * before.error / robot.reach:.2g} % of its reach"
     if not slips.explains:
-        return Finding("error", "units", f"{text}; {UNEXPLAINED}")
+        return Finding("error", "units", f"{text}; no slip of unit, sign or zero explains it: check the robot file")
     text += f"; {left_mm(best, robot)} would be left if {'; '.join(in_words(best, robot, standard))}"
     for rival in slips.rivals:
         text += f". Rival, {left_mm(rival, robot)}: {'; '.join(in_words(rival, robot, standard))}"
@@ -261,8 +258,8 @@ def outlook_findings(view: Outlook, robot: Robot, noise: float | None) -> list[F
         )
         return [Finding("error", "identifiability", f"{text}measure more accurately, or more poses spread wider")]
     findings = []
-    if view.numbers < COMFORTABLE * p:
-        text = f"{view.method}: {view.numbers} numbers for {p} unknowns; {COMFORTABLE} for each show how good it is"
+    if view.numbers < 3 * p:
+        text = f"{view.method}: {view.numbers} numbers for {p} unknowns; 3 for each show how good it is"
         findings.append(Finding("warning", "too few poses", text))
     if view.condition > CONFOUNDED:
         text = f"{view.method}: condition number {view.condition:.0f}: some parameters are nearly confounded"

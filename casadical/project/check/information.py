@@ -24,14 +24,6 @@ from casadical.pose_selection.candidates import draw, expected
 from casadical.pose_selection.information import MM, scaled_jacobian
 from casadical.robot.robot import Robot
 
-TASK_POSES = 200
-# Where the data are free of noise, so that nothing is divided by zero; in units of sigma.
-LEAST_SCATTER = 1e-6
-# Of the sigmas of positions and angles; their logarithms change by less in the last round.
-ROUNDS, STILL = 6, 0.03
-# A row is far off that a linear step leaves so many medians away, where no more than the other share of the rows is.
-FAR, MOST = 5.0, 0.9
-
 
 @dataclass(frozen=True, eq=False)
 class Outlook:
@@ -111,13 +103,14 @@ def outlook(
     if find_kind(sets[0].kind).angles:  # what angles leave says nothing of positions
         lengths, freedom = _parts(problem.sets[0], r, J)[0]
         scatter = float(np.sqrt(lengths / freedom)) if freedom > 0 else float("nan")
-    unit = 1.0 if noise or np.isnan(scatter) else max(scatter, LEAST_SCATTER)
+    # Data without noise have a scatter of at least this, in units of sigma: nothing is divided by zero.
+    unit = 1.0 if noise or np.isnan(scatter) else max(scatter, 1e-6)
     _, H = problem.gradient(np.zeros(problem.size))
     columns, poor, C = drop_poor([robot.parameters[n] for n in problem.names], H, unit**2)
     kept = tuple(problem.names[k] for k in columns)
     scale, accuracy = np.array([robot.parameters[n].scale for n in kept]), float("nan")
     if kept:  # root mean square position error over the joints' ranges
-        task = expected(robot, draw(robot, TASK_POSES, Workspace(), np.random.default_rng(seed)), {}, "task")
+        task = expected(robot, draw(robot, 200, Workspace(), np.random.default_rng(seed)), {}, "task")
         J = scaled_jacobian(robot, kept, task)
         accuracy = MM * float(np.sqrt(np.einsum("kip,pq,kiq->", J, C, J) / len(J)))
     return Outlook(
@@ -132,7 +125,7 @@ def _weighted(problem: LeastSquares) -> tuple[LeastSquares, Array, Array]:
 
     Positions and angles have units of their own: guessed beside each other, one would hide the other.
     """
-    for _ in range(ROUNDS):
+    for _ in range(6):  # until their logarithms change by less than 0.03
         residuals, J = problem.evaluate(np.zeros(problem.size))
         r = np.concatenate([part.ravel() for part in residuals])
         m, (sigma, angle) = problem.sets[0], problem.sigmas[0]
@@ -142,10 +135,10 @@ def _weighted(problem: LeastSquares) -> tuple[LeastSquares, Array, Array]:
         if min(freedom, length_freedom) <= 0:
             break
         own = m.sigma or sigma * np.sqrt(square / length_freedom)
-        sigmas = (float(own), max(float(angle * np.sqrt(turned / freedom)), LEAST_SCATTER * SIGMA_ANGLE_GUESS))
+        sigmas = (float(own), max(float(angle * np.sqrt(turned / freedom)), 1e-6 * SIGMA_ANGLE_GUESS))
         change = abs(np.log(sigmas[1] / angle)) + abs(np.log(sigmas[0] / sigma))
         problem = replace(problem, sigmas=(sigmas, *problem.sigmas[1:]))
-        if change < STILL:
+        if change < 0.03:
             break
     return problem, r, J
 
@@ -159,8 +152,8 @@ def _near(sets: Sequence[Measurements], r: Array, J: Array) -> list[Array]:
         size = len(m) * (kind.lengths + kind.angles)
         own, left = left[:size].reshape(len(m), -1)[:, : kind.lengths or None], left[size:]
         e = np.linalg.norm(own, axis=1)
-        near = e <= FAR * np.median(e)
-        masks.append(near if len(r) > 2 * J.shape[1] and near.mean() > MOST else np.ones(len(m), dtype=bool))
+        near = e <= 5.0 * np.median(e)
+        masks.append(near if len(r) > 2 * J.shape[1] and near.mean() > 0.9 else np.ones(len(m), dtype=bool))
     return masks
 
 

@@ -36,16 +36,8 @@ from casadical.robot.robot_file import robot_from
 TELLING = 4
 # Share of the reach that a placed nominal robot may miss by, and the share of that which an undone mistake may leave.
 GROSS = 0.02
-# And that by which a single row may miss.
-IMPOSSIBLE = 0.5
-LEAST_SPREAD = 0.1
-# A row with more than so many times the median error is doubtful; of so few poses nothing is said.
-FAR, FEWEST = 5.0, 12
-POSES = 150
 # Columns that the model or an effect may ask for, besides readings and observations.
 KNOWN = ("payload_kg", "temperature_degC", "time_s", "warmth_K", "weight", "set", "point", "pose", "other_pose")
-# A height is no weight (0.83); a temperature_C may be meant as temperature_degC.
-ALMOST = 0.84
 Level = Literal["error", "warning", "note"]
 
 
@@ -64,7 +56,7 @@ def plausible(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> tu
 
     others : robots that the file may have meant (see `other_conventions`)
     """
-    some, none = m[:: -(-len(m) // POSES)], Hypothesis.none(robot.n)
+    some, none = m[:: -(-len(m) // 150)], Hypothesis.none(robot.n)
     if m.position is None:  # lengths, which tell no unit and no hand of a frame
         lengths = slip_fit(robot, some, others)
         if lengths is None:
@@ -78,7 +70,7 @@ def plausible(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> tu
         meant, free = undone(fit, some), rigid([robot, *others][fit.hypothesis.rows])
         assert meant.position is not None
         measured, moved = (np.linalg.norm(np.ptp(p, axis=0)) for p in (meant.position, predicted(free, meant)[0]))
-        if measured > LEAST_SPREAD * moved:  # shrunk positions would fit anything
+        if measured > 0.1 * moved:  # shrunk positions would fit anything
             tried.append(replace(fit, error=median_error(free, meant)))
     return _simplest(robot, some, tried)
 
@@ -95,12 +87,12 @@ def far_off(robot: Robot, m: Measurements) -> tuple[Array, Array]:
     """At which rows the placed nominal model is far off, and its errors [m], shapes (n,); none where poses are few."""
     kept = np.ones(len(m), dtype=bool)
     e = np.zeros(len(m))
-    if m.position is None or len(m) < FEWEST:
+    if m.position is None or len(m) < 12:
         return ~kept, e
     free = rigid(robot)
     for _ in range(4):  # far rows draw base and tool towards themselves
         e = errors(place_frames(free, m[kept]), m)
-        near = e <= FAR * np.median(e)
+        near = e <= 5.0 * np.median(e)
         if (near == kept).all():
             break
         kept = near
@@ -112,7 +104,7 @@ def far_rows(robot: Robot, m: Measurements) -> list[Finding]:
     far, e = far_off(robot, m)
     if not far.any():
         return []
-    gross = m.row[far & (e > IMPOSSIBLE * robot.reach)]
+    gross = m.row[far & (e > 0.5 * robot.reach)]
     order = [k for k in np.argsort(-e) if far[k]]
     rows = some_rows([f"{m.row[k]} ({1e3 * e[k]:.3g} mm)" for k in order])
     text = (
@@ -141,10 +133,6 @@ def convention_of(path: Path) -> str:
     return str(load_toml(path).get("convention", "modified")) if path.suffix == ".toml" else "modified"
 
 
-LITTLE = 0.25
-STILL = np.deg2rad(1.0)
-NARROW_MARGIN = 5 * LEAST_MARGIN
-FEWEST_REPEATS = 3
 ASSUMED = {"revolute": (-2 * np.pi, 2 * np.pi), "prismatic": (-10.0, 10.0)}
 
 
@@ -175,10 +163,10 @@ def coverage(robot: Robot, m: Measurements) -> tuple[JointCoverage, ...]:
 def coverage_findings(robot: Robot, m: Measurements) -> list[Finding]:
     findings = []
     for c, moved in zip(coverage(robot, m), np.ptp(m.q, axis=0), strict=True):
-        if moved < STILL:
+        if moved < np.deg2rad(1.0):
             text = f"joint {c.joint} does not move: its parameters cannot be distinguished from those of its neighbours"
             findings.append(Finding("warning", "coverage", f"{m.source}: {text}"))
-        elif c.share < LITTLE:
+        elif c.share < 0.25:
             text = f"joint {c.joint} covers {c.low:.0f} .. {c.high:.0f} {c.unit}, {100 * c.share:.0f} % of its range"
             doubt = "; are these radians?" if c.unit == "deg" and max(-c.low, c.high) <= RADIANS else ""
             findings.append(
@@ -203,7 +191,7 @@ def repeats(m: Measurements) -> tuple[int, float | None]:
     reading = same_readings(np.column_stack([m.q, *tools]))
     distinct = int(reading.max()) + 1
     freedom = len(m) - distinct
-    if m.position is None or freedom < FEWEST_REPEATS:
+    if m.position is None or freedom < 3:
         return distinct, None
     sums = np.zeros((distinct, 3))
     np.add.at(sums, reading, m.position)
@@ -219,7 +207,7 @@ def margin(robot: Robot, m: Measurements) -> float | None:
 def margin_findings(robot: Robot, m: Measurements) -> list[Finding]:
     """A four-bar that is nearly folded somewhere; one that is open is refused elsewhere."""
     smallest = margin(robot, m)
-    if smallest is None or not LEAST_MARGIN <= smallest < NARROW_MARGIN:
+    if smallest is None or not LEAST_MARGIN <= smallest < 5 * LEAST_MARGIN:
         return []
     text = f"the four-bar is nearly folded in some pose (margin {smallest:.3f}; 1 is square, {LEAST_MARGIN} refused)"
     return [Finding("warning", "four-bar", f"{m.source}: {text}; small errors of the bars count much there")]
@@ -239,7 +227,8 @@ def unknown_columns(robot: Robot, conditions: Sequence[str], source: str) -> lis
         findings.append(Finding("warning", "columns", text))
     for name in conditions:
         near = [known for known in KNOWN if known.startswith(f"{name}_")]
-        near = near or difflib.get_close_matches(name.casefold(), KNOWN, 1, ALMOST)
+        # A height is no weight (0.83); a temperature_C may be meant as temperature_degC.
+        near = near or difflib.get_close_matches(name.casefold(), KNOWN, 1, 0.84)
         if name not in KNOWN and near and not name.startswith(("warmth_", "approach")):
             text = f"{source}: column {name!r} is no name that anything asks for; is {near[0]!r} meant?"
             findings.append(Finding("warning", "columns", text))

@@ -19,17 +19,6 @@ from casadical.core.parts import Joint
 from casadical.core.transforms import nearest_rotation
 from casadical.identification.placement import solve_placement
 
-# Of each hypothesis the best rows count: a few gross errors are no slip.
-COUNTED = 0.75
-# A joint more that counts the other way is a slip less this; with its coupling to the joint before, this less; a
-# left-handed frame is this more.
-FURTHER, TOGETHER, LEFT_HANDED = 0.6, 0.5, 0.5
-# Of an explanation so large a share of the rows must fit, each within so many times its error.
-FIT, TIMES = 0.8, 3.0
-# Steps of the fit to lengths where hypotheses are compared, and of one alone. Points lie in a plane if their squares
-# beside it are less, of the greatest.
-STEPS, ALONE, FLAT = 12, 40, 1e-6
-
 
 class Hypothesis(NamedTuple):
     """What the readings and rows of the robot are, if they are not what they seem.
@@ -68,7 +57,8 @@ class Hypothesis(NamedTuple):
         """How improbable it is, in slips: joints that count the other way come together, with coupled readings, too."""
         reversed_ = sum(s < 0 for s in self.sign)
         together = sum(s < 0 and a != 0 for s, a in zip(self.sign, self.add, strict=True))
-        return self.slips - FURTHER * max(0, reversed_ - 1) - TOGETHER * together
+        # A joint more that counts the other way is a slip less 0.6; with its coupling to the joint before, less 0.5.
+        return self.slips - 0.6 * max(0, reversed_ - 1) - 0.5 * together
 
     def at(self, what: str, i: int, value: float) -> Hypothesis:
         entries = list(getattr(self, what))
@@ -98,7 +88,7 @@ class Fit:
     @property
     def cost(self) -> float:
         """How improbable it is, in slips: no instrument's frame is left-handed."""
-        return self.slips - self.hypothesis.slips + self.hypothesis.cost + LEFT_HANDED * self.mirrored
+        return self.slips - self.hypothesis.slips + self.hypothesis.cost + 0.5 * self.mirrored
 
     @property
     def slips(self) -> int:
@@ -158,7 +148,7 @@ class SlipFit:
             left = left - (turn @ _solved(turn, left[..., None]))[..., 0]
             spread = np.sqrt(((p - p.mean(axis=1, keepdims=True)) ** 2).sum(axis=(1, 2)) / len(y)) + 1e-3 * self.reach
             square = np.sort((left.reshape(len(left), -1, 3) ** 2).sum(axis=2), axis=1)
-            counted = square[:, : max(1, int(COUNTED * square.shape[1]))]
+            counted = square[:, : max(1, int(0.75 * square.shape[1]))]
             share[part] = np.sqrt(counted.mean(axis=1)) / spread
         return share
 
@@ -229,7 +219,7 @@ class SlipFit:
             meant = y * np.array(scale) * [1, -1 if mirrored else 1, 1]
             T, t = solve_placement(p[0][kept], R[0][kept], meant[kept], None, np.eye(4), np.zeros(3))
             e = np.linalg.norm((p[0] + R[0] @ t) @ T[:3, :3].T + T[:3, 3] - meant, axis=1)
-            error = max(float(np.median(e)), float(np.quantile(e, FIT)) / TIMES)
+            error = max(float(np.median(e)), float(np.quantile(e, 0.8)) / 3.0)
             kept = e <= 5 * np.median(e)
         if not as_given:  # positions that are made small fit everything
             error *= max(1.0, _spread(p[0]) / max(_spread(meant), 1e-12))
@@ -260,7 +250,7 @@ class LengthFit(SlipFit):
     def shares(self, hypotheses: Sequence[Hypothesis]) -> Array:
         share = np.empty(len(hypotheses))
         for part, y, p, R, _ in self._parts(hypotheses):
-            square = np.sort(self._left(p, R, y) ** 2, axis=1)[:, : max(1, int(COUNTED * len(y)))]
+            square = np.sort(self._left(p, R, y) ** 2, axis=1)[:, : max(1, int(0.75 * len(y)))]
             share[part] = np.sqrt(square.mean(axis=1)) / (np.std(p, axis=1).sum(axis=1) + 1e-3 * self.reach)
         return share
 
@@ -277,11 +267,11 @@ class LengthFit(SlipFit):
         p, R, _, _ = self._flange(_readings([h], q), self.rows[h.rows], *self._lengths([h], h.rows))
         kept, e = np.ones(len(y), dtype=bool), np.zeros(len(y))
         for _ in range(3):  # far rows draw the fit towards themselves
-            e = np.abs(self._left(p, R, y, kept, ALONE)[0])
+            e = np.abs(self._left(p, R, y, kept, 40)[0])
             kept = e <= 5 * np.median(e)
-        return Fit(h, max(float(np.median(e)), float(np.quantile(e, FIT)) / TIMES))
+        return Fit(h, max(float(np.median(e)), float(np.quantile(e, 0.8)) / 3.0))
 
-    def _left(self, p: Array, R: Array, y: Array, kept: Array | None = None, steps: int = STEPS) -> Array:
+    def _left(self, p: Array, R: Array, y: Array, kept: Array | None = None, steps: int = 12) -> Array:
         """Lengths less those of the fitted tool and places, shape (k, n); kept : rows that are fitted."""
         length, place = y[:, 0], np.eye(int(y[:, 1].max()) + 1)[y[:, 1].astype(int)]
         weight = np.ones(len(y)) if kept is None else kept.astype(float)
@@ -319,7 +309,7 @@ class LengthFit(SlipFit):
             solved = _solved(A, ((local**2).sum(axis=2) - length[own] ** 2)[..., None])[..., 0]
             spread, axes = np.linalg.eigh(np.swapaxes(local, 1, 2) @ local)
             beside = np.sqrt(np.maximum(solved[:, 3] - (solved[:, :3] ** 2).sum(axis=1), 0.0))
-            beside[spread[:, 0] > FLAT * spread[:, 2]] = 0.0
+            beside[spread[:, 0] > 1e-6 * spread[:, 2]] = 0.0
             x.append(solved[:, :3] + axes[:, :, 0] * beside[:, None] + p[:, own].mean(axis=1))
         return np.concatenate(x, axis=1)
 

@@ -17,26 +17,9 @@ from casadical.project.check.slip_fit import Fit, Hypothesis, LengthFit, SlipFit
 from casadical.project.check.slip_list import QUARTERS, inner, moves
 from casadical.robot.robot import Robot
 
-POSES, FEWEST, FEWEST_TO_A_PLACE = 60, 15, 6
 MOST_SLIPS = 4
-# States that are kept of each combination of shift and convention; of which so many are placed.
-OF_EACH, PLACED = 120, 20
 # Of the reach: errors below it are the nominal model's own; departures of a length below it are calibration's.
-OWN, LENGTH = 0.001, 0.02
-# Zeros that are off by less are calibration's [rad].
-ZERO = np.deg2rad(4.0)
-# Readings [rad] that are radians under a name of degrees move by so much.
-LEAST_MOVE, MOST_IN_RADIANS = np.deg2rad(0.3), np.deg2rad(2 * np.pi)
-# Share of the error that an explanation may leave.
-EXPLAINS = 0.25
-# Readings outside of the joints' ranges cost as much as half a slip; a few are bad rows.
-OUTSIDE, FEW = 0.35, 0.05
-# Orientations that differ by more [rad] speak against an explanation, as much as a slip.
-TURNED = 0.1
-# In which several wrong lengths are found together.
-ROUNDS = 8
-# Errors that differ by a smaller share are the same.
-SAME = 1e-6
+OWN = 0.001
 # What a further slip must at least reduce the error by.
 WORTH = 2.0
 
@@ -52,14 +35,14 @@ class Slips:
     @property
     def explains(self) -> bool:
         """Whether the best explanation leaves far less than the table as it stands."""
-        return self.best.slips > 0 and self.best.error < EXPLAINS * self.before.error
+        return self.best.slips > 0 and self.best.error < 0.25 * self.before.error
 
 
 def search_slips(robot: Robot, m: Measurements, others: Sequence[Robot] = (), show: Show = silent) -> Slips | None:
     """What is wrong with a table; None where it is not known (see `slip_fit`). others : with rows read otherwise"""
     order = np.argsort(m.row)
     # Whole stretches of rows, so that shifted ones still belong together.
-    fit = slip_fit(robot, m[order[:POSES]], others)
+    fit = slip_fit(robot, m[order[:60]], others)
     if fit is None:
         return None
     # Shifts need rows that follow each other in the file.
@@ -67,20 +50,22 @@ def search_slips(robot: Robot, m: Measurements, others: Sequence[Robot] = (), sh
     fits = _search(fit, robot, shifts, show)
     before = fit.placed(Hypothesis.none(robot.n), as_given=True)
     errors = np.log([max(f.error, OWN * robot.reach) for f in fits])
-    slips = [f.cost + (f.turn > TURNED) for f in fits]
-    costs = errors + np.log(WORTH) * np.array(slips) + [OUTSIDE * outside(f.hypothesis, robot, fit.q) for f in fits]
+    # Orientations that differ by more than 0.1 rad speak against an explanation, as much as a slip.
+    slips = [f.cost + (f.turn > 0.1) for f in fits]
+    # Readings outside of the joints' ranges cost as much as half a slip.
+    costs = errors + np.log(WORTH) * np.array(slips) + [0.35 * outside(f.hypothesis, robot, fit.q) for f in fits]
     first, *behind = ranked(-costs)
     best = fits[first]
     near = [fits[k] for k in behind if fits[k].slips and costs[k] < costs[first] + np.log(WORTH)]
     # What leaves the same is the same robot, or its mirror image: no pose would distinguish them.
-    rivals = [f for f in near if abs(f.error - best.error) > SAME * best.error]
+    rivals = [f for f in near if abs(f.error - best.error) > 1e-6 * best.error]
     return Slips(before, best, tuple(rivals[:2]))
 
 
 def slip_fit(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> SlipFit | None:
     """The fast fit to positions, or to lengths to a few places; None of other kinds, of loops, and of too few rows."""
     rows = [robot.joints, *(o.joints for o in others if not o.loops)]
-    if robot.loops or m.q.shape[1] != robot.n or len(m) < FEWEST:
+    if robot.loops or m.q.shape[1] != robot.n or len(m) < 15:
         return None
     if m.position is not None:
         return SlipFit(m.q, m.position, rows, robot.reach, m.orientation)
@@ -88,14 +73,15 @@ def slip_fit(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> Sli
         return None
     ends = m.label if m.target is None else m.target
     which = np.zeros(len(m)) if ends is None else np.unique(ends, axis=0, return_inverse=True)[1].ravel()
-    few = np.bincount(which.astype(int)).min() < FEWEST_TO_A_PLACE
+    few = np.bincount(which.astype(int)).min() < 6
     return None if few else LengthFit(m.q, np.column_stack([m.distance, which]), rows, robot.reach)
 
 
 def outside(h: Hypothesis, robot: Robot, q: Array) -> bool:
     lower, upper = robot.limits
     meant = h.readings(q)
-    return bool(((meant < lower - 0.01) | (meant > upper + 0.01)).any(axis=1).mean() > FEW)
+    # A few rows outside of the ranges are bad rows.
+    return bool(((meant < lower - 0.01) | (meant > upper + 0.01)).any(axis=1).mean() > 0.05)
 
 
 def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int], show: Show) -> list[Fit]:
@@ -104,14 +90,15 @@ def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int], show: Show) -> li
     turning = [j.kind == "revolute" for j in robot.joints]
     # A reading may be in radians whose column moves as little as that.
     move = np.ptp(fit.q, axis=0)
-    little = (move > LEAST_MOVE) & (move < MOST_IN_RADIANS) & (np.median(move) > MOST_IN_RADIANS) & turning
+    turn = np.deg2rad(2 * np.pi)
+    little = (move > np.deg2rad(0.3)) & (move < turn) & (np.median(move) > turn) & turning
     level = [none, *(none.at("factor", int(i), 180 / np.pi) for i in np.flatnonzero(little))]
     seen, fits = set(level), {none: fit.placed(none)}
     share = fit.shares(level)
     for depth in range(MOST_SLIPS + 1):
         show(f"slips, search {depth + 1} of {MOST_SLIPS + 1}")
         kept = _kept(level, share, fit.beam)
-        for k in kept[:PLACED]:
+        for k in kept[:20]:
             h = _refined(fit, level[k])
             fits.setdefault(h, fit.placed(h))
         least = min(f.error for f in fits.values())
@@ -154,7 +141,10 @@ def _zero(angle: float) -> float:
     """An angle from -180 to 180 deg, or the multiple of 90 deg that it is close to."""
     away = [abs(np.arctan2(np.sin(angle - v), np.cos(angle - v))) for v in QUARTERS]
     nearest = int(np.argmin(away))
-    return QUARTERS[nearest] if away[nearest] < ZERO else round(float(np.arctan2(np.sin(angle), np.cos(angle))), 4)
+    # Zeros that are off by less are calibration's.
+    if away[nearest] < np.deg2rad(4.0):
+        return float(QUARTERS[nearest])
+    return round(float(np.arctan2(np.sin(angle), np.cos(angle))), 4)
 
 
 def _kept(level: Sequence[Hypothesis], share: Array, beam: int) -> list[int]:
@@ -163,7 +153,7 @@ def _kept(level: Sequence[Hypothesis], share: Array, beam: int) -> list[int]:
     for k in order:
         key = (level[k].shift, level[k].rows)
         of_each[key] = of_each.get(key, 0) + 1
-        if of_each[key] <= min(OF_EACH, beam) and k not in kept:
+        if of_each[key] <= min(120, beam) and k not in kept:
             kept.append(k)
     return kept
 
@@ -176,14 +166,15 @@ def _length_moves(h: Hypothesis, lengths: Array, robot: Robot) -> Iterator[Hypot
         rest, departure = lengths[k]
         name, i = ("a", k) if k < n else ("d", k - n)
         known = any((name, i) == (other, j) for other, j, _ in h.lengths)
-        if rest < 0.9 and abs(departure) > LENGTH * robot.reach and not known:
+        # A length that departs by less of the reach is calibration's.
+        if rest < 0.9 and abs(departure) > 0.02 * robot.reach and not known:
             yield h._replace(lengths=(*h.lengths, (name, i, float(departure))))
 
 
 def _refined(fit: SlipFit, h: Hypothesis) -> Hypothesis:
     n = len(h.zero)
     free = [i for i, z in enumerate(h.zero) if z and z not in QUARTERS]
-    for _ in range(ROUNDS * (len(free) + len(h.lengths) > 0)):  # one after the other: they depend on each other
+    for _ in range(8 * (len(free) + len(h.lengths) > 0)):  # one after the other: they depend on each other
         before = h
         for i in free:
             h = h.at("zero", i, _zero(h.zero[i] + float(fit.zeros([h], i)[0])))

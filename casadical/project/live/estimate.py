@@ -33,17 +33,11 @@ FEW = 12
 # Squared distance of a reading from its prediction, in units of their covariance, by how many numbers it has: exceeded
 # by noise in 1 of 700 000.
 LIMITS = {1: 23.3, 2: 27.0, 3: 30.0, 4: 32.7, 5: 35.2, 6: 37.5}
-# Of a noise that few numbers tell it is greater by (1 + this over their degrees of freedom), about as Fisher's F is.
-UNSURE = 20.0
 # One sigma of a coordinate [mm], and factors on the priors, whose evidence is compared.
 SIGMAS = np.geomspace(0.008, 60.0, 22)
 WIDTHS = np.array([0.1, 0.25, 0.6, 1.5])
-# An angle's sigma over a coordinate's [mrad/mm].
-RATIOS = np.geomspace(0.3, 30.0, 7)
 # One sigma of base, tool and points about where they were put [mm, mrad]: they are not known.
 FREE = 1e3
-# Steps of the fit, and most of them where unknown points still move by more than this [mm].
-STEPS, MOST, MOVES = 3, 15, 0.1
 # A reading is not judged where the others predict it with a sigma of more than this [mm].
 UNTOLD = 100.0
 
@@ -180,13 +174,14 @@ def estimate(robot: Robot, m: Measurements, placed: Robot | None = None) -> Esti
     scale, value, lower, upper = (
         np.array([getattr(p, what) for p in own]) for what in ("scale", "value", "lower", "upper")
     )
-    now, ratios = placed, RATIOS if kind.angles else np.ones(1)
+    # An angle's sigma over a coordinate's [mrad/mm].
+    now, ratios = placed, np.geomspace(0.3, 30.0, 7) if kind.angles else np.ones(1)
     seen = observed(now, names, m)
     points = start = seen.points
     free = np.concatenate([[FREE * MM / p.scale if _is_frame(p) else 0.0 for p in own], np.full(3 * len(start), FREE)])
     width = np.append(np.array([p.prior for p in own]) / scale, np.ones(3 * len(start)))
     x, p, angles = np.zeros(len(free)), len(names), np.arange(kind.numbers) >= kind.lengths
-    for step in range(MOST):
+    for step in range(15):  # three, unless unknown points still move by more than 0.1 mm
         seen = observed(now, names, m, points=points) if step else seen
         y, apart = seen.off + seen.J @ x, (seen.separated[0] + seen.separated[1] @ x, seen.separated[1])
         fits = [(*_by_evidence(seen.J, y, np.where(angles, 1 / r, 1.0), free, width, apart), float(r)) for r in ratios]
@@ -196,7 +191,7 @@ def estimate(robot: Robot, m: Measurements, placed: Robot | None = None) -> Esti
         values = np.clip(value + scale * x[:p], lower, upper)
         x[:p], now = (values - value) / scale, placed.with_values(dict(zip(names, values, strict=True)))
         points = dict(zip(start, [*start.values()] + MM * x[p:].reshape(-1, 3), strict=True)) if start else start
-        if step >= STEPS - 1 and np.abs(x[p:] - before[p:]).max(initial=0.0) < MOVES:
+        if step >= 2 and np.abs(x[p:] - before[p:]).max(initial=0.0) < 0.1:
             break
     r = observed(now, names, m, ratio, points).off
     J = seen.J * np.where(angles, 1 / ratio, 1.0)[:, None]
@@ -204,10 +199,11 @@ def estimate(robot: Robot, m: Measurements, placed: Robot | None = None) -> Esti
     fixed = np.linalg.eigvalsh(redundant)[:, 0] > (sigma / UNTOLD) ** 2
     redundant[~fixed] = np.eye(kind.numbers)
     off = np.where(fixed[:, None], np.linalg.solve(redundant, r[..., None])[..., 0], np.nan)
+    # Of a noise that few numbers tell the limit is wider, about as Fisher's F is.
     freedom = max(float(np.trace(redundant, axis1=1, axis2=2).sum()), 1.0)
     return Estimate(
         now, names, points, C, MM * sigma, ratio, m, MM * off[:, : kind.lengths],
-        np.nan_to_num(np.einsum("ni,ni->n", off, r)) / sigma**2, 1 + UNSURE / freedom,
+        np.nan_to_num(np.einsum("ni,ni->n", off, r)) / sigma**2, 1 + 20.0 / freedom,
     )  # fmt: skip
 
 

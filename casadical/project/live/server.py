@@ -28,8 +28,7 @@ if TYPE_CHECKING:
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 # How often a source is looked at, and after how long a browser that never reads is given up [s].
-PAUSE, PATIENCE = 0.2, 20.0
-LONGEST = 100_000
+PAUSE = 0.2
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
@@ -140,7 +139,10 @@ class LivePage:
 
     async def _events(self, _request: Request) -> Response:
         made: Response = optional("sse_starlette", NEEDED).EventSourceResponse(
-            self._states(), ping=10, send_timeout=PATIENCE
+            # A browser that does not read for 20 s is given up.
+            self._states(),
+            ping=10,
+            send_timeout=20.0,
         )
         return made
 
@@ -158,7 +160,7 @@ class LivePage:
         response: Response
         try:
             body = await request.body()
-            asked = json.loads(body) if len(body) < LONGEST else None
+            asked = json.loads(body) if len(body) < 100_000 else None
             if not isinstance(asked, dict):
                 raise InputError("a command is a JSON object of less than 100,000 characters")
             said = await asyncio.to_thread(self._done, asked)

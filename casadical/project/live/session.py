@@ -41,14 +41,10 @@ from casadical.project.robot_columns import refuse_nameless, understood, with_kn
 
 TABLE = "measured.csv"
 # Share of the reach that the model may leave before the whole table is doubted, and readings at which it is checked.
-GROSS, CHECKED = 0.003, (10, 15, 25, 40, 60, 100, 200)
-# So many of the last rows that could not be read are tried again, one of them left out, when another comes.
-WAITING = 10
+CHECKED = (10, 15, 25, 40, 60, 100, 200)
 # Columns of names, and those that a table may have beside what its kind observes.
 NAMES = ("point", "plane", "sphere", "anchor", "dial", "tool", "session")
 FURTHER = ("to_x_mm", "to_y_mm", "to_z_mm", "along_x", "along_y", "along_z", "pose", "other_pose", *NAMES)
-# Positions so many times the reach apart are of another unit, or of nothing that the robot holds.
-BEYOND = 10.0
 
 
 class LiveSession:
@@ -260,7 +256,7 @@ class LiveSession:
         table: Measurements | None = None
         before, read, whole = self._odd, self._read(), ""
         waiting = [r.number for r in self.course.readings if not (r.struck or r.number in (*new, *read))]
-        for lost in ((), *((n,) for n in waiting[-WAITING:])) if waiting else ():
+        for lost in ((), *((n,) for n in waiting[-10:])) if waiting else ():
             self._odd = {n: before.get(n) or why.splitlines()[0] for n in lost}
             try:
                 return self._table()
@@ -316,7 +312,7 @@ class LiveSession:
             self._doubtful[numbers[k]], self._words[numbers[k]] = True, words
         if m.position is not None:
             away = np.linalg.norm(m.position - np.median(m.position, axis=0), axis=1)
-            for k in np.flatnonzero(away > BEYOND * self.robot.reach):
+            for k in np.flatnonzero(away > 10.0 * self.robot.reach):
                 words = (
                     f"{away[k]:.4g} m from the others, and the robot reaches {self.robot.reach:.3g} m: another unit?"
                 )
@@ -346,9 +342,9 @@ class LiveSession:
     def doubted(self) -> bool:
         """Whether the whole table is to be checked for slips now (see `check`)."""
         n = len(self.course.readings)
-        gross = self.estimate is not None and self.estimate.sigma > GROSS * self.robot.reach
+        gross = self.estimate is not None and self.estimate.sigma > 0.003 * self.robot.reach
         many = sum(self._doubtful.values()) > max(2, n / 3)
-        return n >= CHECKED[0] and n > self.checked[0] and (n in CHECKED or ((gross or many) and n % 3 == 0))
+        return n >= 10 and n > self.checked[0] and (n in CHECKED or ((gross or many) and n % 3 == 0))
 
     def check(self) -> None:
         """The check of `casadical check` for the whole table; takes seconds where it searches slips."""

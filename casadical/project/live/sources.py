@@ -101,10 +101,6 @@ def journal(folder: Path) -> Iterator[tuple[Course, Add]]:
         yield course, add
 
 
-# Files of a folder that may be tables.
-SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".asc", ".xlsx", ".parquet")
-
-
 @dataclass(frozen=True)
 class Row:
     """A row as it came. cells : as text; source : file and line, in words."""
@@ -164,7 +160,8 @@ class FolderSource:
     def news(self) -> News:
         """All rows of the files that changed, in the order of their names."""
         new = News()
-        for path in sorted(p for p in self.path.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file()):
+        tables = {".csv", ".txt", ".tsv", ".dat", ".asc", ".xlsx", ".parquet"}
+        for path in sorted(p for p in self.path.iterdir() if p.suffix.lower() in tables and p.is_file()):
             one = self._files.setdefault(path, FileSource(path)).news()
             new.rows += one.rows
             new.said += one.said
