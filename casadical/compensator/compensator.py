@@ -199,7 +199,13 @@ class Compensator:
         rows = joint_angles(q, layout.joints if layout else None)
         targets = residuals(residual_mm, len(rows), layout.outputs if layout else None)
         size = layout or Layout(joints=rows.shape[1], outputs=targets.shape[1])
-        _check_choices(len(rows), folds, margin)
+        if len(rows) < 10:
+            why = "are too few to train and to judge a network; give at least 10"
+            raise InputError(f"{len(rows)} training poses {why}")
+        if not 2 <= folds <= len(rows):
+            raise InputError(f"folds must be 2 to the number of training poses ({len(rows)}); got {folds}")
+        if not margin >= 0:
+            raise InputError(f"margin is a number of standard errors, not negative; got {margin}")
         how = trainer_named(trainer)
         rms = float(np.sqrt(np.mean(targets**2))) or 1.0
         scale = output_scale_mm if output_scale_mm is not None else rms
@@ -212,7 +218,14 @@ class Compensator:
         networks = [Network(size, box, outcome.weights, scale) for outcome in outcomes]
 
         network, last = networks[-1], outcomes[-1]
-        judged = _cross_validated(networks[:-1], masks, rows, targets) if choose is None else _apply(network, choose)
+        if choose is None:
+            after = targets.copy()
+            for one, mask in zip(networks, masks, strict=False):
+                after[~mask] -= one.output_mm(rows[~mask])
+            judged = BeforeAfter.compare(targets, after)
+        else:
+            judged = _apply(network, choose)
+        blobs = (np.ascontiguousarray(array, dtype="<f8").tobytes() for array in (rows, targets))
         return cls(
             network=network if judged.gain > margin * judged.gain_error and judged.gain > 0 else None,
             layout=size,
@@ -226,7 +239,7 @@ class Compensator:
             settings=asdict(how),
             note="; ".join((*last.reasons, *([last.note] if last.note else []))),
             seed=int(seed),
-            data_sha256=_data_sha256(rows, targets),
+            data_sha256=hashlib.sha256(f"{rows.shape} {targets.shape}".encode() + b"".join(blobs)).hexdigest(),
             trained=network,
             history=last.history,
         )
@@ -279,28 +292,7 @@ class Compensator:
         return casadi.Function("network", [q], [casadi.SX.zeros(self.layout.outputs)], ["q"], ["dp"])
 
 
-def _check_choices(poses: int, folds: int, margin: float) -> None:
-    if poses < 10:
-        raise InputError(f"{poses} training poses are too few to train and to judge a network; give at least 10")
-    if not 2 <= folds <= poses:
-        raise InputError(f"folds must be 2 to the number of training poses ({poses}); got {folds}")
-    if not margin >= 0:
-        raise InputError(f"margin is a number of standard errors, not negative; got {margin}")
-
-
 def _apply(network: Network, data: Data) -> BeforeAfter:
     rows = joint_angles(data[0], network.layout.joints)
     before = residuals(data[1], len(rows), network.layout.outputs)
     return BeforeAfter.compare(before, before - network.output_mm(rows))
-
-
-def _cross_validated(networks: list[Network], masks: Any, rows: Array, targets: Array) -> BeforeAfter:
-    after = targets.copy()
-    for network, mask in zip(networks, masks, strict=True):
-        after[~mask] -= network.output_mm(rows[~mask])
-    return BeforeAfter.compare(targets, after)
-
-
-def _data_sha256(rows: Array, targets: Array) -> str:
-    blobs = (np.ascontiguousarray(array, dtype="<f8").tobytes() for array in (rows, targets))
-    return hashlib.sha256(f"{rows.shape} {targets.shape}".encode() + b"".join(blobs)).hexdigest()

@@ -153,8 +153,12 @@ class InvasiveWeeds:
 
     def ask(self) -> Array:
         """Return the points to evaluate next, shape (k, dimension) [as of the bounds]; the same ones until told."""
-        if self._asked is None:
-            self._asked = self._first_colony() if self.iteration < 0 else self._children()
+        if self._asked is None and self.iteration < 0:
+            missing = max(self.settings.initial - len(self._start), 0)
+            random = self._random.uniform(self._lower, self._upper, (missing, self.dimension))
+            self._asked = np.concatenate([np.clip(self._start, self._lower, self._upper), random])
+        elif self._asked is None:
+            self._asked = self._children()
         return self._asked
 
     def tell(self, losses: ArrayLike) -> None:
@@ -198,11 +202,6 @@ class InvasiveWeeds:
             raise InputError("nothing has been evaluated yet: call ask() and tell() first")
         history = IwoHistory(*(tuple(column) for column in zip(*self._log, strict=True)))
         return IwoResult(self.members[0].copy(), float(self.losses[0]), self.stop(), self.evaluations, history)
-
-    def _first_colony(self) -> Array:
-        missing = max(self.settings.initial - len(self._start), 0)
-        random = self._random.uniform(self._lower, self._upper, (missing, self.dimension))
-        return np.concatenate([np.clip(self._start, self._lower, self._upper), random])
 
     def _children(self) -> Array:
         s = self.settings

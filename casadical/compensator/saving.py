@@ -15,8 +15,6 @@ from casadical.compensator.report import BeforeAfter, Errors
 from casadical.core.basics import InputError
 
 KIND, VERSION = "casadical-compensator", 1
-# A network that is read may correct by so many times the largest error that it was trained on, at poses drawn so often.
-MOST_TIMES, CHECKED_POSES = 10, 1000
 # Joints, layers, or neurons of a layer.
 MOST_NUMBERS = 1000
 
@@ -87,14 +85,14 @@ def _refuse_large(found: Compensator) -> None:
     if found.network is None:
         return
     lower, upper = np.array(found.trained_box.lower), np.array(found.trained_box.upper)
-    q = np.random.default_rng(0).uniform(lower, upper, (CHECKED_POSES, len(lower)))
+    q = np.random.default_rng(0).uniform(lower, upper, (1000, len(lower)))
     with np.errstate(all="ignore"):
         size = float(np.linalg.norm(found.network.output_mm(q), axis=1).max())
-    most = MOST_TIMES * found.training.before.max_mm
+    most = 10 * found.training.before.max_mm
     if not size <= most:
         raise InputError(
             f"its network corrects by up to {size:.3g} mm in the box of its training, where errors were "
-            f"{found.training.before.max_mm:.3g} mm at most; allowed: {MOST_TIMES} times that; train it again"
+            f"{found.training.before.max_mm:.3g} mm at most; allowed: 10 times that; train it again"
         )
 
 

@@ -109,6 +109,12 @@ def claimed(folders: Iterable[str | Path]) -> Iterator[None]:
     A folder that was made for this and is empty at the end is removed. Raises InputError: another
     process writes to one of them, or it cannot be made.
     """
+
+
+    def remove_empty(folder: Path) -> None:
+        with suppress(OSError):
+            folder.rmdir()
+
     with ExitStack() as stack:
         held = dict(_claimed.get())
         for folder in map(Path, folders):
@@ -119,7 +125,7 @@ def claimed(folders: Iterable[str | Path]) -> Iterator[None]:
                 new = [p for p in (real, *real.parents) if not p.exists()]
                 real.mkdir(parents=True, exist_ok=True)
                 for made in reversed(new):
-                    stack.callback(_remove_empty, made)
+                    stack.callback(remove_empty, made)
                 handle = os.open(real, os.O_RDONLY)
                 stack.callback(os.close, handle)
                 if not locked(handle):
@@ -207,8 +213,3 @@ def _failure(path: Path, error: Exception, written: Sequence[str] = ()) -> Input
     so_far = f"written so far: {', '.join(written)}" if written else "nothing was written"
     why = getattr(error, "strerror", None) or error
     return InputError(f"{shown(path)}: cannot be written: {why}; {so_far}")
-
-
-def _remove_empty(folder: Path) -> None:
-    with suppress(OSError):
-        folder.rmdir()

@@ -84,7 +84,6 @@ def _stem(name: str) -> str:
 
 
 _UNITS = {"revolute": ("_deg", "_rad"), "prismatic": ("_mm", "_m")}
-_TO_SI = {"_mm": 1e-3, "_m": 1.0, "_deg": np.pi / 180, "_rad": 1.0}
 # Least and largest values of columns that the model and effects ask for [their own unit].
 POSSIBLE = {
     "payload_kg": (0.0, 1e5),
@@ -305,7 +304,8 @@ class Columns:
             if blank := [name for name in self.empty if name in {f"{stem}{u}" for u in units}]:
                 raise FaultsError([self._empty(blank[0])])
             raise InputError(f"{self.source}: column {wanted} is missing; there are {self.names}")
-        return self.column(stem + present[0]) * _TO_SI[present[0]]
+        to_si = {"_mm": 1e-3, "_m": 1.0, "_deg": np.pi / 180, "_rad": 1.0}
+        return self.column(stem + present[0]) * to_si[present[0]]
 
     def joints(self, kinds: Sequence[str]) -> Array:
         """Readings q1_deg (q1_rad, q1_mm, q1_m) and so on, shape (n, joints) [rad or m].

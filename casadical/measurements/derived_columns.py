@@ -11,8 +11,6 @@ from casadical.core.basics import Array
 from casadical.measurements.measurements import Measurements
 
 COLUMN = "time_s"
-# Less is no motion but rounding of the same reading [rad or m].
-AT_REST = 1e-9
 # A shorter way between measured points would follow their noise [m].
 HELD_STILL = 0.01
 # Loads of the joints, shape (n, joints), from readings and logged columns (see `Robot.loads`).
@@ -148,16 +146,13 @@ def _play(q: Array, half: float) -> Array:
 
 
 # Columns of a joint, in the order of measuring, from its readings and a way [rad].
+# Less is no motion but rounding of the same reading [rad or m].
 _OF_JOINT: Mapping[str, Callable[..., Array]] = {
-    r"approach(\d+)": lambda q: last_sense(_moves(q), AT_REST),
+    r"approach(\d+)": lambda q: last_sense(_moves(q), 1e-9),
     r"move(\d+)": _moves,
     r"memory(\d+)_(\d+)mrad": _memory,
     r"play(\d+)_(\d+)mrad": _play,
 }
-# A clock was set where it jumps by more than a week [s] and by so many times the usual step.
-LONG, TIMES = 7 * 86400.0, 100.0
-# Where more of the steps go back, the rows are not in the order of measuring.
-SHUFFLED = 0.1
 
 
 def clock_faults(m: Measurements) -> tuple[str, ...]:
@@ -169,10 +164,12 @@ def clock_faults(m: Measurements) -> tuple[str, ...]:
     time, row = time[by_row], row[by_row]
     steps = np.diff(time)
     back = np.flatnonzero(steps < 0)
-    if len(back) > max(1, SHUFFLED * len(steps)):
+    # Where more of the steps go back, the rows are not in the order of measuring.
+    if len(back) > max(1, 0.1 * len(steps)):
         return ()
     usual = float(np.median(np.abs(steps)))
-    far = np.flatnonzero(steps > max(LONG, TIMES * usual))
+    # A clock was set where it jumps by more than a week [s] and by 100 times the usual step.
+    far = np.flatnonzero(steps > max(7 * 86400.0, 100.0 * usual))
     said = []
     for at, what in ((back, "goes back"), (far, "jumps")):
         if len(at):

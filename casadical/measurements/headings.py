@@ -21,19 +21,10 @@ from casadical.measurements.raw_table import RawTable
 from casadical.measurements.vocabulary import UNITS, UNSPACED, WORDS
 
 _BRACKETS = re.compile(r"[\[({<【]([^\])}>】]*)[\])}>】]|(?:\bin\b|[,/_])\s*([^\s,/_]+)\s*$")
-_WORD = re.compile(r"[^\W\d_]+|\d+")
-_OURS = re.compile(r"q(\d+)_(deg|rad|mm|m)")
 _UNIT_LINE = re.compile(r"(?:units?|einheit(?:en)?|unités?|单位|単位)\s*[:=：]?\s*(.*)", re.IGNORECASE)
-# Positions of a robot spread over more than so many millimetres, and over less than so many metres.
-MILLIMETRES, METRES = 30.0, 10.0
 FEW = 10
-# So many poses at least of each target, on average.
-FEWEST_OF_EACH = 6
 # Quaternions and matrices are rounded.
 NEARLY = 1e-2
-# Time stamps below these sizes are in seconds, milliseconds, microseconds [s]; the latest possible one.
-_STAMPS = ((1e11, 1.0), (1e14, 1e-3), (1e17, 1e-6))
-_LATEST = 1e10
 _RANK = {"measured": 0, "": 1, "nominal": 2}
 _OTHERS = {"temperature": ("temperature_degC", "degC"), "load": ("payload_kg", "kg")}
 # Words that say an axis: of a position, and of an orientation.
@@ -44,7 +35,6 @@ _LETTERS = {"a": "yaw", "b": "pitch", "c": "roll", "w": "roll", "p": "pitch", "r
 _ROLL, _QUATERNION = ("roll", "pitch", "yaw"), ("qw", "qx", "qy", "qz")
 _MATRIX = tuple(f"R{i}{j}" for i in range(3) for j in range(3))
 _XYZ = ("x", "y", "z")
-_ENTRY = re.compile(r"[0-3]{2}|[1-4]{2}")
 _ENTRIES = tuple([f"{i}{j}" for i in range(k, k + 3) for j in range(k, k + 3)] for k in (0, 1))
 # Ways to read three angles rx, ry, rz, with our names for them.
 _TRIPLES = {
@@ -129,7 +119,7 @@ def understand(
     kind : of measurement, where it is said
     """
     ours = {*raw.header, *given}
-    own = {int(m[1]) for h in ours if (m := _OURS.fullmatch(h))}
+    own = {int(m[1]) for h in ours if (m := re.fullmatch(r"q(\d+)_(deg|rad|mm|m)", h))}
     headings = _headings(raw, names) if raw.form.header_line else _by_order(raw, len(joints))
     stated = _stated_units([*raw.comments, *(text for _, text in raw.form.skipped)])
     # A column "point" names points that are touched, or, beside positions, the points of a tracker.
@@ -192,8 +182,10 @@ def _times(headings: Iterable[_Heading], ours: Collection[str]) -> Iterator[Unde
     if "time_s" in ours or len(whole) != 1 or len(fine) > 1:
         return
     size = float(np.median(np.abs(whole[0].values)))
-    factor = UNITS[whole[0].unit][1] if whole[0].unit else next((f for most, f in _STAMPS if size < most), 1e-9)
-    if size * factor < _LATEST:
+    # Time stamps below these sizes are in seconds, milliseconds and microseconds.
+    stamps = ((1e11, 1.0), (1e14, 1e-3), (1e17, 1e-6))
+    factor = UNITS[whole[0].unit][1] if whole[0].unit else next((f for most, f in stamps if size < most), 1e-9)
+    if size * factor < 1e10:  # the latest possible one [s]
         add = {h.name: 1e-9 for h in fine if h is not whole[0]}
         yield Understood("time_s", Source(whole[0].name, factor, add=add), whole[0].unit or "s", "heading")
 
@@ -204,7 +196,8 @@ def _tools(raw: RawTable, ours: Collection[str]) -> Iterator[Understood]:
         words = set(words_of(name)[0])
         if "tool" not in ours and words & WORDS["target"] and words <= WORDS["target"] | WORDS["dh_joint"]:
             cells = raw.frame[name].dropna().astype(str)
-            if len(cells) == len(raw.frame) and 1 < cells.nunique() <= len(cells) / FEWEST_OF_EACH:
+            # Six poses at least of each target, on average.
+            if len(cells) == len(raw.frame) and 1 < cells.nunique() <= len(cells) / 6:
                 yield Understood("tool", Source(name), "", "heading")
                 return
 
@@ -219,7 +212,7 @@ def words_of(heading: str) -> tuple[list[str], str]:
             unit, text = word, text[: match.start()] + " " + text[match.end() :]
             break
     text = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text).casefold()
-    words = _WORD.findall(UNSPACED.sub(lambda m: f" {m[0]} ", text))
+    words = re.findall(r"[^\W\d_]+|\d+", UNSPACED.sub(lambda m: f" {m[0]} ", text))
     if not unit and words and words[-1] in UNITS and len(words) > 1 and len(words[-1]) > 1:
         unit = words.pop()
     return words, unit
@@ -261,7 +254,7 @@ def _meaning(
     joint = said & WORDS["joint"]
     rest = said - WORDS["filler"] - WORDS["joint"] - {*numbers}
     axis = said & {*_AXES, *_TURNS}
-    if _ENTRY.fullmatch("".join(numbers)) and said & WORDS["matrix"] and not axis:
+    if re.fullmatch(r"[0-3]{2}|[1-4]{2}", "".join(numbers)) and said & WORDS["matrix"] and not axis:
         return "matrix", "".join(numbers), rest - WORDS["rotation"] - WORDS["matrix"] | said & {"t"}
     if joint and len(numbers) == 1 and not axis:
         # The word is kept apart: A1 .. A6 and J1 .. J6 in one table are two groups.
@@ -465,7 +458,8 @@ def _unit_by_size(values: Array, quantity: str) -> tuple[str, bool]:
         return ("deg", True) if largest > RADIANS + 1 else ("rad", len(values) >= FEW)
     # Quantiles: single wild numbers say nothing of the unit.
     spread = float(np.linalg.norm(np.quantile(values, 0.9, axis=0) - np.quantile(values, 0.1, axis=0)))
-    return ("m", len(values) >= FEW) if spread < METRES else ("mm", spread > MILLIMETRES)
+    # Positions of a robot spread over more than 30 mm, and over less than 10 m.
+    return ("m", len(values) >= FEW) if spread < 10.0 else ("mm", spread > 30.0)
 
 
 def _stated_units(lines: Sequence[str]) -> dict[str, str]:

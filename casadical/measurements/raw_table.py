@@ -236,7 +236,11 @@ def _headings(
     if first == 0:
         # SpatialAnalyzer and numpy write the headings into the last comment above the rows.
         width, line = len(rest[0][1]), rest[0][0]
-        above = [(k, _uncommented(cells)) for k, cells in comments if k < line]
+        above = []
+        for k, cells in comments:
+            bare = re.sub(r"^(#|//|%|!)+", "", cells[0].lstrip())
+            if k < line:
+                above.append((k, [bare, *cells[1:]] if bare.strip() else cells[1:]))
         named = [record for record in above if len(record[1]) == width > 1]
         if not named:
             return 0, None, None
@@ -257,11 +261,6 @@ def _headings(
 def _names_in(cells: Sequence[str]) -> int:
     words = sum(bool(cell.strip()) and not table_form.is_number(cell) for cell in cells)
     return 0 if table_form.is_units(cells) else words
-
-
-def _uncommented(cells: list[str]) -> list[str]:
-    first = re.sub(r"^(#|//|%|!)+", "", cells[0].lstrip())
-    return [first, *cells[1:]] if first.strip() else cells[1:]
 
 
 def _grouped(groups: Sequence[str], names: Sequence[str]) -> list[str]:

@@ -15,8 +15,6 @@ from casadical.measurements.kinds.registry import find_kind, kind_of, kinds
 from casadical.measurements.measurements import FIELDS, Measurements
 from casadical.measurements.raw_table import RawTable, read_table
 
-_POSITIONS = {f"{c}{u}" for c in "xyz" for u in ("_mm", "_m")}
-
 
 def read_measurements(
     path: str | Path,
@@ -185,7 +183,8 @@ def with_gravity(conditions: dict[str, Array], columns: Columns) -> dict[str, Ar
 
 def readings_alone(columns: Columns, joints: int | Sequence[str]) -> Measurements:
     """Poses that are planned but not measured: readings and conditions, every position zero. Raises InputError."""
-    table = columns.table.drop(columns=[name for name in columns.table if name in _POSITIONS])
+    positions = [f"{c}{unit}" for c in "xyz" for unit in ("_mm", "_m")]
+    table = columns.table.drop(columns=positions, errors="ignore")
     return from_columns(replace(columns, table=table.assign(x_m=0.0, y_m=0.0, z_m=0.0)), joints, "position")
 
 
@@ -212,8 +211,6 @@ def _numbers(m: Measurements) -> list[Array]:
     return [m.q, *(names.get(name, values).reshape(len(m), -1) for name, values in m.arrays.items())]
 
 
-# Of the rows of a table, the share from which on it is taken for a copy of another one.
-_SHARED = 0.5
 
 
 def refuse_shared_rows(sets: Sequence[Measurements]) -> None:
@@ -226,7 +223,8 @@ def refuse_shared_rows(sets: Sequence[Measurements]) -> None:
         alike = (m.kind, *m.arrays, m.q.shape[1])
         for shape, others, other in seen:
             shared = np.isin(hashes, others).sum() if shape == alike else 0
-            if shared >= _SHARED * min(len(hashes), len(others)):
+            # Of the rows of a table, the share from which on it is taken for a copy of another one.
+            if shared >= 0.5 * min(len(hashes), len(others)):
                 raise InputError(
                     f"{m.source}: {shared} of its {len(hashes)} poses are in {other.source}, too; a pose counts once: "
                     "take one of the two tables out"

@@ -18,8 +18,6 @@ from casadical.measurements.vocabulary import UNITS, hits
 
 SEPARATORS = (",", ";", "\t", "|", " ")
 COMMENTS = ("#", "//", "%", "!")
-# Tried where a text is not Unicode; the one that reads most headings that are known is taken, the first of several.
-ENCODINGS = ("cp1252", "cp932", "gb18030", "big5", "euc_jp", "cp1250")
 _MARKS = {
     codecs.BOM_UTF8: "utf-8-sig",
     codecs.BOM_UTF32_LE: "utf-32",
@@ -84,7 +82,8 @@ def decoded(data: bytes) -> tuple[str, str]:
         return data.decode(name), name.removesuffix("-sig")
     except UnicodeDecodeError:
         heads = {}
-        for other in ENCODINGS if name == "utf-8" else ():
+        others = ("cp1252", "cp932", "gb18030", "big5", "euc_jp", "cp1250")
+        for other in others if name == "utf-8" else ():
             with suppress(UnicodeDecodeError):
                 heads[other] = data.decode(other)[:20_000]
         if not heads:

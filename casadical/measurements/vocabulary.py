@@ -17,9 +17,8 @@ WORDS: Mapping[str, frozenset[str]] = {kind: frozenset(words.split()) for kind, 
 _OTHER = sorted((w for w in {*UNITS, *frozenset().union(*WORDS.values())} if not w.isascii()), key=len, reverse=True)
 # Scripts without blanks between words are cut into words that are known, the longest first.
 UNSPACED = re.compile("|".join(re.escape(w) for w in _OTHER if ord(w[0]) > 0x2E7F))
-_TELLING = re.compile("|".join(map(re.escape, _OTHER)))
 
 
 def hits(text: str) -> int:
     """Letters of a text in known words that are not ASCII: of the readings of one text, the right one has most."""
-    return sum(map(len, _TELLING.findall(text.casefold())))
+    return sum(map(len, re.compile("|".join(map(re.escape, _OTHER))).findall(text.casefold())))

@@ -16,7 +16,6 @@ from casadical.compensator.trainers.base import Trainer
 from casadical.compensator.trainers.levenberg_marquardt import LevenbergMarquardt, LmRun
 from casadical.core.basics import Array, InputError
 
-_STARTS = (1.0, 3.0)  # lengths to start from, in units of half the box
 _LENGTHS = (0.1, 100.0)
 _MANY = 300  # poses that the lengths are found from; the process itself takes all
 
@@ -39,7 +38,7 @@ class GaussianProcess:
         width = inputs.shape[1]
         low = np.r_[np.full(width, np.log(_LENGTHS[0])), rms - 4, rms - 5]
         high = np.r_[np.full(width, np.log(_LENGTHS[1])), rms + 2, rms + 1]
-        starts = [np.r_[np.full(width, np.log(s)), rms, rms - 1] for s in _STARTS]
+        starts = [np.r_[np.full(width, np.log(s)), rms, rms - 1] for s in (1.0, 3.0)]  # of half the box
         logs = min((_climb(few, wanted, start, low, high, steps) for start in starts), key=lambda end: end[1])[0]
         lengths, size, noise = np.exp(logs[:-2]), float(np.exp(logs[-2])), float(np.exp(logs[-1]))
         K = size**2 * _correlation(inputs, inputs, lengths) + noise**2 * np.eye(len(inputs))

@@ -20,8 +20,6 @@ from casadical.compensator.network import Task, forward, outputs_and_jacobian, r
 from casadical.compensator.trainers.base import Trainer
 from casadical.core.basics import Array, InputError
 
-_CHUNK = 4_000_000  # doubles of one Jacobian held at a time
-
 
 @dataclass(frozen=True, eq=False)
 class Batch:
@@ -52,7 +50,8 @@ def advance(task: Task, batch: Batch, samples: Array, ridge: Array, tolerance: f
     """Do one damped step of every active problem; one ends when a step gains less than ``tolerance`` of its cost."""
     at = np.flatnonzero(batch.active)
     new = {name: value.copy() for name, value in vars(batch).items()}
-    size = max(1, _CHUNK // (task.layout.count * task.targets.size))
+    # A Jacobian of 4,000,000 doubles is held at a time.
+    size = max(1, 4_000_000 // (task.layout.count * task.targets.size))
     for part in (at[i : i + size] for i in range(0, len(at), size)):
         _advance_part(task, new, part, samples[part], ridge[part], tolerance)
     return Batch(**new)
@@ -100,7 +99,6 @@ def _penalised(task: Task) -> Array:
     return np.asarray(~task.layout.output_biases(), dtype=np.float64)
 
 
-_FIRST, _WARM = 100, 20  # iterations at the weakest ridge and at each stronger one
 
 
 @dataclass(frozen=True)
@@ -158,7 +156,8 @@ class LmRun:
     def step(self) -> None:
         self.batch = advance(self.task, self.batch, self.samples, self.ridges)
         self.steps, self.inner = self.steps + 1, self.inner + 1
-        if self.choosing and (self.inner >= (_WARM if self.level else _FIRST) or not self.batch.active.any()):
+        # 100 iterations at the weakest ridge, 20 from there at each stronger one.
+        if self.choosing and (self.inner >= (20 if self.level else 100) or not self.batch.active.any()):
             self._next_ridge()
 
     def reasons(self) -> tuple[str, ...]:

@@ -11,13 +11,6 @@ from casadical.measurements.columns import Columns
 from casadical.measurements.kinds.base import Arrays, MeasurementKind, PoseExpression, PositionsAt
 from casadical.measurements.kinds.contact import OfPoints, labels_of
 
-# A pose as near to a far end as this has the same place [m].
-NEAREST = 1e-6
-# Gauss-Newton steps to the far end, and by which share each must reduce the sum of squares.
-STEPS, GAIN = 20, 1e-6
-# Points whose third spread is less than this share of their second lie in a plane.
-FLAT = 1e-6
-
 
 class Distance(OfPoints):
     """Distance to a point, which is known or identified too."""
@@ -77,16 +70,19 @@ def _far_end(distance: Array, p: Array) -> Array:
     *start, square = np.linalg.lstsq(A, (local**2).sum(axis=1) - distance**2, rcond=None)[0]
     P = np.array(start)
     spread, axes = np.linalg.svd(local, full_matrices=False)[1:]
-    if len(axes) == 3 and spread[2] < FLAT * spread[1]:
+    # Points whose third spread is less than this share of their second lie in a plane.
+    if len(axes) == 3 and spread[2] < 1e-6 * spread[1]:
         P += np.sqrt(max(square - P @ P, 0.0)) * axes[2]
-    if np.linalg.norm(P - local, axis=1).min() < NEAREST:  # too few poses: a length of zero has no direction
+    # A pose as near to a far end as this has the same place [m].
+    if np.linalg.norm(P - local, axis=1).min() < 1e-6:  # too few poses: a length of zero has no direction
         P = np.array([0.0, 0.0, distance.mean()])
     left = distance - np.linalg.norm(P - local, axis=1)
-    for _ in range(STEPS):
+    for _ in range(20):  # Gauss-Newton steps
         line = P - local
         step = np.linalg.lstsq(line / np.linalg.norm(line, axis=1)[:, None], left, rcond=None)[0]
         after = distance - np.linalg.norm(P + step - local, axis=1)
-        if not after @ after < (1 - GAIN) * (left @ left):
+        # Each step must reduce the sum of squares by this share.
+        if not after @ after < (1 - 1e-6) * (left @ left):
             break
         P, left = P + step, after
     return np.asarray(P + centre)

@@ -49,7 +49,6 @@ class Position(MeasurementKind):
         return ""
 
 
-_ENTRIES = ("xx", "xy", "xz", "yy", "yz", "zz")
 
 
 class PositionCovariance(Position):
@@ -66,7 +65,8 @@ class PositionCovariance(Position):
     arrays: ClassVar[tuple[str, ...]] = ("position", "whitening")
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
-        xx, xy, xz, yy, yz, zz = (1e-6 * columns.column(f"cov_{entry}_mm2") for entry in _ENTRIES)
+        entries = ("xx", "xy", "xz", "yy", "yz", "zz")
+        xx, xy, xz, yy, yz, zz = (1e-6 * columns.column(f"cov_{entry}_mm2") for entry in entries)
         covariance = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)
         smallest = np.linalg.eigvalsh(covariance)[:, 0]
         if (smallest <= 0).any():

@@ -72,8 +72,6 @@ class Plane(OfPoints):
 
 # Four touches define the centre of a ball and its radius; from so many on they tell of the robot.
 BALL_TOUCHES = 5
-# Radii beyond so many reaches of the robot are in another unit.
-LARGEST = 20.0
 
 
 class Sphere(Distance):
@@ -108,15 +106,14 @@ class Sphere(Distance):
 
     def unit_fault(self, arrays: Arrays, p: Array, positions_at: PositionsAt, reach: float) -> str:
         longest = float(arrays["distance"].max())
-        if longest < LARGEST * reach:
+        # Radii beyond so many reaches of the robot are in another unit.
+        if longest < 20.0 * reach:
             return ""
         return f"a radius of {longest:.4g} m does not fit the robot, which reaches {reach:.3g} m; is it radius_mm?"
 
 
 # Direction and zero of a gauge take three numbers; from so many readings on they tell of the robot.
 DIAL_READINGS = 4
-# Known directions whose length is off one by more than this are refused.
-UNIT = 1e-2
 
 
 class Dial(Plane):
@@ -150,7 +147,8 @@ class Dial(Plane):
         if any(str(name).startswith("along_") for name in columns.table):
             axis = np.stack([columns.column(f"along_{c}") for c in "xyz"], axis=1)
             length = np.linalg.norm(axis, axis=1)
-            if (np.abs(length - 1) > UNIT).any():
+            # Known directions whose length is off one by more than this are refused.
+            if (np.abs(length - 1) > 1e-2).any():
                 row = int(np.argmax(np.abs(length - 1)))
                 raise InputError(
                     f"{columns.at(row)}, columns 'along_x' to 'along_z': length {length[row]:.4g}; allowed: unit "

@@ -17,7 +17,6 @@ from casadical.measurements.vocabulary import UNITS, WORDS
 _OURS = re.compile(
     r"(command_v|command|q|v|torque|current|temperature)(\d+)_(rad_s|deg_s|m_s|mm_s|rad|deg|mm|m|Nm|N|A|mA|abs|degC)"
 )
-_CHANNEL = {"command_v": "command_speed", "q": "position", "v": "speed"}
 # Factor of a unit to SI; nothing tells the unit of an empty one.
 FACTORS = {"deg": np.pi / 180, "deg_s": np.pi / 180, "mm": 1e-3, "mm_s": 1e-3, "mA": 1e-3}
 LENGTHS = ("m", "mm", "m_s", "mm_s", "N")
@@ -30,9 +29,6 @@ _QUANTITIES: Mapping[str, frozenset[str]] = {
 _COMMANDED = WORDS["nominal"] | WORDS["log_commanded"]
 _FILLER = WORDS["filler"] | WORDS["measured"] | WORDS["joint"] | WORDS["log_filler"]
 NAMES = "Name them time_s, q1_rad, q2_rad, ... (_deg, _m, _mm), commands command1_rad, torque1_Nm or current1_A"
-SCALARS = ("voltage", "payload", "run")
-# Of a joint's number at most.
-JOINT_DIGITS = 9
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +63,7 @@ def logged(raw: RawTable, names: Sequence[str] = (), listed: Sequence[str] = ())
         if heading.startswith("time_") or heading not in frame:  # a column without a heading
             continue
         said = {*words_of(heading)[0]}
-        if scalar := next((name for name in SCALARS if said & WORDS[f"log_{name}"]), ""):
+        if scalar := next((name for name in ("voltage", "payload", "run") if said & WORDS[f"log_{name}"]), ""):
             scalars.setdefault(scalar, numbers_of(frame[heading]))
             continue
         lists = _lists(frame[heading], raw)
@@ -119,7 +115,7 @@ def _lists(cells: pd.Series, raw: RawTable) -> Array | None:
 def meaning(heading: str, names: Sequence[str]) -> tuple[str, str, str]:
     """Channel, joint (a number or a name) and unit of a column; no channel where it is none of a joint."""
     if ours := _OURS.fullmatch(heading.strip()):
-        return _CHANNEL.get(ours[1], ours[1]), ours[2], ours[3]
+        return {"command_v": "command_speed", "q": "position", "v": "speed"}.get(ours[1], ours[1]), ours[2], ours[3]
     words, unit = words_of(heading)
     joint, rest = _joint(words, names)
     channel = _channel(rest)
@@ -149,7 +145,8 @@ def _joint(words: Sequence[str], names: Sequence[str]) -> tuple[str, list[str]]:
 
 def is_number(word: str) -> bool:
     """Whether a word may be the number of a joint: one of thousands of digits is a word."""
-    return word.isdecimal() and len(word) <= JOINT_DIGITS
+    # A joint's number has 9 digits at most.
+    return word.isdecimal() and len(word) <= 9
 
 
 def _si_name(unit: str) -> str:

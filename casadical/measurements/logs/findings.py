@@ -12,17 +12,15 @@ from casadical.measurements.columns import MOST_TURNS
 from casadical.measurements.logs.log import JointLog
 
 DEGREES = float(np.rad2deg(1.0))
-# Steps longer than so many usual ones are gaps; positions that stand in a motion by so many quanta a row are repeated.
-GAP, MOVING = 1.5, 4.0
-# A joint moves if it covers so many quanta, or so much [rad or m] where no quantum is seen; it tells little below FEW.
-LEAST, FEW = 3.0, 50.0
+# Steps longer than so many usual ones are gaps.
+GAP = 1.5
+# A joint that covers fewer quanta tells little; below STILL [rad or m] it does not move.
+FEW = 50.0
 STILL = 1e-4
 # A joint that never moves faster [rad/s or m/s] tells nothing that follows speed.
 TOO_SLOW = 0.02
 # How far beyond its range an angle may be before another unit is asked for [rad].
 BEYOND = 0.3
-# A joint whose readings stay at one number while its commands move by more [rad or m] was not measured.
-COMMANDED = 0.1
 
 
 def quantum(column: Array) -> float:
@@ -98,7 +96,8 @@ def repeated_rows(log: JointLog) -> Array:
     same[inner] = np.all([((v[1:-1] == v[:-2]) | np.isnan(v[1:-1])).all(axis=1) for v in measured], axis=0)
     steps = np.maximum([quantum(column) for column in q.T], 1e-9)
     with np.errstate(invalid="ignore"):
-        moving = (np.abs(q[2:] - q[:-2]) > MOVING * steps).any(axis=1)
+        # In a motion by four quanta a row, positions that stand are repeated.
+        moving = (np.abs(q[2:] - q[:-2]) > 4.0 * steps).any(axis=1)
     same[inner] &= moving & (log.run[2:] == log.run[:-2]) & (log.time[2:] - log.time[:-2] < 2 * GAP * log.step)
     return same
 
@@ -116,7 +115,8 @@ def _readings(log: JointLog) -> Iterator[str]:
         column = log.position[:, k]
         covered = float(np.nanmax(column) - np.nanmin(column))
         unit = "mrad" if log.kinds[k] == "revolute" else "mm"
-        if covered <= max(LEAST * steps[k], STILL):
+        # A joint moves if it covers three quanta, or STILL where no quantum is seen.
+        if covered <= max(3.0 * steps[k], STILL):
             yield (
                 f"{name} never moves ({1e3 * covered:.2g} {unit}): of it only the load that it holds is told, no "
                 "friction, inertia, play or delay. Move it to and fro, fast and slowly"
@@ -290,7 +290,8 @@ def refuse_frozen(log: JointLog) -> None:
         )
     for k in still:
         commands = np.zeros(0) if log.command is None else log.command[np.isfinite(log.command[:, k]), k]
-        if len(commands) and np.ptp(commands) > COMMANDED:
+        # A joint whose readings stay at one number while its commands move by more [rad or m] was not measured.
+        if len(commands) and np.ptp(commands) > 0.1:
             unit, value = log.unit("position", int(k)), float(np.nanmax(log.position[:, k]))
             raise InputError(
                 f"{log.source}: position of {log.joints[k]}: {value:.6g} {unit} in all {len(log)} rows, though its "

@@ -26,7 +26,6 @@ CHANNELS = {
     "current": ("A", "A"),
     "temperature": ("degC", "degC"),
 }
-SCALARS = ("voltage", "payload")
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +103,8 @@ class JointLog(Shown):
     @property
     def arrays(self) -> dict[str, Array]:
         """What was logged, by name: channels of shape (n, joints), voltage and payload of shape (n,)."""
-        return {name: getattr(self, name) for name in (*CHANNELS, *SCALARS) if getattr(self, name) is not None}
+        names = (*CHANNELS, "voltage", "payload")
+        return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
 
     def unit(self, channel: str, joint: int) -> str:
         """Unit of a channel of the joint with this index, 0-based."""

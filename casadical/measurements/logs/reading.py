@@ -21,10 +21,6 @@ from casadical.measurements.logs.systems import BAGS, STATE, STATES, bag, lerobo
 from casadical.measurements.raw_table import plain_headings, read_table
 from casadical.measurements.vocabulary import WORDS
 
-# Rows of a motion lie at most so far apart, and after so long a pause another run begins [s].
-SLOWEST, PAUSE = 0.5, 600.0
-# What drives the joints of a robot is judged of all of them or of none.
-DRIVEN = ("command", "torque", "current")
 # Channels in units of angle or length.
 _OF_MOTION = ("position", "command", "speed", "command_speed")
 
@@ -122,7 +118,9 @@ def assembled(log: Logged, robot: Arm | None, unit: str | None = None) -> JointL
             none = np.full(len(log.time), np.nan)
             arrays[channel] = np.column_stack([columns.get(key, none) for key in keys])[kept]
             lost = np.isnan(arrays[channel]).all(axis=0)
-            apart = robot is not None and channel in DRIVEN and bool(lost.any())
+            # What drives the joints of a robot is judged of all of them or of none.
+            driven = channel in ("command", "torque", "current")
+            apart = robot is not None and driven and bool(lost.any())
             if apart and not lost.all():
                 without = ", ".join(names[k] for k in np.flatnonzero(lost))
                 notes += (f"{channel} is left out, for there is none of {without}. Log it of every joint",)
@@ -184,7 +182,7 @@ def _clock(log: Logged) -> tuple[Array, Array, Array, tuple[str, ...]]:
     changes, steps = np.diff(numbers) != 0, np.diff(log.time)
     back = ~changes & (steps < 0)
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-    if usual > SLOWEST:
+    if usual > 0.5:  # [s]
         raise InputError(
             f"{log.source}: rows lie {usual:.3g} s apart; a motion is logged some times a second. If the time is in "
             "another unit, name its column so: time_ms, time_us, time_ns"
@@ -194,7 +192,7 @@ def _clock(log: Logged) -> tuple[Array, Array, Array, tuple[str, ...]]:
             f"{log.source}: time grows in none of its {len(log.time)} rows from the row before in its run; log a clock "
             "that grows, and let the column run number runs, not rows"
         )
-    ahead = ~changes & (steps > PAUSE)
+    ahead = ~changes & (steps > 600.0)  # after so long a pause [s] another run begins
     stands = np.concatenate([[False], ~changes & (steps == 0)])
     starts = np.cumsum(np.concatenate([[False], changes | back | ahead]))
     said = []

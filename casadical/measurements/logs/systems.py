@@ -13,19 +13,16 @@ from casadical.measurements.logs.columns import Logged, logged
 from casadical.measurements.raw_table import RawTable, read_table, refuse_many
 from casadical.measurements.table_form import clean
 
-STATE, CONTROL, JOINTS = "state_motor.csv", "control.csv", "joint_list.txt"
+STATE, CONTROL = "state_motor.csv", "control.csv"
 # Columns of LeRobot's datasets.
 STATES = {"action": "command", "observation.state": "position"}
 BAGS = (".db3", ".mcap", ".bag")
-# Messages with trajectories of a controller: fields that hold what was commanded, and what was measured.
-_COMMANDED, _MEASURED = ("reference", "desired"), ("feedback", "actual")
 _TOLD = ("command", "desired", "target", "reference", "goal", "leader", "action")
-_FIELDS = {"position": "position", "velocity": "speed", "effort": "torque"}
 
 
 def sage(folder: Path) -> Logged:
     """A folder of SAGE: states, commands and the list of joints. Raises InputError."""
-    names = [clean(line) for line in read_text(folder / JOINTS).splitlines() if line.strip()]
+    names = [clean(line) for line in read_text(folder / "joint_list.txt").splitlines() if line.strip()]
     states = logged(read_table(folder / STATE), listed=names)
     if not (folder / CONTROL).exists():
         return states
@@ -97,14 +94,19 @@ def bag(path: Path) -> Logged:
 
 def _states(topic: str, message: Any) -> Iterator[tuple[tuple[str, ...], str, Any]]:
     commanded = any(word in topic.casefold() for word in _TOLD)
-    for field, channel in _FIELDS.items():
+    for field, channel in {"position": "position", "velocity": "speed", "effort": "torque"}.items():
         if not commanded or channel != "torque":
             name = {"position": "command", "speed": "command_speed"}[channel] if commanded else channel
             yield tuple(message.name), name, getattr(message, field)
 
 
 def _controller(_: str, message: Any) -> Iterator[tuple[tuple[str, ...], str, Any]]:
-    for fields, names in ((_COMMANDED, ("command", "command_speed", "")), (_MEASURED, ("position", "speed", "torque"))):
+    # Trajectories of a controller: fields of what was commanded and of what was measured, with our channels.
+    channels = (
+        (("reference", "desired"), ("command", "command_speed", "")),
+        (("feedback", "actual"), ("position", "speed", "torque")),
+    )
+    for fields, names in channels:
         point = next((getattr(message, field) for field in fields if hasattr(message, field)), None)
         for values, name in zip(("positions", "velocities", "effort"), names, strict=True):
             if name:
