@@ -3,9 +3,7 @@
 import tomllib
 from dataclasses import replace
 
-import mujoco
 import numpy as np
-import pinocchio as pin
 import pytest
 import urdf_arms
 
@@ -66,6 +64,8 @@ def without_rotors(dynamics):
 
 
 def test_torque_and_regressor_are_those_of_pinocchio(tmp_path) -> None:
+    import pinocchio as pin
+
     for seed in range(3):
         path = arm_file(tmp_path, seed)
         dynamics = Dynamics(read_urdf(path))
@@ -82,6 +82,8 @@ def test_torque_and_regressor_are_those_of_pinocchio(tmp_path) -> None:
 
 
 def test_torque_is_that_of_mujoco_with_armature(tmp_path) -> None:
+    import mujoco
+
     path = arm_file(tmp_path)
     drive = Drive(rotor_inertia_at_joint_kgm2=[0.3, 0.2, 0.1, 0.05, 0.04, 0.03])
     dynamics = Dynamics(replace(read_urdf(path), drive=drive))
@@ -144,6 +146,8 @@ def test_coupled_joint_loads_the_one_that_it_follows(tmp_path) -> None:
 
 
 def test_all_coordinates_lead_to_bodies(arm) -> None:
+    import pinocchio as pin
+
     dynamics = Dynamics(arm)
     rng = np.random.default_rng(0)
     for size in (0.0, 1.0, 5.0):

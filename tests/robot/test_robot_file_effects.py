@@ -40,7 +40,7 @@ def every_effect(name: str, rng: np.random.Generator, listed: bool) -> tuple[Eff
     return tuple(drawn)
 
 
-@pytest.mark.parametrize("name", FIRST)
+@pytest.mark.parametrize("name", [n if n == "ur10e" else pytest.param(n, marks=pytest.mark.slow) for n in FIRST])
 @pytest.mark.parametrize("listed", [True, False])
 def test_every_effect_gives_the_same_positions_after_its_file(name: str, listed: bool, tmp_path: Path) -> None:
     rng = np.random.default_rng(5)

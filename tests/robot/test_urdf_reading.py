@@ -40,7 +40,7 @@ def agree_with_pinocchio(path, base, tip, seed=0):
         np.testing.assert_allclose(torque, oracle.gravity_torques(q), rtol=1e-11, atol=1e-11)
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", [*range(10), *(pytest.param(k, marks=pytest.mark.slow) for k in range(10, 40))])
 def test_random_arm(tmp_path, seed):
     path = tmp_path / "arm.urdf"
     path.write_text(random_arm(seed, n=1 + seed % 8))

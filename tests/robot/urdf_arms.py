@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 GRAVITY = 9.80665
@@ -131,6 +130,9 @@ class Oracle:
     tip: str
 
     def __post_init__(self):
+        import pinocchio as pin
+
+        self.pin = pin
         self.model = pin.buildModelFromUrdf(str(self.path))
         self.model.gravity.linear = np.array([0, 0, -GRAVITY])
         self.data = self.model.createData()
@@ -139,20 +141,20 @@ class Oracle:
         self.joints = [self.model.joints[k] for k in self.model.supports[tip] if k not in carried]
 
     def configuration(self, q):
-        full = pin.neutral(self.model)
+        full = self.pin.neutral(self.model)
         for value, j in zip(q, self.joints, strict=True):
             full[j.idx_q : j.idx_q + j.nq] = (np.cos(value), np.sin(value)) if j.nq == 2 else value
         return full
 
     def pose(self, q, tip=None):
         """T of the tip in the base link, shape (4, 4)."""
-        pin.framesForwardKinematics(self.model, self.data, self.configuration(q))
+        self.pin.framesForwardKinematics(self.model, self.data, self.configuration(q))
         base, end = (self.data.oMf[self.model.getFrameId(f)] for f in (self.base, tip or self.tip))
         return (base.inverse() * end).homogeneous
 
     def gravity_torques(self, q):
         """Torques that gravity puts on the chain's joints, shape (n,): minus what holds the arm."""
-        held = pin.computeGeneralizedGravity(self.model, self.data, self.configuration(q))
+        held = self.pin.computeGeneralizedGravity(self.model, self.data, self.configuration(q))
         return -np.array([held[j.idx_v] for j in self.joints])
 
 
