@@ -14,7 +14,7 @@ import numpy as np
 
 from casadical.core.basics import Array, Show, silent
 from casadical.core.statistics import best_of
-from casadical.core.telling.blocks import Block, Table, Words
+from casadical.core.telling.blocks import Block, Table
 from casadical.core.telling.figure import Axis, Figure, Panel, Series
 from casadical.core.telling.plain import WRITTEN, Key
 from casadical.core.telling.result import Result
@@ -42,6 +42,7 @@ class Replay(Result):
     """
 
     kept_as: ClassVar[str] = "replay"
+    report: ClassVar[str] = "replay.j2"
 
     derived: ClassVar[tuple[Key, ...]] = (
         Key("runs", lambda replay: [run.source for run in replay.runs]),
@@ -121,34 +122,17 @@ class Replay(Result):
         left = np.concatenate([run.position - own for run, own in zip(self.runs, angles, strict=True)])
         return np.asarray(np.sqrt(np.nanmean(left**2, axis=0)))
 
-    def blocks(self) -> Sequence[Block]:
-        """As `casadical diagnose ARM LOG` prints it."""
-        return [Words(self._sentence(), "verdict"), *self._tables(), *self._notes(), *replay_figures(self)]
-
-    def _notes(self) -> Iterator[Words]:
+    def blocks(self) -> list[Block]:
         joints = self.runs[0].joints
-        if still := ", ".join(name for name, moved in zip(joints, self.response.moved, strict=True) if not moved):
-            yield Words(
-                f"Did not move in the fitted runs: {still}; the response there is a usual one, not found.", "note"
-            )
-        if floor := self.response.floor:
-            yield Words(
-                f"The tool rests on a surface: its point comes no lower than {1e3 * floor.height:.4g} mm over the "
-                "origin of the measuring frame, where commands go on. The replay and an exported MuJoCo model have it.",
-                "note",
-            )
-        worse = [name for name, b, a in zip(joints, self.before, self.after, strict=True) if a > b]
-        if worse:
-            yield Words(f"Worse than position = command: {', '.join(worse)}; log more motions of it.", "warning")
-
-    def _sentence(self) -> str:
-        what = "not fitted" if self.held_out else "fitted, for there is no other (log a second motion)"
-        what = f"1 run that was {what}" if len(self.runs) == 1 else f"{len(self.runs)} runs that were {what}"
-        seconds = sum(float(run.time[-1] - run.time[0]) for run in self.runs)
         before, after = (1e3 * float(np.sqrt((v**2).mean())) for v in (self.before, self.after))
-        return (
-            f"Replay of {what} ({seconds:.0f} s), from the first reading and the commands alone: {before:.3g} mrad rms "
-            f"before, {after:.3g} mrad with the response of each joint."
+        return self._told(
+            before=before,
+            after=after,
+            seconds=sum(float(run.time[-1] - run.time[0]) for run in self.runs),
+            tables=[*self._tables()],
+            still=[name for name, moved in zip(joints, self.response.moved, strict=True) if not moved],
+            worse=[name for name, b, a in zip(joints, self.before, self.after, strict=True) if a > b],
+            figures=[*replay_figures(self)],
         )
 
     def _tables(self) -> Iterator[Table]:

@@ -2,13 +2,14 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 
 from casadical.core.basics import Array, InputError, Show
 from casadical.core.statistics import first_of_best, known_digits
-from casadical.core.telling.blocks import Table, Words
+from casadical.core.telling.blocks import Block, Table
 from casadical.core.telling.plain import WRITTEN, Key
 from casadical.core.telling.result import Result
 from casadical.diagnosis.cross_validation import new_fit
@@ -44,6 +45,7 @@ class LogDiagnosis(Result):
     )
 
     kept_as: ClassVar[str] = "log_diagnosis"
+    report: ClassVar[str] = "log.j2"
 
     derived: ClassVar[tuple[Key, ...]] = (
         Key("log", "log.source"),
@@ -119,18 +121,20 @@ class LogDiagnosis(Result):
         mass, error = float(values[k]) * unit, float(errors[k]) * unit
         return known_digits(mass, error, 4), known_digits(error, error, 4)
 
-    def blocks(self) -> Sequence[Words | Table]:
-        """What `casadical diagnose ARM LOG` prints."""
-        remedies = (Words(f.remedy, "warning") for f in self.faults)
-        blocks = (self._gap_table(), *self._causes(), *self._notes())
-        return [Words(self._sentence(), "verdict"), *remedies, *blocks]
-
-    def _sentence(self) -> str:
-        said = [f.sentence for f in self.faults] + [in_words(self.outcome.case, f.label) for f in self.claims]
+    def blocks(self) -> list[Block]:
+        case, found = self.outcome.case, self.outcome.found
+        said = [f.sentence for f in self.faults] + [in_words(case, f.label) for f in self.claims]
         if not self.claims and self.outcome.verdict != "none":
             best = self.fitting[0].label if self.fitting else self.outcome.rankings[0].order[0]
-            said.append(f"more is there than in a usual arm; what fits best: {in_words(self.outcome.case, best)}")
-        return f"{self.log.source}: {'; '.join(said) or 'no more than a usual arm may have'}."
+            said.append(f"more is there than in a usual arm; what fits best: {in_words(case, best)}")
+        still = "never moved" if self.log.findings else "?"  # a finding of the log says it, with what would help
+        return self._told(
+            said=said,
+            residuals=self._gap_table(),
+            fits=self._fits(),
+            small=[f for f in found if f.share < 1 and not f.named],
+            missing=[t for t in cannot_tell(self.log, self.arm, bool(self.reference)) if still not in t],
+        )
 
     def _gap_table(self) -> Table:
         nominal, before, after = self.gap()
@@ -158,9 +162,8 @@ class LogDiagnosis(Result):
         worst = parts[first_of_best([share for share, _ in parts])]
         return worst[1] if worst[0] > OUT else ""
 
-    def _causes(self) -> Iterator[Words | Table]:
-        if self.outcome.verdict == "none":  # the best of what is too small to be there is no hint
-            return
+    def _fits(self) -> Table:
+        """Return the causes that fit best, and none, each with its probability."""
         ranking, case = self.outcome.rankings[0], self.outcome.case
         rows = [
             (label, f"{ranking.probability[label]:.2f}", f"{ranking.log_factor[label]:.0f}", in_words(case, label))
@@ -168,33 +171,10 @@ class LogDiagnosis(Result):
             if ranking.probability[label] > LEAST
         ]
         rows += [("none", f"{ranking.none:.2f}", "", "a usual arm")]
-        if not self.claims:
-            yield Words("No cause is named; take what fits as a hint.", "note")
-        if not case.by_label[ranking.order[0]].listed:
-            yield Words(
-                "What fits best is on no list. If the arm touches something all along, log one run in free air; the "
-                "other joints are told all the same.", "note",
-            )  # fmt: skip
         heads = ("cause", "probability", "log evidence", "what the log shows")
-        yield Table("What fits", heads, rows, frozenset({1, 2}))
+        return Table("What fits", heads, rows, frozenset({1, 2}))
 
-    def _notes(self) -> Iterator[Words]:
-        notes = []
-        if self.outcome.rankings[0].order[0] == "payload" and (extra := self.payload()):
-            notes += [f"As a payload: {extra[0]:.3g} kg beyond what is declared, one sigma {extra[1]:.2g} kg."]
-        if small := [f.label for f in self.outcome.found if f.share < 1 and not f.named]:
-            notes += [f"Seen, but small: {', '.join(small)}."]
-        yield from (Words(text, "note") for text in notes)
-        yield from (Words(text, "warning") for text in self.contradictions)
-        notes = [*self.log.findings]
-        if self.determined:
-            count = f"{len(self.determined)} of {10 * self.arm.joints}"
-            notes += [f"This motion tells {count} masses, moments and inertias of the links (JSON: determined)."]
-        still = "never moved" if self.log.findings else "?"  # a finding of the log says it, with what would help
-        notes += [t for t in cannot_tell(self.log, self.arm, bool(self.reference)) if still not in t]
-        yield from (Words(text, "note") for text in notes)
-
-    @property
+    @cached_property
     def figures(self) -> dict[str, Any]:
         """Return the rms errors of the whole log and of each joint."""
         (nominal, before, after), kept = self.gap(), self.gap_unfitted()
