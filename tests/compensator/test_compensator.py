@@ -70,7 +70,6 @@ def test_refuses_noise_in_words_and_corrects_nothing(refused):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_noise_is_seldom_taken_for_a_residual():
     """Of 20 data sets of pure noise at most 5 pass (with the margin of one standard error, 16 % if it were exact)."""
     q, residual = smooth(30, 0)

@@ -40,7 +40,6 @@ def test_the_process_finds_which_joints_matter() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_on_few_poses_the_taught_network_beats_the_ridge() -> None:
     held_out = one_joint(500, 99)
     gains = {}
