@@ -211,6 +211,11 @@ def dead_links() -> Iterator[str]:
             file = (ROOT / path.parent / target) if target else ROOT / path
             if not file.exists() or (anchor and file.suffix == ".md" and anchor not in anchors(file)):
                 yield f"{path}: link to {link}"
+    for path in (path for path in pages() if path.parts[0] != "data"):
+        for file, name in re.findall(r"`([\w/]+/\w+\.py):?([\w.]*)`", text_of(path)):
+            defines = re.compile(rf"^ *(?:def|class) {name.rpartition('.')[2]}\b", re.MULTILINE)
+            if not any(not name or defines.search(text_of(p)) for p in tracked(f"*/{file}", file)):
+                yield f"{path}: `{file}:{name}`"
     listed = {str(path) for path in tracked()} | {str(p) for path in tracked() for p in path.parents}
     names = {Path(name).name for name in listed}
     for path in [*pages(), *tracked("*.py")]:

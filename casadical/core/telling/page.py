@@ -31,16 +31,20 @@ def html_of(pages: Sequence[Page], command: Sequence[str] = ()) -> str:
 
     Raises InputError where plotly is not installed, or a file of a page is gone.
     """
-    text: str = pages_of(TEMPLATES).get_template("page.html").render(
-        figure=lambda figure: safe_json(json.loads(draw(figure).to_json())),
-        title=pages[0].kind,
-        parts=pages,
-        provenance=provenance_of([path for page in pages for path in page.files], command),
-        colours=COLOURS,
-        dark=safe_json(DARK),
-        style=_text("page.css"),
-        script=_text("page.js"),
-        plotly=_plotly(),
+    text: str = (
+        pages_of(TEMPLATES)
+        .get_template("page.html")
+        .render(
+            figure=lambda figure: safe_json(json.loads(draw(figure).to_json())),
+            title=pages[0].kind,
+            parts=pages,
+            provenance=provenance_of([path for page in pages for path in page.files], command),
+            colours=COLOURS,
+            dark=safe_json(DARK),
+            style=_text("page.css"),
+            script=_text("page.js"),
+            plotly=_plotly(),
+        )
     )
     return text.encode(errors="backslashreplace").decode()  # names of files may not be UTF-8
 

@@ -106,8 +106,6 @@ def plain_text(blocks: Sequence[Block], width: int = 80) -> str:
     return console.export_text()
 
 
-
-
 # Characters of a result's line.
 LINE = 160
 
