@@ -1,22 +1,10 @@
-"""The one form of what a test of a calibrated robot says: an error, what it is held against, and what follows."""
-
-from typing import ClassVar
+"""The one form of what a test of a calibrated robot says: figures, sentences, and whether it is accepted."""
 
 from casadical.core.telling.result import Result
 
 
 class Acceptance(Result):
-    """A test of a calibrated robot.
-
-    report : its sentences, as of every result
-    """
-
-    report: ClassVar[str]
-
-    @property
-    def error(self) -> float:
-        """Return the rms position error that was found [m]."""
-        raise NotImplementedError
+    """A test of a calibrated robot: verification, ISO 9283 or certificate."""
 
     @property
     def accepted(self) -> bool | None:

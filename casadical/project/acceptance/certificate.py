@@ -133,10 +133,6 @@ class Certificate(Acceptance):
     report: ClassVar[str] = "certificate.j2"
 
     @property
-    def error(self) -> float:
-        return self.after.error
-
-    @property
     def accepted(self) -> bool | None:
         return {"conforms": True, "fails": False}.get(self.decision)
 

@@ -196,10 +196,6 @@ class Iso9283(Acceptance):
     report: ClassVar[str] = "iso9283.j2"
 
     @property
-    def error(self) -> float:
-        return self.worst[0]
-
-    @property
     def accepted(self) -> None:
         """Return None: the standard states figures and no limit."""
 

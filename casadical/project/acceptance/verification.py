@@ -81,10 +81,6 @@ class Verification(Acceptance):
     report: ClassVar[str] = "verification.j2"
 
     @property
-    def error(self) -> float:
-        return self.found
-
-    @property
     def accepted(self) -> bool:
         return self.valid
 
