@@ -26,7 +26,7 @@ TOLERANCE = 0.1
 WAYS = (
     ("project.calibration", "calibrate", ("problem",)),
     ("diagnosis.diagnose", "diagnose", ("robot",)),
-    ("export.controller.c_export", "export_c", ("sources",)),
+    ("export.controller.commands", "export_c", ("sources",)),
 )
 
 
