@@ -185,16 +185,19 @@ def export_model(
 
     Exit codes: 0 written, 2 bad input, 3 no optimum found, 70 a bug in casadical.
     """
-    from casadical.export.model_file import OfMjcf, form_of, robot_model
+    from casadical.export.model_file import form_of, robot_model
 
     o.refuse_taken(out, overwrite)
-    of_mjcf = OfMjcf(campaign, effects, into, joints, springs)
     with working(quiet, "reading") as show:
         made = robot_model(
             source,
             form_of(form, out),
             nominal=nominal,
-            of_mjcf=of_mjcf,
+            campaign=campaign,
+            effects=effects,
+            into=into,
+            joints=joints,
+            springs=springs,
             checksum=checksum,
             leave_out=leave_out,
             show=show,

@@ -53,23 +53,6 @@ class RobotModel(Result):
         return self.figures
 
 
-@dataclass(frozen=True)
-class OfMjcf:
-    """What only a MuJoCo model can have.
-
-    campaign : measured poses from which the robot is calibrated and diagnosed; effects : as of
-        `casadical diagnose`
-    into : a user's model, whose joints have these names, by commas; springs : whether it gets
-        springs beside them
-    """
-
-    campaign: Path | None = None
-    effects: str | None = None
-    into: Path | None = None
-    joints: str | None = None
-    springs: bool = False
-
-
 def form_of(word: str | None, out: Path) -> str:
     """The form that is asked for, or that the file's ending means. Raises InputError."""
     endings = {".xml": "mjcf", ".urdf": "urdf", ".json": "actuators", ".xacro": "xacro"}
@@ -87,7 +70,11 @@ def robot_model(
     form: str,
     *,
     nominal: Path | None = None,
-    of_mjcf: OfMjcf | None = None,
+    campaign: Path | None = None,
+    effects: str | None = None,
+    into: Path | None = None,
+    joints: str | None = None,
+    springs: bool = False,
     checksum: str = "",
     leave_out: bool = False,
     show: Show = silent,
@@ -99,7 +86,10 @@ def robot_model(
         standard_dh, modified_dh, xacro
     nominal : robot file from before the calibration, needed by a driver's kinematics and a user's
         own model
-    of_mjcf : what only a MuJoCo model can have: campaign, effects, into, joints, springs
+    campaign : for mjcf: measured poses from which the robot is calibrated and diagnosed
+    effects : for mjcf: as of `casadical diagnose`
+    into : for mjcf: a user's model, whose joints have the names `joints`, by commas
+    springs : for mjcf: whether the user's model gets springs beside its joints
     checksum : of the controller's own calibration, for `ur`
     leave_out : whether effects that have no place there are left out; else they are refused
     show : called with a line of progress
@@ -116,13 +106,25 @@ def robot_model(
     source = Path(source)
     if not source.exists():
         raise missing(source, "problem folder or robot file")
-    asked = of_mjcf or OfMjcf()
-    if form != "mjcf" and asked != OfMjcf():
+    if form != "mjcf" and any((campaign, effects, into, joints, springs)):
         raise InputError("--campaign, --effects, --into, --joints and --springs are of MuJoCo models: give --to mjcf")
     if form != "ur" and checksum:
         raise InputError(f"--hash is of the UR driver's kinematics, not of {form}: give --to ur")
     if form == "mjcf":
-        return _mjcf(source, asked, nominal, leave_out, show)
+        if (into is None) != (joints is None) or (into is None and (springs or nominal)):
+            raise InputError("--into and --joints belong together; --springs and --nominal belong to them")
+        if effects and campaign is None:
+            raise InputError("--effects says with which effects --campaign is diagnosed; give --campaign CSV, too")
+        show("calibrating")
+        robot = robot_to_write(source, campaign, effects, show)
+        if into is not None:
+            made = _into_users(source, nominal, campaign, into, str(joints), springs, robot)
+        else:
+            made = moving_mjcf(robot) if knows_motion(robot) else mjcf(robot)
+        lost = (*left_out(robot, made.omitted, "a MuJoCo model", leave_out), *made.notes)
+        told = (*(f"effect {text}" for text in made.written), *(f"LEFT OUT {text}" for text in lost))
+        kept = {"robot": robot.name, "written": list(made.written), "left_out": list(lost)}
+        return RobotModel(made.text, told, kept, f"{robot.name}, {robot.n} joints")
     if form == "actuators":
         robot = robot_to_write(source)
         drives = actuators_of(robot)
@@ -158,43 +160,33 @@ def robot_to_write(
     return diagnose_campaign(given, asked, show).diagnosis.apply()
 
 
-def _mjcf(source: Path, asked: OfMjcf, nominal: Path | None, leave_out: bool, show: Show) -> RobotModel:
-    if (asked.into is None) != (asked.joints is None) or (asked.into is None and (asked.springs or nominal)):
-        raise InputError("--into and --joints belong together; --springs and --nominal belong to them")
-    if asked.effects and asked.campaign is None:
-        raise InputError("--effects says with which effects --campaign is diagnosed; give --campaign CSV, too")
-    show("calibrating")
-    robot = robot_to_write(source, asked.campaign, asked.effects, show)
-    if asked.into is not None:
-        made = into_users(source, asked, nominal, robot)
-    else:
-        made = moving_mjcf(robot) if knows_motion(robot) else mjcf(robot)
-    lost = (*left_out(robot, made.omitted, "a MuJoCo model", leave_out), *made.notes)
-    lines = (*(f"effect {text}" for text in made.written), *(f"LEFT OUT {text}" for text in lost))
-    figures = {"robot": robot.name, "written": list(made.written), "left_out": list(lost)}
-    return RobotModel(made.text, lines, figures, f"{robot.name}, {robot.n} joints")
-
-
-def into_users(source: Path, asked: OfMjcf, nominal: Path | None, robot: Robot) -> MjcfExport:
+def _into_users(
+    source: Path,
+    nominal: Path | None,
+    campaign: Path | None,
+    into: Path,
+    joints: str,
+    springs: bool,
+    robot: Robot,
+) -> MjcfExport:
     """A user's own model with the geometry (and springs) of a robot, without effects.
 
-    nominal : robot file from before the calibration, needed where source is a robot file. Raises
-        InputError.
+    nominal : robot file from before the calibration, needed where source is a robot file
+    Raises InputError.
     """
-    assert asked.into is not None
-    assert asked.joints is not None
-    if source.is_file() and nominal is None and asked.campaign is None:
+    if source.is_file() and nominal is None and campaign is None:
         raise InputError("--into needs the robot before its calibration too: give --nominal, or the problem folder")
     if nominal is not None:
         before = read_robot(nominal)
     else:
-        before = read_campaign_robot(source) if asked.campaign else read_problem_robot(source)
-    names = [name.strip() for name in asked.joints.split(",")]
-    text = into_mjcf(before, robot, asked.into, names, asked.springs)
-    why = f"effects go into a model of casadical's own, not into {asked.into.name}"
+        before = read_campaign_robot(source) if campaign else read_problem_robot(source)
+    names = [name.strip() for name in joints.split(",")]
+    text = into_mjcf(before, robot, into, names, springs)
+    why = f"effects go into a model of casadical's own, not into {into.name}"
     omitted = tuple(Omission(label, why) for label in dict.fromkeys(e.label for e in robot.effects))
-    lacking = not asked.springs and any(j.compliance for j in robot.joints)
-    return MjcfExport(text, (), omitted, ("springs of the joints; --springs adds them",) if lacking else ())
+    lacking = not springs and any(j.compliance for j in robot.joints)
+    notes = ("springs of the joints; --springs adds them",) if lacking else ()
+    return MjcfExport(text, (), omitted, notes)
 
 
 def _urdf(source: Path, nominal: Path | None, leave_out: bool, show: Show) -> RobotModel:

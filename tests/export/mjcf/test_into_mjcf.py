@@ -11,7 +11,7 @@ from casadical.core.basics import InputError
 from casadical.core.transforms import frame, from_rpy, quaternion
 from casadical.export.mjcf.elements import numbers
 from casadical.export.mjcf.into_mjcf import into_mjcf
-from casadical.export.model_file import OfMjcf, robot_model
+from casadical.export.model_file import robot_model
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements
 from casadical.project.problem import read_campaign_robot
@@ -89,9 +89,9 @@ def test_springs_are_added_beside_the_joints_when_asked_for(robot: Robot, tmp_pa
 def test_springs_that_were_not_asked_for_are_said_to_lack(springs: bool, robot: Robot, tmp_path: Path) -> None:
     (tmp_path / "mine.xml").write_text(users_model(robot))
     nominal = ROOT / "problems" / "kr210" / "robot.toml"
-    asked = OfMjcf(into=tmp_path / "mine.xml", joints=",".join(JOINTS), springs=springs)
-    lines = robot_model(nominal, "mjcf", nominal=nominal, of_mjcf=asked).lines
-    assert lines == (() if springs else ("LEFT OUT springs of the joints; --springs adds them",))
+    mine, names = tmp_path / "mine.xml", ",".join(JOINTS)
+    made = robot_model(nominal, "mjcf", nominal=nominal, into=mine, joints=names, springs=springs)
+    assert made.lines == (() if springs else ("LEFT OUT springs of the joints; --springs adds them",))
 
 
 def test_another_arm_is_refused(robot: Robot, tmp_path: Path) -> None:
