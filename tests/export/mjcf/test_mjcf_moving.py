@@ -59,6 +59,7 @@ def driven(mujoco, text, log):
     return out, torque
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("motion", "joints"), [("symmetric_motion", slice(5)), ("figure_eight", slice(1, 2))])
 def test_mujoco_alone_replays_real_commands_as_well(so101, tmp_path, response, motion, joints):
     """In figure_eight the tool rests on a table time and again; what was fitted has that once, in another pose."""
