@@ -1,6 +1,6 @@
 """Estimates at one noise: base and some columns fitted together to the blocks, and to all but some of them."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import cached_property, reduce
 
 import numpy as np
@@ -66,10 +66,6 @@ class Fit:
         if self._kept is None:
             return self._white(blocks)
         return np.asarray(self._kept[self._rows_of(blocks) if isinstance(blocks, slice) else self._rows(blocks)])
-
-    def by_parts(self) -> Iterator[tuple[slice, Array]]:
-        """The white columns of some blocks after the other, shape (blocks m, p)."""
-        yield from ((some, self._columns_of(some)) for some in self._parts())
 
     def _sums_of(self, blocks: Array) -> NormalSums:
         """Sums of some blocks alone: theirs, or those of all less the others', whichever are fewer."""

@@ -74,7 +74,7 @@ class Marginals:
 
     def __init__(self, model: LinearModel) -> None:
         self.model = model
-        self.sums = GridSums(model.r, model.J, model.noise, model.E, model.grid.ratios, model.near, model.memory)
+        self.sums = GridSums(model)
         self._chosen: dict[bytes, Chosen] = {}
 
     def extended(self, model: LinearModel) -> Marginals:

@@ -119,18 +119,12 @@ class SerialNoise:
         """Whether anything stays at all."""
         return bool(self.stays.any())
 
-    def white(self, rows: Array, blocks: slice = slice(None)) -> Array:
-        """White rows of some blocks, shape (k, m, ...).
-
-        rows : of these blocks, after those of the block before unless they begin with the first
-        """
-        more = min(blocks.start or 0, 1)
-        stays, weight = (
-            a[blocks].reshape(*a[blocks].shape, *[1] * (rows.ndim - a.ndim)) for a in (self.stays, self.weight)
-        )
-        out = np.array(rows[more:])
+    def white(self, rows: Array) -> Array:
+        """Rows of all blocks whitened, shape (n, m, ...)."""
+        stays, weight = (a.reshape(*a.shape, *[1] * (rows.ndim - a.ndim)) for a in (self.stays, self.weight))
+        out = np.array(rows)
         if self.follows:
-            out[1 - more :] -= stays[1 - more :] * rows[:-1]
+            out[1:] -= stays[1:] * rows[:-1]
         out *= weight
         return out
 

@@ -1,21 +1,25 @@
-"""Sums over the blocks of products of white columns, at every point of a grid of noise.
+"""Gram matrices of the whitened columns for every point of the noise grid, accumulated block by block.
 
-In the axes of a block's noise its whitening is a weight for each of its rows (see `noise.Axes`), so that columns are
-turned once and weighted for each point. The products are added up some blocks at a time, so that memory does not grow
-with blocks times columns, and when they are asked for. Sums of a few blocks are taken off or added where these blocks
-turn out to be outliers, or none.
+In the axes of a block's noise its whitening is a weight for each of its rows (see `noise.Axes`), so
+that columns are rotated once and weighted for each point. Products are accumulated some blocks at a
+time and when they are asked for, so that memory does not grow with blocks times columns. Where a few
+blocks turn out to be outliers, or none, their sums are subtracted or added.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.columns import EVERY, Columns, Factors, Memory, as_slice, combined
-from casadical.core.linear_gaussian.noise import Axes, NoiseModel
+from casadical.core.linear_gaussian.columns import EVERY, Columns, Factors, as_slice, combined
+from casadical.core.linear_gaussian.noise import Axes
+
+if TYPE_CHECKING:
+    from casadical.core.linear_gaussian.model import LinearModel
 
 # Groups of so many columns are added up one by one, at the points that are asked for.
 WIDE = 64
@@ -28,27 +32,18 @@ class GridSums:
     log_det : log determinant of the noise's covariance in units of sigma, shape (points,)
     """
 
-    def __init__(
-        self,
-        residual: Array,
-        base: Array,
-        noise: NoiseModel,
-        columns: Columns,
-        ratios: Mapping[str, Array],
-        near: Sequence[int],
-        memory: Memory,
-    ) -> None:
-        self.E, self._shape, self._memory = columns, residual.shape, memory
-        self._axes = noise.axes(ratios)
+    def __init__(self, model: LinearModel) -> None:
+        self.E, self._shape, self._memory = model.E, model.r.shape, model.memory
+        self._axes = model.noise.axes(model.grid.ratios)
         self._points = sum(len(axes.points) for axes in self._axes)
         self.log_det = np.concatenate([axes.log_det for axes in self._axes])
-        self._given, width = (base, residual[:, :, None]), base.shape[2] + 1
+        self._given, width = (model.J, model.r[:, :, None]), model.J.shape[2] + 1
         self.base = np.zeros((self._points, width, width))
         for blocks in self._slices(width):
             for axes in self._axes:
                 turned = self._turned_base(axes, blocks)
                 for k, precision in zip(axes.points, axes.precision[:, blocks], strict=True):
-                    if k in near:
+                    if k in model.near:
                         white = (turned * np.sqrt(precision[:, :, None])).reshape(-1, width)
                         self.base[k] += white.T @ white
         self._forget()
@@ -81,21 +76,6 @@ class GridSums:
         if self._columns is None:
             self._columns = self._by_base(self.E)
         return self._columns
-
-    def together(self, columns: Array, points: Sequence[int]) -> Array:
-        """Products of the base, some columns combined, and the residual, at some points, shape (points, p, p)."""
-        every = combined(columns, self.E.directions)
-        P, p = self.base.shape[1] - 1, self.base.shape[1] + every.width
-        outer, inner = np.append(np.arange(P), p - 1), np.arange(P, p - 1)
-        total = np.zeros((len(points), p, p))
-        crossed = self.crossed(columns, points, columns) if len(columns) else {}
-        for sums, k in zip(total, points, strict=True):
-            sums[np.ix_(outer, outer)] = self.base[k]
-            if len(columns):
-                sums[np.ix_(inner, inner)] = every.combine(crossed[k].T)
-                sums[np.ix_(outer, inner)] = across = every.combine(self.columns[columns, k].T)
-                sums[np.ix_(inner, outer)] = across.T
-        return total
 
     def extend(self, known: GridSums) -> None:
         """Take over sums of the same blocks and the first of the columns."""
