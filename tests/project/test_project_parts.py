@@ -14,9 +14,8 @@ from casadical import InputError, Measurements, report
 from casadical.diagnosis.localisation import Localisation
 from casadical.project.calibration import accuracy_without_prior
 from casadical.project.calibration_page import where_left
-from casadical.project.check.check import LACKS, outlook_findings
+from casadical.project.check.findings import LACKS, far_rows, outlook_findings
 from casadical.project.check.information import outlook
-from casadical.project.check.plausible import far_rows
 from casadical.project.check.result import Precheck
 from casadical.project.check.slip_fit import Hypothesis
 from casadical.project.check.slips import outside

@@ -1,33 +1,36 @@
 """The check of a whole problem before a solve: its files, its data, and the accuracy to expect."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from casadical.core.basics import FaultsError, InputError, Show, shown, silent
-from casadical.identification.identifiability import CONFOUNDED
+from casadical.core.basics import InputError, Show, silent
 from casadical.identification.identification import METHODS, all_compliant, by_method, undeclared
 from casadical.identification.plausibility import check_against
 from casadical.identification.sessions import apart, place_sessions, with_sessions
 from casadical.identification.undetermined import undetermined_at_start
-from casadical.measurements.derived_columns import clock_faults
 from casadical.measurements.measurements import Measurements
 from casadical.project.check import plausible as facts
+from casadical.project.check.findings import (
+    Finding,
+    data_findings,
+    far_rows,
+    fault_findings,
+    held_out_findings,
+    limits_findings,
+    outlook_findings,
+    slip_finding,
+    target_findings,
+)
 from casadical.project.check.information import Outlook, outlook
-from casadical.project.check.plausible import Finding
 from casadical.project.check.result import Precheck
-from casadical.project.check.slip_list import MIRRORED, OF_LENGTHS, in_words, left_mm, other_lengths
+from casadical.project.check.slip_list import other_lengths
 from casadical.project.check.slips import Slips, search_slips
 from casadical.project.planning import more_poses
-from casadical.project.problem import Problem, read_problem
-from casadical.project.robot_columns import computed, unfitted, unmeasured
-from casadical.project.targets import Targets, WrongNames, middles, recognised, wrong_names
+from casadical.project.problem import read_problem
+from casadical.project.targets import Targets, middles, recognised, wrong_names
 from casadical.robot.robot import Robot
-
-# A scatter of more than so many times the noise has other causes.
-LACKS = 4
 
 
 def precheck(
@@ -48,7 +51,7 @@ def precheck(
     try:
         problem = read_problem(folder, seed, tables=tables)
     except InputError as error:
-        return Precheck(folder, tuple(_faults(error, "reading")))
+        return Precheck(folder, tuple(fault_findings(error, "reading")))
     show("comparing with the nominal robot")
     sets = apart(problem.sets["identify"])
     others = facts.other_conventions(problem.robot_file)
@@ -60,7 +63,7 @@ def precheck(
     wrong = wrong_names(problem.robot, table) if table is not None else None
     if wrong or (targets and targets.turning):  # what contradicts one target, or wrong names, says nothing
         findings, usable, slips = [f for f in findings if f.topic not in ("units", "repeats", "rows")], False, None
-    findings = [*_target_findings(targets, wrong, sets[0].source), *findings]
+    findings = [*target_findings(targets, wrong, sets[0].source), *findings]
     one = table if table is not None else sets[0] if sets[0].position is None else None
     if one is not None and not usable and wrong is None and (targets is None or targets.which is None):
         searched = _slips(problem.robot, one, targets, others, show)
@@ -68,9 +71,9 @@ def precheck(
         if searched and searched.explains and (not slips or not slips.explains or more):
             slips = searched
             findings = [f for f in findings if not (f.topic == "units" and f.level == "error")]
-            findings.insert(0, _slip_finding(slips, problem.robot, standard, sets[0]))
-    findings += _held_out_findings(problem)
-    findings += facts.limits_findings(problem.robot)
+            findings.insert(0, slip_finding(slips, problem.robot, standard, sets[0]))
+    findings += held_out_findings(problem)
+    findings += limits_findings(problem.robot)
     known, source = _noise(noise, sets)
     show("accuracy to expect")
     trusted = [m[np.flatnonzero(~facts.far_off(problem.robot, m)[0])] for m in sets] if usable else []
@@ -114,22 +117,6 @@ def _outlooks(
     return outlooks, findings
 
 
-def _target_findings(targets: Targets | None, wrong: WrongNames | None, source: str) -> list[Finding]:
-    """Of several targets that nobody named, or of rows that name another one."""
-    if wrong:
-        return [Finding("error", "targets", wrong.in_words(source))]
-    if not targets:
-        return []
-    text = targets.in_words(source)
-    if not targets.turning:
-        return [Finding("warning", "targets", text)]
-    if targets.which is None:
-        more = "which row is which is not known before the nominal model fits the middle of the targets"
-    else:
-        more = "casadical check --repair writes them, as `tools` in problem.toml and [[tool]]"
-    return [Finding("error", "targets", f"{text}; {more}")]
-
-
 def _slips(
     robot: Robot, table: Measurements, targets: Targets | None, others: Sequence[Robot], show: Show
 ) -> Slips | None:
@@ -144,20 +131,6 @@ def _slips(
     return search_slips(robot, table, others, show)
 
 
-def _slip_finding(slips: Slips, robot: Robot, standard: bool, m: Measurements) -> Finding:
-    before, best = slips.before, slips.best
-    source, of_positions = m.source, m.position is not None
-    text = f"{source}: with base and tool fitted the nominal model still is {1e3 * before.error:.4g} mm (median) from "
-    text += f"the data, {100 * before.error / robot.reach:.2g} % of its reach"
-    if not slips.explains:
-        return Finding("error", "units", f"{text}; no slip of unit, sign or zero explains it: check the robot file")
-    text += f"; {left_mm(best, robot)} would be left if {'; '.join(in_words(best, robot, standard))}"
-    for rival in slips.rivals:
-        text += f". Rival, {left_mm(rival, robot)}: {'; '.join(in_words(rival, robot, standard))}"
-    mirrored = f". But {MIRRORED}" if best.mirrored else "" if of_positions else f". {OF_LENGTHS}"
-    return Finding("error", "units", f"{text}{mirrored}. casadical check --repair writes the first")
-
-
 def _plausible(
     robot: Robot, m: Measurements, others: Sequence[Robot], standard: bool
 ) -> tuple[list[Finding], Slips | None]:
@@ -167,14 +140,9 @@ def _plausible(
         return [], None
     slips = Slips(*judged, ())
     if slips.explains or slips.before.error > facts.GROSS * robot.reach:
-        return [_slip_finding(slips, robot, standard, m)], slips
+        return [slip_finding(slips, robot, standard, m)], slips
     text = f"{m.source}: the nominal model, base and tool fitted, is {1e3 * slips.before.error:.3g} mm (median) from"
     return [Finding("note", "units", f"{text} the data: units, signs and zeros fit")], None
-
-
-def _faults(error: InputError, topic: str) -> list[Finding]:
-    faults = [*error.faults, *error.others] if isinstance(error, FaultsError) else [error]
-    return [Finding("error", topic, str(fault)) for fault in faults]
 
 
 def _data_findings(
@@ -187,54 +155,15 @@ def _data_findings(
         try:
             check_against(robot, m)
         except InputError as error:
-            findings += _faults(error, "data")
+            findings += fault_findings(error, "data")
         said, slips = _plausible(robot, m, others, standard)
         findings += said
         single = slips if k == 0 else single
         if not any(f.level == "error" for f in said):
-            findings += facts.far_rows(robot, table or m)
-        if not any(np.array_equal(m.q, before.q) for before in sets[:k]):  # a table for each wire
-            findings += [*facts.coverage_findings(robot, m), *facts.margin_findings(robot, m)]
-        if computed(robot, m):
-            text = f"{m.source}: the positions are the nominal robot's own to the last digit: computed, not measured?"
-            findings.append(Finding("warning", "data", text))
-        findings += facts.unknown_columns(robot, [*m.conditions], m.source)
-        findings += [Finding("warning", "clock", text) for text in clock_faults(table or m)]
-        distinct, _ = facts.repeats(m)
-        if distinct < len(m):
-            text = f"{m.source}: {len(m)} measurements at {distinct} distinct readings"
-            few = 3 * distinct < len(m)
-            more = "; repeats show the noise, only new readings determine parameters" if few else ""
-            findings.append(Finding("warning" if few else "note", "repeats", text + more))
+            findings += far_rows(robot, table or m)
+        known_readings = any(np.array_equal(m.q, before.q) for before in sets[:k])  # a table for each wire
+        findings += data_findings(robot, m, table or m, known_readings=known_readings)
     return findings, single
-
-
-def _held_out_findings(problem: Problem) -> list[Finding]:
-    """Of the poses that are not fitted, which count in the figures, and the columns that nobody uses."""
-    findings = [Finding("error", "targets", text) for text in unfitted(problem.sets)]
-    for table in problem.tables:
-        made = {ours[0]: made for ours, made in table.get("columns", {}).items() if ours[0] in "xyz"}
-        turned = [c for c, source in made.items() if isinstance(source, Mapping) and source.get("times", 1.0) < 0]
-        if len(turned) % 2:
-            text = f"problem.toml turns the sign of {', '.join(turned)}: {MIRRORED}"
-            findings.append(Finding("warning", "units", text))
-    if lost := unmeasured(problem.sets, problem.robot):
-        text = f"the robot file has {', '.join(lost)}, which no row names: it stays where the file says"
-        findings.append(Finding("warning", "targets", text))
-    for name, m in problem.parts():
-        if not name.startswith("identify"):
-            try:
-                check_against(problem.robot, m)
-            except InputError as error:
-                findings += [replace(f, text=f"set {name}: {f.text}") for f in _faults(error, "data")]
-    for m in problem.sets["identify"]:
-        left = [column for column in m.unused if column != problem.set_column]
-        if left:
-            text = f"{m.source}: columns of words or without a cell are left out: {', '.join(map(shown, left))}"
-            findings.append(Finding("note", "columns", text))
-        if m.copies:
-            findings.append(Finding("warning", "data", m.copies_in_words))
-    return findings
 
 
 def _noise(given: float | None, sets: tuple[Measurements, ...]) -> tuple[float | None, str]:
@@ -245,30 +174,3 @@ def _noise(given: float | None, sets: tuple[Measurements, ...]) -> tuple[float |
         return stated, "as the problem states"
     shown = next((s for s in (facts.repeats(m)[1] for m in sets) if s), None)
     return (shown, "as repeated readings show") if shown else (None, "")
-
-
-def outlook_findings(view: Outlook, robot: Robot, noise: float | None) -> list[Finding]:
-    p = view.unknowns
-    if not view.enough:
-        text = f"{view.method}: {view.numbers} numbers were measured for {p} unknowns; measure more poses"
-        return [Finding("error", "too few poses", text)]
-    if not view.names:
-        text = (
-            f"{view.method}: with noise of {1e3 * view.noise:.3g} mm a coordinate these poses determine no parameter; "
-        )
-        return [Finding("error", "identifiability", f"{text}measure more accurately, or more poses spread wider")]
-    findings = []
-    if view.numbers < 3 * p:
-        text = f"{view.method}: {view.numbers} numbers for {p} unknowns; 3 for each show how good it is"
-        findings.append(Finding("warning", "too few poses", text))
-    if view.condition > CONFOUNDED:
-        text = f"{view.method}: condition number {view.condition:.0f}: some parameters are nearly confounded"
-        findings.append(Finding("warning", "identifiability", f"{text}; spread the poses wider (casadical plan)"))
-    if noise and view.scatter > LACKS * noise:
-        text = f"{view.method}: a linear step leaves {1e3 * view.scatter:.3g} mm a coordinate, the noise is "
-        text += f"{1e3 * noise:.3g}: the model lacks something, or base and tool are far off"
-        findings.append(Finding("warning", "misfit", text))
-    if view.method == "SKCM" and not undeclared(robot) and not {f"c{i}" for i in robot.numbers} & {*view.names}:
-        text = "SKCM: no compliance is identifiable (no compliant joint, no masses, or constant gravity torques)"
-        findings.append(Finding("warning", "identifiability", text))
-    return findings

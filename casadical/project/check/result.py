@@ -8,8 +8,9 @@ from typing import ClassVar
 from casadical.core.telling.blocks import Block, Table, Words, next_step
 from casadical.core.telling.plain import IN_MM, WRITTEN, Key, written
 from casadical.core.telling.result import Result
+from casadical.project.check.findings import Finding, Level
 from casadical.project.check.information import Outlook
-from casadical.project.check.plausible import Finding, JointCoverage, Level
+from casadical.project.check.plausible import JointCoverage
 from casadical.project.check.slips import Slips
 from casadical.project.targets import Targets, WrongNames
 from casadical.robot.robot import Robot

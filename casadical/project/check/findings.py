@@ -1,0 +1,228 @@
+"""All that a check says of a problem, in sentences: findings, each with a level and a topic."""
+
+import difflib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from casadical.core.basics import FaultsError, InputError, shown
+from casadical.core.parts import GRAVITY
+from casadical.identification.identifiability import CONFOUNDED
+from casadical.identification.identification import undeclared
+from casadical.identification.plausibility import check_against
+from casadical.measurements.columns import RADIANS
+from casadical.measurements.derived_columns import clock_faults
+from casadical.measurements.measurements import Measurements
+from casadical.project.check.information import Outlook
+from casadical.project.check.plausible import coverage, far_off, margin, repeats
+from casadical.project.check.slip_list import MIRRORED, OF_LENGTHS, in_words, left_mm
+from casadical.project.check.slips import Slips
+from casadical.project.problem import Problem
+from casadical.project.robot_columns import computed, some_rows, unfitted, unmeasured
+from casadical.project.targets import Targets, WrongNames
+from casadical.robot.kinematics import LEAST_MARGIN
+from casadical.robot.robot import Robot
+
+# Columns that the model or an effect may ask for, besides readings and observations.
+KNOWN = ("payload_kg", "temperature_degC", "time_s", "warmth_K", "weight", "set", "point", "pose", "other_pose")
+# A scatter of more than so many times the noise has other causes.
+LACKS = 4
+Level = Literal["error", "warning", "note"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """level : error (no use to go on), warning (look at it), note (good to know); topic : one word or two"""
+
+    level: Level
+    topic: str
+    text: str
+
+
+def fault_findings(error: InputError, topic: str) -> list[Finding]:
+    faults = [*error.faults, *error.others] if isinstance(error, FaultsError) else [error]
+    return [Finding("error", topic, str(fault)) for fault in faults]
+
+
+def target_findings(targets: Targets | None, wrong: WrongNames | None, source: str) -> list[Finding]:
+    """Of several targets that nobody named, or of rows that name another one."""
+    if wrong:
+        return [Finding("error", "targets", wrong.in_words(source))]
+    if not targets:
+        return []
+    text = targets.in_words(source)
+    if not targets.turning:
+        return [Finding("warning", "targets", text)]
+    if targets.which is None:
+        more = "which row is which is not known before the nominal model fits the middle of the targets"
+    else:
+        more = "casadical check --repair writes them, as `tools` in problem.toml and [[tool]]"
+    return [Finding("error", "targets", f"{text}; {more}")]
+
+
+def slip_finding(slips: Slips, robot: Robot, standard: bool, m: Measurements) -> Finding:
+    before, best = slips.before, slips.best
+    source, of_positions = m.source, m.position is not None
+    text = f"{source}: with base and tool fitted the nominal model still is {1e3 * before.error:.4g} mm (median) from "
+    text += f"the data, {100 * before.error / robot.reach:.2g} % of its reach"
+    if not slips.explains:
+        return Finding("error", "units", f"{text}; no slip of unit, sign or zero explains it: check the robot file")
+    text += f"; {left_mm(best, robot)} would be left if {'; '.join(in_words(best, robot, standard))}"
+    for rival in slips.rivals:
+        text += f". Rival, {left_mm(rival, robot)}: {'; '.join(in_words(rival, robot, standard))}"
+    mirrored = f". But {MIRRORED}" if best.mirrored else "" if of_positions else f". {OF_LENGTHS}"
+    return Finding("error", "units", f"{text}{mirrored}. casadical check --repair writes the first")
+
+
+def data_findings(robot: Robot, m: Measurements, table: Measurements, *, known_readings: bool) -> list[Finding]:
+    """Of one table that is fitted; table : whole, with the poses that are held out, where there is one alone.
+
+    known_readings : whether another table has the same readings, of which the same was said
+    """
+    findings = [] if known_readings else [*_coverage_findings(robot, m), *_margin_findings(robot, m)]
+    if computed(robot, m):
+        text = f"{m.source}: the positions are the nominal robot's own to the last digit: computed, not measured?"
+        findings.append(Finding("warning", "data", text))
+    findings += _unknown_columns(robot, [*m.conditions], m.source)
+    findings += [Finding("warning", "clock", text) for text in clock_faults(table)]
+    distinct, _ = repeats(m)
+    if distinct < len(m):
+        text = f"{m.source}: {len(m)} measurements at {distinct} distinct readings"
+        few = 3 * distinct < len(m)
+        more = "; repeats show the noise, only new readings determine parameters" if few else ""
+        findings.append(Finding("warning" if few else "note", "repeats", text + more))
+    return findings
+
+
+def far_rows(robot: Robot, m: Measurements) -> list[Finding]:
+    """Rows that are far off: doubtful measurements; those that no robot of this size measures are an error."""
+    far, e = far_off(robot, m)
+    if not far.any():
+        return []
+    gross = m.row[far & (e > 0.5 * robot.reach)]
+    order = [k for k in np.argsort(-e) if far[k]]
+    rows = some_rows([f"{m.row[k]} ({1e3 * e[k]:.3g} mm)" for k in order])
+    text = (
+        f"{m.source}: rows {rows} are far off, where the median is {1e3 * float(np.median(e)):.3g} mm; calibrate "
+        "leaves out those that its fit does not explain, and names them and those that are held out; the accuracy to "
+        "expect is without them"
+    )
+    if len(gross):
+        text += f". Rows {', '.join(map(str, gross))} lie further off than half the reach: correct them, or leave them "
+        text += f"out (leave_out = {gross.tolist()} in problem.toml, under [[measurements]])"
+    return [Finding("error" if len(gross) else "warning", "rows", text)]
+
+
+def _coverage_findings(robot: Robot, m: Measurements) -> list[Finding]:
+    findings = []
+    for c, moved in zip(coverage(robot, m), np.ptp(m.q, axis=0), strict=True):
+        if moved < np.deg2rad(1.0):
+            text = f"joint {c.joint} does not move: its parameters cannot be distinguished from those of its neighbours"
+            findings.append(Finding("warning", "coverage", f"{m.source}: {text}"))
+        elif c.share < 0.25:
+            text = f"joint {c.joint} covers {c.low:.0f} .. {c.high:.0f} {c.unit}, {100 * c.share:.0f} % of its range"
+            doubt = "; are these radians?" if c.unit == "deg" and max(-c.low, c.high) <= RADIANS else ""
+            findings.append(
+                Finding("warning", "coverage", f"{m.source}: {text}; expect little beyond these readings{doubt}")
+            )
+    return findings
+
+
+def _margin_findings(robot: Robot, m: Measurements) -> list[Finding]:
+    """A four-bar that is nearly folded somewhere; one that is open is refused elsewhere."""
+    smallest = margin(robot, m)
+    if smallest is None or not LEAST_MARGIN <= smallest < 5 * LEAST_MARGIN:
+        return []
+    text = f"the four-bar is nearly folded in some pose (margin {smallest:.3f}; 1 is square, {LEAST_MARGIN} refused)"
+    return [Finding("warning", "four-bar", f"{m.source}: {text}; small errors of the bars count much there")]
+
+
+def _unknown_columns(robot: Robot, conditions: Sequence[str], source: str) -> list[Finding]:
+    """Columns that are almost a name that something asks for, and those that this robot has no use for."""
+    findings = []
+    if robot.gravity_frame != "logged" and {*GRAVITY} <= {*conditions}:
+        text = f"{source}: its columns say how the base tilts, and the robot file takes it as still"
+        findings.append(
+            Finding("warning", "columns", f'{text}: write frame = "logged" in [gravity], or leave them out')
+        )
+    beyond = [c for c in conditions if (match := re.fullmatch(r"approach(\d+)", c)) and int(match[1]) > robot.n]
+    if beyond:
+        text = f"{source}: column {beyond[0]!r} has no effect: this robot has {robot.n} joints"
+        findings.append(Finding("warning", "columns", text))
+    for name in conditions:
+        near = [known for known in KNOWN if known.startswith(f"{name}_")]
+        # A height is no weight (0.83); a temperature_C may be meant as temperature_degC.
+        near = near or difflib.get_close_matches(name.casefold(), KNOWN, 1, 0.84)
+        if name not in KNOWN and near and not name.startswith(("warmth_", "approach")):
+            text = f"{source}: column {name!r} is no name that anything asks for; is {near[0]!r} meant?"
+            findings.append(Finding("warning", "columns", text))
+    return findings
+
+
+def limits_findings(robot: Robot) -> list[Finding]:
+    """Joints whose limits are those that are taken where none are given."""
+    assumed = {"revolute": (-2 * np.pi, 2 * np.pi), "prismatic": (-10.0, 10.0)}
+    wide = [str(i) for i, j in enumerate(robot.joints, 1) if (j.lower, j.upper) == assumed[j.kind]]
+    if not wide:
+        return []
+    text = f"joint{'s' if len(wide) > 1 else ''} {', '.join(wide)}: -360 .. 360 deg (-10 .. 10 m of a prismatic one)"
+    more = "is what is taken where the robot file gives no limits; shares and forecasts below, and plan, go by it"
+    return [Finding("note", "limits", f"{text} {more}")]
+
+
+def held_out_findings(problem: Problem) -> list[Finding]:
+    """Of the poses that are not fitted, which count in the figures, and the columns that nobody uses."""
+    findings = [Finding("error", "targets", text) for text in unfitted(problem.sets)]
+    for table in problem.tables:
+        made = {ours[0]: made for ours, made in table.get("columns", {}).items() if ours[0] in "xyz"}
+        turned = [c for c, source in made.items() if isinstance(source, Mapping) and source.get("times", 1.0) < 0]
+        if len(turned) % 2:
+            text = f"problem.toml turns the sign of {', '.join(turned)}: {MIRRORED}"
+            findings.append(Finding("warning", "units", text))
+    if lost := unmeasured(problem.sets, problem.robot):
+        text = f"the robot file has {', '.join(lost)}, which no row names: it stays where the file says"
+        findings.append(Finding("warning", "targets", text))
+    for name, m in problem.parts():
+        if not name.startswith("identify"):
+            try:
+                check_against(problem.robot, m)
+            except InputError as error:
+                findings += [replace(f, text=f"set {name}: {f.text}") for f in fault_findings(error, "data")]
+    for m in problem.sets["identify"]:
+        left = [column for column in m.unused if column != problem.set_column]
+        if left:
+            text = f"{m.source}: columns of words or without a cell are left out: {', '.join(map(shown, left))}"
+            findings.append(Finding("note", "columns", text))
+        if m.copies:
+            findings.append(Finding("warning", "data", m.copies_in_words))
+    return findings
+
+
+def outlook_findings(view: Outlook, robot: Robot, noise: float | None) -> list[Finding]:
+    p = view.unknowns
+    if not view.enough:
+        text = f"{view.method}: {view.numbers} numbers were measured for {p} unknowns; measure more poses"
+        return [Finding("error", "too few poses", text)]
+    if not view.names:
+        text = (
+            f"{view.method}: with noise of {1e3 * view.noise:.3g} mm a coordinate these poses determine no parameter; "
+        )
+        return [Finding("error", "identifiability", f"{text}measure more accurately, or more poses spread wider")]
+    findings = []
+    if view.numbers < 3 * p:
+        text = f"{view.method}: {view.numbers} numbers for {p} unknowns; 3 for each show how good it is"
+        findings.append(Finding("warning", "too few poses", text))
+    if view.condition > CONFOUNDED:
+        text = f"{view.method}: condition number {view.condition:.0f}: some parameters are nearly confounded"
+        findings.append(Finding("warning", "identifiability", f"{text}; spread the poses wider (casadical plan)"))
+    if noise and view.scatter > LACKS * noise:
+        text = f"{view.method}: a linear step leaves {1e3 * view.scatter:.3g} mm a coordinate, the noise is "
+        text += f"{1e3 * noise:.3g}: the model lacks something, or base and tool are far off"
+        findings.append(Finding("warning", "misfit", text))
+    if view.method == "SKCM" and not undeclared(robot) and not {f"c{i}" for i in robot.numbers} & {*view.names}:
+        text = "SKCM: no compliance is identifiable (no compliant joint, no masses, or constant gravity torques)"
+        findings.append(Finding("warning", "identifiability", text))
+    return findings
