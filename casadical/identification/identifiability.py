@@ -9,7 +9,7 @@ import math
 import re
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -88,14 +88,19 @@ def analyse(
     shares, independent = np.abs(shares[always:]), [names[j - always] for j in kept]
     least = np.maximum(0.05 * shares.max(axis=0, initial=0.0), 1e-6)
     alike = [_strongest(share, independent, low) for share, low in zip(shares.T, least, strict=True)]
-    dropped = tuple(
-        _carried(Unidentifiable(names[k - always], why), those)
-        if names[k - always] in held
-        else Unidentifiable(names[k - always], why or _in_words(those, moved), () if why else those)
-        for (k, why), those in zip(reasons.items(), alike, strict=True)
-    )
+    dropped = []
+    for (k, why), those in zip(reasons.items(), alike, strict=True):
+        name, reason = names[k - always], why
+        if name in held:  # whatever the data: the identified ones carry its share
+            if those and set(re.findall(r"\w+", why)).isdisjoint(those):
+                reason += f"; {' and '.join(those)} {'carries' if len(those) == 1 else 'carry'} it"
+        elif not why and those:
+            reason = f"it {moved} exactly as {', '.join(those)} {'does' if len(those) == 1 else 'do together'}"
+        elif not why:
+            reason = "the unknown points absorb it"
+        dropped.append(Unidentifiable(name, reason, those if name in held or not why else ()))
     condition = float(singular[0] / max(singular[-1], 1e-300)) if kept else 1.0
-    return Identifiability(tuple(independent), dropped, condition)
+    return Identifiability(tuple(independent), tuple(dropped), condition)
 
 
 def _without(basis: Array, column: Array) -> tuple[float, Array]:
@@ -109,23 +114,9 @@ def _without(basis: Array, column: Array) -> tuple[float, Array]:
     return left, rest
 
 
-def _carried(u: Unidentifiable, alike: tuple[str, ...]) -> Unidentifiable:
-    """One that is held whatever the data, with the identified parameters that carry its share."""
-    known = set(re.findall(r"\w+", u.reason))
-    more = f"; {' and '.join(alike)} {'carries' if len(alike) == 1 else 'carry'} it" if known.isdisjoint(alike) else ""
-    return replace(u, reason=u.reason + (more if alike else ""), confounded_with=alike)
-
-
 def _strongest(share: Array, names: Sequence[str], least: float) -> tuple[str, ...]:
     """Up to six names with a greater share than the least, the strongest first; share : of each."""
     return tuple(names[j] for j in np.argsort(-share)[:6] if share[j] > least)
-
-
-def _in_words(alike: tuple[str, ...], moved: str) -> str:
-    if not alike:
-        return "the unknown points absorb it"
-    verb = "does" if len(alike) == 1 else "do together"
-    return f"it {moved} exactly as {', '.join(alike)} {verb}"
 
 
 def drop_poor(

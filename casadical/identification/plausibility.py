@@ -104,8 +104,13 @@ def _out_of_range(robot: Robot, m: Measurements) -> Iterator[Fault]:
 
 
 def _refuse_implausible(robot: Robot, m: Measurements) -> None:
-    if robot.loops:
-        _refuse_open_loop(robot, m)
+    if robot.loops and (smallest := least_margins(robot, m)).min() < LEAST_MARGIN:
+        k = int(np.argmin(smallest))
+        raise InputError(
+            f"{m.source}: row {m.row[k]}: the four-bar cannot close there, or nearly not (margin {smallest[k]:.3f}; "
+            f"at least {LEAST_MARGIN} is needed, {int((smallest < LEAST_MARGIN).sum())} such poses); "
+            "check the signs and zeros of its joints, or leave these poses out"
+        )
     if fault := fault_of_orientations(robot, m):
         raise InputError(f"{m.source}: {fault}")
     if len(m) > 3:
@@ -247,14 +252,3 @@ def least_margins(robot: Robot, m: Measurements) -> Array:
     (margin,) = robot.model.evaluate(("margin",), m.q, w, robot.parameters.values)
     # Not a number where the crank's end lies on the driven joint: the rocker's direction is then open.
     return np.asarray(np.nan_to_num(margin.min(axis=0), nan=0.0))
-
-
-def _refuse_open_loop(robot: Robot, m: Measurements) -> None:
-    smallest = least_margins(robot, m)
-    k = int(np.argmin(smallest))
-    if smallest[k] < LEAST_MARGIN:
-        raise InputError(
-            f"{m.source}: row {m.row[k]}: the four-bar cannot close there, or nearly not (margin {smallest[k]:.3f}; "
-            f"at least {LEAST_MARGIN} is needed, {int((smallest < LEAST_MARGIN).sum())} such poses); "
-            "check the signs and zeros of its joints, or leave these poses out"
-        )

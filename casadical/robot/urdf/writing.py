@@ -9,7 +9,6 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from casadical.core.basics import Array, InputError
-from casadical.core.parts import Body
 from casadical.core.transforms import frame, from_rpy, to_rpy
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Robot
@@ -203,7 +202,12 @@ def new_urdf(robot: Robot) -> str:
     for i, row in enumerate(robot.joints, 1):
         link = ET.SubElement(root, "link", name=f"link{i}")
         if row.body and row.body.mass > 0:
-            _inertial(link, row.body)
+            inertial = ET.SubElement(link, "inertial")
+            ET.SubElement(inertial, "origin", xyz=_text(row.body.com), rpy="0 0 0")
+            ET.SubElement(inertial, "mass", value=repr(float(row.body.mass)))
+            moments = row.body.likely_inertia[np.triu_indices(3)]
+            named = zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), moments, strict=True)
+            ET.SubElement(inertial, "inertia", {name: repr(float(value)) for name, value in named})
         kind = "revolute" if row.kind == "revolute" else "prismatic"
         joint = _joint(root, f"joint{i}", kind, parent, f"link{i}", row_matrix(row))
         ET.SubElement(joint, "axis", xyz="0 0 1")
@@ -244,12 +248,3 @@ def _joint(root: ET.Element, name: str, kind: str, parent: str, child: str, T: A
     ET.SubElement(joint, "child", link=child)
     ET.SubElement(joint, "origin", xyz=_text(T[:3, 3]), rpy=_text(to_rpy(T[:3, :3])))
     return joint
-
-
-def _inertial(link: ET.Element, body: Body) -> None:
-    inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "origin", xyz=_text(body.com), rpy="0 0 0")
-    ET.SubElement(inertial, "mass", value=repr(float(body.mass)))
-    moments = body.likely_inertia[np.triu_indices(3)]
-    named = zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), moments, strict=True)
-    ET.SubElement(inertial, "inertia", {name: repr(float(value)) for name, value in named})
