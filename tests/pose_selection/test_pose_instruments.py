@@ -174,6 +174,7 @@ def test_usual_places_are_of_the_reach_that_the_joints_allow(robot) -> None:
     assert (near < 0.95 * far).all()
 
 
+@pytest.mark.slow
 def test_a_folder_of_distances_is_not_planned_as_positions(monkeypatch, tmp_path, capfd) -> None:
     write_robot(elbow(), tmp_path / "robot.toml")
     table = '[[measurements]]\nfile = "wire1.csv"\nkind = "distance"\nsigma_mm = 0.1\n'

@@ -61,6 +61,7 @@ def test_a_plan_is_written_and_can_be_measured(monkeypatch, tmp_path, capsys, ro
     assert travel(robot, q) < travel(robot, q[shuffled])
 
 
+@pytest.mark.slow
 def test_without_a_room_poses_below_the_base_are_said_and_with_one_not(monkeypatch, tmp_path, capsys, robot_file):
     assert run(monkeypatch, robot_file, "-n", 12, "--out", tmp_path / "free.csv") == 0
     low = (pd.read_csv(tmp_path / "free.csv")["nominal_z_mm"] < 0).sum()
@@ -103,6 +104,7 @@ def test_a_plan_continues_from_a_file(monkeypatch, tmp_path, capsys, robot_file)
     assert len(pd.read_csv(out)) == 6
 
 
+@pytest.mark.slow
 def test_a_plan_is_made_with_what_a_calibration_wrote(monkeypatch, tmp_path, capsys) -> None:
     tool = replace(elbow().tool, T=frame(np.eye(3), np.array([0.25, 0.08, 0.12])))
     results = tmp_path / "results"

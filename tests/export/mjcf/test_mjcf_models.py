@@ -206,6 +206,7 @@ def test_readings_of_another_robot_are_refused() -> None:
         positions(mjcf(robot_of("ur10e")).text, two)
 
 
+@pytest.mark.slow
 def test_a_campaign_replayed_shows_the_gap_close() -> None:
     """KR 210, whose payload is heavier than declared, from another simulator; poses that were held out."""
     robot = robot_of("kr210")

@@ -107,7 +107,7 @@ def in_metres(q: np.ndarray, p: np.ndarray) -> Table:
     return q, p / 1e3
 
 
-@pytest.mark.parametrize("slip", [in_metres, *slow(mirrored)], ids=lambda s: s.__name__)
+@pytest.mark.parametrize("slip", slow(mirrored, in_metres), ids=lambda s: s.__name__)
 def test_a_slip_of_the_positions_alone_is_repaired(slip, tmp_path, monkeypatch):
     folder = folder_of(tmp_path, slip)
     assert main(monkeypatch, "check", folder, "--repair", "-q") == 0
