@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from lives import as_built, changed, measured
+from scipy.spatial.transform import Rotation
 
 from casadical import Measurements, Robot
 from casadical.core.basics import Array
@@ -40,18 +41,9 @@ def poses(robot: Robot, seed: int) -> list[Measurements]:
     m = measured(robot, seed, 40)
     p, R = predicted(robot, m)
     rng = np.random.default_rng(seed)
-    turn = np.array([np.eye(3) + skew(v) for v in 1e-4 * rng.normal(size=(len(p), 3))])
+    turn = Rotation.from_rotvec(1e-4 * rng.normal(size=(len(p), 3))).as_matrix()
     noisy = p + NOISE * rng.normal(size=p.shape)
-    return [replace(m, kind="pose", position=noisy, orientation=np.array([nearest(r) for r in R @ turn]))]
-
-
-def skew(v: Array) -> Array:
-    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-
-
-def nearest(R: Array) -> Array:
-    U, _, V = np.linalg.svd(R)
-    return np.asarray(U @ V)
+    return [replace(m, kind="pose", position=noisy, orientation=R @ turn)]
 
 
 @pytest.mark.parametrize("kind", ["wires", "a wire to an unknown place", "poses"])
