@@ -25,7 +25,7 @@ class RawTable:
     """A table as it stands in a file.
 
     path : of the file; header : names of the columns, without blanks around them
-    cells : of each row as text, numbers with decimal points; none of a large table, and of a file without text
+    cells : of each row as text, numbers with decimal points; none where it was not kept, and of a file without text
     frame : the rows, numbers where a column holds nothing else; line : of the file at which each begins
     form : how the file writes its table; comments : lines that are comments, as they stand
     """
@@ -56,15 +56,15 @@ def _refuse_header(header: Sequence[str], path: Path) -> None:
             raise InputError(f"{path}: the heading of column {k} {fault}")
 
 
-def read_table(path: str | Path, data: bytes | None = None, *, large_bytes: int = 4_000_000) -> RawTable:
+def read_table(path: str | Path, data: bytes | None = None, *, keep_text: bool = True) -> RawTable:
     """Read a table: text in any usual encoding, separator and decimal sign, .xlsx (openpyxl) or .parquet (pyarrow).
 
     The file may be gzipped. Comments, titles above the headings, a row of units, repeated headings and
     blank lines are no rows.
 
     data : the content, where it was read already
-    large_bytes : plain numbers under one line of headings are read without keeping their text, in a
-        tenth of the time, where the text has more bytes
+    keep_text : whether the text of the cells is needed; without it, plain numbers under one line of
+        headings are read in a tenth of the time
 
     Raises InputError that names the file, and the row where one is wrong: no such file, neither text nor a workbook,
     a name twice in the header, no rows, too many numbers, or a row with more cells than the header.
@@ -74,7 +74,7 @@ def read_table(path: str | Path, data: bytes | None = None, *, large_bytes: int 
     if path.suffix.lower() == ".parquet":
         return _parquet(path, packed)
     data = unpacked(packed, str(path))
-    if len(data) > large_bytes and (plain := _plain(path, data)) is not None:
+    if not keep_text and (plain := _plain(path, data)) is not None:
         return plain
     sheet = ""
     try:
@@ -114,7 +114,9 @@ def _plain(path: Path, data: bytes) -> RawTable | None:
     """Read plain numbers under one line of headings; return None for another text."""
     header = plain_headings(data[: data.find(b"\n") + 1])
     blank = b"\n\n" in data or b"\n\r" in data or b"\r\r" in data  # rows are counted by their lines
-    if not 0 < len(header) <= MAX_COLUMNS or len({*header}) < len(header) or blank:
+    if not (all(header) and 0 < len(header) == len({*header}) <= MAX_COLUMNS) or blank:
+        return None
+    if table_form.commented(header) or any(map(table_form.is_number, header)):
         return None
     refuse_many(path, data.count(b",") + data.count(b"\n"))
     try:

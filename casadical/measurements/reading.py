@@ -42,7 +42,7 @@ def read_measurements(
     >>> poses.kind, poses.position.shape
     ('position', (40, 3))
     """
-    raw = read_table(path)
+    raw = read_table(path, keep_text=False)
     named = Columns.of_file(raw).mapped(_sources(raw, joints, columns or {}, kind), point_from)
     return from_columns(named, joints, kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
 

@@ -121,7 +121,7 @@ def _robot(found: _Collected, path: Path, urdf: UrdfTable) -> tuple[Robot | None
 
 def _beside(source: Path, table: Path, robot: Robot | None, joints: Sequence[str], later: bool) -> None:
     """As `_read`, of a table that is understood as those of a problem or robot file are."""
-    raw = read_table(table)
+    raw = read_table(table, keep_text=False)
     try:
         data = table_like(source, raw, tables_of(source))
     except InputError:
@@ -133,7 +133,7 @@ def _read(path: Path, data: DataTable, robot: Robot | None, joints: Sequence[str
     """Raises InputError for what is wrong with a table; without a robot, for cells alone."""
     if path.is_file() and path.stat().st_size > 4_000_000:
         return
-    raw = read_table(path)
+    raw = read_table(path, keep_text=False)
     of_file = [j if j in ("revolute", "prismatic") else "revolute" for j in joints]
     if robot is None and not of_file:
         return

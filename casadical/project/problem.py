@@ -320,7 +320,7 @@ def read_campaign(
     >>> len(casadical.read_campaign("problems/planar", "data/planar/planar.csv", robot))
     40
     """
-    folder, raw = Path(folder), read_table(path)
+    folder, raw = Path(folder), read_table(path, keep_text=False)
     data = table_like(folder, raw, tables_of(folder))
     columns, joints = _columns(raw, data, robot), [j.kind for j in robot.joints]
     lost = (columns.lost_rows if words else columns.empty_rows) if later else ()
@@ -361,7 +361,7 @@ def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> tuple
     path = folder / data.file
     if not path.exists():
         raise InputError(f"{path}: no such file; it is named in {folder / 'problem.toml'}")
-    columns = _columns(read_table(path), data, robot)
+    columns = _columns(read_table(path, keep_text=False), data, robot)
     joints = [j.kind for j in robot.joints]
     m = _with_noise(columns, joints, data)
     if data.point_from and m.label is None:

@@ -291,7 +291,8 @@ def file_with_tables(source: Path, tables: Sequence[str | Path]) -> ProblemFile:
         file = file.model_copy(update={"robot": file.of_campaigns, "title": "", "paper": None})
     own = tables_of(source)
     measured = [
-        table_like(source, read_table(t), own).model_copy(update={"file": str(Path(t).resolve())}) for t in tables
+        table_like(source, read_table(t, keep_text=False), own).model_copy(update={"file": str(Path(t).resolve())})
+        for t in tables
     ]
     return file.model_copy(update={"measurements": measured, "data": None})
 

@@ -25,6 +25,9 @@ FORMS = {
     "a blank line": ([*LINES[:9], "", *LINES[9:]], False),
     "a comment": ([*LINES[:9], "# a break", *LINES[9:]], False),
     "headings again": ([*LINES[:9], HEAD, *LINES[9:]], False),
+    "numbers alone": ([row.replace("0", "1e1", 1) for row in ROWS], False),
+    "headings in a comment": (["# " + HEAD, *ROWS], False),
+    "a column without a heading": ([HEAD + ",", *(row + ",1" for row in ROWS)], False),
     "a row of units": ([HEAD.replace("_deg", "").replace("_mm", ""), "deg,deg,mm,mm,mm", *ROWS], False),
     "quoted": ([HEAD, *('"' + row.replace(",", '","') + '"' for row in ROWS)], True),
     "a separator at each end": ([HEAD, *(f"{row}," for row in ROWS)], False),
@@ -41,7 +44,7 @@ def written(folder: Path, lines: list[str]) -> Path:
 def test_plain_numbers_read_at_once_are_those_of_the_text(tmp_path: Path, form: str) -> None:
     lines, plain = FORMS[form]
     path = written(tmp_path, lines)
-    text, found = read_table(path), read_table(path, large_bytes=0)
+    text, found = read_table(path), read_table(path, keep_text=False)
     assert bool(text.cells)
     assert bool(found.cells) != plain
     assert found.header == text.header
@@ -61,9 +64,9 @@ def test_plain_numbers_read_at_once_are_those_of_the_text(tmp_path: Path, form: 
     ],
 )
 def test_what_is_no_table_is_refused_however_large_it_is(tmp_path: Path, lines: list[str], told: str) -> None:
-    for size in (0, 4_000_000):
+    for kept in (False, True):
         with pytest.raises(InputError, match=told):
-            read_table(written(tmp_path, lines), large_bytes=size)
+            read_table(written(tmp_path, lines), keep_text=kept)
 
 
 @pytest.fixture

@@ -65,7 +65,7 @@ def is_log(path: str | Path) -> bool:
     if path.name == STATE or path.suffix.lower() in BAGS or any((path / n).exists() for n in (STATE, "metadata.yaml")):
         return True
     try:
-        headings = _plain_headings(path) or read_table(path).header
+        headings = _plain_headings(path) or read_table(path, keep_text=False).header
     except InputError:
         return False
     if {"x_mm", "x_m", "distance_mm"} & {*headings}:  # measured poses
@@ -98,7 +98,7 @@ def _logged(path: Path, names: Sequence[str], unit: str | None) -> Logged:
         return sage(path.parent if path.name == STATE else path)
     if path.is_dir():
         raise InputError(f"{path}: a folder without {STATE} (SAGE) and metadata.yaml (ROS 2); name the file of the log")
-    table = read_table(path, large_bytes=0)
+    table = read_table(path, keep_text=False)
     if STATES.keys() & {*table.header}:
         return lerobot(path, table, unit)
     return logged(table, names)
