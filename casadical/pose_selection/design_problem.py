@@ -119,8 +119,12 @@ def prepare(
         return A.T @ A * (total / len(m)) + before(kept)
 
     names, held = independent(robot, wanted, instrument.sets(some) if instrument else (some,), information, prior)
-    if prior is None:
-        _refuse_few(total, numbers, len(names), extra)
+    if prior is None and numbers * total < (unknowns := len(names) + extra):
+        raise InputError(
+            f"{total} poses give {numbers * total} numbers, but {len(names)} parameters are to be identified"
+            f"{f' and {extra} coordinates of places' if extra else ''}; "
+            f"at least {-(-unknowns // numbers)} poses are needed, and some more to estimate their accuracy"
+        )
     task_q = draw(robot, 300, workspace, rng) if task is None else np.atleast_2d(task)
     one = replace(circumstances, every_payload=False, both_approaches=False, repeats=1)
     goal = candidates_at(robot, task_q, one, n, rng).measurements(robot, "task")
@@ -135,17 +139,6 @@ def prepare(
         robot, workspace, circumstances, noise, names, held, measured, goal, ready,
         candidates is None and SOCKET not in ready.conditions, fixed, weight, instrument, prior,
     )  # fmt: skip
-
-
-def _refuse_few(poses: int, numbers: int, parameters: int, places: int) -> None:
-    """Raises InputError where fewer numbers would be measured than there are unknowns."""
-    unknowns = parameters + places
-    if numbers * poses < unknowns:
-        raise InputError(
-            f"{poses} poses give {numbers * poses} numbers, but {parameters} parameters are to be identified"
-            f"{f' and {places} coordinates of places' if places else ''}; "
-            f"at least {-(-unknowns // numbers)} poses are needed, and some more to estimate their accuracy"
-        )
 
 
 def jacobian_of(robot: Robot, names: Sequence[str], m: Measurements, instrument: Instrument | None) -> Array:

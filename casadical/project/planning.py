@@ -150,13 +150,6 @@ def continued(
     return result.robot, m, noise or Noise(result.sigmas[0][0])
 
 
-def _mounted(given: Circumstances | None, effects: Sequence[Effect], measured: Measurements | None) -> Circumstances:
-    """If effects are to be identified, payloads that were mounted before can be mounted again."""
-    known = given or Circumstances()
-    states = np.unique(measured.conditions["payload_kg"]) if measured and "payload_kg" in measured.conditions else ()
-    return known if known.payloads or not effects or len(states) < 2 else replace(known, payloads=tuple(states))
-
-
 def _of_first_target(robot: Robot, measured: Measurements | None) -> tuple[Robot, Measurements | None]:
     """Of several targets poses are planned for the first, beside what was measured of it."""
     if measured is not None and (rest := [t.column for t in robot.targets if t.column in measured.conditions]):
@@ -232,7 +225,11 @@ def plan(
         robot, measured, noise = continued(robot, measured, noise, free, prior)
         free = (*free, *(e.label for e in robot.effects if isinstance(e, Session)))
     robot, measured = _of_first_target(robot, measured)
-    circumstances = _mounted(circumstances, effects, measured)
+    circumstances = circumstances or Circumstances()
+    # If effects are to be identified, payloads that were mounted before can be mounted again.
+    mounted = np.unique(measured.conditions["payload_kg"]) if measured and "payload_kg" in measured.conditions else ()
+    if effects and len(mounted) > 1 and not circumstances.payloads:
+        circumstances = replace(circumstances, payloads=tuple(mounted))
     chosen = None
     if n is not None:
         show("choosing poses")

@@ -76,21 +76,16 @@ class LivePage:
             try:
                 if self.session.plan is None:
                     await self._plan()
-                await self._look()
+                if self.source is not None:
+                    numbers, said = await asyncio.to_thread(self.session.feed, self.source)
+                    if numbers or said:
+                        self._tell()
+                    if numbers:
+                        await self._plan()
             except Exception as error:  # a bug must not end what keeps the readings
                 self.session.said.append(f"this is a bug in casadical, and the readings are kept: {error!r}")
                 self._tell()
             await asyncio.sleep(self.pause)
-
-    async def _look(self) -> None:
-        """Take what is new in the source."""
-        if self.source is None:
-            return
-        numbers, said = await asyncio.to_thread(self.session.feed, self.source)
-        if numbers or said:
-            self._tell()
-        if numbers:
-            await self._plan()
 
     async def _plan(self) -> None:
         """The next poses and, now and then, the check of the whole table beside what goes on."""

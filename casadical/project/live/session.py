@@ -393,13 +393,24 @@ class LiveSession:
         with self.lock:
             read, estimate = self._read(), self.estimate
             readings = [self._reading_json(r, read.get(r.number)) for r in self.course.readings]
+            known: dict[str, Any] | None = None
+            if estimate is not None:
+                left, task = estimate.left_out_mm, expected(estimate.robot, self._task, {}, "task")
+                promise = np.quantile(left, 0.95, method="higher") if len(left) >= FOR_QUANTILE else None
+                known = {
+                    "readings": len(estimate),
+                    "noise_mm": 1e3 * estimate.sigma,
+                    "expected_mm": 1e3 * estimate.expected(task),
+                    "left_out_mean_mm": float(left.mean()) if len(left) >= FEW else None,
+                    "promise_mm": None if promise is None else float(promise),
+                }
             touches = self.m is not None and find_kind(self.m.kind).touches  # what the tool is to touch is not planned
             return with_words({
                 "robot": self.robot.name, "folder": self.folder.resolve().name,
                 "data": self.course.data if readings else self._data, "fields": self.fields, "readings": readings,
                 "said": [*([self.unread] if self.unread else []), *self.said[-5:], *self._of_table],
                 "table": self._of_table,
-                "known": None if estimate is None else self._known_json(estimate),
+                "known": known,
                 "next": None if self.plan is None or touches else self._next_json(),
             })  # fmt: skip
 
@@ -423,15 +434,6 @@ class LiveSession:
 
     def _joints(self, q: Array) -> list[float]:
         return [round(float(v), 4) for v in q / list(self.robot.reading_units.values())]
-
-    def _known_json(self, found: Estimate) -> dict[str, Any]:
-        left, task = found.left_out_mm, expected(found.robot, self._task, {}, "task")
-        enough = len(left) >= FOR_QUANTILE
-        return {
-            "readings": len(found), "noise_mm": 1e3 * found.sigma, "expected_mm": 1e3 * found.expected(task),
-            "left_out_mean_mm": float(left.mean()) if len(left) >= FEW else None,
-            "promise_mm": float(np.quantile(left, 0.95, method="higher")) if enough else None,
-        }  # fmt: skip
 
     def _next_json(self) -> dict[str, Any]:
         poses, left = [self._joints(q) for q in (self.next_pose(), *self._left()[1:])], len(self._left())

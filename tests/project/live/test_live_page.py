@@ -64,7 +64,7 @@ def test_commands_are_answered_in_sentences(arm: Path) -> None:
         assert do(do="fly")[1].startswith("'fly': is no command")
         assert do(do="type", values={"q1_deg": "1"})[0] == 400
         assert page.post("/do", content="[" * 200_000).status_code == 400
-        values = dict.fromkeys(session.fields, 0.0) | {"x_mm": 700.0}
+        values = dict.fromkeys(session.fields, 0.0) | {"x_mm": 900.0}
         assert do(do="type", values=values)[1].startswith("9: DOUBTFUL")
         code, said = do(do="finish")
         assert (code, "wrote" in said) == (200, True), said
