@@ -8,9 +8,6 @@ lines of the package which none reached before joins the seeds, as in AFL and li
 - it is read, or ends with an error of the package (CasadicalError)
 - it takes less than 20 s of the processor and 1 GB
 
-`--engine atheris` (`pip install atheris`) leaves the search to libFuzzer, which sees every branch of the package and
-mutates bytes by its own rules, in turns with those of this study.
-
 The readers run in a process of their own, so that one that is stopped by a limit is counted. Inputs that fail are
 written to `--found DIR`; those in tests/fuzz/found failed once, and tests/fuzz reads them again.
 """
@@ -550,63 +547,6 @@ def worker(listed: dict[str, Kind], place: Path, given: argparse.Namespace, roun
             (kept / f"{round_}-{len(pool)}").write_bytes(content)
 
 
-def atheris_worker(listed: dict[str, Kind], place: Path, given: argparse.Namespace, round_: int) -> None:
-    """As `worker`, with libFuzzer in place of its loop; the first byte of an input says of which file it is."""
-    import atheris
-
-    names, rng = list(listed), random.Random(f"{given.seed} {round_}")
-    mutator, pool = Mutator(rng, dictionary()), place / "pool"
-    pool.mkdir(exist_ok=True)
-    for k, name in enumerate(names):
-        for n, seed in enumerate(listed[name].seeds):
-            (pool / f"{k}-{n}").write_bytes(bytes([k]) + seed)
-    log = (place / "log").open("a", buffering=1)
-    sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115
-
-    def name_of(data: bytes) -> str:
-        return names[data[0] % len(names)]
-
-    def one(data: bytes) -> None:
-        if len(data) < 2:
-            return
-        name = name_of(data)
-        (place / "input").write_bytes(name.encode() + b"\n" + data[1:])
-        limited(SECONDS)
-        if fault := fault_of(listed[name], place / "work", data[1:]):
-            shutil.copy(place / "input", place / "faults" / f"{abs(hash(fault)) % 10**12}")
-        log.write(json.dumps([name, fault, 0]) + "\n")
-
-    def mutated(data: bytes, most: int, seed: int) -> bytes:
-        rng.seed(seed)
-        if len(data) < 2 or rng.random() < 0.5:
-            return bytes(atheris.Mutate(data, most))
-        seeds = listed[name_of(data)].seeds
-        return (data[:1] + mutator.mutant(name_of(data), data[1:], rng.choice(seeds)))[:most]
-
-    options = [
-        f"-runs={given.inputs}",
-        f"-seed={given.seed + round_}",
-        "-max_len=100000",
-        "-rss_limit_mb=0",
-        "-timeout=1200",
-    ]
-    atheris.Setup(
-        ["fuzz", *options, f"-max_total_time={int(60 * given.minutes)}", str(pool)], one, custom_mutator=mutated
-    )
-    with suppress(SystemExit):  # 0, after so many runs
-        atheris.Fuzz()
-
-
-def instrumented() -> None:
-    """The package, with a report of each branch to libFuzzer."""
-    import atheris
-
-    with atheris.instrument_imports(include=["casadical"], enable_loader_override=False):
-        from fuzz import load_all
-
-        load_all()
-
-
 def main() -> int:
     """Run workers one after the other until the processor's time is over, and count."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -615,10 +555,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="")
     parser.add_argument("--found", type=Path)
-    parser.add_argument("--engine", choices=("own", "atheris"), default="own")
     given = parser.parse_args()
-    if given.engine == "atheris":
-        instrumented()
     faults: Counter[tuple[str, str]] = Counter()
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
@@ -634,7 +571,7 @@ def main() -> int:
             if process == 0:
                 signal.signal(signal.SIGXCPU, signal.SIG_DFL)
                 try:
-                    (worker if given.engine == "own" else atheris_worker)(listed, place, given, round_)
+                    worker(listed, place, given, round_)
                     os._exit(0)
                 finally:
                     os._exit(99)
@@ -652,17 +589,16 @@ def main() -> int:
         runs = Counter(name for name, _, _ in rows)
         runs.update(name for name, _ in faults.elements())
         faults.update((name, fault) for name, fault, _ in rows if fault)
-        lines = f"{max(row[2] for row in rows)} lines of the package reached" if given.engine == "own" else "by atheris"
+        lines = max(row[2] for row in rows)
         kept = {name: len(list((place / "kept" / name.replace("/", "+")).glob("*"))) for name in listed}
         if given.found:
             shutil.copytree(place / "faults", given.found, dirs_exist_ok=True)
     print(
         f"{sum(runs.values())} inputs, {given.used / 60:.1f} min of the processor, seed {given.seed}, {round_} workers"
     )
-    print(f"{sum(faults.values())} faults of {len(faults)} sorts; {lines}")
+    print(f"{sum(faults.values())} faults of {len(faults)} sorts; {lines} lines of the package reached")
     for name in listed:
-        new = f", {kept[name]:4} reached new lines" if given.engine == "own" else ""
-        print(f"  {name:22} {runs[name]:6} inputs{new}")
+        print(f"  {name:22} {runs[name]:6} inputs, {kept[name]:4} reached new lines")
     for (name, fault), count in faults.most_common():
         print(f"FAULT {name}: {fault}  ({count} times)")
     return 1 if faults else 0
