@@ -31,7 +31,7 @@ LISTED = (
     ("project/check/slip_fit.py", "return self.q[shift:], self.y[: n - shift]",
      "return self.q[: n - shift], self.y[shift:]", "alignment of a shift"),
     ("project/check/slip_fit.py", "(moved + 1) // 2", "moved", "count of swaps"),
-    ("project/check/targets.py", "DISAGREE, SAME = 0.5, 0.7", "DISAGREE, SAME = 0.5, 0.07", "cut-off of targets"),
+    ("project/targets.py", "max(FEWEST, 0.7 * len(points))", "max(FEWEST, 0.07 * len(points))", "cut-off of targets"),
     ("project/acceptance/verification.py", "(freedom + made_up) / freedom", "freedom / (freedom + made_up)",
      "`made_up` of verify"),
 )  # fmt: skip
@@ -84,7 +84,7 @@ EQUIVALENT: dict[str, str] = {
     "pose_selection/candidates.py ReplaceBinaryOperator_Add_BitXor 3: columns[name] = np.array(states)[(start + payload) % len(states)] * np.ones((N, g)) => columns[name] = np.array(states)[(start ^ payload) % len(states)] * np.ones((N, g))": "one of the two is zero",
     "export/omission.py NumberReplacer 18: closed = (margin.reshape(-1, POSES) > LEAST_MARGIN).all(axis=0) => closed = (margin.reshape(- 2, POSES) > LEAST_MARGIN).all(axis=0)": "numpy takes any negative number for the dimension that is left",
     "export/c/chord.py NumberReplacer 141: m = L.shape[0] => m = L.shape[ -1]": "L is square",
-    "project/check/targets.py NumberReplacer 64: first, second = np.triu_indices(len(points[0]), 1) => first, second = np.triu_indices(len(points[ 1]), 1)": "all poses that get there show as many points",
+    "project/targets.py NumberReplacer 64: first, second = np.triu_indices(len(points[0]), 1) => first, second = np.triu_indices(len(points[ 1]), 1)": "all poses that get there show as many points",
     "blind_check/prediction.py NumberReplacer 80: left = left.with_columns(e.J.reshape(rows, -1)) => left = left.with_columns(e.J.reshape(rows, - 2))": "numpy takes any negative number for the dimension that is left",
     "fleet/touch_model.py ReplaceTrueWithFalse 3: return np.array([limit_of(n, -NormalDist().inv_cdf(p)) for n, p in zip(numbers, tail, strict=True)]) => return np.array([limit_of(n, -NormalDist().inv_cdf(p)) for n, p in zip(numbers, tail, strict=False)])": "both have one entry a day",
 }
