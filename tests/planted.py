@@ -17,7 +17,7 @@ USUAL: dict[str, dict[str, Any]] = {
     "gear_eccentricity": {"size": 40e-6, "towards": 0.6, "oval": 30e-6, "oval_towards": 1.1},
     "transmission_ripple": {"cycles": 4, "phase": 0.3},
     "frame_drift": {
-        "shift_m": (72e-6, -77e-6, 58e-6), "turn_rad": (19e-6, 24e-6, 26e-6), "settling_minutes": 15.0,
+        "shift_m": (115e-6, -123e-6, 93e-6), "turn_rad": (30e-6, 38e-6, 42e-6), "settling_minutes": 15.0,
     },
     "joint_zero_step": {"at_s": 1500.0},  # half of a campaign of 100 poses
     "thermal_growth": {"lag_minutes": 6.0},
