@@ -110,7 +110,6 @@ def claimed(folders: Iterable[str | Path]) -> Iterator[None]:
     process writes to one of them, or it cannot be made.
     """
 
-
     def remove_empty(folder: Path) -> None:
         with suppress(OSError):
             folder.rmdir()

@@ -211,8 +211,6 @@ def _numbers(m: Measurements) -> list[Array]:
     return [m.q, *(names.get(name, values).reshape(len(m), -1) for name, values in m.arrays.items())]
 
 
-
-
 def refuse_shared_rows(sets: Sequence[Measurements]) -> None:
     """Raises InputError where a table repeats rows of another one of its kind: a pose counts once."""
     rows = [np.unique(_hashes(_numbers(m))) for m in sets] if len(sets) > 1 else []

@@ -99,8 +99,6 @@ def _penalised(task: Task) -> Array:
     return np.asarray(~task.layout.output_biases(), dtype=np.float64)
 
 
-
-
 @dataclass(frozen=True)
 class LevenbergMarquardt(Trainer):
     """Settings.

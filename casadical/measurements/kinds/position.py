@@ -49,8 +49,6 @@ class Position(MeasurementKind):
         return ""
 
 
-
-
 class PositionCovariance(Position):
     """Position of the measured point; `whitening` makes its noise alike in all directions and at all poses.
 
