@@ -101,7 +101,7 @@ def test_the_figures_on_networks_are_those_of_the_studies() -> None:
 
 
 def test_every_study_named_has_its_output_beside_it() -> None:
-    """`docs/studies/NAME.py` or .txt named in a page: both are there, unless the script makes data or a picture, or is a module."""
+    """`docs/studies/NAME.py` or .txt named in a page: both are there, unless the script is no study that prints."""
     makers = {
         "acting",
         "architecture",
