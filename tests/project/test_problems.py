@@ -152,14 +152,3 @@ def test_hh800_has_the_papers_identifiable_set() -> None:
     assert (groups != "compliance").sum() == 29
     assert (groups == "compliance").sum() == 4
     assert all(u.reason for u in result.identifiability.held)
-
-
-@pytest.mark.parametrize("name", ["kr210", "ur10e"])
-def test_robots_of_the_campaigns_are_six_axes_with_all_compliances(name: str) -> None:
-    robot = read_robot(ROOT / "problems" / name / "robot.toml")
-    assert robot.n == 6
-    assert all(j.compliance and j.body for j in robot.joints)
-    assert robot.payload
-    assert robot.gravity_frame == "measuring"
-    assert (robot.base.unknown, robot.tool.unknown) == ("pose", "position")
-    assert "assumed" in " ".join(robot.notes)
