@@ -145,7 +145,7 @@ def test_two_tables_of_few_numbers_are_averaged_over_both() -> None:
         moved = replace(e, r=e.r / times, J=e.J / times[:, :, None], Jq=e.Jq / times[:, :, None])
         total.append(densities(moved, 0, None, logs) - np.log(times).sum())
     weight = sum(np.log((logs[1] - logs[0]) * np.sqrt(2 * m.sum() / (2 * np.pi))) for m in (few, other))
-    gained = float(np.logaddexp.reduce(np.array(total)) + weight) - densities(e, 0, None, np.zeros(1))[0]
+    gained = float(np.logaddexp.reduce(np.array(total), axis=None) + weight) - densities(e, 0, None, np.zeros(1))[0]
     alone = replace(e, unsure=()).log_base()[0, SIGMA]
     assert both.log_base()[0, SIGMA] - alone == pytest.approx(gained, abs=0.1)
 
