@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadical.core.basics import Array, Show
-from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, Evidence
+from casadical.diagnosis.evidence import KAPPA_GRID, KAPPA_WEIGHTS, RHO_GRID, Evidence
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, prior_weights
 
@@ -53,7 +53,7 @@ def noise_odds(case: Case, draws: int, rng: np.random.Generator) -> Iterator[Arr
     # A draw's own best sigma may lie one step aside.
     sigmas = np.arange(max(sigmas[0] - 1, 0), min(sigmas[-1] + 2, len(e.sigmas)))
     E = e.take(np.arange(e.width))
-    projections = [e.projected(float(RHOS[k])) for k in rhos]
+    projections = [e.projected(float(RHO_GRID[k])) for k in rhos]
     white = [p.columns(E) for p in projections]
     groups = [_groups(case, columns) for columns in white]
     for first in range(0, draws, BATCH):
@@ -69,7 +69,7 @@ def noise_odds(case: Case, draws: int, rng: np.random.Generator) -> Iterator[Arr
 def noise_alone(e: Evidence, share: Array, count: int, rng: np.random.Generator) -> Array:
     """Noise alone as columns, shape (n, 3, count) [m]; its size by chance as probable as the data make it."""
     rho, sigma = np.unravel_index(rng.choice(share.size, count, p=share.ravel()), share.shape)
-    joints = RHOS[rho] * rng.standard_normal((len(e.r), e.Jq.shape[2], count))
+    joints = RHO_GRID[rho] * rng.standard_normal((len(e.r), e.Jq.shape[2], count))
     white = rng.standard_normal((*e.r.shape, count))
     if e.measured is not None:
         white *= e.measured[:, :, None]
@@ -100,13 +100,13 @@ def log_likelihoods(
     base = log_norm - numbers * np.log(sigma)[:, None] - 0.5 * (Y**2).sum(axis=0) / sigma[:, None] ** 2
     b = E.T @ Y
     something = np.full(Y.shape[1], -np.inf)
-    signal = ((KAPPAS[None, :] / sigma[:, None]) ** 2).ravel()
-    own = np.repeat(sigma, len(KAPPAS))
+    signal = ((KAPPA_GRID[None, :] / sigma[:, None]) ** 2).ravel()
+    own = np.repeat(sigma, len(KAPPA_GRID))
     log_kappa = np.tile(np.log(KAPPA_WEIGHTS), len(sigma))
     for g in groups:
         gain = 1 + signal[:, None] * g.value
         quad = (signal[:, None] / gain / own[:, None] ** 2) @ (g.vector.T @ b[g.columns]) ** 2
         constant = g.log_weight + log_kappa - 0.5 * np.log(gain).sum(axis=1)
-        logs = np.repeat(base, len(KAPPAS), axis=0) + constant[:, None] + 0.5 * quad
+        logs = np.repeat(base, len(KAPPA_GRID), axis=0) + constant[:, None] + 0.5 * quad
         something = np.logaddexp(something, np.logaddexp.reduce(logs, axis=0))
     return np.logaddexp.reduce(base, axis=0), something

@@ -10,18 +10,18 @@ from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import EVERY
 from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.statistics import first_of_best
-from casadical.diagnosis.evidence import REPEATABILITY, RHOS, SIGMAS, Evidence
+from casadical.diagnosis.evidence import REPEATABILITY, RHO_GRID, SIGMA_GRID_M, Evidence
 from casadical.diagnosis.settings import SETTINGS
 from casadical.measurements.measurements import Noise
 
 FOLDS = 5
 
 
-def likely_noise(log_grid: Array, sigmas: Array = SIGMAS) -> Noise:
+def likely_noise(log_grid: Array, sigmas: Array = SIGMA_GRID_M) -> Noise:
     """The most probable noise of a log likelihood over (rhos, sigmas, ...)."""
-    grid = log_grid.reshape(len(RHOS), len(sigmas), -1).max(axis=2)
+    grid = log_grid.reshape(len(RHO_GRID), len(sigmas), -1).max(axis=2)
     rho, sigma = np.unravel_index(first_of_best(grid, logs=True), grid.shape)
-    return Noise(float(sigmas[sigma]), float(RHOS[rho] * sigmas[sigma]))
+    return Noise(float(sigmas[sigma]), float(RHO_GRID[rho] * sigmas[sigma]))
 
 
 def new_fit(e: Evidence, columns: Array, noise: Noise, *, combined: bool = True) -> Fit:

@@ -12,7 +12,7 @@ from casadical.core.statistics import robust_std
 from casadical.diagnosis.candidates import Candidate, candidates_of
 from casadical.diagnosis.changes import changes
 from casadical.diagnosis.conclusion import conclude
-from casadical.diagnosis.evidence import ALL_SIGMAS
+from casadical.diagnosis.evidence import WIDE_SIGMA_GRID_M
 from casadical.diagnosis.laws.contest import claimed_before_causes, replaces_causes
 from casadical.diagnosis.linear_problem import Case, better_ratios, make_case
 from casadical.diagnosis.noise_account import Rule
@@ -261,7 +261,7 @@ def _assumed(case: Case, found: Identification, given: Sequence[Measurements]) -
 
 def _refuse_coarser(found: Diagnosis) -> Diagnosis:
     """Where even the best model leaves more than the widest noise grid holds, the robot is not the file's."""
-    most = float(ALL_SIGMAS[-1])
+    most = float(WIDE_SIGMA_GRID_M[-1])
     if found.noise.sigma < most:
         return found
     left = 1e3 * robust_std(found.case.whole.r)

@@ -14,7 +14,7 @@ from casadical.core.parameters import Parameter
 from casadical.core.statistics import robust_std
 from casadical.diagnosis.candidates import Candidate, choose
 from casadical.diagnosis.cross_validation import fit_of
-from casadical.diagnosis.evidence import ALL_SIGMAS, RHOS, SIGMAS, BaseParameters, Evidence, KnownNoise
+from casadical.diagnosis.evidence import RHO_GRID, SIGMA_GRID_M, WIDE_SIGMA_GRID_M, BaseParameters, Evidence, NoisePrior
 from casadical.diagnosis.instrument_columns import with_far_ends, with_images
 from casadical.diagnosis.linearisation import EffectColumns, Made
 from casadical.diagnosis.noise_evidence import PLAIN, Form, as_form_moves
@@ -177,7 +177,7 @@ class Case:
         larger in the same proportion.
         """
         left, most = float(np.sqrt(np.sum(self.evidence.r**2) / self.evidence.count)), float(self.whole.sigmas[-1])
-        whole = replace(self.whole, sigmas=ALL_SIGMAS)
+        whole = replace(self.whole, sigmas=WIDE_SIGMA_GRID_M)
         if left > most:
             assert isinstance(whole.E, EffectColumns)
             whole = replace(whole, reference=left, E=replace(whole.E, growth=left / most, first=None, made=Made()))
@@ -243,8 +243,8 @@ class Case:
             replace(c, variants=tuple(tuple(learnt if e == effect else e for e in v) for v in c.variants))
             for c in self.candidates
         )
-        rho = int(np.argmin(np.abs(RHOS - noise.repeatability / noise.sigma)))
-        near = tuple(range(max(rho - 1, 0), min(rho + 2, len(RHOS))))
+        rho = int(np.argmin(np.abs(RHO_GRID - noise.repeatability / noise.sigma)))
+        near = tuple(range(max(rho - 1, 0), min(rho + 2, len(RHO_GRID))))
         whole = replace(self.whole, held=held, reference=noise.sigma, near=near)
         more = replace(self, candidates=candidates, columns={**self.columns, learnt: columns}, whole=whole)
         more.evidence.extending(self.evidence)
@@ -348,14 +348,14 @@ def _problem(
         E,
         held=E.held,
         Jq=seen.Jq,
-        known=KnownNoise(declared, sheet, again.sigma, min(again.freedom, 60)),
+        known=NoisePrior(declared, sheet, again.sigma, min(again.freedom, 60)),
         measured=seen.measured,
         size=seen.size,
         alike=seen.alike,
         unsure=unsure_tables(seen),
     )
     if not seen.plain:
-        whole = replace(whole, reference=max(left, float(SIGMAS[0])))
+        whole = replace(whole, reference=max(left, float(SIGMA_GRID_M[0])))
     return kept, *BaseParameters.restricted(whole)
 
 

@@ -15,7 +15,7 @@ from casadical.core.linear_gaussian.columns import SerialColumns
 from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.linear_gaussian.marginals import NONE
 from casadical.core.linear_gaussian.noise import SerialNoise, serial_noise
-from casadical.diagnosis.evidence import REPEATABILITY, RHOS, Evidence
+from casadical.diagnosis.evidence import REPEATABILITY, RHO_GRID, Evidence
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,5 +86,5 @@ class Problem:
     def residual(self, form: Form, rho: int) -> Array:
         """Return the whitened residual of the fit at a ratio of the grid, shape (n, 3), in units of sigma."""
         moved = as_form_moves(self._own, form, self._order)
-        fit = Fit(moved, NONE, moved.reference, {REPEATABILITY: float(RHOS[rho])})
+        fit = Fit(moved, NONE, moved.reference, {REPEATABILITY: float(RHO_GRID[rho])})
         return np.asarray(moved.reference * fit.rest.reshape(moved.r.shape))

@@ -1,4 +1,4 @@
-"""What noise alone leaves: the scatter of repeated poses, and the held-out error that noise of a size gives."""
+"""Noise floor of a campaign: standard deviation over repeated poses, and the held-out error of noise alone."""
 
 import re
 from dataclasses import dataclass, replace
@@ -10,17 +10,21 @@ from casadical.diagnosis.cross_validation import held_out_errors, partitions
 from casadical.diagnosis.evidence import Evidence
 from casadical.measurements.measurements import Measurements, Noise
 
-# Usual share of poses that the instrument gets wrong, and how many times their noise is the usual one.
-OUTLIERS, TIMES = 0.01, np.geomspace(3.0, 300.0, 9)
+# Prior share of outlier poses, for which the instrument's noise is inflated.
+OUTLIER_SHARE = 0.01
+# Equally probable factors by which an outlier's noise standard deviation is inflated.
+OUTLIER_NOISE_FACTORS = np.geomspace(3.0, 300.0, 9)
+# Logged columns that must be equal for two poses to count as repeated.
 _CIRCUMSTANCE = re.compile(r"payload_kg|approach\d+|(tool|session)_.*")
 
 
 @dataclass(frozen=True)
 class Replicates:
-    """Scatter of repeated poses.
+    """Standard deviation over repeated poses.
 
-    sigma : of one coordinate [m], instrument and joint repeatability together; poses, groups : how many poses repeat,
-    and of how many different ones; freedom : degrees of freedom
+    sigma : standard deviation of one coordinate [m], instrument and joint repeatability together
+    poses : number of measurements at repeated poses; groups : number of distinct repeated poses
+    freedom : degrees of freedom of sigma
     """
 
     sigma: float
@@ -30,22 +34,24 @@ class Replicates:
 
     @property
     def enough(self) -> bool:
-        """Whether they are enough to go by."""
-        # Fewer degrees of freedom than this leave the noise uncertain by more than a fifth.
+        """Return whether there are enough degrees of freedom to rely on sigma."""
+        # With fewer than 12 degrees of freedom sigma is uncertain by more than a fifth.
         return self.freedom >= 12
 
 
 def replicates(
     m: Measurements, r: Array, kept: Array, apart: Array | None = None, measured: Array | None = None
 ) -> Replicates:
-    """Scatter of the residuals r, shape (n, 3) [m], of kept poses at the same readings, payload and logged approach.
+    """Return the standard deviation of the residuals of inlier poses at equal readings and circumstances.
 
-    apart : number of what each pose was measured to, where there are several, shape (n,); measured : as of `Evidence`
+    r : residuals, shape (n, 3) [m]; kept : mask of the inlier poses, shape (n,)
+    apart : index of the target of each pose, shape (n,), if there are several
+    measured : mask of the numbers that were measured, shape (n, 3); all by default
     """
     circumstances = [values for name, values in m.conditions.items() if _CIRCUMSTANCE.fullmatch(name)]
     circumstances += [] if apart is None else [apart]
-    # Readings that differ by less than this [rad or m] are one pose; the model's own small
-    # difference is taken off.
+    # Readings that are equal after rounding to 1e-3 rad or m are one pose. Residuals are compared, so
+    # that the small modelled difference between such poses does not count as scatter.
     key = np.column_stack([np.round(m.q / 1e-3), *circumstances])[kept]
     _, group, counts = np.unique(key, axis=0, return_inverse=True, return_counts=True)
     group = group.ravel()
@@ -54,16 +60,17 @@ def replicates(
     apart = r[kept] - (means / counts[:, None])[group]
     several = counts[counts > 1]
     numbers = np.full(len(r), r.shape[1]) if measured is None else np.count_nonzero(measured, axis=1)
-    # Each pose of a group of k has the share 1 - 1 / k of its numbers.
+    # The mean of a group of k poses takes 1 / k of the degrees of freedom of each pose.
     freedom = round(float((numbers[kept] * (1 - 1 / counts[group])).sum()))
     sigma = float(np.sqrt((apart**2).sum() / freedom)) if freedom else 0.0
     return Replicates(sigma, int(several.sum()), len(several), freedom)
 
 
 def noise_floor(e: Evidence, noise: Noise, anchor: float, seed: int) -> float:
-    """Mean held-out error [m] if only noise were left: simulated through the same fit.
+    """Return the mean held-out error of simulated pure noise under the same fit [m].
 
-    noise : as the fit leaves it; anchor : its size of a coordinate, where something else says it [m], else zero
+    noise : noise estimated by the fit
+    anchor : standard deviation of a coordinate to which the noise is scaled [m]; zero to use it unchanged
     """
     if anchor:
         scale = anchor / scatter_of_coordinate(e, noise)
@@ -79,15 +86,24 @@ def noise_floor(e: Evidence, noise: Noise, anchor: float, seed: int) -> float:
 
 
 def outlier_probability(distance: Array) -> float:
-    """Probability that any of some poses is an outlier, by their squared Mahalanobis distances, shape (k,).
+    """Return the probability that at least one of the poses is an outlier.
 
-    A pose's noise is the usual, or with a share of `OUTLIERS` so many times as large as one of `TIMES`, alike likely.
+    distance : squared Mahalanobis distances of the poses, shape (k,), of three coordinates each. With prior
+    probability `OUTLIER_SHARE` the noise of a pose is inflated by one of `OUTLIER_NOISE_FACTORS`.
     """
-    wide = -3 * np.log(TIMES)[:, None] - 0.5 * distance / TIMES[:, None] ** 2 + 0.5 * distance
-    odds = np.log(OUTLIERS / (1 - OUTLIERS)) + np.logaddexp.reduce(wide, axis=0) - np.log(len(TIMES))
+    wide = (
+        -3 * np.log(OUTLIER_NOISE_FACTORS)[:, None]
+        - 0.5 * distance / OUTLIER_NOISE_FACTORS[:, None] ** 2
+        + 0.5 * distance
+    )
+    odds = (
+        np.log(OUTLIER_SHARE / (1 - OUTLIER_SHARE))
+        + np.logaddexp.reduce(wide, axis=0)
+        - np.log(len(OUTLIER_NOISE_FACTORS))
+    )
     return float(-np.expm1(-np.logaddexp(0, odds).sum()))
 
 
 def scatter_of_coordinate(e: Evidence, noise: Noise) -> float:
-    """Of one measured coordinate about the truth, instrument and joint repeatability together [m]."""
+    """Return the noise standard deviation of one measured coordinate [m], instrument and joints together."""
     return float(np.sqrt(np.trace(e.covariance(noise), axis1=1, axis2=2).mean() / e.r.shape[1]))

@@ -16,7 +16,7 @@ from casadical.core.basics import Array
 from casadical.core.linear_gaussian.marginals import REACH
 from casadical.core.statistics import best_of, first_of_best
 from casadical.diagnosis.cross_validation import likely_noise
-from casadical.diagnosis.evidence import RHOS
+from casadical.diagnosis.evidence import RHO_GRID
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_evidence import Form, Problem
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, Rival
@@ -171,7 +171,7 @@ def tailed(problem: Problem, usual: Form | None = None) -> Form | None:
     grid = problem.log_likelihood(usual) if usual.stays else problem.e.log_base(problem.chosen)
     for _ in range(FOUND_IN):
         noise = likely_noise(grid, problem.e.sigmas)
-        rho = int(np.argmin(np.abs(RHOS - noise.repeatability / noise.sigma)))
+        rho = int(np.argmin(np.abs(RHO_GRID - noise.repeatability / noise.sigma)))
         square = ((problem.residual(form, rho) * times[:, None]) ** 2).sum(axis=1) / noise.sigma**2
         before, times = times, np.where(log_odds + 0.5 * square * (1 - TIMES**-2) > 0, TIMES, 1.0)
         if np.array_equal(before, times):

@@ -1,4 +1,4 @@
-"""Which cause: posteriors over none, every listed cause and the unknown, step by step while the gap shrinks."""
+"""Posterior probability of no cause, of every candidate cause and of an unlisted one, given those in the model."""
 
 from collections import Counter
 from collections.abc import Collection, Mapping
@@ -17,24 +17,28 @@ if TYPE_CHECKING:
     from casadical.diagnosis.linear_problem import Case
     from casadical.diagnosis.motion.problem import MotionCase
 
-    # What a ranking is of.
+    # The kinds of case that can be ranked.
     Judged: TypeAlias = Case | MotionCase
 
-# Before any data: nothing, one of the listed effects, something on no list; and the same once causes were found.
+# Prior probabilities of the first cause: no cause, one of the listed effects, an unlisted effect.
 PRIOR_FIRST = {"none": 0.25, "listed": 0.60, "unknown": 0.15}
+# The same for an additional cause, once one was found.
 PRIOR_FURTHER = {"none": 0.75, "listed": 0.20, "unknown": 0.05}
 
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
-    """What the data say about the next cause, given those already chosen.
+    """Posterior over the next cause, given those already in the model.
 
-    none : probability that there is no further one; probability : of each candidate, by label, summing to one with it
-    log_factor : log Bayes factor of each candidate against none, by label; log_mass : with the log of its prior
-    variant : its most likely settings, by label (index of the variant); a rival has none
-    noise : most likely noise, without a further cause (key "") and with each candidate
-    log_noise : what other forms of noise add to the log mass of none; noise_form : the best, where it is more probable
-        than plain noise (see `noise_forms`)
+    none : posterior probability that there is no additional cause
+    probability : posterior probability of each candidate, by label; they and none sum to one
+    log_factor : log Bayes factor of each candidate against no cause, by label
+    log_mass : log_factor plus the log of the candidate's prior, by label
+    variant : index of the most likely variant (settings) of each candidate, by label; a `Rival` has none
+    noise : most likely noise without an additional cause (key "") and with each candidate, by label
+    log_noise : increase of the log mass of none by other forms of noise
+    noise_form : the most probable form of noise, where it is more probable than white noise; else empty
+        (see `noise_forms`)
     """
 
     none: float
@@ -48,12 +52,15 @@ class Ranking:
 
     @property
     def order(self) -> tuple[str, ...]:
-        """Labels, the most probable first."""
+        """Return the labels of the candidates, the most probable first."""
         labels = list(self.probability)
         return tuple(labels[k] for k in ranked(list(self.probability.values())))
 
     def weighed(self, none: float) -> "Ranking":
-        """The same with probabilities by its masses; none : log mass of no further cause."""
+        """Return the ranking with probabilities normalised from its masses.
+
+        none : log mass of no additional cause
+        """
         logs = np.array([none, *self.log_mass.values()])
         share = np.exp(logs - np.logaddexp.reduce(logs, axis=None))
         return replace(
@@ -61,7 +68,7 @@ class Ranking:
         )
 
     def among(self, labels: Collection[str]) -> "Ranking":
-        """The same between none and these candidates alone."""
+        """Return the ranking renormalised over none and these candidates only."""
         kept = {k: p for k, p in self.probability.items() if k in labels}
         total = self.none + sum(kept.values())
         return replace(self, none=self.none / total, probability={k: p / total for k, p in kept.items()})
@@ -69,12 +76,12 @@ class Ranking:
 
 @dataclass(frozen=True)
 class Rival:
-    """What is compared at a ranking beside the case's candidates, such as a law that a search found; on no list.
+    """An unlisted alternative that competes with the case's candidates, such as an expression found by a search.
 
-    label : unlike that of any candidate
-    log_factor : log Bayes factor against none, averaged over its settings, with the log of its share of all rivals'
-        prior: what it was selected from is paid for
-    noise : most likely with it
+    label : name that no candidate has
+    log_factor : log Bayes factor against no cause, averaged over its settings, plus the log of its share of
+        the prior of all rivals, which pays for the selection among them
+    noise : most likely noise with this rival in the model
     """
 
     label: str
@@ -82,17 +89,18 @@ class Rival:
     noise: Noise
 
 
-# A further cause at a joint that has one already is more likely a flaw of the first one's equation.
-SAME_JOINT = 0.05
+# Factor on the prior of an additional cause at a joint that has a cause already: it is more likely a
+# flaw of the first cause's equation.
+SAME_JOINT_PRIOR_FACTOR = 0.05
 
 
 def rank(
     case: "Judged", chosen: Array, skip: frozenset[str] = frozenset(), covered: frozenset[str] = frozenset()
 ) -> Ranking:
-    """Posterior over the next cause.
+    """Return the posterior over the next cause.
 
     chosen : columns of causes that are in the model already; skip : their labels, no longer candidates
-    covered : labels of those that a cause in the model holds already, no candidates either
+    covered : labels of candidates that a cause in the model includes; these are no candidates either
     """
     judged = [k for k, (c, _) in enumerate(case.variants) if case.candidates[c].label not in skip | covered]
     grids = case.judged.log_grids([case.groups[k] for k in judged], chosen) + np.log(KAPPA_WEIGHTS)
@@ -117,7 +125,12 @@ def rank(
 def prior_weights(
     case: "Judged", prior: Mapping[str, float], skip: frozenset[str], covered: frozenset[str] = frozenset()
 ) -> dict[str, float]:
-    """Listed effects share alike, then each its joints; so do the rarer ones, and all smooth forms have as much."""
+    """Return the prior probability of each candidate, by label.
+
+    Listed effects share their prior equally, and each effect's share is divided among its joints. The
+    prior of unlisted effects is divided in the same way, half among the rare effects and half
+    for the smooth forms named "unknown".
+    """
     open_ = [c for c in case.candidates if c.label not in skip | covered]
     taken = {c.joint for c in case.candidates if c.label in skip and c.joint is not None}
     names = Counter(c.name for c in open_ if not c.together)
@@ -126,4 +139,7 @@ def prior_weights(
     part = {name: prior["listed"] / sum(kinds.values()) for name, listed in kinds.items() if listed}
     part |= {name: prior["unknown"] / 2 / len(rare) for name in rare}
     part["unknown"] = prior["unknown"] / (2 if rare else 1)
-    return {c.label: part[c.name] / max(names[c.name], 1) * (SAME_JOINT if c.joint in taken else 1.0) for c in open_}
+    return {
+        c.label: part[c.name] / max(names[c.name], 1) * (SAME_JOINT_PRIOR_FACTOR if c.joint in taken else 1.0)
+        for c in open_
+    }

@@ -7,7 +7,7 @@ from __future__ import annotations
 # File, what stands there (once), what is put in its place, and what that means.
 LISTED = (
     ("diagnosis/posterior.py", '"unknown": 0.15}', '"unknown": 0.015}', "prior of the unknown"),
-    ("diagnosis/posterior.py", "SAME_JOINT = 0.05", "SAME_JOINT = 0.5", "a second cause at a joint"),
+    ("diagnosis/posterior.py", "SAME_JOINT_PRIOR_FACTOR = 0.05", "SAME_JOINT_PRIOR_FACTOR = 0.5", "a second cause at a joint"),
     ("diagnosis/noise_floor.py", "Noise(scale * noise.sigma, scale * noise.repeatability)",
      "Noise(scale * noise.sigma, noise.repeatability)", "scale of repeatability"),
     ("diagnosis/noise_floor.py", "wide = -3 * np.log", "wide = -2 * np.log", "-3 log of a pose's noise"),

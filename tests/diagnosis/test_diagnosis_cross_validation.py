@@ -18,7 +18,7 @@ from casadical.diagnosis.cross_validation import (
     remainders,
     shrink_interval,
 )
-from casadical.diagnosis.evidence import ALL_SIGMAS, RHOS, SIGMAS, Evidence
+from casadical.diagnosis.evidence import RHO_GRID, SIGMA_GRID_M, WIDE_SIGMA_GRID_M, Evidence
 from casadical.effects.base import CHOSEN
 from casadical.measurements.measurements import Noise
 
@@ -89,13 +89,13 @@ def test_folds_are_even_and_seeded() -> None:
 
 
 def test_most_likely_noise_is_the_grids_top() -> None:
-    grid = np.full((len(RHOS), len(SIGMAS), 2), -5.0)
+    grid = np.full((len(RHO_GRID), len(SIGMA_GRID_M), 2), -5.0)
     grid[2, 11, 1] = 0.0
-    assert likely_noise(grid) == Noise(SIGMAS[11], RHOS[2] * SIGMAS[11])
-    wide = np.full((len(RHOS), len(ALL_SIGMAS), 2), -5.0)
+    assert likely_noise(grid) == Noise(SIGMA_GRID_M[11], RHO_GRID[2] * SIGMA_GRID_M[11])
+    wide = np.full((len(RHO_GRID), len(WIDE_SIGMA_GRID_M), 2), -5.0)
     wide[2, 19, 1] = 0.0
-    assert likely_noise(wide, ALL_SIGMAS).sigma == pytest.approx(SIGMAS[11], rel=1e-12)
-    assert ALL_SIGMAS[0] < 1e-6 < 1e-2 < ALL_SIGMAS[-1]
+    assert likely_noise(wide, WIDE_SIGMA_GRID_M).sigma == pytest.approx(SIGMA_GRID_M[11], rel=1e-12)
+    assert WIDE_SIGMA_GRID_M[0] < 1e-6 < 1e-2 < WIDE_SIGMA_GRID_M[-1]
 
 
 def test_shrink_interval_of_a_sure_thing_is_a_point() -> None:

@@ -8,7 +8,7 @@ from cases import small_problem
 from scipy.stats import multivariate_normal
 
 from casadical.core.basics import Array
-from casadical.diagnosis.evidence import ALL_SIGMAS, KAPPAS, RHOS, SIGMAS, BaseParameters, Evidence
+from casadical.diagnosis.evidence import KAPPA_GRID, RHO_GRID, SIGMA_GRID_M, WIDE_SIGMA_GRID_M, BaseParameters, Evidence
 from casadical.diagnosis.noise_evidence import PLAIN, Problem
 from casadical.diagnosis.noise_floor import noise_floor, outlier_probability, scatter_of_coordinate
 from casadical.measurements.measurements import Noise
@@ -23,7 +23,7 @@ def test_noise_is_the_same_however_far_a_robot_departs_from_its_priors(off: floa
     share = np.exp(BaseParameters.restricted(e)[0].log_base()[0])
     rest = white.ravel() - J.reshape(60, 12) @ np.linalg.lstsq(J.reshape(60, 12), white.ravel(), rcond=None)[0]
     left = np.sqrt((rest**2).sum() / (60 - 12))
-    assert np.exp((share * np.log(SIGMAS)).sum() / share.sum()) == pytest.approx(left, rel=0.03)
+    assert np.exp((share * np.log(SIGMA_GRID_M)).sum() / share.sum()) == pytest.approx(left, rel=0.03)
 
 
 def test_what_moves_nothing_is_not_in_the_model_and_changes_no_evidence() -> None:
@@ -47,9 +47,9 @@ def test_what_moves_nothing_is_not_in_the_model_and_changes_no_evidence() -> Non
 
 def test_wider_noise_grid_holds_the_usual_one() -> None:
     e = small_problem()
-    wide, groups = replace(e, sigmas=ALL_SIGMAS), [np.array([0]), np.array([1, 2])]
-    usual = slice(8, 8 + len(SIGMAS))
-    np.testing.assert_allclose(ALL_SIGMAS[usual], SIGMAS, rtol=1e-12)
+    wide, groups = replace(e, sigmas=WIDE_SIGMA_GRID_M), [np.array([0]), np.array([1, 2])]
+    usual = slice(8, 8 + len(SIGMA_GRID_M))
+    np.testing.assert_allclose(WIDE_SIGMA_GRID_M[usual], SIGMA_GRID_M, rtol=1e-12)
     np.testing.assert_allclose(wide.log_base()[:, usual], e.log_base(), rtol=1e-9)
     np.testing.assert_allclose(wide.log_grids(groups)[:, :, usual], e.log_grids(groups), rtol=1e-9)
 
@@ -95,21 +95,23 @@ def two_tables(times: float) -> Evidence:
     r = rng.normal(size=(40, 3))
     r[:FEW_POSES] *= times / np.sqrt(np.mean(r[:FEW_POSES] ** 2))
     few = np.repeat(np.arange(40) < FEW_POSES, 3).reshape(40, 3)
-    r *= SIGMAS[SIGMA]
+    r *= SIGMA_GRID_M[SIGMA]
     return Evidence(r, J, np.zeros(2), np.full(2, 1e-5), E, Jq=Jq, unsure=(few,))
 
 
 def densities(e: Evidence, rho: int, column: int | None, logs: Array) -> Array:
     """Log density of the residuals by their whole covariance, where the few numbers are as noisy as these logs say."""
     few, J = e.unsure[0].ravel(), e.J.reshape(e.r.size, -1) * e.prior / e.reference
-    known = SIGMAS[SIGMA] ** 2 * J @ J.T
+    known = SIGMA_GRID_M[SIGMA] ** 2 * J @ J.T
     if column is not None:
         own = e.take(np.array([column])).ravel()
-        known += KAPPAS[2] ** 2 * np.outer(own, own)
+        known += KAPPA_GRID[2] ** 2 * np.outer(own, own)
     for k, Jq in enumerate(e.Jq):
-        known[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += (SIGMAS[SIGMA] * RHOS[rho]) ** 2 * Jq @ Jq.T
+        known[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += (SIGMA_GRID_M[SIGMA] * RHO_GRID[rho]) ** 2 * Jq @ Jq.T
     white = [np.diag(np.where(few, np.exp(2 * t), 1.0)) for t in logs]
-    return np.array([multivariate_normal(cov=known + SIGMAS[SIGMA] ** 2 * own).logpdf(e.r.ravel()) for own in white])
+    return np.array(
+        [multivariate_normal(cov=known + SIGMA_GRID_M[SIGMA] ** 2 * own).logpdf(e.r.ravel()) for own in white]
+    )
 
 
 @pytest.mark.parametrize("times", [0.85, 1.0, 1.2])

@@ -11,7 +11,7 @@ from casadical import InputError
 from casadical.compensator import LevenbergMarquardt
 from casadical.diagnosis.cross_validation import held_out_errors, random_folds
 from casadical.diagnosis.diagnose import Diagnosis
-from casadical.diagnosis.evidence import SIGMAS
+from casadical.diagnosis.evidence import SIGMA_GRID_M
 from casadical.diagnosis.held_out_gap import Stage, check_refit, course, network_gap, of_time, time_blocks
 from casadical.diagnosis.isolability import isolability
 from casadical.diagnosis.linear_problem import Case
@@ -139,7 +139,7 @@ def scatter(d: Diagnosis) -> float:
 
 def test_coarse_instrument_is_diagnosed_on_a_wider_grid() -> None:
     usual = diagnose(robot("ur10e"), practice("ur10e-P03"), FEW)
-    assert len(usual.case.whole.sigmas) == len(SIGMAS)
+    assert len(usual.case.whole.sigmas) == len(SIGMA_GRID_M)
     rough = diagnose(robot("ur10e"), rougher(practice("ur10e-P03"), 6e-4), FEW)
     assert rough.verdict == "none"
     np.testing.assert_allclose(scatter(rough), 6e-4, rtol=0.1)

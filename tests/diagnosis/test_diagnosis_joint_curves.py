@@ -13,7 +13,7 @@ from casadical.blind_check.mujoco_physics import perturb
 from casadical.core.linear_gaussian.sums import WIDE
 from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.details import Details
-from casadical.diagnosis.evidence import KAPPAS, RHOS, SIGMAS, Evidence
+from casadical.diagnosis.evidence import KAPPA_GRID, RHO_GRID, SIGMA_GRID_M, Evidence
 from casadical.diagnosis.joint_curves import curve_of, curves_of, joint_curves
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.settings_search import learnt_sizes
@@ -156,16 +156,16 @@ def test_a_wide_group_is_the_normal_density(n: int, chosen: list[int]) -> None:
         C = np.zeros((3 * n, 3 * n))
         for k, Jq in enumerate(e.Jq):
             own = slice(3 * k, 3 * k + 3)
-            C[own, own] = SIGMAS[sigma] ** 2 * (np.eye(3) + RHOS[rho] ** 2 * Jq @ Jq.T)
-        share = SIGMAS[sigma] / e.reference
+            C[own, own] = SIGMA_GRID_M[sigma] ** 2 * (np.eye(3) + RHO_GRID[rho] ** 2 * Jq @ Jq.T)
+        share = SIGMA_GRID_M[sigma] / e.reference
         C += share**2 * (J * e.prior**2) @ J.T + (share * 8.0) ** 2 * E[:, also] @ E[:, also].T
         logs = [
             multivariate_normal(J @ e.delta0, C + size**2 * E[:, group] @ E[:, group].T).logpdf(e.r.ravel())
-            for size in (0.0, KAPPAS[kappa])
+            for size in (0.0, KAPPA_GRID[kappa])
         ]
         gain = grid[rho, sigma, kappa] - base[rho, sigma]
         # With more columns than rows, what the base model takes up does not count for finer noise.
-        finer = np.log(SIGMAS[np.argmax(base[rho])] / SIGMAS[sigma]) if 3 * n < len(group) else 0.0
+        finer = np.log(SIGMA_GRID_M[np.argmax(base[rho])] / SIGMA_GRID_M[sigma]) if 3 * n < len(group) else 0.0
         taken = np.trace(J @ np.linalg.solve(J.T @ J + np.diag((e.reference / e.prior) ** 2), J.T))
         assert gain == pytest.approx(logs[1] - logs[0] - taken * max(finer, 0.0), abs=1e-5)
 

@@ -19,7 +19,7 @@ from casadical.core.basics import Array, InputError
 from casadical.core.telling.blocks import Words
 from casadical.core.telling.result import plain_text
 from casadical.diagnosis.details import Details, analyse
-from casadical.diagnosis.evidence import RHOS
+from casadical.diagnosis.evidence import RHO_GRID
 from casadical.diagnosis.figures import diagnosis_figures
 from casadical.diagnosis.json_answer import as_json as diagnosis_json
 from casadical.diagnosis.laws import contest
@@ -173,7 +173,7 @@ def test_products_of_functions_of_each_column_are_those_of_the_columns(stays: fl
     G, b = screen.products(*problem.in_order(places, functions))
     for k in range(functions.shape[-1]):
         columns = np.concatenate([places * part[:, None, :, k] for part in functions], axis=2)
-        projection = problem.evidence.projected(float(RHOS[2]))
+        projection = problem.evidence.projected(float(RHO_GRID[2]))
         white = projection.columns(problem.white(columns))
         np.testing.assert_allclose(G[k], white.T @ white, rtol=1e-6, atol=1e-6 * np.abs(G[k]).max())
         np.testing.assert_allclose(b[k], white.T @ projection.y, rtol=1e-6, atol=1e-6 * np.abs(b[k]).max())

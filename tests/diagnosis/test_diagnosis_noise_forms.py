@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from casadical.blind_check.mujoco_physics.cause import Cause
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.model import Memory
-from casadical.diagnosis.evidence import RHOS, SIGMAS, Evidence, KnownNoise
+from casadical.diagnosis.evidence import RHO_GRID, SIGMA_GRID_M, Evidence, NoisePrior
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.noise_evidence import Form, Problem, as_form_moves
 from casadical.diagnosis.noise_forms import FOLLOWS, SCATTERS, SHARE, TIMES, following, noise_forms, scattering, tailed
@@ -28,7 +28,7 @@ def small(poses: int = 14) -> Evidence:
     c = case("kr210-P02")
     # Wide priors would make the covariance, by which it is checked, singular in double precision.
     J, prior = c.base.J[c.kept][:poses], np.minimum(c.base.prior, 1e-4)
-    e = replace(c.evidence.at(np.arange(poses)), J=J, prior=prior, delta0=0 * prior, known=KnownNoise(), absorbed=0.0)
+    e = replace(c.evidence.at(np.arange(poses)), J=J, prior=prior, delta0=0 * prior, known=NoisePrior(), absorbed=0.0)
     return replace(e, E=np.zeros((poses, 3, 1)), held=None)
 
 
@@ -37,7 +37,7 @@ def density(e: Evidence, rho: int, sigma: float, correlation: Array, joints: Seq
     noise = np.kron(correlation, np.eye(3))
     for k, Jq in enumerate(e.Jq):
         at = slice(3 * k, 3 * k + 3)
-        noise[at, at] += RHOS[rho] ** 2 * (Jq * np.square(joints)) @ Jq.T
+        noise[at, at] += RHO_GRID[rho] ** 2 * (Jq * np.square(joints)) @ Jq.T
     J = e.J.reshape(e.r.size, -1)
     covariance = sigma**2 * (noise + J @ np.diag((e.prior / e.reference) ** 2) @ J.T)
     r = (e.r - e.J @ e.delta0).ravel()
@@ -69,29 +69,29 @@ def test_the_evidence_of_noise_that_follows_itself_is_that_of_its_covariance(col
     p = problem(small(), order, columns)
     e = with_causes(p)
     steps = np.abs(np.subtract.outer(np.argsort(order), np.argsort(order)))
-    plain = e.log_base()[0, at] - density(e, 0, SIGMAS[at], np.eye(14), np.ones(6))
+    plain = e.log_base()[0, at] - density(e, 0, SIGMA_GRID_M[at], np.eye(14), np.ones(6))
     assert p.log_likelihood(Form())[0, at] == pytest.approx(e.log_base()[0, at], abs=1e-5)
     for stays in FOLLOWS:
         found = p.log_likelihood(following(stays, 14))[0, at]
-        assert found - density(e, 0, SIGMAS[at], stays**steps, np.ones(6)) == pytest.approx(plain, abs=1e-5)
+        assert found - density(e, 0, SIGMA_GRID_M[at], stays**steps, np.ones(6)) == pytest.approx(plain, abs=1e-5)
 
 
 def test_the_evidence_of_a_scattering_joint_is_that_of_its_covariance(columns: int) -> None:
     at, p = 16, problem(small(), columns=columns)
     e = with_causes(p)
-    plain = e.log_base()[0, at] - density(e, 0, SIGMAS[at], np.eye(14), np.ones(6))
+    plain = e.log_base()[0, at] - density(e, 0, SIGMA_GRID_M[at], np.eye(14), np.ones(6))
     worse = np.where(np.arange(6) == 2, SCATTERS, 1.0)
     found = p.log_likelihood(Form(joint=2, worse=SCATTERS))
     for rho in (0, 3):
-        assert found[rho, at] - density(e, rho, SIGMAS[at], np.eye(14), worse) == pytest.approx(plain, abs=1e-5)
+        assert found[rho, at] - density(e, rho, SIGMA_GRID_M[at], np.eye(14), worse) == pytest.approx(plain, abs=1e-5)
 
 
 def test_poses_far_out_are_weighed_down_and_paid_for(columns: int) -> None:
     at, e = 12, small(40)
     rng = np.random.default_rng(1)
-    r = SIGMAS[at] * rng.standard_normal((40, 3))
+    r = SIGMA_GRID_M[at] * rng.standard_normal((40, 3))
     assert tailed(problem(replace(e, r=r))) is None
-    r[[5, 20]] += 6 * SIGMAS[at]
+    r[[5, 20]] += 6 * SIGMA_GRID_M[at]
     p = problem(replace(e, r=r), columns=3 * columns)
     far = with_causes(p)
     found = tailed(p)
@@ -99,8 +99,8 @@ def test_poses_far_out_are_weighed_down_and_paid_for(columns: int) -> None:
     times = np.where(np.isin(np.arange(40), (5, 20)), TIMES, 1.0)
     assert found.times == pytest.approx(times)
     shares = 2 * np.log(SHARE) + 38 * np.log(1 - SHARE)
-    plain = far.log_base()[0, at] - density(far, 0, SIGMAS[at], np.eye(40), np.ones(6))
-    exact = density(far, 0, SIGMAS[at], np.diag(times**2), np.ones(6)) + shares
+    plain = far.log_base()[0, at] - density(far, 0, SIGMA_GRID_M[at], np.eye(40), np.ones(6))
+    exact = density(far, 0, SIGMA_GRID_M[at], np.diag(times**2), np.ones(6)) + shares
     assert p.log_likelihood(found)[0, at] - exact == pytest.approx(plain, abs=1e-5)
 
 

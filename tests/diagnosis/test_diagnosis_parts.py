@@ -23,7 +23,15 @@ from casadical.diagnosis import bootstrap
 from casadical.diagnosis.candidates import Candidate, candidates_of, gathered, standard_candidates
 from casadical.diagnosis.conclusion import rivals_of
 from casadical.diagnosis.details import analyse
-from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, SIGMAS, BaseParameters, KnownNoise, log_known
+from casadical.diagnosis.evidence import (
+    KAPPA_GRID,
+    KAPPA_WEIGHTS,
+    RHO_GRID,
+    SIGMA_GRID_M,
+    BaseParameters,
+    NoisePrior,
+    log_noise_prior,
+)
 from casadical.diagnosis.formula_cache import KeptFormulas, screw
 from casadical.diagnosis.laws.forms import Driver, with_widths
 from casadical.diagnosis.laws.problem import Problem, Screen, log_mean
@@ -31,7 +39,14 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.localisation import thirds_of
 from casadical.diagnosis.next_poses import table_of
 from casadical.diagnosis.noise_floor import replicates
-from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, SAME_JOINT, Ranking, prior_weights, rank
+from casadical.diagnosis.posterior import (
+    PRIOR_FIRST,
+    PRIOR_FURTHER,
+    SAME_JOINT_PRIOR_FACTOR,
+    Ranking,
+    prior_weights,
+    rank,
+)
 from casadical.diagnosis.seams import seams_of
 from casadical.diagnosis.search import Step
 from casadical.diagnosis.statements import Statement, statements
@@ -64,14 +79,14 @@ def small_case() -> Case:
 def log_odds(case: Case, column: int) -> float:
     """Log Bayes factor of one column against none: densities summed over the grids, each written out in full."""
     e = case.whole
-    grid = np.full((len(RHOS), len(SIGMAS), len(KAPPAS) + 1), -np.inf)
+    grid = np.full((len(RHO_GRID), len(SIGMA_GRID_M), len(KAPPA_GRID) + 1), -np.inf)
     rows, J, E = e.r.size, e.J.reshape(e.r.size, -1), e.E.values.reshape(e.r.size, -1)
-    for a, rho in enumerate(RHOS):
-        for b, sigma in enumerate(SIGMAS):
+    for a, rho in enumerate(RHO_GRID):
+        for b, sigma in enumerate(SIGMA_GRID_M):
             C = (J * (sigma / e.reference * e.prior) ** 2) @ J.T
             for k, Jq in enumerate(e.Jq):
                 C[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += sigma**2 * (np.eye(3) + rho**2 * Jq @ Jq.T)
-            for c, kappa in enumerate([0.0, *KAPPAS]):
+            for c, kappa in enumerate([0.0, *KAPPA_GRID]):
                 whole = C + kappa**2 * np.outer(E[:, column], E[:, column])
                 left = e.r.ravel() - J @ e.delta0
                 half = np.linalg.solve(np.linalg.cholesky(whole), left)
@@ -106,7 +121,7 @@ def test_a_second_cause_at_a_joint_has_a_twentieth_of_the_prior() -> None:
     assert set(found.probability) == {"nonlinear_stiffness@2", "unknown"}
     prior = found.log_mass["nonlinear_stiffness@2"] - found.log_factor["nonlinear_stiffness@2"]
     assert np.exp(prior) == pytest.approx(0.05 * PRIOR_FURTHER["listed"])
-    assert SAME_JOINT == 0.05
+    assert SAME_JOINT_PRIOR_FACTOR == 0.05
 
 
 def test_a_law_is_judged_against_none_by_the_same_densities(odds: list[float]) -> None:
@@ -125,7 +140,7 @@ def test_odds_of_a_draw_are_those_of_its_density() -> None:
     nothing, something = bootstrap.log_likelihoods(column, Y, [group], sigma, 0.0, 12)
     for k, y in enumerate(Y.T):
         parts = [[multivariate_normal(cov=s**2 * np.eye(12) + kappa**2 * column @ column.T).logpdf(y)
-                  for kappa in (0.0, *KAPPAS)] for s in sigma]  # fmt: skip
+                  for kappa in (0.0, *KAPPA_GRID)] for s in sigma]  # fmt: skip
         logs = np.array(parts) + 6 * np.log(2 * np.pi)
         assert nothing[k] == pytest.approx(logsumexp(logs[:, 0]))
         assert something[k] == pytest.approx(np.log(0.3) + logsumexp(logs[:, 1:] + np.log(KAPPA_WEIGHTS)))
@@ -136,7 +151,7 @@ def test_gains_are_left_out_only_where_they_cannot_count() -> None:
     sigmas, base = np.geomspace(1e-6, 1e-3, 40), np.full(40, 0.0)
     base[:10] = -NEGLIGIBLE - 30
     value, turned = np.array([[2.0, 1.0]]), np.array([[0.0, 0.0]])
-    kappas = 1e-4 * KAPPAS
+    kappas = 1e-4 * KAPPA_GRID
     found = log_gain(sigmas, kappas, base, value, turned)
     direct = -0.5 * np.log1p(value[:, :, None, None] * (kappas / sigmas[:, None]) ** 2).sum(axis=1)
     seen = np.isfinite(found[0])
@@ -278,13 +293,13 @@ def test_a_law_that_explains_nothing_costs_its_width() -> None:
     screen = Screen(np.zeros((4, 3, 3)), np.zeros((4, 3, 1)), np.zeros((4, 3)), 12 * 4e-10, 12)
     size = 3e-9  # its column's square; the noise's variance is 4e-10
     (found,) = screen.gains(np.array([[[size]]]), np.zeros((1, 1)))
-    assert found == pytest.approx(logsumexp(np.log(KAPPA_WEIGHTS) - 0.5 * np.log1p(KAPPAS**2 * size / 4e-10)))
+    assert found == pytest.approx(logsumexp(np.log(KAPPA_WEIGHTS) - 0.5 * np.log1p(KAPPA_GRID**2 * size / 4e-10)))
 
 
 def test_only_sigmas_near_the_best_are_judged() -> None:
     """A column that explains nearly all makes small sigmas likely, and large ones not worth a look."""
     sigmas = np.geomspace(1e-6, 1e-3, 40)
-    found = log_gain(sigmas, 1e-3 * KAPPAS, np.zeros(40), np.array([[1.0]]), np.array([[2e-4]]))
+    found = log_gain(sigmas, 1e-3 * KAPPA_GRID, np.zeros(40), np.array([[1.0]]), np.array([[2e-4]]))
     assert np.isfinite(found[0]).all(axis=1).tolist() == [True] + 39 * [False]
 
 
@@ -319,11 +334,11 @@ def test_rivals_of_a_cause_are_the_others_that_remain_probable() -> None:
 
 def test_repeated_poses_weigh_sigmas_as_their_scatter_does() -> None:
     """Sums of squares over a variance are chi-squared; the noise of joints adds to that of the instrument."""
-    e = replace(small_problem(), known=KnownNoise(repeats=4e-5, freedom=12))
+    e = replace(small_problem(), known=NoisePrior(repeats=4e-5, freedom=12))
     for k in (0, 3):
-        variance = SIGMAS**2 * (1 + RHOS[k] ** 2 * (e.Jq**2).sum(axis=2).mean())
+        variance = SIGMA_GRID_M**2 * (1 + RHO_GRID[k] ** 2 * (e.Jq**2).sum(axis=2).mean())
         direct = chi2(12).logpdf(12 * 4e-5**2 / variance) - np.log(variance)
-        found = log_known(e, e.Jq)[k]
+        found = log_noise_prior(e, e.Jq)[k]
         assert_allclose(found - found[0], direct - direct[0], rtol=1e-9, atol=1e-9)
 
 

@@ -18,7 +18,7 @@ from casadical.core.linear_gaussian.marginals import NONE
 from casadical.core.statistics import best_of, first_of_best, ranked
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import lengths, new_fit, random_folds
-from casadical.diagnosis.evidence import KAPPA_WEIGHTS, RHOS, Evidence
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS, RHO_GRID, Evidence
 from casadical.diagnosis.laws.problem import ABOVE, ALIKE, CLAIMED, Problem, Round, Scored, scaled
 from casadical.diagnosis.laws.search import refined_settings, search_laws
 from casadical.diagnosis.linear_problem import Case
@@ -218,7 +218,7 @@ def aliases(case: Case, chosen: Array, law: Scored, variant: Mapping[str, int]) 
     chosen : columns of what is in the model beside it; variant : settings of each candidate, by label
     """
     problem = Problem.beside(case, chosen)
-    rho = float(RHOS[int(np.argmin(np.abs(RHOS - law.noise.repeatability / law.noise.sigma)))])
+    rho = float(RHO_GRID[int(np.argmin(np.abs(RHO_GRID - law.noise.repeatability / law.noise.sigma)))])
     listed = [c for c in case.candidates if c.listed and c.label in variant and not c.variants[0][0].parts]
     groups = [case.group(c.variants[variant[c.label]]) for c in listed]
     if not groups:

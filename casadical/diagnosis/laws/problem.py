@@ -21,7 +21,7 @@ from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import ArrayColumns
 from casadical.core.linear_gaussian.noise import SerialNoise
 from casadical.core.statistics import best_of
-from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, REPEATABILITY, RHOS, SIGMAS, Evidence
+from casadical.diagnosis.evidence import KAPPA_GRID, KAPPA_WEIGHTS, REPEATABILITY, RHO_GRID, SIGMA_GRID_M, Evidence
 from casadical.diagnosis.laws.forms import Driver, Form
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import Linearisation
@@ -54,7 +54,7 @@ class Screen:
     @classmethod
     def at_rho(cls, e: Evidence, rho: int) -> Screen:
         """The problem at a rho of the grid, by its number."""
-        r = float(RHOS[rho])
+        r = float(RHO_GRID[rho])
         projection = e.projected(r)
         y = projection.y
         rows, (scatter, freedom) = e.r.size, (e.known.repeats, e.known.freedom)
@@ -109,7 +109,7 @@ class Screen:
 
     def reach(self, G: Array, b: Array) -> Array:
         """What log evidence over none no law exceeds, whatever its size and the noise, shape (K,); see `gains`."""
-        free = (SIGMAS[0] / KAPPAS[-1]) ** 2 * np.eye(G.shape[1])
+        free = (SIGMA_GRID_M[0] / KAPPA_GRID[-1]) ** 2 * np.eye(G.shape[1])
         taken = (b * np.linalg.solve(G + free, b[:, :, None])[:, :, 0]).sum(axis=1)
         return np.asarray(-0.5 * self.rows * np.log1p(-np.minimum(taken / self.square, 1 - 1e-12)))
 
@@ -124,7 +124,7 @@ class Screen:
             gains[can] = self.gains(G[can], b[can])
             return gains
         rows = self.rows
-        least = float(SIGMAS[0]) ** 2
+        least = float(SIGMA_GRID_M[0]) ** 2
         before = max(self.square / rows, least)
         if G.shape[1] == 1:
             value, turned = G[:, :, 0], b
@@ -132,8 +132,8 @@ class Screen:
             value, vector = np.linalg.eigh(G)
             turned = (vector * b[:, :, None]).sum(axis=1)
         value = np.maximum(value, 0.0)
-        logs = np.empty((len(KAPPAS), len(b)))
-        for k, kappa in enumerate(KAPPAS):
+        logs = np.empty((len(KAPPA_GRID), len(b)))
+        for k, kappa in enumerate(KAPPA_GRID):
             size = kappa**2
             variance = np.full(len(b), before)
             for _ in range(2):
