@@ -1,4 +1,4 @@
-"""A problem calibrated with its methods: one result, its accuracy, and its files."""
+"""Calibration of a problem by its methods: identified robots, networks, accuracies and files."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -32,7 +32,7 @@ from casadical.identification.residuals import ALL_LOSSES
 from casadical.identification.result import Identification, without_poses
 from casadical.identification.solver import Progress
 from casadical.project import outcome
-from casadical.project.calibration_page import calibration_figures, calibration_page, used_poses, where_left
+from casadical.project.calibration_page import calibration_figures, calibration_page, residual_localisation, used_poses
 from casadical.project.networks import Networks, train_networks
 from casadical.project.outcome import Accuracies, error_tables, judged_on, network_tables, paper_tables
 from casadical.project.planning import more_poses
@@ -45,16 +45,20 @@ from casadical.robot.robot_file import to_toml
 
 @dataclass(frozen=True, eq=False)
 class Calibration(Result):
-    """A calibrated problem.
+    """The result of a calibration: identified robots, their accuracies, trained networks.
 
-    problem : what was calibrated, from which measurements
-    identifications : by method, in the order of the problem's methods; the last one counts
-    accuracies : error figures by method, by set (one of several tables as SET/KIND, over all tables of the kind, and of
-        each of them as SET/KIND/FILE), by state: "nominal", "placed" (base and tool fitted), "calibrated"
-    networks : trained on what SKCM left, or None where the problem lists none
-    without_prior : of the poses by which the last method is judged, had there been no prior; None without one
-    refitted : by method, of all poses of the tables: what is written, where the problem says so (`refit`); accuracies,
-        figures and words are of `identifications`, which have not seen the poses that are held out
+    problem : the calibrated problem with its measurements
+    identifications : identifications by method, in the order of the problem's methods; the last one
+        counts
+    accuracies : error figures by method, by set (of several tables SET/KIND over all tables of the
+        kind, and SET/KIND/FILE of each of them), by state: "nominal", "placed" (base and tool
+        fitted), "calibrated"
+    networks : networks trained on the residual of SKCM, None where the problem lists none
+    without_prior : accuracy of the last method on the held-out poses if identified without the
+        prior; None if there is no prior
+    refitted : by method, identifications from all poses of the tables, which are written where the
+        problem says so (`refit`); accuracies, figures and sentences are of `identifications`, which
+        have not seen the held-out poses
 
     Examples
     --------
@@ -100,32 +104,36 @@ class Calibration(Result):
 
     @property
     def written(self) -> Mapping[str, Identification]:
-        """By method, what the files hold: of all poses where the problem is fitted again, else `identifications`."""
+        """Return the identifications that are written, by method: refitted ones, if any."""
         return self.refitted or self.identifications
 
     @property
     def identification(self) -> Identification:
-        """By the last method: the one that counts."""
+        """Return the identification by the last method, which is the one that counts."""
         return list(self.identifications.values())[-1]
 
     @property
     def robot(self) -> Robot:
-        """Calibrated, by the last method; it has not seen the poses that are held out (`written` may have)."""
+        """Return the robot calibrated by the last method, without the held-out poses."""
         return self.identification.robot
 
     @property
     def written_robot(self) -> Robot:
-        """Calibrated, by the last method, as it is written."""
+        """Return the robot calibrated by the last method, as it is written."""
         return list(self.written.values())[-1].robot
 
     @property
     def worse(self) -> str:
-        """Why held-out poses are worse than before, and what to do; nothing where they are not."""
+        """Return why held-out poses are worse than before, and the remedy; else nothing."""
         _, before, after, held_out = judged_on(self.accuracies)
         return outcome.worse_than_before(self.identification, before, after) if held_out else ""
 
     def next_command(self, source: Path, tables: Sequence[Path] = (), *, kept: bool = True) -> Words:
-        """What to do now; more poses where these made nothing better. kept : whether the result is."""
+        """Return the command to run next; it plans more poses where held-out errors have grown.
+
+        source : problem folder or robot file; tables : tables given after it
+        kept : whether the result has been written to a folder
+        """
         _, before, after, held_out = judged_on(self.accuracies)
         if held_out and after.mean > before.mean:
             return more_poses(source, self.problem.sets["identify"][0])
@@ -134,13 +142,15 @@ class Calibration(Result):
         return next_step("to learn what is left", "diagnose", source, *tables)
 
     def brief(self) -> Sequence[Block]:
-        """Return what counts, in at most 20 lines of 80 columns: verdict, errors, three things to know."""
+        """Return the main results in at most 20 lines of 80 columns, the verdict first."""
         return self._told(brief=True)
 
     def blocks(self) -> Sequence[Block]:
+        """Return the full report as text blocks and tables."""
         return self._told(brief=False)
 
     def _told(self, **more: Any) -> list[Block]:
+        """Return the blocks of the report, filled into calibration.j2."""
         problem, last, networks = self.problem, self.identification, self.networks
         parameters = [
             how_sure(last),
@@ -167,17 +177,19 @@ class Calibration(Result):
 
     @property
     def _line(self) -> str:
+        """Return the summary in the repr: robot, mean errors before and after, number of poses."""
         method, before, after, held_out = judged_on(self.accuracies)
         poses = f"{after.n} {'held-out poses' if held_out else 'poses, not held out'}"
         change = f"{mm(before.mean)} -> {mm(after.mean)} mm with {method}"
         return f" of {self.problem.robot.name!r}: {change}, mean of {poses}"
 
     def bars(self) -> Sequence[tuple[str, float]]:
+        """Return labels and errors [m] of the bars of the notebook view."""
         method, before, after, _ = judged_on(self.accuracies)
         return [("before, mean", before.mean), (f"{method}, mean", after.mean), (f"{method}, 95 %", after.p95)]
 
     def _repr_html_(self) -> str:
-        """For a notebook: verdict, errors before and after, and what must be known of them."""
+        """Return the HTML of a notebook: verdict, errors before and after, things to know."""
         return html(self.brief(), self.bars())
 
     def __str__(self) -> str:
@@ -185,20 +197,23 @@ class Calibration(Result):
 
     @cached_property
     def where(self) -> Localisation | None:
-        """Where the error that is left lies; None unless it is of one set of measured positions."""
-        return where_left(self.identification)
+        """Return where the residual lies; None unless of one set of measured positions."""
+        return residual_localisation(self.identification)
 
     def figures(self) -> dict[str, Figure]:
-        """Every figure, by name: of errors, workspace, where the gap lies, parameters, fit and training."""
+        """Return all figures by name: errors, workspace, localisation, parameters, fit."""
         every = calibration_figures(self.problem, self.identifications, self.networks, self.where)
         return {figure.name: figure for figure in every}
 
     def page(self) -> Page:
-        """Words, tables and figures as `casadical calibrate --report` writes them."""
+        """Return the report's page as `casadical calibrate --report` writes it."""
         return calibration_page(self.problem, self.identifications, self.accuracies, self.networks, self.figures())
 
     def _method(self, method: str) -> dict[str, Any]:
-        """Return a method's figures; of sets with poses that are far off, those without these, too."""
+        """Return a method's results as plain data.
+
+        Where held-out poses are far off, the figures of their set without them are added.
+        """
         usual = outcome.usual_held_out(self.problem, self.identifications[method].robot)
         sets = {
             name: {
@@ -213,7 +228,7 @@ class Calibration(Result):
 
     @property
     def _prior(self) -> dict[str, Any] | None:
-        """Return the prior, and the error that held-out poses would have without it [mm]."""
+        """Return the prior as plain data, with the mean error of held-out poses without it [mm]."""
         if not self.problem.prior:
             return None
         figures = self.problem.prior.to_json([m for _, m in self.problem.parts()])
@@ -222,11 +237,12 @@ class Calibration(Result):
 
     @property
     def _kinds(self) -> dict[str, str]:
+        """Return the kind of measurement of each set."""
         kinds = {name: m.kind for name, m in self.problem.parts()}
         return {name: kinds[names[0]] for name, names in together(kinds).items()}
 
     def files(self, folder: str | Path) -> dict[Path, str]:
-        """What is kept, by file in a folder: all figures, of each method robot and parameters, or compensator."""
+        """Return the texts of the result files by path: figures, robots, compensators."""
         folder, problem = Path(folder), self.problem
         texts = {folder / "result.json": json_text(self.to_json())}
         for name, trained in (self.networks.results if self.networks else {}).items():
@@ -245,13 +261,16 @@ class Calibration(Result):
         return texts
 
     def write(self, folder: str | Path) -> None:
-        """Write `files`: all of them or none. Raises InputError where one cannot be written."""
+        """Write `files`, all of them or none. Raises InputError where one cannot be written."""
         with claimed([folder]):
             write_together(self.files(folder))
 
 
 def with_knowledge(found: Identification) -> Robot:
-    """The calibrated robot with its covariance, and the errors that remain, where poses are enough."""
+    """Return the calibrated robot with its covariance and, if poses suffice, its remaining errors.
+
+    The covariance, scaled by the misfit, is added to robots without effects only.
+    """
     robot = (
         found.robot
         if found.robot.effects
@@ -272,17 +291,19 @@ def calibrate(
     carried: Carried | None = None,
     show: Show = silent,
 ) -> Calibration:
-    """Identify a problem's robot by each of its methods, and train its networks on what is left.
+    """Identify a problem's robot by each of its methods, and train its networks on the residual.
 
-    problem : its folder, a robot file with tables, or what `read_problem` gave
-    tables : measured poses, in place of the folder's own or beside a robot file (see `read_problem`)
-    method : in place of the problem's own; a network method needs SKCM, which is then identified too
-    loss : in place of the problem's own
-    seed : of the split into sets and of the networks; of a folder only
-    carried : what puts the prior of another campaign into the robot, as `carry_over` does; of a folder only
-    show : called with a line of progress
-    Raises InputError: a file of the problem is not usable, or a method does not exist; ConvergenceError: Ipopt finds no
-        optimum of a method.
+    problem : problem folder, robot file with tables, or what `read_problem` returned
+    tables : measured poses in place of the folder's own, or for a robot file (see `read_problem`)
+    method : method in place of the problem's own; a network method needs SKCM, which is then
+        identified too
+    loss : loss in place of the problem's own
+    seed : seed of the split into sets and of the networks; for a folder only
+    carried : function that puts the prior of another campaign into the robot, as `carry_over` does;
+        for a folder only
+    show : called with each line of progress
+    Raises InputError: a file of the problem is not usable, or a method does not exist;
+        ConvergenceError: Ipopt finds no optimum of a method.
 
     Examples
     --------
@@ -334,7 +355,7 @@ def calibrate(
 
 
 def _refitted(problem: Problem, results: Mapping[str, Identification], show: Show) -> dict[str, Identification]:
-    """By the same methods, of all poses; nothing where the problem does not say so, or networks learn what is left."""
+    """Return the identifications from all poses by method; {} without refit, or with networks."""
     if not problem.whole or problem.networks:
         return {}
     whole = replace(
@@ -345,10 +366,13 @@ def _refitted(problem: Problem, results: Mapping[str, Identification], show: Sho
 
 
 def _identified(problem: Problem, show: Show, count: int) -> dict[str, Identification]:
-    """By each method; the last, which models most, says which poses are outliers, and whether the arm sags at all.
+    """Return the identification by each method; the last one decides on outliers and compliance.
 
-    count : of parts of the work. A compliance that is not declared and does not show is no method of its own, unless
-    networks learn what it leaves. Where robots are written that are fitted to all poses, all decide whether it shows.
+    An undeclared compliance that does not show in the data is no method of its own, unless networks
+    learn its residual. Where the written robots are fitted to all poses, all poses decide whether
+    it shows.
+
+    count : number of parts of the work, for the progress
     """
     robot, sets, (*others, last) = problem.robot, problem.sets["identify"], problem.methods
     parts = iter(range(1, count + 1))
@@ -375,7 +399,7 @@ def _identified(problem: Problem, show: Show, count: int) -> dict[str, Identific
 
 
 def accuracy_without_prior(plain: Problem, results: Mapping[str, Identification]) -> Accuracy | None:
-    """Of held-out poses, by the last method, as if there were no prior; None where they are too few without one."""
+    """Return the last method's held-out accuracy without the prior; None of too few poses."""
     method, last = list(results.items())[-1]
     parts = {name: m for name, m in plain.parts() if name.startswith("report")}
     if not parts:

@@ -1,4 +1,4 @@
-"""A calibration as a page: its words, tables and figures in the order in which a reader asks."""
+"""The HTML report of a calibration: sentences, tables and figures, ordered by readers' questions."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
@@ -46,9 +46,10 @@ from casadical.project.problem import Problem
 from casadical.project.telling import problem_files
 from casadical.robot.robot import Robot
 
-# Of more poses than this, drawn at random, where the gap lies is told.
-MOST_LOCATED = 5_000
-# Colour, symbol and dash of networks, in the order of their trainers; those of many plug-ins share some.
+# The residual error is localised from at most this many poses, drawn at random, to bound the time.
+MAX_LOCALISED_POSES = 5_000
+# Colour, symbol and dash of the networks in the order of their trainers; with many plug-ins, styles
+# repeat.
 NETWORK_STYLES: tuple[Style, ...] = (
     ("pink", "triangle-up", "dot"),
     ("green", "diamond", "solid"),
@@ -84,15 +85,16 @@ Identifications = Mapping[str, Identification]
 
 
 def used_poses(problem: Problem, results: Identifications) -> dict[str, Measurements]:
-    """Every set by name, without the poses that any method left out: all methods are judged on the same poses."""
+    """Return every set by name, without the poses that any method left out as outliers."""
     kept = iter(without_poses(problem.sets["identify"], {p for r in results.values() for p in r.outliers}))
     return {name: next(kept) if name.split("/")[0] == "identify" else m for name, m in problem.parts()}
 
 
 def pose_errors(problem: Problem, results: Identifications, networks: Networks | None = None) -> dict[str, PoseErrors]:
-    """For every set of a problem, report first: what placement, each method and each network leave at its poses.
+    """Return the errors of every pose, by set, of the placed robot, each method and network.
 
-    Of the poses by which all methods are judged. Refused networks are there as they were trained, and say so.
+    The errors of the poses on which all methods are judged; outliers are listed apart. Refused
+    networks are included as they were trained, marked as refused.
     """
     order, robot = list(SETS), list(results.values())[-1].robot
     by_name = {}
@@ -110,6 +112,7 @@ def pose_errors(problem: Problem, results: Identifications, networks: Networks |
 def _models(
     m: Measurements, problem: Problem, results: Identifications, networks: Networks | None
 ) -> Iterator[ModelErrors]:
+    """Yield the errors at one set of the placed nominal robot, the methods and the networks."""
     yield _errors_of("before", list(results.values())[-1].placed, m)
     for method, result in results.items():
         yield _errors_of(method, result.robot, m)
@@ -125,23 +128,25 @@ def _models(
 
 
 def _errors_of(model: str, robot: Robot, m: Measurements) -> ModelErrors:
+    """Return one robot's errors at a set [m], with error vectors where positions were measured."""
     vector = None if m.position is None else 1e-3 * residual_mm(robot, m)
     return ModelErrors(model, errors(robot, m), vector)
 
 
 def network_style(method: str) -> Style:
-    """Colour, symbol and dash of a network."""
+    """Return colour, symbol and dash of a network method."""
     return NETWORK_STYLES[list(network_methods()).index(method) % len(NETWORK_STYLES)]
 
 
-def where_left(result: Identification) -> Localisation | None:
-    """Where the error that an identification left lies; None unless it is of one set of measured positions."""
+def residual_localisation(result: Identification) -> Localisation | None:
+    """Return where the residual error lies; None unless there is one set, of measured positions."""
     if len(result.measurements) != 1 or result.measurements[0].position is None:
         return None
-    if len(m := result.measurements[0]) > MOST_LOCATED:
-        # How a pose was approached, and when it was measured, follows from all of them.
+    if len(m := result.measurements[0]) > MAX_LOCALISED_POSES:
+        # The direction of approach and the progress of each pose are derived from all poses, so before
+        # the draw.
         m, _ = derive(m, [*(f"approach{i}" for i in range(1, result.given.n + 1)), "progress"])
-        some = (m[np.sort(np.random.default_rng(0).choice(len(m), MOST_LOCATED, replace=False))],)
+        some = (m[np.sort(np.random.default_rng(0).choice(len(m), MAX_LOCALISED_POSES, replace=False))],)
         result = replace(result, measurements=some, outliers=(), problem=replace(result.problem, sets=some))
     return localise_residual(make_case(result, ()), Noise(result.sigmas[0][0], 0.0), np.zeros(0, dtype=np.int64))
 
@@ -149,10 +154,13 @@ def where_left(result: Identification) -> Localisation | None:
 def calibration_figures(
     problem: Problem, results: Identifications, networks: Networks | None, where: Localisation | None
 ) -> Iterator[Figure]:
-    """Every figure of a calibration: what the data do not hold is not there; where : as of `where_left`.
+    """Yield every figure of a calibration for which there are data.
 
-    errors/SET and distribution/SET for each set of poses; workspace; where/TABLE as `where_figures` names them (of
-    measured positions); parameters/lengths, /angles, /compliance; fit/residuals, /coverage, /pairs; training.
+    where : localisation of the residual, as of `residual_localisation`
+
+    The figures are errors/SET and distribution/SET for each set of poses; workspace; where/TABLE as
+    `where_figures` names them (of measured positions); parameters/lengths, /angles, /compliance;
+    fit/residuals, /coverage, /pairs; training.
     """
     last, poses = list(results.values())[-1], pose_errors(problem, results, networks)
     trained = networks.results.values() if networks else ()
@@ -176,9 +184,10 @@ def calibration_figures(
 
 
 def training_history(networks: Networks) -> Figure:
-    """Loss on the training poses [mm^2] (paper, eq. 14) against the share of each training that is done, logarithmic.
+    """Return the figure of training loss [mm^2] (paper, eq. 14) over the progress of training.
 
-    Steps of different trainers cost differently, so the axis is each one's own; the tooltip tells the step.
+    The steps of different trainers cost differently, so the axis is the share of each training that
+    is done; the tooltip names the step.
     """
     series = []
     for name, result in networks.results.items():
@@ -204,7 +213,12 @@ def calibration_page(
     networks: Networks | None,
     figures: Mapping[str, Figure],
 ) -> Page:
-    """One problem's page; results, accuracies : by method; figures : by name."""
+    """Return the report page of one calibrated problem.
+
+    results : identifications by method
+    accuracies : accuracies by method, set and state
+    figures : figures by name
+    """
     last = list(results.values())[-1]
     errors = [*left_out_table(results), *error_tables(problem, accuracies, networks)]
     each = [figure for name, figure in figures.items() if name.startswith(("errors/", "distribution/report"))]
@@ -232,6 +246,7 @@ def calibration_page(
 
 
 def _tiles(accuracies: Accuracies) -> Iterator[Tile]:
+    """Yield the headline figures: mean error before and after, 95 % quantile and largest error."""
     method, before, after, held = judged_on(accuracies)
     poses = f"{after.n} held-out poses" if held else f"{after.n} poses, not held out"
     yield Tile("Mean error before", mm(before.mean), "mm", "base and tool fitted")
@@ -243,6 +258,7 @@ def _tiles(accuracies: Accuracies) -> Iterator[Tile]:
 def _verdict(
     problem: Problem, results: Identifications, accuracies: Accuracies, networks: Networks | None
 ) -> Iterator[Block]:
+    """Yield the sentences on accuracy, fit, trained networks and the robot's notes."""
     yield from told_of(problem, accuracies, block="verdict")
     for result in results.values():
         bad = result.at_bounds or "DOES NOT FIT" in result.verdict
@@ -256,16 +272,18 @@ def _verdict(
 
 
 def _where(figures: Iterable[Figure], result: Identification) -> Iterator[Block]:
+    """Yield the figures that localise the residual error, or why there are none."""
     if not figures:
         yield Words("Localising the gap needs exactly one set of measured positions.", "note")
         return
-    most = MOST_LOCATED
+    most = MAX_LOCALISED_POSES
     poses = "the poses" if len(result.measurements[0]) <= most else f"{most} of the poses"
     yield Words(f"Of what {result.method} leaves at {poses} it was identified from. Bars are 95 % intervals.", "note")
     yield from figures
 
 
 def _parameters(figures: Iterable[Figure], result: Identification) -> Iterator[Block]:
+    """Yield figures and tables of the parameters: identified, at bounds, fixed, correlated."""
     yield Words(f"Of {result.method}. Bars are 95 % intervals. Base and tool frames are in the table only.", "note")
     yield from figures
     yield from parameter_tables(result, whole=True)
@@ -277,6 +295,7 @@ def _parameters(figures: Iterable[Figure], result: Identification) -> Iterator[B
 
 
 def _next(problem: Problem, result: Identification) -> Iterator[Words]:
+    """Yield which parameters are uncertain, and the command that plans further poses."""
     known = result.shown[result.shown.status == "identified"]
     unsure = known[(known.low - known.nominal) * (known.high - known.nominal) < 0]
     if len(unsure):

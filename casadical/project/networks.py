@@ -1,4 +1,4 @@
-"""The paper's network methods on a problem: a network learns the error left by SKCM (section 5)."""
+"""The paper's network methods on a problem: networks learn the residual of SKCM (section 5)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,16 +17,21 @@ from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
 from casadical.project.problem import Problem, together
 
-# And no more than so many of them, drawn with the problem's seed: it keeps a training in seconds.
-LENT = {"train": 1500, "choose": 500}
+# Largest numbers of identification poses that are lent to the network sets, drawn with the seed:
+# a training then takes seconds.
+MAX_LENT_POSES = {"train": 1500, "choose": 500}
 
 
 @dataclass(frozen=True, eq=False)
 class NetworkResult:
-    """One network method on one problem; compensator : None where there was nothing to train on, and `why` says so.
+    """The result of one network method on one problem.
 
-    errors : by set, of the corrected positions; those of SKCM where the network was refused, for then nothing is
-        corrected (what it would have done: `compensator.training`, `.choice`, `.validation`)
+    method : name of the network method
+    compensator : trained network, None where there was nothing to train on
+    why : reason why there is no compensator
+    errors : by set, errors of the corrected positions; those of SKCM where the network was refused,
+        as nothing is corrected then (what it would have done: `compensator.training`, `.choice`,
+        `.validation`)
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -47,10 +52,12 @@ class NetworkResult:
 
     @property
     def helps(self) -> bool:
+        """Return whether the network was trained and is in use because it reduces the error."""
         return self.compensator is not None and self.compensator.helps
 
     @property
     def verdict(self) -> str:
+        """Return the verdict on the network, or why there is none, as a sentence."""
         return f"{self.method}: {self.why if self.compensator is None else self.compensator.verdict}"
 
     @property
@@ -64,7 +71,11 @@ class NetworkResult:
 
 @dataclass(frozen=True, eq=False)
 class Networks:
-    """All network methods of a problem: results by method, and which poses they were trained on, or why none."""
+    """The results of all network methods of a problem.
+
+    results : results by method
+    trained_on : sentence on the poses that they were trained on, or on why none was trained
+    """
 
     results: Mapping[str, NetworkResult]
     trained_on: str
@@ -72,7 +83,12 @@ class Networks:
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """Poses and residuals [mm] by set for training, choosing and reporting; `lent` says where train came from."""
+    """Training data of the networks.
+
+    sets : by set (train, choose, report), joint readings (n, joints) [rad or m] and residuals (n,
+        3) [mm]
+    lent : sentence on the identification poses that were lent for training, empty if none were
+    """
 
     sets: Mapping[str, tuple[Array, Array]]
     lent: str = ""
@@ -87,12 +103,15 @@ def train_networks(
     show: Show = silent,
     judged: Mapping[str, Measurements] | None = None,
 ) -> Networks:
-    """Train networks (None: all methods) on what an identification by SKCM left in a problem's sets; a result a method.
+    """Train networks on the residual that SKCM leaves in a problem's sets; return each result.
 
-    The set train is learnt from, the set choose decides, all others have no part in either.
+    The set train is fitted, the set choose decides on acceptance, all other sets are used for
+    neither.
 
-    show : called with a line of progress that holds the loss
-    judged : poses whose errors are told, by set; None: all of the problem's
+    methods : network methods, None: all
+    seed : seed of the split of lent poses and of the training
+    show : called with each line of progress, which holds the loss
+    judged : poses whose errors are reported, by set; None: all of the problem's
     Raises InputError: a method that is no network, or data without positions.
     """
     judged = dict(problem.parts()) if judged is None else judged
@@ -120,7 +139,7 @@ def train_networks(
 
 
 def training_material(problem: Problem, result: Identification, seed: int = 0) -> Material | str:
-    """What there is to train on, or the reason why nothing is."""
+    """Return the training data of the networks, or the reason why there are none."""
     sets = {name: parts for name, parts in problem.sets.items() if all(m.position is not None for m in parts)}
     if "identify" not in sets or "report" not in sets:
         kinds = ", ".join(sorted({m.kind for parts in problem.sets.values() for m in parts}))
@@ -132,15 +151,15 @@ def training_material(problem: Problem, result: Identification, seed: int = 0) -
     if "train" not in sets:
         kept = [m for m in result.used if m.position is not None]
         readings = 3 * sum(map(len, kept))
-        # A problem without a set to train on lends the poses that identified the robot, where they are so many that the
-        # identification could not follow their errors: so many readings for each parameter.
+        # Without a set to train on, the poses that identified the robot are lent, if there are so many
+        # readings per parameter that the identification did not fit their noise.
         if readings < 20 * len(result.names) or len(kept[0]) < 40:
             return (
                 f"no network: there is no set train, and {readings} readings for {len(result.names)} parameters are "
                 "too few to learn from what identification left of them; name a set train in problem.toml"
             )
-        train = min(LENT["train"], int(0.75 * len(kept[0])))
-        choose = min(LENT["choose"], len(kept[0]) - train)
+        train = min(MAX_LENT_POSES["train"], int(0.75 * len(kept[0])))
+        choose = min(MAX_LENT_POSES["choose"], len(kept[0]) - train)
         sets |= {name: (m,) for name, m in kept[0].split({"train": train, "choose": choose}, seed).items()}
         lent = (
             f"Networks: no set train, so {len(sets['train'][0])} of the poses that identified the robot were lent to "

@@ -1,7 +1,8 @@
-"""Several targets on one flange, recognised from repeats: positions at equal readings that lie far apart.
+"""Recognition of several targets on one flange, from positions at equal readings that lie apart.
 
-Distances between the targets are the same at every pose, their directions turn with the flange. Neither a moved station
-(one direction), nor bad rows, nor shifted readings (other distances each time) do both.
+The distances between the targets are equal at all poses, and their directions rotate with the
+flange. Neither a moved station (one constant direction), nor outliers, nor shifted readings
+(different distances each time) show both.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,22 +22,30 @@ from casadical.measurements.measurements import STANDS, Measurements, same_readi
 from casadical.project.robot_columns import names_in, refuse_nameless, some_rows
 from casadical.robot.robot import Robot
 
-# Targets are at least so far apart [m].
-APART = 5e-3
-# Distances of one pair of targets differ by less [m].
-ALIKE = 3e-3
-# So many poses at least show a number of targets, at this share of those where repeats disagree; so many targets.
-FEWEST, MOST = 3, 6
+# Positions at equal readings that are farther apart than this are of different targets [m]; it is
+# well above the noise of an instrument and below the distance of two reflectors.
+MIN_TARGET_DISTANCE = 5e-3
+# Distances of one pair of targets at different poses are equal within this tolerance [m].
+DISTANCE_TOLERANCE = 3e-3
+# A number of targets is recognised only if at least this many poses show it.
+MIN_DISAGREEING_POSES = 3
+# Larger numbers of targets are not searched for: the assignments grow with the factorial.
+MAX_TARGETS = 6
 
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """What repeats say.
+    """Several targets on one flange, as repeated readings show them.
 
-    distances : between the targets, shape (K (K - 1) / 2,) [m], from the least; poses : at which they were seen
-    turning : whether their directions turn with the flange; if not, the station may have been moved
-    points : in the last link's frame, shape (K, 3) [m], which : target of each row of the file, both of shape (n,), and
-    rows : those; None where the nominal model contradicts the data, so that it does not distinguish them
+    count : number K of targets
+    distances : median distances between the targets, ascending, shape (K (K - 1) / 2,) [m]
+    poses : number of poses at which repeated readings disagree
+    turning : whether the directions between targets rotate with the flange; if not, the station may
+        have been moved
+    points : targets in the frame of the last link, shape (K, 3) [m]; None where the nominal model
+        is too inaccurate to distinguish them
+    which : index of the target in each row of the table, shape (n,), None as `points`
+    rows : row number in the file of each entry of `which`, shape (n,), None as `points`
     """
 
     count: int
@@ -49,10 +58,11 @@ class Targets:
 
     @property
     def names(self) -> list[str]:
-        """As they are called where nobody has named them."""
+        """Return default names of the targets: target1, target2 and so on."""
         return [f"target{k}" for k in range(1, self.count + 1)]
 
     def in_words(self, source: str) -> str:
+        """Return the finding as a sentence that begins with the name of the table."""
         far = ", ".join(f"{1e3 * d:.1f}" for d in self.distances)
         if not self.turning:
             return (
@@ -67,16 +77,20 @@ class Targets:
 
 
 def recognised(robot: Robot, m: Measurements) -> Targets | None:
-    """Several targets in a table, m, that names none; None where repeats agree, or there are none. robot : nominal"""
+    """Return the targets of a table that names none; None where repeats agree, or there are none.
+
+    robot : nominal robot
+    m : measured poses
+    """
     if m.position is None or robot.targets or any(name.startswith("tool_") for name in m.conditions):
         return None
     poses = _poses(m)
     repeated = sum(len(rows) > 1 for rows, _ in poses)
     apart = [(rows, part) for rows, part in poses if part.max() > 0]
-    if len(apart) < FEWEST or len(apart) < 0.5 * repeated:
+    if len(apart) < MIN_DISAGREEING_POSES or len(apart) < 0.5 * repeated:
         return None
     sizes = np.array([1 + part.max() for _, part in apart])
-    often = [k for k in range(2, MOST + 1) if (sizes == k).sum() >= max(FEWEST, 0.2 * len(apart))]
+    often = [k for k in range(2, MAX_TARGETS + 1) if (sizes == k).sum() >= max(MIN_DISAGREEING_POSES, 0.2 * len(apart))]
     if not often:
         return None
     count = often[-1]
@@ -84,8 +98,8 @@ def recognised(robot: Robot, m: Measurements) -> Targets | None:
     points = [_means(m.position[rows], part) for rows, part in whole]
     lengths = np.array([np.sort(_lengths(p)) for p in points])
     distances = np.median(lengths, axis=0)
-    alike = (np.abs(lengths - distances) < ALIKE).all(axis=1)
-    if alike.sum() < max(FEWEST, 0.7 * len(points)):
+    alike = (np.abs(lengths - distances) < DISTANCE_TOLERANCE).all(axis=1)
+    if alike.sum() < max(MIN_DISAGREEING_POSES, 0.7 * len(points)):
         return None
     distances = np.median(lengths[alike], axis=0)
     turning = _turning([p for p, ok in zip(points, alike, strict=True) if ok])
@@ -96,7 +110,7 @@ def recognised(robot: Robot, m: Measurements) -> Targets | None:
 
 
 def _poses(m: Measurements) -> list[tuple[Array, Array]]:
-    """Rows at the same readings, and for each of them which of the points that lie apart it is."""
+    """Return the rows of each group of equal readings, and the cluster of each of these rows."""
     reading = same_readings(m.q, STANDS)
     order = np.argsort(reading, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(reading[order])) + 1)
@@ -105,40 +119,46 @@ def _poses(m: Measurements) -> list[tuple[Array, Array]]:
 
 
 def _clusters(y: Array) -> Array:
-    """Number of the cluster of each point, shape (n,), in the order in which they come; single linkage."""
+    """Return the single-linkage cluster of each point, shape (n,), in order of appearance."""
     if len(y) == 1:
         return np.zeros(1, dtype=np.int64)
     part = np.full(len(y), -1)
     for k in range(len(y)):
-        near = {int(part[j]) for j in range(k) if np.linalg.norm(y[j] - y[k]) < APART}
+        near = {int(part[j]) for j in range(k) if np.linalg.norm(y[j] - y[k]) < MIN_TARGET_DISTANCE}
         part[k] = min(near, default=part.max() + 1)
         part[np.isin(part, list(near))] = part[k]
     return np.asarray(np.unique(part, return_inverse=True)[1].ravel())
 
 
 def _means(y: Array, part: Array) -> Array:
+    """Return the mean position of each cluster, shape (K, 3) [m]."""
     return np.array([y[part == k].mean(axis=0) for k in range(part.max() + 1)])
 
 
 def _lengths(points: Array) -> Array:
+    """Return the distances of all pairs of points, shape (K (K - 1) / 2,) [m]."""
     first, second = np.triu_indices(len(points), 1)
     return np.asarray(np.linalg.norm(points[first] - points[second], axis=1))
 
 
 def _turning(points: list[Array]) -> bool:
-    """Whether the longest way between two targets points elsewhere at other poses."""
+    """Return whether the vector between the two farthest targets changes its direction."""
     first, second = np.triu_indices(len(points[0]), 1)
     longest = [int(np.argmax(_lengths(p))) for p in points]
     ways = np.array([p[second[k]] - p[first[k]] for p, k in zip(points, longest, strict=True)])
     values = np.linalg.eigvalsh(ways.T @ ways)
-    # Directions that are this much alike, as a share of their square sum, are one direction.
+    # One eigenvalue above this share of the sum of squares means that all vectors have one direction.
     return bool(values[-1] < 0.95 * values.sum())
 
 
 def _distinguished(
     robot: Robot, m: Measurements, poses: list[tuple[Array, Array]], whole: list[tuple[Array, Array]], found: Targets
 ) -> Targets:
-    """Which row is which target, by the nominal model at their middle; whole : poses at which each was measured."""
+    """Return `found` with the target of each row, by the nominal model placed by the centroids.
+
+    poses : rows and clusters of all groups of equal readings, as of `_poses`
+    whole : those at which every target was measured
+    """
     placed = place_frames(rigid(robot), _middles(m, whole))
     p, R = predicted(placed, m)
     assert m.position is not None
@@ -149,13 +169,14 @@ def _distinguished(
         ordered = np.array([x[orders[first_of_best(-((x[orders] - points) ** 2).sum(axis=(1, 2)))]] for x in middle])
         points = np.median(ordered, axis=0)
     scatter = float(np.median(np.linalg.norm(ordered - points, axis=2)))
-    # A scatter in the tool frame below this share of the least distance makes targets known.
-    if len(whole) < 2 * FEWEST or scatter > 0.25 * found.distances[0]:
+    # Targets are distinguished only where their scatter in the tool frame is below this share of the
+    # smallest distance between them.
+    if len(whole) < 2 * MIN_DISAGREEING_POSES or scatter > 0.25 * found.distances[0]:
         return found
     which = np.empty(len(m), dtype=np.int64)
     for rows, part in poses:
         which[rows] = _nearest(_means(seen[rows], part), points)[part]
-    # In the order in which they come in the table.
+    # Targets are numbered in the order in which they first appear in the table.
     order = list(dict.fromkeys([*which.tolist(), *range(found.count)]))
     rank = np.argsort(order)
     points = placed.tool.T[:3, 3] + points[order] @ placed.tool.T[:3, :3].T
@@ -163,7 +184,7 @@ def _distinguished(
 
 
 def _middles(m: Measurements, whole: list[tuple[Array, Array]]) -> Measurements:
-    """One measurement of the middle of all targets at each of these poses."""
+    """Return one measurement of the centroid of all targets at each of these poses."""
     assert m.position is not None
     first = m[np.array([rows[0] for rows, _ in whole])]
     q = np.array([m.q[rows].mean(axis=0) for rows, _ in whole])
@@ -172,31 +193,42 @@ def _middles(m: Measurements, whole: list[tuple[Array, Array]]) -> Measurements:
 
 
 def _nearest(x: Array, points: Array) -> Array:
-    """The target that each point of one pose is: each another one, if there are no more points than targets."""
+    """Return the target of each point of one pose, each once if the points are no more than they."""
     k, count = len(x), len(points)
     if k > count:
         return np.asarray(np.argmin(np.linalg.norm(x[:, None] - points, axis=2), axis=1))
     orders = np.array(list(permutations(range(count), k)))
     off = x - points[orders]
-    if k == count:  # what the nominal model misses by is the same for all
+    if k == count:  # the error of the nominal model is common to all targets of a pose
         off = off - np.median(off, axis=1, keepdims=True)
-    most = _lengths(points).min() / 2  # what a bad row misses by does not count
+    most = _lengths(points).min() / 2  # the error of an outlier is capped
     return np.asarray(orders[first_of_best(-np.minimum(np.linalg.norm(off, axis=2), most).sum(axis=1))])
 
 
 def middles(m: Measurements, count: int) -> Measurements | None:
-    """The middle of all targets at every pose at which there are so many: a table of one target."""
+    """Return a table of one point: the centroid of the targets at every pose with all of them.
+
+    Returns None where no pose has measurements of `count` targets.
+    """
     whole = [(rows, part) for rows, part in _poses(m) if part.max() + 1 == count]
     return _middles(m, whole) if whole else None
 
 
-# So many rows begin the search; a further name must be nearer by this factor, and halve the error of the table.
-BEGIN, WORTH = 18, 0.5
+# The search for wrong names starts from at least this many rows, and needs a table of twice as many.
+MIN_SEARCH_ROWS = 18
+# Other names, or one more target, are accepted only if they reduce the median error to this ratio.
+MAX_ERROR_RATIO = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class WrongNames:
-    """names : of all targets; given, meant : index of the name in each row, shape (n,); row : of the file"""
+    """Rows in which the column `tool` names another target than the one that was measured.
+
+    names : names of all targets
+    given : index of the name that the table gives, shape (n,)
+    meant : index of the target that was measured, shape (n,)
+    row : row number in the file, shape (n,)
+    """
 
     names: tuple[str, ...]
     given: Array
@@ -204,6 +236,7 @@ class WrongNames:
     row: Array
 
     def in_words(self, source: str) -> str:
+        """Return the wrong rows and the remedy as a sentence that begins with the table."""
         wrong = np.flatnonzero(self.given != self.meant)
         texts = []
         for a, b in sorted({(int(self.given[k]), int(self.meant[k])) for k in wrong}):
@@ -218,21 +251,25 @@ class WrongNames:
 
 
 def wrong_names(robot: Robot, m: Measurements) -> WrongNames | None:
-    """Rows of a whole table whose point lies where another target is, by a search from a part of them; None of none."""
+    """Return the rows whose position fits another target than the named one; None without any.
+
+    The search starts from the first and from the last third of the rows.
+    """
     columns = [t.column for t in robot.targets]
-    if not columns or m.position is None or len(m) < 2 * BEGIN:
+    if not columns or m.position is None or len(m) < 2 * MIN_SEARCH_ROWS:
         return None
     logged = m.condition_matrix(columns, np.zeros(len(columns)))
     given = np.where(logged.any(axis=1), 1 + np.argmax(logged, axis=1), 0)
     free = rigid(robot)
     before = median_error(free, m)
-    part = max(BEGIN, len(m) // 3)
+    part = max(MIN_SEARCH_ROWS, len(m) // 3)
     searched = [_search(free, m, given, rows) for rows in (slice(0, part), slice(-part, None))]
     left = [median_error(free, _named(m, robot, names)) for names in searched]
-    if min(left) > WORTH * before:
+    if min(left) > MAX_ERROR_RATIO * before:
         return None
-    # Of two names that change places nobody can say which half is right: the one with more rows is taken.
-    as_good = [names for names, error in zip(searched, left, strict=True) if error < min(left) / WORTH]
+    # Where two names are swapped from some row on, it is not known which part of the table is right:
+    # the assignment that changes fewer rows is taken.
+    as_good = [names for names, error in zip(searched, left, strict=True) if error < min(left) / MAX_ERROR_RATIO]
     meant = min(as_good, key=lambda names: int((names != given).sum()))
     if (meant == given).all():
         return None
@@ -241,7 +278,12 @@ def wrong_names(robot: Robot, m: Measurements) -> WrongNames | None:
 
 
 def _search(robot: Robot, m: Measurements, given: Array, rows: slice, nearer: float = 3.0) -> Array:
-    """The target of each row; base and tools begin as these rows have them, another target is `nearer` by a factor."""
+    """Return the target of each row, shape (n,), by alternating assignment and placement.
+
+    given : index of the named target of each row, shape (n,)
+    rows : rows by which base and targets are placed first
+    nearer : a row is assigned to the nearest target if its own is farther by more than this factor
+    """
     names, placed = given, place_frames(robot, _named(m, robot, given)[rows])
     for _ in range(5):
         points = np.array([*_points_of(placed).values()])
@@ -257,12 +299,12 @@ def _search(robot: Robot, m: Measurements, given: Array, rows: slice, nearer: fl
 
 
 def _points_of(robot: Robot) -> dict[str, Array]:
-    """Targets of a robot in the last link's frame, by name, shape (3,) each [m]."""
+    """Return the targets in the last link's frame by name, shape (3,) [m]; the tool's first."""
     return {robot.tool_name: robot.tool.T[:3, 3], **{t.name: t.point for t in robot.targets}}
 
 
 def _seen(placed: Robot, m: Measurements) -> Array:
-    """Where in the last link's frame each position lies, shape (n, 3) [m]."""
+    """Return each measured position in the last link's frame, shape (n, 3) [m]."""
     p, R = predicted(replace(placed, targets=(), tool_name=""), m)
     assert m.position is not None
     T = placed.tool.T
@@ -270,6 +312,7 @@ def _seen(placed: Robot, m: Measurements) -> Array:
 
 
 def _named(m: Measurements, robot: Robot, names: Array) -> Measurements:
+    """Return the measurements with `tool_` columns set to these target indices."""
     logged = {t.column: (names == k).astype(float) for k, t in enumerate(robot.targets, 1)}
     return replace(m, conditions={**m.conditions, **logged, f"tool_{robot.tool_name}": (names == 0).astype(float)})
 
@@ -277,11 +320,12 @@ def _named(m: Measurements, robot: Robot, names: Array) -> Measurements:
 def with_targets_of_rows(
     robot: Robot, sets: Sequence[Measurements]
 ) -> tuple[Robot, tuple[Measurements, ...], tuple[str, ...]]:
-    """A robot and later tables of it, each row with its target; and what was assumed, in words.
+    """Return a robot and its later tables with the target of each row, and what was assumed.
 
-    A column says which target a row is of; without one, repeats do, or where the rows lie to each other. The robot has
-    those targets that were measured: as they are known, or to be estimated. Raises InputError where repeats show
-    several, and the nominal model does not distinguish them.
+    The target of a row is named by a column; without one it follows from repeated readings, or from
+    the positions of the rows relative to each other. The returned robot has the measured targets
+    alone, at their known points or to be estimated. Raises InputError where repeats show several
+    targets and the nominal model does not distinguish them.
     """
     known = _points_of(robot)
     placed_sets, notes = [], []
@@ -312,7 +356,10 @@ def with_targets_of_rows(
 
 
 def _by_position(robot: Robot, m: Measurements) -> dict[str, tuple[Array, Array]]:
-    """Point in the last link's frame [m] and places of the rows of each target of a table; none of one target alone."""
+    """Return the points of a table's targets and their rows, by name; {} of a single target.
+
+    Points are in the last link's frame, shape (3,) [m]; rows are indices.
+    """
     alone = replace(robot, targets=(), tool_name="")
     if (targets := recognised(alone, m)) and targets.turning:
         if targets.points is None or targets.which is None:
@@ -321,35 +368,39 @@ def _by_position(robot: Robot, m: Measurements) -> dict[str, tuple[Array, Array]
     else:
         free = rigid(alone)
         one = median_error(free, m)
-        if one < APART / 2:
+        if one < MIN_TARGET_DISTANCE / 2:
             return {}
         check_against(alone, m)
         tried = [_scattered(free, m, which) for which in _starts(robot, free, m)]
         points, which, left = min(
-            tried, key=lambda t: t[2] / WORTH ** len(t[0]), default=(np.empty((0, 3)), m.row, one)
+            tried, key=lambda t: t[2] / MAX_ERROR_RATIO ** len(t[0]), default=(np.empty((0, 3)), m.row, one)
         )
-        if left >= WORTH ** len(points) * one:
+        if left >= MAX_ERROR_RATIO ** len(points) * one:
             return {}
     names = _names_of(points, robot)
     return {name: (points[k], np.flatnonzero(which == k)) for k, name in enumerate(names)}
 
 
 def _starts(robot: Robot, free: Robot, m: Measurements) -> Iterator[Array]:
-    """Which target each row may be, shape (n,), to begin with: by those of the robot, by rows that lie far apart."""
+    """Yield initial targets of the rows, shape (n,): by known targets, then by distant rows."""
     placed = place_frames(free, m)
     if robot.targets:
         yield _by_known(placed, np.array([*_points_of(robot).values()]), m)
     seen = _seen(placed, m)
     points = seen[:1]
-    for _ in range(1, MOST if len(m) >= BEGIN else 1):
+    for _ in range(1, MAX_TARGETS if len(m) >= MIN_SEARCH_ROWS else 1):
         far = np.linalg.norm(seen[:, None] - points, axis=2).min(axis=1)
-        # Single far rows are bad rows.
+        # The next seed is the 85 % quantile, as the farthest rows may be outliers.
         points = np.vstack([points, seen[np.argsort(far)[int(0.85 * len(far))]]])
         yield np.argmin(np.linalg.norm(seen[:, None] - points, axis=2), axis=1)
 
 
 def _by_known(placed: Robot, points: Array, m: Measurements) -> Array:
-    """Which of known points, shape (K, 3) [m], each row is, shape (n,): four rows tell the base for all the others."""
+    """Return which of the known points, shape (K, 3) [m], was measured in each row, shape (n,).
+
+    For every assignment of four rows the base is fitted to them; the one with the smallest median
+    distance counts.
+    """
     p, R = predicted(placed, m)
     assert m.position is not None
     away = (points - placed.tool.T[:3, 3]) @ placed.tool.T[:3, :3]
@@ -368,29 +419,33 @@ def _by_known(placed: Robot, points: Array, m: Measurements) -> Array:
 
 
 def _scattered(free: Robot, m: Measurements, which: Array) -> tuple[Array, Array, float]:
-    """Targets, (K, 3) [m], of each row which, and greatest median error [m], of one row a pose; which : at first."""
+    """Return the refined targets, the target of each row, and the greatest median error.
+
+    which : initial target of each row, shape (n,)
+    Returns points (K, 3) [m] and indices (n,); the error [m] is infinite where two targets coincide
+    """
     several = _several(free, which)
     which = np.unique(_search(several, m, which, slice(None), 1.0), return_inverse=True)[1]
     several = _several(free, which)
     named = _named(m, several, which)
     placed = place_frames(several, named)
     points = np.array([*_points_of(placed).values()])
-    apart = len(points) > 1 and _lengths(points).min() > APART
+    apart = len(points) > 1 and _lengths(points).min() > MIN_TARGET_DISTANCE
     e = errors(placed, named)
     return points, which, max(float(np.median(e[which == k])) for k in range(len(points))) if apart else np.inf
 
 
 def _several(free: Robot, which: Array) -> Robot:
-    """The robot with as many targets as there are, all where its tool is."""
+    """Return the robot with one target for each index, all of them at its tool point."""
     return replace(
         free, tool_name="0", targets=tuple(Target(str(k), free.tool.T[:3, 3]) for k in range(1, which.max() + 1))
     )
 
 
 def _names_of(points: Array, robot: Robot) -> list[str]:
-    """Names of the robot's targets that lie to each other as these points do, shape (K, 3); else numbers."""
+    """Return the names of known targets with the same mutual distances, else target1, ..."""
     known = _points_of(robot)
-    for some in permutations(known, len(points)) if len(points) <= len(known) <= MOST else ():
-        if np.abs(_lengths(np.array([known[name] for name in some])) - _lengths(points)).max() < ALIKE:
+    for some in permutations(known, len(points)) if len(points) <= len(known) <= MAX_TARGETS else ():
+        if np.abs(_lengths(np.array([known[name] for name in some])) - _lengths(points)).max() < DISTANCE_TOLERANCE:
             return [*some]
     return [f"target{k}" for k in range(1, len(points) + 1)]

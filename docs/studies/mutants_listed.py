@@ -31,7 +31,7 @@ LISTED = (
     ("project/check/slip_fit.py", "return self.q[shift:], self.y[: n - shift]",
      "return self.q[: n - shift], self.y[shift:]", "alignment of a shift"),
     ("project/check/slip_fit.py", "(moved + 1) // 2", "moved", "count of swaps"),
-    ("project/targets.py", "max(FEWEST, 0.7 * len(points))", "max(FEWEST, 0.07 * len(points))", "cut-off of targets"),
+    ("project/targets.py", "max(MIN_DISAGREEING_POSES, 0.7 * len(points))", "max(MIN_DISAGREEING_POSES, 0.07 * len(points))", "cut-off of targets"),
     ("project/acceptance/verification.py", "(freedom + made_up) / freedom", "freedom / (freedom + made_up)",
      "`made_up` of verify"),
 )  # fmt: skip
