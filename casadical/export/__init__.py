@@ -1,4 +1,7 @@
-"""CasADi functions as guarded, deterministic C99 without libm, and models for simulators."""
+"""Exports of a calibrated robot: C99 code, corrected programs, models for simulators and drivers.
+
+The C is deterministic, checks its inputs and needs no libm.
+"""
 
 from casadical.core.lazy import attach
 

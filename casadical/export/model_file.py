@@ -1,4 +1,4 @@
-"""A calibrated robot in another program's file: a MuJoCo model, URDF, driver's kinematics."""
+"""Write a calibrated robot in another program's format: MuJoCo model, URDF, driver kinematics."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,11 +29,12 @@ MODEL_FORMS = ("mjcf", "urdf", "actuators", *DRIVERS)
 
 @dataclass(frozen=True, eq=False)
 class RobotModel(Result):
-    """A robot as another program reads it.
+    """A robot in the file format of another program.
 
-    text : of the file; lines : what it holds beside the geometry, what it leaves out and what that
-        costs
-    about : the robot, in words; figures : the same as plain data
+    text : content of the file
+    lines : sentences on what the file holds besides the geometry, what it omits and what that costs
+    figures : the same as plain data
+    about : the robot, in words
     """
 
     line: ClassVar[str] = " of {{ it.about or 'a robot' }}, {{ it.text.splitlines() | length }} lines"
@@ -46,15 +47,19 @@ class RobotModel(Result):
     about: str = ""
 
     def blocks(self) -> list[Words]:
-        """What it holds, what it leaves out and what that costs."""
+        """Return the sentences on what the file holds and what it omits, one per block."""
         return [Words(line) for line in self.lines or ("nothing is left out",)]
 
     def to_json(self) -> dict[str, Any]:
+        """Return the figures as plain data."""
         return self.figures
 
 
 def form_of(word: str | None, out: Path) -> str:
-    """The form that is asked for, or that the file's ending means. Raises InputError."""
+    """Return the export format that is requested, or that the ending of the file `out` implies.
+
+    Raises InputError: the format is unknown, or the ending implies none.
+    """
     endings = {".xml": "mjcf", ".urdf": "urdf", ".json": "actuators", ".xacro": "xacro"}
     endings |= {".yaml": "ur", ".yml": "ur"}
     form = word or endings.get(out.suffix.lower())
@@ -79,7 +84,7 @@ def robot_model(
     leave_out: bool = False,
     show: Show = silent,
 ) -> RobotModel:
-    """A calibrated robot as another program reads it.
+    """Return a calibrated robot in the file format of another program, with what the format omits.
 
     source : a robot file, taken as it is, or a problem folder, which is calibrated
     form : mjcf, urdf; actuators, the drives by joint names; kinematics of a driver: ur,
@@ -141,7 +146,10 @@ def robot_model(
 
 
 def calibrated(folder: Path) -> Calibration:
-    """A problem calibrated by the last of its methods. Raises InputError, ConvergenceError."""
+    """Calibrate the problem in a folder with the last of its methods.
+
+    Raises InputError, ConvergenceError.
+    """
     problem = read_problem(folder)
     return calibrate(problem, method=problem.methods[-1])
 
@@ -149,7 +157,10 @@ def calibrated(folder: Path) -> Calibration:
 def robot_to_write(
     source: Path, campaign: Path | None = None, effects: str | None = None, show: Show = silent
 ) -> Robot:
-    """A file's robot, or one calibrated from a problem, or a campaign with its causes.
+    """Return the robot to be exported, from a robot file, a problem folder or a diagnosed campaign.
+
+    Without a campaign a robot file is read and a problem folder is calibrated; with a campaign CSV
+    the robot is calibrated and diagnosed from it, and has the causes found as effects.
 
     Raises InputError, ConvergenceError.
     """
@@ -169,9 +180,10 @@ def _into_users(
     springs: bool,
     robot: Robot,
 ) -> MjcfExport:
-    """A user's own model with the geometry (and springs) of a robot, without effects.
+    """Return a user's MJCF model with the robot's geometry and joint springs, without effects.
 
     nominal : robot file from before the calibration, needed where source is a robot file
+    into : the user's MJCF file; joints : names of its joints, separated by commas
     Raises InputError.
     """
     if source.is_file() and nominal is None and campaign is None:
@@ -190,6 +202,11 @@ def _into_users(
 
 
 def _urdf(source: Path, nominal: Path | None, leave_out: bool, show: Show) -> RobotModel:
+    """Return the robot as a URDF: geometry and masses, with the mean errors of what is omitted.
+
+    The user's own URDF is updated where the problem names one; otherwise a new one is written.
+    Raises InputError.
+    """
     if nominal is not None:
         raise InputError("--nominal has no part in a URDF; remove it")
     show("calibrating")

@@ -1,4 +1,4 @@
-"""Effects that an export cannot carry: refused with their loss in mm, or left out."""
+"""Effects that an export format cannot represent: refused with their error [mm], or omitted."""
 
 from collections.abc import Collection, Iterable
 from typing import TYPE_CHECKING
@@ -15,14 +15,17 @@ from casadical.robot.robot import Robot
 if TYPE_CHECKING:
     from casadical.project.calibration import Calibration
 
-SAMPLED_POSES = 1000
+SAMPLED_POSES = 1000  # random poses over which the position error of an omission is averaged
 
 
 def left_out(robot: Robot, omissions: Iterable[Omission], target: str, leave_out: bool) -> tuple[str, ...]:
-    """A line on each omission with what is lost by it.
+    """Return one line per omitted effect, with the position error that the omission causes.
 
-    target : what is written, in words. Effects of the measurement are no loss to the robot. Raises
-    InputError for other ones unless `leave_out` is given.
+    target : the format that is written, in words, for the error message
+    leave_out : whether effects may be omitted. Effects of the measurement may always be omitted, as
+        they are no property of the robot
+
+    Raises InputError: other effects are omitted and `leave_out` is false.
     """
     lines, refused = [], []
     for omission in omissions:
@@ -48,10 +51,11 @@ def left_out(robot: Robot, omissions: Iterable[Omission], target: str, leave_out
 
 
 def rest_of_rigid(robot: Robot) -> tuple[str, ...]:
-    """What a file of the geometry alone leaves out, in millimetres; empty for a rigid robot.
+    """Return lines on what a file that holds only the rigid geometry omits; none for a rigid robot.
 
-    The lines name the springs and effects, how far the point is off without all of them, and those
-    whose loss is not known. Effects of the measurement are named, but are no loss to the robot.
+    The lines name the joint compliances and effects, the position error [mm] without all of them,
+    and the effects whose position error is unknown. Effects of the measurement are named, but cause
+    no error of the robot.
     """
     soft = ", ".join(str(i) for i, j in enumerate(robot.joints, 1) if j.compliance)
     names = [*([f"compliance of joints {soft}"] if soft else []), *(e.label for e in robot.effects)]
@@ -65,10 +69,9 @@ def rest_of_rigid(robot: Robot) -> tuple[str, ...]:
 
 
 def rigid_rest(robot: Robot) -> tuple[float, float]:
-    """How far the measured point is from that of the rigid geometry alone: mean and maximum [m].
+    """Return mean and maximum distance [m] of the robot's point from that of its rigid geometry.
 
-    Over the range on which the robot was learnt, as of `lost`; effects of the measurement are left
-    out of both.
+    Both are evaluated over the learnt range, as in `lost`, without effects of the measurement.
     """
     robot = robot.with_only(e for e in robot.effects if not e.of_measurement)
     q, w = _poses(robot)
@@ -78,10 +81,10 @@ def rigid_rest(robot: Robot) -> tuple[float, float]:
 
 
 def geometry_alone(calibration: "Calibration") -> dict[str, float | int | str]:
-    """Mean errors [mm] at measured poses: nominal, calibrated geometry, whole model.
+    """Return mean position errors [mm] at measured poses: nominal, rigid calibrated, whole model.
 
-    The set `report`, which the fit has not seen, else the poses that were identified from; key
-    `set` says which. The nominal robot has its base and tool fitted.
+    The poses are those of the set `report`, which the fit has not seen, or else those of the
+    identification; key `set` says which. Base and tool of the nominal robot are fitted.
     """
     identified, sets = calibration.identification, calibration.problem.sets
     name = "report" if "report" in sets else "identify"
@@ -91,21 +94,26 @@ def geometry_alone(calibration: "Calibration") -> dict[str, float | int | str]:
     return {"set": name, "poses": len(mean["model"]), **figures}
 
 
+# Sentence for an effect whose condition has no range in the robot file; its name follows.
 _NOT_KNOWN = "what would be lost is not known, for the robot file gives no range of"
 
 
 def _without_range(robot: Robot, effects: Iterable[Effect]) -> str:
-    """A condition of the effects whose range the robot file does not give; else empty."""
+    """Return the first condition of the effects without a range in the robot file, or "".
+
+    Approach directions, progress and payload need no range; see `_drawn`.
+    """
     known = robot.knowledge.conditions if robot.knowledge else {}
     names = (name for e in effects for name in e.conditions if name not in known)
     return next((name for name in names if not name.startswith(("approach", "progress", "payload_kg"))), "")
 
 
 def lost(robot: Robot, parameters: Collection[str]) -> tuple[float, float]:
-    """Mean and maximum [m] of how far the point moves if these parameters are zero.
+    """Return mean and maximum displacement [m] of the measured point if these parameters are zero.
 
-    Readings and columns are drawn uniformly from the range on which the robot was learnt; where it
-    is not known, from the joints' ranges, either approach, all times, and the declared payload.
+    Readings and conditions are drawn uniformly from the range on which the robot was learnt. Where
+    it is unknown, they are drawn from the joint limits, both approach directions, the whole
+    progress, and the declared value of every other condition.
     """
     q, w = _poses(robot)
     without = robot.parameters.values.copy()
@@ -115,7 +123,10 @@ def lost(robot: Robot, parameters: Collection[str]) -> tuple[float, float]:
 
 
 def _apart(robot: Robot, q: Array, w: Array, other: Array) -> tuple[float, float]:
-    """Mean and largest distance [m] of the point from another, shape (3, n), where loops close."""
+    """Return mean and maximum distance [m] between the robot's point and `other`, shape (3, poses).
+
+    Poses at which a closed loop (four-bar) cannot close are excluded.
+    """
     p, margin = robot.model.evaluate(("p", "margin"), q, w, robot.parameters.values)
     closed = (margin.reshape(-1, SAMPLED_POSES) > LEAST_MARGIN).all(axis=0)
     moved = np.linalg.norm(p - other, axis=0)[closed]
@@ -123,7 +134,7 @@ def _apart(robot: Robot, q: Array, w: Array, other: Array) -> tuple[float, float
 
 
 def _poses(robot: Robot) -> tuple[Array, Array]:
-    """Random readings and conditions of the range on which a robot was learnt, a row a pose."""
+    """Return random readings q (k, n) [rad or m] and conditions w (k, m) in the learnt range."""
     rng = np.random.default_rng(0)
     known = robot.knowledge.readings if robot.knowledge else np.zeros((0, 2))
     lower, upper = known.T if len(known) else robot.limits
@@ -134,6 +145,11 @@ def _poses(robot: Robot) -> tuple[Array, Array]:
 
 
 def _drawn(robot: Robot, column: int, rng: np.random.Generator) -> Array:
+    """Return random values of one condition column, shape (poses,), in its own unit.
+
+    The range is the robot file's; otherwise -1 or 1 for an approach direction, 0 to 1 for progress,
+    and the declared value for the rest.
+    """
     name, declared = robot.conditions[column], robot.declared[column]
     usual = (-1.0, 1.0) if name.startswith("approach") else (0.0, 1.0) if name == "progress" else (declared, declared)
     low, high = (robot.knowledge.conditions if robot.knowledge else {}).get(name, usual)

@@ -1,1 +1,1 @@
-"""Functions as C99 and structured text: the same tape of operations in each language."""
+"""Generated controller code: CasADi functions as guarded, deterministic C99 and structured text."""

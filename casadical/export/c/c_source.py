@@ -1,4 +1,4 @@
-"""The C99 files of a program: templates filled with its tapes, box, limits and known answers."""
+"""The C99 files of an export: templates filled with tapes, joint box, limits and test vectors."""
 
 from textwrap import wrap
 from typing import Any
@@ -14,7 +14,7 @@ from casadical.export.c.products import Command, Product
 from casadical.export.c.reference import StepState, correct, forward, network, step
 from casadical.export.c.tape_program import TapeProgram
 
-FILES_SCHEMA = 1  # version of the files' form
+FILES_SCHEMA = 1  # version number of the exported files' format
 _COMMAND_DEFINES = """
 /* Largest correction of a joint [rad or m], and its largest change in one call of @name@_step */
 #define @NAME@_DELTA_LIMIT @delta_decimal@
@@ -29,7 +29,7 @@ _COMMAND_STATUSES = """\
 
 
 def c_files(program: TapeProgram) -> dict[str, str]:
-    """Return what `write_c` compiles, and what an integrator needs around it, by file name."""
+    """Return the texts of all files of the C export by file name, build files included."""
     name, values = program.name, _values(program)
     build = {f"CMAKE_INSTALL_{key}": f"@CMAKE_INSTALL_{key}@" for key in ("PREFIX", "LIBDIR", "INCLUDEDIR")}
     return {
@@ -44,6 +44,7 @@ def c_files(program: TapeProgram) -> dict[str, str]:
 
 
 def _header(program: TapeProgram, values: dict[str, str]) -> str:
+    """Return the text of NAME.h: prototypes, limits, status codes and notes."""
     command, network = program.command, program.network
     parts = [template("network.h")] if network else []
     parts += [template("command.h")] if command else []
@@ -57,6 +58,7 @@ def _header(program: TapeProgram, values: dict[str, str]) -> str:
 
 
 def _source(program: TapeProgram, values: dict[str, str]) -> str:
+    """Return the text of NAME.c: elementary functions, tape kernels and the exported functions."""
     parts = [template("network.c")] if program.network else []
     parts += [template("command.c")] if program.command else []
     kernels = (
@@ -71,7 +73,7 @@ def _source(program: TapeProgram, values: dict[str, str]) -> str:
 
 
 def _casadis_own(program: TapeProgram) -> str:
-    """C of CasADi's generator (double, math.h): a second way from functions to numbers."""
+    """Return CasADi's own C (double, math.h) of the same functions, as an independent check."""
     generator = casadi.CodeGenerator(f"{program.name}_casadi", {"with_header": False})
     functions = {} if program.network is None else {program.network.key: program.network.function}
     if program.command is not None:
@@ -83,10 +85,10 @@ def _casadis_own(program: TapeProgram) -> str:
 
 
 def _values(program: TapeProgram) -> dict[str, str]:
-    """Placeholders that every template may use."""
+    """Return the placeholders that every C template may use, by name."""
     real, command, network = program.real, program.command, program.network
     double = real == "double"
-    # values of FLT_EVAL_METHOD with which the type keeps its own precision
+    # values of FLT_EVAL_METHOD at which arithmetic in this type is not evaluated in a wider one
     methods = (0, 1, 16, 32, 64) if double else (0, 16, 32)
     values = {
         "name": program.name,
@@ -123,6 +125,7 @@ def _values(program: TapeProgram) -> dict[str, str]:
 
 
 def _command_values(command: Command, program: TapeProgram) -> dict[str, str]:
+    """Return the placeholders of a joint-command correction: array sizes, limits, texts."""
     limits, real, n, prepared = command.limits, program.real, program.n, prepared_size(command)
     n_p = pose_size(command)
     pose = "position p [m]" if n_p == 3 else "position p[0..2] [m], then the columns of the rotation matrix"
@@ -140,8 +143,8 @@ def _command_values(command: Command, program: TapeProgram) -> dict[str, str]:
     values |= {key: repr(getattr(limits, key)) for key in ("cycle_s", "ramp_s", "rate_rad_s")}
     values |= {f"limit_{key}": literal(value, real) for key, value in numbers.items()}
     for key in ("delta", "change"):
-        # for the header, where C++ before 17 takes no hexadecimal constant; read back it is the
-        # same number
+        # The header is read by C++ before 17 too, which has no hexadecimal floating constants.
+        # The decimal constant gives the same number when it is read back.
         values[f"{key}_decimal"] = repr(float(NUMPY_TYPE[real](numbers[key]))) + ("F" if real == "float" else "")
     return values | {
         "pose_text": pose,
@@ -152,7 +155,7 @@ def _command_values(command: Command, program: TapeProgram) -> dict[str, str]:
 
 
 def _freedom(command: Command) -> str:
-    """What the joints cannot move, in words."""
+    """Return a sentence on the directions that the joints cannot move or rotate, else ""."""
     moved, turned = command.freedom
     words = [f"in {moved} of 3 directions"] if moved < 3 else []
     if residual_size(command) == 6 and turned < 3:
@@ -161,12 +164,13 @@ def _freedom(command: Command) -> str:
 
 
 def joint_units(product: Product) -> str:
-    """The units of the joints' readings, in words."""
+    """Return the units of the joint readings, in words."""
     linear = [f"q[{i}]" for i, unit in enumerate(product.units) if unit == "m"]
     return f"radians, {', '.join(linear)} in metres" if linear else "radians"
 
 
 def _box_text(product: Product) -> str:
+    """Return comment lines with the range of each joint reading, in rad and deg or in m."""
     text = ""
     for i, (low, high, unit) in enumerate(zip(product.lower, product.upper, product.units, strict=True)):
         degrees = f"  ({np.rad2deg(low):.6g} to {np.rad2deg(high):.6g} deg)" if unit == "rad" else " m"
@@ -175,7 +179,7 @@ def _box_text(product: Product) -> str:
 
 
 def _notes(notes: tuple[str, ...]) -> str:
-    """Sentences as lines of a comment, which they cannot end."""
+    """Return the notes of the robot file as lines of a C comment, which they cannot terminate."""
     lines = [" Notes of the robot file:"]
     for note in notes:
         safe = note.encode("ascii", "replace").decode().replace("*/", "* /").replace("/*", "/ *")
@@ -183,17 +187,20 @@ def _notes(notes: tuple[str, ...]) -> str:
     return "".join(f" *{line}\n" for line in lines) + " *\n" if notes else ""
 
 
-_SEED = 20201  # of the vectors; the same one each time keeps the files the same
+_SEED = 20201  # random seed of the test vectors; it is fixed so that exports are reproducible
 
 
 def inside(program: TapeProgram, count: int, seed: int = _SEED) -> Array:
-    """Return random joint readings inside the box, shape (count, n)."""
+    """Return random joint readings inside the box [rad or m], shape (count, n)."""
     lower, upper = program.product.lower, program.product.upper
     return np.random.default_rng(seed).uniform(lower, upper, (count, program.n)).astype(NUMPY_TYPE[program.real])
 
 
 def self_test_inputs(program: TapeProgram) -> Array:
-    """Return the middle, 8 corners, 16 random points, and 4 outside the box, shape (29, n)."""
+    """Return the readings [rad or m] of the self-test, shape (29, n).
+
+    They are the middle of the box, 8 of its corners, 16 random points inside and 4 points outside.
+    """
     lower, upper, n = program.product.lower, program.product.upper, program.n
     signs = np.random.default_rng(_SEED).integers(0, 2, (8, n))
     corners = np.where(signs == 1, upper, lower)
@@ -203,9 +210,10 @@ def self_test_inputs(program: TapeProgram) -> Array:
 
 
 def comparison_inputs(program: TapeProgram, count: int) -> Array:
-    """Return mostly random joints inside the box, shape (count, n).
+    """Return the readings [rad or m] for comparing compiled C with the reference, shape (count, n).
 
-    One row in eight is outside of it; of these some are far, some not finite, some at corners.
+    Seven of eight rows are random inside the box. The others are scaled outwards by up to 1e6; some
+    of these are corners of the box instead, some have an entry that is not finite or extreme.
     """
     T = NUMPY_TYPE[program.real]
     q = inside(program, count, _SEED + 1)
@@ -224,12 +232,13 @@ def comparison_inputs(program: TapeProgram, count: int) -> Array:
 
 
 def functions(program: TapeProgram) -> dict[str, Any]:
-    """Return the exported functions of joints by name, each with its reference."""
+    """Return the exported functions of joint readings by name, each as its NumPy reference."""
     known: dict[str, Any] = {} if program.network is None else {program.network.key: network}
     return known | ({"forward": forward, "correct": correct} if program.command is not None else {})
 
 
 def _self_test(program: TapeProgram, values: dict[str, str]) -> str:
+    """Return the text of NAME_self_test.c: inputs with the expected outputs and statuses."""
     q = self_test_inputs(program)
     values = values | {"rows": str(len(q)), "inputs": _rows(q, program.real)}
     parts, checks, bad_checks = [], [], []
@@ -253,6 +262,7 @@ def _self_test(program: TapeProgram, values: dict[str, str]) -> str:
 
 
 def _example(program: TapeProgram, values: dict[str, str]) -> str:
+    """Return the text of NAME_example.c, which calls the functions at the centre of the box."""
     centre = ", ".join(literal(float(v), program.real) for v in self_test_inputs(program)[0])
     parts = [template("example_network.c")] if program.network else []
     parts += [template("example_command.c")] if program.command else []
@@ -261,5 +271,6 @@ def _example(program: TapeProgram, values: dict[str, str]) -> str:
 
 
 def _rows(table: Array, real: Real, indent: int = 4) -> str:
+    """Return a table as the initializers of a C array, one row of literals per line."""
     rows = (", ".join(literal(float(v), real) for v in row) for row in table)
     return ",\n".join(f"{' ' * indent}{{ {row} }}" for row in rows)

@@ -1,14 +1,16 @@
-"""The least-squares algebra of a command, in SX: written here once, for all languages.
+"""Damped least-squares steps that correct a joint command (chord method), as CasADi SX functions.
 
-The chord step: with J the Jacobian at the commanded joints, factored once as L D L^T = J J^T +
-lambda^2 I, each step solves for y in L D L^T y = r and moves the joints by J^T y. After the last
-step the model is evaluated again, so that the status is the error that is left and no estimate; the
-step that follows from it costs next to nothing and is taken.
+They are written once, for all target languages. With J the Jacobian at the commanded joints and L D
+L^T = J J^T + lambda^2 I, factored once, each step solves L D L^T y = r for the residual r and moves
+the joints by J^T y. After the last step the model is evaluated again, so that the status is based
+on the remaining error itself and not on an estimate; the step that follows from this evaluation
+costs next to nothing and is taken too.
 
-Where the joints cannot reach every orientation, the position goes first: P = I - J^T (J J^T +
-lambda^2 I)^-1 J leaves the joints their motions that keep the position, and a second least-squares
-problem takes of the orientation what those reach (task priority; Nakamura, Hanafusa and Yoshikawa
-1987). The error is then how far the next step would still go.
+Where the joints cannot reach every orientation, the position has priority: P = I - J^T (J J^T +
+lambda^2 I)^-1 J projects joint motions onto those that keep the position, and a second
+least-squares problem corrects the orientation as far as these reach (task priority; Nakamura,
+Hanafusa and Yoshikawa 1987). The orientation's error is then the rotation that the next step would
+still make.
 """
 
 import casadi
@@ -16,17 +18,22 @@ from casadi import SX
 
 from casadical.export.c.products import Command
 
-ORIENTATION_LENGTH_M = 0.3  # m: by which an error of the orientation [rad] is weighted against one of the position
+# Length [m] that converts an orientation error [rad] to the scale of a position error.
+ORIENTATION_LENGTH_M = 0.3
 
 
 def prepare(command: Command) -> casadi.Function:
-    """q -> nominal pose, factored steps (see `_Step`), weakness, and calibrated pose."""
+    """Return the function that prepares a correction: q -> prepared, all numbers in one vector.
+
+    They are the nominal pose, the factored Jacobian (see `_Step.factored`), the weakness, and the
+    calibrated pose, all at the commanded joints q, shape (n,) [rad or m].
+    """
     q = SX.sym("q", len(command.lower))
     step = _step(command)
     function = command.jacobian_of if command.jacobian_of is not None else command.calibrated
     at = q if command.jacobian_at is None else _flat(command.jacobian_at, q)
-    # the mean of both robots' Jacobians: nearly the trapezoidal rule along the step, with half of
-    # the error of one
+    # The mean of both robots' Jacobians is close to the trapezoidal rule along the step and has
+    # half the error of a single one.
     mean = 0.5 * (_slope(command, function, at) + _slope(command, command.nominal, q))
     factors, weakness = step.factored(mean)
     out = [_flat(command.nominal, q), factors, weakness, _flat(command.calibrated, q)]
@@ -34,12 +41,16 @@ def prepare(command: Command) -> casadi.Function:
 
 
 def prepared_size(command: Command) -> int:
-    """How many numbers ``prepare`` gives before the calibrated pose."""
+    """Return how many numbers `prepare` gives before the calibrated pose."""
     return pose_size(command) + _step(command).size + 1
 
 
 def advance(command: Command) -> casadi.Function:
-    """(prepared, calibrated pose) -> joint step, squared error before it."""
+    """Return the function of one step: (prepared, calibrated pose) -> moved.
+
+    moved : joint step, shape (n,) [rad or m], and as its last entry the squared error before it
+        [m^2]
+    """
     size, step = pose_size(command), _step(command)
     prepared, now = SX.sym("prepared", prepared_size(command)), SX.sym("now", size)
     target, factors, _ = casadi.vertsplit(prepared, [0, size, size + step.size, size + step.size + 1])
@@ -48,16 +59,17 @@ def advance(command: Command) -> casadi.Function:
 
 
 def residual_size(command: Command) -> int:
-    """3 for positions, 6 for poses."""
+    """Return the size of the residual: 3 for positions, 6 for poses."""
     return 3 if command.calibrated.numel_out(0) == 3 and command.calibrated.n_out() == 1 else 6
 
 
 def pose_size(command: Command) -> int:
-    """3 numbers of a position, 12 of a pose."""
+    """Return the size of a pose vector: 3 for positions, 12 with the rotation's columns."""
     return 3 if residual_size(command) == 3 else 12
 
 
 def _step(command: Command) -> "_Step":
+    """Return the least-squares step for the directions in which the joints move the tool."""
     n, damping, (position, orientation) = len(command.lower), command.limits.damping**2, command.freedom
     if residual_size(command) == 6 and position + orientation < 6:
         return _PositionFirst(n, 6, damping, position, orientation)
@@ -65,36 +77,50 @@ def _step(command: Command) -> "_Step":
 
 
 class _Step:
-    """Damped least squares of m numbers in n joints; `reached` directions of 3 are moved."""
+    """Damped least-squares step of m residuals and n joints that moves `reached` of 3 directions.
+
+    damping : lambda^2 [m^2/rad^2]
+    """
 
     def __init__(self, n: int, m: int, damping: float, reached: int) -> None:
         self.n, self.m, self.damping, self.reached = n, m, damping, reached
 
     @property
     def size(self) -> int:
-        """How many numbers `factored` gives: J, L below its diagonal, inverted pivots."""
+        """Return how many numbers `factored` gives: J, L below its diagonal, inverted pivots."""
         return self.m * self.n + _factor_size(self.m)
 
     def factored(self, J: SX) -> tuple[SX, SX]:
-        """J (m, n), its factors, and the weakness, at least 1 / (least singular value)^2."""
+        """Return J (m, n) with its factors as one vector, and the weakness [rad^2/m^2].
+
+        The weakness is the trace of (J J^T + lambda^2 I)^-1 without unreachable directions: about 1
+        / (smallest singular value)^2 near a singular pose.
+        """
         L, inverse = self._factors(J)
         lost = 3 - self.reached
         weakness = _weakness(L, inverse)
         return casadi.vertcat(casadi.vec(J), _packed(L, inverse)), weakness - lost / self.damping if lost else weakness
 
     def _factors(self, J: SX) -> tuple[SX, SX]:
-        """Those of J J^T + lambda^2 I, see `_factored`."""
+        """Return the factors of J J^T + lambda^2 I, see `_factored`."""
         return _factored(casadi.mtimes(J, J.T) + self.damping * SX.eye(J.shape[0]), self.damping / 2)
 
     def solved(self, factors: SX, r: SX) -> tuple[SX, SX]:
-        """Joint step (n,) for a residual r (m,), and the squared error."""
+        """Return the joint step (n,) for a residual r (m,) [m], and the squared error [m^2].
+
+        Where not all directions can be moved, the error is that of the reachable part, J times the
+        step.
+        """
         J = casadi.reshape(factors[: self.m * self.n], self.m, self.n)
         moved = casadi.mtimes(J.T, _solved(*_factors_of(factors[self.m * self.n :], self.m), r))
         return moved, casadi.sumsqr(r if self.reached == 3 else casadi.mtimes(J, moved))
 
 
 class _PositionFirst(_Step):
-    """Position, and beside it the orientation in `turned` directions."""
+    """Least-squares step that corrects the position, then the orientation.
+
+    turned : number of directions about which the joints can rotate the tool at a kept position
+    """
 
     def __init__(self, n: int, m: int, damping: float, reached: int, turned: int) -> None:
         super().__init__(n, m, damping, reached)
@@ -102,20 +128,22 @@ class _PositionFirst(_Step):
 
     @property
     def size(self) -> int:
-        """J, two factors of three rows, and P G^T with G = J_o P."""
+        """Return how many numbers `factored` gives: J, two factors of 3 rows, and P (J_o P)^T."""
         return (self.m + 3) * self.n + 2 * _factor_size(3)
 
     def factored(self, J: SX) -> tuple[SX, SX]:
+        """Return J (6, n) with the factors of both problems as one vector, and the weakness."""
         Jp, Jo = J[:3, :], J[3:, :]
         L, inverse = self._factors(Jp)
-        G = self._kept(Jp, L, inverse, Jo.T).T
+        G = self._projected(Jp, L, inverse, Jo.T).T
         M, inverse_o = self._factors(G)
-        back = self._kept(Jp, L, inverse, G.T)
+        back = self._projected(Jp, L, inverse, G.T)
         lost = 6 - self.reached - self.turned
         weakness = _weakness(L, inverse) + _weakness(M, inverse_o) - lost / self.damping
         return casadi.vertcat(casadi.vec(J), _packed(L, inverse), _packed(M, inverse_o), casadi.vec(back)), weakness
 
     def solved(self, factors: SX, r: SX) -> tuple[SX, SX]:
+        """Return the joint step (n,) for a residual r (6,) [m], and the squared error [m^2]."""
         n, m, f = self.n, self.m, _factor_size(3)
         parts = casadi.vertsplit(factors, [0, m * n, m * n + f, m * n + 2 * f, (m + 3) * n + 2 * f])
         J = casadi.reshape(parts[0], m, n)
@@ -127,18 +155,23 @@ class _PositionFirst(_Step):
         return moved, casadi.sumsqr(casadi.vertcat(left, casadi.mtimes(J[3:, :], moved)))
 
     @staticmethod
-    def _kept(Jp: SX, L: SX, inverse: SX, v: SX) -> SX:
-        """P v, shape (n, 3): motions without those that the position is corrected with."""
+    def _projected(Jp: SX, L: SX, inverse: SX, v: SX) -> SX:
+        """Return P v, shape (n, 3): joint motions v projected onto those that keep the position."""
         y = casadi.horzcat(*[_solved(L, inverse, casadi.mtimes(Jp, v[:, k])) for k in range(v.shape[1])])
         return v - casadi.mtimes(Jp.T, y)
 
 
 def _flat(function: casadi.Function, q: SX) -> SX:
+    """Return all outputs of a function of q as one column, matrices column by column."""
     return casadi.vertcat(*[casadi.vec(out) for out in function.call([q])])
 
 
 def residual(target: SX, now: SX) -> SX:
-    """Position error [m], and for poses the rotation from now to target times `ORIENTATION_LENGTH_M`."""
+    """Return the residual of a target: position error [m], and for poses the scaled rotation [m].
+
+    The rotation vector is the one from `now` to `target` (small angles), times
+    `ORIENTATION_LENGTH_M`. Both arguments have 3 or 12 entries, in one common frame.
+    """
     if target.numel() == 3:
         return target - now
     columns = (slice(3 + 3 * k, 6 + 3 * k) for k in range(3))
@@ -147,7 +180,7 @@ def residual(target: SX, now: SX) -> SX:
 
 
 def _slope(command: Command, function: casadi.Function, at: SX) -> SX:
-    """Jacobian of minus the residual with respect to the function's joints."""
+    """Return the Jacobian of minus the residual by the function's joints, at joints `at`."""
     x, fixed = SX.sym("x", len(command.lower)), SX.sym("fixed", pose_size(command))
     now = _flat(function, x)
     slope = casadi.jacobian(-residual(fixed, now), x)
@@ -155,7 +188,7 @@ def _slope(command: Command, function: casadi.Function, at: SX) -> SX:
 
 
 def _factored(A: SX, floor: float) -> tuple[SX, SX]:
-    """Unit lower L and the inverted pivots of A = L D L^T, no pivot below the floor."""
+    """Return unit lower L and the inverted pivots of A = L D L^T, no pivot below `floor`."""
     m = A.shape[0]
     L, d, inverse = SX.eye(m), SX.zeros(m), SX.zeros(m)
     for j in range(m):
@@ -168,13 +201,14 @@ def _factored(A: SX, floor: float) -> tuple[SX, SX]:
 
 
 def _weakness(L: SX, inverse: SX) -> SX:
-    """Trace of A^-1, at least one over its smallest eigenvalue."""
+    """Return the trace of A^-1 from its factors: at least 1 / (smallest eigenvalue of A)."""
     m = L.shape[0]
     columns = [_forward_solve(L, SX.eye(m)[:, j]) for j in range(m)]
     return sum((c[i] * c[i] * inverse[i] for j, c in enumerate(columns) for i in range(j, m)), SX(0))
 
 
 def _forward_solve(L: SX, b: SX) -> SX:
+    """Return y of L y = b, with L unit lower triangular."""
     y = SX(b)
     for i in range(b.numel()):
         for k in range(i):
@@ -183,7 +217,7 @@ def _forward_solve(L: SX, b: SX) -> SX:
 
 
 def _solved(L: SX, inverse: SX, r: SX) -> SX:
-    """y of L D L^T y = r."""
+    """Return y of L D L^T y = r, from L and the inverted pivots."""
     y = _forward_solve(L, r) * inverse
     m = L.shape[0]
     for i in reversed(range(m)):
@@ -193,19 +227,22 @@ def _solved(L: SX, inverse: SX, r: SX) -> SX:
 
 
 def _below(m: int) -> list[tuple[int, int]]:
+    """Return the places (row, column) of an m x m matrix below its diagonal, column by column."""
     return [(i, j) for j in range(m) for i in range(j + 1, m)]
 
 
 def _factor_size(m: int) -> int:
+    """Return how many numbers `_packed` gives for m rows."""
     return m * (m - 1) // 2 + m
 
 
 def _packed(L: SX, inverse: SX) -> SX:
-    """L below its diagonal, and the inverted pivots."""
+    """Return L below its diagonal and the inverted pivots as one vector."""
     return casadi.vertcat(*[L[i, j] for i, j in _below(L.shape[0])], inverse)
 
 
 def _factors_of(packed: SX, m: int) -> tuple[SX, SX]:
+    """Return L and the inverted pivots from a vector of `_packed` for m rows."""
     L = SX.eye(m)
     for value, (i, j) in zip(casadi.vertsplit(packed)[: len(_below(m))], _below(m), strict=True):
         L[i, j] = value

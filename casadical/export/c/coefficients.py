@@ -1,14 +1,15 @@
-"""Numbers of the exported C: constants of elementary functions, tables of periodic ones.
+"""Numerical constants of the exported C: elementary functions' polynomials, and spline tables.
 
-Made by docs/studies/c_coefficients.py: near-minimax polynomials, and pi/2 and ln 2 split so that
-small multiples of the first part are exact. The C templates and the NumPy evaluation read the same
-numbers.
+The polynomials are near-minimax and come from docs/studies/c_coefficients.py; pi/2 and ln 2 are
+split so that small multiples of the first part are exact. The C templates and the NumPy reference
+read the same numbers.
 
-A function that repeats every turn is a cubic spline through equally spaced points: the same few
-operations for any number of harmonics. It is made from a function that a CasADi function calls
-(option `never_inline`), so that CasADi's own numbers stay those of the exact function. The error of
-a cubic spline through samples of one harmonic is known in closed form; the sum over the function's
-harmonics, as if all were greatest at one place, is a bound for every angle.
+A function with period 2 pi is evaluated as a cubic spline through equally spaced samples, with the
+same few operations for any number of harmonics. Such a table is made of a function that a CasADi
+function calls (option `never_inline`), so that CasADi's own numbers stay those of the exact
+function. The error of a cubic spline through samples of one harmonic is known in closed form; the
+sum over the function's harmonics, as if all had their maximum at one angle, bounds the error at
+every angle.
 """
 
 from dataclasses import dataclass
@@ -25,7 +26,7 @@ Real = Literal["float", "double"]
 
 @dataclass(frozen=True)
 class Coefficients:
-    """Numbers of one real type; see the C templates for the formula each belongs to."""
+    """Constants of one real type; the C templates hold the formula to which each belongs."""
 
     coth: tuple[float, ...]  # r coth(r/2) = 2 + z P(z), z = r^2, |r| <= ln(2)/2
     sin: tuple[float, ...]  # sin r = r + r z P(z), |r| <= pi/4
@@ -38,17 +39,18 @@ class Coefficients:
     pi: float
     pi_2: float
     pi_4: float
-    tansig_limit: float  # tanh rounds to 1 from here on
-    sqrt_steps: tuple[int, ...]  # exponents by which a square root's argument is brought into [1, 4)
-    heron_steps: int
+    tansig_limit: float  # smallest argument from which on tanh rounds to 1
+    sqrt_steps: tuple[int, ...]  # powers of 2 that scale a square root's argument into [1, 4)
+    heron_steps: int  # number of Heron (Newton) steps of the square root
     smallest: float  # smallest normal number
     largest: float
 
 
-ANGLE_LIMIT = 1024.0  # rad: largest angle that sincos reduces exactly
-EXP_LIMIT = 43.0  # largest exponent that exp takes
-TAN_PI_8 = 0.41421356  # where atan2 turns to the second octant; any value near tan(pi/8) is right
-SQRT_GUESS = (0.5375, 0.4905, -0.0305)  # sqrt(m) on [1, 4) to 0.7 per cent, refined by Heron's steps
+ANGLE_LIMIT = 1024.0  # largest angle [rad] that sincos reduces exactly
+EXP_LIMIT = 43.0  # largest argument of exp
+TAN_PI_8 = 0.41421356  # ratio from which atan2 reduces by pi/4; any value near tan(pi/8) is right
+# Quadratic polynomial for sqrt(m) on [1, 4), accurate to 0.7 per cent; Heron's steps refine it.
+SQRT_GUESS = (0.5375, 0.4905, -0.0305)
 
 _FLOAT = Coefficients(
     coth=(0.16666653752326965, -0.0027696965262293816),
@@ -118,18 +120,22 @@ _DOUBLE = Coefficients(
     smallest=float(np.finfo(np.float64).tiny),
     largest=float(np.finfo(np.float64).max),
 )
+# Constants and NumPy types by the name of the real type.
 COEFFICIENTS: dict[str, Coefficients] = {"float": _FLOAT, "double": _DOUBLE}
 NUMPY_TYPE: dict[str, Any] = {"float": np.float32, "double": np.float64}
 
 
 def turn_parts(c: Coefficients, points: int) -> tuple[float, float, float]:
-    """Points per radian of a turn, and their spacing [rad] in two parts; points : 2^k."""
+    """Return samples per radian of a table, and the sample spacing [rad] split in two parts.
+
+    points : samples per turn, a power of two. The two parts add up to the spacing, as in `half_pi`.
+    """
     high, low = (4 / points * part for part in c.half_pi)
     return points / 4 * c.two_over_pi, high, low
 
 
 def literal(value: float, real: Real) -> str:
-    """A C99 constant with exactly the value that ``value`` has when rounded to the real type."""
+    """Return the C99 constant whose value is exactly `value` rounded to the real type."""
     rounded = float(NUMPY_TYPE[real](value))
     small_whole = rounded == int(rounded) and abs(rounded) < 1e6 if abs(rounded) < 1e9 else False
     mantissa, exponent = rounded.hex().split("p")
@@ -137,25 +143,28 @@ def literal(value: float, real: Real) -> str:
     return text + ("F" if real == "float" else "")
 
 
-# Largest error of a table, in the unit of the function's outputs: of a joint angle 0.05 urad, a
-# twentieth of a micrometre at 1 m, and less than the last bit of an angle of 1 rad in float.
-LARGEST_ERROR = 5e-8
-# Points of a turn; a power of two, so that a bit mask finds the place. More would not be exact in
-# float.
+# Largest interpolation error of a table, in the unit of the function's outputs. For a joint angle
+# it is 0.05 urad: 0.05 um at 1 m, and less than the last bit of an angle of 1 rad in float.
+MAX_TABLE_ERROR = 5e-8
+# Samples per turn that are tried in this order. Powers of two let a bit mask reduce the index;
+# with more samples the index would not be exact in float.
 TABLE_SIZES = (64, 128, 256, 512, 1024, 2048)
-# Largest angle [rad] that is reduced exactly, by multiples of a turn's fraction in two parts.
+# Largest angle [rad] of a table lookup: up to here the angle is reduced exactly, by multiples of
+# the sample spacing in two parts.
 TABLE_LIMIT = 128.0
-# Whole turns that are added to make every place positive: a conversion to integers then rounds
-# down.
+# Whole turns that are added to an angle so that its index is positive: the conversion to an
+# integer, which truncates, then rounds down.
 ADDED_TURNS = 32
-_SAMPLES = 8192
+_SAMPLES = 8192  # samples per turn from which the harmonics of a function are computed
 
 
 def spline_table(samples: Array) -> tuple[float, ...]:
-    """Coefficients / 6 of the periodic cubic spline through samples of a turn, shape (N + 3,).
+    """Return coefficients / 6 of the periodic cubic spline through N samples, shape (N + 3,).
 
-    Between sample i and the next one, by t from 0 to 1, the spline is the sum of entries i to i + 3
-    times the cubic B-splines of t times six.
+    samples : values at equally spaced angles of one turn, shape (N,)
+
+    Between sample i and the next one, at t from 0 to 1, the spline is the sum of entries i to i + 3
+    times the cubic B-spline basis functions of t times six.
     """
     angles = 2 * np.pi * np.fft.rfftfreq(len(samples))
     c = np.fft.irfft(np.fft.rfft(samples) / (2 / 3 + np.cos(angles) / 3), len(samples)) / 6
@@ -164,19 +173,22 @@ def spline_table(samples: Array) -> tuple[float, ...]:
 
 @lru_cache
 def spline_errors(points: int) -> Array:
-    """Largest error of a spline through a unit harmonic of order 1, 2, .., shape (4096,)."""
+    """Return the largest error of a spline through unit harmonics of order 1, 2, .., shape (4096,).
+
+    points : samples per turn
+    """
     angle = 2 * np.pi * np.arange(1, _SAMPLES // 2 + 1) / points
-    t = np.linspace(-0.01, 1.01, 52)[:, None]  # a rounded place may be a hundredth outside its cell
+    t = np.linspace(-0.01, 1.01, 52)[:, None]  # rounding may place t a hundredth outside its cell
     weights = ((1 - t) ** 3, 4 - 6 * t**2 + 3 * t**3, 1 + 3 * t + 3 * t**2 - 3 * t**3, t**3)
     spline = sum(w * np.exp(1j * angle * (k - 1)) for k, w in enumerate(weights)) / (4 + 2 * np.cos(angle))
     return np.asarray(abs(spline - np.exp(1j * angle * t)).max(axis=0))
 
 
 def periodic_tables(function: casadi.Function) -> list[tuple[tuple[float, ...], float]]:
-    """A table for each output of q[n] -> y[n], and the bound of its error; one number if constant.
+    """Return for each output of q[n] -> y[n] its spline table and the bound of the table's error.
 
-    Raises InputError: an output is no periodic function of its own angle alone, has no finite
-    value, or changes too fast for the largest table.
+    A constant output has a table of one number. Raises InputError: an output is not a periodic
+    function of its own angle alone, has no finite value, or changes too fast for the largest table.
     """
     n = function.numel_in(0)
     if (function.n_in(), function.n_out(), function.numel_out(0)) != (1, 1, n):
@@ -194,26 +206,27 @@ def periodic_tables(function: casadi.Function) -> list[tuple[tuple[float, ...], 
         )
     some = x[1 :: _SAMPLES // 64]
     again = np.array(function.map(len(some))(np.tile(some - 2 * np.pi, (n, 1))))
-    if abs(again - values[:, 1 :: _SAMPLES // 64]).max() > LARGEST_ERROR / 100:
+    if abs(again - values[:, 1 :: _SAMPLES // 64]).max() > MAX_TABLE_ERROR / 100:
         raise InputError(f"{_what(function)} does not repeat after 2 pi")
     return [_table(function, i, row) if i in rows else ((float(row[0]),), 0.0) for i, row in enumerate(values)]
 
 
 def _table(function: casadi.Function, output: int, samples: Array) -> tuple[tuple[float, ...], float]:
-    """The smallest table of one output that is exact enough, and its bound."""
+    """Return the smallest table of one output that is accurate enough, and its error bound."""
     amplitude = abs(np.fft.rfft(samples))[1:] * 2 / _SAMPLES
     bound = np.inf
     for points in TABLE_SIZES:
         bound = float(amplitude @ spline_errors(points))
-        if bound <= LARGEST_ERROR:
+        if bound <= MAX_TABLE_ERROR:
             return spline_table(samples[:: _SAMPLES // points]), bound
     high = 1 + int(np.flatnonzero(amplitude > 0.01 * amplitude.max())[-1])
     raise InputError(
         f"{_what(function)} is {1e6 * bound:.2g} urad off in joint {output + 1} with "
-        f"{TABLE_SIZES[-1]} points a turn; allowed are {1e6 * LARGEST_ERROR:g} urad. It holds "
+        f"{TABLE_SIZES[-1]} points a turn; allowed are {1e6 * MAX_TABLE_ERROR:g} urad. It holds "
         f"harmonics up to {high}: are its coefficients right?"
     )
 
 
 def _what(function: casadi.Function) -> str:
+    """Return the subject of an error message about a called function."""
     return f"the called function {function.name()!r}, which becomes a table,"

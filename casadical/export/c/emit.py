@@ -1,9 +1,8 @@
-"""C99 text of a tape, and of the elementary functions it calls.
+"""C99 text of a tape, and of the elementary functions that it calls.
 
 CasADi's own generator with these elementary functions would run as fast (docs/studies/c_matrix.txt,
-"portable"); walking the tape gives exact constants, no MISRA findings, guards where they are
-needed, and a second reader of the same list: the NumPy evaluation that the compiled C is compared
-with.
+"portable"). Walking the tape gives exact constants, no MISRA findings and guards where they are
+needed; and the NumPy reference, with which the compiled C is compared, reads the same list.
 """
 
 import re
@@ -16,17 +15,22 @@ from casadical.export.c import coefficients
 from casadical.export.c.coefficients import COEFFICIENTS, Real, literal, turn_parts
 from casadical.export.c.tape import Node, Tape
 
+# Operations of a tape that are calls of elementary functions, and those that are C operators.
 _CALLS = ("sincos", "tansig", "exp", "sqrt", "atan2")
 _INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 
 
 def template(name: str) -> str:
+    """Return the text of a template by its name."""
     return _short()[name] if name in _short() else _read(name)
 
 
 @cache
 def _short() -> dict[str, str]:
-    """The short templates, those of a language in one file, each under a line `==== NAME`."""
+    """Return the short templates by name, read from one file per language.
+
+    Each template follows a line `==== NAME`.
+    """
     whole = "".join(_read(f"parts.{language}") for language in ("c", "h", "st"))
     return dict(part.split("\n", 1) for part in whole.split("==== ")[1:])
 
@@ -36,12 +40,15 @@ def _read(file: str) -> str:
 
 
 def filled(text: str, values: dict[str, str]) -> str:
-    """Replace every @key@ of a template; a key without a value raises KeyError."""
+    """Return a template with every @key@ replaced; a key without a value raises KeyError."""
     return re.sub(r"@([\w:.\-]+)@", lambda match: values[match.group(1)], text)
 
 
 def elementary_functions(tapes: list[Tape], name: str, real: Real) -> str:
-    """C text of the static functions that the tapes call, each of them once."""
+    """Return C text of the static elementary functions and tables that the tapes call, each once.
+
+    name : prefix of the exported C functions
+    """
     nodes = [node for tape in tapes for node in tape.nodes]
     values = constants(real) | {"name": name, "real": f"{name}_real"}
     texts = [filled(template(f"{op}.c"), values) for op in _CALLS if any(n.op == op for n in nodes)]
@@ -61,14 +68,17 @@ def elementary_functions(tapes: list[Tape], name: str, real: Real) -> str:
 
 
 def table_name(table: tuple[float, ...]) -> str:
-    """Name of the function of a table: the same for the same numbers, so that tapes share it."""
+    """Return the name of a table's C function, made of a checksum of the table's numbers.
+
+    Equal tables have equal names, so that tapes share them.
+    """
     return f"periodic_{zlib.crc32(repr(table).encode()):08x}"
 
 
 def kernel(tape: Tape, prefix: str, name: str, real: Real) -> str:
-    """C text of the static function PREFIX_NAME that evaluates a tape.
+    """Return C text of the static function PREFIX_NAME that evaluates a tape.
 
-    It returns 1, or 0 where a guard was touched.
+    The C function returns 1, or 0 where an argument violated a guard.
     """
     real_name = f"{prefix}_real"
     names = []
@@ -88,6 +98,7 @@ def kernel(tape: Tape, prefix: str, name: str, real: Real) -> str:
 
 
 def _statement(k: int, node: Node, a: list[str], prefix: str, real: Real) -> str:
+    """Return the C statement of operation k; a : texts of its arguments."""
     if node.op == "sincos":
         return f"{prefix}_real v{k}[2];\n{prefix}_sincos({a[0]}, v{k});"
     text = _expression(node, a, prefix, real)
@@ -99,6 +110,7 @@ def _statement(k: int, node: Node, a: list[str], prefix: str, real: Real) -> str
 
 
 def _expression(node: Node, a: list[str], prefix: str, real: Real) -> str:
+    """Return the C expression of an operation; a : texts of its arguments."""
     zero, one = literal(0.0, real), literal(1.0, real)
     if node.op in _INFIX:
         return f"{a[0]} {_INFIX[node.op]} {a[1]}"
@@ -127,7 +139,7 @@ def _expression(node: Node, a: list[str], prefix: str, real: Real) -> str:
 
 
 def constants(real: Real, write: Callable[[float, Real], str] = literal) -> dict[str, str]:
-    """Every number that the templates of elementary functions name, as a language writes it."""
+    """Return every number that the templates of elementary functions use, written by `write`."""
     c = COEFFICIENTS[real]
     numbers = {"tan_pi_8": coefficients.TAN_PI_8, "exp_limit": coefficients.EXP_LIMIT}
     for key, (high, low) in (("half_pi", c.half_pi), ("ln2", c.ln2)):

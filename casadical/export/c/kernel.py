@@ -1,4 +1,4 @@
-"""The compiled C called from Python on many rows at once."""
+"""Compile the C of an export and call it from Python on arrays of joint readings."""
 
 import ctypes
 import hashlib
@@ -21,19 +21,20 @@ from casadical.core.subprocesses import COMPILE_SECONDS, TRIAL_SECONDS, finished
 from casadical.export.c.coefficients import NUMPY_TYPE, Real
 from casadical.export.c.emit import filled, template
 
+# Compiler options under which an export must compile without warnings.
 WARNING_FLAGS = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 
 
 @dataclass(frozen=True)
 class Compiler:
-    """A compiler by its command and the first line of its version."""
+    """A C compiler: its command and the first line of its version text."""
 
     command: str
     version: str
 
 
 def compilers() -> list[Compiler]:
-    """gcc and clang where installed, else cc; an empty list on a machine without a C compiler."""
+    """Return gcc and clang where installed, or else cc; none on a machine without a C compiler."""
     installed = [Compiler(name, version) for name in ("gcc", "clang") if (version := _version(name))]
     if not installed and (version := _version("cc")):
         installed = [Compiler("cc", version)]
@@ -41,6 +42,7 @@ def compilers() -> list[Compiler]:
 
 
 def _version(command: str) -> str:
+    """Return the first line of a compiler's `--version`; "" where the command fails."""
     if shutil.which(command) is None:
         return ""
     run = finished([command, "--version"], TRIAL_SECONDS)
@@ -48,11 +50,11 @@ def _version(command: str) -> str:
 
 
 class Shape(BaseModel):
-    """What is needed to call an export.
+    """Name, real type, joints and output sizes of an export, as needed to call it.
 
-    name : prefix of its C functions; joints : their number, and `units` of their readings, rad
-        where there are none
-    outputs : the number of outputs of each function
+    name : prefix of its C functions
+    joints : number of joints; units : of their readings, all rad if empty
+    outputs : number of outputs of each function
     """
 
     model_config = ConfigDict(strict=True, extra="ignore", frozen=True)
@@ -75,7 +77,7 @@ class Shape(BaseModel):
 
 
 class Manifest(BaseModel):
-    """manifest.json of an export, as far as it is read again."""
+    """Those entries of an export's manifest.json that are read back."""
 
     model_config = ConfigDict(strict=True, extra="ignore", frozen=True, allow_inf_nan=False)
 
@@ -85,7 +87,10 @@ class Manifest(BaseModel):
 
     @staticmethod
     def read(export: Path) -> "Manifest":
-        """Return the manifest of an export folder. Raises InputError."""
+        """Return the manifest of an export folder.
+
+        Raises InputError: it is missing or damaged.
+        """
         path = export / "manifest.json"
         if not path.is_file():
             raise InputError(f"{export} has no manifest.json; give a folder that `casadical export c` wrote")
@@ -98,11 +103,11 @@ class Manifest(BaseModel):
 
 
 class Kernel:
-    """Functions of a compiled export on arrays; made by :func:`load` or :func:`build`.
+    """Functions of a compiled export, called on arrays; made by :func:`load` or :func:`build`.
 
-    Calls are re-entrant, as the C is; a row costs a microsecond or less.
+    Calls are re-entrant, as the C is; one row takes a microsecond or less.
 
-    shape : name, real type, joints and outputs
+    shape : name, real type, joints and output sizes
     """
 
     def __init__(self, shape: Shape, library: Path) -> None:
@@ -135,16 +140,18 @@ class Kernel:
         call(_pointer(table), ctypes.c_uint64(len(table)), _pointer(out), _pointer(status))
         return out, status
 
-    # q, results and errors as of `rows`
+    # Arguments, results and errors of these four are those of `rows`.
     network = partialmethod(rows, "network")
     curves = partialmethod(rows, "curves")
     forward = partialmethod(rows, "forward")
     correct = partialmethod(rows, "correct")
 
     def steps(self, q: Array, enable: Array) -> tuple[Array, Array]:
-        """``step`` in consecutive cycles from zero: corrections, shape (k, n) [rad or m], and status.
+        """Call the C's ``step`` in consecutive cycles, starting without a correction.
 
         q : readings, shape (k, n) [rad or m]; enable : whether the correction is on, shape (k,)
+
+        Returns corrections, shape (k, n) [rad or m], and status, shape (k,).
         """
         table = np.ascontiguousarray(q, NUMPY_TYPE[self.shape.real])
         on = np.ascontiguousarray(enable, np.uint32)
@@ -154,16 +161,17 @@ class Kernel:
         return out, status
 
     def self_test(self) -> int:
-        """Status of the C's own self-test, 0 where it passed."""
+        """Return the status of the C's own self-test, 0 if it passed."""
         return int(getattr(self._library, f"{self.shape.name}_self_test")())
 
 
 def _pointer(array: Array) -> ctypes.c_void_p:
+    """Return the address of an array's data for ctypes."""
     return ctypes.c_void_p(array.ctypes.data)
 
 
 def rows_source(shape: Shape) -> str:
-    """C text of the loops over rows; compiled with the export, not part of it."""
+    """Return C text of the loops over rows; it is compiled with the export but not part of it."""
     values = {"name": shape.name, "n": str(shape.joints)}
     parts = [f'#include "{shape.name}.h"\n']
     for function, size in shape.outputs.items():
@@ -174,15 +182,15 @@ def rows_source(shape: Shape) -> str:
 
 
 def build(shape: Shape, sources: list[Path], folder: Path, compiler: Compiler, flags: tuple[str, ...] = ()) -> Kernel:
-    """Compile an export's sources and the loops over rows into a new library, and load it.
+    """Compile an export's sources and the loops over rows into a new shared library, and load it.
 
     Raises CasadicalError: the compiler reports an error or a warning (its output is in the
-    message), does not end, or what it made cannot be loaded; it is loaded in a process of its own
-    first.
+    message), does not end, or its library cannot be loaded. The library is loaded in a separate
+    process first.
     """
     how = hashlib.sha256(" ".join(flags).encode()).hexdigest()[:8]
     library = folder / f"{shape.name}_{Path(compiler.command).name}_{how}.so"
-    wrapper = library.with_suffix(".c")  # of its own: compilers may work at the same time
+    wrapper = library.with_suffix(".c")  # one per compiler, as compilers run concurrently
     wrapper.write_text(rows_source(shape), encoding="utf-8")
     usual = ["-std=c99", "-fPIC", "-shared", "-O2", f"-I{sources[0].parent}"]
     files = map(str, (*sources, wrapper))
@@ -199,7 +207,7 @@ def build(shape: Shape, sources: list[Path], folder: Path, compiler: Compiler, f
 
 
 def load(export: str | Path, *, trust: bool = False) -> Kernel:
-    """Compile what an export folder holds and load it.
+    """Compile the C of an export folder and load it.
 
     export : folder that ``write_c`` wrote
     trust : whether the C of a folder that this user did not export on this machine is compiled and
@@ -235,8 +243,8 @@ def load(export: str | Path, *, trust: bool = False) -> Kernel:
     available = compilers()
     if not available:
         raise CasadicalError("no C compiler found (gcc, clang or cc); install one, for example: apt-get install gcc")
-    with tempfile.TemporaryDirectory() as temporary:  # a loaded library stays usable when its file is gone
-        # What was checked is compiled, whatever becomes of the folder meanwhile.
+    with tempfile.TemporaryDirectory() as temporary:  # a loaded library outlives its file
+        # The checked contents are compiled, even if the folder changes meanwhile.
         for name, blob in contents.items():
             (Path(temporary) / name).write_bytes(blob)
         sources = [Path(temporary) / name for name in list(contents)[1:]]
@@ -247,14 +255,14 @@ def load(export: str | Path, *, trust: bool = False) -> Kernel:
 
 
 def remember(manifest: bytes) -> None:
-    """Keep in the user's private folder that an export with this manifest was written here."""
+    """Record in the user's private folder that an export with this manifest was written here."""
     folder = private_folder("exports")
     if folder is not None:
-        with suppress(InputError):  # without it, `correct` asks for --trust
+        with suppress(InputError):  # without the record `correct` asks for --trust
             write_whole(folder / hashlib.sha256(manifest).hexdigest(), "")
 
 
 def exported_here(export: Path) -> bool:
-    """Whether this user exported a folder on this machine, and its manifest is unchanged since."""
+    """Return whether this user exported the folder here, and its manifest is unchanged."""
     folder = private_folder("exports")
     return folder is not None and (folder / hashlib.sha256(read_bytes(export / "manifest.json")).hexdigest()).is_file()

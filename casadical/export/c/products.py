@@ -1,4 +1,4 @@
-"""What can be exported: a network, the joints' error curves, or the correction of commands."""
+"""What can be exported as C: a network, joint error curves, or the correction of joint commands."""
 
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
@@ -11,21 +11,21 @@ from casadical.core.basics import Array, InputError
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of the correction, and when a result is reported as not reached.
+    """Limits of a joint-command correction, and thresholds of the statuses that it reports.
 
-    delta_rad : of each joint's correction [rad, of a linear joint m]
-    step_rad : of each of its least-squares steps [rad or m]
+    delta_rad : largest correction of a joint [rad, of a linear joint m]
+    step_rad : largest change of a joint in one least-squares step [rad or m]
     rate_rad_s : rate at which a correction may change [rad/s or m/s]
-    cycle_s : of the controller [s]
-    ramp_s : time from none to all of it [s]
-    damping : lambda of the least squares [m/rad]
+    cycle_s : cycle time of the controller [s]
+    ramp_s : time in which the correction is switched on or off [s]
+    damping : lambda of the damped least squares [m/rad]
     singular_m_per_rad : a pose whose weakest direction moves the tool by less than about this is
-        reported [m/rad]
-    tolerance_mm : a larger remaining error is reported [mm]
+        reported as singular [m/rad]
+    tolerance_mm : a larger remaining error is reported as not converged [mm]
     Raises InputError: a limit that is not positive, a cycle outside of 0.01 ms to 1 s, a ramp of
-        less than one cycle or more than 100,000 (in float a gain of smaller steps goes wrong), or a
-        rate that in a cycle changes a joint by less than 1e-6 rad or by more than the largest
-        correction.
+    less than one cycle or more than 100,000 (in float a gain of smaller steps goes wrong), or a
+    rate that in a cycle changes a joint by less than 1e-6 rad or by more than the largest
+    correction.
     """
 
     delta_rad: float = 0.15
@@ -57,7 +57,7 @@ class Limits:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """The limits as the C compares with them: per call, squared where squares are compared."""
+        """Return the limits as the C compares with them: per cycle, some of them squared."""
         return {
             "delta": self.delta_rad,
             "step": self.step_rad,
@@ -70,12 +70,12 @@ class Limits:
 
 @dataclass(frozen=True)
 class NetworkFunction:
-    """A network q[n] [rad] -> dp[m] [mm] and the box of joint readings it was trained in.
+    """A network q[n] [rad or m] -> dp[m] [mm] with the box of joint readings it was trained in.
 
     lower, upper : ends of the box, shape (n,) [rad or m]
     units : "rad" or "m" of each joint's reading; default: all rad
-    key, out, unit, title : the names of the exported function and of its result, its unit, and what
-        it is, in words
+    key, out, unit, title : names of the exported function and of its result, the result's unit, and
+        a title in words
     Raises InputError: a function of other shapes.
     """
 
@@ -96,7 +96,7 @@ class NetworkFunction:
 
 @dataclass(frozen=True)
 class CurveFunction(NetworkFunction):
-    """The joints' error curves, q[n] -> dq[n]: a joint stands at its reading plus dq [rad].
+    """The joints' error curves, q[n] -> dq[n]: a joint's true angle is its reading plus dq [rad].
 
     Raises InputError: a function of other shapes.
     """
@@ -113,25 +113,26 @@ class CurveFunction(NetworkFunction):
 
 @dataclass(frozen=True)
 class Command:
-    """The correction of joint commands, which moves the real tool to the nominal one's position.
+    """The correction of joint commands, which moves the real tool to the nominal tool's position.
 
-    nominal, calibrated : q[n] -> p[3] [m], or q[n] -> (p[3], R[3x3]) for position and orientation;
-        the calibrated one is the whole model of the real robot (loop, compliance, network)
-    lower : Array, shape (n,) [rad or m]: box of joint readings that are corrected; of `command_of`
-        the robot's limits, not the range that was measured
-    upper : Array, shape (n,) [rad or m]: its other end
-    jacobian_of : robot whose Jacobian the chord steps take, a function like ``calibrated``; None:
-        that one. The chain without compliance and network costs a third
-    jacobian_at : joints at which it is taken, as a function of q; None: q
-    network : exported with the correction if given
-    limits : of the correction, and of what is reported
-    steps : least-squares steps, 1 to 10. The robot is evaluated again after them: NOT_CONVERGED
-        says that the tolerance is passed there. One more step follows where the last one left a
-        third or less of its error
+    nominal, calibrated : q[n] -> p[3] [m], or q[n] -> (p[3], R[3x3]) for position and orientation,
+        both in the robot's own base frame; the calibrated one is the whole model of the real robot
+        (closed loops, compliance, network)
+    lower : Array, shape (n,) [rad or m]: lower ends of the box of joint readings that are
+        corrected; `command_of` takes the robot's limits, not the range that was measured
+    upper : Array, shape (n,) [rad or m]: upper ends of the box
+    jacobian_of : function like ``calibrated`` whose Jacobian the chord steps take; None:
+        ``calibrated`` itself. The chain without compliance and network costs a third
+    jacobian_at : joints at which this Jacobian is taken, as a function of q; None: q
+    network : a network that is exported as a function of its own besides the correction; None: none
+    limits : limits of the correction, and thresholds of its statuses
+    steps : number of least-squares steps, 1 to 10. The robot is evaluated again after them:
+        NOT_CONVERGED means that the remaining error exceeds the tolerance there. One more step
+        follows where the last one left a third or less of its error
     units : "rad" or "m" of each joint's reading; default: all rad
-    freedom : in how many directions the joints move the tool, and in how many they turn it beside
-        that. Fewer than six of a pose: the position goes first, and of the orientation the joints
-        do what they can
+    freedom : number of directions in which the joints move the tool, and number about which they
+        rotate it at a kept position. Where a pose has fewer than six in all, the position has
+        priority, and the orientation is corrected as far as the joints allow
     notes : sentences for the reader of the header
     Raises InputError: functions of other shapes, or a number of steps that is not allowed.
     """
@@ -162,10 +163,14 @@ class Command:
             raise InputError(f"the network has {len(self.network.lower)} joints and the robot {n}; both must be equal")
 
 
-Product = NetworkFunction | Command
+Product = NetworkFunction | Command  # whatever can be exported as C
 
 
 def _checked_box(product: Any) -> None:
+    """Check the box and units of a product and set them as float arrays and a complete tuple.
+
+    Raises InputError.
+    """
     lower, upper = (np.array(b, float).ravel() for b in (product.lower, product.upper))
     if lower.shape != upper.shape or len(lower) == 0:
         raise InputError(f"the box has {len(lower)} lower and {len(upper)} upper bounds; give one of each per joint")
@@ -180,6 +185,10 @@ def _checked_box(product: Any) -> None:
 
 
 def _checked_signature(function: casadi.Function, n: int, sizes: tuple[int, ...] | None) -> int:
+    """Return the number of outputs of a function after checking its numbers of inputs and outputs.
+
+    sizes : numbers of outputs that are allowed; None: any. Raises InputError.
+    """
     n_in = sum(function.numel_in(i) for i in range(function.n_in()))
     n_out = sum(function.numel_out(i) for i in range(function.n_out()))
     if n_in != n or (sizes is not None and n_out not in sizes) or n_out == 0:
@@ -193,7 +202,10 @@ def _checked_signature(function: casadi.Function, n: int, sizes: tuple[int, ...]
 
 
 def mapped(function: casadi.Function, q: Array) -> Array:
-    """A function's outputs, matrices column by column, in a row for each row of q, shape (k, n)."""
+    """Return a function's outputs for each row of q (k, n) [rad or m], shape (k, outputs).
+
+    Matrices are written column by column.
+    """
     out = function.map(len(q)).call([casadi.DM(q.T)])
     columns = [np.array(o).reshape(o.shape[0], -1, len(q), order="F") for o in out]
     return np.hstack([c.transpose(2, 1, 0).reshape(len(q), -1) for c in columns])

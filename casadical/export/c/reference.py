@@ -1,4 +1,4 @@
-"""The exported C's arithmetic in NumPy: the bits that the compiled C must give.
+"""NumPy reference of the exported C, bit for bit what the compiled C must return.
 
 Each function follows the C template of the same name, statuses included, and rounds where the C
 rounds; nothing here calls NumPy's own sin, exp or sqrt.
@@ -21,19 +21,21 @@ from casadical.export.c.tape_program import TapeProgram
 
 
 class NumpyFunctions:
-    """Elementary functions of one real type on arrays."""
+    """Elementary functions of one real type on arrays, with each rounding as in the C."""
 
     def __init__(self, real: coefficients.Real) -> None:
         self.T = coefficients.NUMPY_TYPE[real]
         self.c: coefficients.Coefficients = coefficients.COEFFICIENTS[real]
 
     def _poly(self, terms: tuple[float, ...], z: Array) -> Array:
+        """Return the polynomial in z with coefficients `terms`, lowest first (Horner's rule)."""
         value = np.full_like(z, self.T(terms[-1]))
         for term in reversed(terms[:-1]):
             value = self.T(term) + z * value
         return value
 
     def sincos(self, x: Array) -> tuple[Array, Array]:
+        """Return sine and cosine of angles x [rad], |x| up to `ANGLE_LIMIT`."""
         T, c = self.T, self.c
         whole = np.trunc(x * T(c.two_over_pi) + T(1024.5))
         k = whole - T(1024)
@@ -46,6 +48,7 @@ class NumpyFunctions:
         return np.where(q & 2, -sin, sin), np.where((q + 1) & 2, -cos, cos)
 
     def periodic(self, x: Array, table: tuple[float, ...]) -> Array:
+        """Return the value of a spline table at angles x [rad], |x| up to `TABLE_LIMIT`."""
         T, points = self.T, len(table) - 3
         c, offset = np.array(table).astype(T), T(coefficients.ADDED_TURNS * points)
         per_radian, high, low = (T(v) for v in coefficients.turn_parts(self.c, points))
@@ -59,7 +62,7 @@ class NumpyFunctions:
         return np.asarray((ends + (middle + middle)) + t * (slope + t * (square + t * cubic)))
 
     def _reduced(self, y: Array) -> tuple[Array, Array, Array]:
-        """y >= 0 as n ln 2 + r: returns 2^n, r and r coth(r/2)."""
+        """Return 2^n, r and r coth(r/2) for y = n ln 2 + r >= 0."""
         T, c = self.T, self.c
         n = np.trunc(y * T(c.one_over_ln2) + T(0.5))
         r = (y - n * T(c.ln2[0])) - n * T(c.ln2[1])
@@ -67,6 +70,7 @@ class NumpyFunctions:
         return np.ldexp(T(1), n.astype(np.int64)).astype(T), r, T(2) + z * self._poly(c.coth, z)
 
     def tansig(self, a: Array) -> Array:
+        """Return tanh(a), computed without cancellation near zero."""
         T = self.T
         x = np.where(a < 0, -a, a)
         x = np.where(x < T(self.c.tansig_limit), x, T(self.c.tansig_limit))
@@ -77,6 +81,7 @@ class NumpyFunctions:
         return np.asarray(np.where(a < 0, -value, value))
 
     def exp(self, a: Array) -> Array:
+        """Return exp(a), with |a| limited to `EXP_LIMIT`."""
         x = np.where(a < 0, -a, a)
         t, r, R = self._reduced(np.where(x < self.T(coefficients.EXP_LIMIT), x, self.T(coefficients.EXP_LIMIT)))
         up, down = t * (R + r), R - r
@@ -84,6 +89,10 @@ class NumpyFunctions:
         return np.asarray(np.where(negative, down, up) / np.where(negative, up, down))
 
     def sqrt(self, x: Array) -> Array:
+        """Return the square root of x >= 0, by scaling into [1, 4) and Heron's steps.
+
+        Arguments below the smallest normal number give 0.
+        """
         T = self.T
         m, s = x.copy(), np.ones_like(x)
         for k in self.c.sqrt_steps:
@@ -96,6 +105,7 @@ class NumpyFunctions:
         return np.asarray(np.where(x < T(self.c.smallest), T(0), s * y))
 
     def atan2(self, y: Array, x: Array) -> Array:
+        """Return the angle [rad] of the points (x, y)."""
         T, c = self.T, self.c
         ax, ay = np.where(x < 0, -x, x), np.where(y < 0, -y, y)
         steep = ay > ax
@@ -112,6 +122,7 @@ class NumpyFunctions:
 
 
 def _simple(T: Any) -> dict[str, Callable[..., Any]]:
+    """Return the operations of a tape that are one NumPy expression, by name."""
     one, zero = T(1), T(0)
     return {
         "add": lambda a, b: a + b,
@@ -131,12 +142,12 @@ def _simple(T: Any) -> dict[str, Callable[..., Any]]:
 
 
 def run(tape: Tape, inputs: Array, real: coefficients.Real) -> tuple[Array, Array]:
-    """Evaluate a tape on many inputs.
+    """Evaluate a tape on many inputs in the arithmetic of the exported C.
 
     inputs : array, shape (k, n_in), already of the real type
 
     Returns the outputs, shape (k, n_out), and a boolean array, shape (k,), false where a guard of
-    the tape was touched (no real root, argument out of range).
+    the tape was violated (no real root, argument out of range).
     """
     size = 4096  # rows at once, which keeps the values of a long tape in the cache
     starts = range(0, max(len(inputs), 1), size)
@@ -145,6 +156,7 @@ def run(tape: Tape, inputs: Array, real: coefficients.Real) -> tuple[Array, Arra
 
 
 def _run(tape: Tape, inputs: Array, real: coefficients.Real) -> tuple[Array, Array]:
+    """Return outputs and guard results of a tape for one batch of inputs, see `run`."""
     mirror = NumpyFunctions(real)
     T, simple = mirror.T, _simple(mirror.T)
     k = len(inputs)
@@ -172,7 +184,7 @@ def _run(tape: Tape, inputs: Array, real: coefficients.Real) -> tuple[Array, Arr
 
 
 class Status(IntEnum):
-    """What every exported function returns; where several apply, the highest number wins.
+    """Status that every exported function returns; where several apply, the highest number wins.
 
     Examples
     --------
@@ -192,7 +204,11 @@ class Status(IntEnum):
 
 
 def boxed(q: Array, box: tuple[Array, Array], share: float) -> tuple[Array, Array]:
-    """Inputs moved into a box of the same real type, and OK, CLAMPED or NOT_FINITE for each row."""
+    """Return inputs clipped to a box, and OK, CLAMPED or NOT_FINITE for each row.
+
+    q : shape (k, n); box : its lower and upper ends, each of shape (n,)
+    share : see `TapeProgram.box_share`
+    """
     T = q.dtype.type
     lower, upper = box[0].astype(T), box[1].astype(T)
     moved = np.zeros(len(q), T)
@@ -207,16 +223,25 @@ def boxed(q: Array, box: tuple[Array, Array], share: float) -> tuple[Array, Arra
 
 
 def network(program: TapeProgram, q: Array) -> tuple[Array, Array]:
-    """Results of network or curves, shape (k, m), and status, shape (k,), at joints q (k, n)."""
+    """Return the outputs of network or curves, shape (k, m), and status, shape (k,), at joints q.
+
+    q : shape (k, n) [rad or m]; outputs in mm of a network, in rad of curves
+    """
     assert program.network is not None
     return _values(program, q, program.network.key, "network")
 
 
 def forward(program: TapeProgram, q: Array) -> tuple[Array, Array]:
+    """Return the calibrated tool pose at joints q (k, n) [rad or m], and status, shape (k,).
+
+    Pose : position [m], and for poses the columns of the rotation, shape (k, 3 or 12), in the
+        robot's own base frame
+    """
     return _values(program, q, "forward", "reach")
 
 
 def _values(program: TapeProgram, q: Array, tape: str, box: str) -> tuple[Array, Array]:
+    """Return outputs and status of a tape at joints clipped to the box of this name."""
     q = np.ascontiguousarray(q, NUMPY_TYPE[program.real])
     x, status = boxed(q, program.boxes[box], program.box_share)
     values, fine = run(program.tapes[tape], x, program.real)
@@ -226,7 +251,10 @@ def _values(program: TapeProgram, q: Array, tape: str, box: str) -> tuple[Array,
 
 
 def correct(program: TapeProgram, q: Array) -> tuple[Array, Array]:
-    """Joint corrections dq, shape (k, n), and status, shape (k,)."""
+    """Return joint corrections dq, shape (k, n) [rad or m], and status, shape (k,).
+
+    q : commanded joints, shape (k, n) [rad or m]
+    """
     assert program.command is not None
     q = np.ascontiguousarray(q, NUMPY_TYPE[program.real])
     x, status = boxed(q, program.boxes["command"], program.box_share)
@@ -238,6 +266,7 @@ def correct(program: TapeProgram, q: Array) -> tuple[Array, Array]:
 
 
 def _limited(v: Array, limit: Any) -> tuple[Array, Array]:
+    """Return rows of v scaled so that no entry exceeds `limit`, and which rows were scaled."""
     most = np.zeros(len(v), v.dtype)
     for i in range(v.shape[1]):
         magnitude = np.where(v[:, i] < 0, -v[:, i], v[:, i])
@@ -249,6 +278,7 @@ def _limited(v: Array, limit: Any) -> tuple[Array, Array]:
 
 
 def _chord(program: TapeProgram, command: Command, x: Array) -> tuple[Array, Array]:
+    """Return corrections dq (k, n) and status (k,) at joints x inside the box; see `chord`."""
     T, real, numbers = NUMPY_TYPE[program.real], program.real, command.limits.numbers
     n, end = program.n, prepared_size(command)
     work, fine = run(program.tapes["prepare"], x, real)
@@ -279,20 +309,28 @@ def _chord(program: TapeProgram, command: Command, x: Array) -> tuple[Array, Arr
 
 @dataclass
 class StepState:
-    """The exported state struct: the correction last given, shape (n,), and the gain."""
+    """State of the exported step function: last correction dq [rad or m] and gain.
+
+    dq : Array, shape (n,) [rad or m]
+    gain : share of the correction that is switched on, 0 to 1
+    """
 
     dq: Array
     gain: Any
 
     @staticmethod
     def start(program: TapeProgram) -> "StepState":
-        """No correction, switched off."""
+        """Return the state without a correction, switched off."""
         T = NUMPY_TYPE[program.real]
         return StepState(np.zeros(program.n, T), T(0))
 
 
 def step(program: TapeProgram, state: StepState, q: Array, enable: bool) -> tuple[Array, Status]:
-    """The correction of one cycle for joints q, shape (n,); the state changes as the C's."""
+    """Return the correction of one controller cycle, shape (n,) [rad or m], and its status.
+
+    state : is changed as the C changes its own
+    q : commanded joints, shape (n,) [rad or m]; enable : whether the correction is on
+    """
     assert program.command is not None
     T, numbers = NUMPY_TYPE[program.real], program.command.limits.numbers
     delta, change_limit, ramp = T(numbers["delta"]), T(numbers["change"]), T(numbers["ramp"])

@@ -1,9 +1,9 @@
-"""The tapes of a program as runs over one array of values: many equal operations in one loop.
+"""Tapes rearranged into runs of equal operations over one array of values, each run one loop.
 
-Operations are put into another order that their arguments allow, in which equal ones follow each
-other. Value k is the result of operation k, so that a run needs the places of its arguments only.
-Each operation is the tape's own: the results are the same bits. What `prepare` has in common with
-`forward`, such as the loads of gravity, is taken from it.
+Operations are reordered as far as their arguments allow, so that equal ones follow each other.
+Value k is the result of operation k, so that a run needs the places of its arguments only. Each
+operation is the tape's own: the results are bitwise equal. What `prepare` has in common with
+`forward`, such as gravity torques, is computed once.
 """
 
 from collections import Counter
@@ -14,20 +14,20 @@ from casadical.export.c.coefficients import NUMPY_TYPE, Real
 from casadical.export.c.tape import COMMUTATIVE_OPERATIONS, Node, Tape
 from casadical.export.c.tape_program import TapeProgram
 
-RESULT_PLACES = {"sincos": 2}  # places of an operation's results; one where it is not here
-_TAPES = ("forward", "prepare", "advance")  # then the network or the curves
+RESULT_PLACES = {"sincos": 2}  # number of places that an operation's results take; default 1
+_TAPES = ("forward", "prepare", "advance")  # order of the tapes; network or curves follow
 
 
 class Plan:
-    """One array of values, and what is done with it.
+    """The array of values of a program, and the runs of operations that fill it.
 
     constants : the first values, which the first run sets
-    places : the first place of the inputs and of the outputs (`KEY_out`) of each tape
-    operations, starts : of each run, its operation and its first place; one more start is the
+    places : first place of the inputs and of the outputs (`KEY_out`) of each tape
+    operations, starts : operation and first place of each run; the last entry of `starts` is the
         number of values
-    first, second : for each place, those of the arguments; 0 where there is none
-    spans : the first and the last run of each tape
-    tables : of `periodic`, whose number is the second argument
+    first, second : for each place, the places of the operation's arguments; 0 where there is none
+    spans : first and last run of each tape
+    tables : spline tables of `periodic`, whose second argument is a table's index
     """
 
     def __init__(self, program: TapeProgram) -> None:
@@ -35,16 +35,16 @@ class Plan:
         nodes = [node for tape in self.tapes.values() for node in tape.nodes]
         words = dict.fromkeys(_word(v, program.real) for node in nodes for v in _numbers(node))
         self.constants = [float.fromhex(word) for word in words]
-        self.known = {word: place for place, word in enumerate(words)}
+        self.constant_places = {word: place for place, word in enumerate(words)}
         self.real = program.real
         self.tables = tuple(dict.fromkeys(node.table for node in nodes if node.table))
-        n, inputs = program.n, len(self.known)
+        n, inputs = program.n, len(self.constant_places)
         self.places = {"joints": inputs, "at": inputs + n}
         self.starts = [0, inputs + 2 * n if program.command else inputs + n]
         self.operations = ["constants"]
         self.first, self.second = [0] * self.starts[1], [0] * self.starts[1]
         self.spans: dict[str, tuple[int, int]] = {}
-        self.known_as: dict[Node, int] = {}  # numbers of equal operations, in whatever tape
+        self.numbers_of_equal: dict[Node, int] = {}  # numbers of equal operations, in whatever tape
         self.forward: dict[Node, int] = {}  # place of what `forward` computes
         for key, tape in self.tapes.items():
             begin = len(self.operations)
@@ -53,18 +53,19 @@ class Plan:
 
     @property
     def size(self) -> int:
-        """The number of values."""
+        """Return the number of values."""
         return self.starts[-1]
 
     def _add(self, key: str, tape: Tape) -> None:
+        """Append the runs of one tape."""
         inputs = self.places[{"forward": "at", "advance": "prepare_out"}.get(key, "joints")]
         place: dict[int, int] = {}
         for k, node in enumerate(tape.nodes):
             if node.op == "const":
-                place[k] = self.known[_word(node.value, self.real)]
+                place[k] = self.constant_places[_word(node.value, self.real)]
             elif node.op == "input":
                 place[k] = inputs + int(node.value)
-        if key == "prepare":  # runs at the same joints after `forward`, which has what both have in common
+        if key == "prepare":  # it runs at the same joints after `forward` and can share its values
             self._share(tape, place)
         used = Counter(a for node in tape.nodes for a in node.args)
         for op, batches in _runs(tape, place):
@@ -79,10 +80,14 @@ class Plan:
         self._end("copy")
 
     def _share(self, tape: Tape, place: dict[int, int], forward: dict[int, int] | None = None) -> None:
-        """Place what `forward` has already; of itself: remember where everything is."""
+        """Give operations the places of equal ones in `forward`, or record those of `forward`.
+
+        place : places of the tape's nodes, to which shared ones are added
+        forward : for the tape `forward` itself, places of its nodes, which are recorded; else None
+        """
         names: dict[int, Node] = {}
         for k, node in enumerate(tape.nodes):
-            args = [self.known_as.setdefault(names[a], len(self.known_as)) for a in node.args]
+            args = [self.numbers_of_equal.setdefault(names[a], len(self.numbers_of_equal)) for a in node.args]
             names[k] = replace(node, args=tuple(sorted(args) if node.op in COMMUTATIVE_OPERATIONS else args))
             if forward is not None:
                 self.forward[names[k]] = forward[k]
@@ -92,7 +97,7 @@ class Plan:
                 place[k] = place[node.args[0]] + (node.op == "cos")
 
     def _batch(self, tape: Tape, op: str, batch: list[int], place: dict[int, int], used: Counter[int]) -> None:
-        """Operations that are independent, those with the same first argument together."""
+        """Append independent operations, those with the same first argument next to each other."""
         pairs = []
         for k in batch:
             args = tape.nodes[k].args
@@ -106,37 +111,46 @@ class Plan:
                 place[k] = place[node.args[0]] + (node.op == "cos")
 
     def _second(self, node: Node, args: tuple[int, ...], place: dict[int, int]) -> int:
+        """Return a node's second argument: a place, a guard's constant, a table's index, or 0."""
         if node.op.startswith("guard"):
-            return self.known[_word(node.value, self.real)]
+            return self.constant_places[_word(node.value, self.real)]
         if node.op == "periodic":
             return self.tables.index(node.table)
         return place[args[1]] if len(args) > 1 else 0
 
     def _one(self, op: str, first: int, second: int) -> int:
+        """Append one operation and return its place."""
         width = RESULT_PLACES.get(op, 1)
         self.first += [first] * width
         self.second += [second] * width
         return len(self.first) - width
 
     def _end(self, op: str) -> None:
+        """End the current run, which holds the operation `op`."""
         self.operations.append(op)
         self.starts.append(len(self.first))
 
 
 def _order(key: str) -> int:
+    """Return the position of a tape in the order of `_TAPES`, for sorting."""
     return _TAPES.index(key) if key in _TAPES else len(_TAPES)
 
 
 def _word(value: float, real: Real) -> str:
+    """Return a number, rounded to the real type, as exact hexadecimal text."""
     return float(NUMPY_TYPE[real](value)).hex()
 
 
 def _numbers(node: Node) -> tuple[float, ...]:
+    """Return the number that a constant or a guard needs in the array of values, if any."""
     return (node.value,) if node.op == "const" or node.op.startswith("guard") else ()
 
 
 def _runs(tape: Tape, placed: Collection[int]) -> Iterator[tuple[str, Iterator[list[int]]]]:
-    """Operations and nodes that are not `placed`, each time the one most are ready for."""
+    """Yield operations with batches of their nodes, each time the operation with most ready nodes.
+
+    placed : nodes that have a place already
+    """
     there = frozenset(placed)
     users: list[list[int]] = [[] for _ in tape.nodes]
     waiting = [len(set(node.args) - there) for node in tape.nodes]

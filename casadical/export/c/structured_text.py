@@ -1,7 +1,7 @@
-"""IEC 61131-3 structured text of a program, for controllers that take no C.
+"""IEC 61131-3 structured text of an export, for controllers that take no C.
 
-The model is a list of operations in arrays, which one loop with a CASE goes through run by run (see
-`runs`); each operation is that of the C, so that the results are the same bits.
+The model is a list of operations in arrays, which one loop with a CASE evaluates run by run (see
+`runs`); each operation is that of the C, so that the results are bitwise equal.
 """
 
 import re
@@ -18,11 +18,13 @@ from casadical.export.c.reference import correct, network
 from casadical.export.c.runs import RESULT_PLACES, Plan
 from casadical.export.c.tape_program import TapeProgram, operations
 
-_LINE = 118  # characters of a line
+_LINE_LENGTH = 118  # largest number of characters of a line
+# Statement of a guard: replaces a value that violates it, and clears `fine`.
 _GUARD = """\
 v[k] := v[first[k]];
 IF NOT (v[k] {} v[second[k]]) THEN fine := FALSE; v[k] := v[second[k]]; END_IF;
 """
+# Statements of operations that need no template of their own.
 _SIMPLE = {
     "add": "v[k] := v[first[k]] + v[second[k]];",
     "sub": "v[k] := v[first[k]] - v[second[k]];",
@@ -45,7 +47,7 @@ _SIMPLE = {
 
 
 def structured_text(program: TapeProgram) -> str:
-    """Return NAME.st: blocks for the network, the correction, its cycles, and a test."""
+    """Return the text of NAME.st: blocks of network, correction and cycle, and a self-test."""
     plan = Plan(program)
     values = _common(program, plan)
     parts = [filled(template("head.st"), values), _values_block(plan, values, program.real)]
@@ -62,7 +64,10 @@ def structured_text(program: TapeProgram) -> str:
 
 
 def number(value: float, real: Real) -> str:
-    """A literal with the fewest digits, always with a point, the exponent after E."""
+    """Return a structured-text literal with the fewest digits that read back as the same number.
+
+    It always has a decimal point; an exponent follows E.
+    """
     rounded = NUMPY_TYPE[real](value)
     mantissa, _, exponent = str(float(rounded) if real == "double" else rounded).partition("e")
     mantissa = mantissa if "." in mantissa else mantissa + ".0"
@@ -70,7 +75,7 @@ def number(value: float, real: Real) -> str:
 
 
 def _common(program: TapeProgram, plan: Plan) -> dict[str, str]:
-    """Placeholders that every template may use."""
+    """Return the placeholders that every structured-text template may use."""
     cost = operations(program).text()
 
     def operand(value: float, real: Real) -> str:
@@ -94,7 +99,7 @@ def _common(program: TapeProgram, plan: Plan) -> dict[str, str]:
 
 
 def _array(name: str, kind: str, entries: Iterable[str]) -> str:
-    """A declaration with initial values, repeated ones counted where that is shorter."""
+    """Return the declaration of an array with initial values, equal neighbours counted."""
     counted = [list(same) for _, same in groupby(entries)]
     size = sum(map(len, counted))
     words = (min(f"{len(same)}({same[0]})", ",".join(same), key=len) for same in counted)
@@ -102,14 +107,14 @@ def _array(name: str, kind: str, entries: Iterable[str]) -> str:
 
 
 def _laid_out(text: str) -> str:
-    """The text with sections of one declaration, and loops and choices of one statement, in a line.
+    """Return the text with short sections, loops and conditions joined into one line.
 
     Lines that are too long are broken.
     """
 
     def in_line(found: re.Match[str]) -> str:
         line = f"{found[1]}{found[2]} {found[3]} {end}"
-        short = len(line) <= _LINE and "ARRAY" not in found[3].partition(":=")[2]
+        short = len(line) <= _LINE_LENGTH and "ARRAY" not in found[3].partition(":=")[2]
         return line if short else found[0]
 
     sections = (("VAR[A-Z_ ]*", "END_VAR"), ("FOR [^\n]* DO", "END_FOR;"), ("IF [^\n]* THEN", "END_IF;"))
@@ -119,8 +124,8 @@ def _laid_out(text: str) -> str:
             text = re.sub(pattern, in_line, text, flags=re.MULTILINE)
     lines: list[str] = []
     for line in text.split("\n"):
-        while len(line) > _LINE:
-            cut = max(line.rfind(end, 0, _LINE) for end in ", ") + 1
+        while len(line) > _LINE_LENGTH:
+            cut = max(line.rfind(end, 0, _LINE_LENGTH) for end in ", ") + 1
             lines.append(line[:cut])
             line = " " * 8 + line[cut:].lstrip()
         lines.append(line)
@@ -128,11 +133,12 @@ def _laid_out(text: str) -> str:
 
 
 def _list(values: Iterable[float], real: Real) -> str:
+    """Return numbers as literals, separated by commas."""
     return ", ".join(number(float(v), real) for v in values)
 
 
 def _values_block(plan: Plan, values: dict[str, str], real: Real) -> str:
-    """The block that goes through the list, with a case for each operation that occurs."""
+    """Return the function block that evaluates the operations, with a CASE branch for each kind."""
     known = list(dict.fromkeys(plan.operations))
     arrays, scalars = dict[str, None](), dict[str, dict[str, None]]()
     cases = ""
@@ -163,6 +169,7 @@ def _values_block(plan: Plan, values: dict[str, str], real: Real) -> str:
 
 
 def tables_of(plan: Plan, real: Real) -> dict[str, str]:
+    """Return the placeholders of the spline tables of `periodic`, all tables in one array."""
     points = [len(table) - 3 for table in plan.tables]
     begins = [sum(map(len, plan.tables[:i])) for i in range(len(plan.tables))]
     parts = [turn_parts(COEFFICIENTS[real], count) for count in points]
@@ -179,6 +186,7 @@ def tables_of(plan: Plan, real: Real) -> dict[str, str]:
 
 
 def _box(program: TapeProgram, key: str) -> dict[str, str]:
+    """Return the placeholder with the declarations of a joint box."""
     kind, text = "REAL" if program.real == "float" else "LREAL", ""
     for name, side in zip(("lower", "upper"), program.boxes[key], strict=True):
         text += _array(name, kind, (number(float(v), program.real) for v in side))
@@ -186,10 +194,12 @@ def _box(program: TapeProgram, key: str) -> dict[str, str]:
 
 
 def _span(plan: Plan, key: str, name: str) -> dict[str, str]:
+    """Return the placeholders NAME_from and NAME_to: first and last run of a tape."""
     return {f"{name}_from": str(plan.spans[key][0]), f"{name}_to": str(plan.spans[key][1])}
 
 
 def _command(program: TapeProgram, command: Command, plan: Plan) -> dict[str, str]:
+    """Return the placeholders of the joint-command correction."""
     limits, prepared = command.limits, prepared_size(command)
     integers = {
         "at": plan.places["at"],
@@ -210,7 +220,10 @@ def _command(program: TapeProgram, command: Command, plan: Plan) -> dict[str, st
 
 
 def _self_test(program: TapeProgram, values: dict[str, str]) -> str:
-    """A block with known answers: of the correction, or of the network alone."""
+    """Return the function block of the self-test, which compares outputs with expected ones.
+
+    It tests the correction, or where there is none the network or the curves.
+    """
     q = self_test_inputs(program)[[0, 9, 10, 25]]  # the middle, two random points, one outside the box
     out, status = (correct if program.command else network)(program, q)
     tables = _array("statuses", "INT", (str(int(s)) for s in status))

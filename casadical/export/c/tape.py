@@ -1,11 +1,11 @@
-"""A CasADi SX function as a tape: a list of plain real operations in single-assignment form.
+"""A CasADi SX function as a tape: a list of scalar real operations in single-assignment form.
 
-Equal operations on equal arguments are stored once, sines and cosines of one angle share an
-operation, and a tansig is recognised however it is written. Where an operation takes only some
-numbers (square root, exp, sine of a huge angle) a guard stands before it; what an interval analysis
-proves to be needless is removed (see intervals.py). A function that is called (CasADi's option
-`never_inline`) becomes a table for each of its outputs (see coefficients.py). The C emitter and the
-NumPy evaluation both read this list only.
+Equal operations on equal arguments are stored once, sine and cosine of one angle share an
+operation, and a tansig is recognised however it is written. Where an operation is defined for some
+numbers only (square root, exp, sine of a huge angle) a guard precedes it; guards that an interval
+analysis proves needless are removed (see tape_program.py). A function that is called (CasADi's
+option `never_inline`) becomes a spline table for each of its outputs (see coefficients.py). The C
+emitter and the NumPy reference read nothing but this list.
 """
 
 from collections.abc import Callable
@@ -18,18 +18,20 @@ from casadical.core.basics import InputError
 from casadical.core.sx_instructions import SxInstructions
 from casadical.export.c.coefficients import ANGLE_LIMIT, EXP_LIMIT, TABLE_LIMIT, periodic_tables
 
-# Operations of CasADi that are operations of the tape, by the tape's name.
+# CasADi operations that the tape has as well, with their names there.
 _PLAIN = {name: name for name in ("add", "sub", "mul", "div", "neg", "atan2", "fabs", "fmin", "fmax", "lt", "le")}
 _PLAIN |= {name: name for name in ("not", "sign")} | {"tanh": "tansig", "if_else_zero": "select"}
+# Operations whose arguments may be swapped without changing the result's bits.
 COMMUTATIVE_OPERATIONS = {"add", "mul"}
 
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """One operation: its name, its arguments' positions, a constant or an input's position.
+    """One operation: its name, its arguments' positions, and a number.
 
-    table : of the operation `periodic`, whose value is the bound of the table's error (see
-        `spline_table`)
+    value : of a constant its value, of an input its position, of a guard its limit, of `periodic`
+        the bound of its table's error
+    table : spline coefficients of `periodic` (see `spline_table`)
     """
 
     op: str
@@ -40,7 +42,7 @@ class Node:
 
 @dataclass(frozen=True)
 class Tape:
-    """Plain real operations in order of evaluation; outputs : nodes that are results."""
+    """Scalar real operations in order of evaluation; outputs : positions of the results' nodes."""
 
     nodes: tuple[Node, ...]
     n_in: int
@@ -48,43 +50,49 @@ class Tape:
 
 
 class _Builder:
-    """Adds operations, stores equal ones once, and rewrites a few patterns."""
+    """Builder of a tape: stores equal operations once and rewrites a few patterns."""
 
     def __init__(self) -> None:
         self.nodes: list[Node] = []
-        self._known: dict[Node, int] = {}
+        self._positions: dict[Node, int] = {}
 
     def add(self, op: str, *args: int, value: float = 0.0, table: tuple[float, ...] = ()) -> int:
+        """Add an operation unless an equal one is there, and return its position."""
         node = Node(op, tuple(sorted(args)) if op in COMMUTATIVE_OPERATIONS else args, value, table)
-        if node not in self._known:
-            self._known[node] = len(self.nodes)
+        if node not in self._positions:
+            self._positions[node] = len(self.nodes)
             self.nodes.append(node)
-        return self._known[node]
+        return self._positions[node]
 
     def constant(self, value: float) -> int:
+        """Return the position of a constant."""
         return self.add("const", value=float(value))
 
     def root(self, x: int) -> int:
+        """Return the position of the guarded square root of x."""
         return self.add("sqrt", self.add("guard_min", x, value=0.0))
 
     def within(self, x: int, limit: float) -> int:
+        """Return the position of x, guarded to lie within -limit and limit."""
         return self.add("guard_max", self.add("guard_min", x, value=-limit), value=limit)
 
     def sincos(self, angle: int, which: str) -> int:
+        """Return the position of the guarded sine or cosine (`which`) of an angle."""
         return self.add(which, self.add("sincos", self.within(angle, ANGLE_LIMIT)))
 
     def periodic(self, angle: int, table: tuple[float, ...], bound: float) -> int:
+        """Return the position of a table's value at an angle, or of a constant table's number."""
         if len(table) == 1:
             return self.constant(table[0])
         return self.add("periodic", self.within(angle, TABLE_LIMIT), value=bound, table=table)
 
     def other_side(self, x: int) -> int:
-        """sqrt(1 - x^2), with which one atan2 serves asin, acos and atan."""
+        """Return the position of sqrt(1 - x^2), with which atan2 gives asin and acos."""
         one = self.constant(1.0)
         return self.root(self.add("mul", self.add("sub", one, x), self.add("add", one, x)))
 
     def operation(self, name: str, *args: int) -> int | None:
-        """An operation of CasADi by its name; None where the generated C does not have it."""
+        """Return the position of a CasADi operation's result; None if the generated C lacks it."""
         if name == "assign":
             return args[0]
         if name in _COMPOSED:
@@ -95,7 +103,10 @@ class _Builder:
         return self.add(_PLAIN[name], *args) if known is None else known
 
     def tansig(self, op: str, args: tuple[int, ...]) -> int | None:
-        """Recognise 2/(1+exp(-2a))-1 and 1-2/(exp(2a)+1) at their last operation."""
+        """Return the position of a tansig if this is its last operation, else None.
+
+        The forms 2/(1+exp(-2a))-1 and 1-2/(exp(2a)+1) are recognised.
+        """
         if op not in ("sub", "add"):
             return None
         unit = 1.0 if op == "sub" else -1.0
@@ -106,9 +117,11 @@ class _Builder:
         return None
 
     def _const(self, k: int) -> float | None:
+        """Return the value of a constant node, else None."""
         return self.nodes[k].value if self.nodes[k].op == "const" else None
 
     def _two_over_one_plus_exp(self, k: int) -> int | None:
+        """Return the position of x if node k is 2/(1+exp(x)), else None."""
         node = self.nodes[k]
         if node.op != "div" or self._const(node.args[0]) != 2.0 or self.nodes[node.args[1]].op != "add":
             return None
@@ -118,7 +131,7 @@ class _Builder:
         return None
 
     def _half(self, k: int, negate: bool) -> int:
-        """The a of exp(-2a), or of exp(2a) negated, undoing the 2 where it is visible."""
+        """Return the position of half of node k, or minus half, dropping a visible factor 2."""
         node = self.nodes[k]
         if node.op == "neg":
             return self._half(node.args[0], not negate)
@@ -132,7 +145,7 @@ class _Builder:
         return self.add("mul", self.constant(-0.5 if negate else 0.5), k)
 
 
-# Operations of CasADi that become others of the tape, with their guards.
+# CasADi operations that the tape expresses by others, with their guards.
 _COMPOSED: dict[str, Callable[..., int]] = {
     "sq": lambda b, x: b.add("mul", x, x),
     "twice": lambda b, x: b.add("add", x, x),
@@ -150,7 +163,7 @@ _COMPOSED: dict[str, Callable[..., int]] = {
 
 
 def tape_of(function: casadi.Function) -> Tape:
-    """The tape of a CasADi function of SX type (an MX function is expanded first).
+    """Return the tape of a CasADi function of SX type (an MX function is expanded first).
 
     All inputs are taken as one vector in the order of the function's arguments, and so are the
     outputs.
@@ -208,7 +221,10 @@ def tape_of(function: casadi.Function) -> Tape:
 
 
 def _call(builder: _Builder, function: casadi.Function) -> Callable[[list[int]], list[int]]:
-    """What becomes of the call of a function: a table for each of its outputs."""
+    """Return what replaces the call of a function: a table for each of its outputs.
+
+    Raises InputError: more than one function is called, or it cannot be a table.
+    """
     called = function.find_functions()
     if len(called) > 1:
         raise InputError(

@@ -1,10 +1,8 @@
-"""The tapes of a product: what every controller language writes.
+"""The tapes of a product, optimized by interval analysis: what every target language writes.
 
-Interval analysis of a tape: bounds of every value over a box of inputs, and which guards can never
-be touched.
-
-Bounds are outward: each operation's result is widened by more than the rounding of the real type it
-will run in.
+The interval analysis bounds every value of a tape over a box of inputs and finds guards that can
+never be violated. Bounds are outward: each operation's result is widened by more than the rounding
+of the real type in which it will run (Moore, Interval Analysis, 1966).
 """
 
 import math
@@ -20,11 +18,12 @@ from casadical.export.c.coefficients import COEFFICIENTS, NUMPY_TYPE, Real
 from casadical.export.c.products import Command, NetworkFunction, Product
 from casadical.export.c.tape import Node, Tape, tape_of
 
-Interval = tuple[float, float]
+Interval = tuple[float, float]  # lower and upper bound of a value
 _EVERYTHING: Interval = (-math.inf, math.inf)
 
 
 def _products(a: Interval, b: Interval) -> Interval:
+    """Return the interval of x y for x in a and y in b."""
     if math.inf in (-a[0], a[1], -b[0], b[1]):
         return _EVERYTHING
     values = [x * y for x in a for y in b]
@@ -32,6 +31,7 @@ def _products(a: Interval, b: Interval) -> Interval:
 
 
 def _magnitude(a: Interval) -> Interval:
+    """Return the interval of |x| for x in a."""
     return (0.0 if a[0] <= 0.0 <= a[1] else min(abs(a[0]), abs(a[1]))), max(abs(a[0]), abs(a[1]))
 
 
@@ -56,10 +56,12 @@ _RULES: dict[str, Callable[..., Interval]] = {
     "sin": lambda _a: (-1.0, 1.0),
     "cos": lambda _a: (-1.0, 1.0),
 }
+# Operations whose result is not rounded, so that their intervals need no widening.
 _EXACT = {"input", "const", "neg", "fabs", "fmin", "fmax", "tansig", "lt", "le", "not", "sign", "select", "sincos"}
 
 
 def _bound(node: Node, args: list[Interval], box: list[Interval], real: Real) -> Interval:
+    """Return the interval of an operation's result, before widening for rounding."""
     if node.op == "input":
         return box[int(node.value)]
     if node.op == "const":
@@ -83,7 +85,7 @@ def _bound(node: Node, args: list[Interval], box: list[Interval], real: Real) ->
 
 
 def _widened(interval: Interval, real: Real) -> Interval:
-    """The interval with room for rounding; everything (and NaN) where it could overflow."""
+    """Return the interval widened for rounding; the whole real line where it could overflow."""
     c = COEFFICIENTS[real]
     share = 2.0**-21 if real == "float" else 2.0**-50  # at least four roundings
     low, high = (v - abs(v) * share * s - c.smallest * s for v, s in zip(interval, (1.0, -1.0), strict=True))
@@ -91,7 +93,7 @@ def _widened(interval: Interval, real: Real) -> Interval:
 
 
 def bounds(tape: Tape, lower: Array, upper: Array, real: Real) -> list[Interval]:
-    """An interval for every node, for inputs in [lower, upper], each of shape (n_in,).
+    """Return an interval for every node of a tape, for inputs between `lower` and `upper` (n_in,).
 
     The bounds hold for the arithmetic of the real type as well, not only for real numbers.
     """
@@ -105,7 +107,7 @@ def bounds(tape: Tape, lower: Array, upper: Array, real: Real) -> list[Interval]
 
 
 def without_needless_guards(tape: Tape, lower: Array, upper: Array, real: Real) -> Tape:
-    """The tape without the guards that no input of the box can touch."""
+    """Return the tape without the guards that no input of the box can violate."""
     intervals = bounds(tape, lower, upper, real)
     place: list[int] = []
     kept: list[Node] = []
@@ -123,12 +125,12 @@ def without_needless_guards(tape: Tape, lower: Array, upper: Array, real: Real) 
 
 @dataclass(frozen=True)
 class TapeProgram:
-    """A product ready to be written.
+    """A product with its tapes, ready to be written in any target language.
 
-    tapes : `network` or `curves`; of a command `forward`, `prepare`, `advance`
-    network_bounds : of each of the network's outputs [its unit], for every input
-    name : prefix of functions and files, a C identifier; model_sha256, data_sha256 : of what it was
-        made from
+    tapes : `network` or `curves`; of a command also `forward`, `prepare` and `advance`
+    network_bounds : bounds of each of the network's outputs [its unit], over all inputs
+    name : prefix of functions and files, a C identifier
+    model_sha256, data_sha256 : hashes of the model and the data that it was made from
     """
 
     product: Product
@@ -141,20 +143,26 @@ class TapeProgram:
 
     @property
     def n(self) -> int:
+        """Return the number of joints."""
         return len(self.product.lower)
 
     @property
     def command(self) -> Command | None:
+        """Return the product if it is a joint-command correction, else None."""
         return self.product if isinstance(self.product, Command) else None
 
     @property
     def box_share(self) -> float:
-        """A power of two by which n finite numbers are multiplied for a finite sum."""
+        """Return the power of two that scales n finite numbers so that their sum is finite."""
         return 2.0 ** -(self.n - 1).bit_length()
 
     @property
     def boxes(self) -> dict[str, tuple[Array, Array]]:
-        """The boxes that inputs are moved into, by what they are for."""
+        """Return the boxes to which joint readings are clipped, by purpose.
+
+        They are `command` for the correction, `reach` for the forward kinematics (the same box
+        enlarged by the largest correction), and `network` for network or curves.
+        """
         boxes: dict[str, tuple[Array, Array]] = {}
         if self.command is not None:
             lower, upper, reach = self.command.lower, self.command.upper, self.command.limits.delta_rad
@@ -165,28 +173,30 @@ class TapeProgram:
 
     @property
     def network(self) -> NetworkFunction | None:
-        """The network or the curves alone, or the network beside a command."""
+        """Return the network or the curves, alone or those of a command; None if it has none."""
         return self.product.network if isinstance(self.product, Command) else self.product
 
 
 @dataclass(frozen=True)
 class Operations:
-    """How often each kind of operation occurs in a call: the same ones in every call."""
+    """Numbers of operations of each kind in one call; they are the same in every call."""
 
-    of: str  # what is called
+    of: str  # name of the function that is called
     count: dict[str, int]
 
     def text(self) -> str:
+        """Return the numbers of operations as a sentence."""
         words = [f"{self.count[kind]} {kind}" for kind in sorted(self.count, key=lambda k: -self.count[k])]
         return f"Operations of {self.of}, the same in every call: {', '.join(words)}."
 
 
+# Kinds of operations by which `operations` counts; whatever is not here is a choice.
 _KINDS = {"add": "additions", "sub": "additions", "mul": "multiplications", "div": "divisions"}
 _KINDS |= {op: op for op in ("sincos", "sqrt", "exp", "tansig", "atan2", "periodic")}
 
 
 def operations(program: TapeProgram) -> Operations:
-    """Operations of one correction, or of the network or the curves alone."""
+    """Count the operations of one correction, or of the network or the curves alone."""
     key = program.network.key if program.network is not None else ""
     calls = {key: 1}
     if program.command is not None:
@@ -221,7 +231,7 @@ def tape_program(
         intervals = bounds(tape, lower, upper, real)
         tapes[network.key], network_bounds = tape, [intervals[o] for o in tape.outputs]
     if isinstance(product, Command):
-        # joints and corrections are added in the real type, and rounded
+        # Joints and corrections are added, and rounded, in the real type.
         reach = 1.001 * product.limits.delta_rad
         lower, upper = rounded(product.lower), rounded(product.upper)
         forward, step = tape_of(product.calibrated), tape_of(advance(product))

@@ -1,6 +1,7 @@
-"""Write an export: every file is made in memory, compiled and compared before it is written.
+"""Write an export's C files after they were compiled and compared with their references.
 
-It is compared with the NumPy reference bit for bit, and with CasADi's doubles in micrometres.
+The compiled C must equal the NumPy reference bit for bit; its accuracy against CasADi's doubles is
+reported in micrometres.
 """
 
 import hashlib
@@ -30,6 +31,7 @@ from casadical.export.c.reference import Status
 from casadical.export.c.structured_text import structured_text
 from casadical.export.c.tape_program import Operations, TapeProgram, operations, tape_program
 
+# Functions that write the files of a program, by target language.
 CONTROLLER_LANGUAGES: dict[str, Callable[[TapeProgram], dict[str, str]]] = {
     "c": c_files,
     "structured_text": lambda program: {f"{program.name}.st": structured_text(program)},
@@ -38,13 +40,13 @@ CONTROLLER_LANGUAGES: dict[str, Callable[[TapeProgram], dict[str, str]]] = {
 
 @dataclass(frozen=True)
 class Comparison:
-    """One function of the C, as one compiler made it, against the NumPy reference."""
+    """Comparison of one function of the C, built by one compiler, with the NumPy reference."""
 
     function: str
     compiler: str
     vectors: int
     outputs: int
-    different: int  # outputs or statuses that are not the same bits
+    different: int  # number of outputs and statuses whose bits differ
 
     def __str__(self) -> str:
         verdict = "identical bits" if self.different == 0 else f"{self.different} DIFFERENT"
@@ -53,7 +55,7 @@ class Comparison:
 
 
 def shape_of(program: TapeProgram) -> Shape:
-    """Return what is needed to call the compiled functions of a program."""
+    """Return name, joints and output sizes of a program, as `Kernel` needs them."""
     sizes = {key: program.n if key == "correct" else len(program.tapes[key].outputs) for key in functions(program)}
     units: Any = list(program.product.units)
     return Shape(name=program.name, real=program.real, joints=program.n, outputs=sizes, units=units)
@@ -62,9 +64,10 @@ def shape_of(program: TapeProgram) -> Shape:
 def compared(
     program: TapeProgram, files: Mapping[str, bytes], installed: list[Compiler], count: int
 ) -> list[Comparison]:
-    """Compile with each compiler and compare every function on `count` vectors.
+    """Compile the files with each compiler and compare every function on `count` joint vectors.
 
-    The self-test is one vector.
+    files : contents by file name. The self-test counts as one vector. Without a compiler nothing is
+        compared.
     """
     if not installed:
         return []
@@ -77,7 +80,7 @@ def compared(
         kernels = [
             pool.submit(build, shape, sources[1:], Path(folder), compiler, WARNING_FLAGS) for compiler in installed
         ]
-        # The compilers work in processes of their own meanwhile.
+        # The compilers run in other processes meanwhile.
         expected = {key: compute(program, q) for key, compute in functions(program).items()}
         for compiler, built in zip(installed, kernels, strict=True):
             kernel, version = built.result(), compiler.version
@@ -91,16 +94,17 @@ def compared(
 
 
 def _bits(values: Array) -> Array:
+    """Return an array of reals as integers with the same bits."""
     return np.ascontiguousarray(values).view(np.uint32 if values.dtype == np.float32 else np.uint64)
 
 
 def accuracy(program: TapeProgram, count: int = 10_000) -> dict[str, float]:
-    """Return figures of this model: the reference's arithmetic against CasADi's doubles.
+    """Return figures on the accuracy of this model: the reference against CasADi's doubles.
 
-    Largest errors of the network [um], of the joints' curves [urad] and of the forward kinematics
-    [um]; of curves, what is left if a controller commands q - curves(q) [urad], and if it calls
-    twice, q - curves(q - curves(q)); of a command see `_of_command`. Of tables their bytes and the
-    bound of their error, before rounding [urad].
+    They are the largest errors of the network [um], of the joints' curves [urad] and of the forward
+    kinematics [um]. For curves: the remaining error if a controller commands q - curves(q) once
+    [urad], and if it does so twice, q - curves(q - curves(q)). For commands see `_of_command`. For
+    tables: their bytes and the bound of their error, before rounding [urad].
     """
     q = inside(program, count)
     figures: dict[str, float] = {}
@@ -135,10 +139,11 @@ def accuracy(program: TapeProgram, count: int = 10_000) -> dict[str, float]:
 def _of_command(command: Command, q: Array, dq: Array, status: Array) -> dict[str, float]:
     """Return figures of a correction dq at readings q, each shape (k, n) [rad or m].
 
-    The tool's error before it [um], what remains of it over the poses with status OK [um], and
-    their share; for poses also what remains of the orientation [urad], and the share of singular
-    ones, which count in `share_ok` only. Readings at which the model has no value (a four-bar that
-    cannot close) count in that share too, not in the share of those where it converged.
+    They are the tool's mean error before it [um], the error that remains at poses with status OK
+    [um] (for poses also of the orientation [urad]), the share of poses with status OK, and the
+    share that converged. Readings at which the model has no value (a four-bar that cannot close)
+    count as not OK but are excluded from the share that converged; so are, where the orientation is
+    corrected, singular poses, whose share is given.
     """
     known, fine = status != Status.NOT_FINITE, status == Status.OK
     wanted, real = mapped(command.nominal, q), command.calibrated
@@ -149,7 +154,7 @@ def _of_command(command: Command, q: Array, dq: Array, status: Array) -> dict[st
     figures = {"start_error_um_mean": start, "share_ok": float(fine.mean())}
     parts = {"rest_um": rest}
     if moved.shape[1] > 3:
-        # of poses many are singular; a correction that says so has not failed to converge
+        # Many poses are singular; a correction that reports this has not failed to converge.
         known = known & (status != Status.SINGULAR)
         figures["share_singular"] = float((status == Status.SINGULAR).mean())
         turned = np.linalg.norm(moved[:, 3:] - wanted[:, 3:], axis=1)[fine]
@@ -163,17 +168,21 @@ def _of_command(command: Command, q: Array, dq: Array, status: Array) -> dict[st
     return figures
 
 
-# Share of the poses in its box at which a verified correction converges, where the model has a
-# value.
-LEAST_CONVERGED = 0.9
+# Smallest share of poses in the joint box, among those at which the model has a value, at which a
+# correction must converge to count as verified.
+MIN_SHARE_CONVERGED = 0.9
 
 
 @dataclass(frozen=True)
 class Export(Result):
-    """A written export.
+    """A C export that was written to a folder.
 
-    written : names of its files; comparisons : of the compiled C; figures : of this model
-    operations : of a call; about : what it was made from and what it leaves out, in words
+    folder : where it was written
+    written : names of its files
+    comparisons : of the compiled C with the reference, one per function and compiler
+    figures : accuracy figures of this model, see `accuracy`
+    operations : numbers of operations of one call
+    about : what it was made from and what it omits, in words
     """
 
     kept_as: ClassVar[str] = "export"
@@ -190,16 +199,16 @@ class Export(Result):
 
     @property
     def verified(self) -> bool:
-        """Whether compiled C gave the reference's bits, and a correction converges."""
+        """Return whether compiled C gave the reference's bits and the correction converges."""
         return bool(self.comparisons) and self.converges
 
     @property
     def converges(self) -> bool:
-        """Whether a correction has status OK at nine of ten poses in its box."""
-        return self.figures.get("share_converged", 1.0) >= LEAST_CONVERGED
+        """Return whether the correction has status OK at `MIN_SHARE_CONVERGED` of the poses."""
+        return self.figures.get("share_converged", 1.0) >= MIN_SHARE_CONVERGED
 
     def blocks(self) -> list[Block]:
-        return self._told(least=LEAST_CONVERGED)
+        return self._told(least=MIN_SHARE_CONVERGED)
 
 
 def write_c(
@@ -215,7 +224,7 @@ def write_c(
     overwrite: bool = False,
     also: Callable[[Export], Mapping[Path, str]] = lambda _: {},
 ) -> Export:
-    """Write a network, curves or a command as C99 with all an integrator needs.
+    """Write a network, curves or a command as C99, with everything that an integrator needs.
 
     product : a network, curves or a command
     folder : made when missing; what is in it already stays
@@ -272,7 +281,10 @@ def write_c(
 
 
 def _check_nothing_in_the_way(folder: Path, names: list[str], overwrite: bool) -> None:
-    """Raises InputError for a file that no export wrote, or that was changed since."""
+    """Check that no existing file would be overwritten that no export wrote or that was changed.
+
+    Raises InputError.
+    """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is a file; give a folder")
     if overwrite:
@@ -284,7 +296,7 @@ def _check_nothing_in_the_way(folder: Path, names: list[str], overwrite: bool) -
         if manifest.get("written_by") == "casadical":
             ours = {**manifest["files"], "manifest.json": hashlib.sha256(blob).hexdigest()}
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        pass  # no manifest, so nothing there is of an export
+        pass  # without a readable manifest no file there counts as an export's
     for key in names:
         path = folder / key
         if path.exists() and ours.get(key) != hashlib.sha256(read_bytes(path)).hexdigest():
@@ -295,6 +307,7 @@ def _check_nothing_in_the_way(folder: Path, names: list[str], overwrite: bool) -
 
 
 def _manifest(program: TapeProgram, blobs: Mapping[str, bytes], made: Export) -> bytes:
+    """Return the content of manifest.json: hashes, comparisons, figures and limits."""
     alone = None if program.command else program.network
     content = {
         "written_by": "casadical",

@@ -10,7 +10,7 @@ from structured_text_in_c import Compiled
 from casadical.core.basics import InputError
 from casadical.export import load, write_c
 from casadical.export.c.c_source import inside
-from casadical.export.c.coefficients import LARGEST_ERROR
+from casadical.export.c.coefficients import MAX_TABLE_ERROR
 from casadical.export.c.products import CurveFunction
 from casadical.export.c.reference import network as reference
 from casadical.export.c.reference import run
@@ -90,12 +90,12 @@ def test_a_smooth_curve_has_a_small_table_and_a_joint_without_curve_none():
 def test_the_c_gives_the_curves_and_their_bounds(curves, compiler, tmp_path):
     export = write_c(curves, tmp_path, name="arm", languages=(), vectors=1_000)
     assert export.verified
-    assert export.figures["table_error_urad_at_most"] <= 1e6 * LARGEST_ERROR
+    assert export.figures["table_error_urad_at_most"] <= 1e6 * MAX_TABLE_ERROR
     q = np.random.default_rng(1).uniform(models.LOWER, models.UPPER, (500, 6))
     q[0, 2], q[1, 1] = np.nan, 9.0
     values, status = load(tmp_path).curves(q)
     assert status[:3].tolist() == [6, 1, 0]
-    assert abs(values[2:] - summed(q[2:], coefficients())).max() < LARGEST_ERROR
+    assert abs(values[2:] - summed(q[2:], coefficients())).max() < MAX_TABLE_ERROR
     low, high = np.array(tape_program(curves, "double").network_bounds).T
     assert (values >= low).all()
     assert (values <= high).all()
@@ -114,7 +114,7 @@ def test_structured_text_gives_the_curves(curves, compiler, tmp_path, real):
     expected = reference(program, q)
     assert (dq == expected[0]).all()
     assert (status == expected[1]).all()
-    assert dq == pytest.approx(summed(q.astype(float), coefficients()), abs=LARGEST_ERROR)
+    assert dq == pytest.approx(summed(q.astype(float), coefficients()), abs=MAX_TABLE_ERROR)
     assert compiled.rows(np.full((1, 6), np.nan))[1] == 6
 
 
@@ -124,7 +124,7 @@ def test_an_angle_beyond_the_table_is_not_fine(curves):
     q[1, 0], q[2, 5] = 127.9, 128.5
     values, fine = run(tape, q, "float")
     assert fine.tolist() == [True, True, False]
-    assert abs(values[1] - summed(q[1:2].astype(float), coefficients())[0]).max() < LARGEST_ERROR
+    assert abs(values[1] - summed(q[1:2].astype(float), coefficients())[0]).max() < MAX_TABLE_ERROR
 
 
 def test_what_cannot_be_a_table_is_refused_with_the_reason():
