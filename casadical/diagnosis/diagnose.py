@@ -16,7 +16,7 @@ from casadical.diagnosis.evidence import WIDE_SIGMA_GRID_M
 from casadical.diagnosis.laws.contest import claimed_before_causes, replaces_causes
 from casadical.diagnosis.linear_problem import Case, better_ratios, make_case
 from casadical.diagnosis.noise_account import Rule
-from casadical.diagnosis.noise_forms import SCATTERS, scattering
+from casadical.diagnosis.noise_forms import NOISY_JOINT_FACTOR, scattering
 from casadical.diagnosis.observations import Ratios
 from casadical.diagnosis.result import Change, Diagnosis
 from casadical.diagnosis.search import FORM_NONE, State, next_cause, search, search_with_forms
@@ -145,10 +145,10 @@ class _Question:
         if joint is None:
             return found
         self.show(f"causes beside the scatter of joint {joint}")
-        with_it, _, _ = search(case.with_scatter(joint, SCATTERS), self.seed, 0, self.show)
+        with_it, _, _ = search(case.with_scatter(joint, NOISY_JOINT_FACTOR), self.seed, 0, self.show)
         if len(with_it.steps) <= len(found.effects()) or with_it.rankings[0].none > FORM_NONE:
             return found
-        plain = replace(with_it, case=with_it.case.with_scatter(joint, 1 / SCATTERS))
+        plain = replace(with_it, case=with_it.case.with_scatter(joint, 1 / NOISY_JOINT_FACTOR))
         plain = replace(plain, rankings=plain.rankings[: len(plain.steps)]).ranked()
         more = conclude(self.base, plain, next_cause(plain, plain.rankings[-1])[0], self.seed, p_nothing)
         return more if more.verdict == "unknown" and len(more.effects()) > len(found.effects()) else found

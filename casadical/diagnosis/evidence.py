@@ -29,9 +29,11 @@ SIGMA_GRID_M = np.geomspace(3e-6, 300e-6, 33)
 WIDE_SIGMA_GRID_M = SIGMA_GRID_M[0] * (SIGMA_GRID_M[-1] / SIGMA_GRID_M[0]) ** (
     np.arange(-8, 58) / (len(SIGMA_GRID_M) - 1)
 )
-# Ratios of joint repeatability to the instrument's sigma at which likelihoods are evaluated [rad/m].
+# Ratios of joint repeatability to the instrument's sigma at which likelihoods are evaluated
+# [rad/m].
 RHO_GRID = np.array([0.0, 0.1, 0.2, 0.4, 0.8, 1.6])
-# Grid of the ratio of an effect's parameters' standard deviation to their typical size; its prior weights.
+# Grid of the ratio of an effect's parameters' standard deviation to their typical size; its prior
+# weights.
 KAPPA_GRID = np.array([0.35, 0.7, 1.4, 2.8, 5.6])
 KAPPA_WEIGHTS = np.array([0.15, 0.25, 0.3, 0.2, 0.1])
 # Name of the noise component that the joints add (see `NoiseModel`).
@@ -62,7 +64,8 @@ class NoisePrior:
 
     declared : declared standard deviation of the instrument [m], zero if none
     sheet : largest error that its data sheet states [m], zero if none
-    repeats : standard deviation over repeated poses [m]; freedom : its degrees of freedom, zero if none
+    repeats : standard deviation over repeated poses [m]; freedom : its degrees of freedom, zero if
+        none
     """
 
     declared: float = 0.0
@@ -72,27 +75,29 @@ class NoisePrior:
 
     @property
     def stated(self) -> float:
-        """Return the declared sigma of the instrument [m], else half the data sheet's largest error."""
+        """Return the declared sigma of the instrument, else half its data sheet's limit [m]."""
         return self.declared or self.sheet / 2
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence(LinearModel):
-    """Linear-Gaussian model of a measurement campaign; fields that are not listed are of `LinearModel`.
+    """Linear-Gaussian model of a measurement campaign; see `LinearModel` for the other fields.
 
-    Blocks are poses; r is measured minus modelled position [m]; E is in m per unit of size. For other
-    kinds of measurement than positions, 3 stands for the numbers of a pose (see `observations`).
+    Blocks are poses; r is measured minus modelled position [m]; E is in m per unit of size. For
+    other kinds of measurement than positions, 3 stands for the numbers of a pose (see
+    `observations`).
 
     Jq : Jacobian by the joint variables, shape (n, 3, joints) [m per rad or m]
     known : prior information on the noise
     sigmas : grid of the instrument's standard deviation [m]
-    size : factors from the residuals' units to the reported error, shape (n, 3); one by default, zero for
-        angles
-    alike : index of the unknown points at which each pose was measured, shape (n,); None without such points
-    unsure : masks, shape (n, 3), of the numbers of small tables (two at most) whose noise relative to the
-        other tables is uncertain; likelihoods are averaged over it
-    near : indices of the points of `RHO_GRID` that are evaluated; all of them until an effect of many
-        parameters is in the model
+    size : factors from the residuals' units to the reported error, shape (n, 3); one by default,
+        zero for angles
+    alike : index of the unknown points at which each pose was measured, shape (n,); None without
+        such points
+    unsure : masks, shape (n, 3), of the numbers of small tables (two at most) whose noise relative
+        to the other tables is uncertain; likelihoods are averaged over it
+    near : indices of the points of `RHO_GRID` that are evaluated; all of them until an effect of
+        many parameters is in the model
     """
 
     noise: NoiseModel = field(init=False)
@@ -131,7 +136,7 @@ class Evidence(LinearModel):
         return replace(super().at(blocks), unsure=tuple(mask[blocks] for mask in self.unsure))
 
     def with_causes_alone(self, columns: Array) -> Self:
-        """Return the model with these columns in the base and no candidates, tables' noise as assumed."""
+        """Return the model with these columns in the base, no candidates and noise as assumed."""
         alone = self.with_base(columns)
         return replace(alone, E=ArrayColumns(np.zeros((*self.r.shape, 1))), held=None, unsure=())
 
@@ -144,9 +149,9 @@ class Evidence(LinearModel):
     def at_other_ratios(self) -> tuple[tuple[float, Evidence], ...]:
         """Return log weight and model at the outer nodes of each uncertain table's noise ratio.
 
-        The log of the ratio is spread about its assumed value by the error of a standard deviation that is
-        estimated from the table alone. The weights undo this normal density, so that `averaged` is the
-        Gauss-Hermite integral of the likelihood over the ratio.
+        The log of the ratio is spread about its assumed value by the error of a standard deviation
+        that is estimated from the table alone. The weights undo this normal density, so that
+        `averaged` is the Gauss-Hermite integral of the likelihood over the ratio.
         """
         more = []
         for mask in self.unsure:
@@ -158,7 +163,7 @@ class Evidence(LinearModel):
         return tuple(more)
 
     def _where_noisier(self, mask: Array, times: float) -> Evidence:
-        """Return the model in which the masked numbers have noise this many times as large as assumed."""
+        """Return the model in which the masked numbers' noise is larger by a factor."""
         weight, every = np.where(mask, 1 / times, 1.0), np.arange(len(self.r))
         E = SerialColumns(self.E, every, SerialNoise(np.zeros(len(every)), weight))
         r, J, Jq = self.r * weight, self.J * weight[:, :, None], self.Jq * weight[:, :, None]
@@ -184,27 +189,30 @@ class Evidence(LinearModel):
         return self.averaged(own, (other.log_base(also) for _, other in self.at_other_ratios))
 
     def log_grids(self, groups: Sequence[Array], also: Array | None = None) -> Array:
-        """Return the log likelihood of each group of columns as a cause, shape (groups, rhos, sigmas, kappas).
+        """Return the log likelihood of each group as a cause, shape (groups, rhos, sigmas, kappas).
 
-        also : columns of causes that are in the model already; they are marginalised like the base model
+        groups : the columns of each group
+        also : columns of causes that are in the model already; they are marginalised like the base
+            model
         """
         own = self.marginals.log_grids(groups, NONE if also is None else also)
         return self.averaged(own, (other.log_grids(groups, also) for _, other in self.at_other_ratios))
 
     def look_ahead(self, chosen: Sequence[Array], groups: Sequence[Array]) -> None:
-        """Precompute the products that evaluating the groups given each of the chosen groups needs."""
+        """Precompute the products that `log_grids` needs for the groups given each chosen group."""
         for e in (self, *(other for _, other in self.at_other_ratios)):
             e.marginals.look_ahead(chosen, groups)
 
 
 @dataclass(frozen=True, eq=False)
 class BaseParameters:
-    """The base model's parameters and the independent combinations of them that an `Evidence` contains.
+    """The base model's parameters and the combinations of them that an `Evidence` contains.
 
     J : Jacobian of the measured numbers by the parameters, shape (n, 3, P)
     delta0 : prior mean minus present value of the parameters, shape (P,) [SI]
     prior : prior standard deviation of the parameters, shape (P,) [SI]
-    units : parameters = units @ combinations, each combination of prior standard deviation one, shape (P, k)
+    units : parameters = units @ combinations, each combination of prior standard deviation one,
+        shape (P, k)
     still : combinations that move nothing at these poses and are left out, shape (P, P - k): their
         posterior is their prior
     """
@@ -216,7 +224,7 @@ class BaseParameters:
     still: Array
 
     def everywhere(self, e: Evidence, poses: Array) -> tuple[Evidence, Array]:
-        """Return the model with the left-out combinations added, for use at other poses, and all units.
+        """Return the model with all combinations, for use at other poses, and their units.
 
         poses : the poses of e among those of J; units : shape (P, P)
         """
@@ -228,7 +236,7 @@ class BaseParameters:
         return replace(e, J=J, delta0=delta0, prior=prior), np.concatenate([self.units, self.still], axis=1)
 
     def _mean(self, units: Array) -> Array:
-        """Return the prior mean of combinations that are orthogonal in units of the priors, shape (k,)."""
+        """Return the prior mean of combinations orthogonal in units of the priors, shape (k,)."""
         own = units / self.prior[:, None]
         return np.asarray(own.T @ (self.delta0 / self.prior) / (own**2).sum(axis=0))
 
@@ -236,19 +244,19 @@ class BaseParameters:
     def restricted(cls, e: Evidence) -> tuple[Evidence, BaseParameters]:
         """Return the restricted-likelihood (REML) model and its base parameters.
 
-        Degrees of freedom that the base model absorbs carry no information on the noise. Directions of the
-        parameters that the data determine get a wider prior, because priors scale with the noise:
-        a robot's departure from them would otherwise count as noise.
+        Degrees of freedom that the base model absorbs carry no information on the noise. Directions
+        of the parameters that the data determine get a wider prior, because priors scale with the
+        noise: a robot's departure from them would otherwise count as noise.
         """
         A = e.J.reshape(e.r.size, -1) * (e.prior / e.reference)
-        # The singular values are taken of A, not of A' A, whose round-off along a direction with a wide
-        # prior would be taken for one that moves a pose.
+        # The singular values are taken of A, not of A' A, whose round-off along a direction with a
+        # wide prior would be taken for one that moves a pose.
         _, singular, turned = np.linalg.svd(np.linalg.qr(A, mode="r"))
         square, axes = np.append(singular, np.zeros(len(turned) - len(singular)))[::-1] ** 2, turned[::-1].T.copy()
         # The sign of an axis depends on the processor; fixing it makes random draws reproducible.
         axes *= np.where(np.cos(np.arange(len(axes))) @ axes < 0, -1.0, 1.0)
-        # A direction whose prior standard deviation moves all poses together by less than the root of
-        # 1e-8 noise sigmas is unobservable: a curve at joint angles that no pose has, for example.
+        # A direction whose prior standard deviation moves all poses together by less than 1e-4
+        # noise sigmas is unobservable: a curve at joint angles that no pose has, for example.
         axes, moved = e.prior[:, None] * axes, square > 1e-8
         units = (axes * np.where(square > MIN_INFORMATION_RATIO, DETERMINED_PRIOR_FACTOR, 1.0))[:, moved]
         base = cls(e.J, e.delta0, e.prior, units, axes[:, ~moved])

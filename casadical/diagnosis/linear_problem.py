@@ -17,7 +17,7 @@ from casadical.diagnosis.cross_validation import fit_of
 from casadical.diagnosis.evidence import RHO_GRID, SIGMA_GRID_M, WIDE_SIGMA_GRID_M, BaseParameters, Evidence, NoisePrior
 from casadical.diagnosis.instrument_columns import with_far_ends, with_images
 from casadical.diagnosis.linearisation import EffectColumns, Made
-from casadical.diagnosis.noise_evidence import PLAIN, Form, as_form_moves
+from casadical.diagnosis.noise_evidence import WHITE_FORM, Form, prewhitened
 from casadical.diagnosis.noise_floor import replicates
 from casadical.diagnosis.observations import Observations, Ratios, joined, observe, stops_in
 from casadical.effects import Effect
@@ -69,7 +69,7 @@ class Case:
     prior: Prior = field(default_factory=Prior)
     units: Array | None = None
     assumed: tuple[str, ...] = ()
-    form: Form = PLAIN
+    form: Form = WHITE_FORM
     selected: list[Evidence] = field(init=False, repr=False, default_factory=list)
 
     @property
@@ -121,7 +121,7 @@ class Case:
     @cached_property
     def judged(self) -> Evidence:
         """The same as its form of noise moves it: by this causes are judged."""
-        return self.evidence if self.form is PLAIN else as_form_moves(self.evidence, self.form, self.order)
+        return self.evidence if self.form is WHITE_FORM else prewhitened(self.evidence, self.form, self.order)
 
     def torques(self, m: Measurements) -> Array:
         """Gravity torque of the base model at each joint at some poses, shape (len(m), joints) [N m]."""
@@ -248,7 +248,7 @@ class Case:
         whole = replace(self.whole, held=held, reference=noise.sigma, near=near)
         more = replace(self, candidates=candidates, columns={**self.columns, learnt: columns}, whole=whole)
         more.evidence.extending(self.evidence)
-        if self.form is not PLAIN:
+        if self.form is not WHITE_FORM:
             more.judged.extending(self.judged)
         return more, learnt
 
@@ -274,7 +274,7 @@ class Case:
         more, known = replace(self, m=m, candidates=candidates, columns=columns), self.evidence
         more = replace(more, whole=replace(self.whole, E=E, held=held))
         more._with_evidence(replace(known, E=E.at(np.flatnonzero(self.kept)), held=held).extending(known))
-        if self.form is not PLAIN:
+        if self.form is not WHITE_FORM:
             more.judged.extending(self.judged)
         return more
 

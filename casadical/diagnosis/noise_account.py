@@ -1,4 +1,4 @@
-"""What a diagnosis took as noise, beside what was declared and what repeated poses say, and which of them rules."""
+"""Account of the noise: estimate of the fit against declaration, data sheet and repeated poses."""
 
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -13,16 +13,18 @@ from casadical.core.telling.blocks import mm
 from casadical.core.telling.plain import WRITTEN, Key, written
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_floor import Replicates, scatter_of_coordinate
-from casadical.diagnosis.noise_forms import FOLLOWING, best_following
+from casadical.diagnosis.noise_forms import AR_NOISE, best_ar_form
 from casadical.diagnosis.structure import BEFORE, Remainder, Structure, remainder_of
 from casadical.measurements.measurements import Noise
 
-# Noise that is so many times what is known of it is not that noise, unless chance alone does it as often as this.
-FAR, BY_CHANCE = 1.4, 1e-3
+# Estimated noise above the independent figure by more than this factor contains structure ...
+MIN_NOISE_EXCESS_FACTOR = 1.4
+# ... if an F test gives so large a ratio a smaller probability than this.
+NOISE_EXCESS_CHANCE = 1e-3
 
 
 class Rule(StrEnum):
-    """What says how large the noise is."""
+    """The source that determines how large the noise is."""
 
     REPEATS = "repeats"
     DECLARED = "declared"
@@ -32,15 +34,21 @@ class Rule(StrEnum):
 
 @dataclass(frozen=True)
 class NoiseAccount:
-    """What was taken as noise, of a coordinate [m], instrument and joints together.
+    """The noise that a diagnosis assumed and its independent references, for one coordinate.
 
-    taken : as the fit leaves it; sigma, repeatability : what it is made of [m, rad]
-    declared : sigma of the instrument, zero for none; sheet : largest error by its data sheet, zero for none
-    repeats : scatter of repeated poses, and freedom, their degrees of freedom, zero for none
-    rules : which of them says how large the noise is
-    excess : of what was taken, beyond that [m]; zero where it agrees
-    form : of the noise, where it is another than the usual
-    structures : what it follows; like_noise : whether it looks like noise besides
+    taken : standard deviation that the fit leaves [m], instrument and joints together
+    sigma : the instrument's share of it [m]; repeatability : joint repeatability [rad]
+    declared : declared sigma of the instrument [m], zero if none
+    sheet : largest error by the data sheet [m], zero if none
+    repeats : standard deviation over repeated poses [m]; freedom : its degrees of freedom; zero if
+        none
+    rules : the source that determines how large the noise is
+    excess : root of the difference of the squares of taken and of that source [m]; zero where they
+        agree
+    form : label of the form of noise if it is not white; else empty
+    structures : dependences found in the residual
+    like_noise : whether the residual is noise-like otherwise: Gaussian tails, equal in all
+        directions
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -66,29 +74,29 @@ class NoiseAccount:
 
     @property
     def anchored(self) -> bool:
-        """Whether anything but the fit says how large the noise is."""
+        """Return whether a source other than the fit determines how large the noise is."""
         return self.rules != Rule.FIT
 
     @property
     def is_structure(self) -> bool:
-        """Whether it is more than noise."""
+        """Return whether what was taken as noise contains unmodelled structure."""
         return self.excess > 0 or bool(self.structures)
 
     @property
     def anchor(self) -> float:
-        """How large the noise of a coordinate is [m], where anything but the fit says it; else zero."""
+        """Return the independent figure of a coordinate's noise [m]; zero without one."""
         if self.rules == Rule.REPEATS:
             return self.repeats
         return float(np.sqrt(self.taken**2 - self.excess**2)) if self.excess else 0.0
 
     @property
     def structure(self) -> float:
-        """Of a coordinate, what is structure: beyond the anchor, or what follows a driver [m]."""
+        """Return the rms structure of a coordinate [m]: excess or part that follows a driver."""
         share = max((s.share for s in self.structures), default=0.0)
         return max(self.excess, self.taken * float(np.sqrt(share)))
 
     def in_words(self) -> str:
-        """What was taken as noise, declared and repeated, and which rules."""
+        """Return in words the noise taken, declared and over repeats, and which one rules."""
         joints = f" and joints that repeat to {1e6 * self.repeatability:.3g} urad" if self.repeatability else ""
         said = [f"taken as noise: {mm(self.taken)} mm a coordinate (instrument {mm(self.sigma)}{joints})"]
         said += [self.form] * bool(self.form)
@@ -119,7 +127,7 @@ class NoiseAccount:
         return "; ".join(said)
 
     def structure_in_words(self) -> str:
-        """What of it is structure, and what that follows; empty where nothing is."""
+        """Return in words which structure the residual has; empty without any."""
         said = []
         if self.excess:
             anchors = {Rule.REPEATS: "repeated poses say", Rule.SHEET: "the data sheet allows"}
@@ -134,18 +142,22 @@ class NoiseAccount:
 
 
 def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates) -> NoiseAccount:
-    """The account of a noise beside some causes, whose columns are given, shape (k,)."""
+    """Return the account of the noise that a fit with some causes leaves.
+
+    columns : of the causes in the model, shape (k,); noise : estimate of that fit
+    repeated : standard deviation over repeated poses
+    """
     e, known = case.evidence, case.evidence.known
     taken, left, form = scatter_of_coordinate(e, noise), remainder_of(case, columns, noise), ""
     if any(s.over == BEFORE for s in left.structures):
-        # Noise that follows itself is noise all the same, if this is all that it follows.
-        form, (following, own, _) = FOLLOWING, best_following(case, columns)
-        left = remainder_of(case, columns, own, following)
+        # Autocorrelated noise is still noise, if the residual shows no dependence under it.
+        form, (ar_form, own, _) = AR_NOISE, best_ar_form(case, columns)
+        left = remainder_of(case, columns, own, ar_form)
     freedom = max(e.count - e.absorbed_by_base, 1.0)
     far, rules, anchor = False, Rule.FIT, taken
     if repeated.enough:
         rules, anchor = Rule.REPEATS, repeated.sigma
-        far = _far(taken, anchor, freedom, repeated.freedom)
+        far = _exceeds(taken, anchor, freedom, repeated.freedom)
     elif known.stated:
         far, rules, anchor = _by_statement(case, columns, noise, left)
     excess = float(np.sqrt(taken**2 - anchor**2)) if far else 0.0
@@ -159,30 +171,33 @@ def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates) -
 
 
 def _by_statement(case: Case, columns: Array, noise: Noise, left: Remainder) -> tuple[bool, Rule, float]:
-    """Whether the noise is far above what is stated of it, which rules, and the noise that is allowed for [m].
+    """Return whether the noise exceeds its declaration, the source that rules, and its figure [m].
 
-    A statement may be wrong by as much as what is left looks like noise in every other way: alike in all directions,
-    with the tails of noise, and following nothing. Otherwise it is the model that is wrong. Less noise than a data
-    sheet states is as it says.
+    The declaration is doubted only if the residual looks like noise in every other way: equal in
+    all directions, with Gaussian tails, and independent of every driver. Otherwise the model is
+    wrong. Less noise than a data sheet's limit is consistent with it.
     """
     e, known = case.evidence, case.evidence.known
-    # A declared sigma is the instrument's; joints repeat to this [rad] beside it at most.
+    # A declared sigma is the instrument's; at most 15 urad of joint repeatability are added to it.
     joints, rule = min(noise.repeatability, 15e-6), Rule.DECLARED if known.declared else Rule.SHEET
     taken, allowed = scatter_of_coordinate(e, noise), scatter_of_coordinate(e, Noise(known.stated, joints))
-    if _far(taken, allowed, max(e.count - e.absorbed_by_base, 1.0), np.inf) and not (
+    if _exceeds(taken, allowed, max(e.count - e.absorbed_by_base, 1.0), np.inf) and not (
         left.like_noise and not left.structures
     ):
         return True, rule, allowed
     logs = e.log_base(columns)
     share = np.exp(logs - np.logaddexp.reduce(logs, axis=None)).sum(axis=0)
-    below = share[e.sigmas < known.declared / FAR].sum()
-    wrong = max(share[e.sigmas > FAR * known.stated].sum(), below)
-    # A declared sigma is said to be wrong by that factor where it is from this probability on.
+    below = share[e.sigmas < known.declared / MIN_NOISE_EXCESS_FACTOR].sum()
+    wrong = max(share[e.sigmas > MIN_NOISE_EXCESS_FACTOR * known.stated].sum(), below)
+    # The declared sigma is overruled if it is wrong by the factor with a probability above 0.99.
     return (False, Rule.FIT, taken) if wrong > 0.99 else (False, rule, allowed)
 
 
-def _far(larger: float, smaller: float, above: float, below: float) -> bool:
-    """Whether one noise is far above another, not by chance; above, below : their degrees of freedom."""
-    if larger <= FAR * smaller:
+def _exceeds(larger: float, smaller: float, above: float, below: float) -> bool:
+    """Return whether one standard deviation exceeds another significantly (F test).
+
+    above, below : degrees of freedom of the larger and of the smaller one
+    """
+    if larger <= MIN_NOISE_EXCESS_FACTOR * smaller:
         return False
-    return bool(fdtrc(min(above, 1e6), min(below, 1e6), (larger / smaller) ** 2) < BY_CHANCE)
+    return bool(fdtrc(min(above, 1e6), min(below, 1e6), (larger / smaller) ** 2) < NOISE_EXCESS_CHANCE)

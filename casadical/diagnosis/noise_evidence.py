@@ -1,7 +1,7 @@
-"""Forms of noise that the usual model does not have, and the likelihood of a problem under them.
+"""Marginal likelihood under other noise than white: autocorrelated, heavy-tailed, a noisy joint.
 
-A form differs in how poses are weighed, in what follows from the pose before, or in how badly a joint repeats. The
-numbers of a problem are transformed so that their noise is independent; their likelihood is that of the usual model.
+The rows of the linear model are prewhitened so that their noise is independent; the likelihood
+of the white model then applies.
 """
 
 from __future__ import annotations
@@ -20,41 +20,48 @@ from casadical.diagnosis.evidence import REPEATABILITY, RHO_GRID, Evidence
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """A form of noise; the plain one by default.
+    """A form of noise; by default independent and identically distributed (white).
 
-    stays : correlation of a pose's noise with that of the pose before
-    joint, worse : that repeats so many times worse than the others, 0-based
-    times : how many times the usual each pose's noise is, in the order of measuring, shape (n,)
-    log_weight : of the form
+    stays : AR(1) coefficient: correlation of a pose's noise with that of the previous pose
+    joint : index (0-based) of a joint with larger repeatability error, or None
+    repeatability_factor : its repeatability error over that of the other joints
+    times : factor on the noise of each pose, in the order of measuring, shape (n,); None for ones
+    log_weight : added to the log likelihood: log prior of the form and log determinant of its
+        transform
     """
 
     stays: float = 0.0
     joint: int | None = None
-    worse: float = 1.0
+    repeatability_factor: float = 1.0
     times: Array | None = None
     log_weight: float = 0.0
 
     def serial(self, poses: int) -> SerialNoise:
-        """As noise of poses in the order of measuring."""
+        """Return the serial noise of this many poses in the order of measuring."""
         weight = 1.0 if self.times is None else 1 / self.times
         return serial_noise(self.stays, np.arange(poses) == 0, weight)
 
     def repeatability(self, Jq: Array) -> Array:
-        """Derivative by the joint variables as the joints repeat in the moved numbers, shape (n, 3, joints)."""
+        """Return the Jacobian of joint repeatability in prewhitened rows, shape (n, 3, joints)."""
         if self.stays:
             both = np.sqrt((1 + self.stays**2) / (1 - self.stays**2))
             return np.asarray(Jq * np.append(1.0, np.full(len(Jq) - 1, both))[:, None, None])
-        return Jq if self.joint is None else Jq * np.where(np.arange(Jq.shape[2]) == self.joint, self.worse, 1.0)
+        return (
+            Jq
+            if self.joint is None
+            else Jq * np.where(np.arange(Jq.shape[2]) == self.joint, self.repeatability_factor, 1.0)
+        )
 
 
-# Independent and alike everywhere.
-PLAIN = Form()
+# Independent, identically distributed noise.
+WHITE_FORM = Form()
 
 
-def as_form_moves(e: Evidence, form: Form, order: Array) -> Evidence:
-    """The problem in the order of measuring, with the numbers that a form of noise makes independent.
+def prewhitened(e: Evidence, form: Form, order: Array) -> Evidence:
+    """Return the model in the order of measuring, its rows prewhitened for a form of noise.
 
-    Its likelihoods are those of the problem with this noise, less the form's weight. order : of measuring, shape (n,)
+    Its log likelihoods are those under this noise minus the form's log_weight.
+    order : indices of the poses in the order of measuring, shape (n,)
     """
     own, noise = e.at(order), form.serial(len(order))
     E = SerialColumns(e.E, order, noise)
@@ -62,29 +69,33 @@ def as_form_moves(e: Evidence, form: Form, order: Array) -> Evidence:
 
 
 class Problem:
-    """The problem with causes in its base, judged under forms of noise.
+    """A linear model with causes in its base, evaluated under several forms of noise.
 
-    e : the problem; chosen : columns of the causes, shape (k,); order : of measuring, shape (n,)
+    e : the model; chosen : columns of the causes, shape (k,)
+    order : indices of the poses in the order of measuring, shape (n,)
     """
 
     def __init__(self, e: Evidence, chosen: Array, order: Array) -> None:
         self.e, self.chosen, self._order = e, chosen, order
         self._own = e.with_causes_alone(chosen)
         self._others = [other.with_causes_alone(chosen) for _, other in e.at_other_ratios]
-        # What the directions of the causes that move nothing would add to the log likelihood.
+        # Contribution to the log likelihood of the directions of the causes that no pose shows.
         combined, widths = e.combined(chosen), e.widths[chosen]
         self._lost = combined.left_out(np.log(e.reference / widths))
         self._known: dict[Form, Array] = {}
 
     def log_likelihood(self, form: Form) -> Array:
-        """Log likelihood under a form of noise, its weight included, shape (rhos, sigmas)."""
+        """Return the log likelihood with the form's log_weight, shape (rhos, sigmas)."""
         if form not in self._known:
-            own, *others = (as_form_moves(e, form, self._order).log_base() for e in (self._own, *self._others))
+            own, *others = (prewhitened(e, form, self._order).log_base() for e in (self._own, *self._others))
             self._known[form] = self.e.averaged(own, others) + form.log_weight - self._lost
         return self._known[form]
 
     def residual(self, form: Form, rho: int) -> Array:
-        """Return the whitened residual of the fit at a ratio of the grid, shape (n, 3), in units of sigma."""
-        moved = as_form_moves(self._own, form, self._order)
+        """Return the whitened residual of the fit, shape (n, 3) [m], in the order of measuring.
+
+        rho : index of the repeatability ratio in `RHO_GRID`
+        """
+        moved = prewhitened(self._own, form, self._order)
         fit = Fit(moved, NONE, moved.reference, {REPEATABILITY: float(RHO_GRID[rho])})
         return np.asarray(moved.reference * fit.rest.reshape(moved.r.shape))

@@ -1,4 +1,4 @@
-"""Noise floor of a campaign: standard deviation over repeated poses, and the held-out error of noise alone."""
+"""Noise floor: standard deviation over repeated poses, and held-out error of noise alone."""
 
 import re
 from dataclasses import dataclass, replace
@@ -42,7 +42,9 @@ class Replicates:
 def replicates(
     m: Measurements, r: Array, kept: Array, apart: Array | None = None, measured: Array | None = None
 ) -> Replicates:
-    """Return the standard deviation of the residuals of inlier poses at equal readings and circumstances.
+    """Return the standard deviation of residuals over repeated inlier poses.
+
+    Poses are repeated if readings, payload, logged approach, tool, session and target are equal.
 
     r : residuals, shape (n, 3) [m]; kept : mask of the inlier poses, shape (n,)
     apart : index of the target of each pose, shape (n,), if there are several
@@ -50,8 +52,8 @@ def replicates(
     """
     circumstances = [values for name, values in m.conditions.items() if _CIRCUMSTANCE.fullmatch(name)]
     circumstances += [] if apart is None else [apart]
-    # Readings that are equal after rounding to 1e-3 rad or m are one pose. Residuals are compared, so
-    # that the small modelled difference between such poses does not count as scatter.
+    # Readings that are equal after rounding to 1e-3 rad or m are one pose. Residuals are compared,
+    # so that the small modelled difference between such poses does not count as scatter.
     key = np.column_stack([np.round(m.q / 1e-3), *circumstances])[kept]
     _, group, counts = np.unique(key, axis=0, return_inverse=True, return_counts=True)
     group = group.ravel()
@@ -70,7 +72,8 @@ def noise_floor(e: Evidence, noise: Noise, anchor: float, seed: int) -> float:
     """Return the mean held-out error of simulated pure noise under the same fit [m].
 
     noise : noise estimated by the fit
-    anchor : standard deviation of a coordinate to which the noise is scaled [m]; zero to use it unchanged
+    anchor : standard deviation of a coordinate to which the noise is scaled [m]; zero to use it
+        unchanged
     """
     if anchor:
         scale = anchor / scatter_of_coordinate(e, noise)
@@ -88,7 +91,8 @@ def noise_floor(e: Evidence, noise: Noise, anchor: float, seed: int) -> float:
 def outlier_probability(distance: Array) -> float:
     """Return the probability that at least one of the poses is an outlier.
 
-    distance : squared Mahalanobis distances of the poses, shape (k,), of three coordinates each. With prior
+    distance : squared Mahalanobis distances of the poses, shape (k,), of three coordinates each.
+        With prior
     probability `OUTLIER_SHARE` the noise of a pose is inflated by one of `OUTLIER_NOISE_FACTORS`.
     """
     wide = (
@@ -105,5 +109,5 @@ def outlier_probability(distance: Array) -> float:
 
 
 def scatter_of_coordinate(e: Evidence, noise: Noise) -> float:
-    """Return the noise standard deviation of one measured coordinate [m], instrument and joints together."""
+    """Return the noise standard deviation of a coordinate, instrument and joints together [m]."""
     return float(np.sqrt(np.trace(e.covariance(noise), axis1=1, axis2=2).mean() / e.r.shape[1]))

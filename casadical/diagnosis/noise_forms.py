@@ -1,9 +1,10 @@
-"""Noise that is not what the model assumes: it follows itself, some poses are far worse, or one joint scatters.
+"""Noise models that compete with the causes: autocorrelated, heavy-tailed, or one noisy joint.
 
-Each form is judged as the base model is, by its marginal likelihood, with the poses weighed as it says. It competes
-with the causes. Beside causes, noise of the instrument is one of the ways in which there is no further one, while a
-joint that scatters is still something that nobody listed, unless it has a cause: what this leaves looks like scatter.
-Where an effect leads whose sizes are learnt once it is in the model, its joints' scatter is no rival before.
+Each form is compared by its marginal likelihood. Given causes in the model, another form of
+instrument noise counts as "no additional cause", while a joint with large repeatability error
+counts as an unlisted cause, unless a cause acts at this joint: the remaining error of that cause
+looks like poor repeatability. While the leading candidate is an effect whose sizes are learnt once
+it is in the model, noise of its joints is no rival.
 """
 
 from collections.abc import Collection, Sequence
@@ -23,43 +24,52 @@ from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, R
 from casadical.diagnosis.settings import SETTINGS
 from casadical.measurements.measurements import Noise
 
-# Of the instrument.
-FOLLOWING, TAILED = "noise that follows itself", "noise with heavy tails"
-# Correlations of a pose's noise with that of the pose before.
-FOLLOWS = (0.4, 0.6, 0.8, 0.9)
-# The best of them is moved by this to both sides where causes are searched under it.
-BETWEEN = 0.07
-# Share of the poses whose noise is so many times the others'; rounds in which they are found.
-SHARE, TIMES, FOUND_IN = 0.05, 4.0, 3
-# A joint that scatters repeats so many times worse than the others, each at the noise grid's ratios.
-SCATTERS = 8.0
-# Log evidence over plain noise from which causes and laws are judged again by noise that follows itself.
-FORM_GAIN = 10.0
+# Labels of the instrument's forms of noise in rankings and reports.
+AR_NOISE = "noise that follows itself"
+HEAVY_TAILS = "noise with heavy tails"
+# AR(1) coefficients that are tried: correlation of a pose's noise with that of the previous pose.
+AR_COEFFICIENTS = (0.4, 0.6, 0.8, 0.9)
+# The best coefficient is refined by this step to both sides before causes are searched under it.
+AR_COEFFICIENT_STEP = 0.07
+# Heavy tails: prior share of poses with larger noise, the factor of their noise, and the number of
+# rounds in which these poses are identified.
+TAIL_SHARE = 0.05
+TAIL_NOISE_FACTOR = 4.0
+MAX_TAIL_ROUNDS = 3
+# Repeatability error of a noisy joint over that of the other joints.
+NOISY_JOINT_FACTOR = 8.0
+# Log evidence of autocorrelated over white noise [nats] from which causes and expressions are
+# judged again under it.
+MIN_AR_LOG_GAIN = 10.0
 
 
 def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collection[int | None] = ()) -> Ranking:
-    """The ranking with other forms of noise in it.
+    """Return the ranking extended by the other forms of noise.
 
-    chosen : columns of causes that are in the model already; joints : that these are at, whose scatter is what their
-        equations leave, like noise
+    chosen : columns of causes that are in the model already
+    joints : joints (1-based) of these causes, whose poor repeatability counts as noise: it is the
+        remaining error of their equations
     """
     if case.form.stays:
-        return replace(ranking, noise_form=FOLLOWING)
-    # Beside causes, other forms are not asked for where plain noise alone has more probability.
+        return replace(ranking, noise_form=AR_NOISE)
+    # Given causes, other forms are evaluated only where "no additional cause" is not probable yet.
     seen = ranking.none <= (0.9 if len(chosen) else SETTINGS.max_p_nothing)
     if len(chosen) and not seen:
         return ranking
     prior = PRIOR_FURTHER if len(chosen) else PRIOR_FIRST
     unsized = {
-        scatter_of(part) for c in case.candidates if c.label == ranking.order[0] for part in c.variants[0][0].parts
+        noisy_joint_label(part)
+        for c in case.candidates
+        if c.label == ranking.order[0]
+        for part in c.variants[0][0].parts
     }
-    # Where nothing else is seen, a joint that scatters may be.
+    # Where no cause is detected, a noisy joint may be.
     forms = [f for f in noise_forms(case, chosen, of_instrument=seen) if f.label not in unsized]
     mass = {f.label: float(np.log(prior["unknown"])) + f.log_factor for f in forms}
     plain = none = float(np.log(prior["none"]))
     noise_form = ""
     if len(chosen):
-        noise = (FOLLOWING, TAILED, *(scatter_of(j) for j in joints if j))
+        noise = (AR_NOISE, HEAVY_TAILS, *(noisy_joint_label(j) for j in joints if j))
         own = {label: mass.pop(label) for label in noise if label in mass}
         none = float(np.logaddexp.reduce(np.array([plain, *own.values()])))
         best = best_of(own, own.__getitem__, logs=True)
@@ -77,29 +87,36 @@ def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collec
 
 
 def scattering(case: Case, ranking: Ranking) -> int | None:
-    """The joint (1-based) whose scatter is the most probable in a ranking, if one's is."""
-    labels = {scatter_of(j): j for j in case.robot.numbers}
+    """Return the joint (1-based) whose noise is the most probable cause in a ranking, else None."""
+    labels = {noisy_joint_label(j): j for j in case.robot.numbers}
     return labels.get(ranking.order[0]) if ranking.none <= SETTINGS.max_p_nothing_further else None
 
 
-def scatter_of(joint: int) -> str:
-    """The label of this form of noise."""
+def noisy_joint_label(joint: int) -> str:
+    """Return the label of the noise of a joint (1-based)."""
     return f"scatter of joint {joint}"
 
 
 def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Sequence[Rival]:
-    """Each form with its log evidence over plain noise, averaged over its settings; the kinds share the prior.
+    """Return each form as a rival, with its log evidence over white noise.
 
-    of_instrument : whether those of the instrument are among them, beside those of the joints
+    The evidence is averaged over the form's settings; the three kinds share the prior equally.
+    chosen : columns of causes in the model; of_instrument : whether the instrument's forms are
+        included
     """
     e = case.evidence
     problem = Problem(e, chosen, case.order)
     plain, joints = float(np.logaddexp.reduce(e.log_base(chosen), axis=None)), range(e.Jq.shape[2])
     kinds: list[tuple[str, Sequence[Form], int]] = []
     if of_instrument:
-        kinds += [(FOLLOWING, [following(stays, len(e.r), e.count / len(e.r)) for stays in FOLLOWS], 1)]
-        kinds += [(TAILED, [tails], 1) for tails in (tailed(problem),) if tails]
-    kinds += [(scatter_of(j + 1), [Form(joint=j, worse=SCATTERS)], len(joints)) for j in joints]
+        kinds += [
+            (AR_NOISE, [ar_form(ar_coefficient, len(e.r), e.count / len(e.r)) for ar_coefficient in AR_COEFFICIENTS], 1)
+        ]
+        kinds += [(HEAVY_TAILS, [tails], 1) for tails in (heavy_tailed_form(problem),) if tails]
+    kinds += [
+        (noisy_joint_label(j + 1), [Form(joint=j, repeatability_factor=NOISY_JOINT_FACTOR)], len(joints))
+        for j in joints
+    ]
     rivals = []
     for label, forms, alike in kinds:
         grids: list[Array] = []
@@ -107,77 +124,96 @@ def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Seq
         for form in forms:
             grids.append(problem.log_likelihood(form))
             logs = np.append(logs, float(np.logaddexp.reduce(grids[-1], axis=None)))
-            if logs[-1] < max(plain, logs.max()) - REACH:  # what follows itself still more is less likely yet
+            # Likelihood falls with the coefficient from here on.
+            if logs[-1] < max(plain, logs.max()) - REACH:
                 break
         factor = float(np.logaddexp.reduce(logs, axis=None)) - np.log(len(forms) * alike * 3) - plain
         rivals.append(Rival(label, float(factor), likely_noise(grids[first_of_best(logs, logs=True)], e.sigmas)))
     return rivals
 
 
-def following(stays: float, poses: int, numbers: float = 3.0) -> Form:
-    """Noise of which so much stays from each pose to the next; numbers : measured at each."""
-    return Form(stays=stays, log_weight=-0.5 * numbers * (poses - 1) * float(np.log(1 - stays**2)))
+def ar_form(ar_coefficient: float, poses: int, numbers: float = 3.0) -> Form:
+    """Return autocorrelated (AR(1)) noise of this many poses.
+
+    numbers : mean count of measured numbers of a pose
+    """
+    return Form(stays=ar_coefficient, log_weight=-0.5 * numbers * (poses - 1) * float(np.log(1 - ar_coefficient**2)))
 
 
-def best_following(case: Case, chosen: Array) -> tuple[Form, Noise, float]:
-    """The most probable noise that follows itself, beside causes: its form, its size, its log evidence over plain."""
+def best_ar_form(case: Case, chosen: Array) -> tuple[Form, Noise, float]:
+    """Return the most probable AR(1) form, its noise and its log evidence over white noise.
+
+    chosen : columns of the causes in the model, shape (k,)
+    """
     e, problem = case.evidence, Problem(case.evidence, chosen, case.order)
 
     def judged(shares: Sequence[float]) -> list[tuple[float, Form, Array]]:
-        forms = [following(stays, len(e.r), e.count / len(e.r)) for stays in shares]
+        forms = [ar_form(ar_coefficient, len(e.r), e.count / len(e.r)) for ar_coefficient in shares]
         grids = [problem.log_likelihood(form) for form in forms]
         return [
             (float(np.logaddexp.reduce(grid, axis=None)), form, grid) for form, grid in zip(forms, grids, strict=True)
         ]
 
-    known = judged(FOLLOWS)
+    known = judged(AR_COEFFICIENTS)
     best = best_of(known, lambda k: k[0], logs=True)[1].stays
-    log, form, grid = best_of((*known, *judged([best - BETWEEN, best + BETWEEN])), lambda k: k[0], logs=True)
+    log, form, grid = best_of(
+        (*known, *judged([best - AR_COEFFICIENT_STEP, best + AR_COEFFICIENT_STEP])), lambda k: k[0], logs=True
+    )
     return form, likely_noise(grid, e.sigmas), log - float(np.logaddexp.reduce(e.log_base(chosen), axis=None))
 
 
-def other_following(case: Case, chosen: Array) -> tuple[Form, Noise, float] | None:
-    """The same where causes and laws are to be judged again by it; None where the case keeps its own noise."""
-    form, noise, gain = best_following(case, chosen)
-    moved = abs(form.stays - case.form.stays) > BETWEEN / 2
-    return (form, noise, gain) if moved and gain >= FORM_GAIN else None
+def better_ar_form(case: Case, chosen: Array) -> tuple[Form, Noise, float] | None:
+    """Return the same as `best_ar_form`, or None where the case is to keep its own form.
+
+    A better form is one with a different coefficient and enough evidence to judge causes again.
+    """
+    form, noise, gain = best_ar_form(case, chosen)
+    moved = abs(form.stays - case.form.stays) > AR_COEFFICIENT_STEP / 2
+    return (form, noise, gain) if moved and gain >= MIN_AR_LOG_GAIN else None
 
 
-def best_beside_following(case: Case, chosen: Array) -> tuple[str, float]:
-    """The most probable other form of noise where noise follows itself, beside causes, and its log evidence over this.
+def best_form_given_ar(case: Case, chosen: Array) -> tuple[str, float]:
+    """Return the most probable alternative to the case's AR(1) noise and its log evidence over it.
 
-    Another share, heavy tails beside the same share, or any form without one.
+    The alternatives are another coefficient, heavy tails in addition to the same coefficient, and
+    any form without autocorrelation.
     """
     e, problem = case.evidence, Problem(case.evidence, chosen, case.order)
-    own = following(case.form.stays, len(e.r), e.count / len(e.r))  # poses may have been left out since it was found
+    # The form is made anew, because outliers may have been removed since it was found.
+    own = ar_form(case.form.stays, len(e.r), e.count / len(e.r))
     plain, log = (
         float(np.logaddexp.reduce(e.log_base(chosen), axis=None)),
         float(np.logaddexp.reduce(problem.log_likelihood(own), axis=None)),
     )
-    rivals = [(FOLLOWING, best_following(case, chosen)[2])]
+    rivals = [(AR_NOISE, best_ar_form(case, chosen)[2])]
     rivals += [(f.label, f.log_factor) for f in noise_forms(case, chosen)]
-    if tails := tailed(problem, own):
-        rivals.append((TAILED, float(np.logaddexp.reduce(problem.log_likelihood(tails), axis=None)) - plain))
+    if tails := heavy_tailed_form(problem, own):
+        rivals.append((HEAVY_TAILS, float(np.logaddexp.reduce(problem.log_likelihood(tails), axis=None)) - plain))
     label, gain = best_of(rivals, itemgetter(1), logs=True)
     return label, gain + plain - log
 
 
-def tailed(problem: Problem, usual: Form | None = None) -> Form | None:
-    """A form, by default the plain one, with the poses that are far out weighed down; None without any."""
+def heavy_tailed_form(problem: Problem, usual: Form | None = None) -> Form | None:
+    """Return a form (default: white) with larger noise at poses that are far out; None without."""
     usual = usual or Form()
     n, numbers = len(problem.e.r), problem.e.count / len(problem.e.r)
-    log_odds = np.log(SHARE / (1 - SHARE)) - numbers * np.log(TIMES)
+    log_odds = np.log(TAIL_SHARE / (1 - TAIL_SHARE)) - numbers * np.log(TAIL_NOISE_FACTOR)
     times, form = np.ones(n), usual
     grid = problem.log_likelihood(usual) if usual.stays else problem.e.log_base(problem.chosen)
-    for _ in range(FOUND_IN):
+    for _ in range(MAX_TAIL_ROUNDS):
         noise = likely_noise(grid, problem.e.sigmas)
         rho = int(np.argmin(np.abs(RHO_GRID - noise.repeatability / noise.sigma)))
         square = ((problem.residual(form, rho) * times[:, None]) ** 2).sum(axis=1) / noise.sigma**2
-        before, times = times, np.where(log_odds + 0.5 * square * (1 - TIMES**-2) > 0, TIMES, 1.0)
+        before, times = (
+            times,
+            np.where(log_odds + 0.5 * square * (1 - TAIL_NOISE_FACTOR**-2) > 0, TAIL_NOISE_FACTOR, 1.0),
+        )
         if np.array_equal(before, times):
             break
         out = int((times > 1).sum())
-        weight = out * np.log(SHARE) + (n - out) * np.log(1 - SHARE) - numbers * out * np.log(TIMES)
+        weight = (
+            out * np.log(TAIL_SHARE) + (n - out) * np.log(1 - TAIL_SHARE) - numbers * out * np.log(TAIL_NOISE_FACTOR)
+        )
         form = replace(usual, times=times, log_weight=usual.log_weight + float(weight))
         grid = problem.log_likelihood(form)
     return form if (times > 1).any() else None

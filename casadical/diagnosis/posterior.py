@@ -1,4 +1,4 @@
-"""Posterior probability of no cause, of every candidate cause and of an unlisted one, given those in the model."""
+"""Posterior probabilities of the next cause: none, each candidate effect, or an unlisted one."""
 
 from collections import Counter
 from collections.abc import Collection, Mapping
@@ -34,11 +34,12 @@ class Ranking:
     probability : posterior probability of each candidate, by label; they and none sum to one
     log_factor : log Bayes factor of each candidate against no cause, by label
     log_mass : log_factor plus the log of the candidate's prior, by label
-    variant : index of the most likely variant (settings) of each candidate, by label; a `Rival` has none
+    variant : index of the most likely variant (settings) of each candidate, by label; a `Rival` has
+        none
     noise : most likely noise without an additional cause (key "") and with each candidate, by label
     log_noise : increase of the log mass of none by other forms of noise
-    noise_form : the most probable form of noise, where it is more probable than white noise; else empty
-        (see `noise_forms`)
+    noise_form : the most probable form of noise, where it is more probable than white noise; else
+        empty (see `noise_forms`)
     """
 
     none: float
@@ -76,11 +77,11 @@ class Ranking:
 
 @dataclass(frozen=True)
 class Rival:
-    """An unlisted alternative that competes with the case's candidates, such as an expression found by a search.
+    """An unlisted alternative to the case's candidates, such as an expression found by a search.
 
     label : name that no candidate has
-    log_factor : log Bayes factor against no cause, averaged over its settings, plus the log of its share of
-        the prior of all rivals, which pays for the selection among them
+    log_factor : log Bayes factor against no cause, averaged over its settings, plus the log of its
+        share of the prior of all rivals, which pays for the selection among them
     noise : most likely noise with this rival in the model
     """
 
@@ -89,8 +90,8 @@ class Rival:
     noise: Noise
 
 
-# Factor on the prior of an additional cause at a joint that has a cause already: it is more likely a
-# flaw of the first cause's equation.
+# Factor on the prior of an additional cause at a joint that has a cause already: it is more likely
+# a flaw of the first cause's equation.
 SAME_JOINT_PRIOR_FACTOR = 0.05
 
 
@@ -99,8 +100,10 @@ def rank(
 ) -> Ranking:
     """Return the posterior over the next cause.
 
-    chosen : columns of causes that are in the model already; skip : their labels, no longer candidates
-    covered : labels of candidates that a cause in the model includes; these are no candidates either
+    chosen : columns of causes that are in the model already; skip : their labels, no longer
+        candidates
+    covered : labels of candidates that a cause in the model includes; these are no candidates
+        either
     """
     judged = [k for k, (c, _) in enumerate(case.variants) if case.candidates[c].label not in skip | covered]
     grids = case.judged.log_grids([case.groups[k] for k in judged], chosen) + np.log(KAPPA_WEIGHTS)
@@ -127,8 +130,8 @@ def prior_weights(
 ) -> dict[str, float]:
     """Return the prior probability of each candidate, by label.
 
-    Listed effects share their prior equally, and each effect's share is divided among its joints. The
-    prior of unlisted effects is divided in the same way, half among the rare effects and half
+    Listed effects share their prior equally, and each effect's share is divided among its joints.
+    The prior of unlisted effects is divided in the same way, half among the rare effects and half
     for the smooth forms named "unknown".
     """
     open_ = [c for c in case.candidates if c.label not in skip | covered]

@@ -17,7 +17,7 @@ from casadical.diagnosis.cause_sets import most_probable_set
 from casadical.diagnosis.cross_validation import remainders
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.noise_forms import other_following, with_noise_forms
+from casadical.diagnosis.noise_forms import better_ar_form, with_noise_forms
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, rank
 from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.settings_search import refined
@@ -221,7 +221,7 @@ def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tupl
         least : log evidence that both need, over plain noise without causes
         first : whether these causes are searched once more, so that sets of them can wait
         """
-        follows = other_following(beside.case, beside.columns())
+        follows = better_ar_form(beside.case, beside.columns())
         if not follows:
             return None
         form, noise, gain = follows

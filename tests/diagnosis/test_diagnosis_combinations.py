@@ -91,7 +91,7 @@ def test_sums_under_noise_that_follows_itself_are_those_of_the_other_poses(known
 
 def test_other_forms_of_noise_are_judged_alike(known, curve, backlash, apart):
     chosen = np.union1d(curve, backlash[0])
-    for form in (Form(), Form(joint=1, worse=8.0), Form(stays=0.6)):
+    for form in (Form(), Form(joint=1, repeatability_factor=8.0), Form(stays=0.6)):
         found, expected = (
             Problem(e, chosen, np.arange(len(e.r))).log_likelihood(form) for e in (known.evidence, apart)
         )

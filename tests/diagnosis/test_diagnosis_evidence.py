@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 
 from casadical.core.basics import Array
 from casadical.diagnosis.evidence import KAPPA_GRID, RHO_GRID, SIGMA_GRID_M, WIDE_SIGMA_GRID_M, BaseParameters, Evidence
-from casadical.diagnosis.noise_evidence import PLAIN, Problem
+from casadical.diagnosis.noise_evidence import WHITE_FORM, Problem
 from casadical.diagnosis.noise_floor import noise_floor, outlier_probability, scatter_of_coordinate
 from casadical.measurements.measurements import Noise
 
@@ -167,5 +167,5 @@ def test_what_the_base_absorbs_makes_the_noise_of_few_numbers_less_sure() -> Non
 def test_forms_of_noise_are_averaged_as_the_plain_one_is() -> None:
     e = two_tables(1.2)
     chosen = np.array([1])
-    found = Problem(e, chosen, np.random.default_rng(0).permutation(40)).log_likelihood(PLAIN)
+    found = Problem(e, chosen, np.random.default_rng(0).permutation(40)).log_likelihood(WHITE_FORM)
     np.testing.assert_allclose(found, e.log_base(chosen), rtol=1e-9)

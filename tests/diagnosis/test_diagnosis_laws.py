@@ -45,8 +45,8 @@ from casadical.diagnosis.laws.problem import with_columns as seams_with_columns
 from casadical.diagnosis.laws.search import search_laws
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import linearise
-from casadical.diagnosis.noise_evidence import PLAIN, Form
-from casadical.diagnosis.noise_forms import TAILED, best_beside_following, following, other_following
+from casadical.diagnosis.noise_evidence import WHITE_FORM, Form
+from casadical.diagnosis.noise_forms import HEAVY_TAILS, ar_form, best_form_given_ar, better_ar_form
 from casadical.diagnosis.posterior import rank
 from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.text import brief
@@ -129,7 +129,7 @@ def test_drivers_are_what_the_robot_and_the_table_say() -> None:
 
 def where_noise_follows(name: str, stays: float) -> Case:
     c = case(name)
-    return c.with_form(following(stays, int(c.kept.sum()))) if stays else c
+    return c.with_form(ar_form(stays, int(c.kept.sum()))) if stays else c
 
 
 @pytest.mark.parametrize("stays", [pytest.param(0.0, marks=pytest.mark.slow), 0.7])
@@ -269,7 +269,7 @@ def test_a_place_is_moved_each_way_by_a_step(out) -> None:
 @pytest.mark.parametrize("stays", [0.0, 0.7])
 def test_what_is_left_pulls_at_columns_as_their_products_say(stays: float) -> None:
     c, rng = case("kr210-P02"), np.random.default_rng(3)
-    problem = Problem.beside(c.with_form(following(stays, int(c.kept.sum()))) if stays else c, NONE)
+    problem = Problem.beside(c.with_form(ar_form(stays, int(c.kept.sum()))) if stays else c, NONE)
     if stays:
         problem = replace(problem, order=rng.permutation(problem.order))
     screen, column = problem.screens[0][1], rng.standard_normal(c.evidence.r.shape)
@@ -337,7 +337,7 @@ def test_a_target_that_looks_aside_is_found() -> None:
 def law_of_instrument(changed, stays: float) -> Scored:
     """The best law of a robot without another fault."""
     c = diagnose(robot(NAME), changed(from_table(table(4), 6)), ["backlash"], laws=False).case
-    return search_laws(c.with_form(following(stays, 80)) if stays else c, NONE)[0]
+    return search_laws(c.with_form(ar_form(stays, 80)) if stays else c, NONE)[0]
 
 
 @pytest.mark.slow
@@ -522,7 +522,7 @@ def hidden_in(stays: float, sigma: float, seed: int, laws: Mapping[Law, float]) 
 
 def assert_noise_is_best_beside(case: Case, effects: Sequence[Effect]) -> None:
     assert case.form.stays > 0
-    assert other_following(case, np.unique(case.group(effects))) is None
+    assert better_ar_form(case, np.unique(case.group(effects))) is None
 
 
 @pytest.mark.slow
@@ -560,16 +560,16 @@ def test_noise_that_follows_itself_has_rivals_of_its_own() -> None:
     c, rng = where_noise_follows("kr210-P02", 0.6), np.random.default_rng(7)
     noise = following_noise(c.whole.r.shape, 0.6, 20e-6, 7)
     usual = replace(c, whole=replace(c.whole, r=noise.copy()))
-    assert best_beside_following(usual, NONE)[1] < 3
+    assert best_form_given_ar(usual, NONE)[1] < 3
     noise[rng.choice(len(noise), 6, replace=False)] *= 5
-    label, gain = best_beside_following(replace(c, whole=replace(c.whole, r=noise)), NONE)
-    assert label == TAILED
+    label, gain = best_form_given_ar(replace(c, whole=replace(c.whole, r=noise)), NONE)
+    assert label == HEAVY_TAILS
     assert gain > 10
     # Poses that are left out later have no part in how likely this noise is.
     kept = usual.kept & (np.arange(len(usual.kept)) > 5)
     fewer = usual.with_kept(kept)
-    anew = fewer.with_form(following(0.6, int(kept.sum())))
-    assert best_beside_following(fewer, NONE)[1] == pytest.approx(best_beside_following(anew, NONE)[1], abs=1e-6)
+    anew = fewer.with_form(ar_form(0.6, int(kept.sum())))
+    assert best_form_given_ar(fewer, NONE)[1] == pytest.approx(best_form_given_ar(anew, NONE)[1], abs=1e-6)
 
 
 def test_noise_is_a_rival_of_every_law() -> None:
@@ -660,11 +660,11 @@ def test_a_law_and_causes_under_two_noises_are_compared_over_the_same() -> None:
             low, high = (low, score) if contest.replaces_causes(bare, claimed) else (score, high)
         return high
 
-    form = following(0.4, int(case.kept.sum()))
+    form = ar_form(0.4, int(case.kept.sum()))
     other = float(np.logaddexp.reduce(case.with_form(form).judged.log_base(NONE), axis=None)) + form.log_weight
     plain = float(np.logaddexp.reduce(case.judged.log_base(NONE), axis=None))
-    assert 12.0 < least(PLAIN) < 1e3
-    assert least(form) - least(PLAIN) == pytest.approx(plain - other, abs=1e-4)
+    assert 12.0 < least(WHITE_FORM) < 1e3
+    assert least(form) - least(WHITE_FORM) == pytest.approx(plain - other, abs=1e-4)
     assert abs(plain - other) > 1.0
 
 

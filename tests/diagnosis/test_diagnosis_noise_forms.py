@@ -15,8 +15,17 @@ from casadical.core.basics import Array
 from casadical.core.linear_gaussian.model import Memory
 from casadical.diagnosis.evidence import RHO_GRID, SIGMA_GRID_M, Evidence, NoisePrior
 from casadical.diagnosis.json_answer import as_json
-from casadical.diagnosis.noise_evidence import Form, Problem, as_form_moves
-from casadical.diagnosis.noise_forms import FOLLOWS, SCATTERS, SHARE, TIMES, following, noise_forms, scattering, tailed
+from casadical.diagnosis.noise_evidence import Form, Problem, prewhitened
+from casadical.diagnosis.noise_forms import (
+    AR_COEFFICIENTS,
+    NOISY_JOINT_FACTOR,
+    TAIL_NOISE_FACTOR,
+    TAIL_SHARE,
+    ar_form,
+    heavy_tailed_form,
+    noise_forms,
+    scattering,
+)
 from casadical.diagnosis.text import page_of
 from casadical.measurements.measurements import Measurements
 
@@ -71,8 +80,8 @@ def test_the_evidence_of_noise_that_follows_itself_is_that_of_its_covariance(col
     steps = np.abs(np.subtract.outer(np.argsort(order), np.argsort(order)))
     plain = e.log_base()[0, at] - density(e, 0, SIGMA_GRID_M[at], np.eye(14), np.ones(6))
     assert p.log_likelihood(Form())[0, at] == pytest.approx(e.log_base()[0, at], abs=1e-5)
-    for stays in FOLLOWS:
-        found = p.log_likelihood(following(stays, 14))[0, at]
+    for stays in AR_COEFFICIENTS:
+        found = p.log_likelihood(ar_form(stays, 14))[0, at]
         assert found - density(e, 0, SIGMA_GRID_M[at], stays**steps, np.ones(6)) == pytest.approx(plain, abs=1e-5)
 
 
@@ -80,8 +89,8 @@ def test_the_evidence_of_a_scattering_joint_is_that_of_its_covariance(columns: i
     at, p = 16, problem(small(), columns=columns)
     e = with_causes(p)
     plain = e.log_base()[0, at] - density(e, 0, SIGMA_GRID_M[at], np.eye(14), np.ones(6))
-    worse = np.where(np.arange(6) == 2, SCATTERS, 1.0)
-    found = p.log_likelihood(Form(joint=2, worse=SCATTERS))
+    worse = np.where(np.arange(6) == 2, NOISY_JOINT_FACTOR, 1.0)
+    found = p.log_likelihood(Form(joint=2, repeatability_factor=NOISY_JOINT_FACTOR))
     for rho in (0, 3):
         assert found[rho, at] - density(e, rho, SIGMA_GRID_M[at], np.eye(14), worse) == pytest.approx(plain, abs=1e-5)
 
@@ -90,15 +99,15 @@ def test_poses_far_out_are_weighed_down_and_paid_for(columns: int) -> None:
     at, e = 12, small(40)
     rng = np.random.default_rng(1)
     r = SIGMA_GRID_M[at] * rng.standard_normal((40, 3))
-    assert tailed(problem(replace(e, r=r))) is None
+    assert heavy_tailed_form(problem(replace(e, r=r))) is None
     r[[5, 20]] += 6 * SIGMA_GRID_M[at]
     p = problem(replace(e, r=r), columns=3 * columns)
     far = with_causes(p)
-    found = tailed(p)
+    found = heavy_tailed_form(p)
     assert found is not None
-    times = np.where(np.isin(np.arange(40), (5, 20)), TIMES, 1.0)
+    times = np.where(np.isin(np.arange(40), (5, 20)), TAIL_NOISE_FACTOR, 1.0)
     assert found.times == pytest.approx(times)
-    shares = 2 * np.log(SHARE) + 38 * np.log(1 - SHARE)
+    shares = 2 * np.log(TAIL_SHARE) + 38 * np.log(1 - TAIL_SHARE)
     plain = far.log_base()[0, at] - density(far, 0, SIGMA_GRID_M[at], np.eye(40), np.ones(6))
     exact = density(far, 0, SIGMA_GRID_M[at], np.diag(times**2), np.ones(6)) + shares
     assert p.log_likelihood(found)[0, at] - exact == pytest.approx(plain, abs=1e-5)
@@ -106,7 +115,11 @@ def test_poses_far_out_are_weighed_down_and_paid_for(columns: int) -> None:
 
 def test_sums_in_parts_are_those_of_all_poses() -> None:
     e = replace(case("kr210-P02").evidence, near=(1, 2))
-    form = [following(0.6, len(e.r)), Form(joint=1, worse=SCATTERS), Form(times=1.0 + (np.arange(len(e.r)) % 9 == 0))]
+    form = [
+        ar_form(0.6, len(e.r)),
+        Form(joint=1, repeatability_factor=NOISY_JOINT_FACTOR),
+        Form(times=1.0 + (np.arange(len(e.r)) % 9 == 0)),
+    ]
     order = np.random.default_rng(0).permutation(len(e.r))
     whole, parts = Problem(e, NONE, order), Problem(replace(e, memory=Memory(kept=0, part=1)), NONE, order)
     for f in form:
@@ -149,12 +162,12 @@ def test_a_joint_scatters_in_a_ranking_where_its_scatter_leads_and_something_is_
 
 def test_noise_that_follows_itself_is_judged_again_without_the_last_pose() -> None:
     """No further pose follows another one then than before."""
-    known = case("ur10e-P03").with_form(following(0.6, int(case("ur10e-P03").kept.sum())))
+    known = case("ur10e-P03").with_form(ar_form(0.6, int(case("ur10e-P03").kept.sum())))
     assert np.isfinite(known.judged.log_base()).all()
     kept = known.kept.copy()
     kept[np.flatnonzero(kept)[known.order[-1]]] = False
     fewer = known.with_kept(kept)
-    fresh = as_form_moves(fewer.evidence, fewer.form, fewer.order)
+    fresh = prewhitened(fewer.evidence, fewer.form, fewer.order)
     np.testing.assert_allclose(fewer.judged.log_base(), fresh.log_base(), rtol=1e-9)
 
 

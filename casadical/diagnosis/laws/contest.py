@@ -23,12 +23,12 @@ from casadical.diagnosis.laws.problem import ABOVE, ALIKE, CLAIMED, Problem, Rou
 from casadical.diagnosis.laws.search import refined_settings, search_laws
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_forms import (
-    FORM_GAIN,
-    best_beside_following,
-    best_following,
-    following,
+    MIN_AR_LOG_GAIN,
+    ar_form,
+    best_ar_form,
+    best_form_given_ar,
+    better_ar_form,
     noise_forms,
-    other_following,
 )
 from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, rank
 from casadical.diagnosis.result import Diagnosis
@@ -99,7 +99,7 @@ def beside_its_noise(
     """
     for _ in range(MOST_FORMS if case.observations.plain else 0):
         own = with_law(case, first.best.law) if first.claimed else None
-        other = own and other_following(own, np.union1d(chosen, own.group((first.best.law,))))
+        other = own and better_ar_form(own, np.union1d(chosen, own.group((first.best.law,))))
         if not other:
             break
         case = case.with_form(other[0])
@@ -141,9 +141,9 @@ def as_noise_follows(case: Case, ranking: Ranking) -> Case | None:
     # Candidates beside which the form of noise that follows itself is looked for.
     for label in [label for label in ranking.order if label in variants][:3]:
         groups.append((ranking.log_factor[label], case.group(variants[label][ranking.variant[label]])))
-    judged = [(log, best_following(case, group)) for log, group in groups]
+    judged = [(log, best_ar_form(case, group)) for log, group in groups]
     _, (form, _, gain) = best_of(judged, lambda j: j[0] + j[1][2], logs=True)
-    return case.with_form(form) if gain >= FORM_GAIN else None
+    return case.with_form(form) if gain >= MIN_AR_LOG_GAIN else None
 
 
 def thinned(case: Case, poses: int) -> Case:
@@ -155,7 +155,7 @@ def thinned(case: Case, poses: int) -> Case:
     if fewer is case or not case.form.stays:
         return fewer
     e, stays = fewer.evidence, case.form.stays ** (len(at) / poses)
-    return fewer.with_form(following(stays, len(e.r), e.count / len(e.r)))
+    return fewer.with_form(ar_form(stays, len(e.r), e.count / len(e.r)))
 
 
 def _log_none(case: Case) -> float:
@@ -192,7 +192,7 @@ def _judged(laws: Sequence[Scored], case: Case, chosen: Array, ranking: Ranking)
     best = best_of(rivals, score, logs=True) if rivals else ("", -np.inf)
     other = best_of((_refined_rival(case, by_label[k], ranking, chosen) for k in smooth[:2]), score, logs=True)
     if case.form.stays:
-        noise = best_beside_following(case, chosen)
+        noise = best_form_given_ar(case, chosen)
     else:
         noise = best_of(((f.label, f.log_factor) for f in noise_forms(case, chosen)), score, logs=True)
     return Round(tuple(laws), best, other, noise, aliases(case, chosen, laws[0], ranking.variant), case.form)

@@ -23,7 +23,7 @@ from casadical.diagnosis.laws.contest import (
 )
 from casadical.diagnosis.laws.problem import Round, Scored
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.noise_forms import other_following
+from casadical.diagnosis.noise_forms import better_ar_form
 from casadical.diagnosis.posterior import rank
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.settings import SETTINGS
@@ -78,7 +78,7 @@ def laws_beside(found: Diagnosis, show: Show = silent, poses: int = MOST_POSES) 
         return _concluded(found, rounds, case, [], (), NONE)
     for _ in range(MOST_ROUNDS):
         show("laws beside what was found")
-        other = other_following(case, columns) if case.observations.plain else None
+        other = better_ar_form(case, columns) if case.observations.plain else None
         if other:
             case = case.with_form(other[0])
         labels = frozenset(

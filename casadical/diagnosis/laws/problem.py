@@ -25,7 +25,7 @@ from casadical.diagnosis.evidence import KAPPA_GRID, KAPPA_WEIGHTS, REPEATABILIT
 from casadical.diagnosis.laws.forms import Driver, Form
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import Linearisation
-from casadical.diagnosis.noise_evidence import PLAIN
+from casadical.diagnosis.noise_evidence import WHITE_FORM
 from casadical.diagnosis.noise_evidence import Form as NoiseForm
 from casadical.effects.base import CHOSEN
 from casadical.effects.formula_effect import SEAMS, Law
@@ -331,7 +331,7 @@ class Round:
     smooth: tuple[str, float]
     noise: tuple[str, float]
     alias: tuple[str, ...]
-    form: NoiseForm = PLAIN
+    form: NoiseForm = WHITE_FORM
 
     @property
     def best(self) -> Scored:
@@ -372,7 +372,7 @@ class Problem:
         """Of a case; chosen : columns of what is in the model already."""
         # At the tables' likely noise alone: thousands of laws are judged.
         alone = case.judged.with_causes_alone(chosen)
-        if case.form is PLAIN:
+        if case.form is WHITE_FORM:
             return cls(alone, least)
         return cls(alone, least, case.order, case.form.serial(len(case.order)))
 
